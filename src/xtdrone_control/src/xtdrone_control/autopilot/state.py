@@ -1,0 +1,174 @@
+"""The autopilot's data: one record a vehicle, as numpy structured arrays that numba kernels read and write.
+
+Frames: ``local`` is NED with its origin at the estimator's origin, ``body`` is FRD. Quaternions are (w, x, y, z) and
+turn body vectors into local ones. SI units, radians, seconds; times are simulated microseconds. A NaN in a set-point
+means "not controlled", PX4's contract for trajectory set-points.
+
+Who writes what: the simulator's sensor models (or a driver) write ``SENSORS``; the estimator kernel writes
+``ESTIMATOR``; commander, navigator and the MAVLink receiver write ``SETPOINT``; the control kernels write ``CONTROL``;
+the parameter store writes ``PARAMS``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+MAX_ROTORS = 8
+
+# What the cascade follows (SETPOINT.task). Commander and navigator choose it from the flight mode.
+TASK_IDLE = 0  # motors off (disarmed) or idling on the ground (armed)
+TASK_TRAJECTORY = 1  # trajectory_* as given: OFFBOARD position, velocity, acceleration
+TASK_GOTO = 2  # smoothed flight to goal_position: take-off, loiter, return, mission
+TASK_LAND = 3  # keep goal_position's xy, descend with PX4's land speeds
+TASK_DESCEND = 4  # level attitude, descend at land speed: no horizontal estimate
+TASK_STICKS = 5  # POSCTL: velocity from sticks, position hold when they are centred
+TASK_ATTITUDE = 6  # attitude_q and thrust, yaw rate optional
+TASK_RATES = 7  # body rates and thrust
+
+# Take-off state machine (CONTROL.takeoff_state), after PX4's mc_pos_control/Takeoff.
+TAKEOFF_DISARMED = 0
+TAKEOFF_SPOOLUP = 1
+TAKEOFF_READY = 2
+TAKEOFF_RAMPUP = 3
+TAKEOFF_FLIGHT = 4
+
+SENSORS = np.dtype(
+    [
+        ("time_us", "i8"),
+        ("gyro", "f8", 3),  # rad/s, body
+        ("accel", "f8", 3),  # m/s^2 specific force, body (about -9.8 in z at rest)
+        ("mag_fresh", "i4"),  # 1 when mag is a new sample in this step
+        ("mag", "f8", 3),  # gauss, body
+        ("baro_fresh", "i4"),
+        ("baro_pressure", "f8"),  # Pa
+        ("baro_alt", "f8"),  # m, pressure altitude AMSL
+        ("baro_temperature", "f8"),  # deg C
+        ("gps_fresh", "i4"),
+        ("gps_fix", "i4"),  # MAVLink GPS_FIX_TYPE: 3 = 3D
+        ("gps_satellites", "i4"),
+        ("gps_lat", "f8"),  # deg WGS84
+        ("gps_lon", "f8"),  # deg
+        ("gps_alt", "f8"),  # m AMSL
+        ("gps_vel", "f8", 3),  # m/s NED
+        ("gps_eph", "f8"),  # m, 1 sigma horizontal
+        ("gps_epv", "f8"),  # m, 1 sigma vertical
+        ("gps_speed_accuracy", "f8"),  # m/s, 1 sigma
+    ],
+    align=True,
+)
+
+N_STATES = 15  # error state: attitude 3, velocity 3, position 3, gyro bias 3, accelerometer bias 3
+
+ESTIMATOR = np.dtype(
+    [
+        ("initialised", "i4"),  # attitude aligned and origin known
+        ("position_valid", "i4"),  # horizontal position usable
+        ("altitude_valid", "i4"),
+        ("q", "f8", 4),  # (w, x, y, z) body to local
+        ("velocity", "f8", 3),  # m/s, local
+        ("position", "f8", 3),  # m, local
+        ("gyro_bias", "f8", 3),  # rad/s, body
+        ("accel_bias", "f8", 3),  # m/s^2, body
+        ("rates", "f8", 3),  # rad/s, body, bias removed and filtered for control
+        ("angular_acceleration", "f8", 3),  # rad/s^2, body, filtered
+        ("acceleration", "f8", 3),  # m/s^2, local, gravity removed
+        ("velocity_dot", "f8", 3),  # m/s^2, local, filtered derivative of velocity for the controller
+        ("P", "f8", (N_STATES, N_STATES)),
+        ("since_predict", "f8"),  # s since the last covariance prediction
+        ("delta_angle", "f8", 3),  # rad since then
+        ("delta_velocity", "f8", 3),  # m/s since then, body
+        ("samples", "i4"),  # IMU samples averaged for the first alignment
+        ("accel_mean", "f8", 3),
+        ("mag_mean", "f8", 3),
+        ("mag_samples", "i4"),
+        ("test_ratio_vel", "f8"),  # innovation test ratios, 1 = on the gate
+        ("test_ratio_pos", "f8"),
+        ("test_ratio_hgt", "f8"),
+        ("test_ratio_mag", "f8"),
+        ("innov_vel", "f8", 3),
+        ("innov_pos", "f8", 3),
+        ("innov_hgt", "f8"),
+        ("innov_yaw", "f8"),
+        ("time_last_gps_us", "i8"),
+        ("time_last_pos_fuse_us", "i8"),
+        ("origin_set", "i4"),
+        ("origin_lat", "f8"),  # deg; the local frame's origin
+        ("origin_lon", "f8"),
+        ("origin_alt", "f8"),  # m AMSL
+        ("reset_counter", "i4"),
+    ],
+    align=True,
+)
+
+SETPOINT = np.dtype(
+    [
+        ("armed", "i4"),
+        ("task", "i4"),
+        ("task_changed", "i4"),  # set to 1 with every new task or goal; the kernel restarts its smoothing and clears it
+        # TASK_TRAJECTORY
+        ("position", "f8", 3),  # m, local; NaN = not controlled, as in the following
+        ("velocity", "f8", 3),  # m/s, local
+        ("acceleration", "f8", 3),  # m/s^2, local
+        ("yaw", "f8"),  # rad, local
+        ("yaw_rate", "f8"),  # rad/s
+        # TASK_ATTITUDE and TASK_RATES
+        ("attitude_q", "f8", 4),  # (w, x, y, z)
+        ("rates", "f8", 3),  # rad/s, body
+        ("thrust", "f8"),  # 0..1 collective, as in SET_ATTITUDE_TARGET
+        # TASK_GOTO, TASK_LAND
+        ("goal_position", "f8", 3),  # m, local
+        ("goal_yaw", "f8"),  # rad; NaN keeps the heading
+        ("cruise_speed", "f8"),  # m/s horizontal; NaN = MPC_XY_CRUISE
+        ("climb_speed", "f8"),  # m/s upwards; NaN = MPC_Z_V_AUTO_UP (take-off: MPC_TKO_SPEED)
+        ("descend_speed", "f8"),  # m/s downwards; NaN = MPC_Z_V_AUTO_DN
+        # TASK_STICKS, each -1..1; body-heading frame: x forward, y right, z up (throttle, 0 = hold), yaw clockwise
+        ("stick_x", "f8"),
+        ("stick_y", "f8"),
+        ("stick_z", "f8"),
+        ("stick_yaw", "f8"),
+    ],
+    align=True,
+)
+
+CONTROL = np.dtype(
+    [
+        ("takeoff_state", "i4"),
+        ("takeoff_time", "f8"),  # s since arming (spool-up) or since the ramp began
+        ("landed", "i4"),  # land detector
+        ("maybe_landed", "i4"),
+        ("ground_contact", "i4"),
+        ("ground_contact_time", "f8"),  # s that each condition has held
+        ("maybe_landed_time", "f8"),
+        ("landed_time", "f8"),
+        ("freefall", "i4"),
+        ("hover_thrust", "f8"),  # 0..1, estimate (MPC_USE_HTE)
+        ("velocity_integral", "f8", 3),  # m/s^2
+        ("rate_integral", "f8", 3),  # normalised torque
+        ("saturation_pos", "i4", 3),  # allocator: torque axis cannot grow
+        ("saturation_neg", "i4", 3),
+        # smoothing of GOTO, LAND and STICKS
+        ("smooth_position", "f8", 3),
+        ("smooth_velocity", "f8", 3),
+        ("smooth_yaw", "f8"),
+        ("hold_xy", "i4"),
+        ("hold_z", "i4"),
+        # what the cascade follows now, for telemetry and logs
+        ("sp_position", "f8", 3),  # m, local (NaN where not controlled)
+        ("sp_velocity", "f8", 3),  # m/s, local
+        ("sp_acceleration", "f8", 3),  # m/s^2, local
+        ("sp_yaw", "f8"),
+        ("sp_yaw_rate", "f8"),
+        ("sp_thrust_vector", "f8", 3),  # normalised, local
+        ("sp_q", "f8", 4),  # (w, x, y, z)
+        ("sp_rates", "f8", 3),  # rad/s, body
+        ("sp_thrust", "f8"),  # 0..1 collective
+        ("sp_torque", "f8", 3),  # normalised
+        ("actuators", "f8", MAX_ROTORS),  # 0..1 motor commands; 0 when disarmed
+    ],
+    align=True,
+)
+
+
+def records(dtype: np.dtype, count: int) -> np.ndarray:
+    """Return ``count`` zeroed records of ``dtype`` (shape (count,))."""
+    return np.zeros(count, dtype=dtype)
