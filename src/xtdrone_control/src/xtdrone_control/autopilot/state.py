@@ -91,6 +91,7 @@ ESTIMATOR = np.dtype(
         ("innov_yaw", "f8"),
         ("time_last_gps_us", "i8"),
         ("time_last_pos_fuse_us", "i8"),
+        ("baro_offset", "f8"),  # m, pressure altitude less GPS altitude
         ("origin_set", "i4"),
         ("origin_lat", "f8"),  # deg; the local frame's origin
         ("origin_lon", "f8"),
@@ -134,6 +135,7 @@ CONTROL = np.dtype(
     [
         ("takeoff_state", "i4"),
         ("takeoff_time", "f8"),  # s since arming (spool-up) or since the ramp began
+        ("ramp_speed", "f8"),  # m/s, upward speed limit while the take-off ramps up
         ("landed", "i4"),  # land detector
         ("maybe_landed", "i4"),
         ("ground_contact", "i4"),
@@ -147,6 +149,8 @@ CONTROL = np.dtype(
         ("saturation_pos", "i4", 3),  # allocator: torque axis cannot grow
         ("saturation_neg", "i4", 3),
         # smoothing of GOTO, LAND and STICKS
+        ("last_task", "i4"),
+        ("smooth_acceleration", "f8", 3),
         ("smooth_position", "f8", 3),
         ("smooth_velocity", "f8", 3),
         ("smooth_yaw", "f8"),

@@ -1,0 +1,16 @@
+# To be sourced: the environment in which the workspace runs. Another ROS or Python of the user's stays out of it.
+
+xtdrone_root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
+
+unset PYTHONPATH PYTHONHOME ROS_PACKAGE_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH ROSLISP_PACKAGE_DIRECTORIES
+
+# catkin's set-up scripts read variables that may not be set.
+xtdrone_nounset="$(shopt -po nounset || true)"
+set +u
+# shellcheck disable=SC1091
+source "$xtdrone_root/devel/setup.bash"
+eval "$xtdrone_nounset"
+unset xtdrone_nounset
+
+export VIRTUAL_ENV="$xtdrone_root/.venv"
+export PATH="$VIRTUAL_ENV/bin:$PATH"

@@ -1,0 +1,208 @@
+# To be sourced by ../xtdrone: installs and builds what is missing. Needs `root` to be the repository's folder.
+
+readonly state_dir="$root/.setup"
+readonly venv="$root/.venv"
+
+# ---- saying what happens
+
+say() {
+  echo "xtdrone: $*"
+}
+
+fail() {
+  echo "xtdrone: $*" >&2
+  exit 1
+}
+
+# Prints the last line of a log every so often until it is killed: in place on a terminal, rarely elsewhere.
+watch_log() {
+  local log="$1" began=$SECONDS line quiet
+  # A pipe on which nothing ever comes: waiting on it starts no process that would outlive this one.
+  exec {quiet}<> <(:)
+  while :; do
+    if [[ -t 1 ]]; then
+      read -r -t 0.5 -u "$quiet" || true
+      line="$(tail -n 1 "$log" | tr -dc '[:print:]')"
+      printf '\r\033[K  %4d s  %.*s' $((SECONDS - began)) $((${COLUMNS:-80} - 12)) "$line"
+    else
+      read -r -t 20 -u "$quiet" || true
+      line="$(tail -n 1 "$log" | tr -dc '[:print:]')"
+      printf '  %4d s  %.100s\n' $((SECONDS - began)) "$line"
+    fi
+  done
+}
+
+# logged NAME COMMAND...: runs the command with its output in a log; on failure shows the log's end.
+logged() {
+  local log="$state_dir/logs/$1.log" status=0 watcher
+  shift
+  : >"$log"
+  watch_log "$log" 9>&- &
+  watcher=$!
+  # shellcheck disable=SC2064
+  trap "kill $watcher 2>/dev/null || true" EXIT
+  "$@" >"$log" 2>&1 </dev/null 9>&- || status=$?
+  kill "$watcher" 2>/dev/null || true
+  wait "$watcher" 2>/dev/null || true
+  trap - EXIT
+  [[ ! -t 1 ]] || printf '\r\033[K'
+  ((status == 0)) && return
+  {
+    echo "xtdrone: failed with status $status: $*"
+    echo "xtdrone: the last lines of $log:"
+    tail -n 20 "$log" | sed 's/^/  | /'
+  } >&2
+  return "$status"
+}
+
+# A tree that was set up by root but belongs to somebody else stays that somebody's.
+hand_over() {
+  [[ $EUID -ne 0 || $(stat -c %u "$root") -eq 0 ]] || chown -R --reference="$root" "$@"
+}
+
+# ---- Debian packages
+
+list_packages() {
+  sed -E 's/#.*//; /^[[:space:]]*$/d' "$root"/scripts/packages/*.txt
+}
+
+missing_packages() {
+  local wanted
+  mapfile -t wanted < <(list_packages)
+  # dpkg-query complains about packages it has never heard of: they are missing like the others.
+  comm -23 <(printf '%s\n' "${wanted[@]}" | sort -u) \
+    <(dpkg-query -W -f '${db:Status-Status} ${Package}\n' "${wanted[@]}" 2>/dev/null | sed -n 's/^installed //p' | sort -u)
+}
+
+as_root() {
+  if [[ $EUID -eq 0 ]]; then
+    env "$@"
+  elif [[ -t 0 ]]; then
+    sudo env "$@"
+  else
+    sudo -n env "$@"
+  fi
+}
+
+apt() {
+  as_root DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=600 -o Dpkg::Use-Pty=0 \
+    -o Dpkg::Options::=--force-confdef -o Dpkg::Options::=--force-confold "$@"
+}
+
+install_packages() {
+  command -v dpkg-query >/dev/null ||
+    fail "this set-up is for Debian 12; with a ROS Noetic of your own, build with catkin_make (see CONTRIBUTING.md)"
+  local missing
+  mapfile -t missing < <(missing_packages)
+  ((${#missing[@]} > 0)) || return 0
+  if [[ $EUID -ne 0 ]]; then
+    command -v sudo >/dev/null ||
+      fail "not root and no sudo; have root run: apt-get install --no-install-recommends ${missing[*]}"
+    # Asked for here, where a person sees it: in the steps below the output goes to a log.
+    [[ ! -t 0 ]] || sudo -v
+  fi
+  say "Debian packages: reading the package lists"
+  logged apt-update apt update || fail "the package lists could not be read; is there a network?"
+  say "Debian packages: installing ${#missing[@]}: ${missing[*]}"
+  logged apt-install apt install -y --no-install-recommends "${missing[@]}" ||
+    fail "Debian packages could not be installed (Debian 12 is needed)"
+}
+
+# ---- Python packages
+
+# install_python NAME: installs requirements of the list NAME.txt into the virtual environment, once per content.
+install_python() {
+  local list="$root/$1.txt" stamp="$venv/.$1.installed" want
+  want="$(cat "$list")"
+  [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
+  say "Python packages: installing what is missing of $1.txt into .venv"
+  logged "pip-$1" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --progress-bar off -r "$list" ||
+    fail "Python packages could not be installed"
+  printf '%s' "$want" >"$stamp"
+  hand_over "$venv"
+}
+
+# The environment names its own folder in many files, so one that was moved is made again.
+make_venv() {
+  local stamp="$venv/.made-for"
+  [[ ! -f $stamp || $(<"$stamp") != "$venv" || ! -x $venv/bin/python ]] || return 0
+  say "Python packages: making the virtual environment .venv"
+  rm -rf "$venv"
+  logged venv /usr/bin/python3 -m venv --system-site-packages "$venv" || fail "no virtual environment could be made"
+  printf '%s' "$venv" >"$stamp"
+}
+
+# ---- the build
+
+# digest NAME-PATTERN...: one hash over the names and contents of the matching files under src/.
+digest() {
+  local tests=() pattern
+  for pattern in "$@"; do
+    tests+=(-o -name "$pattern")
+  done
+  (
+    cd "$root"
+    find CMakeLists.txt src -type f \( -false "${tests[@]}" \) -print0 | LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum
+    # A node's content is read when it starts; only its name matters to the build.
+    find src -path '*/nodes/*.py' | LC_ALL=C sort | sha256sum
+  )
+}
+
+configure_and_make() {
+  # Another ROS or Python of the user's must not get into what catkin writes down.
+  local clean=(env -u PYTHONPATH -u PYTHONHOME -u ROS_PACKAGE_PATH -u CMAKE_PREFIX_PATH -u LD_LIBRARY_PATH
+    PATH="$venv/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin")
+  "${clean[@]}" cmake -S "$root" -B "$root/build" &&
+    "${clean[@]}" make --no-print-directory -C "$root/build" -j2
+}
+
+build_workspace() {
+  local stamp="$state_dir/built" want
+  want="$root $(digest CMakeLists.txt package.xml setup.py '*.msg' '*.srv' '*.action')"
+  [[ ! -f $stamp || ! -f $root/devel/setup.bash || $(<"$stamp") != "$want" ]] || return 0
+  say "workspace: building"
+  # CMake refuses a build folder that was made elsewhere.
+  if [[ -f $root/build/CMakeCache.txt ]] && ! grep -qxF "CMAKE_HOME_DIRECTORY:INTERNAL=$root" "$root/build/CMakeCache.txt"; then
+    rm -rf "$root/build" "$root/devel"
+  fi
+  rm -f "$stamp"
+  logged build configure_and_make || fail "the workspace could not be built"
+  printf '%s' "$want" >"$stamp"
+  hand_over "$root/build" "$root/devel"
+}
+
+# ---- kernels
+
+# Compiles the numba kernels ahead, so that the first flight does not wait for them.
+prepare_kernels() {
+  local stamp="$state_dir/prepared" want
+  want="$(digest '*.py')"
+  [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
+  say "kernels: compiling those that changed"
+  if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_sim.prepare' _ "$root"; then
+    printf '%s' "$want" >"$stamp"
+    hand_over "$root/src"
+  else
+    say "kernels: not compiled ahead; they are compiled when first used" >&2
+  fi
+}
+
+# ---- all of it
+
+# set_up COMMAND: what this command needs.
+set_up() {
+  mkdir -p "$state_dir/logs"
+  exec 9>"$state_dir/lock"
+  if ! flock -n 9; then
+    say "another set-up is at work in this folder; waiting for it"
+    flock 9
+  fi
+  install_packages
+  make_venv
+  install_python requirements
+  [[ $1 != test ]] || install_python requirements-dev
+  build_workspace
+  prepare_kernels
+  hand_over "$state_dir"
+  exec 9>&-
+}

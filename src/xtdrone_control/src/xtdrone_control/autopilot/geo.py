@@ -1,0 +1,48 @@
+"""Latitude and longitude to metres and back: the azimuthal equidistant projection on a sphere, as PX4's geo library.
+
+J. P. Snyder, "Map Projections: A Working Manual", USGS 1987, chapter 25. Plain functions of floats, so that kernels
+can compile them.
+"""
+
+from __future__ import annotations
+
+import math
+
+EARTH_RADIUS = 6371000.0  # m, the sphere that PX4 projects from
+
+
+def project(latitude: float, longitude: float, origin_latitude: float, origin_longitude: float) -> tuple[float, float]:
+    """Return (north, east) in metres of a place, seen from the origin.
+
+    Args:
+        latitude: degrees, as all the others.
+        longitude: degrees.
+        origin_latitude: degrees.
+        origin_longitude: degrees.
+    """
+    phi, phi0 = math.radians(latitude), math.radians(origin_latitude)
+    turn = math.radians(longitude - origin_longitude)
+    # the haversine keeps its accuracy at short distance, where the arc cosine of the textbook loses it
+    half_north, half_east = math.sin(0.5 * (phi - phi0)), math.sin(0.5 * turn)
+    chord = half_north * half_north + math.cos(phi0) * math.cos(phi) * half_east * half_east
+    angle = 2.0 * math.asin(math.sqrt(min(chord, 1.0)))
+    scale = EARTH_RADIUS
+    if angle > 1e-12:
+        scale *= angle / math.sin(angle)
+    # cos(phi0) sin(phi) - sin(phi0) cos(phi) cos(turn), without the difference of nearly equal products
+    north = scale * (math.sin(phi - phi0) + 2.0 * math.sin(phi0) * math.cos(phi) * half_east * half_east)
+    east = scale * math.cos(phi) * math.sin(turn)
+    return north, east
+
+
+def reproject(north: float, east: float, origin_latitude: float, origin_longitude: float) -> tuple[float, float]:
+    """Return (latitude, longitude) in degrees of a place ``north``, ``east`` metres from the origin (degrees)."""
+    x, y = north / EARTH_RADIUS, east / EARTH_RADIUS
+    angle = math.hypot(x, y)
+    if angle < 1e-15:
+        return origin_latitude, origin_longitude
+    phi0 = math.radians(origin_latitude)
+    sin_angle, cos_angle = math.sin(angle), math.cos(angle)
+    phi = math.asin(cos_angle * math.sin(phi0) + x * sin_angle * math.cos(phi0) / angle)
+    turn = math.atan2(y * sin_angle, angle * math.cos(phi0) * cos_angle - x * math.sin(phi0) * sin_angle)
+    return math.degrees(phi), origin_longitude + math.degrees(turn)

@@ -1,0 +1,189 @@
+"""What comes from outside to steer by: the OFFBOARD set-point stream and the sticks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
+from .vehicle_view import VehicleView
+
+_NAN = math.nan
+_AXES = ("x", "y", "z")
+_NEVER_US = -(1 << 60)
+
+
+class SetpointError(ValueError):
+    """A set-point that cannot be flown; it is not stored and does not count for the stream's watchdog."""
+
+
+def _reject_infinite(name: str, values: Sequence[float]) -> None:
+    for value in values:
+        if math.isinf(value):
+            raise SetpointError(f"{name} is {value}, not a finite number")
+
+
+class OffboardInput:
+    """The last set-point of the OFFBOARD stream and the watchdog over the stream."""
+
+    def __init__(self, view: VehicleView) -> None:
+        """Start without a set-point."""
+        self._view = view
+        self._last_us = _NEVER_US
+        self._previous_us = _NEVER_US
+        self._task = TASK_TRAJECTORY
+        self._fields: dict[str, Sequence[float] | float] = {}
+
+    @property
+    def needs_position(self) -> bool:
+        """Whether the last set-point is flown by the horizontal estimate."""
+        return self._task == TASK_TRAJECTORY
+
+    def fresh(self, limit: float) -> bool:
+        """Return whether a set-point came within the last ``limit`` seconds."""
+        return self._view.time_us - self._last_us <= limit * 1e6
+
+    def steady(self, limit: float) -> bool:
+        """Return whether the last two set-points came within ``limit`` seconds of each other, and of now."""
+        return self.fresh(limit) and self._last_us - self._previous_us <= limit * 1e6
+
+    def set_trajectory(
+        self,
+        position: Sequence[float],
+        velocity: Sequence[float],
+        acceleration: Sequence[float],
+        yaw: float,
+        yaw_rate: float,
+    ) -> None:
+        """Store a trajectory set-point; NaN means not controlled.
+
+        Args:
+            position: m, local NED, 3 values.
+            velocity: m/s, local NED, 3 values.
+            acceleration: m/s^2, local NED, 3 values.
+            yaw: rad, local.
+            yaw_rate: rad/s.
+
+        Raises:
+            SetpointError: an infinite value, or an axis of which nothing is controlled.
+        """
+        for name, values in (
+            ("position", position),
+            ("velocity", velocity),
+            ("acceleration", acceleration),
+            ("yaw", (yaw,)),
+            ("yaw rate", (yaw_rate,)),
+        ):
+            _reject_infinite(name, values)
+        for axis, *values in zip(_AXES, position, velocity, acceleration, strict=True):
+            if all(map(math.isnan, values)):
+                raise SetpointError(f"nothing is set for axis {axis}")
+        self._store(
+            TASK_TRAJECTORY,
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            yaw=yaw,
+            yaw_rate=yaw_rate,
+        )
+
+    def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
+        """Store an attitude set-point.
+
+        Args:
+            attitude: quaternion (w, x, y, z), body to local; it is normalised.
+            yaw_rate: rad/s, NaN for none.
+            thrust: collective, cut to 0..1.
+
+        Raises:
+            SetpointError: a value that is not finite, or a quaternion near zero.
+        """
+        norm = math.sqrt(sum(c * c for c in attitude))
+        if not 1e-3 < norm < 1e6:
+            raise SetpointError(f"attitude has norm {norm:.3g}, not 1")
+        _reject_infinite("yaw rate", (yaw_rate,))
+        rates = (0.0, 0.0, 0.0 if math.isnan(yaw_rate) else yaw_rate)
+        self._store(
+            TASK_ATTITUDE, attitude_q=[c / norm for c in attitude], rates=rates, thrust=self._checked_thrust(thrust)
+        )
+
+    def set_rates(self, rates: Sequence[float], thrust: float) -> None:
+        """Store a set-point of body rates (rad/s, FRD) and collective thrust (cut to 0..1).
+
+        Raises:
+            SetpointError: a value that is not finite.
+        """
+        if not all(map(math.isfinite, rates)):
+            raise SetpointError(f"rates are {rates}, not finite numbers")
+        self._store(TASK_RATES, rates=rates, thrust=self._checked_thrust(thrust))
+
+    @staticmethod
+    def _checked_thrust(thrust: float) -> float:
+        if not math.isfinite(thrust):
+            raise SetpointError(f"thrust is {thrust}, not in 0..1")
+        return min(max(thrust, 0.0), 1.0)
+
+    def _store(self, task: int, **fields: Sequence[float] | float) -> None:
+        self._task = task
+        self._fields = fields
+        self._previous_us = self._last_us
+        self._last_us = self._view.time_us
+
+    def write(self) -> None:
+        """Let the cascade follow the last set-point."""
+        setpoint = self._view.setpoint
+        for name, value in self._fields.items():
+            setpoint[name] = value
+        if setpoint["task"] != self._task:
+            self._view.start_task(self._task)
+
+
+def _shaped(value: float, dead_zone: float, expo: float) -> float:
+    """Return a stick's value (-1..1) past its dead zone, on a curve between straight (expo 0) and cubic (1)."""
+    value = min(max(value, -1.0), 1.0)
+    size = abs(value) - dead_zone
+    if size <= 0.0 or dead_zone >= 1.0:
+        return 0.0
+    size /= 1.0 - dead_zone
+    return math.copysign((1.0 - expo) * size + expo * size**3, value)
+
+
+class StickInput:
+    """The sticks of the last MANUAL_CONTROL; centred when they fall silent."""
+
+    def __init__(self, view: VehicleView) -> None:
+        """Start with centred sticks that nobody holds."""
+        self._view = view
+        self._last_us = _NEVER_US
+        self._values = (0.0, 0.0, 0.0, 0.0)
+
+    def set(self, x: float, y: float, z: float, yaw: float) -> None:
+        """Store the sticks, each -1..1: forward, right, up (0 holds), clockwise.
+
+        Raises:
+            SetpointError: a value that is not finite.
+        """
+        values = (x, y, z, yaw)
+        if not all(map(math.isfinite, values)):
+            raise SetpointError(f"sticks are {values}, not finite numbers")
+        self._values = values
+        self._last_us = self._view.time_us
+
+    def fresh(self, limit: float) -> bool:
+        """Return whether sticks came within the last ``limit`` seconds."""
+        return self._view.time_us - self._last_us <= limit * 1e6
+
+    def write(self, limit: float, dead_zone: float, expos: tuple[float, float, float]) -> None:
+        """Hand the sticks to the cascade; centred ones when the last are older than ``limit`` seconds.
+
+        Args:
+            limit: seconds.
+            dead_zone: share of the travel that counts as centred.
+            expos: curves of the horizontal, throttle and yaw sticks.
+        """
+        x, y, z, yaw = self._values if self.fresh(limit) else (0.0, 0.0, 0.0, 0.0)
+        setpoint = self._view.setpoint
+        setpoint["stick_x"] = _shaped(x, dead_zone, expos[0])
+        setpoint["stick_y"] = _shaped(y, dead_zone, expos[0])
+        setpoint["stick_z"] = _shaped(z, dead_zone, expos[1])
+        setpoint["stick_yaw"] = _shaped(yaw, dead_zone, expos[2])

@@ -1,0 +1,51 @@
+"""Compilation of the inner loops: ``@kernel`` is numba's njit with a cache on disk that can be trusted.
+
+numba keys its cache on the file of the function itself, so a change in a function that it calls from another file
+goes unnoticed. Here the cache lies in a folder named after the contents of every source file of the packages that
+hold kernels: any change there starts a new, empty one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import njit
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def cache_folder(*packages: Path) -> Path:
+    """Return the kernel cache's folder for the present contents of ``packages`` (folders with ``*.py`` files)."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for package in packages:
+        for source in sorted(package.glob("*.py")):
+            digest.update(source.name.encode() + b"\0" + source.read_bytes())
+    base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return base / "xtdrone" / f"kernels-{digest.hexdigest()[:16]}"
+
+
+def compiler(*packages: Path) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles kernels and caches them under the contents of ``packages``.
+
+    ``packages`` names every folder whose functions the kernels call. Division by zero gives inf or NaN as in numpy;
+    the arithmetic is never reordered, so results are the same in every run.
+    """
+    folder = str(cache_folder(*packages))
+
+    def compile_kernel(function: Callable[..., Any]) -> Any:
+        previous = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = folder
+        try:
+            return njit(function, cache=True, error_model="numpy", fastmath=False)
+        finally:
+            numba.config.CACHE_DIR = previous
+
+    return compile_kernel
+
+
+kernel = compiler(_PACKAGE)

@@ -1,0 +1,320 @@
+"""The autopilot's parameters: PX4 v1.14's names, types and defaults, for those that something here obeys.
+
+Defaults are those of a PX4 v1.14.3 build; ``AIRFRAMES`` holds what a vehicle type changes. Kernels read the ``PARAMS``
+record, one float64 field a kernel parameter, named as the parameter in lower case; everything else asks ``Parameters``.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from struct import pack
+from typing import Any
+
+import numpy as np
+
+INT32 = 6  # MAV_PARAM_TYPE_INT32
+FLOAT = 9  # MAV_PARAM_TYPE_REAL32
+
+_log = logging.getLogger(__name__)
+_INT32_RANGE = (-(1 << 31), (1 << 31) - 1)
+_FLOAT_MAX = 3.4028234663852886e38
+_CRC_FLIP = 0xFFFFFFFF
+
+
+class ParameterError(ValueError):
+    """A parameter that does not exist, or a value that it cannot hold."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter's entry in the table.
+
+    Attributes:
+        name: PX4's name.
+        type: ``INT32`` or ``FLOAT``, the numbers of MAV_PARAM_TYPE.
+        default: value in a new vehicle.
+        minimum: least value that makes sense; less is stored, with a warning, as PX4 does.
+        maximum: largest value that makes sense.
+        unit: unit, empty for none.
+        text: what it does.
+    """
+
+    name: str
+    type: int
+    default: float
+    minimum: float
+    maximum: float
+    unit: str
+    text: str
+
+
+_INF = math.inf
+
+# name, default, minimum, maximum, unit, text; an int as default makes the parameter an INT32
+_KERNEL_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
+    ("EKF2_GYR_NOISE", 0.015, 0.0001, 0.1, "rad/s", "rate noise of the gyroscope in the prediction"),
+    ("EKF2_ACC_NOISE", 0.35, 0.01, 1.0, "m/s^2", "noise of the accelerometer in the prediction"),
+    ("EKF2_GYR_B_NOISE", 0.001, 0.0, 0.01, "rad/s^2", "how fast the gyroscope's bias may wander"),
+    ("EKF2_ACC_B_NOISE", 0.003, 0.0, 0.01, "m/s^3", "how fast the accelerometer's bias may wander"),
+    ("EKF2_GPS_P_NOISE", 0.5, 0.01, 10.0, "m", "least noise of a GPS position"),
+    ("EKF2_GPS_V_NOISE", 0.3, 0.01, 5.0, "m/s", "least noise of a GPS velocity"),
+    ("EKF2_GPS_P_GATE", 5.0, 1.0, _INF, "SD", "gate of the GPS position"),
+    ("EKF2_GPS_V_GATE", 5.0, 1.0, _INF, "SD", "gate of the GPS velocity"),
+    ("EKF2_BARO_NOISE", 3.5, 0.01, 15.0, "m", "noise of the pressure altitude"),
+    ("EKF2_BARO_GATE", 5.0, 1.0, _INF, "SD", "gate of the pressure altitude"),
+    ("EKF2_HEAD_NOISE", 0.3, 0.01, 1.0, "rad", "noise of the magnetic heading"),
+    ("EKF2_MAG_NOISE", 0.05, 0.001, 1.0, "gauss", "noise of the magnetic field"),
+    ("EKF2_HDG_GATE", 2.6, 1.0, _INF, "SD", "gate of the magnetic heading"),
+    ("EKF2_MAG_DECL", 0.0, -180.0, 180.0, "deg", "magnetic declination, east positive"),
+    ("EKF2_GBIAS_INIT", 0.1, 0.0, 0.2, "rad/s", "uncertainty of the gyroscope's bias at start"),
+    ("EKF2_ABIAS_INIT", 0.2, 0.0, 0.5, "m/s^2", "uncertainty of the accelerometer's bias at start"),
+    ("EKF2_ABL_LIM", 0.4, 0.0, 0.8, "m/s^2", "largest accelerometer bias that is learnt"),
+    ("EKF2_REQ_EPH", 3.0, 2.0, 100.0, "m", "horizontal GPS error up to which it is used"),
+    ("EKF2_REQ_EPV", 5.0, 2.0, 100.0, "m", "vertical GPS error up to which it is used"),
+    ("EKF2_NOAID_TOUT", 5_000_000, 500_000, 10_000_000, "us", "time without aiding until position is invalid"),
+    ("MPC_XY_P", 0.95, 0.0, 2.0, "1/s", "velocity asked for per metre of horizontal position error"),
+    ("MPC_XY_VEL_P_ACC", 1.8, 1.2, 5.0, "1/s", "acceleration per horizontal velocity error"),
+    ("MPC_XY_VEL_I_ACC", 0.4, 0.0, 60.0, "1/s^2", "acceleration per integrated horizontal velocity error"),
+    ("MPC_XY_VEL_D_ACC", 0.2, 0.1, 2.0, "", "acceleration per horizontal acceleration"),
+    ("MPC_Z_P", 1.0, 0.0, 1.5, "1/s", "velocity asked for per metre of vertical position error"),
+    ("MPC_Z_VEL_P_ACC", 4.0, 2.0, 15.0, "1/s", "acceleration per vertical velocity error"),
+    ("MPC_Z_VEL_I_ACC", 2.0, 0.2, 3.0, "1/s^2", "acceleration per integrated vertical velocity error"),
+    ("MPC_Z_VEL_D_ACC", 0.0, 0.0, 2.0, "", "acceleration per vertical acceleration"),
+    ("MPC_XY_VEL_MAX", 12.0, 0.0, 20.0, "m/s", "largest horizontal velocity"),
+    ("MPC_XY_CRUISE", 5.0, 3.0, 20.0, "m/s", "horizontal velocity in AUTO modes"),
+    ("MPC_Z_VEL_MAX_UP", 3.0, 0.5, 8.0, "m/s", "largest climb rate"),
+    ("MPC_Z_VEL_MAX_DN", 1.5, 0.5, 4.0, "m/s", "largest sink rate"),
+    ("MPC_Z_V_AUTO_UP", 3.0, 0.5, 8.0, "m/s", "climb rate in AUTO modes"),
+    ("MPC_Z_V_AUTO_DN", 1.5, 0.5, 4.0, "m/s", "sink rate in AUTO modes"),
+    ("MPC_VEL_MANUAL", 10.0, 3.0, 20.0, "m/s", "horizontal velocity at full stick"),
+    ("MPC_ACC_HOR", 3.0, 2.0, 15.0, "m/s^2", "horizontal acceleration in AUTO modes"),
+    ("MPC_ACC_HOR_MAX", 5.0, 2.0, 15.0, "m/s^2", "largest horizontal acceleration by stick"),
+    ("MPC_ACC_UP_MAX", 4.0, 2.0, 15.0, "m/s^2", "largest upward acceleration"),
+    ("MPC_ACC_DOWN_MAX", 3.0, 2.0, 15.0, "m/s^2", "largest downward acceleration"),
+    ("MPC_JERK_AUTO", 4.0, 1.0, 80.0, "m/s^3", "jerk in AUTO modes"),
+    ("MPC_JERK_MAX", 8.0, 0.5, 500.0, "m/s^3", "largest jerk by stick"),
+    ("MPC_TILTMAX_AIR", 45.0, 20.0, 89.0, "deg", "largest tilt in flight"),
+    ("MPC_TILTMAX_LND", 12.0, 5.0, 89.0, "deg", "largest tilt at take-off and touch-down"),
+    ("MPC_THR_HOVER", 0.5, 0.1, 0.8, "", "thrust at which the vehicle hovers"),
+    ("MPC_THR_MIN", 0.12, 0.05, 1.0, "", "least collective thrust in flight"),
+    ("MPC_THR_MAX", 1.0, 0.0, 1.0, "", "largest collective thrust"),
+    ("MPC_THR_XY_MARG", 0.3, 0.0, 0.5, "", "share of thrust kept for the horizontal when the vertical saturates"),
+    ("MPC_MANTHR_MIN", 0.08, 0.0, 1.0, "", "least thrust by stick"),
+    ("MPC_TKO_SPEED", 1.5, 1.0, 5.0, "m/s", "climb rate at take-off"),
+    ("MPC_TKO_RAMP_T", 3.0, 0.0, 5.0, "s", "time in which take-off thrust rises"),
+    ("MPC_LAND_SPEED", 0.7, 0.6, _INF, "m/s", "sink rate near the ground"),
+    ("MPC_LAND_CRWL", 0.3, 0.1, _INF, "m/s", "sink rate below MPC_LAND_ALT3 with a range finder"),
+    ("MPC_LAND_ALT1", 10.0, 0.0, 122.0, "m", "height below which a landing slows down"),
+    ("MPC_LAND_ALT2", 5.0, 0.0, 122.0, "m", "height below which it sinks at MPC_LAND_SPEED"),
+    ("MPC_LAND_ALT3", 1.0, 0.0, 122.0, "m", "height below which it crawls, with a range finder"),
+    ("MPC_MAN_Y_MAX", 150.0, 0.0, 400.0, "deg/s", "yaw rate at full stick"),
+    ("MPC_MAN_TILT_MAX", 35.0, 1.0, 70.0, "deg", "tilt at full stick in attitude modes"),
+    ("MPC_YAWRAUTO_MAX", 45.0, 0.0, 360.0, "deg/s", "yaw rate in AUTO modes"),
+    ("MPC_HOLD_DZ", 0.1, 0.0, 1.0, "", "dead zone of the sticks"),
+    ("MPC_HOLD_MAX_XY", 0.8, 0.0, 3.0, "m/s", "horizontal velocity below which a centred stick holds position"),
+    ("MPC_HOLD_MAX_Z", 0.6, 0.0, 3.0, "m/s", "vertical velocity below which a centred stick holds altitude"),
+    ("MPC_USE_HTE", 1, 0, 1, "", "1: the hover thrust is estimated in flight"),
+    ("MPC_XY_ERR_MAX", 2.0, 0.1, 10.0, "m", "lag behind the smoothed path at which it waits"),
+    ("MPC_XY_TRAJ_P", 0.5, 0.1, 1.0, "1/s", "gain of the approach to a goal"),
+    ("MPC_VELD_LP", 5.0, 0.0, 10.0, "Hz", "low-pass on the velocity's derivative"),
+    ("MC_ROLL_P", 6.5, 0.0, 12.0, "1/s", "roll rate per roll error"),
+    ("MC_PITCH_P", 6.5, 0.0, 12.0, "1/s", "pitch rate per pitch error"),
+    ("MC_YAW_P", 2.8, 0.0, 5.0, "1/s", "yaw rate per yaw error"),
+    ("MC_YAW_WEIGHT", 0.4, 0.0, 1.0, "", "weight of yaw against roll and pitch"),
+    ("MC_ROLLRATE_P", 0.15, 0.01, 0.5, "", "roll torque per rate error"),
+    ("MC_ROLLRATE_I", 0.2, 0.0, _INF, "1/s", "roll torque per integrated rate error"),
+    ("MC_ROLLRATE_D", 0.003, 0.0, 0.01, "s", "roll torque per angular acceleration"),
+    ("MC_ROLLRATE_FF", 0.0, 0.0, _INF, "", "roll torque per rate asked for"),
+    ("MC_ROLLRATE_K", 1.0, 0.01, 5.0, "", "gain over the roll rate's P, I and D"),
+    ("MC_ROLLRATE_MAX", 220.0, 0.0, 1800.0, "deg/s", "largest roll rate"),
+    ("MC_PITCHRATE_P", 0.15, 0.01, 0.6, "", "pitch torque per rate error"),
+    ("MC_PITCHRATE_I", 0.2, 0.0, _INF, "1/s", "pitch torque per integrated rate error"),
+    ("MC_PITCHRATE_D", 0.003, 0.0, _INF, "s", "pitch torque per angular acceleration"),
+    ("MC_PITCHRATE_FF", 0.0, 0.0, _INF, "", "pitch torque per rate asked for"),
+    ("MC_PITCHRATE_K", 1.0, 0.01, 5.0, "", "gain over the pitch rate's P, I and D"),
+    ("MC_PITCHRATE_MAX", 220.0, 0.0, 1800.0, "deg/s", "largest pitch rate"),
+    ("MC_YAWRATE_P", 0.2, 0.0, 0.6, "", "yaw torque per rate error"),
+    ("MC_YAWRATE_I", 0.1, 0.0, _INF, "1/s", "yaw torque per integrated rate error"),
+    ("MC_YAWRATE_D", 0.0, 0.0, _INF, "s", "yaw torque per angular acceleration"),
+    ("MC_YAWRATE_FF", 0.0, 0.0, _INF, "", "yaw torque per rate asked for"),
+    ("MC_YAWRATE_K", 1.0, 0.0, 5.0, "", "gain over the yaw rate's P, I and D"),
+    ("MC_YAWRATE_MAX", 200.0, 0.0, 1800.0, "deg/s", "largest yaw rate"),
+    ("MC_RR_INT_LIM", 0.3, 0.0, _INF, "", "limit of the roll rate's integral"),
+    ("MC_PR_INT_LIM", 0.3, 0.0, _INF, "", "limit of the pitch rate's integral"),
+    ("MC_YR_INT_LIM", 0.3, 0.0, _INF, "", "limit of the yaw rate's integral"),
+    ("MC_AIRMODE", 0, 0, 2, "", "thrust raised to keep torque: 0 never, 1 roll and pitch, 2 all axes"),
+    ("LNDMC_ALT_GND", 2.0, -1.0, _INF, "m", "height of the ground effect"),
+    ("LNDMC_ROT_MAX", 20.0, 0.0, _INF, "deg/s", "largest rate that counts as standing"),
+    ("LNDMC_TRIG_TIME", 1.0, 0.1, 10.0, "s", "time over which landing must be seen"),
+    ("LNDMC_XY_VEL_MAX", 1.5, 0.0, _INF, "m/s", "largest horizontal velocity that counts as standing"),
+    ("LNDMC_Z_VEL_MAX", 0.25, 0.0, _INF, "m/s", "largest vertical velocity that counts as standing"),
+    ("IMU_GYRO_CUTOFF", 40.0, 0.0, 1000.0, "Hz", "low-pass on the rates; 0: none"),
+    ("IMU_DGYRO_CUTOFF", 30.0, 0.0, 1000.0, "Hz", "low-pass on the angular acceleration; 0: none"),
+    ("IMU_ACCEL_CUTOFF", 30.0, 0.0, 1000.0, "Hz", "low-pass on the acceleration; 0: none"),
+    ("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0, "s", "time that motors idle between arming and take-off"),
+    ("THR_MDL_FAC", 0.0, 0.0, 1.0, "", "thrust is this times command squared, plus the rest times command"),
+)
+
+_SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
+    ("BAT1_N_CELLS", 4, 1, 16, "", "cells of the battery"),
+    ("BAT1_V_CHARGED", 4.05, 3.0, 4.5, "V", "voltage of a full cell"),
+    ("COM_DISARM_LAND", 2.0, -1.0, _INF, "s", "time from landing to disarming; not positive: never"),
+    ("COM_DISARM_PRFLT", 10.0, -1.0, _INF, "s", "time from arming to disarming without take-off; not positive: never"),
+    ("COM_DL_LOSS_T", 10, 5, 300, "s", "silence after which the ground station is lost"),
+    ("COM_OBL_RC_ACT", 0, 0, 5, "", "on offboard loss: 0 to 2 position, 3 return, 4 land, 5 hold"),
+    ("COM_OF_LOSS_T", 1.0, 0.0, 60.0, "s", "silence after which the set-point stream is lost"),
+    ("COM_POS_FS_DELAY", 1, 1, 100, "s", "time without a position until the failsafe acts"),
+    ("COM_RC_LOSS_T", 0.5, 0.0, 35.0, "s", "silence after which manual control is lost"),
+    ("MAV_COMP_ID", 1, 1, 250, "", "MAVLink component id (read at start)"),
+    ("MAV_SYS_ID", 1, 1, 250, "", "MAVLink system id (read at start)"),
+    ("MAV_TYPE", 2, 0, 22, "", "MAV_TYPE in the heartbeat"),
+    ("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0, "m", "least take-off height over home"),
+    ("MPC_XY_MAN_EXPO", 0.6, 0.0, 1.0, "", "curve of the horizontal sticks, 0 straight, 1 cubic"),
+    ("MPC_YAW_EXPO", 0.6, 0.0, 1.0, "", "curve of the yaw stick"),
+    ("MPC_Z_MAN_EXPO", 0.6, 0.0, 1.0, "", "curve of the throttle stick"),
+    ("NAV_ACC_RAD", 2.0, 0.05, 200.0, "m", "horizontal distance at which a place is reached"),
+    ("NAV_DLL_ACT", 0, 0, 3, "", "on loss of the ground station: 0 nothing, 1 hold, 2 return, 3 land"),
+    ("NAV_MC_ALT_RAD", 0.8, 0.05, 200.0, "m", "vertical distance at which a place is reached"),
+    ("RTL_CONE_ANG", 45, 0, 90, "deg", "half angle of the cone over home in which a return stays low; 0: none"),
+    ("RTL_DESCEND_ALT", 10.0, 0.0, _INF, "m", "height over home to which a return descends before it lands"),
+    ("RTL_LAND_DELAY", 0.0, -1.0, _INF, "s", "wait at RTL_DESCEND_ALT; negative: stay there"),
+    ("RTL_MIN_DIST", 10.0, 0.5, _INF, "m", "distance from home within which the cone counts"),
+    ("RTL_RETURN_ALT", 30.0, 0.0, _INF, "m", "least height over home of the return flight"),
+    ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "number of the airframe"),
+)  # fmt: skip
+
+# What a vehicle type changes: upstream XTDrone's start script where PX4 v1.14 has the same parameter in the same meaning.
+AIRFRAMES: dict[str, dict[str, float]] = {
+    "iris": {
+        "BAT1_N_CELLS": 3,
+        "MC_PITCH_P": 6.0,
+        "MC_ROLL_P": 6.0,
+        "MPC_HOLD_MAX_Z": 2.0,
+        "MPC_TKO_RAMP_T": 1.0,
+        "MPC_XY_P": 0.8,
+    },
+}
+
+
+def _parameter(row: tuple[str, float, float, float, str, str]) -> Parameter:
+    name, default, *rest = row
+    return Parameter(name, INT32 if isinstance(default, int) else FLOAT, default, *rest)
+
+
+_TABLE: dict[str, Parameter] = {row[0]: _parameter(row) for row in sorted(_KERNEL_ROWS + _SLOW_ROWS)}
+_FIELDS: dict[str, str] = {row[0]: row[0].lower() for row in _KERNEL_ROWS}
+
+NAMES: tuple[str, ...] = tuple(_TABLE)  # sorted; a parameter's place is its MAVLink index
+PARAMS = np.dtype([(field, "f8") for field in _FIELDS.values()], align=True)
+
+
+def describe(name: str) -> Parameter:
+    """Return the table's entry for ``name``.
+
+    Raises:
+        ParameterError: there is no such parameter.
+    """
+    entry = _TABLE.get(name)
+    if entry is None:
+        raise ParameterError(f"parameter {name!r} does not exist")
+    return entry
+
+
+def _checked(entry: Parameter, value: float) -> int | float:
+    """Return ``value`` in the parameter's type.
+
+    Raises:
+        ParameterError: not finite, a fraction for an integer, or out of the type's range.
+    """
+    if not math.isfinite(value):
+        raise ParameterError(f"{entry.name}: {value} is not a finite number")
+    if entry.type == INT32:
+        if value != int(value) or not _INT32_RANGE[0] <= value <= _INT32_RANGE[1]:
+            raise ParameterError(f"{entry.name}: {value} is no 32-bit integer")
+        return int(value)
+    if abs(value) > _FLOAT_MAX:
+        raise ParameterError(f"{entry.name}: {value} is too large for a 32-bit float")
+    return float(value)
+
+
+class Parameters:
+    """The parameters of one vehicle.
+
+    A value out of its sensible range is stored, with a warning, as PX4 does.
+    """
+
+    def __init__(self, overrides: Mapping[str, float] | None = None) -> None:
+        """Take the defaults, changed by ``overrides`` (name -> value), which become this vehicle's defaults.
+
+        Raises:
+            ParameterError: an unknown name or a value that the parameter cannot hold.
+        """
+        self._record: Any = None
+        self._defaults = {name: entry.default for name, entry in _TABLE.items()}
+        self._values: dict[str, int | float] = dict(self._defaults)
+        for name, value in (overrides or {}).items():
+            self.set(name, value)
+        self._defaults = dict(self._values)
+
+    def get(self, name: str) -> int | float:
+        """Return a value: int or float, by the parameter's type.
+
+        Raises:
+            ParameterError: there is no such parameter.
+        """
+        value = self._values.get(name)
+        if value is None:
+            raise ParameterError(f"parameter {name!r} does not exist")
+        return value
+
+    def set(self, name: str, value: float, kind: int | None = None) -> int | float:
+        """Store ``value`` and return it in the parameter's type; the attached record follows.
+
+        Args:
+            name: parameter.
+            value: number; for an INT32 parameter without a fraction.
+            kind: ``INT32`` or ``FLOAT`` as the sender declares it; None does not check.
+
+        Raises:
+            ParameterError: an unknown name, another type than ``kind``, or a value that the parameter cannot hold.
+        """
+        entry = describe(name)
+        if kind is not None and kind != entry.type:
+            raise ParameterError(f"{name}: type {kind} is not allowed, its MAV_PARAM_TYPE is {entry.type}")
+        stored = _checked(entry, value)
+        if not entry.minimum <= stored <= entry.maximum:
+            _log.warning("%s: %s is outside %s..%s %s", name, stored, entry.minimum, entry.maximum, entry.unit)
+        self._values[name] = stored
+        if self._record is not None and name in _FIELDS:
+            self._record[_FIELDS[name]] = stored
+        return stored
+
+    def reset(self) -> None:
+        """Go back to this vehicle's defaults."""
+        for name, value in self._defaults.items():
+            self.set(name, value)
+
+    def write_to(self, record: Any) -> None:
+        """Write the kernel parameters into ``record``, one element of a ``PARAMS`` array, and keep it up to date."""
+        self._record = record
+        for name, field in _FIELDS.items():
+            record[field] = self._values[name]
+
+    def hash(self) -> int:
+        """Return PX4's 32-bit checksum over all names and values, by which a ground station knows its cached list."""
+        crc = 0
+        for name in NAMES:
+            value = self._values[name]
+            data = name.encode() + pack("<i" if isinstance(value, int) else "<f", value)
+            # PX4 starts from 0 and does not invert; zlib inverts before and after
+            crc = zlib.crc32(data, crc ^ _CRC_FLIP) ^ _CRC_FLIP
+        return crc
+
+
+def airframe_parameters(kind: str, system_id: int) -> Parameters:
+    """Return the parameters of a new vehicle of type ``kind`` (``AIRFRAMES``; others have plain defaults)."""
+    return Parameters({**AIRFRAMES.get(kind, {}), "MAV_SYS_ID": system_id})

@@ -1,0 +1,90 @@
+"""One vehicle's records, for the slow logic and the telemetry."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from . import geo
+
+if TYPE_CHECKING:
+    from .autopilot import Autopilot
+
+Vector = tuple[float, float, float]
+
+
+class VehicleView:
+    """One vehicle's records of an ``Autopilot``; the attributes write through.
+
+    Attributes:
+        sensors, estimator, setpoint, control: the vehicle's elements of the record arrays.
+    """
+
+    def __init__(self, autopilot: Autopilot, index: int) -> None:
+        """Look at vehicle ``index`` of ``autopilot``."""
+        self._autopilot = autopilot
+        self.sensors: Any = autopilot.sensors[index]
+        self.estimator: Any = autopilot.estimator[index]
+        self.setpoint: Any = autopilot.setpoint[index]
+        self.control: Any = autopilot.control[index]
+
+    @property
+    def time_us(self) -> int:
+        """Simulated time, microseconds."""
+        return self._autopilot.time_us
+
+    @property
+    def landed(self) -> bool:
+        """What the land detector says."""
+        return bool(self.control["landed"])
+
+    @property
+    def initialised(self) -> bool:
+        """Whether the estimator has an attitude."""
+        return bool(self.estimator["initialised"])
+
+    @property
+    def position_valid(self) -> bool:
+        """Whether horizontal position and height can be used."""
+        return bool(self.estimator["position_valid"]) and bool(self.estimator["altitude_valid"])
+
+    @property
+    def position(self) -> Vector:
+        """Estimated position, m, local NED."""
+        x, y, z = self.estimator["position"].tolist()
+        return x, y, z
+
+    @property
+    def velocity(self) -> Vector:
+        """Estimated velocity, m/s, local NED."""
+        x, y, z = self.estimator["velocity"].tolist()
+        return x, y, z
+
+    @property
+    def yaw(self) -> float:
+        """Estimated heading, rad, from north to east, -pi..pi."""
+        w, x, y, z = self.estimator["q"].tolist()
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def origin(self) -> Vector:
+        """The local frame's origin: latitude and longitude in degrees, m AMSL."""
+        e = self.estimator
+        return float(e["origin_lat"]), float(e["origin_lon"]), float(e["origin_alt"])
+
+    def to_local(self, latitude: float, longitude: float, altitude: float) -> Vector:
+        """Return the local position (m, NED) of a place in degrees and m AMSL."""
+        origin_lat, origin_lon, origin_alt = self.origin
+        north, east = geo.project(latitude, longitude, origin_lat, origin_lon)
+        return north, east, origin_alt - altitude
+
+    def to_global(self, position: Vector) -> Vector:
+        """Return (latitude, longitude, altitude), in degrees and m AMSL, of a local position (m, NED)."""
+        origin_lat, origin_lon, origin_alt = self.origin
+        latitude, longitude = geo.reproject(position[0], position[1], origin_lat, origin_lon)
+        return latitude, longitude, origin_alt - position[2]
+
+    def start_task(self, task: int) -> None:
+        """Let the cascade follow ``task`` (``state.TASK_*``) from now on."""
+        self.setpoint["task"] = task
+        self.setpoint["task_changed"] = 1

@@ -1,0 +1,320 @@
+"""What the multirotor communication node decides, without ROS: inputs in, one set-point and service requests out.
+
+The rules are XTDrone's: the last input is the set-point until the next one; a velocity or acceleration inside the dead
+zone means HOVER, which freezes the pose of that moment; a command that is none of ours goes to set_mode as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from xtdrone_control.communication.setpoint import (
+    LARGEST,
+    Setpoint,
+    Vector,
+    acceleration_setpoint,
+    first_bad_field,
+    pose_setpoint,
+    velocity_setpoint,
+    yaw_of,
+)
+
+PX4_MODES = (
+    "MANUAL",
+    "ACRO",
+    "ALTCTL",
+    "POSCTL",
+    "OFFBOARD",
+    "STABILIZED",
+    "RATTITUDE",
+    "AUTO.MISSION",
+    "AUTO.LOITER",
+    "AUTO.RTL",
+    "AUTO.LAND",
+    "AUTO.RTGS",
+    "AUTO.READY",
+    "AUTO.TAKEOFF",
+    "AUTO.FOLLOW_TARGET",
+    "AUTO.PRECLAND",
+)
+"""Names that MAVROS knows for PX4's modes."""
+
+OWN_COMMANDS = ("ARM", "DISARM", "HOVER")
+
+HOVER_SPEED = 0.02  # m/s (m/s^2 for accelerations), on each axis: XTDrone's dead zone
+HOVER_YAW_RATE = 0.005  # rad/s
+STATE_GRACE = 2.5  # s; mavros/state follows the 1 Hz heartbeat, one of which may be lost
+
+# modes that PX4 enters by itself when the commanded one has done its work: still the commanded state
+_SUCCESSORS = {"AUTO.TAKEOFF": ("AUTO.LOITER",)}
+
+_TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.z")
+_POSE_FIELDS = (
+    "position.x",
+    "position.y",
+    "position.z",
+    "orientation.x",
+    "orientation.y",
+    "orientation.z",
+    "orientation.w",
+)
+
+
+class Log(Protocol):
+    """Where messages for the user go."""
+
+    def info(self, text: str) -> None:
+        """Say what was done."""
+
+    def warning(self, text: str) -> None:
+        """Say what was refused or failed."""
+
+    def stream_warning(self, text: str) -> None:
+        """Warn about a stream of messages; identical texts are throttled."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A service call that a command asks for.
+
+    Attributes:
+        command: the command string as received.
+        arm: True or False for the arming service, None for set_mode.
+    """
+
+    command: str
+    arm: bool | None
+
+    @property
+    def service(self) -> str:
+        """Service name below the vehicle's namespace."""
+        return "mavros/set_mode" if self.arm is None else "mavros/cmd/arming"
+
+
+class MultirotorCore:
+    """Set-point and commands of one multirotor.
+
+    OFFBOARD needs a stream of set-points before it can be entered, so there is always one. Before any input it holds
+    the vehicle where it is: the present pose, followed until OFFBOARD is entered and frozen from then on; velocity
+    zero as long as no pose is known.
+
+    A repeated command is ignored only while the state it asked for holds: it is sent again after a refusal, and when
+    mavros/state shows that the vehicle is no longer in that state (as after a failsafe).
+
+    Attributes:
+        setpoint: what to publish now.
+        hovering: whether ``setpoint`` is a captured pose, so that further zero velocities change nothing.
+        mission: the one-character mission label of the last ``mission?`` command, empty before.
+    """
+
+    def __init__(self, name: str, log: Log, *, hover_speed: float = HOVER_SPEED, cmd_timeout: float = 0.0) -> None:
+        """Start holding.
+
+        Args:
+            name: the vehicle, as ``iris_0``, for messages.
+            log: where messages go.
+            hover_speed: m/s (m/s^2 for accelerations); an input that is not above it on any axis, and turns no faster
+                than 0.005 rad/s, means HOVER. XTDrone's 0.02 freezes a formation up to 2 cm per axis and layer of the
+                topology away from its slots; 0 leaves only the exact zero as HOVER.
+            cmd_timeout: s; a velocity or acceleration that is not renewed for this long turns into HOVER; 0 keeps it
+                for ever, as XTDrone does.
+
+        Raises:
+            ValueError: ``hover_speed`` or ``cmd_timeout`` is negative or not finite.
+        """
+        if not 0.0 <= cmd_timeout <= LARGEST:
+            raise ValueError(f"cmd_timeout: {cmd_timeout} s is not allowed, 0 (never) or more")
+        if not 0.0 <= hover_speed <= LARGEST:
+            raise ValueError(f"hover_speed: {hover_speed} m/s is not allowed, 0 or more")
+        self.name = name
+        self.setpoint = velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False)
+        self.hovering = False
+        self.mission = ""
+        self._log = log
+        self._hover_speed = hover_speed
+        self._cmd_timeout = cmd_timeout
+        self._pose: tuple[Vector, float] | None = None  # position ENU m, yaw rad
+        self._idle = True  # no input and no HOVER yet: the hold follows the vehicle
+        self._moving_since: float | None = None  # time of the last velocity or acceleration, while it is the set-point
+        self._mode: str | None = None
+        self._armed: bool | None = None
+        self._request: Request | None = None  # the last command that asked for a service
+        self._last = ""  # the last command of any kind
+        self._pending = False
+        self._accepted_at: float | None = None
+        self._confirmed = False  # mavros/state has shown the commanded state since
+
+    # what the vehicle tells
+
+    def on_pose(self, position: Vector, quaternion: tuple[float, float, float, float]) -> None:
+        """Take the local pose: m ENU, quaternion (x, y, z, w). One that is not finite is refused."""
+        bad = first_bad_field(_POSE_FIELDS, (*position, *quaternion))
+        if bad is not None:
+            self._log.stream_warning(f"/{self.name}/mavros/local_position/pose: {bad}; pose ignored")
+            return
+        self._pose = (position, yaw_of(*quaternion))
+        if self._idle and not self._in_offboard():
+            self.setpoint = pose_setpoint(*self._pose, body=False)
+
+    def on_state(self, mode: str, armed: bool) -> None:
+        """Take mode and arming of mavros/state."""
+        self._mode, self._armed = mode, armed
+        if self._accepted_at is not None and self._matches():
+            self._confirmed = True
+
+    # what the user commands
+
+    def on_command(self, text: str, now: float) -> Request | None:
+        """Take a string of the cmd topic; return the service call to make, if any.
+
+        Args:
+            text: the command.
+            now: s, ROS time.
+        """
+        if text in ("", "stop controlling") or (text == self._last and self._holds(now)):
+            return None
+        self._last = text
+        if text == "HOVER":
+            self._hover_on_command()
+            return None
+        if len(text) == len("mission?") and text.startswith("mission"):
+            self.mission = text[-1]
+            self._log.info(f"{self.name}: mission {self.mission}")
+            return None
+        self._request = Request(text, {"ARM": True, "DISARM": False}.get(text))
+        self._pending, self._accepted_at, self._confirmed = True, None, False
+        return self._request
+
+    def on_result(self, request: Request, accepted: bool, reason: str, now: float) -> None:
+        """Take the outcome of a service call.
+
+        Args:
+            request: what was asked.
+            accepted: the response's own success field (not merely that there was a response).
+            reason: why not, or empty.
+            now: s, ROS time.
+        """
+        if request is self._request:
+            self._pending = False
+            self._accepted_at = now if accepted else None
+        if accepted:
+            if request.arm is None:
+                self.hovering = False  # the vehicle moves on its own now: a later hover must be captured anew
+            self._log.info(f"{self.name}: {request.command} accepted")
+            return
+        text = f"{self.name}: {request.command} refused by {request.service}"
+        if reason:
+            text += f" ({reason})"
+        if request.arm is None and request.command not in PX4_MODES:
+            text += f"; it is no command ({', '.join(OWN_COMMANDS)}) and no PX4 mode ({', '.join(PX4_MODES)})"
+        self._log.warning(text)
+
+    def on_target_pose(
+        self, topic: str, position: Vector, quaternion: tuple[float, float, float, float], *, body: bool
+    ) -> None:
+        """Take a cmd_pose message: m, ENU or FLU offset; quaternion (x, y, z, w)."""
+        if self._sound(topic, _POSE_FIELDS, (*position, *quaternion)):
+            self._set(pose_setpoint(position, yaw_of(*quaternion), body=body), moving_since=None)
+
+    def on_target_velocity(self, topic: str, velocity: Vector, yaw_rate: float, now: float, *, body: bool) -> None:
+        """Take a cmd_vel message: m/s ENU or FLU, rad/s; inside the dead zone it means HOVER."""
+        if self._sound(topic, _TWIST_FIELDS, (*velocity, yaw_rate)) and not self._dead_zone(velocity, yaw_rate):
+            self._set(velocity_setpoint(velocity, yaw_rate, body=body), moving_since=now)
+
+    def on_target_acceleration(
+        self, topic: str, acceleration: Vector, yaw_rate: float, now: float, *, body: bool
+    ) -> None:
+        """Take a cmd_accel message: m/s^2 ENU or FLU, rad/s; inside the dead zone it means HOVER."""
+        values = (*acceleration, yaw_rate)
+        if self._sound(topic, _TWIST_FIELDS, values) and not self._dead_zone(acceleration, yaw_rate):
+            self._set(acceleration_setpoint(acceleration, yaw_rate, body=body), moving_since=now)
+
+    def tick(self, now: float) -> Setpoint:
+        """Return the set-point to publish at ``now`` (s, ROS time)."""
+        if self._moving_since is not None and 0.0 < self._cmd_timeout < now - self._moving_since:
+            self._log.warning(f"{self.name}: no velocity or acceleration for {self._cmd_timeout} s: HOVER")
+            self._hover()
+        self._check_late_state(now)
+        return self.setpoint
+
+    # how
+
+    def _set(self, setpoint: Setpoint, moving_since: float | None) -> None:
+        self.setpoint = setpoint
+        self.hovering = False
+        self._idle = False
+        self._moving_since = moving_since
+
+    def _hover(self) -> bool:
+        """Freeze the present pose, or stop if none is known; return whether a pose was captured."""
+        if self._pose is None:
+            self._set(velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False), moving_since=None)
+            return False
+        self._set(pose_setpoint(*self._pose, body=False), moving_since=None)
+        self.hovering = True
+        return True
+
+    def _hover_on_command(self) -> None:
+        if self._hover():
+            self._log.info(f"{self.name}: HOVER")
+        else:
+            self._log.warning(
+                f"{self.name}: HOVER: no pose has come on /{self.name}/mavros/local_position/pose yet; "
+                "velocity zero is set instead"
+            )
+
+    def _dead_zone(self, vector: Vector, yaw_rate: float) -> bool:
+        """Return whether the input means HOVER; capture the pose if that is new."""
+        x, y, z = vector
+        limit = self._hover_speed
+        if abs(x) > limit or abs(y) > limit or abs(z) > limit or abs(yaw_rate) > HOVER_YAW_RATE:
+            return False
+        if not self.hovering:
+            self._hover()
+        return True
+
+    def _sound(self, topic: str, names: tuple[str, ...], values: tuple[float, ...]) -> bool:
+        bad = first_bad_field(names, values)
+        if bad is not None:
+            self._log.stream_warning(f"{topic}: {bad}; message ignored, finite values within +-{LARGEST:g} are allowed")
+        return bad is None
+
+    def _in_offboard(self) -> bool:
+        if self._mode is not None:
+            return self._mode == "OFFBOARD"
+        return self._accepted_at is not None and self._request is not None and self._request.command == "OFFBOARD"
+
+    def _matches(self) -> bool:
+        """Return whether mavros/state shows what the last service command asked for."""
+        assert self._request is not None
+        if self._request.arm is not None:
+            return self._armed == self._request.arm
+        wanted = self._request.command
+        return self._mode == wanted or self._mode in _SUCCESSORS.get(wanted, ())
+
+    def _holds(self, now: float) -> bool:
+        """Return whether the last command's state still holds, so that repeating it would change nothing."""
+        if self._last == "HOVER":
+            return self.hovering
+        if self._request is None or self._request.command != self._last:
+            return True  # a mission label
+        if self._pending:
+            return True
+        if self._accepted_at is None:
+            return False
+        if self._mode is None or self._matches():
+            return True
+        return not self._confirmed and now - self._accepted_at <= STATE_GRACE
+
+    def _check_late_state(self, now: float) -> None:
+        """Warn once if an accepted command never shows in mavros/state: MAVROS answers when it has sent, not done."""
+        if self._accepted_at is None or self._confirmed or self._mode is None or self._request is None:
+            return
+        if now - self._accepted_at > STATE_GRACE:
+            actual = self._mode if self._request.arm is None else ("armed" if self._armed else "disarmed")
+            self._log.warning(
+                f"{self.name}: {self._request.command} was accepted but mavros/state still says {actual} "
+                f"after {STATE_GRACE} s"
+            )
+            self._accepted_at = None

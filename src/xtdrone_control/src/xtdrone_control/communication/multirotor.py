@@ -1,0 +1,197 @@
+"""The communication node of multirotors: XTDrone's command topics in, MAVROS's set-points and services out.
+
+For each vehicle ``T`` (as ``iris_0``):
+
+=====================================  ==========================  ==================================================
+topic                                  type                        meaning
+=====================================  ==========================  ==================================================
+/xtdrone/T/cmd                         std_msgs/String             ARM, DISARM, HOVER, or a mode's name
+/xtdrone/T/cmd_pose_enu, cmd_pose_flu  geometry_msgs/Pose          place in the local frame, or offset from the vehicle
+/xtdrone/T/cmd_vel_enu, cmd_vel_flu    geometry_msgs/Twist         velocity, yaw rate in angular.z
+/xtdrone/T/cmd_accel_enu, .._flu       geometry_msgs/Twist         acceleration, yaw rate in angular.z
+/T/mavros/local_position/pose          geometry_msgs/PoseStamped   for HOVER and the hold before any input
+/T/mavros/state                        mavros_msgs/State           whether commands had their effect
+/T/mavros/setpoint_raw/local           mavros_msgs/PositionTarget  out, 30 Hz
+=====================================  ==========================  ==================================================
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+
+import rospy
+from geometry_msgs.msg import Pose, PoseStamped, Twist
+from mavros_msgs.msg import PositionTarget, State
+from mavros_msgs.srv import CommandBool, SetMode
+from std_msgs.msg import String
+
+from xtdrone_control import lockstep
+from xtdrone_control.communication.core import HOVER_SPEED, MultirotorCore, Request
+from xtdrone_control.communication.setpoint import Setpoint, Vector
+
+RATE = 30  # Hz
+
+
+class RosLog:
+    """The core's messages on rosout."""
+
+    def info(self, text: str) -> None:
+        """Log at INFO."""
+        rospy.loginfo(text)
+
+    def warning(self, text: str) -> None:
+        """Log at WARN."""
+        rospy.logwarn(text)
+
+    def stream_warning(self, text: str) -> None:
+        """Log at WARN, an identical text once in 5 s."""
+        rospy.logwarn_throttle_identical(5.0, text)
+
+
+class _Services:
+    """Calls MAVROS's services of one vehicle.
+
+    In lockstep a call is made at once: the simulator waits, so the outcome falls into the same tick each time. In
+    real time a slow answer would interrupt the set-point stream and end OFFBOARD, so a thread of its own waits.
+    """
+
+    def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
+        self._arm = rospy.ServiceProxy(f"/{vehicle}/mavros/cmd/arming", CommandBool)
+        self._set_mode = rospy.ServiceProxy(f"/{vehicle}/mavros/set_mode", SetMode)
+        self._executor = None if in_lockstep else ThreadPoolExecutor(max_workers=1)  # one: in order of the commands
+        self._calls: list[tuple[Request, Future[tuple[bool, str]]]] = []
+
+    def submit(self, request: Request) -> None:
+        """Start a call; its outcome comes from :meth:`finished`."""
+        if self._executor is not None:
+            self._calls.append((request, self._executor.submit(self._call, request)))
+            return
+        done: Future[tuple[bool, str]] = Future()
+        done.set_result(self._call(request))
+        self._calls.append((request, done))
+
+    def finished(self) -> list[tuple[Request, bool, str]]:
+        """Return (request, accepted, reason) of the calls that have ended since, in order."""
+        ended = []
+        while self._calls and self._calls[0][1].done():
+            request, future = self._calls.pop(0)
+            ended.append((request, *future.result()))
+        return ended
+
+    def close(self) -> None:
+        """Let no further call begin."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _call(self, request: Request) -> tuple[bool, str]:
+        try:
+            if request.arm is None:
+                return bool(self._set_mode(0, request.command).mode_sent), ""
+            response = self._arm(request.arm)
+        except (rospy.ROSException, rospy.ServiceException) as error:
+            return False, f"{error}; is MAVROS running?"
+        return bool(response.success), "" if response.success else f"MAV_RESULT {response.result}"
+
+
+class MultirotorCommunication:
+    """Topics of one vehicle around a :class:`MultirotorCore`.
+
+    Create it between ``lockstep.init_node`` and ``lockstep.start``, then call :meth:`step` at 30 Hz.
+    """
+
+    def __init__(
+        self, vehicle: str, *, hover_speed: float = HOVER_SPEED, cmd_timeout: float = 0.0, in_lockstep: bool = False
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            vehicle: name, as ``iris_0``.
+            hover_speed: see :class:`MultirotorCore`.
+            cmd_timeout: see :class:`MultirotorCore`.
+            in_lockstep: whether a simulator holds time while this node works.
+
+        Raises:
+            ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
+        """
+        self.vehicle = vehicle
+        self.core = MultirotorCore(vehicle, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
+        self._services = _Services(vehicle, in_lockstep=in_lockstep)
+        self._message = PositionTarget()
+        self._encoded: Setpoint | None = None
+        self._output = lockstep.Publisher(f"/{vehicle}/mavros/setpoint_raw/local", PositionTarget)
+        lockstep.Subscriber(f"/{vehicle}/mavros/state", State, self._on_state)
+        lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        base = f"/xtdrone/{vehicle}"
+        lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
+        for frame, body in (("enu", False), ("flu", True)):
+            for kind, message, callback in (
+                ("pose", Pose, self._on_target_pose),
+                ("vel", Twist, self._on_target_velocity),
+                ("accel", Twist, self._on_target_acceleration),
+            ):
+                topic = f"{base}/cmd_{kind}_{frame}"
+                lockstep.Subscriber(topic, message, partial(callback, topic, body))
+
+    def step(self) -> None:
+        """Publish the set-point and take the outcome of service calls; 30 Hz."""
+        now = rospy.Time.now()
+        seconds = now.to_sec()
+        for request, accepted, reason in self._services.finished():
+            self.core.on_result(request, accepted, reason, seconds)
+        setpoint = self.core.tick(seconds)
+        if setpoint is not self._encoded:
+            fill(self._message, setpoint)
+            self._encoded = setpoint
+        self._message.header.stamp = now
+        self._output.publish(self._message)
+
+    def close(self) -> None:
+        """Stop waiting for services."""
+        self._services.close()
+
+    def _on_state(self, message: State) -> None:
+        self.core.on_state(message.mode, message.armed)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self.core.on_pose(*_pose(message.pose))
+
+    def _on_command(self, message: String) -> None:
+        request = self.core.on_command(message.data, rospy.Time.now().to_sec())
+        if request is not None:
+            self._services.submit(request)
+
+    def _on_target_pose(self, topic: str, body: bool, message: Pose) -> None:
+        self.core.on_target_pose(topic, *_pose(message), body=body)
+
+    def _on_target_velocity(self, topic: str, body: bool, message: Twist) -> None:
+        linear = message.linear
+        now = rospy.Time.now().to_sec()
+        vector = (linear.x, linear.y, linear.z)
+        self.core.on_target_velocity(topic, vector, message.angular.z, now, body=body)
+
+    def _on_target_acceleration(self, topic: str, body: bool, message: Twist) -> None:
+        linear = message.linear
+        now = rospy.Time.now().to_sec()
+        vector = (linear.x, linear.y, linear.z)
+        self.core.on_target_acceleration(topic, vector, message.angular.z, now, body=body)
+
+
+def fill(message: PositionTarget, setpoint: Setpoint) -> None:
+    """Write a set-point into a message; the header stays."""
+    message.coordinate_frame = setpoint.frame
+    message.type_mask = setpoint.type_mask
+    for target, (x, y, z) in (
+        (message.position, setpoint.position),
+        (message.velocity, setpoint.velocity),
+        (message.acceleration_or_force, setpoint.acceleration),
+    ):
+        target.x, target.y, target.z = x, y, z
+    message.yaw = setpoint.yaw
+    message.yaw_rate = setpoint.yaw_rate
+
+
+def _pose(pose: Pose) -> tuple[Vector, tuple[float, float, float, float]]:
+    """Return position and quaternion (x, y, z, w)."""
+    p, q = pose.position, pose.orientation
+    return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)

@@ -1,0 +1,141 @@
+"""Changes of frame between ROS (ENU, FLU) and the autopilot (NED, FRD), on plain floats.
+
+Local frames: ENU is x east, y north, z up; NED is x north, y east, z down. Body frames: FLU is x forward, y left,
+z up (``base_link``); FRD is x forward, y right, z down. Both changes are their own inverse.
+
+Quaternions are (w, x, y, z) in every function here and turn body vectors into local ones; ROS messages keep them as
+x, y, z, w and MAVLink as w, x, y, z. Positions are in metres, angles in radians unless a name says otherwise.
+Nothing here uses numpy: on three floats plain Python is ten times faster.
+"""
+
+from __future__ import annotations
+
+from math import asin, atan2, copysign, cos, fmod, pi, radians, sin, sqrt
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+_HALF_SQRT = sqrt(0.5)
+_WGS84_A = 6378137.0  # m, equatorial radius
+_WGS84_F = 1.0 / 298.257223563
+_WGS84_E2 = _WGS84_F * (2.0 - _WGS84_F)
+
+
+def enu_to_ned(x: float, y: float, z: float) -> Vector:
+    """Return an ENU vector in NED."""
+    return y, x, -z
+
+
+def ned_to_enu(x: float, y: float, z: float) -> Vector:
+    """Return a NED vector in ENU."""
+    return y, x, -z
+
+
+def flu_to_frd(x: float, y: float, z: float) -> Vector:
+    """Return a FLU vector in FRD."""
+    return x, -y, -z
+
+
+def frd_to_flu(x: float, y: float, z: float) -> Vector:
+    """Return a FRD vector in FLU."""
+    return x, -y, -z
+
+
+def wrap_pi(angle: float) -> float:
+    """Return ``angle`` (rad, finite) in [-pi, pi)."""
+    wrapped = fmod(angle + pi, 2.0 * pi)
+    return wrapped + pi if wrapped < 0.0 else wrapped - pi
+
+
+def yaw_enu_to_ned(yaw: float) -> float:
+    """Return the NED heading (clockwise from north) of an ENU yaw (anticlockwise from east), in [-pi, pi)."""
+    return wrap_pi(0.5 * pi - yaw)
+
+
+def yaw_ned_to_enu(yaw: float) -> float:
+    """Return the ENU yaw of a NED heading, in [-pi, pi)."""
+    return wrap_pi(0.5 * pi - yaw)
+
+
+def attitude_ned_to_enu(w: float, x: float, y: float, z: float) -> Quaternion:
+    """Return the FLU-to-ENU attitude of a FRD-to-NED attitude.
+
+    It is the product q_ned_to_enu q q_flu_to_frd multiplied out, with the sign that makes a level vehicle heading
+    north (0.707, 0, 0, 0.707). The map is its own inverse.
+    """
+    return _HALF_SQRT * (w + z), _HALF_SQRT * (x + y), _HALF_SQRT * (x - y), _HALF_SQRT * (w - z)
+
+
+def attitude_enu_to_ned(w: float, x: float, y: float, z: float) -> Quaternion:
+    """Return the FRD-to-NED attitude of a FLU-to-ENU attitude."""
+    return attitude_ned_to_enu(w, x, y, z)
+
+
+def rotate(q: Quaternion, v: Vector) -> Vector:
+    """Return the body vector ``v`` in the local frame, for the unit attitude ``q``."""
+    w, x, y, z = q
+    vx, vy, vz = v
+    tx = 2.0 * (y * vz - z * vy)
+    ty = 2.0 * (z * vx - x * vz)
+    tz = 2.0 * (x * vy - y * vx)
+    return (
+        vx + w * tx + y * tz - z * ty,
+        vy + w * ty + z * tx - x * tz,
+        vz + w * tz + x * ty - y * tx,
+    )
+
+
+def rotate_inverse(q: Quaternion, v: Vector) -> Vector:
+    """Return the local vector ``v`` in the body frame, for the unit attitude ``q``."""
+    return rotate((q[0], -q[1], -q[2], -q[3]), v)
+
+
+def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Return the attitude of the angles roll, pitch, yaw, turned in the order yaw, pitch, roll about body axes."""
+    cr, sr = cos(0.5 * roll), sin(0.5 * roll)
+    cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
+    cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def rpy_from_quaternion(q: Quaternion) -> Vector:
+    """Return roll, pitch, yaw of a unit attitude; pitch in [-pi/2, pi/2], the others in [-pi, pi]."""
+    w, x, y, z = q
+    sin_pitch = 2.0 * (w * y - z * x)
+    pitch = asin(sin_pitch) if abs(sin_pitch) < 1.0 else copysign(0.5 * pi, sin_pitch)
+    roll = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, pitch, yaw_from_quaternion(q)
+
+
+def yaw_from_quaternion(q: Quaternion) -> float:
+    """Return the yaw of a unit attitude, in [-pi, pi]."""
+    w, x, y, z = q
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def geodetic_to_ecef(latitude: float, longitude: float, altitude: float) -> Vector:
+    """Return the earth-centred place (m) of WGS84 latitude, longitude (deg) and height over the ellipsoid (m)."""
+    sin_lat, cos_lat = sin(radians(latitude)), cos(radians(latitude))
+    normal = _WGS84_A / sqrt(1.0 - _WGS84_E2 * sin_lat * sin_lat)
+    horizontal = (normal + altitude) * cos_lat
+    return (
+        horizontal * cos(radians(longitude)),
+        horizontal * sin(radians(longitude)),
+        (normal * (1.0 - _WGS84_E2) + altitude) * sin_lat,
+    )
+
+
+def geodetic_to_enu(place: Vector, origin: Vector) -> Vector:
+    """Return ``place`` in metres ENU from ``origin``; both are (latitude deg, longitude deg, height m), WGS84."""
+    px, py, pz = geodetic_to_ecef(*place)
+    ox, oy, oz = geodetic_to_ecef(*origin)
+    dx, dy, dz = px - ox, py - oy, pz - oz
+    sin_lat, cos_lat = sin(radians(origin[0])), cos(radians(origin[0]))
+    sin_lon, cos_lon = sin(radians(origin[1])), cos(radians(origin[1]))
+    outward = cos_lon * dx + sin_lon * dy
+    return cos_lon * dy - sin_lon * dx, cos_lat * dz - sin_lat * outward, cos_lat * outward + sin_lat * dz

@@ -1,0 +1,829 @@
+"""The node's half of the lockstep: what a node uses in rospy's place.
+
+A node that takes part (a *participant*) has its time from the simulator's TICK, runs its callbacks in its own thread in
+a fixed order (in `start` and `Rate.sleep`), and tells the simulator with DONE how many messages it has sent. Without a
+simulator the same calls are rospy.Rate and plain topics, with the callbacks in the same place.
+
+In a participant never call `rospy.sleep` or `rospy.Rate` in the main thread: time stands still until the node says that
+it is done. Use `Rate`, `sleep` or `spin` of this module.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+from urllib.parse import urlparse
+
+import rospy
+import rospy.core
+import rospy.impl.simtime
+import rospy.rostime
+import rospy.topics
+from rospy.impl.registration import Registration
+
+from .protocol import (
+    ALIVE_FRAME,
+    VERSION,
+    Barrier,
+    FrameReader,
+    Kind,
+    ProtocolError,
+    Schedule,
+    pack_barrier,
+    pack_object,
+    unpack_barrier,
+    unpack_object,
+)
+from .topics import BufferingSubscriber, CountingPublisher, Inbox, Outlet, acquire_publisher, acquire_subscriber
+
+Serve = Callable[[Mapping[int, int] | None, float], Mapping[int, int]]
+
+WAIT_LIMIT = 5.0
+"""Wall seconds that a participant waits for a message that was counted."""
+CONNECT_LIMIT = 10.0
+"""Wall seconds for the simulator to answer at its address."""
+ALIVE_PERIOD = 1.0
+"""Wall seconds between keep-alives."""
+SLICE = 0.1
+"""Longest single wait in wall seconds, so that a shutdown is noticed."""
+
+URI_PARAM = "/lockstep/uri"
+WAIT_PARAM = "/lockstep/wait"
+PRIVATE_PARAM = "~lockstep"
+
+
+class _Node:
+    """What this process has declared; there is one node in a process."""
+
+    def __init__(self) -> None:
+        self.rate = 0.0
+        self.taking_part = False
+        self.started = False
+        self.publishers: dict[str, CountingPublisher] = {}
+        self.subscribers: list[Subscriber] = []
+        self.arrived = threading.Condition()
+        self.dirty: deque[Outlet] = deque()
+        self.client: Client | None = None
+        self.host: Host | None = None
+        self.udp_ports: list[int] = []
+        self.serve: Serve | None = None
+        self.datagrams: dict[int, int] = {}
+        self.datagrams_missed: dict[int, int] = {}
+
+    def outlet_made(self, outlet: Outlet) -> None:
+        """Passes a new connection on to whoever counts."""
+        counter = self.client or self.host
+        if counter is not None:
+            counter.outlet_made(outlet)
+
+    def outlet_lost(self, outlet: Outlet) -> None:
+        """Passes a closed connection on to whoever counts."""
+        counter = self.client or self.host
+        if counter is not None:
+            counter.outlet_lost(outlet)
+
+    def outlets(self) -> list[Outlet]:
+        """Returns the connections that there are now."""
+        return [outlet for publisher in self.publishers.values() for outlet in list(publisher.outlets.values())]
+
+    def declaration(self) -> dict[str, list[list[str]]]:
+        """Returns the topics as JOIN and DECLARE carry them."""
+        subscribed = {entry.resolved_name: entry.type for entry in self.subscribers}
+        return {
+            "publications": [[name, impl.type] for name, impl in self.publishers.items()],
+            "subscriptions": [[name, kind] for name, kind in subscribed.items()],
+        }
+
+    def topics_changed(self) -> None:
+        """Tells the server of topics that came or went after the start."""
+        if self.client is not None:
+            self.client.declare(self.declaration())
+        if self.host is not None:
+            self.host.declare(self.declaration())
+
+    def subscriptions(self) -> dict[str, BufferingSubscriber]:
+        """Returns the receiving ends by topic, in the order of declaration."""
+        return {entry.resolved_name: entry.impl for entry in self.subscribers}
+
+
+_node = _Node()
+
+
+# ---- declaring ----
+
+
+class Publisher(rospy.Publisher):
+    """A publisher that counts; `publish` returns when the bytes are in the kernel.
+
+    A subscriber that stalls does not stall the node: what it cannot take is kept and sent by a thread, and above
+    `queue_size` messages the oldest are dropped, unless it is a participant.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        data_class: type[rospy.Message],
+        latch: bool = False,
+        queue_size: int = 100,
+        subscriber_listener: rospy.SubscribeListener | None = None,
+    ) -> None:
+        """Advertises a topic.
+
+        Args:
+            name: Topic name, resolved as usual.
+            data_class: Message type.
+            latch: True to send the last message to every new subscriber.
+            queue_size: Messages kept for a stalled subscriber that is no participant.
+            subscriber_listener: As for rospy.Publisher.
+
+        Raises:
+            ROSException: The topic is advertised in this process by a plain rospy.Publisher.
+        """
+        impl = acquire_publisher(name, data_class, latch, _node)
+        super().__init__(
+            name, data_class, subscriber_listener=subscriber_listener, latch=latch, queue_size=queue_size
+        )
+        if _node.publishers.get(self.resolved_name) is not impl:
+            _node.publishers[self.resolved_name] = impl
+            _node.topics_changed()
+
+    def unregister(self) -> None:
+        """Takes the topic back."""
+        name, impl = self.resolved_name, self.impl
+        super().unregister()
+        if impl is not None and impl.ref_count == 0:
+            _node.publishers.pop(name, None)
+            _node.topics_changed()
+
+
+class Subscriber(rospy.topics.Topic):
+    """A subscriber whose callback runs in `Rate.sleep`, in the thread that calls it."""
+
+    def __init__(
+        self,
+        name: str,
+        data_class: type[rospy.Message],
+        callback: Callable[..., None] | None = None,
+        callback_args: Any = None,
+        queue_size: int | None = None,
+        buff_size: int = rospy.topics.DEFAULT_BUFF_SIZE,
+    ) -> None:
+        """Subscribes to a topic.
+
+        Args:
+            name: Topic name, resolved as usual.
+            data_class: Message type.
+            callback: Called with each message, and with `callback_args` if those are given.
+            callback_args: Second argument of the callback.
+            queue_size: Of messages from publishers that are no participants, at most so many (the newest) are
+                dispatched at a time; what participants send is never dropped.
+            buff_size: Receive buffer in bytes.
+
+        Raises:
+            ROSException: The topic has a plain rospy.Subscriber in this process, or the queue size is not positive.
+        """
+        impl = acquire_subscriber(name, data_class, _node.arrived)
+        super().__init__(name, data_class, Registration.SUB)
+        impl.set_queue_size(queue_size)
+        if buff_size != rospy.topics.DEFAULT_BUFF_SIZE:
+            impl.set_buff_size(buff_size)
+        self.callback = callback
+        self.callback_args = callback_args
+        self.pending = impl.latches()
+        known = any(entry.impl is impl for entry in _node.subscribers)
+        _node.subscribers.append(self)
+        if not known:
+            _node.topics_changed()
+
+    def invoke(self, message: rospy.Message) -> None:
+        """Runs the callback; an exception in it is logged and does not end the node, as with rospy."""
+        if self.callback is None:
+            return
+        try:
+            if self.callback_args is None:
+                self.callback(message)
+            else:
+                self.callback(message, self.callback_args)
+        except Exception:
+            rospy.logerr(f"bad callback for {self.resolved_name}: {traceback.format_exc()}")
+
+    def unregister(self) -> None:
+        """Ends the subscription."""
+        if self not in _node.subscribers:
+            return
+        _node.subscribers.remove(self)
+        self.callback = None
+        super().unregister()
+        _node.topics_changed()
+
+
+def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
+    """Initialises the ROS node and decides whether it takes part in a simulator's lockstep.
+
+    It does if `/lockstep/uri` is set, or if `/lockstep/wait` is true (a launch file says so when it starts a simulator
+    along with the node), and `~lockstep` is not false.
+
+    Args:
+        name: Node name.
+        rate: How often the node is due, in Hz of simulation time; above 0 and at most 250.
+        options: Passed to rospy.init_node.
+
+    Raises:
+        ValueError: The rate is outside its range.
+        ROSInitException: The master or the time cannot be reached.
+    """
+    Schedule(rate)
+    rospy.init_node(name, disable_rostime=True, **options)
+    _node.rate = rate
+    if rospy.get_param(PRIVATE_PARAM, True):
+        _node.taking_part = bool(rospy.get_param(URI_PARAM, "") or rospy.get_param(WAIT_PARAM, False))
+    if _node.taking_part:
+        # Time comes from TICK. The subscription to /clock that rospy makes would bring it late and in its own thread.
+        rospy.rostime._set_rostime(rospy.Time(0, 0))
+    elif not rospy.impl.simtime.init_simtime():
+        raise rospy.ROSInitException("the time could not be initialised; is the master running?")
+
+
+def is_active() -> bool:
+    """Says whether this node takes part in a simulator's lockstep."""
+    return _node.taking_part
+
+
+def declare_udp(ports: Iterable[int], serve: Serve) -> None:
+    """Declares, before `start`, that the node exchanges datagrams with the simulator.
+
+    Args:
+        ports: Local ports on which it receives them.
+        serve: Called in `Rate.sleep` before any topic callback, as serve(expected, timeout). It serves the sockets
+            until each port in `expected` has received that many datagrams in all and leaves what is beyond, at most
+            `timeout` wall seconds; with `expected` None (no lockstep) it serves them for that time. It returns how
+            many datagrams each port has received in all. The sockets' receive buffers must hold what comes in a period.
+    """
+    _node.udp_ports = list(ports)
+    _node.serve = serve
+
+
+def datagrams_sent(port: int, count: int) -> None:
+    """Notes how many datagrams the node has sent to one of the simulator's ports.
+
+    Args:
+        port: The simulator's port.
+        count: Cumulative number.
+    """
+    _node.datagrams[port] = count
+
+
+def start() -> None:
+    """Joins the simulator, when there is one, and waits for the first tick; all topics should be declared by now.
+
+    Callbacks of what came before that tick (latched messages, say) run before it returns.
+
+    Raises:
+        ROSInitException: The simulator does not answer or refuses; the text says why.
+        ROSInterruptException: The node was shut down meanwhile.
+    """
+    if _node.started:
+        raise rospy.ROSInitException("lockstep.start() was called a second time")
+    if not rospy.core.is_initialized():
+        raise rospy.ROSInitException("lockstep.start() needs lockstep.init_node() first")
+    _node.started = True
+    if not _node.taking_part:
+        return
+    client = _join()
+    rospy.loginfo(f"in lockstep with the simulator at {client.uri}, {_node.rate:g} Hz")
+    client.begin()
+    _dispatch()
+
+
+# ---- running ----
+
+
+class Rate:
+    """Ends the node's turn and waits for the next; the callbacks run in `sleep`."""
+
+    def __init__(self, hz: float | None = None) -> None:
+        """Makes it.
+
+        Args:
+            hz: None or the rate given to `init_node`; a node has one.
+
+        Raises:
+            ValueError: It is another rate.
+        """
+        if hz is not None and hz != _node.rate:
+            raise ValueError(f"lockstep.Rate({hz!r}): the node was initialised with rate={_node.rate!r}")
+        self._rate = None if _node.taking_part else rospy.Rate(_node.rate)
+
+    def sleep(self) -> None:
+        """Says that this turn is done, waits for the next and runs the callbacks of what has come.
+
+        Raises:
+            ROSInterruptException: The node is shut down, or the simulator is gone.
+        """
+        if self._rate is None:
+            if _node.client is None:
+                raise rospy.ROSInitException("lockstep.Rate.sleep() needs lockstep.start() first")
+            _node.client.turn()
+        else:
+            self._sleep_free(self._rate)
+        _dispatch()
+
+    @staticmethod
+    def _sleep_free(rate: rospy.Rate) -> None:
+        if _node.serve is not None:
+            remaining = rate.remaining().to_sec()
+            while remaining > 0.0 and not rospy.is_shutdown():
+                _node.serve(None, min(remaining, SLICE))
+                remaining = rate.remaining().to_sec()
+        rate.sleep()
+
+
+def sleep(seconds: float) -> None:
+    """Lets simulation time pass, turn by turn; callbacks run meanwhile.
+
+    Args:
+        seconds: At least so long, in ROS time.
+
+    Raises:
+        ROSInterruptException: The node is shut down, or the simulator is gone.
+    """
+    rate = Rate()
+    end = rospy.Time.now() + rospy.Duration.from_sec(seconds)
+    while rospy.Time.now() < end:
+        rate.sleep()
+
+
+def spin(step: Callable[[], None] | None = None) -> None:
+    """Calls `step` once a turn until the node is shut down.
+
+    Args:
+        step: The node's work; None for a node that works in callbacks only.
+    """
+    rate = Rate()
+    with contextlib.suppress(rospy.ROSInterruptException):
+        while not rospy.is_shutdown():
+            if step is not None:
+                step()
+            rate.sleep()
+
+
+def _dispatch() -> None:
+    """Runs the callbacks: subscriptions as declared, within one by publisher's name, then as sent."""
+    ready: dict[int, list[Any]] = {}
+    for entry in list(_node.subscribers):
+        impl = entry.impl
+        messages = ready.get(id(impl))
+        if messages is None:
+            messages = ready[id(impl)] = impl.ready()
+        if entry.pending:
+            messages = [*entry.pending, *messages]
+            entry.pending = []
+        for message in messages:
+            entry.invoke(message)
+
+
+# ---- the connection to the simulator ----
+
+
+class _RefusedError(Exception):
+    """The server does not take this node."""
+
+    def __init__(self, code: str, reason: str) -> None:
+        super().__init__(reason)
+        self.code = code
+
+
+def _join() -> Client:
+    """Finds the simulator and joins it, with patience for one that is starting and for a name that is just left."""
+    asked = time.monotonic()
+    answered = asked
+    while not rospy.is_shutdown():
+        uri = rospy.get_param(URI_PARAM, "")
+        if not uri:
+            if time.monotonic() - asked > CONNECT_LIMIT:
+                rospy.loginfo(f"waiting for a simulator ({URI_PARAM} is not set yet)")
+                asked = time.monotonic()
+            answered = time.monotonic()
+        else:
+            client = Client(uri)
+            try:
+                client.join(_node)
+                return client
+            except (OSError, _RefusedError, ProtocolError) as error:
+                client.close()
+                patient = not isinstance(error, _RefusedError) or error.code == "taken"
+                if not patient or time.monotonic() - answered > CONNECT_LIMIT:
+                    raise rospy.ROSInitException(
+                        f"cannot join the simulator at {uri} ({URI_PARAM}): {error}. If there is no simulator, "
+                        f"delete that parameter or set {PRIVATE_PARAM} to false."
+                    ) from error
+        # The parameter server has no event for a node that waits for a parameter; a simulator's start is not urgent.
+        rospy.rostime.wallsleep(2 * SLICE)
+    raise rospy.ROSInterruptException("shut down while waiting for the simulator")
+
+
+class Client:
+    """A participant's connection to the simulator.
+
+    Attributes:
+        uri: The simulator's address.
+        tick: Number of the present tick, 0 before the first.
+        time_us: The present tick's time in microseconds.
+    """
+
+    def __init__(self, uri: str) -> None:
+        """Keeps the address; `join` connects."""
+        self.uri = uri
+        self.tick = 0
+        self.time_us = 0
+        self._node = _node
+        self._sock: socket.socket | None = None
+        self._reader = FrameReader()
+        self._frames: deque[tuple[int, bytes]] = deque()
+        self._send_lock = threading.Lock()
+        self._joined = False
+        self._numbers = 0
+        self._outlets: dict[int, Outlet] = {}
+        self._inboxes: dict[int, Inbox] = {}
+        self._topics: dict[int, str] = {}
+        self._lost: list[int] = []
+        self._told: dict[int, int] = {}
+        self._wake_read, self._wake_write = os.pipe()
+        self._poll = select.poll()
+        self._ended = threading.Event()
+
+    # ---- joining and leaving ----
+
+    def join(self, node: _Node) -> None:
+        """Connects and joins; announces the topic connections that there are already.
+
+        Raises:
+            OSError: No connection.
+            ProtocolError: The URI or the answer is none of a lockstep server.
+        """
+        address = urlparse(self.uri)
+        if address.scheme != "tcp" or not address.hostname or not address.port:
+            raise ProtocolError(f"{URI_PARAM} is {self.uri!r}, it must be tcp://host:port")
+        self._sock = socket.create_connection((address.hostname, address.port), timeout=CONNECT_LIMIT)
+        self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        content = {
+            "version": VERSION,
+            "name": rospy.get_name(),
+            "rate": node.rate,
+            "pid": os.getpid(),
+            "udp_ports": node.udp_ports,
+            **node.declaration(),
+        }
+        self._sock.sendall(pack_object(Kind.JOIN, content))
+        while not self._frames:
+            self._read()
+        kind, payload = self._frames.popleft()
+        if kind == Kind.REFUSED:
+            refusal = unpack_object(payload)
+            raise _RefusedError(str(refusal.get("code")), str(refusal.get("reason")))
+        if kind != Kind.WELCOME:
+            raise ProtocolError(f"the answer to JOIN was a frame of type {kind}")
+        self._sock.settimeout(None)
+        self._poll.register(self._sock.fileno(), select.POLLIN)
+        self._poll.register(self._wake_read, select.POLLIN)
+        node.client = self
+        # From here on rospy's threads announce new connections themselves; those made before are announced now.
+        with self._send_lock:
+            self._joined = True
+            self._announce(node.outlets())
+        declared = {**content, **node.declaration()}
+        if declared != content:
+            self.declare(node.declaration())
+        rospy.core.add_client_shutdown_hook(self._on_shutdown)
+        threading.Thread(target=self._keep_alive, name="lockstep keep-alive", daemon=True).start()
+
+    def close(self) -> None:
+        """Closes the connection."""
+        self._joined = False
+        self._ended.set()
+        if self._sock is not None:
+            self._sock.close()
+
+    def _on_shutdown(self) -> None:
+        # This may run in a signal handler on top of the main thread, which may hold the lock: then without a farewell.
+        if self._send_lock.acquire(timeout=0.2):
+            try:
+                if self._joined and self._sock is not None:
+                    self._joined = False
+                    frames = self._done_frame() + pack_object(Kind.LEAVE, {"reason": "shut down"})
+                    with contextlib.suppress(OSError):
+                        self._sock.sendall(frames)
+            finally:
+                self._send_lock.release()
+        # Nobody takes the lock from here on: rospy closes the topics next, perhaps in this same signal handler.
+        self._joined = False
+        self._ended.set()
+        os.write(self._wake_write, b"x")
+
+    def _keep_alive(self) -> None:
+        """Tells the server that the process lives, also while the main thread stands at a breakpoint."""
+        while not self._ended.wait(ALIVE_PERIOD):
+            try:
+                self._send(ALIVE_FRAME)
+            except OSError:
+                return
+
+    # ---- publishers ----
+
+    def outlet_made(self, outlet: Outlet) -> None:
+        """A subscriber has connected: announces the channel."""
+        if not self._joined:
+            return
+        with self._send_lock:
+            if self._joined:
+                self._announce([outlet])
+
+    def outlet_lost(self, outlet: Outlet) -> None:
+        """A subscriber's connection is closed."""
+        if not self._joined:
+            return
+        with self._send_lock:
+            self._outlets.pop(outlet.number, None)
+            if self._joined and outlet.number and self._sock is not None:
+                with contextlib.suppress(OSError):
+                    self._sock.sendall(pack_object(Kind.PEER, {"made": [], "lost": [outlet.number]}))
+
+    def _announce(self, outlets: list[Outlet]) -> None:
+        made = []
+        for outlet in outlets:
+            if outlet.number or outlet.closed:
+                continue
+            self._numbers += 1
+            outlet.number = self._numbers
+            self._outlets[outlet.number] = outlet
+            made.append([outlet.number, outlet.topic, outlet.peer, outlet.port, outlet.count])
+        if made and self._sock is not None:
+            # If the simulator is gone, the main thread finds out.
+            with contextlib.suppress(OSError):
+                self._sock.sendall(pack_object(Kind.PEER, {"made": made, "lost": []}))
+
+    def declare(self, declaration: Mapping[str, Any]) -> None:
+        """Tells the server of the topics that there are now."""
+        if self._joined:
+            with contextlib.suppress(OSError):
+                self._send(pack_object(Kind.DECLARE, declaration))
+
+    # ---- turns ----
+
+    def begin(self) -> None:
+        """Waits for the first tick.
+
+        Raises:
+            ROSInterruptException: The node is shut down, or the simulator is gone.
+        """
+        self._enter(self._await_tick())
+
+    def turn(self) -> None:
+        """Sends DONE, waits for TICK and for all that must have come by then.
+
+        Raises:
+            ROSInterruptException: The node is shut down, or the simulator is gone.
+        """
+        failure = ""
+        with self._send_lock:
+            if rospy.core.is_shutdown_requested() or self._sock is None:
+                raise rospy.ROSInterruptException("ROS shutdown request")
+            try:
+                self._sock.sendall(self._done_frame())
+            except OSError as error:
+                failure = str(error)
+        if failure:
+            self._simulator_gone(failure)
+        self._enter(self._await_tick())
+
+    def _done_frame(self) -> bytes:
+        counts = {}
+        dirty = self._node.dirty
+        while dirty:
+            outlet = dirty.popleft()
+            # In this order: a message sent by another thread just now is either in the count or marks it dirty again.
+            outlet.dirty = False
+            if outlet.number:
+                counts[outlet.number] = outlet.count
+        ports = {port: count for port, count in self._node.datagrams.items() if self._told.get(port) != count}
+        self._told.update(ports)
+        return pack_barrier(Kind.DONE, self.tick, self.time_us, counts, ports)
+
+    def _await_tick(self) -> Barrier:
+        while True:
+            while self._frames:
+                kind, payload = self._frames.popleft()
+                if kind == Kind.TICK:
+                    return unpack_barrier(payload)
+                if kind == Kind.PEER:
+                    self._peers(unpack_object(payload))
+                elif kind == Kind.REFUSED:
+                    self._simulator_gone(str(unpack_object(payload).get("reason")))
+            ready = self._poll.poll(1000.0)
+            if rospy.core.is_shutdown_requested():
+                raise rospy.ROSInterruptException("ROS shutdown request")
+            if ready:
+                try:
+                    self._read()
+                except (OSError, ProtocolError) as error:
+                    self._simulator_gone(str(error))
+
+    def _enter(self, tick: Barrier) -> None:
+        """Begins the turn that a TICK has opened."""
+        self.tick, self.time_us = tick.tick, tick.time_us
+        seconds, micros = divmod(tick.time_us, 1_000_000)
+        rospy.rostime._set_rostime(rospy.Time(seconds, micros * 1000))
+        if self._node.serve is not None and tick.datagrams:
+            self._serve_datagrams(self._node.serve, tick.datagrams)
+        awaited = []
+        for channel, count in tick.channels.items():
+            inbox = self._inboxes.get(channel)
+            if inbox is None:
+                continue
+            inbox.target = count
+            if inbox.lacking():
+                awaited.append(channel)
+        if awaited:
+            self._await_messages(awaited)
+        for channel in self._lost:
+            self._inboxes.pop(channel).lost = True
+            del self._topics[channel]
+        self._lost.clear()
+
+    def _serve_datagrams(self, serve: Serve, counts: Mapping[int, int]) -> None:
+        missed = self._node.datagrams_missed
+        expected = {port: count - missed.get(port, 0) for port, count in counts.items()}
+        received = serve(expected, WAIT_LIMIT)
+        for port, count in expected.items():
+            short = count - received.get(port, 0)
+            if short > 0 and not rospy.is_shutdown():
+                missed[port] = missed.get(port, 0) + short
+                rospy.logwarn(f"{short} datagrams from the simulator to UDP port {port} did not arrive")
+
+    def _await_messages(self, channels: list[int]) -> None:
+        ends = self._node.subscriptions()
+        for channel in channels:
+            end = ends.get(self._topics[channel])
+            if end is not None:
+                end.waited_for = True
+        limit = time.monotonic() + WAIT_LIMIT
+        with self._node.arrived:
+            while True:
+                channels = [
+                    channel
+                    for channel in channels
+                    if self._inboxes[channel].lacking() and not self._inboxes[channel].closed
+                ]
+                if not channels or time.monotonic() >= limit or rospy.core.is_shutdown_requested():
+                    break
+                self._node.arrived.wait(SLICE)
+        for end in ends.values():
+            end.waited_for = False
+        if rospy.core.is_shutdown_requested():
+            raise rospy.ROSInterruptException("ROS shutdown request")
+        for channel in channels:
+            inbox = self._inboxes[channel]
+            short = inbox.lacking()
+            inbox.given_up += short
+            rospy.logwarn(
+                f"{short} messages on {self._topics[channel]} from {inbox.publisher} did not arrive within "
+                f"{WAIT_LIMIT:g} s: going on without"
+            )
+
+    def _peers(self, content: Mapping[str, Any]) -> None:
+        """Publishers' connections to this node were made or lost."""
+        ends = self._node.subscriptions()
+        for channel, topic, publisher, port in content["made"]:
+            end = ends.get(topic)
+            inbox = Inbox(publisher) if end is None else end.inbox(publisher, port)
+            inbox.target = 0
+            self._inboxes[channel] = inbox
+            self._topics[channel] = topic
+        for number in content["counted"]:
+            self._set_participant(number, True)
+        for number in content["uncounted"]:
+            self._set_participant(number, False)
+        self._lost += [channel for channel in content["lost"] if channel in self._inboxes]
+
+    def _set_participant(self, number: int, value: bool) -> None:
+        outlet = self._outlets.get(number)
+        if outlet is not None:
+            outlet.participant = value
+
+    # ---- socket ----
+
+    def _send(self, data: bytes) -> None:
+        if not self._joined:
+            return
+        with self._send_lock:
+            if self._joined and self._sock is not None:
+                self._sock.sendall(data)
+
+    def _read(self) -> None:
+        """Reads what there is, at least something.
+
+        Raises:
+            OSError: The connection is closed.
+        """
+        if self._sock is None:
+            raise ConnectionError("not connected")
+        data = self._sock.recv(1 << 16)
+        if not data:
+            raise ConnectionError("it has closed the connection")
+        self._reader.feed(data)
+        self._frames.extend(self._reader.frames())
+
+    def _simulator_gone(self, why: str) -> None:
+        rospy.logerr(f"the simulator at {self.uri} is gone: {why}")
+        self._joined = False
+        self._ended.set()
+        rospy.signal_shutdown("the simulator is gone")
+        raise rospy.ROSInterruptException("the simulator is gone")
+
+
+# ---- the simulator's own publishers ----
+
+
+class Host:
+    """Counts what the simulator's own process publishes, for `LockstepServer.attach_host`.
+
+    Attributes:
+        name: The simulator's node name.
+    """
+
+    def __init__(self, name: str) -> None:
+        """Starts with nothing to tell."""
+        self.name = name
+        self._declaration: dict[str, Any] | None = None
+        self._made: deque[list[Any]] = deque()
+        self._lost: deque[int] = deque()
+        self._numbers = 0
+        self._outlets: dict[int, Outlet] = {}
+        self._lock = threading.Lock()
+
+    def declare(self, declaration: dict[str, Any]) -> None:
+        """Notes the topics that there are now; what the simulator subscribes to is not held for ticks."""
+        self._declaration = {"publications": declaration["publications"]}
+
+    def outlet_made(self, outlet: Outlet) -> None:
+        """A subscriber has connected; called in a thread of rospy's."""
+        with self._lock:
+            if outlet.number or outlet.closed:
+                return
+            self._numbers += 1
+            outlet.number = self._numbers
+            self._outlets[outlet.number] = outlet
+            self._made.append([outlet.number, outlet.topic, outlet.peer, outlet.port, outlet.count])
+
+    def outlet_lost(self, outlet: Outlet) -> None:
+        """A subscriber's connection is closed."""
+        if self._outlets.pop(outlet.number, None) is not None:
+            self._lost.append(outlet.number)
+
+    def counted(self, number: int, value: bool) -> None:
+        """Says whether a connection's subscriber is a participant, whose messages are never dropped."""
+        outlet = self._outlets.get(number)
+        if outlet is not None:
+            outlet.participant = value
+
+    def collect(self) -> tuple[dict[str, Any] | None, list[list[Any]], list[int], dict[int, int]]:
+        """Returns what changed since the last call, see `server.HostLink`."""
+        declaration, self._declaration = self._declaration, None
+        # Counts before connections: a counted connection was announced before, now or in an earlier call.
+        counts = {}
+        while _node.dirty:
+            outlet = _node.dirty.popleft()
+            outlet.dirty = False
+            counts[outlet.number] = outlet.count
+        made, lost = [], []
+        while self._made:
+            made.append(self._made.popleft())
+        while self._lost:
+            lost.append(self._lost.popleft())
+        return declaration, made, lost, counts
+
+
+def host() -> Host:
+    """Makes this process the simulator's: what its `Publisher`s send is counted for the participants.
+
+    Call it after rospy.init_node and give it to `LockstepServer.attach_host`. The process itself is no participant.
+
+    Raises:
+        ROSInitException: The node takes part in another simulator's lockstep.
+    """
+    if _node.taking_part:
+        raise rospy.ROSInitException("a participant cannot be the simulator as well")
+    if _node.host is None:
+        _node.host = Host(rospy.get_name())
+        _node.host.declare(_node.declaration())
+        for outlet in _node.outlets():
+            _node.host.outlet_made(outlet)
+    return _node.host

@@ -1,0 +1,223 @@
+"""Frames between the simulator (server) and its participants (clients), and the times at which these are due.
+
+A frame is ``u32 length`` (of what follows), ``u8 type``, payload; everything little-endian. Hot frames are packed:
+
+=========  ==================  =========================================================================
+frame      direction           payload
+=========  ==================  =========================================================================
+TICK       server to client    u64 tick, i64 time_us, u32 n, u32 m, n + m pairs (u32 id, u64 count)
+DONE       client to server    the same; time_us repeats that of the TICK
+ALIVE      client to server    empty
+=========  ==================  =========================================================================
+
+The first n pairs are channels: a *channel* is one topic connection from one publisher to one subscriber, its count the
+number of messages sent over it since it was made. In DONE the ids are the publisher's own numbers, in TICK they are the
+server's. The other m pairs are UDP ports and the number of datagrams sent to them. Only what changed is sent.
+
+All others carry a JSON object:
+
+=========  ==================  =========================================================================
+JOIN       client to server    version, name, rate (Hz), pid, publications [[topic, type]], subscriptions
+                               [[topic, type]], udp_ports [port]
+WELCOME    server to client    version, base_step_us
+REFUSED    server to client    code, reason; the server closes the connection
+PEER       client to server    made [[id, topic, subscriber, subscriber's TCP port, count]], lost [id]
+PEER       server to client    made [[id, topic, publisher, subscriber's TCP port]], lost [id]; and of the client's
+                               own connections those whose subscriber is (counted [id]) or is no longer (uncounted
+                               [id]) a participant
+DECLARE    client to server    publications, subscriptions (as JOIN: all that there are now)
+LEAVE      client to server    reason
+=========  ==================  =========================================================================
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+import json
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+VERSION = 1
+BASE_STEP_US = 4000
+MAX_FRAME = 1 << 24
+"""Longest frame in bytes; anything above is taken for garbage."""
+
+_HEAD = struct.Struct("<IB")
+_BARRIER = struct.Struct("<QqII")
+_BARRIER_FRAME = struct.Struct("<IBQqII")
+
+
+class ProtocolError(Exception):
+    """The peer does not speak this protocol."""
+
+
+class Kind(enum.IntEnum):
+    """Types of frames."""
+
+    JOIN = 1
+    WELCOME = 2
+    REFUSED = 3
+    PEER = 4
+    DECLARE = 5
+    LEAVE = 6
+    TICK = 7
+    DONE = 8
+    ALIVE = 9
+
+
+class Barrier(NamedTuple):
+    """Content of a TICK or a DONE.
+
+    Attributes:
+        tick: Number of the tick, from 1.
+        time_us: Simulation time in microseconds.
+        channels: Channel id to cumulative number of messages, those that changed.
+        datagrams: UDP port to cumulative number of datagrams, those that changed.
+    """
+
+    tick: int
+    time_us: int
+    channels: dict[int, int]
+    datagrams: dict[int, int]
+
+
+@functools.lru_cache(maxsize=4096)
+def _pairs(count: int) -> struct.Struct:
+    return struct.Struct("<" + "IQ" * count)
+
+
+def pack_barrier(
+    kind: Kind, tick: int, time_us: int, channels: Mapping[int, int], datagrams: Mapping[int, int]
+) -> bytes:
+    """Returns a whole TICK or DONE frame.
+
+    Args:
+        kind: `Kind.TICK` or `Kind.DONE`.
+        tick: Number of the tick.
+        time_us: Simulation time in microseconds.
+        channels: Channel id to cumulative number of messages.
+        datagrams: UDP port to cumulative number of datagrams.
+    """
+    count = len(channels) + len(datagrams)
+    head = _BARRIER_FRAME.pack(
+        1 + _BARRIER.size + 12 * count, kind, tick, time_us, len(channels), len(datagrams)
+    )
+    if not count:
+        return head
+    flat = [number for pair in channels.items() for number in pair]
+    if datagrams:
+        flat.extend(number for pair in datagrams.items() for number in pair)
+    return head + _pairs(count).pack(*flat)
+
+
+def unpack_barrier(payload: bytes) -> Barrier:
+    """Reads a TICK's or DONE's payload.
+
+    Raises:
+        ProtocolError: The length does not fit the number of pairs.
+    """
+    try:
+        tick, time_us, channel_count, port_count = _BARRIER.unpack_from(payload)
+        count = channel_count + port_count
+        if len(payload) != _BARRIER.size + 12 * count:
+            raise ProtocolError(f"barrier frame of {len(payload)} bytes for {count} pairs")
+        if not count:
+            return Barrier(tick, time_us, {}, {})
+        flat = _pairs(count).unpack_from(payload, _BARRIER.size)
+    except struct.error as error:
+        raise ProtocolError(f"barrier frame of {len(payload)} bytes: {error}") from error
+    split = 2 * channel_count
+    channels = dict(zip(flat[0:split:2], flat[1:split:2], strict=True))
+    datagrams = dict(zip(flat[split::2], flat[split + 1 :: 2], strict=True)) if port_count else {}
+    return Barrier(tick, time_us, channels, datagrams)
+
+
+def pack_object(kind: Kind, content: Mapping[str, Any]) -> bytes:
+    """Returns a whole frame that carries a JSON object."""
+    payload = json.dumps(content, separators=(",", ":")).encode()
+    return _HEAD.pack(1 + len(payload), kind) + payload
+
+
+def unpack_object(payload: bytes) -> dict[str, Any]:
+    """Reads the JSON object of a frame.
+
+    Raises:
+        ProtocolError: It is no JSON object.
+    """
+    try:
+        content = json.loads(payload)
+    except ValueError as error:
+        raise ProtocolError(f"not JSON: {payload[:40]!r}") from error
+    if not isinstance(content, dict):
+        raise ProtocolError(f"not a JSON object: {payload[:40]!r}")
+    return content
+
+
+ALIVE_FRAME = _HEAD.pack(1, Kind.ALIVE)
+
+
+class FrameReader:
+    """Cuts a stream of bytes into frames."""
+
+    def __init__(self) -> None:
+        """Starts with nothing read."""
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> None:
+        """Takes what was received."""
+        self._buffer += data
+
+    def frames(self) -> Iterator[tuple[int, bytes]]:
+        """Yields (type, payload) of each complete frame and removes it.
+
+        Raises:
+            ProtocolError: A length is 0 or above `MAX_FRAME`.
+        """
+        while len(self._buffer) >= _HEAD.size:
+            length, kind = _HEAD.unpack_from(self._buffer)
+            if not 0 < length <= MAX_FRAME:
+                raise ProtocolError(f"frame of {length} bytes, allowed are 1 to {MAX_FRAME}")
+            end = 4 + length
+            if len(self._buffer) < end:
+                return
+            payload = bytes(self._buffer[_HEAD.size : end])
+            del self._buffer[:end]
+            yield kind, payload
+
+
+class Schedule:
+    """The times at which a participant with a given rate is due: the first base step at or after k / rate seconds.
+
+    The rate is taken as a fraction and all is done in integers, so that no rounding accumulates.
+    """
+
+    def __init__(self, rate: float, base_step_us: int = BASE_STEP_US) -> None:
+        """Makes the grid.
+
+        Args:
+            rate: In Hz, above 0 and at most one per base step.
+            base_step_us: The simulator's step in microseconds.
+
+        Raises:
+            ValueError: The rate is outside its range.
+        """
+        fastest = 1_000_000 / base_step_us
+        if not (isinstance(rate, int | float) and math.isfinite(rate) and 0.0 < rate <= fastest):
+            raise ValueError(f"rate {rate!r}: must be above 0 and at most {fastest:g} Hz")
+        fraction = Fraction(rate).limit_denominator(1_000_000) or Fraction(rate)
+        steps = Fraction(1_000_000, base_step_us) / fraction
+        self._base_step_us = base_step_us
+        self._numerator, self._denominator = steps.numerator, steps.denominator
+
+    def due_us(self, index: int) -> int:
+        """Returns the time of the index-th turn in microseconds."""
+        return -(-index * self._numerator // self._denominator) * self._base_step_us
+
+    def after_us(self, now_us: int) -> int:
+        """Returns the earliest due time later than `now_us`, in microseconds."""
+        index = (now_us // self._base_step_us) * self._denominator // self._numerator + 1
+        return self.due_us(index)

@@ -1,0 +1,382 @@
+"""rospy's topics with what the lockstep needs: counted connections, and messages that wait for their tick.
+
+A publisher never blocks and never hands a message to another thread while its subscribers keep up: the bytes are in the
+kernel when `publish` returns. A subscriber's messages are kept per connection; the node's own thread takes them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import threading
+from collections import deque
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import rospy
+import rospy.topics
+from rospy.impl.registration import Registration
+
+FOREIGN_QUEUE = 1000
+"""Messages kept of a publisher that is no participant, when the subscriber names no queue size."""
+STALLED_QUEUE = 100
+"""Messages kept for a stalled subscriber that is no participant, when the publisher names no queue size."""
+
+
+class Ledger(Protocol):
+    """Who is told of connections and messages, see `client.Client` and `client.Host`."""
+
+    dirty: deque[Outlet]
+
+    def outlet_made(self, outlet: Outlet) -> None:
+        """A subscriber has connected; called in a thread of rospy's."""
+
+    def outlet_lost(self, outlet: Outlet) -> None:
+        """A subscriber's connection is closed; called in any thread."""
+
+
+class Outlet:
+    """The sending end of one topic connection; takes the place of a rospy transport's `write_data`.
+
+    Attributes:
+        topic: Resolved topic name.
+        peer: The subscriber's name.
+        port: The subscriber's TCP port.
+        count: Messages handed over since the connection was made.
+        number: The channel's number in this process, from 1; 0 until it was announced.
+        dirty: True while it waits in the ledger for its count to be sent.
+        closed: True when the connection is no more.
+        participant: True if the subscriber is one; what it cannot take at once is then kept without a bound.
+    """
+
+    def __init__(self, topic: str, transport: Any, queue_size: int | None, ledger: Ledger) -> None:
+        """Wraps one connection.
+
+        Args:
+            topic: Resolved topic name.
+            transport: rospy's TCPROSTransport, connected.
+            queue_size: Messages kept when a subscriber that is no participant stalls.
+            ledger: Is told of each message.
+        """
+        self.topic = topic
+        self.peer: str = transport.endpoint_id
+        self.port: int = transport.remote_endpoint[1]
+        self.count = 0
+        self.number = 0
+        self.dirty = False
+        self.closed = False
+        self.participant = False
+        self._transport = transport
+        self._queue_size = queue_size or STALLED_QUEUE
+        self._ledger = ledger
+        self._lock = threading.Lock()
+        self._backlog: deque[bytes] = deque()
+        self._draining = False
+
+    def __call__(self, data: bytes) -> bool:
+        """Sends one serialised message without blocking.
+
+        Args:
+            data: Length-prefixed message.
+
+        Returns:
+            True, as rospy's `write_data`.
+
+        Raises:
+            TransportTerminated: The connection is closed.
+        """
+        transport = self._transport
+        with self._lock:
+            if self._draining:
+                self._keep(data)
+            else:
+                self._send(transport, data)
+        self.count += 1
+        transport.stat_num_msg += 1
+        transport.stat_bytes += len(data)
+        if not self.dirty:
+            self.dirty = True
+            self._ledger.dirty.append(self)
+        return True
+
+    def _send(self, transport: Any, data: bytes) -> None:
+        sock = transport.socket
+        if sock is None or transport.done:
+            raise rospy.exceptions.TransportTerminated("connection closed")
+        try:
+            sent = sock.send(data, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            sent = 0
+        except OSError as error:
+            transport.close()
+            raise rospy.exceptions.TransportTerminated(str(error)) from error
+        if sent == len(data):
+            return
+        # The subscriber does not keep up: a thread sends the rest, so that this node does not stand still with it.
+        self._draining = True
+        self._backlog.append(data[sent:])
+        threading.Thread(target=self._drain, args=(sock,), name=f"drain {self.topic}", daemon=True).start()
+
+    def _keep(self, data: bytes) -> None:
+        # The first entry may be the rest of a message that is half sent: never drop that.
+        if not self.participant and len(self._backlog) > self._queue_size:
+            del self._backlog[1]
+            self.count -= 1
+        self._backlog.append(data)
+
+    def _drain(self, sock: socket.socket) -> None:
+        while True:
+            with self._lock:
+                if not self._backlog:
+                    self._draining = False
+                    return
+                data = self._backlog[0]
+            try:
+                sock.sendall(data)
+            except OSError:
+                self._transport.close()
+                return
+            with self._lock:
+                self._backlog.popleft()
+
+
+class CountingPublisher(rospy.topics._PublisherImpl):
+    """A topic's publishing end whose connections are outlets."""
+
+    def __init__(self, name: str, data_class: type[rospy.Message], ledger: Ledger) -> None:
+        """As rospy's, plus the ledger."""
+        super().__init__(name, data_class)
+        self.outlets: dict[Any, Outlet] = {}
+        self._stall_size: int | None = None
+        self._ledger = ledger
+
+    def set_queue_size(self, queue_size: int) -> None:
+        """Sets how much is kept for a subscriber that stalls; rospy's queues and their threads are not used."""
+        self._stall_size = queue_size
+
+    def add_connection(self, connection: Any) -> bool:
+        """Starts counting with the connection's first message (a latched one included)."""
+        connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        outlet = Outlet(self.resolved_name, connection, self._stall_size, self._ledger)
+        connection.write_data = outlet
+        # Under the publishing lock no message of the node's thread comes between the connection and its announcement.
+        with self.publock:
+            self.outlets[connection] = outlet
+            added = bool(super().add_connection(connection))
+            if added:
+                self._ledger.outlet_made(outlet)
+        return added
+
+    def remove_connection(self, connection: Any) -> None:
+        """Takes a closed connection out, once."""
+        outlet = self.outlets.pop(connection, None)
+        if outlet is None:
+            return
+        outlet.closed = True
+        super().remove_connection(connection)
+        self._ledger.outlet_lost(outlet)
+
+
+class Inbox:
+    """The messages of one connection, in the order of sending.
+
+    Attributes:
+        publisher: The publisher's name.
+        messages: Received and not yet dispatched.
+        received: Messages received since the connection was made; written by rospy's thread only.
+        dropped: Of these, discarded because a foreign publisher's queue was full; written by rospy's thread only.
+        taken: Of these, dispatched or discarded by the node's thread; written by it only.
+        target: How many may be dispatched by now; None if the publisher is no participant.
+        given_up: Messages that were counted by the publisher and never came.
+        closed: True when no more will come.
+        lost: True when the server has said that the channel is no more.
+        latched: True if the publisher latches.
+        latch: The last message dispatched, kept if `latched`.
+    """
+
+    __slots__ = (
+        "closed",
+        "dropped",
+        "given_up",
+        "latch",
+        "latched",
+        "lost",
+        "messages",
+        "publisher",
+        "received",
+        "taken",
+        "target",
+    )
+
+    def __init__(self, publisher: str) -> None:
+        """Starts empty, as a foreign publisher's."""
+        self.publisher = publisher
+        self.messages: deque[Any] = deque()
+        self.received = 0
+        self.dropped = 0
+        self.taken = 0
+        self.target: int | None = None
+        self.given_up = 0
+        self.closed = False
+        self.lost = False
+        self.latched = False
+        self.latch: Any = None
+
+    def lacking(self) -> int:
+        """Returns how many messages that must be here have not come yet."""
+        if self.target is None:
+            return 0
+        return max(0, self.target - self.given_up - self.received)
+
+    def take(self, most_foreign: int) -> Iterator[Any]:
+        """Yields and removes the messages whose tick it is.
+
+        Args:
+            most_foreign: Of a foreign publisher's messages at most so many, the newest.
+        """
+        if self.target is None:
+            surplus = max(0, len(self.messages) - most_foreign)
+            ready = len(self.messages)
+        else:
+            surplus = 0
+            ready = self.target - self.given_up - self.taken - self.dropped
+        for index in range(ready):
+            try:
+                message = self.messages.popleft()
+            except IndexError:  # given up waiting for it, or discarded by rospy's thread just now
+                return
+            self.taken += 1
+            if index >= surplus:
+                if self.latched:
+                    self.latch = message
+                yield message
+
+
+class BufferingSubscriber(rospy.topics._SubscriberImpl):
+    """A topic's receiving end that keeps messages until `ready` is called."""
+
+    def __init__(self, name: str, data_class: type[rospy.Message], arrived: threading.Condition) -> None:
+        """As rospy's, plus the condition that is notified when something comes."""
+        super().__init__(name, data_class)
+        self.tcp_nodelay = True
+        self.inboxes: dict[tuple[str, int], Inbox] = {}
+        self.most_foreign = FOREIGN_QUEUE
+        self.waited_for = False
+        self._arrived = arrived
+
+    def inbox(self, publisher: str, port: int) -> Inbox:
+        """Returns the inbox of one connection, made if need be.
+
+        Args:
+            publisher: The publisher's name.
+            port: This process's TCP port of the connection.
+        """
+        return self.inboxes.setdefault((publisher, port), Inbox(publisher))
+
+    def set_queue_size(self, queue_size: int | None) -> None:
+        """Bounds what is kept of foreign publishers; what participants send is counted and never dropped.
+
+        Raises:
+            ROSException: It is no positive integer.
+        """
+        if queue_size is None:
+            return
+        if not isinstance(queue_size, int) or queue_size < 1:
+            raise rospy.ROSException(f"{self.resolved_name}: queue_size {queue_size!r} must be a positive integer")
+        self.most_foreign = queue_size
+
+    def receive_callback(self, msgs: list[Any], connection: Any) -> None:
+        """Keeps the messages; called in the connection's own thread."""
+        inbox = getattr(connection, "inbox", None)
+        if inbox is None:
+            inbox = self.inbox(connection.callerid_pub, connection.local_endpoint[1])
+            inbox.latched = connection.is_latched
+            connection.inbox = inbox
+        if self.statistics_logger:
+            for message in msgs:
+                self.statistics_logger.callback(message, connection.callerid_pub, connection.stat_bytes)
+        inbox.messages.extend(msgs)
+        inbox.received += len(msgs)
+        if inbox.target is None:
+            self._bound(inbox)
+        if self.waited_for:
+            with self._arrived:
+                self._arrived.notify()
+
+    def _bound(self, inbox: Inbox) -> None:
+        for _ in range(len(inbox.messages) - max(self.most_foreign, FOREIGN_QUEUE)):
+            try:
+                inbox.messages.popleft()
+            except IndexError:  # the node's thread was faster
+                return
+            inbox.dropped += 1
+
+    def remove_connection(self, connection: Any) -> None:
+        """Takes a closed connection out; nothing more will come over it."""
+        if connection in self.connections:
+            super().remove_connection(connection)
+        inbox = getattr(connection, "inbox", None)
+        if inbox is None and connection.local_endpoint[1] is not None:
+            inbox = self.inbox(connection.callerid_pub, connection.local_endpoint[1])
+        if inbox is not None:
+            inbox.closed = True
+        with self._arrived:
+            self._arrived.notify()
+
+    def ready(self) -> list[Any]:
+        """Returns and removes the messages whose tick it is: by publisher's name, then in the order of sending."""
+        if not self.inboxes:
+            return []
+        boxes = sorted(list(self.inboxes.items()), key=lambda item: item[0])  # rospy's threads add to the dictionary
+        taken = list(itertools.chain.from_iterable(inbox.take(self.most_foreign) for _, inbox in boxes))
+        for key, inbox in boxes:
+            if inbox.lost or (inbox.closed and inbox.target is None and not inbox.messages):
+                del self.inboxes[key]
+        return taken
+
+    def latches(self) -> list[Any]:
+        """Returns the latched messages dispatched so far, for a subscriber that comes later to the same topic."""
+        boxes = sorted(list(self.inboxes.items()), key=lambda item: item[0])
+        return [inbox.latch for _, inbox in boxes if inbox.latch is not None]
+
+
+def acquire_publisher(
+    name: str, data_class: type[rospy.Message], latch: bool, ledger: Ledger
+) -> CountingPublisher:
+    """Makes (or finds) the counting end of a topic before rospy can make a plain one.
+
+    Raises:
+        ROSException: The topic is advertised in this process by a plain rospy.Publisher.
+    """
+    resolved = rospy.resolve_name(name)
+    manager = rospy.topics.get_topic_manager()
+    with manager.lock:
+        impl = manager.pubs.get(resolved)
+        if impl is None:
+            impl = CountingPublisher(resolved, data_class, ledger)
+            if latch:
+                impl.enable_latch()
+            manager._add(impl, manager.pubs, Registration.PUB)
+    if not isinstance(impl, CountingPublisher):
+        raise rospy.ROSException(f"{resolved} is advertised by a rospy.Publisher here; use lockstep.Publisher for both")
+    return impl
+
+
+def acquire_subscriber(
+    name: str, data_class: type[rospy.Message], arrived: threading.Condition
+) -> BufferingSubscriber:
+    """Makes (or finds) the buffering end of a topic before rospy can make a plain one.
+
+    Raises:
+        ROSException: The topic is subscribed to in this process by a plain rospy.Subscriber.
+    """
+    resolved = rospy.resolve_name(name)
+    manager = rospy.topics.get_topic_manager()
+    with manager.lock:
+        impl = manager.subs.get(resolved)
+        if impl is None:
+            impl = BufferingSubscriber(resolved, data_class, arrived)
+            manager._add(impl, manager.subs, Registration.SUB)
+    if not isinstance(impl, BufferingSubscriber):
+        raise rospy.ROSException(f"{resolved} has a rospy.Subscriber here; use lockstep.Subscriber for both")
+    return impl

@@ -1,0 +1,139 @@
+"""The MAVLink door of all vehicles: two UDP links each, as upstream XTDrone's PX4 instances have them."""
+
+from __future__ import annotations
+
+import selectors
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
+
+from .link import Link
+from .receiver import Receiver
+from .streams import GCS_RATES, ONBOARD_RATES
+from .telemetry import Telemetry
+
+if TYPE_CHECKING:
+    from xtdrone_control.autopilot.autopilot import Autopilot
+
+_MAX_DATAGRAMS = 256  # read from one link before the others have their turn
+
+
+class _Vehicle:
+    """One vehicle's links, and what serves them."""
+
+    def __init__(self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int) -> None:
+        self.commander = commander
+        self.receiver = Receiver(commander, autopilot, index)
+        telemetry = Telemetry(commander, autopilot, index)
+        ends = (
+            ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES),
+            ("ground-station", vehicle.gcs_local_port, GCS_REMOTE_PORT, GCS_RATES),
+        )
+        self.links: list[Link] = []
+        try:
+            for kind, local, remote, rates in ends:
+                self.links.append(Link(vehicle, kind, local, remote, telemetry, rates))
+        except OSError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        for link in self.links:
+            link.close()
+
+
+class MavlinkServer:
+    """MAVLink of a fleet. One thread calls everything; nothing here blocks but ``receive`` with a timeout."""
+
+    def __init__(self, fleet: Sequence[Vehicle], autopilot: Autopilot, commanders: Sequence[Commander]) -> None:
+        """Bind all ports.
+
+        Args:
+            fleet: the vehicles, in the order of the autopilot's records.
+            autopilot: holder of the records.
+            commanders: one a vehicle.
+
+        Raises:
+            LinkError: a port is taken; the message names vehicle, link and port. No port stays bound then.
+        """
+        self._autopilot = autopilot
+        self._vehicles: list[_Vehicle] = []
+        self._selector = selectors.EpollSelector()
+        try:
+            for index, (vehicle, commander) in enumerate(zip(fleet, commanders, strict=True)):
+                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index))
+        except OSError:
+            self.close()
+            raise
+        self._links = [link for served in self._vehicles for link in served.links]
+        for served in self._vehicles:
+            for link in served.links:
+                self._selector.register(link.socket, selectors.EVENT_READ, (served, link))
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when a datagram has come."""
+        return self._selector.fileno()
+
+    @property
+    def next_due_us(self) -> int:
+        """Simulated time, microseconds, at which ``send_streams`` has something to send next."""
+        return min(link.streams.next_due_us for link in self._links)
+
+    @property
+    def links(self) -> list[Link]:
+        """All links, for their counters."""
+        return self._links
+
+    @property
+    def sent(self) -> dict[int, int]:
+        """Datagrams sent so far, by remote port."""
+        totals: dict[int, int] = {}
+        for link in self.links:
+            for port, count in link.sent.items():
+                totals[port] = totals.get(port, 0) + count
+        return totals
+
+    @property
+    def received(self) -> dict[int, int]:
+        """Datagrams read so far, by local port."""
+        return {link.local_port: link.received for link in self.links}
+
+    def receive(self, timeout: float = 0.0) -> int:
+        """Act on all datagrams that have come, waiting up to ``timeout`` seconds of wall time for the first.
+
+        Returns:
+            How many there were.
+        """
+        count = 0
+        now_us = self._autopilot.time_us
+        for key, _ in self._selector.select(timeout):
+            served, link = key.data
+            for _ in range(_MAX_DATAGRAMS):
+                arrived = link.read()
+                if arrived is None:
+                    break
+                served.receiver.take(link, *arrived, now_us)
+                count += 1
+            link.flush(now_us)
+        return count
+
+    def send_streams(self, now_us: int) -> None:
+        """Send the texts that wait and the telemetry that is due by ``now_us``."""
+        for served in self._vehicles:
+            texts = served.commander.texts
+            while texts:
+                text = texts.popleft()
+                for link in served.links:
+                    if link.streams.active:
+                        link.send_text(*text)
+            for link in served.links:
+                link.send_due(now_us)
+                link.flush(now_us)
+
+    def close(self) -> None:
+        """Close all sockets."""
+        self._selector.close()
+        for served in self._vehicles:
+            served.close()

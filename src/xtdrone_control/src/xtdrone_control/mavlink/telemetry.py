@@ -1,0 +1,372 @@
+"""What one vehicle tells: the field values of each telemetry message, in the order in which they lie on the wire.
+
+Local NED and body FRD, quaternions (w, x, y, z), as MAVLink has them. Times are simulated; SYSTEM_TIME counts from a
+fixed date, so that the same flight gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xtdrone_control.autopilot import geo
+from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.state import MAX_ROTORS
+
+if TYPE_CHECKING:
+    from xtdrone_control.autopilot.autopilot import Autopilot
+
+Values = tuple[Any, ...]
+
+EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0
+PX4_AUTOPILOT = 12  # MAV_AUTOPILOT
+_MAVLINK_VERSION = 3
+_UNKNOWN_U16 = 0xFFFF
+_NAN = math.nan
+_INT16 = 32767
+_UINT32 = (1 << 32) - 1
+
+# MAV_SYS_STATUS_SENSOR
+_GYRO, _ACCEL, _MAG, _BARO, _GPS = 1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 5
+_RATES, _ATTITUDE, _YAW, _Z, _XY, _MOTORS = 1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 14, 1 << 15
+_AHRS, _BATTERY, _PREARM = 1 << 21, 1 << 25, 1 << 28
+_PRESENT = (
+    _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATES | _ATTITUDE | _YAW | _Z | _XY | _MOTORS | _AHRS | _BATTERY | _PREARM
+)
+
+# ESTIMATOR_STATUS_FLAGS
+_EST_ATTITUDE_AND_VELOCITY = 1 | 2 | 4
+_EST_HORIZONTAL = 8 | 16 | 256 | 512
+_EST_VERTICAL = 32
+
+_DISARMED_PWM, _LEAST_PWM = 900, 1000
+_FRAME_LOCAL_NED, _FRAME_BODY_FRD, _ESTIMATOR_AUTOPILOT = 1, 12, 8
+_GRAVITY_UNITS = 1000.0 / 9.80665
+# where the diagonal of a 6 x 6 matrix lies in its upper triangle by rows
+_DIAGONAL = (0, 6, 11, 15, 18, 20)
+
+
+def _clamped(value: float, limit: int) -> int:
+    """Return ``value`` rounded and cut to -limit..limit; 0 for NaN."""
+    if value != value:
+        return 0
+    return int(max(-limit, min(limit, round(value) if abs(value) < limit else value)))
+
+
+def _unsigned(value: float, limit: int) -> int:
+    return max(_clamped(value, limit), 0)
+
+
+def _diagonal(values: list[float]) -> list[float]:
+    matrix = [0.0] * 21
+    for place, value in zip(_DIAGONAL, values, strict=True):
+        matrix[place] = value
+    return matrix
+
+
+class Telemetry:
+    """One vehicle's telemetry. A method named as a message in lower case returns that message's values.
+
+    Attributes:
+        time_us: simulated time of what the methods return.
+        time_ms: the same in milliseconds, as most messages have it.
+    """
+
+    def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
+        """Look at vehicle ``index`` of ``autopilot``, whose commander is given."""
+        self._commander = commander
+        self._sensors = autopilot.sensors[index]
+        self._estimator = autopilot.estimator[index]
+        self._control = autopilot.control[index]
+        # views of the record fields that nearly every message needs: a field by name costs three times as much
+        self._position = autopilot.estimator["position"][index]
+        self._velocity = autopilot.estimator["velocity"][index]
+        self._q = autopilot.estimator["q"][index]
+        self._rates = autopilot.estimator["rates"][index]
+        self._variances = np.diagonal(autopilot.estimator["P"][index])
+        self.time_us = -1
+        self.time_ms = 0
+        self._euler: tuple[float, float, float] | None = None
+
+    def refresh(self, now_us: int) -> None:
+        """Read the estimate again, unless that has been done for this time."""
+        if now_us == self.time_us:
+            return
+        self.time_us = now_us
+        self.time_ms = now_us // 1000
+        self.position = self._position.tolist()
+        self.velocity = self._velocity.tolist()
+        self.q = self._q.tolist()
+        self.rates = self._rates.tolist()
+        self._euler = None
+
+    def _angles(self) -> tuple[float, float, float]:
+        """Return roll, pitch and yaw in radians."""
+        if self._euler is None:
+            w, x, y, z = self.q
+            self._euler = (
+                math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+                math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
+                math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            )
+        return self._euler
+
+    def _heading(self) -> float:
+        """Return the heading in degrees, 0..360."""
+        return math.degrees(self._angles()[2]) % 360.0
+
+    def _altitude(self) -> float:
+        return float(self._estimator["origin_alt"]) - self.position[2]
+
+    def _height_over_home(self) -> float:
+        home = self._commander.home
+        return -self.position[2] if home is None else home.position[2] - self.position[2]
+
+    # state
+
+    def heartbeat(self) -> Values:
+        """Mode, arming, health in one word."""
+        c = self._commander
+        kind = int(c.parameters.get("MAV_TYPE")) & 0xFF
+        return c.custom_mode, kind, PX4_AUTOPILOT, c.base_mode, c.system_status, _MAVLINK_VERSION
+
+    def extended_sys_state(self) -> Values:
+        """On the ground, in the air, taking off or landing."""
+        return 0, self._commander.landed_state
+
+    def sys_status(self) -> Values:
+        """Sensors and battery."""
+        estimator = self._estimator
+        health = _PRESENT & ~(_PREARM | _GPS | _XY | _Z | _AHRS)
+        if self._commander.armed or self._commander.ready_to_arm:
+            health |= _PREARM
+        if self._sensors["gps_fix"] >= 3:
+            health |= _GPS
+        if estimator["position_valid"]:
+            health |= _XY
+        if estimator["altitude_valid"]:
+            health |= _Z
+        if estimator["initialised"]:
+            health |= _AHRS
+        return _PRESENT, _PRESENT, health, 0, self._voltage(), -1, 0, 0, 0, 0, 0, 0, 100, 0, 0, 0
+
+    def _voltage(self) -> int:
+        """Return the voltage of the battery, which stays full, in mV."""
+        get = self._commander.parameters.get
+        return _unsigned(1000.0 * get("BAT1_N_CELLS") * get("BAT1_V_CHARGED"), _UNKNOWN_U16 - 1)
+
+    def battery_status(self) -> Values:
+        """A battery that stays full: lithium polymer, for all systems; its current is not known."""
+        voltages = (self._voltage(), *[_UNKNOWN_U16] * 9)
+        return (-1, -1, _INT16, *voltages, -1, 0, 1, 1, 100, 0, 1, 0, 0, 0, 0, 0, 0)
+
+    def system_time(self) -> Values:
+        """Simulated time, counted from a fixed date."""
+        return EPOCH_US + self.time_us, self.time_ms & _UINT32
+
+    # attitude and position
+
+    def attitude(self) -> Values:
+        """Euler angles and rates."""
+        return (self.time_ms, *self._angles(), *self.rates)
+
+    def attitude_quaternion(self) -> Values:
+        """Quaternion and rates."""
+        return (self.time_ms, *self.q, *self.rates, 0.0, 0.0, 0.0, 0.0)
+
+    def local_position_ned(self) -> Values:
+        """Position and velocity."""
+        return (self.time_ms, *self.position, *self.velocity)
+
+    def global_position_int(self) -> Values:
+        """Latitude, longitude, altitude, velocity, heading."""
+        lat, lon = self._latitude_longitude()
+        vx, vy, vz = self.velocity
+        return (
+            self.time_ms,
+            round(lat * 1e7),
+            round(lon * 1e7),
+            _clamped(self._altitude() * 1e3, 1 << 30),
+            _clamped(self._height_over_home() * 1e3, 1 << 30),
+            _clamped(vx * 100.0, _INT16),
+            _clamped(vy * 100.0, _INT16),
+            _clamped(vz * 100.0, _INT16),
+            int(self._heading() * 100.0),
+        )
+
+    def _latitude_longitude(self) -> tuple[float, float]:
+        e = self._estimator
+        return geo.reproject(self.position[0], self.position[1], float(e["origin_lat"]), float(e["origin_lon"]))
+
+    def altitude(self) -> Values:
+        """Heights over sea, home and the local frame's origin; no terrain is known."""
+        amsl = self._altitude()
+        return self.time_us, amsl, amsl, -self.position[2], self._height_over_home(), _NAN, _NAN
+
+    def vfr_hud(self) -> Values:
+        """What a head-up display shows."""
+        vx, vy, vz = self.velocity
+        throttle = _unsigned(100.0 * float(self._control["sp_thrust"]), 100) if self._commander.armed else 0
+        return 0.0, math.hypot(vx, vy), self._altitude(), -vz, int(self._heading()), throttle
+
+    def odometry(self) -> Values:
+        """Pose in local NED, velocity in body FRD, with their variances."""
+        w, x, y, z = self.q
+        vx, vy, vz = self.velocity
+        forward = vx * (1 - 2 * (y * y + z * z)) + 2 * vy * (x * y + w * z) + 2 * vz * (x * z - w * y)
+        right = 2 * vx * (x * y - w * z) + vy * (1 - 2 * (x * x + z * z)) + 2 * vz * (y * z + w * x)
+        down = 2 * vx * (x * z + w * y) + 2 * vy * (y * z - w * x) + vz * (1 - 2 * (x * x + y * y))
+        p = self._variances.tolist()
+        pose, velocity = _diagonal(p[6:9] + p[0:3]), _diagonal(p[3:6] + p[9:12])
+        resets = int(self._estimator["reset_counter"]) & 0xFF
+        return (
+            self.time_us,
+            *self.position,
+            *self.q,
+            forward,
+            right,
+            down,
+            *self.rates,
+            *pose,
+            *velocity,
+            _FRAME_LOCAL_NED,
+            _FRAME_BODY_FRD,
+            resets,
+            _ESTIMATOR_AUTOPILOT,
+            0,
+        )
+
+    def estimator_status(self) -> Values:
+        """Innovation test ratios and accuracies of the estimator."""
+        e = self._estimator
+        flags = _EST_ATTITUDE_AND_VELOCITY if e["initialised"] else 0
+        flags |= _EST_HORIZONTAL if e["position_valid"] else 0
+        flags |= _EST_VERTICAL if e["altitude_valid"] else 0
+        p = self._variances.tolist()
+        return (
+            self.time_us,
+            float(e["test_ratio_vel"]),
+            float(e["test_ratio_pos"]),
+            float(e["test_ratio_hgt"]),
+            float(e["test_ratio_mag"]),
+            0.0,
+            0.0,
+            math.sqrt(max(p[6] + p[7], 0.0)),
+            math.sqrt(max(p[8], 0.0)),
+            flags,
+        )
+
+    def home_position(self) -> Values | None:
+        """Home, once there is one."""
+        home = self._commander.home
+        if home is None:
+            return None
+        half = 0.5 * home.yaw
+        return (
+            round(home.latitude * 1e7),
+            round(home.longitude * 1e7),
+            _clamped(home.altitude * 1e3, 1 << 30),
+            *home.position,
+            math.cos(half),
+            0.0,
+            0.0,
+            math.sin(half),
+            0.0,
+            0.0,
+            0.0,
+            home.time_us,
+        )
+
+    def gps_global_origin(self) -> Values | None:
+        """The local frame's origin, once it is set."""
+        e = self._estimator
+        if not e["origin_set"]:
+            return None
+        alt = _clamped(float(e["origin_alt"]) * 1e3, 1 << 30)
+        return round(float(e["origin_lat"]) * 1e7), round(float(e["origin_lon"]) * 1e7), alt, self.time_us
+
+    # sensors
+
+    def gps_raw_int(self) -> Values:
+        """The GPS receiver's last fix."""
+        s = self._sensors
+        vn, ve, _ = s["gps_vel"].tolist()
+        alt = _clamped(float(s["gps_alt"]) * 1e3, 1 << 30)
+        course = math.degrees(math.atan2(ve, vn)) % 360.0
+        return (
+            self.time_us,
+            round(float(s["gps_lat"]) * 1e7),
+            round(float(s["gps_lon"]) * 1e7),
+            alt,
+            _UNKNOWN_U16,
+            _UNKNOWN_U16,
+            _unsigned(math.hypot(vn, ve) * 100.0, _UNKNOWN_U16 - 1),
+            int(course * 100.0),
+            int(s["gps_fix"]) & 0xFF,
+            int(s["gps_satellites"]) & 0xFF,
+            alt,
+            _unsigned(float(s["gps_eph"]) * 1e3, 1 << 30),
+            _unsigned(float(s["gps_epv"]) * 1e3, 1 << 30),
+            _unsigned(float(s["gps_speed_accuracy"]) * 1e3, 1 << 30),
+            0,
+            0,
+        )
+
+    def highres_imu(self) -> Values:
+        """Accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa."""
+        s = self._sensors
+        updated = 0x3F | (0x1C0 if s["mag_fresh"] else 0) | (0x1A00 if s["baro_fresh"] else 0)
+        return (
+            self.time_us,
+            *s["accel"].tolist(),
+            *s["gyro"].tolist(),
+            *s["mag"].tolist(),
+            float(s["baro_pressure"]) * 0.01,
+            0.0,
+            float(s["baro_alt"]),
+            float(s["baro_temperature"]),
+            updated,
+            0,
+        )
+
+    def scaled_imu(self) -> Values:
+        """Accelerometer (milli-g), gyroscope (mrad/s), magnetometer (milligauss)."""
+        s = self._sensors
+        accel = [_clamped(v * _GRAVITY_UNITS, _INT16) for v in s["accel"].tolist()]
+        gyro = [_clamped(v * 1e3, _INT16) for v in s["gyro"].tolist()]
+        mag = [_clamped(v * 1e3, _INT16) for v in s["mag"].tolist()]
+        temperature = _clamped(float(s["baro_temperature"]) * 100.0, _INT16)
+        return (self.time_ms, *accel, *gyro, *mag, temperature)
+
+    def scaled_pressure(self) -> Values:
+        """The barometer, hPa and hundredths of a degree Celsius."""
+        s = self._sensors
+        temperature = _clamped(float(s["baro_temperature"]) * 100.0, _INT16)
+        return self.time_ms, float(s["baro_pressure"]) * 0.01, 0.0, temperature, 0
+
+    # what the controllers follow
+
+    def attitude_target(self) -> Values:
+        """Attitude, rates and thrust that the attitude controllers follow."""
+        c = self._control
+        return (self.time_ms, *c["sp_q"].tolist(), *c["sp_rates"].tolist(), float(c["sp_thrust"]), 0)
+
+    def position_target_local_ned(self) -> Values:
+        """Trajectory set-point that the position controller follows; what is not controlled is masked and NaN."""
+        c = self._control
+        values = [*c["sp_position"].tolist(), *c["sp_velocity"].tolist(), *c["sp_acceleration"].tolist()]
+        turn = [float(c["sp_yaw"]), float(c["sp_yaw_rate"])]
+        mask = sum(1 << bit for bit, value in enumerate(values) if value != value)
+        mask |= sum(1 << bit for bit, value in enumerate(turn, 10) if value != value)
+        return (self.time_ms, *values, *turn, mask, _FRAME_LOCAL_NED)
+
+    def servo_output_raw(self) -> Values:
+        """Motor commands as pulse widths, 1000..2000 us; 900 when disarmed."""
+        if self._commander.armed:
+            motors = self._control["actuators"].tolist()
+            pulses = [_LEAST_PWM + _unsigned(1000.0 * value, 1000) for value in motors]
+        else:
+            pulses = [_DISARMED_PWM] * MAX_ROTORS
+        return (self.time_us & _UINT32, *pulses, 0, 0, 0, 0, 0, 0, 0, 0, 0)

@@ -1,0 +1,259 @@
+"""UDP links to the autopilots and the thread that reads them.
+
+The receiver thread cuts datagrams into frames. Answers that somebody waits for (``Link.replies``) are handled in that
+thread at once, for the waiting thread may be the one that holds the simulation; telemetry that a plugin wants is queued
+for the main thread; the rest is dropped undecoded.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import select
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavros.codec import FrameError, split
+from xtdrone_control.mavros.throttle import Throttle
+
+log = logging.getLogger("rosout.mavros")
+
+_RECEIVE_BUFFER = 1 << 20  # bytes; a tick's telemetry of one vehicle is some hundred
+_LARGEST_DATAGRAM = 65535
+
+
+class LinkError(RuntimeError):
+    """A link that cannot be opened: an address that is malformed or taken."""
+
+
+class FcuUrl(NamedTuple):
+    """The parts of a MAVROS ``fcu_url`` that names UDP ends."""
+
+    bind_host: str
+    bind_port: int
+    remote_host: str
+    remote_port: int
+
+
+def parse_fcu_url(url: str) -> FcuUrl:
+    """Return the ends of ``udp://[bind_host][:bind_port]@[remote_host][:remote_port]``.
+
+    Left out parts are MAVROS's: bind 0.0.0.0:14555, remote 127.0.0.1:14550.
+
+    Raises:
+        LinkError: another scheme or form, or a port that is not in 1..65535.
+    """
+    match = re.fullmatch(r"udp://([^:@/]*)(?::(\d+))?@([^:@/]*)(?::(\d+))?/?(?:\?ids=\d+,\d+)?", url)
+    if match is None:
+        raise LinkError(f"fcu_url: {url!r} is not of the form udp://[host][:port]@[host][:port]")
+    parts = FcuUrl(match[1] or "0.0.0.0", int(match[2] or 14555), match[3] or "127.0.0.1", int(match[4] or 14550))
+    for port in (parts.bind_port, parts.remote_port):
+        if not 1 <= port <= 65535:
+            raise LinkError(f"fcu_url: port {port} in {url!r} is not in 1..65535")
+    return parts
+
+
+class Link:
+    """One vehicle's UDP link.
+
+    Attributes:
+        name: the vehicle's name, for messages.
+        port: the local port.
+        remote: where frames go to.
+        sent: datagrams sent so far.
+        received: datagrams read so far.
+        wanted: ids of the messages that the main thread wants.
+        seen: how often each unwanted message came, by id; the stream manager clears it.
+        replies: message id to the function that the receiver thread calls with each frame of it.
+        malformed: datagrams that were no MAVLink, so far.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        url: FcuUrl,
+        target: tuple[int, int] = (1, 1),
+        source: tuple[int, int] = (1, 240),
+    ) -> None:
+        """Bind the local port.
+
+        Args:
+            name: vehicle, for messages.
+            url: both ends.
+            target: system and component id of the autopilot; frames of others are ignored.
+            source: system and component id that this end sends as.
+
+        Raises:
+            LinkError: the local port cannot be bound or the remote host has no address.
+        """
+        self.name = name
+        self.port = url.bind_port
+        self.target = target
+        self.sent = 0
+        self.received = 0
+        self.malformed = 0
+        self.wanted: frozenset[int] = frozenset()
+        self.seen: dict[int, int] = {}
+        self.replies: dict[int, Callable[[bytes], None]] = {}
+        self._queue: deque[tuple[int, int, bytes]] = deque()
+        self._packer = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+        self._send_lock = threading.Lock()
+        self._read_lock = threading.Lock()
+        self._throttle = Throttle()
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self.remote = (socket.gethostbyname(url.remote_host), url.remote_port)
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            self.socket.setblocking(False)
+            self.socket.bind((url.bind_host, url.bind_port))
+        except OSError as error:
+            self.socket.close()
+            raise LinkError(
+                f"{name}: UDP port {url.bind_port} cannot be bound for {url.remote_host}:{url.remote_port}: "
+                f"{error.strerror or error}; is another mavros or ground station using it?"
+            ) from error
+
+    def send(self, message: Any) -> None:
+        """Send a pymavlink message object; safe from any thread."""
+        with self._send_lock:
+            buffer = message.pack(self._packer)
+            self._packer.seq = (self._packer.seq + 1) & 0xFF
+            try:
+                self.socket.sendto(buffer, self.remote)
+            except OSError as error:
+                if self._throttle.passes("send"):
+                    host, port = self.remote
+                    log.warning("%s: cannot send to %s:%d: %s", self.name, host, port, error.strerror or error)
+                return
+            self.sent += 1
+
+    def read(self) -> None:
+        """Take every datagram that has arrived; for any thread."""
+        with self._read_lock:
+            while True:
+                try:
+                    datagram = self.socket.recv(_LARGEST_DATAGRAM)
+                except (BlockingIOError, ConnectionRefusedError):
+                    return
+                # Frames are queued before the count says that they are there.
+                self._take(datagram, self.received + 1)
+                self.received += 1
+
+    def drain(self, count: int | None = None) -> list[tuple[int, bytes]]:
+        """Return (message id, frame) of what is wanted out of the first ``count`` datagrams (None: all), in order."""
+        queue = self._queue
+        frames = []
+        while queue and (count is None or queue[0][0] <= count):
+            _, number, frame = queue.popleft()
+            frames.append((number, frame))
+        return frames
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+    def _take(self, datagram: bytes, index: int) -> None:
+        wanted, target = self.wanted, self.target
+        try:
+            for number, system, component, frame in split(datagram):
+                if system != target[0]:
+                    continue
+                if number in self.replies:
+                    self.replies[number](frame)
+                elif number in wanted:
+                    if component == target[1]:
+                        self._queue.append((index, number, frame))
+                else:
+                    self.seen[number] = self.seen.get(number, 0) + 1
+        except FrameError as error:
+            self.malformed += 1
+            if self._throttle.passes("malformed"):
+                log.warning("%s: MAVLink datagram of %d bytes dropped: %s", self.name, len(datagram), error)
+
+
+class Receiver:
+    """The thread that reads all links."""
+
+    def __init__(self, links: Iterable[Link]) -> None:
+        """Take the links; ``start`` begins."""
+        self._links = list(links)
+        self._by_port = {link.port: link for link in self._links}
+        self._batches = 0  # how often the thread has read something
+        self._arrived = threading.Condition()
+        self._stop_read, self._stop_write = socket.socketpair()
+        self._thread = threading.Thread(target=self._run, name="mavlink receiver", daemon=True)
+
+    def start(self) -> None:
+        """Start reading."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and close the links."""
+        self._stop_write.send(b"x")
+        self._thread.join()
+        for link in self._links:
+            link.close()
+        self._stop_read.close()
+        self._stop_write.close()
+
+    def wait(self, expected: Mapping[int, int], limit: float) -> dict[int, int]:
+        """Wait until each port has received as many datagrams as ``expected`` says.
+
+        Args:
+            expected: port to cumulative count; ports that are none of ours are ignored.
+            limit: seconds of wall time after which to give up.
+
+        Returns:
+            Ports that still miss datagrams, with how many; empty when all have come.
+        """
+        pairs = [(self._by_port[port], count) for port, count in expected.items() if port in self._by_port]
+
+        def complete() -> bool:
+            return all(link.received >= count for link, count in pairs)
+
+        # What was sent on this machine is in the sockets by now, so the thread need not be waited for.
+        for link, count in pairs:
+            if link.received < count:
+                link.read()
+        if complete():
+            return {}
+        with self._arrived:
+            self._arrived.wait_for(complete, limit)
+        return {link.port: count - link.received for link, count in pairs if link.received < count}
+
+    def wait_any(self, limit: float) -> None:
+        """Wait until something has been read, at most ``limit`` seconds of wall time."""
+        seen = self._batches
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._batches != seen, limit)
+
+    def _run(self) -> None:
+        poller = select.epoll()
+        poller.register(self._stop_read.fileno(), select.EPOLLIN)
+        by_descriptor = {link.socket.fileno(): link for link in self._links}
+        for descriptor in by_descriptor:
+            poller.register(descriptor, select.EPOLLIN)
+        stop = self._stop_read.fileno()
+        try:
+            while True:
+                for descriptor, _ in poller.poll():
+                    if descriptor == stop:
+                        return
+                    self._read(by_descriptor[descriptor])
+                with self._arrived:
+                    self._batches += 1
+                    self._arrived.notify_all()
+        finally:
+            poller.close()
+
+    @staticmethod
+    def _read(link: Link) -> None:
+        try:
+            link.read()
+        except Exception:  # one bad handler must not end the thread that every vehicle depends on
+            log.exception("%s: receiving MAVLink failed", link.name)

@@ -1,0 +1,49 @@
+"""The ``mav_frame`` setting of set-point plugins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavros_msgs.srv import SetMavFrame, SetMavFrameResponse
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavros.uas import Uas
+
+# Those that PX4 takes in SET_POSITION_TARGET_LOCAL_NED, by MAVROS's names
+_ALLOWED = {
+    "LOCAL_NED": mavlink.MAV_FRAME_LOCAL_NED,
+    "LOCAL_OFFSET_NED": mavlink.MAV_FRAME_LOCAL_OFFSET_NED,
+    "BODY_NED": mavlink.MAV_FRAME_BODY_NED,
+    "BODY_OFFSET_NED": mavlink.MAV_FRAME_BODY_OFFSET_NED,
+}
+
+
+class MavFrame:
+    """A plugin's frame: from ``<plugin>/mav_frame``, changed by the service of the same name.
+
+    Attributes:
+        value: MAV_FRAME number.
+    """
+
+    def __init__(self, uas: Uas, plugin: str) -> None:
+        """Read the setting and offer the service.
+
+        Raises:
+            ValueError: a frame that is not allowed.
+        """
+        name = uas.params.get(f"{plugin}/mav_frame", "LOCAL_NED")
+        if name not in _ALLOWED:
+            raise ValueError(f"{plugin}/mav_frame: {name!r} is not allowed; {', '.join(_ALLOWED)} are")
+        self.value = _ALLOWED[name]
+        self._uas = uas
+        self._plugin = plugin
+        uas.service(f"{plugin}/mav_frame", SetMavFrame, self._set)
+
+    def _set(self, request: Any) -> SetMavFrameResponse:
+        if request.mav_frame not in _ALLOWED.values():
+            self._uas.warn(
+                f"{self._plugin}/mav_frame", "%s/mav_frame: %d is not allowed", self._plugin, request.mav_frame
+            )
+            return SetMavFrameResponse(success=False)
+        self.value = request.mav_frame
+        return SetMavFrameResponse(success=True)

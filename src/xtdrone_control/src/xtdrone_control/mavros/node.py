@@ -1,0 +1,215 @@
+"""The ``mavros`` node: one process that serves the topics of every vehicle of the fleet.
+
+Private parameters, besides those of ``config/px4_config.yaml``:
+
+- ``~fleet`` (``/xtdrone/fleet`` when absent): the vehicles, as ``iris:9``. Topics are ``/iris_0/mavros/...``, links
+  as upstream numbers them.
+- ``~fcu_url``, with ``~tgt_system`` and ``~tgt_component``: a single vehicle as real MAVROS has it; topics are in the
+  node's own namespace.
+- ``~system_id``, ``~component_id``: what the node sends as (1, 240).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import rosgraph
+import rospy
+
+from xtdrone_control import lockstep
+from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
+from xtdrone_control.mavros.params import Params
+from xtdrone_control.mavros.plugin import Publisher
+from xtdrone_control.mavros.plugins import PLUGINS
+from xtdrone_control.mavros.uas import Uas
+
+RATE = 50.0  # Hz of simulated time; PX4's fastest telemetry on the offboard link that MAVROS publishes
+_FAILED = 1
+
+
+class Connection(NamedTuple):
+    """One vehicle to serve."""
+
+    name: str
+    prefix: str
+    url: FcuUrl
+    target: tuple[int, int]
+
+
+class LockstepRos:
+    """Topics and services for the plugins, on the lockstep client.
+
+    Attributes:
+        use_sim_time: the ROS time is the simulator's.
+    """
+
+    def __init__(self) -> None:
+        """Ask whether the time is simulated."""
+        self.use_sim_time = bool(lockstep.is_active() or rospy.get_param("/use_sim_time", False))
+
+    def now_ns(self) -> int:
+        """Return the ROS time in nanoseconds."""
+        return int(rospy.Time.now().to_nsec())
+
+    def publisher(self, topic: str, kind: type, latch: bool) -> Publisher:
+        """Advertise a topic."""
+        return lockstep.Publisher(topic, kind, latch=latch)
+
+    def subscriber(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a topic."""
+        lockstep.Subscriber(topic, kind, callback)
+
+    def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
+        """Offer a service; its handler runs in a thread of rospy's."""
+        rospy.Service(name, kind, handler)
+
+
+def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list[Connection]:
+    """Return whom to serve.
+
+    Args:
+        settings: the node's private parameters.
+        fleet: the value of ``/xtdrone/fleet``, or empty.
+        node_name: the node's resolved name, as ``/iris_0/mavros``.
+
+    Raises:
+        FleetError: no fleet, or one that cannot be flown.
+        LinkError: a malformed ``fcu_url``.
+        ParamError: a setting of the wrong type.
+    """
+    params = Params(settings)
+    url = params.get("fcu_url", "")
+    if url:
+        target = params.get("tgt_system", 1), params.get("tgt_component", 1)
+        name = node_name.rpartition("/")[0].strip("/") or "fcu"
+        return [Connection(name, node_name, parse_fcu_url(url), target)]
+    text = params.get("fleet", fleet)
+    if not text:
+        raise FleetError("vehicles: none are named; set /xtdrone/fleet, as iris:9, or fcu_url for a single one")
+    return [
+        Connection(
+            vehicle.name,
+            f"/{vehicle.name}/mavros",
+            FcuUrl("127.0.0.1", vehicle.offboard_remote_port, "127.0.0.1", vehicle.offboard_local_port),
+            (vehicle.system_id, 1),
+        )
+        for vehicle in parse_fleet(text)
+    ]
+
+
+class MavrosNode:
+    """All vehicles' hubs and the thread that receives for them."""
+
+    def __init__(self, vehicles: list[Connection], settings: Mapping[str, Any]) -> None:
+        """Bind the ports, advertise topics and services.
+
+        Args:
+            vehicles: whom to serve.
+            settings: the node's private parameters.
+
+        Raises:
+            LinkError: a port is taken.
+            ValueError: a setting that is not allowed (ParamError is one).
+        """
+        self._ros = LockstepRos()
+        shared = Params(settings)
+        source = shared.get("system_id", 1), shared.get("component_id", 240)
+        # The ports before anything is advertised, so that a node that cannot run leaves no trace.
+        self._links = _open(vehicles, source)
+        self._receiver = Receiver(self._links)
+        self._uas = [
+            Uas(vehicle.name, vehicle.prefix, link, _params(vehicle, settings), self._ros, PLUGINS)
+            for vehicle, link in zip(vehicles, self._links, strict=True)
+        ]
+        # Datagrams that had arrived before the simulator began to count for this node, by port.
+        self._uncounted: dict[int, int] = {}
+        lockstep.declare_udp([link.port for link in self._links], self._serve)
+        self._receiver.start()
+
+    def step(self) -> None:
+        """Run the timers and tell the simulator what was sent; once a turn."""
+        now_ns = self._ros.now_ns()
+        for uas in self._uas:
+            uas.step(now_ns)
+        for link in self._links:
+            lockstep.datagrams_sent(link.remote[1], link.sent)
+
+    def close(self) -> None:
+        """End the receiver thread and close the ports."""
+        self._receiver.stop()
+
+    def _serve(self, expected: Mapping[int, int] | None, timeout: float) -> Mapping[int, int]:
+        """Receive and publish: in lockstep what the simulator has counted, otherwise what comes."""
+        if expected is None:
+            self._receiver.wait_any(timeout)
+        else:
+            self._receiver.wait(expected, timeout)
+        for uas, link in zip(self._uas, self._links, strict=True):
+            if expected is None:
+                self._receive(uas)
+            elif link.port in expected:
+                self._receive(uas, self._turn(link, expected[link.port]))
+        return {link.port: link.received for link in self._links}
+
+    def _receive(self, uas: Uas, datagrams: int | None = None) -> None:
+        try:
+            uas.receive(self._ros.now_ns(), datagrams)
+        except Exception:  # what one vehicle sends must not take the topics away from all others
+            if not rospy.is_shutdown():  # while shutting down, topics are closed under the plugins
+                uas.failed("receiving MAVLink failed")
+
+    def _turn(self, link: Link, counted: int) -> int:
+        """Return up to which datagram, since the port was bound, this turn reaches."""
+        if link.port not in self._uncounted:
+            self._uncounted[link.port] = max(0, link.received - counted)
+        return counted + self._uncounted[link.port]
+
+
+def main() -> int:
+    """Run the node; return its exit status."""
+    if not rosgraph.is_master_online():
+        uri = rosgraph.get_master_uri()
+        advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
+        print(f"mavros: no ROS master answers at {uri}; {advice}", file=sys.stderr)
+        return _FAILED
+    lockstep.init_node("mavros", rate=RATE)
+    try:
+        settings = rospy.get_param("~", {})
+        vehicles = connections(settings, str(rospy.get_param("/xtdrone/fleet", "")), rospy.get_name())
+        node = MavrosNode(vehicles, settings)
+    except (FleetError, LinkError, ValueError) as error:
+        rospy.logfatal(f"mavros: {error}")
+        rospy.signal_shutdown(str(error))
+        return _FAILED
+    rospy.loginfo(f"mavros: serving {', '.join(vehicle.name for vehicle in vehicles)}")
+    try:
+        lockstep.start()
+        lockstep.spin(node.step)
+    except rospy.ROSInterruptException:
+        pass  # shut down while joining
+    except rospy.ROSInitException as error:
+        rospy.logfatal(f"mavros: {error}")
+        return _FAILED
+    finally:
+        node.close()
+    return 0
+
+
+def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:
+    links: list[Link] = []
+    try:
+        for vehicle in vehicles:
+            links.append(Link(vehicle.name, vehicle.url, vehicle.target, source))
+    except LinkError:
+        for link in links:
+            link.close()
+        raise
+    return links
+
+
+def _params(vehicle: Connection, settings: Mapping[str, Any]) -> Params:
+    own = rospy.get_param(vehicle.prefix, {})
+    return Params(own, settings) if isinstance(own, dict) else Params(settings)

@@ -1,0 +1,34 @@
+"""One module for each MAVROS plugin. A new one is added to ``PLUGINS``; the order fixes that of its subscriptions."""
+
+from __future__ import annotations
+
+from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.plugins.altitude import AltitudePlugin
+from xtdrone_control.mavros.plugins.command import CommandPlugin
+from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
+from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
+from xtdrone_control.mavros.plugins.imu import ImuPlugin
+from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
+from xtdrone_control.mavros.plugins.rc_io import RcIoPlugin
+from xtdrone_control.mavros.plugins.setpoint_position import SetpointPositionPlugin
+from xtdrone_control.mavros.plugins.setpoint_raw import SetpointRawPlugin
+from xtdrone_control.mavros.plugins.setpoint_velocity import SetpointVelocityPlugin
+from xtdrone_control.mavros.plugins.sys_status import SysStatusPlugin
+from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
+from xtdrone_control.mavros.plugins.vfr_hud import VfrHudPlugin
+
+PLUGINS: tuple[type[Plugin], ...] = (
+    SysStatusPlugin,
+    SysTimePlugin,
+    CommandPlugin,
+    ImuPlugin,
+    LocalPositionPlugin,
+    GlobalPositionPlugin,
+    HomePositionPlugin,
+    AltitudePlugin,
+    VfrHudPlugin,
+    RcIoPlugin,
+    SetpointRawPlugin,
+    SetpointPositionPlugin,
+    SetpointVelocityPlugin,
+)

@@ -1,0 +1,111 @@
+"""Commands: services that send COMMAND_LONG or COMMAND_INT and wait for the ack."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavros_msgs.srv import (
+    CommandBool,
+    CommandBoolResponse,
+    CommandHome,
+    CommandHomeResponse,
+    CommandInt,
+    CommandIntResponse,
+    CommandLong,
+    CommandLongResponse,
+    CommandTOL,
+    CommandTOLResponse,
+    CommandVtolTransition,
+    CommandVtolTransitionResponse,
+)
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.uas import Uas
+
+
+class CommandPlugin(Plugin):
+    """MAVROS's command: ``success`` is that the ack says "accepted"; without an ack the result is 4, failed."""
+
+    name = "command"
+
+    def __init__(self, uas: Uas) -> None:
+        """Offer the services."""
+        super().__init__(uas)
+        self.replies = {"COMMAND_ACK": uas.commands.on_ack}
+        uas.service("cmd/command", CommandLong, self._command)
+        uas.service("cmd/command_int", CommandInt, self._command_int)
+        uas.service("cmd/arming", CommandBool, self._arming)
+        uas.service("cmd/set_home", CommandHome, self._set_home)
+        uas.service("cmd/takeoff", CommandTOL, self._takeoff)
+        uas.service("cmd/land", CommandTOL, self._land)
+        uas.service("cmd/vtol_transition", CommandVtolTransition, self._vtol_transition)
+
+    def _call(self, command: int, *params: float) -> tuple[bool, int]:
+        """Send COMMAND_LONG with up to seven parameters; return success and MAV_RESULT."""
+        system, component = self.uas.target
+        values = (*params, *(0.0,) * (7 - len(params)))
+        result = self.uas.commands.call(
+            command,
+            lambda attempt: mavlink.MAVLink_command_long_message(system, component, command, attempt, *values),
+        )
+        return self._outcome(command, result)
+
+    def _outcome(self, command: int, result: int | None) -> tuple[bool, int]:
+        if result is None:
+            self.uas.warn(f"command {command}", "command %d: the autopilot has not answered", command)
+            return False, mavlink.MAV_RESULT_FAILED
+        return result == mavlink.MAV_RESULT_ACCEPTED, result
+
+    def _command(self, request: Any) -> CommandLongResponse:
+        params = (getattr(request, f"param{i}") for i in range(1, 8))
+        if request.broadcast:
+            message = mavlink.MAVLink_command_long_message(0, 0, request.command, request.confirmation, *params)
+            self.uas.link.send(message)
+            return CommandLongResponse(True, mavlink.MAV_RESULT_ACCEPTED)
+        return CommandLongResponse(*self._call(request.command, *params))
+
+    def _command_int(self, request: Any) -> CommandIntResponse:
+        system, component = (0, 0) if request.broadcast else self.uas.target
+        message = mavlink.MAVLink_command_int_message(
+            system,
+            component,
+            request.frame,
+            request.command,
+            request.current,
+            request.autocontinue,
+            request.param1,
+            request.param2,
+            request.param3,
+            request.param4,
+            request.x,
+            request.y,
+            request.z,
+        )
+        if request.broadcast:
+            self.uas.link.send(message)
+            return CommandIntResponse(True)
+        success, _ = self._outcome(request.command, self.uas.commands.call(request.command, lambda _: message))
+        return CommandIntResponse(success)
+
+    def _arming(self, request: Any) -> CommandBoolResponse:
+        arm = 1.0 if request.value else 0.0
+        return CommandBoolResponse(*self._call(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, arm))
+
+    def _set_home(self, request: Any) -> CommandHomeResponse:
+        current = 1.0 if request.current_gps else 0.0
+        place = request.latitude, request.longitude, request.altitude
+        return CommandHomeResponse(*self._call(mavlink.MAV_CMD_DO_SET_HOME, current, 0.0, 0.0, request.yaw, *place))
+
+    def _takeoff(self, request: Any) -> CommandTOLResponse:
+        place = request.latitude, request.longitude, request.altitude
+        params = (request.min_pitch, 0.0, 0.0, request.yaw, *place)
+        return CommandTOLResponse(*self._call(mavlink.MAV_CMD_NAV_TAKEOFF, *params))
+
+    def _land(self, request: Any) -> CommandTOLResponse:
+        place = request.latitude, request.longitude, request.altitude
+        return CommandTOLResponse(*self._call(mavlink.MAV_CMD_NAV_LAND, 0.0, 0.0, 0.0, request.yaw, *place))
+
+    def _vtol_transition(self, request: Any) -> CommandVtolTransitionResponse:
+        state = float(request.state)
+        return CommandVtolTransitionResponse(*self._call(mavlink.MAV_CMD_DO_VTOL_TRANSITION, state))

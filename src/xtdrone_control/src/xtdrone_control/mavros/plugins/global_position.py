@@ -1,0 +1,162 @@
+"""Global position of the estimator and of the GPS receiver."""
+
+from __future__ import annotations
+
+from math import cos, radians, sin
+from typing import Any
+
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from pymavlink.dialects.v20 import common as mavlink
+from sensor_msgs.msg import NavSatFix, NavSatStatus
+from std_msgs.msg import Float64, UInt32
+
+from xtdrone_control import frames
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.uas import Uas
+
+_UNKNOWN = 65535  # of the 16-bit fields
+_NAN = float("nan")
+
+
+class GlobalPositionPlugin(Plugin):
+    """MAVROS's global_position.
+
+    Heights of NavSatFix are over the ellipsoid: the autopilot's AMSL plus ``global_position/geoid_height`` (m). MAVROS
+    takes that from a geoid model; 0, the default, leaves the heights AMSL.
+
+    ``global_position/local`` is relative to home, or to the first fix before a home has come. Its velocity is ENU
+    (MAVROS leaves its z pointing down).
+    """
+
+    name = "global_position"
+
+    def __init__(self, uas: Uas) -> None:
+        """Advertise the topics."""
+        super().__init__(uas)
+        get = uas.params.get
+        frame = get("global_position/frame_id", "map")
+        body = get("global_position/child_frame_id", "base_link")
+        self._geoid = get("global_position/geoid_height", 0.0)
+        self._uere = get("global_position/gps_uere", 1.0)
+        self._rotation_variance = get("global_position/rot_covariance", 99999.0)
+        self._relative_altitude = get("global_position/use_relative_alt", True)
+        self._first_fix: frames.Vector | None = None
+        self._raw_of: Any = None
+        self._raw_fix = NavSatFix()
+
+        self._raw = uas.topic("global_position/raw/fix", NavSatFix())
+        self._raw_velocity = uas.topic("global_position/raw/gps_vel", TwistStamped())
+        self._satellites = uas.topic("global_position/raw/satellites", UInt32())
+        self._global = uas.topic("global_position/global", NavSatFix())
+        self._local = uas.topic("global_position/local", Odometry(child_frame_id=body))
+        self._relative = uas.topic("global_position/rel_alt", Float64())
+        self._heading = uas.topic("global_position/compass_hdg", Float64())
+        self._raw.message.header.frame_id = self._global.message.header.frame_id = body
+        self._raw_velocity.message.header.frame_id = self._local.message.header.frame_id = frame
+        self._local.message.twist.covariance = [-1.0, *[0.0] * 35]  # unknown
+        self.messages = {
+            "GPS_RAW_INT": [
+                Feed(self._on_gps, self._raw, self._raw_velocity, self._satellites),
+                Feed(None, self._global, self._local),
+            ],
+            "GLOBAL_POSITION_INT": Feed(self._on_global, self._global, self._local, self._relative, self._heading),
+            "ATTITUDE_QUATERNION": Feed(None, self._local),
+            "HOME_POSITION": Feed(None, self._local),
+        }
+
+    def _on_gps(self, gps: Any) -> None:
+        if self._raw.taken:
+            message = self._raw.message
+            self._fill_raw(message, gps)
+            self.uas.stamp_us(message.header, gps.time_usec)
+            self._raw.publish(message)
+        if self._raw_velocity.taken and gps.vel != _UNKNOWN and gps.cog != _UNKNOWN:
+            message = self._raw_velocity.message
+            self.uas.stamp_us(message.header, gps.time_usec)
+            speed, course = gps.vel / 100.0, radians(gps.cog / 100.0)
+            message.twist.linear.x, message.twist.linear.y = speed * sin(course), speed * cos(course)
+            self._raw_velocity.publish(message)
+        if self._satellites.taken:
+            self._satellites.message.data = gps.satellites_visible
+            self._satellites.publish(self._satellites.message)
+
+    def _on_global(self, position: Any) -> None:
+        if self._relative.taken:
+            self._relative.message.data = position.relative_alt / 1e3
+            self._relative.publish(self._relative.message)
+        if self._heading.taken:
+            self._heading.message.data = position.hdg / 100.0 if position.hdg != _UNKNOWN else _NAN
+            self._heading.publish(self._heading.message)
+        if not (self._global.taken or self._local.taken):
+            return
+        place = position.lat / 1e7, position.lon / 1e7, position.alt / 1e3 + self._geoid
+        raw = self._latest_fix()
+        if self._global.taken:
+            fix = self._global.message
+            self.uas.stamp(fix.header, position.time_boot_ms)
+            fix.latitude, fix.longitude, fix.altitude = place
+            fix.status.service, fix.status.status = raw.status.service, raw.status.status
+            fix.position_covariance = raw.position_covariance
+            fix.position_covariance_type = raw.position_covariance_type
+            self._global.publish(fix)
+        if self._local.taken:
+            self._publish_local(position, place, raw)
+
+    def _publish_local(self, position: Any, place: frames.Vector, raw: NavSatFix) -> None:
+        attitude = self.uas.attitude()
+        origin = self._origin(place, raw)
+        if attitude is None or origin is None:
+            return
+        odom = self._local.message
+        self.uas.stamp(odom.header, position.time_boot_ms)
+        point, q, linear = odom.pose.pose.position, odom.pose.pose.orientation, odom.twist.twist.linear
+        point.x, point.y, point.z = frames.geodetic_to_enu(place, origin)
+        if self._relative_altitude:
+            point.z = position.relative_alt / 1e3
+        q.w, q.x, q.y, q.z = attitude[0]
+        linear.x, linear.y, linear.z = frames.ned_to_enu(position.vx / 100.0, position.vy / 100.0, position.vz / 100.0)
+        odom.pose.covariance = _pose_covariance(raw.position_covariance, self._rotation_variance)
+        self._local.publish(odom)
+
+    def _origin(self, place: frames.Vector, raw: NavSatFix) -> frames.Vector | None:
+        home = self.uas.latest("HOME_POSITION")
+        if home is not None:
+            return home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3 + self._geoid
+        if self._first_fix is None and raw.status.status >= NavSatStatus.STATUS_FIX:
+            self._first_fix = place
+        return self._first_fix
+
+    def _latest_fix(self) -> NavSatFix:
+        gps = self.uas.latest("GPS_RAW_INT")
+        if gps is not None and gps is not self._raw_of:
+            self._fill_raw(self._raw_fix, gps)
+            self._raw_of = gps
+        return self._raw_fix
+
+    def _fill_raw(self, fix: NavSatFix, gps: Any) -> None:
+        fix.status.service = NavSatStatus.SERVICE_GPS
+        has_fix = gps.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
+        fix.status.status = NavSatStatus.STATUS_FIX if has_fix else NavSatStatus.STATUS_NO_FIX
+        fix.latitude, fix.longitude, fix.altitude = gps.lat / 1e7, gps.lon / 1e7, gps.alt / 1e3 + self._geoid
+        if gps.h_acc > 0 and gps.v_acc > 0:
+            horizontal, vertical = gps.h_acc / 1e3, gps.v_acc / 1e3
+            fix.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+        elif _UNKNOWN not in (gps.eph, gps.epv):
+            horizontal, vertical = gps.eph / 100.0 * self._uere, gps.epv / 100.0 * self._uere
+            fix.position_covariance_type = NavSatFix.COVARIANCE_TYPE_APPROXIMATED
+        else:
+            fix.position_covariance_type = NavSatFix.COVARIANCE_TYPE_UNKNOWN
+            fix.position_covariance = [-1.0, *[0.0] * 8]
+            return
+        h, v = horizontal * horizontal, vertical * vertical
+        fix.position_covariance = [h, 0.0, 0.0, 0.0, h, 0.0, 0.0, 0.0, v]
+
+
+def _pose_covariance(position: list[float], rotation_variance: float) -> list[float]:
+    """Return a 6x6 covariance, row by row, from a 3x3 one of the position and one variance for every angle."""
+    matrix = [0.0] * 36
+    for row in range(3):
+        matrix[6 * row : 6 * row + 3] = position[3 * row : 3 * row + 3]
+    matrix[21] = matrix[28] = matrix[35] = rotation_variance
+    return matrix

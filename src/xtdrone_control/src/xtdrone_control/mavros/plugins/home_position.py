@@ -1,0 +1,75 @@
+"""Home position."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavros_msgs.msg import HomePosition
+from pymavlink.dialects.v20 import common as mavlink
+from std_srvs.srv import Trigger, TriggerResponse
+
+from xtdrone_control import frames
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.uas import Uas
+
+
+class HomePositionPlugin(Plugin):
+    """MAVROS's home_position.
+
+    The orientation is that of ``base_link`` in ENU, as in local_position/pose (MAVROS leaves the body axes FRD here, so
+    that a level home comes out upside down).
+    """
+
+    name = "home_position"
+
+    def __init__(self, uas: Uas) -> None:
+        """Advertise topic and service."""
+        super().__init__(uas)
+        self._geoid = uas.params.get("global_position/geoid_height", 0.0)
+        self._home = uas.topic("home_position/home", HomePosition(), latch=True)
+        self.messages = {"HOME_POSITION": Feed(self._on_home, always=True)}
+        uas.subscribe("home_position/set", HomePosition, self._set)
+        uas.service("home_position/req_update", Trigger, self._request)
+
+    def _on_home(self, home: Any) -> None:
+        message = self._home.message
+        self.uas.stamp_us(message.header, home.time_usec)
+        message.geo.latitude = home.latitude / 1e7
+        message.geo.longitude = home.longitude / 1e7
+        message.geo.altitude = home.altitude / 1e3 + self._geoid
+        place, q, approach = message.position, message.orientation, message.approach
+        place.x, place.y, place.z = frames.ned_to_enu(home.x, home.y, home.z)
+        q.w, q.x, q.y, q.z = frames.attitude_ned_to_enu(*home.q)
+        approach.x, approach.y, approach.z = frames.ned_to_enu(home.approach_x, home.approach_y, home.approach_z)
+        self._home.publish(message)
+
+    def _set(self, home: HomePosition) -> None:
+        place, q, approach = home.position, home.orientation, home.approach
+        fields = [("geo.latitude", home.geo.latitude), ("geo.longitude", home.geo.longitude)]
+        fields += [("geo.altitude", home.geo.altitude), ("position.x", place.x), ("position.y", place.y)]
+        fields += [("position.z", place.z)]
+        if not self.uas.finite("home_position/set", fields):
+            return
+        self.uas.link.send(
+            mavlink.MAVLink_set_home_position_message(
+                self.uas.target[0],
+                round(home.geo.latitude * 1e7),
+                round(home.geo.longitude * 1e7),
+                round((home.geo.altitude - self._geoid) * 1e3),
+                *frames.enu_to_ned(place.x, place.y, place.z),
+                list(frames.attitude_enu_to_ned(q.w, q.x, q.y, q.z)),
+                *frames.enu_to_ned(approach.x, approach.y, approach.z),
+                home.header.stamp.to_nsec() // 1000,
+            )
+        )
+
+    def _request(self, _: Any) -> TriggerResponse:
+        system, component = self.uas.target
+        command = mavlink.MAV_CMD_GET_HOME_POSITION
+        result = self.uas.commands.call(
+            command,
+            lambda attempt: mavlink.MAVLink_command_long_message(
+                system, component, command, attempt, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            ),
+        )
+        return TriggerResponse(success=result == mavlink.MAV_RESULT_ACCEPTED, message="")

@@ -1,0 +1,47 @@
+"""Velocity set-points as twists."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped
+
+from xtdrone_control.mavros.mav_frames import MavFrame
+from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.setpoints import ONLY_VELOCITY_YAW_RATE, position_target
+from xtdrone_control.mavros.uas import Uas
+
+
+class SetpointVelocityPlugin(Plugin):
+    """MAVROS's setpoint_velocity: linear velocity and yaw rate."""
+
+    name = "setpoint_velocity"
+
+    def __init__(self, uas: Uas) -> None:
+        """Subscribe."""
+        super().__init__(uas)
+        self._frame = MavFrame(uas, self.name)
+        uas.subscribe("setpoint_velocity/cmd_vel", TwistStamped, self._stamped)
+        uas.subscribe("setpoint_velocity/cmd_vel_unstamped", Twist, self._unstamped)
+
+    def _stamped(self, twist: TwistStamped) -> None:
+        self._send("setpoint_velocity/cmd_vel", twist.twist, self.uas.boot_ms(twist.header))
+
+    def _unstamped(self, twist: Twist) -> None:
+        self._send("setpoint_velocity/cmd_vel_unstamped", twist, self.uas.boot_ms())
+
+    def _send(self, topic: str, twist: Any, time_boot_ms: int) -> None:
+        v = twist.linear
+        fields = [(f"linear.{axis}", getattr(v, axis)) for axis in "xyz"] + [("angular.z", twist.angular.z)]
+        if not self.uas.finite(topic, fields):
+            return
+        self.uas.link.send(
+            position_target(
+                self.uas,
+                time_boot_ms,
+                self._frame.value,
+                ONLY_VELOCITY_YAW_RATE,
+                velocity=(v.x, v.y, v.z),
+                yaw_rate=twist.angular.z,
+            )
+        )

@@ -1,0 +1,247 @@
+"""State of the autopilot: heartbeat, battery, texts, estimator flags; flight mode and message rates on request."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from mavros_msgs.msg import EstimatorStatus, ExtendedState, State, StatusText, SysStatus
+from mavros_msgs.srv import (
+    MessageInterval,
+    MessageIntervalResponse,
+    SetMode,
+    SetModeResponse,
+    StreamRate,
+    StreamRateResponse,
+)
+from pymavlink.dialects.v20 import common as mavlink
+from sensor_msgs.msg import BatteryState
+
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.px4_modes import ModeError, mode_name, mode_number
+from xtdrone_control.mavros.uas import Uas
+
+log = logging.getLogger("rosout.mavros")
+
+_NS = 1_000_000_000
+_NAN = float("nan")
+# s, wall. MAVROS does not wait at all; this keeps the order in a simulation that stands still while the caller waits.
+_MODE_ACK_LIMIT = 0.5
+_UINT16_MAX = 65535
+_MAVLINK_VERSION = 3  # the heartbeat's mavlink_version field
+_TEXT_LENGTH = 50  # bytes of a STATUSTEXT
+
+_LOG_LEVELS = {0: log.error, 1: log.error, 2: log.error, 3: log.error, 4: log.warning, 5: log.warning, 6: log.info}
+
+# MAV_BATTERY_TYPE to BatteryState.POWER_SUPPLY_TECHNOLOGY_*
+_TECHNOLOGY = {
+    mavlink.MAV_BATTERY_TYPE_LIPO: BatteryState.POWER_SUPPLY_TECHNOLOGY_LIPO,
+    mavlink.MAV_BATTERY_TYPE_LIFE: BatteryState.POWER_SUPPLY_TECHNOLOGY_LIFE,
+    mavlink.MAV_BATTERY_TYPE_LION: BatteryState.POWER_SUPPLY_TECHNOLOGY_LION,
+    mavlink.MAV_BATTERY_TYPE_NIMH: BatteryState.POWER_SUPPLY_TECHNOLOGY_NIMH,
+}
+
+_ESTIMATOR_FLAGS = {
+    "attitude_status_flag": mavlink.ESTIMATOR_ATTITUDE,
+    "velocity_horiz_status_flag": mavlink.ESTIMATOR_VELOCITY_HORIZ,
+    "velocity_vert_status_flag": mavlink.ESTIMATOR_VELOCITY_VERT,
+    "pos_horiz_rel_status_flag": mavlink.ESTIMATOR_POS_HORIZ_REL,
+    "pos_horiz_abs_status_flag": mavlink.ESTIMATOR_POS_HORIZ_ABS,
+    "pos_vert_abs_status_flag": mavlink.ESTIMATOR_POS_VERT_ABS,
+    "pos_vert_agl_status_flag": mavlink.ESTIMATOR_POS_VERT_AGL,
+    "const_pos_mode_status_flag": mavlink.ESTIMATOR_CONST_POS_MODE,
+    "pred_pos_horiz_rel_status_flag": mavlink.ESTIMATOR_PRED_POS_HORIZ_REL,
+    "pred_pos_horiz_abs_status_flag": mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS,
+    "gps_glitch_status_flag": mavlink.ESTIMATOR_GPS_GLITCH,
+    "accel_error_status_flag": mavlink.ESTIMATOR_ACCEL_ERROR,
+}
+
+
+class SysStatusPlugin(Plugin):
+    """MAVROS's sys_status."""
+
+    name = "sys_status"
+
+    def __init__(self, uas: Uas) -> None:
+        """Advertise topics and services, begin to send heartbeats."""
+        super().__init__(uas)
+        self._timeout_ns = round(uas.params.get("conn/timeout", 10.0) * _NS)
+        rate = uas.params.get("conn/heartbeat_rate", 1.0)
+        self._last_heartbeat_ns = 0
+        self._armed = False
+        self._state = uas.topic("state", State(), latch=True)
+        self._extended = uas.topic("extended_state", ExtendedState())
+        self._battery = uas.topic("battery", BatteryState())
+        self._estimator = uas.topic("estimator_status", EstimatorStatus())
+        self._sys_status = uas.topic("sys_status", SysStatus())
+        self._text = uas.topic("statustext/recv", StatusText())
+        self.messages = {
+            "HEARTBEAT": Feed(self._on_heartbeat, always=True),
+            "STATUSTEXT": Feed(self._on_text, always=True),
+            "EXTENDED_SYS_STATE": Feed(self._on_extended, self._extended),
+            "BATTERY_STATUS": Feed(self._on_battery, self._battery),
+            "ESTIMATOR_STATUS": Feed(self._on_estimator, self._estimator),
+            "SYS_STATUS": Feed(self._on_sys_status, self._sys_status),
+        }
+        uas.subscribe("statustext/send", StatusText, self._send_text)
+        uas.service("set_mode", SetMode, self._set_mode)
+        uas.service("set_message_interval", MessageInterval, self._set_message_interval)
+        uas.service("set_stream_rate", StreamRate, self._set_stream_rate)
+        if rate > 0.0:
+            uas.timer(1.0 / rate, self._send_heartbeat)
+        uas.timer(min(1.0, self._timeout_ns / _NS), self._check_connection)
+
+    def connected(self, connected: bool) -> None:
+        """Publish the state of an autopilot that is lost: not connected, not armed, no mode."""
+        if not connected:
+            self._armed = False
+            state = self._state.message = State()
+            self.uas.stamp_now(state.header)
+            self._state.publish(state)
+
+    def _send_heartbeat(self) -> None:
+        self.uas.link.send(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                mavlink.MAV_AUTOPILOT_INVALID,
+                mavlink.MAV_MODE_MANUAL_ARMED,
+                0,
+                mavlink.MAV_STATE_ACTIVE,
+                _MAVLINK_VERSION,
+            )
+        )
+
+    def _check_connection(self) -> None:
+        if self.uas.connected and self.uas.now_ns - self._last_heartbeat_ns > self._timeout_ns:
+            self.uas.set_connected(False)
+
+    def _on_heartbeat(self, heartbeat: Any) -> None:
+        uas = self.uas
+        self._last_heartbeat_ns = uas.now_ns
+        state = self._state.message
+        uas.stamp_now(state.header)
+        state.connected = True
+        state.armed = self._armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        state.guided = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED)
+        state.manual_input = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED)
+        state.mode = mode_name(heartbeat.base_mode, heartbeat.custom_mode)
+        state.system_status = heartbeat.system_status
+        uas.set_connected(True)
+        self._state.publish(state)
+
+    def _on_extended(self, extended: Any) -> None:
+        message = self._extended.message
+        self.uas.stamp_now(message.header)
+        message.vtol_state = extended.vtol_state
+        message.landed_state = extended.landed_state
+        self._extended.publish(message)
+
+    def _on_battery(self, battery: Any) -> None:
+        message = self._battery.message
+        self.uas.stamp_now(message.header)
+        cells = [v / 1000.0 for v in (*battery.voltages, *battery.voltages_ext) if 0 < v < _UINT16_MAX]
+        message.voltage = sum(cells) if cells else _NAN
+        message.cell_voltage = cells
+        # BatteryState counts a discharging current negative, MAVLink positive; -1 says that it is not measured.
+        message.current = _NAN if battery.current_battery == -1 else -battery.current_battery / 100.0
+        message.charge = message.capacity = message.design_capacity = _NAN
+        message.percentage = _NAN if battery.battery_remaining < 0 else battery.battery_remaining / 100.0
+        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+        message.power_supply_health = BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN
+        message.power_supply_technology = _TECHNOLOGY.get(battery.type, BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN)
+        message.present = True
+        message.location = f"id{battery.id}"
+        self._battery.publish(message)
+
+    def _on_estimator(self, status: Any) -> None:
+        message = self._estimator.message
+        self.uas.stamp_now(message.header)
+        for field, flag in _ESTIMATOR_FLAGS.items():
+            setattr(message, field, bool(status.flags & flag))
+        self._estimator.publish(message)
+
+    def _on_sys_status(self, status: Any) -> None:
+        message = self._sys_status.message
+        self.uas.stamp_now(message.header)
+        message.sensors_present = status.onboard_control_sensors_present
+        message.sensors_enabled = status.onboard_control_sensors_enabled
+        message.sensors_health = status.onboard_control_sensors_health
+        for field in (
+            "load",
+            "voltage_battery",
+            "current_battery",
+            "battery_remaining",
+            "drop_rate_comm",
+            "errors_comm",
+            "errors_count1",
+            "errors_count2",
+            "errors_count3",
+            "errors_count4",
+        ):
+            setattr(message, field, getattr(status, field))
+        self._sys_status.publish(message)
+
+    def _on_text(self, status: Any) -> None:
+        text = _text(status.text)
+        _LOG_LEVELS.get(status.severity, log.debug)("%s: FCU: %s", self.uas.name, text)
+        if self._text.taken:
+            message = self._text.message
+            self.uas.stamp_now(message.header)
+            message.severity = status.severity
+            message.text = text
+            self._text.publish(message)
+
+    def _send_text(self, text: StatusText) -> None:
+        data = text.text.encode("utf-8", "replace")
+        if len(data) > _TEXT_LENGTH:
+            self.uas.warn("statustext", "statustext/send: text of %d bytes is cut to %d", len(data), _TEXT_LENGTH)
+        self.uas.link.send(mavlink.MAVLink_statustext_message(text.severity, data[:_TEXT_LENGTH]))
+
+    def _set_mode(self, request: Any) -> SetModeResponse:
+        """Send SET_MODE; ``mode_sent`` says that it went out, as MAVROS means it, not that the autopilot took it."""
+        base_mode, custom_mode = request.base_mode, 0
+        if request.custom_mode:
+            try:
+                custom_mode = mode_number(request.custom_mode)
+            except ModeError as error:
+                log.error("%s: set_mode: %s", self.uas.name, error)
+                return SetModeResponse(mode_sent=False)
+            armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self._armed else 0
+            base_mode = armed | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        message = mavlink.MAVLink_set_mode_message(self.uas.target[0], base_mode, custom_mode)
+        result = self.uas.commands.call(
+            mavlink.MAV_CMD_DO_SET_MODE, lambda _: message, limit=_MODE_ACK_LIMIT, resends=0
+        )
+        if result not in (None, mavlink.MAV_RESULT_ACCEPTED):
+            log.warning("%s: set_mode: the autopilot refused %s, result %d", self.uas.name, request.custom_mode, result)
+        return SetModeResponse(mode_sent=True)
+
+    def _set_message_interval(self, request: Any) -> MessageIntervalResponse:
+        """Set a message's rate in Hz; 0 is the autopilot's own rate, negative switches it off."""
+        rate = request.message_rate
+        interval_us = 1e6 / rate if rate > 0.0 else 0.0 if rate == 0.0 else -1.0
+        self.uas.streams.leave(request.message_id)
+        system, component = self.uas.target
+        command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        result = self.uas.commands.call(
+            command,
+            lambda attempt: mavlink.MAVLink_command_long_message(
+                system, component, command, attempt, float(request.message_id), interval_us, 0.0, 0.0, 0.0, 0.0, 0.0
+            ),
+        )
+        return MessageIntervalResponse(success=result == mavlink.MAV_RESULT_ACCEPTED)
+
+    def _set_stream_rate(self, request: Any) -> StreamRateResponse:
+        system, component = self.uas.target
+        self.uas.link.send(
+            mavlink.MAVLink_request_data_stream_message(
+                system, component, request.stream_id, request.message_rate, int(request.on_off)
+            )
+        )
+        return StreamRateResponse()
+
+
+def _text(data: Any) -> str:
+    if isinstance(data, bytes):
+        data = data.decode("utf-8", "replace")
+    return data.rstrip("\0")

@@ -1,0 +1,75 @@
+"""The autopilot's clock: the offset that stamps need outside simulation, and the time reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavros_msgs.msg import TimesyncStatus
+from pymavlink.dialects.v20 import common as mavlink
+from rospy import Time
+from sensor_msgs.msg import TimeReference
+
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.uas import Uas
+
+_RESTART_NS = 1_000_000_000  # an offset that is off by more than this comes from another clock
+
+
+class SysTimePlugin(Plugin):
+    """MAVROS's sys_time, its MAVLink time synchronisation reduced to an exponential average.
+
+    In simulation the autopilot's boot time is the ROS time and nothing is exchanged.
+    """
+
+    name = "sys_time"
+
+    def __init__(self, uas: Uas) -> None:
+        """Advertise the topics; outside simulation, begin to exchange TIMESYNC."""
+        super().__init__(uas)
+        self._alpha = uas.params.get("time/timesync_avg_alpha", 0.6)
+        rate = uas.params.get("conn/timesync_rate", 10.0)
+        source = uas.params.get("time/time_ref_source", "fcu")
+        self._reference = uas.topic("time_reference", TimeReference(source=source))
+        self._status = uas.topic("timesync_status", TimesyncStatus())
+        self.messages = {"SYSTEM_TIME": Feed(self._on_system_time, self._reference)}
+        if not uas.ros.use_sim_time and rate > 0.0:
+            self.messages["TIMESYNC"] = Feed(self._on_timesync, always=True)
+            uas.timer(1.0 / rate, self._send)
+
+    def connected(self, connected: bool) -> None:
+        """Forget the offset of an autopilot that may have restarted."""
+        if connected and not self.uas.ros.use_sim_time:
+            self.uas.time_offset_ns = None
+
+    def _send(self) -> None:
+        self.uas.link.send(mavlink.MAVLink_timesync_message(0, self.uas.ros.now_ns()))
+
+    def _on_timesync(self, sync: Any) -> None:
+        now = self.uas.ros.now_ns()
+        if sync.tc1 == 0:  # the autopilot asks
+            self.uas.link.send(mavlink.MAVLink_timesync_message(now, sync.ts1))
+            return
+        observed = (sync.ts1 + now) // 2 - sync.tc1  # the autopilot's answer lies halfway
+        offset = self.uas.time_offset_ns
+        if offset is None or abs(observed - offset) > _RESTART_NS:
+            offset = observed
+        else:
+            offset += round(self._alpha * (observed - offset))
+        self.uas.time_offset_ns = offset
+        if self._status.taken:
+            status = self._status.message
+            self.uas.stamp_now(status.header)
+            status.remote_timestamp_ns = sync.tc1
+            status.observed_offset_ns = observed
+            status.estimated_offset_ns = offset
+            status.round_trip_time_ms = (now - sync.ts1) / 1e6
+            self._status.publish(status)
+
+    def _on_system_time(self, time: Any) -> None:
+        if time.time_unix_usec == 0:  # no GPS time yet
+            return
+        message = self._reference.message
+        self.uas.stamp(message.header, time.time_boot_ms)
+        seconds, micros = divmod(time.time_unix_usec, 1_000_000)
+        message.time_ref = Time(seconds, micros * 1000)
+        self._reference.publish(message)

@@ -1,0 +1,22 @@
+"""Log lines that a stream of bad input must not repeat at its own rate."""
+
+from __future__ import annotations
+
+import time
+
+
+class Throttle:
+    """Lets a key pass once in ``interval`` seconds of wall time (people read logs, so sim time does not count)."""
+
+    def __init__(self, interval: float = 5.0) -> None:
+        """Take the interval in seconds."""
+        self._interval = interval
+        self._last: dict[str, float] = {}
+
+    def passes(self, key: str) -> bool:
+        """Return whether ``key`` may be logged now."""
+        now = time.monotonic()
+        if now - self._last.get(key, -self._interval) < self._interval:
+            return False
+        self._last[key] = now
+        return True

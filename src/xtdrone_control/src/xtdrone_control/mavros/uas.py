@@ -1,0 +1,286 @@
+"""The hub of one vehicle: its link, what its plugins share, and which messages they want now."""
+
+from __future__ import annotations
+
+import fnmatch
+import logging
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control import frames
+from xtdrone_control.mavros.codec import MESSAGE_ID, Decoder, FrameError, decoder, message_name
+from xtdrone_control.mavros.connection import Link
+from xtdrone_control.mavros.params import Params
+from xtdrone_control.mavros.plugin import Feed, Plugin, Ros, Topic
+from xtdrone_control.mavros.streams import Streams
+from xtdrone_control.mavros.throttle import Throttle
+from xtdrone_control.mavros.transactions import Commands
+
+log = logging.getLogger("rosout.mavros")
+
+_NS = 1_000_000_000
+_REFRESH_PERIOD = 0.5  # s of ROS time between looks at the subscribers
+
+
+class _Slot:
+    """What is done with one MAVLink message."""
+
+    __slots__ = ("active", "decode", "feeds", "frame", "message")
+
+    def __init__(self, decode: Decoder) -> None:
+        self.decode = decode
+        self.feeds: list[Feed] = []
+        self.active: tuple[Callable[[Any], None], ...] = ()  # handlers of feeds that are wanted now
+        self.frame: bytes | None = None  # the latest
+        self.message: Any = None  # the latest, decoded; None until somebody asks
+
+
+class _Timer:
+    __slots__ = ("call", "next_ns", "period_ns")
+
+    def __init__(self, period: float, call: Callable[[], None]) -> None:
+        self.period_ns = round(period * _NS)
+        self.next_ns = 0
+        self.call = call
+
+
+class Uas:
+    """One vehicle's hub.
+
+    Attributes:
+        name: the vehicle's name.
+        prefix: where its topics are, as ``/iris_0/mavros``.
+        link: MAVLink to its autopilot.
+        params: its settings.
+        ros: topics, services and time.
+        commands: commands with acks.
+        target: system and component id of the autopilot.
+        connected: heartbeats come.
+        time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while it is unknown.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        prefix: str,
+        link: Link,
+        params: Params,
+        ros: Ros,
+        plugins: Iterable[type[Plugin]],
+    ) -> None:
+        """Make the plugins.
+
+        Raises:
+            ParamError: a setting of the wrong type.
+            ValueError: a setting that is not allowed.
+        """
+        self.name = name
+        self.prefix = prefix
+        self.link = link
+        self.params = params
+        self.ros = ros
+        self.target = link.target
+        self.commands = Commands(link.send)
+        self.connected = False
+        self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
+        self.now_ns = 0
+        self._throttle = Throttle()
+        self._topics: list[Topic] = []
+        self._timers: list[_Timer] = []
+        self._slots: dict[int, _Slot] = {}
+        self._attitude_of: Any = None
+        self._attitude: tuple[frames.Quaternion, frames.Vector] | None = None
+        self._attitude_slot = self._slot("ATTITUDE_QUATERNION")
+        rates = params.get("stream_rates", {})
+        self.streams = Streams(self._request_interval, rates)
+        self._manage_streams = params.get("manage_streams", True)
+        blacklist = params.get("plugin_blacklist", [])
+        self.plugins = [kind(self) for kind in plugins if not _listed(kind.name, blacklist)]
+        for plugin in self.plugins:
+            self._connect(plugin)
+        self.timer(_REFRESH_PERIOD, self.refresh)
+        self.refresh()  # so that the first heartbeat counts
+
+    # What plugins use
+
+    def topic(self, name: str, message: Any, latch: bool = False) -> Topic:
+        """Advertise ``<prefix>/<name>`` (or an absolute name) for messages like ``message``, which is then reused."""
+        path = name if name.startswith("/") else f"{self.prefix}/{name}"
+        topic = Topic(self.ros.publisher(path, type(message), latch), message, latch)
+        self._topics.append(topic)
+        return topic
+
+    def subscribe(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:
+        """Subscribe to ``<prefix>/<name>``."""
+        self.ros.subscriber(f"{self.prefix}/{name}", kind, callback)
+
+    def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
+        """Offer ``<prefix>/<name>``."""
+        self.ros.service(f"{self.prefix}/{name}", kind, handler)
+
+    def timer(self, period: float, call: Callable[[], None]) -> None:
+        """Call ``call`` in the main thread, at once and then every ``period`` seconds of ROS time."""
+        self._timers.append(_Timer(period, call))
+
+    def latest(self, name: str) -> Any:
+        """Return the latest message ``name``, decoded, or None; a feed must want it."""
+        return self._decoded(self._slots[MESSAGE_ID[name]])
+
+    def attitude(self) -> tuple[frames.Quaternion, frames.Vector] | None:
+        """Return the latest attitude, FLU to ENU (w, x, y, z), and the body rates (rad/s, FLU); None before the first.
+
+        A plugin that calls this must want ATTITUDE_QUATERNION.
+        """
+        message = self._decoded(self._attitude_slot)
+        if message is not None and message is not self._attitude_of:
+            q = frames.attitude_ned_to_enu(message.q1, message.q2, message.q3, message.q4)
+            self._attitude = q, frames.frd_to_flu(message.rollspeed, message.pitchspeed, message.yawspeed)
+            self._attitude_of = message
+        return self._attitude
+
+    def stamp(self, header: Any, time_boot_ms: int) -> None:
+        """Set a header's stamp from the autopilot's boot time in milliseconds."""
+        self._stamp_ns(header, time_boot_ms * 1_000_000)
+
+    def stamp_us(self, header: Any, time_us: int) -> None:
+        """Set a header's stamp from the autopilot's boot time in microseconds."""
+        self._stamp_ns(header, time_us * 1000)
+
+    def stamp_now(self, header: Any) -> None:
+        """Set a header's stamp to the ROS time."""
+        header.stamp.secs, header.stamp.nsecs = divmod(self.now_ns, _NS)
+
+    def boot_ms(self, header: Any = None) -> int:
+        """Return a header's stamp (or now) as the milliseconds that set-points carry, as MAVROS does (32 bit)."""
+        ns = self.ros.now_ns() if header is None else header.stamp.to_nsec()
+        return ns // 1_000_000 & 0xFFFFFFFF
+
+    def finite(self, topic: str, values: Iterable[tuple[str, float]]) -> bool:
+        """Return whether all (field, value) are finite; otherwise warn, naming topic and field."""
+        for field, value in values:
+            if not math.isfinite(value):
+                if self._throttle.passes(topic):
+                    log.warning("%s/%s: %s is %s; the set-point is not forwarded", self.prefix, topic, field, value)
+                return False
+        return True
+
+    def warn(self, key: str, text: str, *args: Any) -> None:
+        """Log a warning about this vehicle, at most once in a while for each ``key``."""
+        if self._throttle.passes(key):
+            log.warning(f"{self.name}: {text}", *args)
+
+    def failed(self, text: str) -> None:
+        """Log the exception that is being handled, at most once in a while for each text."""
+        if self._throttle.passes(text):
+            log.exception("%s: %s", self.name, text)
+
+    # What the node uses
+
+    def receive(self, now_ns: int, datagrams: int | None = None) -> None:
+        """Handle what the autopilot has sent; in the main thread.
+
+        Args:
+            now_ns: ROS time.
+            datagrams: how many datagrams, since the start, have their turn now; None for all that are here.
+        """
+        self.now_ns = now_ns
+        for number, frame in self.link.drain(datagrams):
+            self.handle(number, frame)
+
+    def step(self, now_ns: int) -> None:
+        """Run the timers; once a tick, in the main thread."""
+        self.now_ns = now_ns
+        for timer in self._timers:
+            # A time that lies far ahead comes from a clock that was set back.
+            if now_ns >= timer.next_ns or timer.next_ns - now_ns > timer.period_ns:
+                timer.next_ns = now_ns + timer.period_ns
+                timer.call()
+
+    def handle(self, number: int, frame: bytes) -> None:
+        """Give a frame to the plugins that want it."""
+        slot = self._slots[number]
+        slot.frame = frame
+        slot.message = None
+        if not slot.active:
+            return
+        try:
+            message = slot.message = slot.decode(frame)
+            for handler in slot.active:
+                handler(message)
+        except FrameError as error:
+            slot.frame = None
+            self.warn("frame", "MAVLink frame dropped: %s", error)
+
+    def refresh(self) -> None:
+        """Look which topics are taken, want the messages that they need, and ask the autopilot for them."""
+        for topic in self._topics:
+            topic.refresh()
+        wanted = set()
+        for number, slot in self._slots.items():
+            feeds = [feed for feed in slot.feeds if feed.wanted]
+            slot.active = tuple(feed.handler for feed in feeds if feed.handler is not None)
+            if feeds:
+                wanted.add(number)
+        self.link.wanted = frozenset(wanted)
+        seen, self.link.seen = self.link.seen, {}
+        if self._manage_streams and self.connected:
+            self.streams.update(wanted, seen)
+
+    def set_connected(self, connected: bool) -> None:
+        """Take note that heartbeats come, or stay away."""
+        if connected == self.connected:
+            return
+        self.connected = connected
+        system, component = self.target
+        if connected:
+            log.info("%s: connected to autopilot %d.%d on port %d", self.name, system, component, self.link.port)
+            self.streams.reset()
+        else:
+            log.warning("%s: connection to autopilot %d.%d lost", self.name, system, component)
+        for plugin in self.plugins:
+            plugin.connected(connected)
+        self.refresh()
+
+    def _connect(self, plugin: Plugin) -> None:
+        for name, feeds in plugin.messages.items():
+            self._slot(name).feeds += [feeds] if isinstance(feeds, Feed) else feeds
+        for name, handler in plugin.replies.items():
+            self.link.replies[MESSAGE_ID[name]] = handler
+
+    def _slot(self, name: str) -> _Slot:
+        number = MESSAGE_ID[name]
+        if number not in self._slots:
+            self._slots[number] = _Slot(decoder(name))
+        return self._slots[number]
+
+    def _decoded(self, slot: _Slot) -> Any:
+        if slot.message is None and slot.frame is not None:
+            try:
+                slot.message = slot.decode(slot.frame)
+            except FrameError as error:
+                slot.frame = None
+                self.warn("frame", "MAVLink frame dropped: %s", error)
+        return slot.message
+
+    def _stamp_ns(self, header: Any, boot_ns: int) -> None:
+        offset = self.time_offset_ns
+        ns = self.now_ns if offset is None else boot_ns + offset
+        header.stamp.secs, header.stamp.nsecs = divmod(ns, _NS)
+
+    def _request_interval(self, number: int, interval_us: int) -> None:
+        log.debug("%s: %s every %d us", self.name, message_name(number), interval_us)
+        command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+        system, component = self.target
+        self.commands.send(
+            command,
+            mavlink.MAVLink_command_long_message(
+                system, component, command, 0, float(number), float(interval_us), 0.0, 0.0, 0.0, 0.0, 0.0
+            ),
+        )
+
+
+def _listed(name: str, patterns: Iterable[str]) -> bool:
+    return any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)

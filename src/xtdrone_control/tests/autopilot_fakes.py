@@ -1,0 +1,81 @@
+"""An autopilot without kernels, for tests of what stands on its records."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.parameters import PARAMS, airframe_parameters
+from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, SENSORS, SETPOINT, TASK_GOTO, records
+from xtdrone_control.fleet import Vehicle
+
+ORIGIN = (47.397742, 8.545594, 488.0)  # degrees, m AMSL
+FIRST_ID = 170  # far from the ports of a running simulation
+
+
+class FakeAutopilot:
+    """Records as the kernels would keep them: ready on the ground, with a good estimate."""
+
+    def __init__(self, count: int = 1) -> None:
+        self.count = count
+        self.time_us = 1_000_000
+        self.sensors = records(SENSORS, count)
+        self.estimator = records(ESTIMATOR, count)
+        self.setpoint = records(SETPOINT, count)
+        self.control = records(CONTROL, count)
+        self.params = records(PARAMS, count)
+        self.estimator["q"][:, 0] = 1.0
+        self.control["sp_q"][:, 0] = 1.0
+        self.control["landed"] = 1
+        for field in ("initialised", "position_valid", "altitude_valid", "origin_set"):
+            self.estimator[field] = 1
+        for field, value in zip(("origin_lat", "origin_lon", "origin_alt"), ORIGIN, strict=True):
+            self.estimator[field] = value
+        self.sensors["gps_fix"] = 3
+
+    def place(self, index: int, x: float, y: float, z: float, yaw: float = 0.0) -> None:
+        """Put a vehicle somewhere (m, NED), in the air when it is above 0.1 m."""
+        self.estimator[index]["position"] = (x, y, z)
+        self.estimator[index]["q"] = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
+        self.control[index]["landed"] = int(z > -0.1)
+
+
+class Flight:
+    """One vehicle whose motion is its goal, reached at once when ``follow`` is called."""
+
+    def __init__(self, **parameters: float) -> None:
+        self.autopilot: Any = FakeAutopilot()
+        self.parameters = airframe_parameters("iris", 1)
+        for name, value in parameters.items():
+            self.parameters.set(name, value)
+        self.commander = Commander(Vehicle("iris", 0, FIRST_ID), self.autopilot, self.parameters, 0)
+        self.setpoint = self.autopilot.setpoint[0]
+        self.commander.update()
+
+    def run(self, seconds: float, each: Any = None) -> None:
+        """Let time pass with updates at 10 Hz, calling ``each`` before every one."""
+        for _ in range(round(seconds * 10)):
+            self.autopilot.time_us += 100_000
+            if each is not None:
+                each()
+            self.commander.update()
+
+    def follow(self) -> None:
+        """Be where TASK_GOTO wants the vehicle."""
+        if self.setpoint["task"] == TASK_GOTO:
+            self.place(*self.setpoint["goal_position"].tolist())
+
+    def place(self, x: float, y: float, z: float, yaw: float = 0.0) -> None:
+        self.autopilot.place(0, x, y, z, yaw)
+
+    def hover(self) -> None:
+        """Position set-point of the OFFBOARD stream."""
+        nan = (math.nan,) * 3
+        self.commander.offboard_trajectory((1.0, 2.0, -3.0), nan, nan, 0.0, math.nan)
+
+    def texts(self) -> list[str]:
+        """Take the texts that wait."""
+        found = [text for _, text in self.commander.texts]
+        self.commander.texts.clear()
+        return found

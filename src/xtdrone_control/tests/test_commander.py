@@ -1,0 +1,352 @@
+"""Arming, modes, failsafes, home: after what a PX4 v1.14.3 did."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from autopilot_fakes import ORIGIN, Flight
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander import Failsafe, Result
+from xtdrone_control.autopilot.inputs import SetpointError
+from xtdrone_control.autopilot.state import (
+    TASK_ATTITUDE,
+    TASK_DESCEND,
+    TASK_GOTO,
+    TASK_IDLE,
+    TASK_LAND,
+    TASK_RATES,
+    TASK_STICKS,
+    TASK_TRAJECTORY,
+)
+
+_NAN3 = (math.nan,) * 3
+
+
+@pytest.fixture
+def flight():
+    return Flight()
+
+
+def fly_offboard(flight):
+    """Hover in OFFBOARD at (1, 2, -3)."""
+    flight.hover()
+    assert flight.commander.request(modes.OFFBOARD) is Result.ACCEPTED
+    assert flight.commander.arm_disarm(True) is Result.ACCEPTED
+    flight.place(1.0, 2.0, -3.0)
+    flight.run(0.5, flight.hover)
+    flight.texts()
+
+
+def test_heartbeat_words_are_px4s(flight):
+    c = flight.commander
+    assert (c.base_mode, c.custom_mode, c.system_status) == (29, 50593792, 3)
+    c.arm_disarm(True)
+    assert (c.base_mode, c.custom_mode, c.system_status) == (157, 50593792, 4)
+    flight.hover()
+    c.request(modes.OFFBOARD)
+    assert (c.base_mode, c.custom_mode) == (145, 393216)
+
+
+@pytest.mark.parametrize(
+    ("custom_mode", "result", "text"),
+    [
+        (4 << 16 | 1 << 24, Result.TEMPORARILY_REJECTED, "Unsupported auto mode"),
+        (99 << 16, Result.TEMPORARILY_REJECTED, "Unsupported mode"),
+        (1 << 16, Result.UNSUPPORTED, "MANUAL is not supported"),
+        (2 << 16, Result.UNSUPPORTED, "ALTCTL is not supported"),
+        (5 << 16, Result.UNSUPPORTED, "ACRO is not supported"),
+        (7 << 16, Result.UNSUPPORTED, "STABILIZED is not supported"),
+        (4 << 16 | 4 << 24, Result.TEMPORARILY_REJECTED, "no valid mission"),
+    ],
+)
+def test_modes_that_are_refused(flight, custom_mode, result, text):
+    assert flight.commander.set_mode(1, custom_mode) is result
+    assert any(text in t for t in flight.texts())
+    assert flight.commander.mode is modes.AUTO_LOITER
+
+
+def test_mode_without_the_custom_flag_is_refused(flight):
+    assert flight.commander.set_mode(0, modes.OFFBOARD.custom_mode) is Result.TEMPORARILY_REJECTED
+
+
+@pytest.mark.parametrize("mode", [modes.AUTO_LAND, modes.AUTO_RTL, modes.POSCTL, modes.OFFBOARD])
+def test_modes_not_for_arming(flight, mode):
+    assert flight.commander.request(mode) is Result.ACCEPTED
+    assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
+    assert not flight.commander.armed
+    assert flight.texts()[-1].startswith("Arming denied")
+
+
+@pytest.mark.parametrize("mode", [modes.AUTO_LOITER, modes.AUTO_TAKEOFF])
+def test_modes_for_arming(flight, mode):
+    flight.commander.request(mode)
+    assert flight.commander.arm_disarm(True) is Result.ACCEPTED
+    assert flight.setpoint["armed"] == 1
+    assert "Armed by external command" in flight.texts()
+
+
+def test_arming_twice_is_accepted(flight):
+    flight.commander.arm_disarm(True)
+    assert flight.commander.arm_disarm(True) is Result.ACCEPTED
+
+
+def test_arming_in_the_air_is_refused(flight):
+    flight.place(0.0, 0.0, -5.0)
+    assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
+    assert "Arming denied: vehicle is in the air" in flight.texts()
+    assert flight.setpoint["armed"] == 0
+
+
+@pytest.mark.parametrize("field", ["initialised", "position_valid", "altitude_valid"])
+def test_arming_needs_an_estimate(flight, field):
+    flight.autopilot.estimator[field] = 0
+    assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
+    assert not flight.commander.armed
+
+
+def test_force_does_not_arm_without_an_attitude(flight):
+    flight.autopilot.estimator["initialised"] = 0
+    assert flight.commander.arm_disarm(True, force=True) is Result.TEMPORARILY_REJECTED
+    assert flight.commander.system_status == 0
+
+
+def test_disarming_in_the_air_needs_force(flight):
+    fly_offboard(flight)
+    assert flight.commander.arm_disarm(False) is Result.TEMPORARILY_REJECTED
+    assert flight.texts() == ["Disarming denied! Not landed"]
+    assert flight.setpoint["armed"] == 1
+    assert flight.commander.arm_disarm(False, force=True) is Result.ACCEPTED
+    assert flight.setpoint["armed"] == 0
+
+
+def test_disarms_when_unused(flight):
+    flight.commander.arm_disarm(True)
+    flight.run(9.8)
+    assert flight.commander.armed
+    flight.run(0.3)
+    assert not flight.commander.armed
+
+
+def test_armed_loiter_stays_on_the_ground(flight):
+    flight.commander.arm_disarm(True)
+    flight.run(1.0)
+    assert flight.setpoint["task"] == TASK_IDLE
+
+
+def test_disarms_two_seconds_after_landing(flight):
+    fly_offboard(flight)
+    assert flight.commander.request(modes.AUTO_LAND) is Result.ACCEPTED
+    assert flight.setpoint["task"] == TASK_LAND
+    assert flight.commander.landed_state == 4
+    flight.place(1.0, 2.0, 0.0)
+    flight.run(1.9)
+    assert flight.commander.armed
+    flight.run(0.3)
+    assert not flight.commander.armed
+    assert flight.commander.mode is modes.AUTO_LOITER
+    assert flight.texts() == ["Landing detected", "Disarmed by landing"]
+
+
+def test_offboard_needs_a_stream_in_flight(flight):
+    flight.commander.arm_disarm(True)
+    flight.place(0.0, 0.0, -5.0)
+    flight.texts()
+    assert flight.commander.request(modes.OFFBOARD) is Result.TEMPORARILY_REJECTED
+    assert flight.texts()[0] == "Switching to OFFBOARD is currently not available"
+    assert flight.commander.mode is modes.AUTO_LOITER
+    flight.hover()
+    assert flight.commander.request(modes.OFFBOARD) is Result.ACCEPTED
+    assert flight.setpoint["task"] == TASK_TRAJECTORY
+
+
+def test_offboard_writes_set_points(flight):
+    fly_offboard(flight)
+    s = flight.setpoint
+    assert s["position"].tolist() == [1.0, 2.0, -3.0]
+    assert all(math.isnan(v) for v in s["velocity"])
+    assert s["yaw"] == 0.0
+    assert math.isnan(s["yaw_rate"])
+    flight.commander.offboard_attitude((2.0, 0.0, 0.0, 0.0), math.nan, 1.5)
+    assert s["task"] == TASK_ATTITUDE
+    assert s["attitude_q"].tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert s["thrust"] == 1.0
+    flight.commander.offboard_rates((0.1, 0.2, 0.3), 0.5)
+    assert s["task"] == TASK_RATES
+    assert s["rates"].tolist() == [0.1, 0.2, 0.3]
+
+
+def test_set_points_wait_for_offboard(flight):
+    flight.hover()
+    assert flight.setpoint["task"] == TASK_IDLE
+    assert flight.setpoint["position"].tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "give",
+    [
+        lambda c: c.offboard_trajectory((math.inf, 0.0, 0.0), _NAN3, _NAN3, 0.0, math.nan),
+        lambda c: c.offboard_trajectory(_NAN3, (1.0, 1.0, -math.inf), _NAN3, 0.0, math.nan),
+        lambda c: c.offboard_trajectory((0.0, 0.0, 0.0), _NAN3, _NAN3, math.inf, math.nan),
+        lambda c: c.offboard_trajectory(_NAN3, (1.0, 1.0, math.nan), _NAN3, 0.0, 0.0),
+        lambda c: c.offboard_trajectory(_NAN3, _NAN3, _NAN3, 0.0, 0.0),
+        lambda c: c.offboard_attitude((0.0, 0.0, 0.0, 0.0), 0.0, 0.5),
+        lambda c: c.offboard_attitude((math.nan, 0.0, 0.0, 1.0), 0.0, 0.5),
+        lambda c: c.offboard_attitude((1.0, 0.0, 0.0, 0.0), 0.0, math.nan),
+        lambda c: c.offboard_rates((0.0, math.nan, 0.0), 0.5),
+        lambda c: c.manual_control(0.0, math.nan, 0.0, 0.0),
+    ],
+)
+def test_bad_set_points_neither_act_nor_feed_the_watchdog(flight, give):
+    fly_offboard(flight)
+    before = flight.setpoint.copy()
+
+    def offend():
+        with pytest.raises(SetpointError):
+            give(flight.commander)
+
+    flight.run(0.9, offend)
+    assert before.tobytes() == flight.setpoint.tobytes()
+    flight.run(0.3, offend)
+    assert flight.commander.failsafe is Failsafe.OFFBOARD_LOST
+
+
+def test_offboard_loss_sinks_as_px4_does_and_disarms(flight):
+    fly_offboard(flight)
+    flight.run(0.9)
+    assert flight.commander.failsafe is Failsafe.NONE
+    flight.run(0.2)
+    c = flight.commander
+    assert flight.texts()[0] == "Failsafe activated"
+    assert (c.base_mode, c.custom_mode, c.system_status) == (209, 196608, 5)
+    s = flight.setpoint
+    assert s["task"] == TASK_TRAJECTORY
+    assert s["velocity"].tolist() == [0.0, 0.0, pytest.approx(0.7)]
+    assert all(math.isnan(v) for v in s["position"])
+    flight.place(1.0, 2.0, 0.0)
+    flight.run(2.3)
+    assert not c.armed
+    assert (c.mode, c.system_status) == (modes.AUTO_LOITER, 3)
+
+
+def test_offboard_comes_back_with_its_stream(flight):
+    fly_offboard(flight)
+    flight.run(1.2)
+    flight.run(0.1, flight.hover)
+    assert flight.commander.failsafe is Failsafe.OFFBOARD_LOST, "one set-point is no stream"
+    flight.run(0.1, flight.hover)
+    assert flight.commander.mode is modes.OFFBOARD
+    assert flight.setpoint["position"].tolist() == [1.0, 2.0, -3.0]
+    assert flight.commander.system_status == 4
+
+
+def test_a_stream_does_not_lift_a_vehicle_that_the_failsafe_has_landed(flight):
+    fly_offboard(flight)
+    flight.run(1.2)
+    flight.place(1.0, 2.0, 0.0)
+    flight.run(1.0, flight.hover)
+    assert flight.commander.failsafe is Failsafe.OFFBOARD_LOST
+
+
+def test_a_command_ends_the_failsafe(flight):
+    fly_offboard(flight)
+    flight.run(1.2)
+    assert flight.commander.request(modes.AUTO_LOITER) is Result.ACCEPTED
+    assert (flight.commander.failsafe, flight.commander.system_status) == (Failsafe.NONE, 4)
+    assert flight.setpoint["task"] == TASK_GOTO
+
+
+@pytest.mark.parametrize(
+    ("action", "mode", "task"),
+    [(3, modes.AUTO_RTL, TASK_GOTO), (4, modes.AUTO_LAND, TASK_LAND), (5, modes.AUTO_LOITER, TASK_GOTO)],
+)
+def test_offboard_loss_actions(action, mode, task):
+    flight = Flight(COM_OBL_RC_ACT=action)
+    fly_offboard(flight)
+    flight.run(1.2)
+    assert flight.commander.mode is mode
+    assert flight.setpoint["task"] == task
+
+
+def test_position_loss_descends_and_recovers(flight):
+    fly_offboard(flight)
+    flight.autopilot.estimator["position_valid"] = 0
+    flight.run(0.9, flight.hover)
+    assert flight.commander.failsafe is Failsafe.NONE
+    flight.run(0.3, flight.hover)
+    assert flight.setpoint["task"] == TASK_DESCEND
+    assert flight.commander.landed_state == 4
+    assert flight.commander.request(modes.AUTO_LOITER) is Result.TEMPORARILY_REJECTED
+    assert flight.setpoint["task"] == TASK_DESCEND
+    flight.autopilot.estimator["position_valid"] = 1
+    flight.run(0.2, flight.hover)
+    assert flight.commander.mode is modes.OFFBOARD
+    assert flight.setpoint["task"] == TASK_TRAJECTORY
+
+
+def test_attitude_flight_needs_no_position(flight):
+    fly_offboard(flight)
+    flight.autopilot.estimator["position_valid"] = 0
+    flight.run(3.0, lambda: flight.commander.offboard_attitude((1.0, 0.0, 0.0, 0.0), math.nan, 0.5))
+    assert flight.commander.failsafe is Failsafe.NONE
+
+
+def test_ground_station_loss_is_told(flight):
+    fly_offboard(flight)
+    flight.commander.gcs_heartbeat()
+    flight.run(10.2, flight.hover)
+    assert flight.texts() == ["Connection to ground station lost"]
+    assert flight.commander.mode is modes.OFFBOARD
+    flight.commander.gcs_heartbeat()
+    flight.run(0.1, flight.hover)
+    assert flight.texts() == ["Connection to ground station regained"]
+
+
+def test_ground_station_loss_returns_when_told_to():
+    flight = Flight(NAV_DLL_ACT=2)
+    fly_offboard(flight)
+    flight.commander.gcs_heartbeat()
+    flight.run(10.2, flight.hover)
+    assert flight.commander.mode is modes.AUTO_RTL
+    assert flight.commander.failsafe is Failsafe.GCS_LOST
+
+
+def test_home_is_where_it_was_armed(flight):
+    assert flight.commander.home is not None, "set by the first valid position"
+    flight.place(3.0, 4.0, 0.0)
+    flight.commander.arm_disarm(True)
+    assert flight.commander.home.position == (3.0, 4.0, 0.0)
+    assert flight.commander.home.altitude == pytest.approx(ORIGIN[2])
+
+
+@pytest.mark.parametrize("place", [(math.nan, 8.0, 0.0), (200.0, 8.0, 0.0), (47.0, 8.0, math.inf)])
+def test_bad_home_is_denied(flight, place):
+    home = flight.commander.home
+    assert flight.commander.set_home(place) is Result.DENIED
+    assert flight.commander.home is home
+
+
+def test_sticks_fly_posctl_and_centre_when_silent(flight):
+    fly_offboard(flight)
+    assert flight.commander.request(modes.POSCTL) is Result.ACCEPTED
+    s = flight.setpoint
+    assert (s["task"], s["stick_x"]) == (TASK_STICKS, 0.0)
+    flight.commander.manual_control(1.0, -1.0, 0.05, 0.55)
+    assert (s["stick_x"], s["stick_y"], s["stick_z"]) == (1.0, -1.0, 0.0)
+    assert s["stick_yaw"] == pytest.approx(0.4 * 0.5 + 0.6 * 0.125)
+    flight.run(0.7)
+    assert (s["stick_x"], s["stick_y"], s["stick_yaw"]) == (0.0, 0.0, 0.0)
+
+
+def test_sticks_allow_arming_in_posctl(flight):
+    flight.commander.request(modes.POSCTL)
+    flight.commander.manual_control(0.0, 0.0, 0.0, 0.0)
+    assert flight.commander.arm_disarm(True) is Result.ACCEPTED
+    assert flight.setpoint["task"] == TASK_STICKS
+
+
+def test_warnings_come_once_a_second(flight):
+    flight.run(1.0, lambda: flight.commander.warn("no"))
+    assert flight.texts() == ["no"]
+    flight.run(0.1, lambda: flight.commander.warn("no"))
+    assert flight.texts() == ["no"]

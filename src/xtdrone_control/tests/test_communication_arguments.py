@@ -1,0 +1,55 @@
+"""Command lines of programs that serve one vehicle or many."""
+
+from __future__ import annotations
+
+import pytest
+
+from xtdrone_control.communication.arguments import (
+    ArgumentError,
+    check_multirotor,
+    fleet_of,
+    parse_count,
+    parse_ids,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "ids"), [("0", [0]), ("0-3", [0, 1, 2, 3]), ("5,1-2,1", [1, 2, 5]), ("all", list(range(9)))]
+)
+def test_ids(text: str, ids: list[int]) -> None:
+    assert parse_ids(text, 0, 8) == ids
+
+
+@pytest.mark.parametrize("text", ["", "-1", "9", "0-9", "3-1", "x", "1,,2", "1.5"])
+def test_bad_ids_are_named(text: str) -> None:
+    with pytest.raises(ArgumentError, match="id: "):
+        parse_ids(text, 0, 8)
+
+
+def test_all_needs_a_fleet() -> None:
+    with pytest.raises(ArgumentError, match="/xtdrone/fleet"):
+        parse_ids("all", 0, None)
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "10000", "nine", "1e1", ""])
+def test_bad_counts(text: str) -> None:
+    with pytest.raises(ArgumentError, match="1 to 250"):
+        parse_count(text)
+
+
+def test_count() -> None:
+    assert parse_count("9") == 9
+
+
+def test_types() -> None:
+    fleet = fleet_of("iris:3,solo:2")
+    assert check_multirotor("solo", fleet) == 2
+    assert check_multirotor("iris", None) is None
+    with pytest.raises(ArgumentError, match="no multirotor"):
+        check_multirotor("plane", None)
+    with pytest.raises(ArgumentError, match="unknown vehicle 'irsi'"):
+        check_multirotor("irsi", None)
+    with pytest.raises(ArgumentError, match="iris, solo"):
+        check_multirotor("typhoon_h480", fleet)
+    with pytest.raises(ArgumentError, match="/xtdrone/fleet"):
+        fleet_of("iris:zero")

@@ -1,0 +1,141 @@
+"""Control kernels against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from xtdrone_control.autopilot import attitude_control, control_allocator, flight_tasks, position_control, rotation
+from xtdrone_control.autopilot.parameters import PARAMS, Parameters
+from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS
+
+IRIS = np.array([[0.13, 0.22, -0.023], [-0.13, -0.20, -0.023], [0.13, -0.22, -0.023], [-0.13, 0.20, -0.023]])
+MOMENTS = 0.06 * np.array([1.0, 1.0, -1.0, -1.0])
+
+
+@pytest.fixture
+def parts():
+    control, estimate, params = np.zeros(1, CONTROL), np.zeros(1, ESTIMATOR), np.zeros(1, PARAMS)
+    estimate["q"][:, 0] = 1.0
+    control["hover_thrust"] = 0.5
+    Parameters({}).write_to(params[0])
+    return control[0], estimate[0], params[0]
+
+
+def allocate(torque, thrust):
+    control = np.zeros(1, CONTROL)
+    control["sp_torque"] = torque
+    control["sp_thrust"] = thrust
+    mix = np.zeros((4, MAX_ROTORS))
+    mix[:, :4] = control_allocator.mixing_matrix(IRIS, MOMENTS).T
+    control_allocator.allocate(control[0], mix, 4)
+    return control[0]
+
+
+def test_collective_thrust_goes_to_all_motors():
+    np.testing.assert_allclose(allocate((0, 0, 0), 0.6)["actuators"][:4], 0.6, atol=0.03)
+
+
+@pytest.mark.parametrize(("torque", "raised"), [((0.1, 0, 0), {1, 2}), ((0, 0.1, 0), {0, 2}), ((0, 0, 0.1), {0, 1})])
+def test_each_axis_raises_the_right_motors(torque, raised):
+    """Roll right raises the left motors, pitch up the front ones, yaw clockwise the counter-clockwise ones."""
+    u = allocate(torque, 0.5)["actuators"][:4]
+    assert set(np.flatnonzero(u > 0.505)) == raised
+
+
+def test_torques_are_produced_exactly_without_saturation():
+    mix = control_allocator.mixing_matrix(IRIS, MOMENTS)
+    effectiveness = np.stack([-IRIS[:, 1], IRIS[:, 0], MOMENTS, np.ones(4)])
+    product = effectiveness @ mix
+    assert np.all(np.abs(product - np.diag(np.diag(product))) < 1e-9)
+
+
+def test_saturation_gives_up_yaw_before_roll():
+    mix = control_allocator.mixing_matrix(IRIS, MOMENTS)
+    control = allocate((0.2, 0.0, 0.9), 0.8)
+    u = control["actuators"][:4]
+    assert u.max() <= 1.0
+    assert u.min() >= 0.0
+    torque = np.linalg.lstsq(mix, u, rcond=None)[0]
+    assert torque[0] == pytest.approx(0.2, rel=0.1)
+    assert 0.0 < torque[2] < 0.5
+    assert control["saturation_pos"][2] == 1
+
+
+@pytest.mark.parametrize("count", [3, MAX_ROTORS + 1])
+def test_rotor_counts_are_limited(count):
+    with pytest.raises(ValueError, match=str(count)):
+        control_allocator.mixing_matrix(np.ones((count, 3)), np.ones(count))
+
+
+def test_uncontrollable_rotors_are_refused():
+    with pytest.raises(ValueError, match="without control"):
+        control_allocator.mixing_matrix(IRIS, np.zeros(4))
+
+
+def test_hover_gives_level_attitude_and_hover_thrust(parts):
+    c, e, p = parts
+    flight_tasks.clear_setpoints(c)
+    c["sp_position"] = 0.0
+    position_control.position_loop(c, e, p, 3.0, 1.5)
+    position_control.velocity_loop(c, e, p, 0.004, math.radians(45), 1.0)
+    position_control.thrust_to_attitude(c, e)
+    assert c["sp_thrust"] == pytest.approx(0.5)
+    np.testing.assert_allclose(c["sp_q"], (1.0, 0.0, 0.0, 0.0), atol=1e-12)
+
+
+def test_tilt_is_limited_and_points_at_the_acceleration(parts):
+    c, e, p = parts
+    flight_tasks.clear_setpoints(c)
+    c["sp_acceleration"] = (50.0, 0.0, 0.0)
+    c["sp_velocity"][2] = 0.0
+    position_control.velocity_loop(c, e, p, 0.004, math.radians(30), 1.0)
+    position_control.thrust_to_attitude(c, e)
+    z = rotation.rotate(c["sp_q"], 0.0, 0.0, 1.0)
+    assert math.degrees(math.acos(z[2])) == pytest.approx(30.0, abs=1e-6)
+    assert -z[0] > 0.0  # thrust leans north
+
+
+def test_horizontal_limit_keeps_the_first_vector_s_priority():
+    x, y = position_control._limit_horizontal(3.0, 0.0, 0.0, 10.0, 5.0)
+    assert x == pytest.approx(3.0)
+    assert math.hypot(x, y) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("angle", [0.05, -0.3, 1.0])
+def test_small_heading_error_gives_yaw_gain(parts, angle):
+    c, e, p = parts
+    c["sp_q"] = rotation.from_euler(0.0, 0.0, angle)
+    c["sp_yaw_rate"] = 0.0
+    attitude_control.attitude_control(c, e, p)
+    weight = p["mc_yaw_weight"]
+    expected = 2.0 * math.sin(0.5 * weight * angle) * p["mc_yaw_p"] / weight
+    np.testing.assert_allclose(c["sp_rates"], (0.0, 0.0, expected), atol=1e-6)
+
+
+def test_roll_error_gives_roll_gain_at_any_heading(parts):
+    c, e, p = parts
+    e["q"] = rotation.from_euler(0.0, 0.0, 2.0)
+    c["sp_q"] = rotation.from_euler(0.1, 0.0, 2.0)
+    c["sp_yaw_rate"] = 0.0
+    attitude_control.attitude_control(c, e, p)
+    np.testing.assert_allclose(c["sp_rates"], (2.0 * math.sin(0.05) * p["mc_roll_p"], 0.0, 0.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("distance", [0.1, 2.0, 50.0])
+def test_approach_speed_lets_the_vehicle_stop(distance):
+    """v^2 / 2a + v a / j does not exceed the distance: braking under acceleration and jerk limits."""
+    accel, jerk = 3.0, 4.0
+    speed = flight_tasks._approach_speed(distance, accel, jerk, 1e9)
+    assert speed**2 / (2 * accel) + 2 * speed * accel / jerk == pytest.approx(distance)
+
+
+def test_from_axes_inverts_rotation():
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        q = rng.standard_normal(4)
+        q /= np.linalg.norm(q)
+        x, y, z = (rotation.rotate(q, *axis) for axis in np.eye(3))
+        again = np.array(rotation.from_axes(x, y, z))
+        assert abs(abs(np.dot(again, q)) - 1.0) < 1e-9

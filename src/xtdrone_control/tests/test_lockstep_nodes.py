@@ -1,0 +1,442 @@
+"""The lockstep with a real ROS master and real nodes, each a process; this test plays the simulator.
+
+Called as a program this file is one of those nodes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import xmlrpc.client
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from xtdrone_control import lockstep
+from xtdrone_control.lockstep.protocol import Schedule
+from xtdrone_control.lockstep.server import LockstepServer
+
+ROSMASTER = shutil.which("rosmaster")
+try:
+    import rospy
+    from std_msgs.msg import String
+except ImportError:
+    rospy = None
+
+pytestmark = pytest.mark.skipif(
+    ROSMASTER is None or rospy is None, reason="needs ROS 1: rosmaster on PATH and rospy (apt install ros-core)"
+)
+
+RATES = {"/a": 50.0, "/b": 30.0, "/c": 20.0}
+END_US = 1_500_000
+PATIENCE = 20.0
+
+
+# ---- the nodes ----
+
+
+def participant(name: str, seed: int, peers: list[str]) -> None:
+    """Publishes twice a turn a digest of all it has received, and writes down what comes when."""
+    lockstep.init_node(name, rate=RATES["/" + name])
+    lazy = random.Random(seed)
+    digest = hashlib.sha256(name.encode())
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def take(message: String, source: str) -> None:
+        digest.update(message.data.encode())
+        print(rospy.Time.now().to_nsec() // 1000, source, message.data, file=out)
+
+    publisher = lockstep.Publisher(f"/from_{name}", String)
+    keep = [lockstep.Subscriber(f"/from_{peer}", String, take, peer) for peer in peers]
+    keep.append(lockstep.Subscriber("/foreign", String, take, "foreign"))
+    assert rospy.Time.now().to_nsec() == 0
+    lockstep.start()
+    assert lockstep.is_active()
+
+    def step() -> None:
+        if seed:
+            time.sleep(lazy.choice([0.0, 0.0, 0.0, 0.02]))
+        now = rospy.Time.now().to_nsec() // 1000
+        for index in range(2):
+            publisher.publish(f"{now} {index} {digest.hexdigest()[:16]}")
+
+    lockstep.spin(step)
+
+
+def alone(name: str) -> None:
+    """A node without a simulator: three turns of wall time."""
+    lockstep.init_node(name, rate=50.0)
+    main, seen = threading.get_ident(), []
+    publisher = lockstep.Publisher("/loop", String, latch=True)
+
+    def take(message: String) -> None:
+        seen.append((message.data, threading.get_ident()))
+
+    _subscriber = lockstep.Subscriber("/loop", String, take)
+    lockstep.start()
+    assert not lockstep.is_active()
+    assert rospy.Time.now().to_sec() > 1e9
+    publisher.publish("hello")
+    rate = lockstep.Rate(50.0)
+    while not seen:
+        rate.sleep()
+    assert seen == [("hello", main)]
+    print("alone is well")
+
+
+def talker(name: str) -> None:
+    """A node that knows nothing of the lockstep: latches one message."""
+    rospy.init_node(name)
+    publisher = rospy.Publisher("/foreign", String, latch=True, queue_size=1)
+    publisher.publish("hello")
+    rospy.spin()
+
+
+def listener(name: str) -> None:
+    """A node that knows nothing of the lockstep: listens."""
+    rospy.init_node(name)
+    _subscriber = rospy.Subscriber("/flood", String, lambda message: None)
+    rospy.spin()
+
+
+def flood(name: str) -> None:
+    """Publishes more than a socket holds."""
+    lockstep.init_node(name, rate=50.0)
+    publisher = lockstep.Publisher("/flood", String, queue_size=5)
+    lockstep.start()
+    message = String("x" * 500_000)
+    lockstep.spin(lambda: publisher.publish(message))
+
+
+def simulator(name: str) -> None:
+    """A simulator that publishes itself: a message before each tick, which that tick must deliver."""
+    rospy.init_node(name)
+    server = LockstepServer(hang_limit=10.0)
+    publisher = lockstep.Publisher("/from_simulator", String)
+    server.attach_host(lockstep.host())
+    rospy.set_param("/lockstep/uri", server.uri)
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    now: int | None = 0
+    while now is not None and now < 300_000:
+        publisher.publish(f"{now}")
+        server.tick(now)
+        now = server.next_due_us(now)
+    server.close()
+
+
+def pinger(name: str, port: int, simulator_port: int) -> None:
+    """Answers every datagram at once, and publishes nothing."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.bind(("127.0.0.1", port))
+    got: list[bytes] = []
+    calls = []
+
+    def serve(expected, timeout: float):
+        sock.settimeout(timeout)
+        while len(got) < expected[port]:
+            got.append(sock.recv(100))
+            sock.sendto(got[-1], ("127.0.0.1", simulator_port))
+        calls.append(len(got))
+        lockstep.datagrams_sent(simulator_port, len(got))
+        return {port: len(got)}
+
+    lockstep.init_node(name, rate=50.0)
+    lockstep.declare_udp([port], serve)
+    lockstep.start()
+    lockstep.spin()
+    print("calls", *calls)
+
+
+# ---- the test's side ----
+
+
+class Graph:
+    """A master of its own and the processes that a test starts."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as sock:
+            sock.bind(("127.0.0.1", 0))
+            port = sock.getsockname()[1]
+        self.folder = folder
+        self.processes: dict[str, subprocess.Popen] = {}
+        self.env = {
+            **os.environ,
+            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
+            "ROS_HOSTNAME": "127.0.0.1",
+            "ROS_LOG_DIR": str(folder),
+            "ROS_HOME": str(folder),
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        }
+        self.processes["master"] = self._popen("master", [str(ROSMASTER), "--core", "-p", str(port)])
+        self.master = xmlrpc.client.ServerProxy(self.env["ROS_MASTER_URI"])
+        wait_until(self._master_answers, "the master answers")
+
+    def _popen(self, name: str, command: list[str], **env: str) -> subprocess.Popen:
+        with open(self.folder / f"{name}.out", "w") as out:
+            return subprocess.Popen(command, env={**self.env, **env}, stdout=out, stderr=subprocess.STDOUT)
+
+    def _master_answers(self) -> bool:
+        try:
+            return self.master.getPid("/test")[0] == 1
+        except OSError:
+            return False
+
+    def set_param(self, name: str, value: object) -> None:
+        self.master.setParam("/test", name, value)
+
+    def start(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
+        command = [sys.executable, __file__, role, name, *arguments]
+        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+        return self.processes[name]
+
+    def transcript_path(self, name: str) -> Path:
+        return self.folder / f"{name}.transcript"
+
+    def transcript(self, name: str) -> list[str]:
+        return self.transcript_path(name).read_text().splitlines()
+
+    def output(self, name: str) -> str:
+        return (self.folder / f"{name}.out").read_text()
+
+    def stop(self) -> None:
+        for process in self.processes.values():
+            process.kill()
+        for process in self.processes.values():
+            process.wait()
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, f"in vain waited until {what}"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    graph = Graph(tmp_path)
+    yield graph
+    graph.stop()
+
+
+@pytest.fixture
+def server(graph: Graph) -> Iterator[LockstepServer]:
+    server = LockstepServer(hang_limit=10.0)
+    graph.set_param("/lockstep/uri", server.uri)
+    yield server
+    server.close()
+
+
+def run(server: LockstepServer, end_us: int, start_us: int = -1, until: Callable[[], bool] = lambda: False) -> int:
+    """Runs barriers while the time is below `end_us`; returns the time of the next."""
+    now = 0 if start_us < 0 else start_us
+    while now is not None and now < end_us and not until():
+        server.tick(now)
+        now = server.next_due_us(now)
+    return end_us if now is None else now
+
+
+def start_three(graph: Graph, server: LockstepServer, lazy: str = "", seed: int = 0) -> None:
+    for name in RATES:
+        others = [peer[1:] for peer in RATES]
+        graph.start("participant", name[1:], str(seed if name == lazy else 0), *others)
+    assert server.wait_for(list(RATES), timeout=PATIENCE), server.missing(list(RATES))
+
+
+def due_times(rate: float, end_us: int) -> list[int]:
+    schedule, times, now = Schedule(rate), [], -1
+    while (now := schedule.after_us(now)) < end_us:
+        times.append(now)
+    return times
+
+
+def expected_receptions(receiver: str, end_us: int) -> list[tuple[int, str, int, int]]:
+    """What a receiver must note: (time, source, time of sending, index), from the rule alone."""
+    turns = due_times(RATES[receiver], end_us)
+    receptions = []
+    for previous, now in itertools.pairwise(turns):
+        for source in RATES:
+            sent = [turn for turn in due_times(RATES[source], end_us) if previous <= turn < now]
+            receptions += [(now, source[1:], turn, index) for turn in sent for index in range(2)]
+    return receptions
+
+
+def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_whatever_the_speed(tmp_path: Path) -> None:
+    transcripts = []
+    for number, (lazy, seed) in enumerate([("", 0), ("/b", 5)]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        graph = Graph(folder)
+        server = LockstepServer(hang_limit=10.0)
+        try:
+            graph.set_param("/lockstep/uri", server.uri)
+            start_three(graph, server, lazy, seed)
+            run(server, END_US)
+            server.close()
+            for name in RATES:
+                assert graph.processes[name[1:]].wait(PATIENCE) == 0, graph.output(name[1:])
+                assert "is gone" in graph.output(name[1:])
+                assert "did not arrive" not in graph.output(name[1:])
+            transcripts.append({name: graph.transcript(name[1:]) for name in RATES})
+        finally:
+            server.close()
+            graph.stop()
+    for name, lines in transcripts[0].items():
+        fields = [line.split() for line in lines]
+        got = [(int(now), source, int(sent), int(index)) for now, source, sent, index, _ in fields]
+        assert got == expected_receptions(name, END_US)
+    assert transcripts[1] == transcripts[0]
+
+
+def test_killing_one_lets_the_others_go_on_and_it_may_come_back(graph: Graph, server: LockstepServer) -> None:
+    start_three(graph, server)
+    now = run(server, 400_000)
+    graph.processes["b"].kill()
+    graph.processes["b"].wait()
+    now = run(server, 800_000, now)
+    assert sorted(server.participants) == ["/a", "/c"]
+    graph.start("participant", "b", "0", "a", "c")
+    assert server.wait_for(list(RATES), timeout=PATIENCE), server.missing(list(RATES))
+    now = run(server, 1_200_000, now)
+    server.close()
+    for name in "abc":
+        assert graph.processes[name].wait(PATIENCE) == 0, graph.output(name)
+    seen = [line.split() for line in graph.transcript("a")]
+    last = due_times(RATES["/a"], now)[-1]
+    assert int(seen[-1][0]) == last
+    from_b = [int(sent) for _, source, sent, _, _ in seen if source == "b"]
+    turns = due_times(RATES["/b"], now)
+    before = [turn for turn in turns if turn < 400_000]
+    # What it sent in its last turn before it was killed was counted only if it had time to say so.
+    assert {t for t in from_b if t < 800_000} in (set(before), set(before[:-1]))
+    assert {t for t in from_b if t >= 800_000} == {t for t in turns if 800_000 <= t < last}
+
+
+def test_a_foreign_latched_message_comes_with_the_next_turn(graph: Graph, server: LockstepServer) -> None:
+    graph.start("talker", "talker")
+    graph.start("participant", "a", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    now = 0
+
+    def heard() -> bool:
+        return any("foreign hello" in line for line in graph.transcript("a"))
+
+    end = time.monotonic() + PATIENCE
+    while not heard() and time.monotonic() < end:
+        now = run(server, now + 20_000, now)
+    assert heard()
+    assert sum("foreign hello" in line for line in graph.transcript("a")) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_that_waits_for_its_turn(graph: Graph, server: LockstepServer, number: int) -> None:
+    graph.start("participant", "a", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 100_000)
+    started = time.monotonic()
+    graph.processes["a"].send_signal(number)
+    graph.processes["a"].wait(PATIENCE)
+    assert time.monotonic() - started < 3.0, "the node did not notice the signal"
+    server.poll(1.0)
+    assert not server.participants
+
+
+def test_a_stopped_listener_does_not_stop_the_world(graph: Graph, server: LockstepServer) -> None:
+    rider = graph.start("listener", "rider")
+    graph.start("flood", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+
+    def connected() -> bool:
+        return any(topic == "/flood" and "/rider" in nodes for topic, nodes in graph.master.getSystemState("/t")[2][1])
+
+    wait_until(connected, "the listener subscribes")
+    now = run(server, 400_000)
+    rider.send_signal(signal.SIGSTOP)
+    started = time.monotonic()
+    run(server, now + 1_000_000, now)
+    assert list(server.participants) == ["/a"]
+    assert time.monotonic() - started < 5.0
+    rider.send_signal(signal.SIGCONT)
+
+
+def test_what_the_simulator_publishes_before_a_tick_is_dispatched_in_it(graph: Graph) -> None:
+    process = graph.start("simulator", "simulator")
+    graph.set_param("/lockstep/wait", True)
+    graph.start("participant", "a", "0", "simulator")
+    assert process.wait(PATIENCE) == 0, graph.output("simulator")
+    assert graph.processes["a"].wait(PATIENCE) == 0
+    seen = [line.split() for line in graph.transcript("a")]
+    assert [int(now) for now, *_ in seen] == due_times(RATES["/a"], 300_000)
+    assert all(sent == now for now, _, sent in seen)
+
+
+def test_datagrams_are_waited_for(graph: Graph, server: LockstepServer) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        own_port = sock.getsockname()[1]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.bind(("127.0.0.1", 0))
+            port = other.getsockname()[1]
+        graph.start("pinger", "pinger", str(port), str(own_port))
+        assert server.wait_for(["/pinger"], timeout=PATIENCE)
+        sent = 0
+        for index, number in enumerate([2, 0, 3, 1]):
+            # The count promises what is sent only after the tick has begun: the node has to wait for it.
+            late = threading.Timer(0.05, lambda n=number: [sock.sendto(b"x", ("127.0.0.1", port)) for _ in range(n)])
+            late.start()
+            sent += number
+            server.tick(index * 20_000, {port: sent})
+            late.join()
+            assert server.datagrams_expected.get(own_port, 0) == sent
+        sock.settimeout(PATIENCE)
+        assert b"".join(sock.recv(100) for _ in range(sent)) == b"x" * sent
+    server.close()
+    assert graph.processes["pinger"].wait(PATIENCE) == 0, graph.output("pinger")
+    assert "calls 2 5 6" in graph.output("pinger")
+
+
+def test_without_a_simulator_it_is_an_ordinary_node(graph: Graph) -> None:
+    assert graph.start("alone", "alone").wait(PATIENCE) == 0, graph.output("alone")
+    assert "alone is well" in graph.output("alone")
+
+
+def test_the_private_parameter_opts_out(graph: Graph, server: LockstepServer) -> None:
+    graph.set_param("/alone/lockstep", False)
+    assert graph.start("alone", "alone").wait(PATIENCE) == 0, graph.output("alone")
+    assert not server.participants
+
+
+def test_a_node_that_starts_first_waits_for_the_simulator(graph: Graph) -> None:
+    graph.set_param("/lockstep/wait", True)
+    graph.start("participant", "a", "0", "a")
+
+    def there() -> bool:
+        return any("/a" in nodes for _, nodes in graph.master.getSystemState("/t")[2][0])
+
+    wait_until(there, "the node registers")
+    server = LockstepServer()
+    graph.set_param("/lockstep/uri", server.uri)
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 100_000)
+    assert list(server.participants) == ["/a"]
+    server.close()
+
+
+if __name__ == "__main__":
+    role, name, *rest = sys.argv[1:]
+    if role == "participant":
+        participant(name, int(rest[0]), rest[1:])
+    elif role == "pinger":
+        pinger(name, int(rest[0]), int(rest[1]))
+    else:
+        {"alone": alone, "talker": talker, "listener": listener, "flood": flood, "simulator": simulator}[role](name)

@@ -1,0 +1,200 @@
+"""AUTO modes: goals, phases, texts."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from autopilot_fakes import ORIGIN, Flight
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander import Result
+from xtdrone_control.autopilot.state import TASK_GOTO, TASK_IDLE, TASK_LAND
+
+
+@pytest.fixture
+def flight():
+    """An iris that hovers in AUTO.LOITER at 10 m, home at the origin."""
+    flight = Flight()
+    flight.commander.arm_disarm(True)
+    flight.place(0.0, 0.0, -10.0)
+    flight.run(0.1)
+    flight.commander.request(modes.POSCTL)
+    flight.commander.request(modes.AUTO_LOITER)
+    flight.texts()
+    return flight
+
+
+def goal(flight):
+    return flight.setpoint["goal_position"].tolist()
+
+
+def test_takeoff_goes_to_loiter_within_the_altitude_radius():
+    flight = Flight(MIS_TAKEOFF_ALT=5)
+    flight.place(1.0, 2.0, 0.0)
+    flight.commander.request(modes.AUTO_TAKEOFF)
+    assert flight.setpoint["task"] == TASK_IDLE
+    flight.commander.arm_disarm(True)
+    assert (flight.setpoint["task"], goal(flight)) == (TASK_GOTO, [1.0, 2.0, -5.0])
+    assert math.isnan(flight.setpoint["climb_speed"])
+    assert "Using minimum takeoff altitude: 5.00 m" in flight.texts()
+    flight.place(1.0, 2.0, -4.1)
+    flight.run(0.2)
+    assert flight.commander.landed_state == 3
+    flight.place(1.0, 2.0, -4.25)
+    flight.run(0.1)
+    assert flight.commander.mode is modes.AUTO_LOITER
+    assert flight.commander.landed_state == 2
+    assert goal(flight) == pytest.approx([1.0, 2.0, -4.25])
+
+
+def test_takeoff_to_a_given_altitude():
+    flight = Flight()
+    assert flight.commander.takeoff(ORIGIN[2] + 12.0, 1.0) is Result.ACCEPTED
+    flight.commander.arm_disarm(True)
+    assert goal(flight) == pytest.approx([0.0, 0.0, -12.0])
+    assert flight.setpoint["goal_yaw"] == 1.0
+    assert not any("minimum" in text for text in flight.texts())
+
+
+def test_takeoff_is_raised_to_the_least_altitude():
+    flight = Flight()
+    flight.commander.takeoff(ORIGIN[2] + 1.0, math.nan)
+    flight.commander.arm_disarm(True)
+    assert goal(flight) == pytest.approx([0.0, 0.0, -2.5])
+    assert "Using minimum takeoff altitude: 2.50 m" in flight.texts()
+
+
+def test_takeoff_to_infinity_is_denied():
+    flight = Flight()
+    assert flight.commander.takeoff(math.inf, math.nan) is Result.DENIED
+    assert flight.commander.mode is modes.AUTO_LOITER
+
+
+def test_takeoff_in_the_air_does_not_descend(flight):
+    flight.commander.takeoff(ORIGIN[2] + 5.0, math.nan)
+    assert goal(flight) == [0.0, 0.0, -10.0]
+    assert "Already higher than takeoff altitude" in flight.texts()
+    flight.run(0.1)
+    assert flight.commander.mode is modes.AUTO_LOITER
+
+
+def test_loiter_brakes_ahead(flight):
+    flight.commander.request(modes.POSCTL)
+    flight.autopilot.estimator["velocity"] = (3.0, 4.0, 0.5)
+    flight.commander.request(modes.AUTO_LOITER)
+    stop = 25.0 / (2 * 3.0)
+    assert goal(flight) == pytest.approx([0.6 * stop, 0.8 * stop, -10.0])
+
+
+def test_land_aims_at_homes_height(flight):
+    flight.place(20.0, 5.0, -10.0)
+    assert flight.commander.land() is Result.ACCEPTED
+    assert (flight.setpoint["task"], goal(flight)) == (TASK_LAND, [20.0, 5.0, 0.0])
+    assert flight.texts() == ["Landing at current position"]
+
+
+def test_return_climbs_flies_back_descends_and_lands(flight):
+    flight.place(36.0, 10.0, -10.2)
+    assert flight.commander.request(modes.AUTO_RTL) is Result.ACCEPTED
+    assert goal(flight) == pytest.approx([36.0, 10.0, -30.0])
+    flight.place(36.0, 10.0, -29.0)
+    flight.run(0.2)
+    assert goal(flight) == pytest.approx([36.0, 10.0, -30.0])
+    flight.place(36.0, 10.0, -29.3)
+    flight.run(0.1)
+    assert goal(flight) == pytest.approx([0.0, 0.0, -30.0])
+    assert flight.setpoint["goal_yaw"] == pytest.approx(math.atan2(-10.0, -36.0))
+    flight.place(1.0, 1.0, -30.0)
+    flight.run(0.1)
+    assert goal(flight) == pytest.approx([0.0, 0.0, -10.0])
+    assert flight.commander.landed_state == 2
+    flight.place(0.0, 0.0, -10.5)
+    flight.run(0.1)
+    assert (flight.setpoint["task"], flight.commander.landed_state) == (TASK_LAND, 4)
+    flight.place(0.0, 0.0, 0.0)
+    flight.run(2.3)
+    assert not flight.commander.armed
+    assert flight.texts() == [
+        "RTL HOME activated",
+        "RTL: landing at home position.",
+        "RTL: climb to 518 m (30 m above destination)",
+        "RTL: return at 518 m (30 m above destination)",
+        "RTL: descend to 498 m (10 m above destination)",
+        "RTL: land at destination",
+        "Landing detected",
+        "Disarmed by landing",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("distance", "height", "expected"),
+    [
+        (100.0, 50.0, 50.0),  # higher already
+        (11.0, 5.0, 30.0),  # outside the cone
+        (8.0, 5.0, 8.0),  # inside: 45 degrees
+        (3.0, 2.0, 4.0),  # at least twice the acceptance radius
+        (0.5, 2.0, 2.0),  # over home: as it is
+    ],
+)
+def test_return_height(flight, distance, height, expected):
+    flight.place(distance, 0.0, -height)
+    flight.commander.request(modes.AUTO_RTL)
+    assert goal(flight) == pytest.approx([distance, 0.0, -expected])
+
+
+def test_return_waits_before_landing(flight):
+    flight.parameters.set("RTL_LAND_DELAY", 3.0)
+    flight.commander.request(modes.AUTO_RTL)
+    flight.run(2.8, flight.follow)
+    assert flight.setpoint["task"] == TASK_GOTO
+    flight.run(1.0, flight.follow)
+    assert flight.setpoint["task"] == TASK_LAND
+
+
+def test_return_from_low_over_home_does_not_climb_to_descend(flight):
+    flight.place(0.0, 0.0, -4.0)
+    flight.commander.request(modes.AUTO_RTL)
+    flight.run(0.3, flight.follow)
+    assert flight.setpoint["task"] == TASK_LAND
+
+
+def test_return_needs_a_home(flight):
+    flight.commander.navigator.home = None
+    assert flight.commander.return_to_launch() is Result.TEMPORARILY_REJECTED
+    assert flight.commander.mode is modes.AUTO_LOITER
+
+
+def test_reposition(flight):
+    target = flight.commander.view.to_global((30.0, 40.0, -20.0))
+    assert flight.commander.reposition(target, math.nan, 3.0) is Result.ACCEPTED
+    assert goal(flight) == pytest.approx([30.0, 40.0, -20.0], abs=1e-6)
+    assert flight.setpoint["goal_yaw"] == pytest.approx(math.atan2(40.0, 30.0))
+    assert flight.setpoint["cruise_speed"] == 3.0
+
+
+@pytest.mark.parametrize("place", [(math.inf, 8.5, 500.0), (91.0, 8.5, 500.0), (47.0, 8.5, -math.inf)])
+def test_bad_reposition_is_denied(flight, place):
+    before = goal(flight)
+    assert flight.commander.reposition(place, math.nan, math.nan) is Result.DENIED
+    assert goal(flight) == before
+
+
+def test_reposition_on_the_ground_is_refused():
+    flight = Flight()
+    flight.commander.arm_disarm(True)
+    assert flight.commander.reposition((47.0, 8.0, 500.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED
+    assert flight.setpoint["task"] == TASK_IDLE
+
+
+def test_speed_change_lasts_until_the_next_mode(flight):
+    assert flight.commander.change_speed(1, 2.0) is Result.ACCEPTED
+    assert flight.setpoint["cruise_speed"] == 2.0
+    assert flight.commander.change_speed(1, math.nan) is Result.DENIED
+    assert flight.commander.change_speed(9, 2.0) is Result.DENIED
+    flight.commander.request(modes.AUTO_RTL)
+    assert math.isnan(flight.setpoint["cruise_speed"])
+
+
+def test_change_of_altitude_keeps_the_place(flight):
+    assert flight.commander.change_altitude(ORIGIN[2] + 15.0) is Result.ACCEPTED
+    assert goal(flight) == pytest.approx([0.0, 0.0, -15.0])

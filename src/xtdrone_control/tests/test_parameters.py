@@ -1,0 +1,99 @@
+"""Parameters: table, types, record."""
+
+from __future__ import annotations
+
+import logging
+import math
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from xtdrone_control.autopilot.parameters import (
+    FLOAT,
+    INT32,
+    NAMES,
+    PARAMS,
+    ParameterError,
+    Parameters,
+    airframe_parameters,
+    describe,
+)
+
+
+def test_defaults_are_px4s():
+    p = Parameters()
+    assert p.get("MPC_XY_P") == pytest.approx(0.95)
+    assert p.get("EKF2_NOAID_TOUT") == 5_000_000
+    assert isinstance(p.get("EKF2_NOAID_TOUT"), int)
+    assert describe("COM_OF_LOSS_T").type == FLOAT
+    assert describe("COM_DL_LOSS_T").type == INT32
+
+
+def test_names_fit_mavlink_and_are_sorted():
+    assert list(NAMES) == sorted(set(NAMES))
+    assert all(len(name) <= 16 for name in NAMES)
+
+
+def test_every_default_lies_in_its_range():
+    for name in NAMES:
+        entry = describe(name)
+        assert entry.minimum <= entry.default <= entry.maximum, name
+        assert entry.text
+
+
+def test_airframe_overrides_become_defaults():
+    p = airframe_parameters("iris", 7)
+    assert (p.get("MAV_SYS_ID"), p.get("MC_ROLL_P")) == (7, 6.0)
+    p.set("MC_ROLL_P", 5.0)
+    p.reset()
+    assert p.get("MC_ROLL_P") == 6.0
+
+
+def test_record_follows():
+    array = np.zeros(2, PARAMS)
+    p = Parameters({"MPC_XY_P": 0.5})
+    p.write_to(array[1])
+    p.set("MPC_TKO_SPEED", 2.5)
+    assert array["mpc_xy_p"].tolist() == [0.0, 0.5]
+    assert array["mpc_tko_speed"].tolist() == [0.0, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "kind", "text"),
+    [
+        ("NO_SUCH", 1.0, None, "NO_SUCH"),
+        ("MPC_XY_P", math.nan, None, "finite"),
+        ("MPC_XY_P", math.inf, FLOAT, "finite"),
+        ("MPC_XY_P", 1e39, None, "too large"),
+        ("MPC_XY_P", 1.0, INT32, "MAV_PARAM_TYPE is 9"),
+        ("NAV_DLL_ACT", 1.5, None, "integer"),
+        ("NAV_DLL_ACT", 2.0**31, None, "integer"),
+    ],
+)
+def test_bad_values_are_refused(name, value, kind, text):
+    p = Parameters()
+    before = p.hash()
+    with pytest.raises(ParameterError, match=text):
+        p.set(name, value, kind)
+    assert p.hash() == before
+
+
+def test_out_of_range_is_stored_with_a_warning(caplog):
+    p = Parameters()
+    with caplog.at_level(logging.WARNING):
+        assert p.set("MPC_XY_VEL_MAX", 50.0) == 50.0
+    assert "MPC_XY_VEL_MAX" in caplog.text
+
+
+def test_hash_is_px4s_crc():
+    p = Parameters()
+    data = b"".join(n.encode() + struct.pack("<i" if isinstance(p.get(n), int) else "<f", p.get(n)) for n in NAMES)
+    # a CRC from register 0 without inversions, by its definition
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    assert p.hash() == crc
+    assert p.hash() != zlib.crc32(data)

@@ -1,0 +1,42 @@
+"""Who flies to which slot: the assignment of least total distance (Kuhn-Munkres, section 5 of the paper)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """A solved assignment.
+
+    Attributes:
+        slots: shape (M,); follower i (row i of ``current``) flies to ``target[slots[i]]``.
+        cost: total straight-line distance, m.
+    """
+
+    slots: NDArray[np.intp]
+    cost: float
+
+
+def assign(current: ArrayLike, target: ArrayLike) -> Assignment:
+    """Return the assignment of least total Euclidean distance.
+
+    Args:
+        current: where the followers are, shape (M, 3), m.
+        target: the slots in the same frame, shape (M, 3), m.
+
+    Raises:
+        ValueError: shapes differ or are not (M, 3), or a value is not finite.
+    """
+    here, there = np.asarray(current, dtype=float), np.asarray(target, dtype=float)
+    if here.ndim != 2 or here.shape[1] != 3 or here.shape != there.shape:
+        raise ValueError(f"assignment: shapes {here.shape} and {there.shape}, both must be (M, 3)")
+    if not (np.isfinite(here).all() and np.isfinite(there).all()):
+        raise ValueError("assignment: all positions must be finite")
+    distance = np.linalg.norm(here[:, None] - there[None], axis=-1)
+    rows, columns = linear_sum_assignment(distance)
+    return Assignment(columns, float(distance[rows, columns].sum()))

@@ -1,0 +1,280 @@
+"""The follower of a formation: one vehicle's consensus and avoidance. Made to be inherited.
+
+A follower of your own overrides what it wants to change and keeps the rest::
+
+    class MyFollower(Follower):
+        def control_law(self, position, peers):
+            x, y, z = super().control_law(position, peers)
+            return x, y, 0.5 * z
+
+    if __name__ == "__main__":
+        sys.exit(run_follower(MyFollower))      # xtdrone_coordination.ros
+
+No ROS here: a node hands in what it hears with the ``on_...`` methods and publishes what :meth:`Follower.update`
+returns; a simulator in one process does the same without a master.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xtdrone_coordination import avoidance
+from xtdrone_coordination.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law
+from xtdrone_coordination.patterns import check_offsets, with_leader
+from xtdrone_coordination.swarm import SwarmState, as_vector
+from xtdrone_coordination.topology import check_adjacency
+
+RATE = 30  # Hz
+
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class FollowerOptions:
+    """Settings of a follower.
+
+    Attributes:
+        mode: ``vel``: the output is a velocity, m/s; ``accel``: an acceleration, m/s^2.
+        Kp: gain of the consensus law, 1/s (1/s^2 in accel mode), above 0.
+        raw_weights: take the weights w_ij as they are, as in the paper's equation; else divide by the in-degree.
+        vel_max: limit of the commanded speed, m/s, above 0.
+        accel_max: limit of the commanded acceleration, m/s^2, above 0.
+        avoid: ``own``: compute the avoidance here; ``topic``: use what somebody else computes; ``off``.
+        Kp_avoid: gain of the avoidance, 0 or more.
+        avoid_radius: b, m, above 0.
+        clearance: m, below ``avoid_radius``; in vel mode with its own avoidance a follower does not fly towards a
+            vehicle that is nearer than this; 0 leaves the paper's Algorithm 1 alone.
+        pose_timeout: s; a position older than this is not used any more, above 0.
+    """
+
+    mode: Literal["vel", "accel"] = "vel"
+    Kp: float = 1.0
+    raw_weights: bool = False
+    vel_max: float = 1.0
+    accel_max: float = 1.0
+    avoid: Literal["own", "topic", "off"] = "own"
+    Kp_avoid: float = 1.0
+    avoid_radius: float = avoidance.RADIUS
+    clearance: float = avoidance.CLEARANCE
+    pose_timeout: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense.
+
+        Raises:
+            ValueError: a setting is out of its range.
+        """
+        check_choice("mode", self.mode, ("vel", "accel"))
+        check_choice("avoid", self.avoid, ("own", "topic", "off"))
+        check_number("Kp_avoid", self.Kp_avoid, zero=True)
+        check_number("clearance", self.clearance, zero=True)
+        for name in ("Kp", "vel_max", "accel_max", "avoid_radius", "pose_timeout"):
+            check_number(name, getattr(self, name))
+        if self.clearance >= self.avoid_radius:
+            raise ValueError(f"clearance: {self.clearance} m is not less than avoid_radius, {self.avoid_radius} m")
+
+    @property
+    def limit(self) -> float:
+        """The limit that goes with the mode."""
+        return self.vel_max if self.mode == "vel" else self.accel_max
+
+
+class Follower:
+    """One follower.
+
+    Override :meth:`control_law`, :meth:`neighbours` or :meth:`avoidance`. They may return tuples, lists or arrays.
+
+    Attributes:
+        id: this vehicle's number, 1 to count-1.
+        count: number of vehicles N.
+        swarm: positions and velocities of all vehicles.
+        options: the settings.
+        offsets: N slots relative to the leader (its own zero first), m ENU; None until a pattern came.
+        weights: weights w_ij of those it listens to, by their number; the leader alone until a topology came.
+        avoidance_vector: what :meth:`avoidance` gave last, before its gain; a node publishes it.
+    """
+
+    uses_velocities = False
+    """Set it in a subclass whose law reads velocities, so that they are subscribed in vel mode too."""
+
+    def __init__(
+        self,
+        id: int,
+        count: int,
+        *,
+        swarm: SwarmState | None = None,
+        options: FollowerOptions | None = None,
+        warn: Callable[[str], None] | None = None,
+    ) -> None:
+        """Create a follower that knows nothing yet.
+
+        Args:
+            id: its number, 1 to count-1; 0 is the leader.
+            count: number of vehicles N, at least 2.
+            swarm: shared state of the swarm; its own if none is given.
+            options: settings; the defaults if none are given.
+            warn: where warnings go; the Python logger of this module if none is given.
+
+        Raises:
+            ValueError: ``id`` is out of range.
+        """
+        if not 1 <= id < count:
+            raise ValueError(
+                f"follower id: {id} is not allowed, 1 to {count - 1} of {count} vehicles (0 is the leader)"
+            )
+        self.id = id
+        self.count = count
+        self.swarm = swarm or SwarmState(count)
+        self.options = options or FollowerOptions()
+        self.offsets: list[Vector] | None = None
+        self.weights: Mapping[int, float] = {0: 1.0}
+        self.avoidance_vector: Vector = _ZERO
+        self._heard_avoidance: Vector = _ZERO
+        self._gamma = critical_damping(self.options.Kp)
+        self._timeout = math.ceil(self.options.pose_timeout * RATE)
+        self._warn = warn or logging.getLogger(__name__).warning
+        self._problems: set[str] = set()  # of the last update
+        self._said: set[str] = set()  # of the update before
+
+    # to be overridden
+
+    def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
+        """Return this vehicle's velocity (m/s) or acceleration (m/s^2), ENU, before avoidance and limits.
+
+        The default is the paper's equation 2, or its second-order form in accel mode.
+
+        Args:
+            position: own position, m ENU.
+            peers: those it listens to, with what it knows of them.
+        """
+        assert self.offsets is not None
+        offset = self.offsets[self.id]
+        gain, normalise = self.options.Kp, not self.options.raw_weights
+        if self.options.mode == "vel":
+            return velocity_law(position, offset, peers, gain, normalise=normalise)
+        velocity = self.swarm.velocities[self.id] or _ZERO
+        return acceleration_law(position, velocity, offset, peers, gain, self._gamma, normalise=normalise)
+
+    def neighbours(self) -> Mapping[int, float]:
+        """Return the weight of each vehicle to listen to, by its number; the default is the leader's topology."""
+        return self.weights
+
+    def avoidance(self) -> Vector:
+        """Return the avoidance, ENU, before the gain Kp_avoid; the default is the paper's Algorithm 1."""
+        if self.options.avoid == "own":
+            return avoidance.avoid(self.id, self.swarm.positions, self.options.avoid_radius)
+        if self.options.avoid == "topic":
+            return self._heard_avoidance
+        return _ZERO
+
+    # inputs
+
+    def on_pattern(self, offsets: ArrayLike) -> None:
+        """Take the slots of all followers in order of their numbers, shape (N-1, 3), m ENU from the leader.
+
+        Raises:
+            PatternError: another size, not finite, or slots too close to each other.
+        """
+        checked = check_offsets(offsets, self.count, "formation pattern")
+        self.offsets = [(x, y, z) for x, y, z in with_leader(checked).tolist()]
+
+    def on_topology(self, adjacency: ArrayLike) -> None:
+        """Take the adjacency matrix, shape (N, N) or its values row by row; row i: whom vehicle i listens to.
+
+        Raises:
+            ValueError: another size, negative weights, or a vehicle that listens to itself.
+        """
+        row = check_adjacency(adjacency, self.count)[self.id]
+        self.weights = {int(j): float(row[j]) for j in np.flatnonzero(row)}
+
+    def on_avoidance(self, vector: Vector) -> None:
+        """Take the avoidance that somebody else computed for this vehicle (``avoid: topic``)."""
+        self._heard_avoidance = as_vector(vector) or _ZERO
+
+    # output
+
+    def update(self) -> Vector | None:
+        """Return what to command now, m/s or m/s^2 ENU; None before it knows its place and its slot.
+
+        It stands still (zero) when its own position or those of all its neighbours have not come for ``pose_timeout``,
+        and when an overridden method gives something else than three finite numbers.
+        """
+        own = self.swarm.positions[self.id]
+        if own is None or self.offsets is None:
+            return None
+        self._said, self._problems = self._problems, set()
+        if not self.swarm.fresh(self.id, self._timeout):
+            self._tell("its own position has stopped: standing still")
+            return _ZERO
+        self.avoidance_vector = self._checked(self.avoidance(), "avoidance")
+        peers, silent = self._peers(self.offsets)
+        if silent:
+            names = ", ".join(str(j) for j in silent)
+            self._tell(f"no position of vehicle {names}" + ("" if peers else ": standing still"))
+        wanted = self._checked(self.control_law(own, peers), "control_law") if peers else _ZERO
+        return self._limited(wanted)
+
+    def _limited(self, wanted: Vector) -> Vector:
+        """Add the avoidance to the consensus, each within the limit first, so that a far slot cannot drown it."""
+        limit, k = self.options.limit, self.options.Kp_avoid
+        x, y, z = clip(wanted, limit)
+        if self.options.avoid == "own" and self.options.mode == "vel":
+            x, y, z = avoidance.give_way(
+                self.id, self.swarm.positions, (x, y, z), self.options.avoid_radius, self.options.clearance
+            )
+        ax, ay, az = self.avoidance_vector
+        return clip((x + k * ax, y + k * ay, z + k * az), limit)
+
+    def _peers(self, offsets: list[Vector]) -> tuple[list[Peer], list[int]]:
+        """Return the neighbours whose positions are known and fresh, and the numbers of the others."""
+        peers, silent = [], []
+        positions, velocities = self.swarm.positions, self.swarm.velocities
+        for j, weight in self.neighbours().items():
+            position = positions[j]
+            if position is None or not self.swarm.fresh(j, self._timeout):
+                silent.append(j)
+            else:
+                peers.append(Peer(j, weight, position, velocities[j] or _ZERO, offsets[j]))
+        return peers, silent
+
+    def _checked(self, value: Vector, name: str) -> Vector:
+        vector = as_vector(value)
+        if vector is None:
+            self._tell(f"overridden {name} gave {value!r}, three finite numbers are allowed: taken as zero")
+            return _ZERO
+        return vector
+
+    def _tell(self, problem: str) -> None:
+        """Warn when the problem is a new one."""
+        self._problems.add(problem)
+        if problem not in self._said:
+            self._warn(f"follower {self.id}: {problem}")
+
+
+class StarFollower(Follower):
+    """A follower that listens to the leader alone, as XTDrone's plain follower does."""
+
+    def neighbours(self) -> Mapping[int, float]:
+        """Return the leader."""
+        return {0: 1.0}
+
+
+def check_choice(name: str, value: object, allowed: Sequence[str]) -> None:
+    """Raise ValueError unless ``value`` is one of ``allowed``."""
+    if value not in allowed:
+        raise ValueError(f"{name}: {value!r} is not allowed, one of {', '.join(allowed)}")
+
+
+def check_number(name: str, value: object, *, zero: bool = False) -> None:
+    """Raise ValueError unless ``value`` is a finite number above 0 (or 0 too)."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{name}: {value!r} is not a finite number")
+    if value < 0 or (value == 0 and not zero):
+        raise ValueError(f"{name}: {value} is not allowed, {'0 or more' if zero else 'above 0'}")

@@ -1,0 +1,245 @@
+"""The leader of a formation: it chooses slots and topology for all. Made to be inherited, free of ROS.
+
+The leader is vehicle 0. It flies where the user steers it; when a pattern is chosen it assigns the slots so that the
+followers fly the least total distance, and tells everybody slots and topology.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xtdrone_control.communication.core import OWN_COMMANDS, PX4_MODES
+from xtdrone_coordination import avoidance
+from xtdrone_coordination.assignment import Assignment, assign
+from xtdrone_coordination.consensus import Vector
+from xtdrone_coordination.follower import RATE, check_choice, check_number
+from xtdrone_coordination.patterns import Offsets, PatternError, Patterns, least_separation, with_leader
+from xtdrone_coordination.swarm import SwarmState
+from xtdrone_coordination.topology import check_adjacency, veteran_topology
+
+NO_PATTERN = "waiting"  # XTDrone's keyboard sends it for the digit 0
+STEERING_TICKS = RATE // 2  # a steering velocity older than half a second is over
+
+
+class CommandError(ValueError):
+    """A command to the leader that is neither a pattern nor a flight command, or cannot be flown now."""
+
+
+@dataclass(frozen=True)
+class LeaderOptions:
+    """Settings of the leader.
+
+    Attributes:
+        avoid: ``off``: the leader holds its course and the others give way, as in XTDrone; ``own``: it avoids too.
+        Kp_avoid: gain of its avoidance, 0 or more.
+        avoid_radius: b, m, above 0; a pattern with slots closer than this is warned of.
+        min_height: m; a pattern is refused when its lowest slot would lie below this height (local z) while it goes
+            below the leader.
+        vel_max: limit of the avoidance it adds, m/s, above 0.
+    """
+
+    avoid: Literal["off", "own"] = "off"
+    Kp_avoid: float = 1.0
+    avoid_radius: float = avoidance.RADIUS
+    min_height: float = 0.5
+    vel_max: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense.
+
+        Raises:
+            ValueError: a setting is out of its range.
+        """
+        check_choice("avoid", self.avoid, ("off", "own"))
+        check_number("Kp_avoid", self.Kp_avoid, zero=True)
+        check_number("min_height", self.min_height, zero=True)
+        check_number("avoid_radius", self.avoid_radius)
+        check_number("vel_max", self.vel_max)
+
+
+class Leader:
+    """The leader.
+
+    Override :meth:`assignment`, :meth:`topology` or :meth:`avoidance`.
+
+    Attributes:
+        count: number of vehicles N.
+        patterns: the patterns there are.
+        swarm: positions of all vehicles.
+        options: the settings.
+        pattern: name of the present pattern, empty before the first.
+        offsets: assigned slots in follower order, shape (N-1, 3), m ENU from the leader; None before the first.
+        adjacency: topology, shape (N, N), whole numbers; None before the first pattern.
+        distance: total distance of the last assignment, m.
+        yaw: heading of vehicle 0, rad ENU; needed for its own avoidance only.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        patterns: Patterns | None = None,
+        *,
+        swarm: SwarmState | None = None,
+        options: LeaderOptions | None = None,
+        warn: Callable[[str], None] | None = None,
+    ) -> None:
+        """Create a leader that has chosen no pattern yet.
+
+        Args:
+            count: number of vehicles N, at least 2.
+            patterns: XTDrone's and the generated ones if none are given.
+            swarm: shared state of the swarm; its own if none is given.
+            options: settings; the defaults if none are given.
+            warn: where warnings go; the Python logger of this module if none is given.
+
+        Raises:
+            PatternError: ``count`` is less than 2.
+        """
+        self.count = count
+        self.patterns = patterns or Patterns(count)
+        self.swarm = swarm or SwarmState(count)
+        self.options = options or LeaderOptions()
+        self.pattern = ""
+        self.offsets: Offsets | None = None
+        self.adjacency: NDArray[np.int32] | None = None
+        self.distance = 0.0
+        self.yaw = 0.0
+        self._warn = warn or logging.getLogger(__name__).warning
+        self._steering: tuple[Vector, float] | None = None  # FLU velocity, yaw rate; not yet given out
+        self._course: tuple[Vector, float] = ((0.0, 0.0, 0.0), 0.0)  # the last of them
+        self._course_age = STEERING_TICKS + 1
+        self._avoiding = False
+
+    # to be overridden
+
+    def assignment(self, current: Offsets, target: Offsets) -> Assignment:
+        """Return which slot each follower takes; the default minimises the total distance.
+
+        Args:
+            current: where the followers are relative to the leader, shape (N-1, 3), m ENU.
+            target: the slots, shape (N-1, 3), m ENU.
+        """
+        return assign(current, target)
+
+    def topology(self, offsets: Offsets) -> ArrayLike:
+        """Return the adjacency matrix, shape (N, N), for assigned slots; the default is the veteran rule.
+
+        Args:
+            offsets: slots of all vehicles in order of their numbers, the leader's zero row first, shape (N, 3).
+        """
+        return veteran_topology(offsets)
+
+    def avoidance(self) -> Vector:
+        """Return the leader's own avoidance, m/s ENU, before its gain; zero by default settings."""
+        if self.options.avoid == "own":
+            return avoidance.avoid(0, self.swarm.positions, self.options.avoid_radius)
+        return 0.0, 0.0, 0.0
+
+    # inputs
+
+    def on_command(self, text: str) -> str | None:
+        """Take a command: choose the pattern of that name, or return it to be passed on to vehicle 0 once.
+
+        Raises:
+            CommandError: no pattern and no flight command, or the pattern would reach below ``min_height``.
+        """
+        if text in ("", "stop controlling", NO_PATTERN):
+            return None
+        if text in self.patterns:
+            self.choose(text)
+            return None
+        mission = text.startswith("mission") and len(text) == len("mission?")
+        if text in OWN_COMMANDS or text in PX4_MODES or text.startswith("AUTO.") or mission:
+            self._course_age = STEERING_TICKS + 1  # the course ends where another command begins
+            return text
+        raise CommandError(
+            f"leader: {text!r} is no pattern of {self.count} vehicles ({self.patterns.describe()}) "
+            f"and no flight command ({', '.join(OWN_COMMANDS)}, a PX4 mode as OFFBOARD or AUTO.LAND)"
+        )
+
+    def choose(self, name: str) -> None:
+        """Assign the slots of a pattern; nothing happens if it is the present one.
+
+        Raises:
+            PatternError: there is no such pattern.
+            CommandError: it would reach below ``min_height``, or an overridden method gave something unusable.
+        """
+        target = self.patterns.offsets(name)
+        if name == self.pattern:
+            return
+        self._check_height(name, target)
+        solved = self.assignment(self.current(), target)
+        slots = np.asarray(solved.slots)
+        if sorted(slots.tolist()) != list(range(self.count - 1)):
+            raise CommandError(f"leader: overridden assignment gave {slots.tolist()}, which is no permutation")
+        offsets = target[slots]
+        try:
+            adjacency = check_adjacency(self.topology(with_leader(offsets)), self.count)
+        except ValueError as error:
+            raise CommandError(f"leader: overridden topology: {error}") from error
+        separation = least_separation(target)
+        if separation < self.options.avoid_radius:
+            self._warn(
+                f"leader: pattern {name!r} has slots {separation:.2f} m apart, less than the avoidance radius "
+                f"{self.options.avoid_radius} m: vehicles will not rest on their slots"
+            )
+        self.pattern, self.offsets, self.distance = name, offsets, solved.cost
+        self.adjacency = adjacency.astype(np.int32)
+
+    def on_steering(self, velocity: Vector, yaw_rate: float) -> None:
+        """Take a steering command for vehicle 0: FLU velocity m/s, yaw rate rad/s."""
+        self._steering = self._course = (velocity, yaw_rate)
+        self._course_age = 0
+
+    # outputs
+
+    def update(self) -> tuple[Vector, float] | None:
+        """Return the FLU velocity (m/s) and yaw rate (rad/s) to command vehicle 0 in this tick; None to say nothing.
+
+        Each steering command goes out once. While the leader itself avoids, its avoidance is added to the course and
+        goes out every tick; when that ends without a course, one zero follows, which means hover.
+        """
+        steering, self._steering = self._steering, None
+        self._course_age += 1
+        ax, ay, az = (self.options.Kp_avoid * a for a in self.avoidance())
+        length = math.sqrt(ax * ax + ay * ay + az * az)
+        was_avoiding, self._avoiding = self._avoiding, length > 0.0
+        course = self._course if self._course_age <= STEERING_TICKS else ((0.0, 0.0, 0.0), 0.0)
+        if not self._avoiding:
+            return course if was_avoiding else steering
+        k = min(1.0, self.options.vel_max / length)
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        (x, y, z), yaw_rate = course
+        return (x + k * (cos * ax + sin * ay), y + k * (cos * ay - sin * ax), z + k * az), yaw_rate
+
+    def current(self) -> Offsets:
+        """Return where the followers are relative to the leader, shape (N-1, 3), m ENU.
+
+        Measured positions if all are known, else the slots they were sent to last, else the spawn grid.
+        """
+        known = [p for p in self.swarm.positions if p is not None]
+        if len(known) == self.count:
+            points = np.array(known)
+            return points[1:] - points[0]
+        return self.patterns.offsets("origin") if self.offsets is None else self.offsets.copy()
+
+    def _check_height(self, name: str, target: Offsets) -> None:
+        own, lowest = self.swarm.positions[0], float(target[:, 2].min())
+        if own is None or lowest >= 0.0:
+            return
+        needed = self.options.min_height - lowest
+        if own[2] < needed:
+            raise CommandError(
+                f"leader: pattern {name!r} reaches {-lowest:g} m below the leader, which is at {own[2]:.1f} m: "
+                f"climb to {needed:g} m first"
+            )
+
+
+__all__ = ["CommandError", "Leader", "LeaderOptions", "PatternError"]

@@ -1,0 +1,320 @@
+"""Follower and avoidance as ROS nodes: the topics around the classes, and the programs' main functions.
+
+The leader is in ``ros_leader``: only it needs scipy, which would double the memory of every follower's process.
+
+==================================  ============================  =====================================================
+topic                               type                          from, to
+==================================  ============================  =====================================================
+/xtdrone/leader/cmd                 std_msgs/String               user -> leader: a pattern's name, or for vehicle 0
+/xtdrone/leader/cmd_vel_flu         geometry_msgs/Twist           user -> leader -> vehicle 0 (cmd_accel_flu likewise)
+/xtdrone/leader/pose                geometry_msgs/PoseStamped     leader: pose of vehicle 0
+/xtdrone/formation_pattern          std_msgs/Float32MultiArray    leader -> followers: 3 x (N-1), assigned offsets
+/xtdrone/communication_topology     std_msgs/Int32MultiArray      leader -> followers: N x N, row i: whom i listens to
+/xtdrone/T/avoid_vel (avoid_accel)  geometry_msgs/Vector3         the avoidance of T, before its gain
+/xtdrone/T/cmd_vel_enu (..accel..)  geometry_msgs/Twist           follower -> communication node
+/T/mavros/local_position/pose       geometry_msgs/PoseStamped     every vehicle -> leader, followers, avoid
+==================================  ============================  =====================================================
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import rospy
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
+from std_msgs.msg import Float32MultiArray, Int32MultiArray
+
+from xtdrone_control import lockstep
+from xtdrone_control.communication.arguments import (
+    ArgumentError,
+    check_multirotor,
+    fleet_of,
+    parse_count,
+    parse_ids,
+    run_program,
+)
+from xtdrone_coordination import avoidance
+from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, check_number
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_coordination.swarm import SwarmState
+
+PATTERN_TOPIC = "/xtdrone/formation_pattern"
+TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
+
+_Base = TypeVar("_Base")
+
+
+def subscribe_swarm(
+    kind: str,
+    swarm: SwarmState,
+    *,
+    velocities: bool = False,
+    on_leader_pose: Callable[[PoseStamped], None] | None = None,
+) -> None:
+    """Subscribe the positions of all vehicles of a type.
+
+    Args:
+        kind: vehicle type, as ``iris``.
+        swarm: where they go.
+        velocities: whether to subscribe velocities too.
+        on_leader_pose: called with vehicle 0's whole pose.
+    """
+
+    def on_pose(index: int, message: PoseStamped) -> None:
+        p = message.pose.position
+        swarm.on_position(index, (p.x, p.y, p.z))
+        if index == 0 and on_leader_pose is not None:
+            on_leader_pose(message)
+
+    def on_velocity(index: int, message: TwistStamped) -> None:
+        v = message.twist.linear
+        swarm.on_velocity(index, (v.x, v.y, v.z))
+
+    for i in range(swarm.count):
+        base = f"/{kind}_{i}/mavros/local_position"
+        lockstep.Subscriber(f"{base}/pose", PoseStamped, partial(on_pose, i))
+        if velocities:
+            lockstep.Subscriber(f"{base}/velocity_local", TwistStamped, partial(on_velocity, i))
+
+
+class FollowerNode:
+    """Topics of the followers of one process."""
+
+    def __init__(self, kind: str, followers: Sequence[Follower]) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``iris``.
+            followers: at least one, all with the same options and the same ``swarm``.
+        """
+        self.followers = followers
+        self.swarm = followers[0].swarm
+        options = followers[0].options
+        self._count = followers[0].count
+        self._pattern: tuple[float, ...] = ()
+        self._topology: tuple[int, ...] = ()
+        self._twist = Twist()
+        self._vector = Vector3()
+        self._commands = {}
+        self._avoidances = {}
+        lockstep.Subscriber(PATTERN_TOPIC, Float32MultiArray, self._on_pattern)
+        lockstep.Subscriber(TOPOLOGY_TOPIC, Int32MultiArray, self._on_topology)
+        subscribe_swarm(kind, self.swarm, velocities=options.mode == "accel" or followers[0].uses_velocities)
+        for follower in followers:
+            base = f"/xtdrone/{kind}_{follower.id}"
+            self._commands[follower.id] = lockstep.Publisher(f"{base}/cmd_{options.mode}_enu", Twist)
+            topic = f"{base}/avoid_{options.mode}"
+            if options.avoid == "own":
+                self._avoidances[follower.id] = lockstep.Publisher(topic, Vector3)
+            elif options.avoid == "topic":
+                lockstep.Subscriber(topic, Vector3, partial(self._on_avoidance, follower))
+
+    def step(self) -> None:
+        """Command all followers once; call it at 30 Hz."""
+        for follower in self.followers:
+            command = follower.update()
+            if command is None:
+                continue
+            linear = self._twist.linear
+            linear.x, linear.y, linear.z = command
+            self._commands[follower.id].publish(self._twist)
+            publisher = self._avoidances.get(follower.id)
+            if publisher is not None:
+                self._vector.x, self._vector.y, self._vector.z = follower.avoidance_vector
+                publisher.publish(self._vector)
+        self.swarm.tick()
+
+    def _on_pattern(self, message: Float32MultiArray) -> None:
+        """Take the leader's pattern; it is repeated all the time, so most messages are known already."""
+        if message.data == self._pattern:
+            return
+        self._pattern = message.data
+        width = self._count - 1
+        if len(message.data) != 3 * width:
+            rospy.logwarn(f"{PATTERN_TOPIC}: {len(message.data)} values, {self._count} vehicles need 3 x {width}")
+            return
+        offsets = [message.data[k::width] for k in range(width)]
+        try:
+            for follower in self.followers:
+                follower.on_pattern(offsets)
+        except PatternError as error:
+            rospy.logwarn(f"{PATTERN_TOPIC}: {error}")
+
+    def _on_topology(self, message: Int32MultiArray) -> None:
+        if message.data == self._topology:
+            return
+        self._topology = message.data
+        try:
+            for follower in self.followers:
+                follower.on_topology(message.data)
+        except ValueError as error:
+            rospy.logwarn(f"{TOPOLOGY_TOPIC}: {error}")
+
+    def _on_avoidance(self, follower: Follower, message: Vector3) -> None:
+        follower.on_avoidance((message.x, message.y, message.z))
+
+
+class AvoidanceNode:
+    """Avoidance of many vehicles in one process, as XTDrone's avoid.py; followers take it with ``avoid: topic``."""
+
+    def __init__(self, kind: str, count: int, ids: Sequence[int], mode: str, radius: float) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``iris``.
+            count: number of vehicles N.
+            ids: whose avoidance to compute.
+            mode: ``vel`` or ``accel``: the topic's name.
+            radius: b, m, above 0.
+        """
+        self.swarm = SwarmState(count)
+        self._radius = radius
+        self._publishers = {i: lockstep.Publisher(f"/xtdrone/{kind}_{i}/avoid_{mode}", Vector3) for i in ids}
+        subscribe_swarm(kind, self.swarm)
+
+    def step(self) -> None:
+        """Publish the avoidance of each vehicle whose position is known; call it at 30 Hz."""
+        for i, publisher in self._publishers.items():
+            if self.swarm.positions[i] is not None:
+                publisher.publish(Vector3(*avoidance.avoid(i, self.swarm.positions, self._radius)))
+
+
+def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False) -> int:
+    """Run a follower program with ``sys.argv``; return the exit status.
+
+    Args:
+        cls: the follower's class; the parameter ``~class`` (``file.py``, ``file.py:Class`` or ``module:Class``)
+            replaces it.
+        mode_argument: whether the fourth argument, ``vel`` or ``accel``, is needed; else the parameter ``~mode`` says
+            it when that argument is missing.
+    """
+
+    def main(arguments: Sequence[str]) -> None:
+        check_number_of(arguments, 4 if mode_argument or len(arguments) > 3 else 3)
+        kind, text, number, *mode = arguments
+        count = count_of(kind, number)
+        ids = parse_ids(text, 1, count - 1)
+        name = f"follower_{ids[0]}" if len(ids) == 1 else f"followers_{ids[0]}_{ids[-1]}"
+        lockstep.init_node(name, rate=RATE)
+        given = {"mode": mode[0]} if mode else {}
+        settings = options(FollowerOptions, given)
+        chosen = class_parameter(cls, Follower)
+        swarm = SwarmState(count)
+        followers = [chosen(i, count, swarm=swarm, options=settings, warn=rospy.logwarn) for i in ids]
+        node = FollowerNode(kind, followers)
+        lockstep.start()
+        lockstep.spin(node.step)
+
+    usage = "TYPE ID NUM" + (" vel|accel" if mode_argument else " [vel|accel]") + "   (ID: 1, 1-8, 1,3 or all)"
+    return run_program(main, sys.argv, f"{Path(sys.argv[0]).name} {usage}")
+
+
+def run_avoidance() -> int:
+    """Run the avoidance program with ``sys.argv``; return the exit status."""
+
+    def main(arguments: Sequence[str]) -> None:
+        check_number_of(arguments, 3)
+        kind, number, mode = arguments
+        count = count_of(kind, number)
+        if mode not in ("vel", "accel"):
+            raise ArgumentError(f"mode: {mode!r} is not allowed, one of vel, accel")
+        lockstep.init_node("avoid", rate=RATE)
+        ids = parse_ids(str(rospy.get_param("~ids", "all")), 0, count - 1, "~ids")
+        radius = rospy.get_param("~avoid_radius", avoidance.RADIUS)
+        try:
+            check_number("avoid_radius", radius)
+        except ValueError as error:
+            raise ArgumentError(str(error)) from error
+        node = AvoidanceNode(kind, count, ids, mode, radius)
+        lockstep.start()
+        lockstep.spin(node.step)
+
+    return run_program(main, sys.argv, f"{Path(sys.argv[0]).name} TYPE NUM vel|accel")
+
+
+def load_class(text: str, base: type[_Base]) -> type[_Base]:
+    """Return the subclass of ``base`` that ``text`` names.
+
+    Args:
+        text: ``file.py``, ``file.py:Class`` or ``module:Class``; without a class the only one defined there.
+        base: Follower or Leader.
+
+    Raises:
+        ArgumentError: it cannot be imported, or there is no such subclass.
+    """
+    place, _, name = text.partition(":")
+    try:
+        if place.endswith(".py"):
+            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
+            assert spec is not None
+            assert spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(place)
+    except (ImportError, OSError, SyntaxError) as error:
+        raise ArgumentError(f"~class: {place} cannot be imported: {error}") from error
+    found = {
+        key: value
+        for key, value in vars(module).items()
+        if inspect.isclass(value) and issubclass(value, base) and value.__module__ == module.__name__
+    }
+    if name:
+        found = {key: value for key, value in found.items() if key == name}
+    if len(found) != 1:
+        what = f"class {name}" if name else "one class"
+        raise ArgumentError(f"~class: {place} must define {what} that inherits {base.__name__}, found {len(found)}")
+    return next(iter(found.values()))
+
+
+def class_parameter(default: type[_Base], base: type[_Base]) -> type[_Base]:
+    """Return the class that the parameter ``~class`` names, ``default`` when it is empty or not set.
+
+    Raises:
+        ArgumentError: see :func:`load_class`.
+    """
+    text = rospy.get_param("~class", "")
+    return load_class(text, base) if text else default
+
+
+def options(cls: type[Any], given: dict[str, Any]) -> Any:
+    """Return options read from the private parameters that have their fields' names; ``given`` ones are not read.
+
+    Raises:
+        ArgumentError: a value is not allowed.
+    """
+    values = {f.name: rospy.get_param(f"~{f.name}", f.default) for f in fields(cls) if f.name not in given}
+    try:
+        return cls(**{**values, **given})
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+
+
+def check_number_of(arguments: Sequence[str], needed: int) -> None:
+    """Raise ArgumentError unless there are ``needed`` arguments."""
+    if len(arguments) != needed:
+        raise ArgumentError(f"{needed} arguments are needed, {len(arguments)} were given")
+
+
+def count_of(kind: str, number: str) -> int:
+    """Return the number of vehicles of a formation.
+
+    Raises:
+        ArgumentError: less than 2, more than allowed or than the fleet has, or an unknown type.
+    """
+    count = parse_count(number)
+    if count < 2:
+        raise ArgumentError(f"number of vehicles: {count} is not allowed, a formation has at least 2")
+    there = check_multirotor(kind, fleet_of(rospy.get_param("/xtdrone/fleet", None)))
+    if there is not None and count > there:
+        raise ArgumentError(f"number of vehicles: {count}, but the fleet (/xtdrone/fleet) has {there} of type {kind}")
+    return count

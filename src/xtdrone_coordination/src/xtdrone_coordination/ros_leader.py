@@ -1,0 +1,144 @@
+"""The leader as a ROS node; its topics are listed in ``ros``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import rospy
+from geometry_msgs.msg import PoseStamped, Twist
+from std_msgs.msg import Float32MultiArray, Int32MultiArray, MultiArrayDimension, String
+
+from xtdrone_control import lockstep
+from xtdrone_control.communication.arguments import ArgumentError, run_program
+from xtdrone_control.communication.setpoint import yaw_of
+from xtdrone_coordination.follower import RATE, check_number
+from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions
+from xtdrone_coordination.patterns import Patterns
+from xtdrone_coordination.ros import (
+    PATTERN_TOPIC,
+    TOPOLOGY_TOPIC,
+    check_number_of,
+    class_parameter,
+    count_of,
+    options,
+    subscribe_swarm,
+)
+
+
+class LeaderNode:
+    """Topics of the leader."""
+
+    def __init__(self, kind: str, leader: Leader, *, republish_rate: float = RATE) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``iris``.
+            leader: the leader.
+            republish_rate: Hz, above 0 up to 30: how often pattern and topology are said again. They are latched and
+                said at once when they change, so this is for those who expect a stream.
+        """
+        self.leader = leader
+        self._period = max(1, round(RATE / republish_rate))
+        self._ticks = 0
+        self._said = ""
+        self._pose: PoseStamped | None = None
+        self._twist = Twist()
+        self._pattern = Float32MultiArray()
+        self._topology = Int32MultiArray()
+        vehicle = f"/xtdrone/{kind}_0"
+        self._to_cmd = lockstep.Publisher(f"{vehicle}/cmd", String)
+        self._to_velocity = lockstep.Publisher(f"{vehicle}/cmd_vel_flu", Twist)
+        to_acceleration = lockstep.Publisher(f"{vehicle}/cmd_accel_flu", Twist)
+        self._to_pose = lockstep.Publisher("/xtdrone/leader/pose", PoseStamped)
+        self._to_pattern = lockstep.Publisher(PATTERN_TOPIC, Float32MultiArray, latch=True)
+        self._to_topology = lockstep.Publisher(TOPOLOGY_TOPIC, Int32MultiArray, latch=True)
+        lockstep.Subscriber("/xtdrone/leader/cmd", String, self._on_command)
+        lockstep.Subscriber("/xtdrone/leader/cmd_vel_flu", Twist, self._on_velocity)
+        lockstep.Subscriber("/xtdrone/leader/cmd_accel_flu", Twist, to_acceleration.publish)
+        subscribe_swarm(kind, leader.swarm, on_leader_pose=self._on_pose)
+
+    def step(self) -> None:
+        """Say what there is to say; call it at 30 Hz."""
+        self._ticks += 1
+        if self._pose is not None:
+            self._to_pose.publish(self._pose)
+            self._pose = None
+        course = self.leader.update()
+        if course is not None:
+            linear = self._twist.linear
+            (linear.x, linear.y, linear.z), self._twist.angular.z = course
+            self._to_velocity.publish(self._twist)
+        if self.leader.pattern != self._said:
+            self._said = self.leader.pattern
+            self._encode()
+            self._ticks = 0
+        if self._said and self._ticks % self._period == 0:
+            self._to_pattern.publish(self._pattern)
+            self._to_topology.publish(self._topology)
+        self.leader.swarm.tick()
+
+    def _encode(self) -> None:
+        """Write pattern and topology into their messages."""
+        leader = self.leader
+        assert leader.offsets is not None
+        assert leader.adjacency is not None
+        width, count = leader.count - 1, leader.count
+        self._pattern.layout.dim = [
+            MultiArrayDimension("axis", 3, 3 * width),
+            MultiArrayDimension("follower", width, width),
+        ]
+        self._pattern.data = leader.offsets.T.ravel().tolist()
+        self._topology.layout.dim = [
+            MultiArrayDimension("listener", count, count * count),
+            MultiArrayDimension("heard", count, count),
+        ]
+        self._topology.data = leader.adjacency.ravel().tolist()
+        rospy.loginfo(f"leader: pattern {leader.pattern}, total distance {leader.distance:.2f} m")
+
+    def _on_command(self, message: String) -> None:
+        try:
+            passed = self.leader.on_command(message.data)
+        except CommandError as error:
+            rospy.logwarn(str(error))
+            return
+        if passed is not None:
+            self._to_cmd.publish(String(data=passed))
+
+    def _on_velocity(self, message: Twist) -> None:
+        v = message.linear
+        self.leader.on_steering((v.x, v.y, v.z), message.angular.z)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        q = message.pose.orientation
+        self.leader.yaw = yaw_of(q.x, q.y, q.z, q.w)
+        self._pose = message
+
+
+def run_leader(cls: type[Leader] = Leader) -> int:
+    """Run a leader program with ``sys.argv``; return the exit status.
+
+    Args:
+        cls: the leader's class; the parameter ``~class`` replaces it, see ``run_follower`` in ``ros``.
+    """
+
+    def main(arguments: Sequence[str]) -> None:
+        check_number_of(arguments, 2)
+        kind, number = arguments
+        count = count_of(kind, number)
+        lockstep.init_node("leader", rate=RATE)
+        rate = rospy.get_param("~republish_rate", RATE)
+        file = rospy.get_param("~patterns", "")
+        try:
+            check_number("republish_rate", rate)
+            patterns = Patterns(count, file or None)
+        except ValueError as error:
+            raise ArgumentError(str(error)) from error
+        chosen = class_parameter(cls, Leader)
+        leader = chosen(count, patterns, options=options(LeaderOptions, {}), warn=rospy.logwarn)
+        node = LeaderNode(kind, leader, republish_rate=rate)
+        lockstep.start()
+        lockstep.spin(node.step)
+
+    return run_program(main, sys.argv, f"{Path(sys.argv[0]).name} TYPE NUM")

@@ -1,0 +1,336 @@
+"""Leader and follower classes flying first- and second-order vehicles in one process, without ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from xtdrone_coordination.assignment import Assignment, assign
+from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
+from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions
+from xtdrone_coordination.patterns import PatternError, with_leader
+from xtdrone_coordination.swarm import SwarmState
+
+DT = 1.0 / RATE
+
+
+class Swarm:
+    """Point vehicles that do exactly what they are told; vehicle 0 flies ``leader_velocity``."""
+
+    def __init__(self, count: int, cls: type[Follower] = Follower, **options: object) -> None:
+        self.state = SwarmState(count)
+        self.warnings: list[str] = []
+        self.leader = Leader(count, swarm=self.state, warn=self.warnings.append)
+        settings = FollowerOptions(**options)  # type: ignore[arg-type]
+        self.followers = [
+            cls(i, count, swarm=self.state, options=settings, warn=self.warnings.append) for i in range(1, count)
+        ]
+        grid = self.leader.patterns.offsets("origin")
+        self.x = with_leader(grid) + np.array([0.0, 0.0, 20.0])
+        self.v = np.zeros((count, 3))
+        self.leader_velocity = np.zeros(3)
+        self.least = math.inf
+
+    def hear(self) -> None:
+        for j, (x, v) in enumerate(zip(self.x.tolist(), self.v.tolist(), strict=True)):
+            self.state.on_position(j, tuple(x))
+            self.state.on_velocity(j, tuple(v))
+
+    def command(self, name: str) -> None:
+        self.hear()
+        assert self.leader.on_command(name) is None
+        for follower in self.followers:
+            follower.on_pattern(self.leader.offsets)
+            follower.on_topology(self.leader.adjacency)
+        self.least = math.inf
+
+    def fly(self, seconds: float) -> None:
+        pairs = np.triu_indices(len(self.x), 1)
+        for _ in range(round(seconds * RATE)):
+            self.hear()
+            u = np.zeros_like(self.x)
+            for follower in self.followers:
+                u[follower.id] = follower.update()
+            self.state.tick()
+            self.v = self.v + DT * u if self.followers[0].options.mode == "accel" else u
+            self.v[0] = self.leader_velocity
+            self.x = self.x + DT * self.v
+            self.least = min(self.least, np.linalg.norm(self.x[:, None] - self.x[None], axis=-1)[pairs].min())
+
+    @property
+    def error(self) -> float:
+        return float(np.linalg.norm(self.x[1:] - self.x[0] - self.leader.offsets, axis=1).max())
+
+
+def test_nine_change_from_origin_to_cube_pyramid_and_triangle() -> None:
+    swarm = Swarm(9)
+    for name in ("cube", "pyramid", "triangle"):
+        swarm.command(name)
+        distance = np.linalg.norm(swarm.x[1:] - swarm.x[0] - swarm.leader.offsets, axis=1).sum()
+        assert distance == pytest.approx(swarm.leader.distance)
+        swarm.fly(15.0)
+        assert swarm.error < 0.05, name
+        assert swarm.least > 1.0, name
+    assert not swarm.warnings
+
+
+def test_other_sizes_keep_their_distance() -> None:
+    for count, names in ((2, ("cube", "triangle")), (6, ("T", "diamond")), (12, ("pyramid", "triangle"))):
+        swarm = Swarm(count)
+        for name in names:
+            swarm.command(name)
+            swarm.fly(18.0)
+            assert swarm.error < 0.05, (count, name)
+            assert swarm.least > 0.7, (count, name)
+
+
+def test_acceleration_form_settles() -> None:
+    swarm = Swarm(6, mode="accel")
+    swarm.command("T")
+    swarm.fly(30.0)
+    assert swarm.error < 0.05
+    assert swarm.least > 0.7
+
+
+def test_plain_follower_lags_behind_a_moving_leader_by_v_over_gain() -> None:
+    swarm = Swarm(2)
+    swarm.command("cube")
+    swarm.fly(10.0)
+    swarm.leader_velocity = np.array([-0.5, 0.0, 0.0])
+    swarm.fly(10.0)
+    assert swarm.error == pytest.approx(0.5 / 1.0, rel=0.05)
+
+
+def test_speed_is_limited_continuously() -> None:
+    swarm = Swarm(2)
+    swarm.command("cube")
+    for distance, speed in ((0.5, 0.5), (0.99, 0.99), (1.5, 1.0), (9.0, 1.0)):
+        swarm.x[1] = swarm.x[0] + swarm.leader.offsets[0] + [distance, 0.0, 0.0]
+        swarm.hear()
+        assert np.linalg.norm(swarm.followers[0].update()) == pytest.approx(speed, rel=1e-6)
+
+
+def test_overriding_takes_a_few_lines() -> None:
+    class LeaderKeepsNumbers(Leader):
+        def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
+            return Assignment(np.arange(len(target)), 0.0)
+
+        def topology(self, offsets: np.ndarray) -> np.ndarray:
+            return np.zeros((len(offsets),) * 2)
+
+    leader = LeaderKeepsNumbers(9)
+    leader.on_command("cube")
+    assert leader.offsets.tolist() == leader.patterns.offsets("cube").tolist()
+    assert leader.adjacency[:, 0].tolist() == [0] + [1] * 8
+
+    class Upwards(Follower):
+        def avoidance(self) -> list[float]:  # type: ignore[override]
+            return [0.0, 0.0, 0.25]
+
+        def neighbours(self) -> Mapping[int, float]:
+            return {0: 1.0}
+
+    swarm = Swarm(2, Upwards)
+    swarm.command("cube")
+    swarm.x[1] = swarm.x[0] + swarm.leader.offsets[0]
+    swarm.hear()
+    assert swarm.followers[0].update() == pytest.approx((0.0, 0.0, 0.25))
+
+
+def test_star_follower_listens_to_the_leader_alone() -> None:
+    swarm = Swarm(9, StarFollower, avoid="off")
+    swarm.command("cube")
+    swarm.x[2] = (50.0, 50.0, 50.0)
+    before = [f.update() for f in swarm.followers if f.id != 2]
+    swarm.hear()
+    assert [f.update() for f in swarm.followers if f.id != 2] == before
+
+
+@pytest.mark.parametrize("method", ["control_law", "avoidance"])
+@pytest.mark.parametrize("value", [(math.nan, 0.0, 0.0), (1.0, 2.0), None, "up"])
+def test_bad_results_of_overridden_methods_stop_the_vehicle_not_the_node(method: str, value: object) -> None:
+    swarm = Swarm(2)
+    swarm.command("cube")
+    swarm.x[1] = swarm.x[0] + swarm.leader.offsets[0]
+    swarm.hear()
+    setattr(swarm.followers[0], method, lambda *args: value)
+    for _ in range(3):
+        assert swarm.followers[0].update() == pytest.approx((0.0, 0.0, 0.0))
+    assert len(swarm.warnings) == 1
+    assert method in swarm.warnings[0]
+
+
+def follower_alone(**options: object) -> tuple[Follower, list[str]]:
+    warnings: list[str] = []
+    settings = FollowerOptions(**options)  # type: ignore[arg-type]
+    return Follower(1, 3, options=settings, warn=warnings.append), warnings
+
+
+OFFSETS = [[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]]
+
+
+def test_says_nothing_before_pattern_and_position() -> None:
+    follower, _ = follower_alone()
+    assert follower.update() is None
+    follower.on_pattern(OFFSETS)
+    assert follower.update() is None
+    follower.swarm.on_position(1, (0.0, 0.0, 0.0))
+    assert follower.update() == (0.0, 0.0, 0.0), "the leader is not known yet"
+    follower.swarm.on_position(0, (-2.0, 0.0, 0.0))
+    assert follower.update() == pytest.approx((1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("silent", [0, 1])
+def test_stands_still_when_positions_stop(silent: int) -> None:
+    follower, warnings = follower_alone(pose_timeout=1.0)
+    follower.on_pattern(OFFSETS)
+    follower.swarm.on_position(silent, (-3.0, 0.0, 0.0))
+    for _ in range(2 * RATE):
+        follower.swarm.on_position(1 - silent, (3.0, 0.0, 0.0))
+        last = follower.update()
+        follower.swarm.tick()
+    assert last == (0.0, 0.0, 0.0)
+    assert len(warnings) == 1
+    assert "position" in warnings[0]
+    follower.swarm.on_position(silent, (-3.0, 0.0, 0.0))
+    assert follower.update() != (0.0, 0.0, 0.0), "and goes on when they come again"
+
+
+def test_a_position_that_is_not_finite_is_not_used() -> None:
+    state = SwarmState(2)
+    state.on_position(0, (1.0, 2.0, 3.0))
+    state.on_position(0, (math.nan, 2.0, 3.0))
+    assert state.positions[0] == (1.0, 2.0, 3.0)
+
+
+def test_avoidance_may_come_from_elsewhere_or_not_at_all() -> None:
+    at = [(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]
+    moves = {}
+    for avoid in ("own", "topic", "off"):
+        follower, _ = follower_alone(avoid=avoid, clearance=0.0, vel_max=9.0)
+        follower.on_pattern(OFFSETS)
+        for j, p in enumerate(at):
+            follower.swarm.on_position(j, p)
+        follower.on_avoidance((0.0, 0.0, 0.5))
+        moves[avoid] = follower.update()
+    assert moves["off"] == pytest.approx((0.0, -0.5, 0.0))
+    assert moves["topic"] == pytest.approx((0.0, -0.5, 0.5))
+    assert abs(moves["own"][2]) == pytest.approx(1 - 0.5 / 1.5)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"Kp": 0.0}, {"Kp": math.nan}, {"mode": "position"}, {"avoid": "yes"}, {"vel_max": "fast"}, {"clearance": 2}],
+)
+def test_bad_settings_are_named(bad: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        FollowerOptions(**bad)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("id", [0, 9, -1])
+def test_follower_ids(id: int) -> None:
+    with pytest.raises(ValueError, match="1 to 8"):
+        Follower(id, 9)
+
+
+def test_wrong_sizes_are_refused_by_followers() -> None:
+    follower, _ = follower_alone()
+    with pytest.raises(PatternError, match="2 x 3"):
+        follower.on_pattern([[1, 2, 3]])
+    with pytest.raises(ValueError, match="3 x 3"):
+        follower.on_topology([0, 1])
+
+
+# the leader
+
+
+def test_leader_passes_flight_commands_and_ignores_the_keyboards_idling() -> None:
+    leader = Leader(9)
+    for text in ("ARM", "OFFBOARD", "AUTO.LAND", "HOVER", "AUTO.PRECLAND", "mission1"):
+        assert leader.on_command(text) == text
+    for text in ("", "stop controlling", "waiting"):
+        assert leader.on_command(text) is None
+    assert leader.pattern == ""
+
+
+def test_leader_refuses_the_unknown_and_lists_patterns() -> None:
+    with pytest.raises(CommandError, match=r"'sphere'.*origin, cube, pyramid, triangle"):
+        Leader(9).on_command("sphere")
+
+
+def test_leader_does_not_assign_anew_for_a_repeated_name() -> None:
+    swarm = Swarm(9)
+    swarm.command("cube")
+    offsets = swarm.leader.offsets
+    swarm.fly(2.0)
+    swarm.hear()
+    swarm.leader.on_command("cube")
+    assert swarm.leader.offsets is offsets
+
+
+def test_leader_assigns_from_offsets_while_positions_are_unknown() -> None:
+    leader = Leader(9)
+    leader.on_command("pyramid")
+    pyramid = leader.offsets
+    leader.on_command("cube")
+    assert leader.distance == pytest.approx(assign(pyramid, leader.patterns.offsets("cube")).cost)
+
+
+def test_leader_refuses_a_pattern_that_reaches_into_the_ground() -> None:
+    leader = Leader(9)
+    leader.swarm.on_position(0, (0.0, 0.0, 3.0))
+    with pytest.raises(CommandError, match=r"climb to 4\.5 m"):
+        leader.on_command("triangle")
+    leader.on_command("origin")
+    assert leader.pattern == "origin"
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [
+        ("assignment", lambda current, target: Assignment(np.zeros(8, dtype=int), 0.0)),
+        ("topology", lambda offsets: np.ones((9, 9))),
+    ],
+)
+def test_leader_names_the_overridden_method_that_is_wrong(name: str, method: Callable[..., object]) -> None:
+    leader = Leader(9)
+    setattr(leader, name, method)
+    with pytest.raises(CommandError, match=name):
+        leader.on_command("cube")
+    assert leader.pattern == ""
+
+
+def test_steering_goes_out_once() -> None:
+    leader = Leader(9)
+    assert leader.update() is None
+    leader.on_steering((1.0, 0.0, 0.0), 0.1)
+    assert leader.update() == ((1.0, 0.0, 0.0), 0.1)
+    assert leader.update() is None
+
+
+def test_leader_can_avoid_too() -> None:
+    leader = Leader(2, options=LeaderOptions(avoid="own"))
+    leader.yaw = math.pi / 2
+    leader.swarm.on_position(0, (0.0, 0.0, 0.0))
+    leader.swarm.on_position(1, (0.0, 0.0, 0.75))  # above: dodge towards west, which is to the left
+    (x, y, z), _ = leader.update()
+    assert (x, y, z) == pytest.approx((0.0, 0.5, 0.0))
+    leader.swarm.on_position(1, (9.0, 0.0, 0.0))
+    assert leader.update() == ((0.0, 0.0, 0.0), 0.0)
+    assert leader.update() is None
+
+
+def test_close_slots_are_warned_of() -> None:
+    warnings: list[str] = []
+
+    class Near(Leader):
+        def topology(self, offsets: np.ndarray) -> Sequence[Sequence[int]]:
+            return [[0, 0], [1, 0]]
+
+    leader = Near(2, warn=warnings.append)
+    leader.patterns._tables["near"] = np.array([[0.0, 1.0, 0.0]])
+    leader.on_command("near")
+    assert "1.00 m apart" in warnings[0]

@@ -1,0 +1,47 @@
+"""A user's own classes, by file or module, and the example among them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_formation import Swarm
+
+from xtdrone_control.communication.arguments import ArgumentError
+from xtdrone_coordination.follower import Follower, StarFollower
+from xtdrone_coordination.leader import Leader
+from xtdrone_coordination.ros import load_class
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "feed_forward_follower.py"
+
+
+def test_the_example_does_not_lag_behind_a_moving_leader() -> None:
+    swarm = Swarm(6, load_class(str(EXAMPLE), Follower), vel_max=2.0)
+    swarm.command("diamond")
+    swarm.leader_velocity = np.array([0.5, 0.2, 0.0])
+    swarm.fly(25.0)
+    assert swarm.error < 0.05
+
+
+def test_class_of_a_module() -> None:
+    assert load_class("xtdrone_coordination.follower:StarFollower", Follower) is StarFollower
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("/nowhere/mine.py", "cannot be imported"),
+        ("no_such_module:Mine", "cannot be imported"),
+        (f"{EXAMPLE}:Missing", "class Missing that inherits Follower"),
+        ("xtdrone_coordination.follower", "one class that inherits Follower, found 2"),
+    ],
+)
+def test_what_cannot_be_loaded_is_explained(text: str, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        load_class(text, Follower)
+
+
+def test_a_follower_is_no_leader() -> None:
+    with pytest.raises(ArgumentError, match="inherits Leader"):
+        load_class(f"{EXAMPLE}:FeedForwardFollower", Leader)

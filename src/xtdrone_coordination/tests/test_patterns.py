@@ -1,0 +1,101 @@
+"""Formation patterns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xtdrone_coordination.patterns import PatternError, Patterns, least_separation, origin_columns
+
+
+@pytest.mark.parametrize(
+    ("count", "names"),
+    [
+        (6, {"origin": 3.0, "T": 2.0, "diamond": 3.46, "triangle": 2.12}),
+        (9, {"origin": 3.0, "cube": 3.46, "pyramid": 3.46, "triangle": 2.0}),
+        (18, {"origin": 3.0, "cuboid": 4.0, "sphere": 4.59, "diamond": 3.46}),
+    ],
+)
+def test_xtdrones_own_patterns(count: int, names: dict[str, float]) -> None:
+    patterns = Patterns(count)
+    assert patterns.names[: len(names)] == tuple(names)
+    for name, expected in names.items():
+        assert least_separation(patterns.offsets(name)) == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("count", [*range(2, 41), 100, 250])
+def test_generated_patterns_fit_any_swarm(count: int) -> None:
+    patterns = Patterns(count)
+    for name in ("origin", "cube", "pyramid", "triangle"):
+        offsets = patterns.offsets(name)
+        assert offsets.shape == (count - 1, 3)
+        assert least_separation(offsets) >= 2.0 - 1e-9
+
+
+def test_generated_families_resemble_xtdrones() -> None:
+    def rows(offsets: np.ndarray) -> set[tuple[float, ...]]:
+        return {tuple(row) for row in offsets.tolist()}
+
+    from xtdrone_coordination import patterns as module
+
+    own = Patterns(9)
+    for name in ("origin", "cube", "triangle"):
+        assert rows(module._GENERATED[name](9)) == rows(own.offsets(name))
+    assert rows(module._GENERATED["pyramid"](5)) == rows(own.offsets("pyramid")[:4])
+    for count in (6, 9, 18):
+        assert rows(module._GENERATED["origin"](count)) == rows(Patterns(count).offsets("origin"))
+    assert (origin_columns(6), origin_columns(9), origin_columns(18)) == (2, 3, 3)
+
+
+def test_offsets_are_a_copy() -> None:
+    patterns = Patterns(9)
+    patterns.offsets("cube")[0] = 99.0
+    assert patterns.offsets("cube").max() == 2.0
+
+
+def test_unknown_name_lists_what_there_is() -> None:
+    with pytest.raises(PatternError, match=r"'cuboid' is unknown for 9 vehicles.*origin, cube, pyramid, triangle"):
+        Patterns(9).offsets("cuboid")
+
+
+@pytest.mark.parametrize("count", [1, 0, -3])
+def test_a_formation_has_two(count: int) -> None:
+    with pytest.raises(PatternError, match="at least 2"):
+        Patterns(count)
+
+
+def test_users_file_adds_and_replaces(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("3:\n  line: [[2, 0, 0], [4, 0, 0]]\n  cube: [[0, 0, 5], [0, 0, 9]]\n4: {}\n")
+    patterns = Patterns(3, file)
+    assert "line" in patterns
+    assert patterns.offsets("line").tolist() == [[2, 0, 0], [4, 0, 0]]
+    assert patterns.offsets("cube")[1, 2] == 9.0
+    assert "line" not in Patterns(4, file)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("3: {line: [[2, 0, 0]]}", r"'line'.*size 1 x 3, but 3 vehicles need 2 x 3"),
+        ("3: {line: [[2, 0, 0], [1, 2]]}", r"'line'.*three numbers"),
+        ("3: {line: [[2, 0, 0], [.nan, 0, 0]]}", "finite"),
+        ("3: {line: [[2, 0, 0], [2.1, 0, 0]]}", r"0\.10 m apart"),
+        ("3: {line: [[0, 0, 0], [2, 0, 0]]}", r"0\.00 m apart"),
+        ("3: [1, 2]", "entry 3"),
+        ("- 3", "number of vehicles"),
+        ("3: {line: [[", "not YAML"),
+    ],
+)
+def test_bad_files_are_explained(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(PatternError, match=message):
+        Patterns(3, file)
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PatternError, match=r"nowhere\.yaml"):
+        Patterns(3, tmp_path / "nowhere.yaml")

@@ -1,0 +1,55 @@
+#!/usr/bin/env python3
+"""Flies the formation demo: take-off, the patterns in turn, landing. Topics: see xtdrone_interaction.director.
+
+Parameters:
+    /xtdrone/fleet (as ``iris:9``): the vehicles; the first leads.
+    ~patterns (default ``cube,pyramid,triangle``): flown in turn between ``origin`` and ``origin``.
+    ~pattern_file (default empty): YAML with patterns of one's own.
+    ~clearance (m, default 3.0): least height of any slot above the ground.
+    ~out (default empty): folder for events.jsonl.
+
+Exit status: 0 after a whole flight, 1 after a failed one (all vehicles are landed first), 2 for bad parameters.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import rospy
+
+from xtdrone_control import lockstep
+from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_interaction.director import RATE, FormationDirector, open_events
+from xtdrone_interaction.options import OptionError, split_patterns, swarm_patterns
+
+
+def main() -> int:
+    """Fly and return the exit status."""
+    lockstep.init_node("formation_director", rate=RATE)
+    try:
+        fleet = parse_fleet(rospy.get_param("/xtdrone/fleet"))
+        names = split_patterns(str(rospy.get_param("~patterns", "cube,pyramid,triangle")))
+        slots = swarm_patterns(len(fleet), names, rospy.get_param("~pattern_file", "") or None)
+    except KeyError:
+        rospy.logfatal("director: parameter /xtdrone/fleet is not set; launch/multi_vehicle.launch sets it")
+        return 2
+    except (FleetError, OptionError, PatternError) as error:
+        rospy.logfatal("director: %s", error)
+        return 2
+    events = open_events(str(rospy.get_param("~out", "")))
+    clearance = float(rospy.get_param("~clearance", 3.0))
+    director = FormationDirector([v.name for v in fleet], names, slots, clearance, events)
+    lockstep.start()
+    try:
+        return director.run()
+    finally:
+        if events is not None:
+            events.close()
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except rospy.ROSInterruptException:
+        sys.exit(1)

@@ -1,0 +1,184 @@
+"""XTDrone's command line: ``python -m xtdrone_interaction.cli demo formation``, ``... bench``, ``... report BAG``.
+
+Exit status: 0 when all went well, 1 when the flight failed or missed its figures, 2 for a value that is not allowed,
+128 + n when stopped by signal n.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_interaction import options
+from xtdrone_interaction.formation_demo import DemoError, DemoSettings, check_master, report_flight, run_demo
+from xtdrone_interaction.options import OptionError
+
+DEFAULT_FOLLOWER = "follower_consensus.py"
+
+
+def _checked(check: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return ``check`` with its message as argparse wants it."""
+
+    def convert(text: str) -> Any:
+        try:
+            return check(text)
+        except OptionError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return convert
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="xtdrone", description="XTDrone for ROS 1 and pybullet.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    demo = commands.add_parser("demo", help="fly a demonstration")
+    demos = demo.add_subparsers(dest="demo", required=True, metavar="DEMO")
+    _add_formation(demos.add_parser(
+        "formation",
+        help="UAVs take off, fly through formation patterns and land",
+        description="Fly the formation demo: take-off, origin, each pattern in turn with the leader moving between, "
+        "origin, landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures and logs.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    ))  # fmt: skip
+    report = commands.add_parser("report", help="make report and pictures of a recorded flight again")
+    report.add_argument("bag", type=Path, help="flight.bag of a run")
+    commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
+    return parser
+
+
+def _add_formation(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--n", type=_checked(options.vehicle_count), default=9, metavar="N", help="number of vehicles")
+    add("--type", default="iris", metavar="TYPE", help="vehicle type")
+    add("--patterns", type=_checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
+        help="patterns to fly, with commas between")  # fmt: skip
+    add("--pattern-file", type=Path, metavar="FILE", help="YAML file with patterns of your own")
+    add("--speed", type=_checked(options.speed), default=0.0, metavar="FACTOR",
+        help="target real-time factor, or 'unlimited' (0.0)")  # fmt: skip
+    add("--seed", type=_checked(options.seed), default=0, metavar="SEED", help="seed of all noise")
+    add("--processes", choices=["per-uav", "shared"], default="per-uav",
+        help="a process per vehicle and role, as in the paper, or one per role")  # fmt: skip
+    add("--follower", default=DEFAULT_FOLLOWER, metavar="PROGRAM",
+        help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class")  # fmt: skip
+    add("--control", choices=["vel", "accel"], default="vel", help="what followers command")
+    add("--clearance", type=_checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
+        help="least height of any slot above the ground, m")  # fmt: skip
+    add("--world", default="empty", metavar="WORLD", help="world's name")
+    add("--headless", action="store_true", help="no live display: a line of progress every few seconds")
+    add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
+    master = parser.add_mutually_exclusive_group()
+    master.add_argument("--master-port", type=_checked(options.port), metavar="PORT",
+                        help="TCP port of the flight's own ROS master (default: a free one)")  # fmt: skip
+    master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
+
+
+def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
+    """Return the demo's settings after all checks that need no ROS.
+
+    Raises:
+        OptionError, PatternError, FleetError: a value that is not allowed.
+    """
+    config = options.repository() / "src" / "xtdrone_sim" / "config"
+    options.one_of_files("vehicle type", arguments.type, config / "vehicles")
+    options.one_of_files("world", arguments.world, config / "worlds")
+    fleet = parse_fleet(f"{arguments.type}:{arguments.n}")
+    pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
+    options.swarm_patterns(arguments.n, arguments.patterns, pattern_file or None)
+    follower, follower_class = _follower(arguments.follower)
+    options.check_vehicle_ports(fleet)
+    return DemoSettings(
+        n=arguments.n,
+        type=arguments.type,
+        patterns=arguments.patterns,
+        pattern_file=pattern_file,
+        processes=arguments.processes.replace("-", "_"),
+        follower=follower,
+        follower_class=follower_class,
+        control=arguments.control,
+        clearance=arguments.clearance,
+        world=arguments.world,
+        seed=arguments.seed,
+        speed=arguments.speed,
+        out=_new_folder(arguments.out),
+        master_port=_master_port(arguments),
+        headless=arguments.headless,
+    )
+
+
+def _follower(text: str) -> tuple[str, str]:
+    """Return (program, class): a program of xtdrone_coordination by its name, or a file with the user's own class.
+
+    Raises:
+        OptionError: it is neither.
+    """
+    shipped = options.repository() / "src" / "xtdrone_coordination" / "nodes"
+    if "/" not in text and (shipped / text).is_file():
+        return text, ""
+    file, _, name = text.partition(":")
+    path = Path(file).resolve()
+    if not (path.suffix == ".py" and path.is_file()):
+        known = ", ".join(sorted(p.name for p in shipped.glob("follower*.py")))
+        raise OptionError(f"follower: {text!r} is neither FILE.py[:CLASS] nor one of the programs {known}")
+    return DEFAULT_FOLLOWER, f"{path}:{name}" if name else str(path)
+
+
+def _master_port(arguments: argparse.Namespace) -> int:
+    if arguments.use_master:
+        if "ROS_MASTER_URI" not in os.environ:
+            raise OptionError("master: --use-master needs ROS_MASTER_URI, which is not set")
+        check_master(os.environ["ROS_MASTER_URI"])
+        return 0
+    return options.check_master_port(arguments.master_port) if arguments.master_port else options.free_port()
+
+
+def _new_folder(wanted: Path | None) -> Path:
+    """The results' folder: absolute, and not there or empty."""
+    if wanted is None:
+        base = Path("runs") / time.strftime("%Y%m%d-%H%M%S")
+        wanted, number = base, 1
+        while wanted.exists():
+            number += 1
+            wanted = base.with_name(f"{base.name}-{number}")
+    folder = wanted.resolve()
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OptionError(f"out: {str(wanted)!r} is there and not an empty folder")
+    if any(c.isspace() for c in str(folder)):
+        raise OptionError(f"out: {str(folder)!r} has a space in it, which roslaunch cannot pass on; choose --out")
+    return folder
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["bench"]:
+        from xtdrone_interaction import bench
+
+        return bench.main(arguments[1:])
+    parsed = _parser().parse_args(arguments)
+    console = Console()
+    try:
+        if parsed.command == "report":
+            return report_flight(parsed.bag, {}, console)
+        return run_demo(demo_settings(parsed), console)
+    except (OptionError, PatternError, FleetError) as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    except DemoError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,241 @@
+"""The formation director: a lockstep node that flies a :class:`~xtdrone_interaction.mission.FormationMission`.
+
+Topics, for every vehicle T of /xtdrone/fleet:
+
+========================================  =======================  ====================================================
+subscribed
+/T/mavros/state                           mavros_msgs/State
+/T/mavros/local_position/pose             PoseStamped              judged by where there is no ground truth
+/gazebo/model_states                      ModelStates              ground truth
+/xtdrone/formation_pattern                Float32MultiArray        assigned offsets
+published
+/xtdrone/T/cmd                            String                   ARM, OFFBOARD, AUTO.LAND, ...
+/xtdrone/leader/cmd                       String                   names of patterns
+/xtdrone/leader/cmd_vel_flu               Twist
+/xtdrone/demo/events                      String (JSON)            event, time (simulated s), wall (epoch s), ...
+/xtdrone/demo/progress                    String (JSON)            see :meth:`FormationDirector._progress`
+========================================  =======================  ====================================================
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import rospy
+from gazebo_msgs.msg import ModelStates
+from geometry_msgs.msg import PoseStamped, Quaternion, Twist
+from mavros_msgs.msg import State
+from std_msgs.msg import Float32MultiArray, String
+
+from xtdrone_control import lockstep
+from xtdrone_interaction.geometry import (
+    ESTIMATE,
+    EVENTS_TOPIC,
+    PATTERN_TOPIC,
+    PROGRESS_TOPIC,
+    TRUTH,
+    TRUTH_TOPIC,
+    Array,
+    least_distances,
+    offsets_from_message,
+)
+from xtdrone_interaction.mission import FormationMission, MissionError, View
+
+RATE = 30.0  # Hz
+_PROGRESS_TICKS = 6  # 5 Hz of simulated time
+_RTF_SPAN = 1.0  # s of wall time over which the real-time factor is taken
+_LAST_TICKS = 15  # so long the director stays after the flight, so that the recorder gets the last events
+
+
+class FormationDirector:
+    """Feeds the mission's view from topics and sends its commands."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        patterns: Sequence[str],
+        slots: Mapping[str, Array],
+        clearance: float,
+        events: TextIO | None = None,
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            names: vehicles, the leader first.
+            patterns: flown in turn.
+            slots: offsets of each pattern and of ``origin``, shape (n - 1, 3), m.
+            clearance: least height of any slot above the ground, m.
+            events: gets the events as JSON lines too.
+        """
+        self.view = View(names)
+        self.mission = FormationMission(self.view, self, patterns, slots, clearance)
+        self._events = events
+        self._has_truth = False
+        self._least_distance = math.inf
+        self._start_wall = time.monotonic()
+        self._rtf = 0.0
+        self._rtf_from = (0.0, self._start_wall)
+        self._event_publisher = lockstep.Publisher(EVENTS_TOPIC, String)
+        self._progress_publisher = lockstep.Publisher(PROGRESS_TOPIC, String)
+        self._commands = [lockstep.Publisher(f"/xtdrone/{name}/cmd", String) for name in names]
+        self._leader_command = lockstep.Publisher("/xtdrone/leader/cmd", String)
+        self._leader_velocity = lockstep.Publisher("/xtdrone/leader/cmd_vel_flu", Twist)
+        self._subscriptions = [
+            lockstep.Subscriber(TRUTH_TOPIC, ModelStates, self._on_truth),
+            lockstep.Subscriber(PATTERN_TOPIC, Float32MultiArray, self._on_offsets),
+        ]
+        for i, name in enumerate(names):
+            self._subscriptions += [
+                lockstep.Subscriber(f"/{name}/mavros/state", State, self._on_state, i),
+                lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose, i),
+            ]
+
+    # what comes in
+
+    def _on_state(self, message: State, index: int) -> None:
+        self.view.connected[index] = message.connected
+        self.view.armed[index] = message.armed
+        self.view.mode[index] = message.mode
+
+    def _on_pose(self, message: PoseStamped, index: int) -> None:
+        if not self._has_truth:
+            self._place(index, message.pose)
+
+    def _on_truth(self, message: ModelStates) -> None:
+        places = dict(zip(message.name, message.pose, strict=False))
+        if all(name in places for name in self.view.names):
+            self._has_truth = True
+            for index, name in enumerate(self.view.names):
+                self._place(index, places[name])
+
+    def _place(self, index: int, pose: Any) -> None:
+        self.view.position[index] = (pose.position.x, pose.position.y, pose.position.z)
+        if index == 0:
+            self.view.leader_yaw = yaw_of(pose.orientation)
+
+    def _on_offsets(self, message: Float32MultiArray) -> None:
+        self.view.offsets = offsets_from_message(message.data)
+
+    # what goes out; the mission's Commands
+
+    def vehicle(self, index: int, command: str) -> None:
+        """Send an XTDrone command to one vehicle's communication node."""
+        self._commands[index].publish(String(command))
+
+    def leader(self, command: str) -> None:
+        """Send a command to the leader node."""
+        self._leader_command.publish(String(command))
+
+    def leader_velocity(self, velocity: Array) -> None:
+        """Send a velocity, shape (3,), m/s FLU, to the leader node."""
+        message = Twist()
+        message.linear.x, message.linear.y, message.linear.z = map(float, velocity)
+        self._leader_velocity.publish(message)
+
+    def event(self, event: str, **values: Any) -> None:
+        """Publish an event and add it to the events' file."""
+        values = {"event": event, "time": self.view.time, "wall": time.time(), **values}
+        text = json.dumps(values)
+        self._event_publisher.publish(String(text))
+        if self._events is not None:
+            self._events.write(text + "\n")
+            self._events.flush()
+        (rospy.logerr if event == "failed" else rospy.loginfo)("director: %s", text)
+
+    # the flight
+
+    def run(self) -> int:
+        """Fly, and return the program's exit status: 0 for a whole flight, 1 for a failed one."""
+        rate = lockstep.Rate()
+        self.view.time = rospy.get_time()
+        self.event("start", vehicles=list(self.view.names), patterns=self.mission.patterns)
+        try:
+            self._advance(self.mission.fly(), rate)
+        except MissionError as error:
+            self._give_up(str(error), rate)
+            return 1
+        if rospy.is_shutdown():
+            self.event("interrupted")
+            return 1
+        self.event("done", unsettled=self.mission.unsettled)
+        self._stay(rate)
+        return 0
+
+    def _advance(self, ticks: Any, rate: Any) -> None:
+        """Advance ``ticks`` once a tick until it ends or the node is to stop."""
+        for number, _ in enumerate(ticks):
+            if number % _PROGRESS_TICKS == 0:
+                self._publish_progress()
+            rate.sleep()
+            self.view.time = rospy.get_time()
+            if rospy.is_shutdown():
+                return
+
+    def _give_up(self, reason: str, rate: Any) -> None:
+        """Land all vehicles; the flight has failed for ``reason``."""
+        self.event("giving up", reason=reason)
+        self.mission.phase = "landing after a failure"
+        try:
+            self._advance(self.mission.land(), rate)
+        except MissionError as error:
+            rospy.logerr("director: %s", error)
+        self.event("failed", reason=reason)
+        self._stay(rate)
+
+    def _stay(self, rate: Any) -> None:
+        """Stay for a few ticks more, so that whoever listens gets the last messages."""
+        for _ in range(_LAST_TICKS):
+            self._publish_progress()
+            rate.sleep()
+            if rospy.is_shutdown():
+                return
+
+    def _publish_progress(self) -> None:
+        self._progress_publisher.publish(String(json.dumps(self._progress())))
+
+    def _progress(self) -> dict[str, Any]:
+        """Return what the flight has come to; times in s, distances in m, error is the greatest of all followers."""
+        now = time.monotonic()
+        if now - self._rtf_from[1] >= _RTF_SPAN:
+            self._rtf = (self.view.time - self._rtf_from[0]) / (now - self._rtf_from[1])
+            self._rtf_from = (self.view.time, now)
+        error = self.view.error()
+        distance = float(least_distances(self.view.position[None])[0])
+        if self.mission.step > 1 and math.isfinite(distance):
+            self._least_distance = min(self._least_distance, distance)
+        return {
+            "phase": self.mission.phase,
+            "step": self.mission.step,
+            "steps": self.mission.steps,
+            "sim_time": self.view.time,
+            "wall_time": now - self._start_wall,
+            "rtf": self._rtf,
+            "error": _finite(error.max() if error is not None else math.nan),
+            "distance": _finite(distance),
+            "least_distance": _finite(self._least_distance),
+            "positions": TRUTH if self._has_truth else ESTIMATE,
+        }
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no NaN."""
+    return float(value) if math.isfinite(value) else None
+
+
+def yaw_of(q: Quaternion) -> float:
+    """Return the heading of an orientation (x, y, z, w), rad from the frame's x axis."""
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+
+
+def open_events(folder: str) -> TextIO | None:
+    """Return the events' file in ``folder``, None where no folder is named."""
+    if not folder:
+        return None
+    path = Path(folder)
+    path.mkdir(parents=True, exist_ok=True)
+    return (path / "events.jsonl").open("w", encoding="utf-8")

@@ -1,0 +1,66 @@
+"""Distances in a formation, and the names that the demo's parts share. Only numpy is needed, so that nodes start fast.
+
+Positions are ENU in the ``map`` frame, metres; index 0 is the leader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EVENTS_TOPIC = "/xtdrone/demo/events"
+PROGRESS_TOPIC = "/xtdrone/demo/progress"
+PATTERN_TOPIC = "/xtdrone/formation_pattern"
+TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
+TRUTH_TOPIC = "/gazebo/model_states"
+
+TRUTH = "ground truth (/gazebo/model_states)"
+ESTIMATE = "estimate (mavros/local_position/pose)"
+
+SETTLED_ERROR = 0.15  # m; every follower within it counts as settled
+_CHUNK = 1_000_000  # distances held at once
+
+
+def relative(positions: Array) -> Array:
+    """Return the followers' places relative to the leader, shape (..., n - 1, 3), of places (..., n, 3)."""
+    return positions[..., 1:, :] - positions[..., :1, :]
+
+
+def formation_error(positions: Array, offsets: Array) -> Array:
+    """Return the followers' distances from their slots, m, shape (..., n - 1).
+
+    Args:
+        positions: of all vehicles, the leader first, shape (..., n, 3), m.
+        offsets: assigned offsets from the leader, shape (n - 1, 3), m.
+    """
+    return np.linalg.norm(relative(positions) - offsets, axis=-1)
+
+
+def least_distances(positions: Array) -> Array:
+    """Return the least distance between any two vehicles at each time, m, shape (t,); infinite for one vehicle.
+
+    Args:
+        positions: shape (t, n, 3), m.
+    """
+    first, second = np.triu_indices(positions.shape[1], 1)
+    if not len(first):
+        return np.full(len(positions), np.inf)
+    rows = max(1, _CHUNK // len(first))
+    parts = [positions[i : i + rows] for i in range(0, len(positions), rows)]
+    return np.concatenate([np.linalg.norm(p[:, first] - p[:, second], axis=-1).min(axis=1) for p in parts])
+
+
+def offsets_from_message(data: Iterable[float]) -> Array:
+    """Return assigned offsets, shape (n - 1, 3), from the 3 x (n - 1) row-major data of a formation_pattern message.
+
+    Raises:
+        ValueError: the number of values is not a multiple of 3.
+    """
+    flat = np.asarray(data, dtype=np.float64)
+    if flat.size % 3:
+        raise ValueError(f"formation_pattern: {flat.size} values; 3 x (n - 1) are expected")
+    return flat.reshape(3, -1).T.copy()

@@ -1,0 +1,185 @@
+"""What a user may ask for, and the messages where it is not possible. No ROS here."""
+
+from __future__ import annotations
+
+import errno
+import math
+import socket
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.fleet import MAX_VEHICLES, Vehicle
+from xtdrone_coordination.patterns import Patterns
+
+LEAST_SPEED = 0.1
+ORIGIN = "origin"
+
+
+class OptionError(ValueError):
+    """A value that is not allowed; the message names the thing, the value and what is allowed."""
+
+
+def repository() -> Path:
+    """Return the workspace's root, which holds launch/ and src/."""
+    return Path(__file__).resolve().parents[4]
+
+
+def vehicle_count(text: str) -> int:
+    """Return the number of vehicles of a formation.
+
+    Raises:
+        OptionError: it is no whole number from 2 to MAX_VEHICLES.
+    """
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if not 2 <= count <= MAX_VEHICLES:
+        raise OptionError(f"number of vehicles: {text!r} is not allowed; 2 to {MAX_VEHICLES} make a formation")
+    return count
+
+
+def speed(text: str) -> float:
+    """Return the target real-time factor, 0 for ``unlimited``.
+
+    Raises:
+        OptionError: it is neither ``unlimited`` nor a finite number of at least LEAST_SPEED.
+    """
+    if text == "unlimited":
+        return 0.0
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= LEAST_SPEED):
+        raise OptionError(
+            f"speed: {text!r} is not allowed; a real-time factor of at least {LEAST_SPEED}, or 'unlimited'"
+        )
+    return value
+
+
+def positive(name: str, text: str) -> float:
+    """Return a finite number above 0.
+
+    Raises:
+        OptionError: it is not.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise OptionError(f"{name}: {text!r} is not allowed; a number above 0")
+    return value
+
+
+def seed(text: str) -> int:
+    """Return a seed.
+
+    Raises:
+        OptionError: it is no whole number from 0 to 2^31 - 1, the range of a ROS parameter.
+    """
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value < 2**31:
+        raise OptionError(f"seed: {text!r} is not allowed; a whole number from 0 to {2**31 - 1}")
+    return value
+
+
+def port(text: str) -> int:
+    """Return a TCP port.
+
+    Raises:
+        OptionError: it is no whole number from 1024 to 65535.
+    """
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if not 1024 <= value <= 65535:
+        raise OptionError(f"port: {text!r} is not allowed; 1024 to 65535")
+    return value
+
+
+def split_patterns(text: str) -> list[str]:
+    """Return the names in a comma-separated list.
+
+    Raises:
+        OptionError: there is none, or an empty one.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise OptionError(f"patterns: {text!r} is not allowed; names with commas between, as cube,pyramid,triangle")
+    return names
+
+
+def swarm_patterns(count: int, names: list[str], file: str | None = None) -> dict[str, NDArray[np.float64]]:
+    """Return the slots of ``names`` and of origin for ``count`` vehicles, shape (count - 1, 3), m from the leader.
+
+    Raises:
+        PatternError: an unknown name, a pattern of the wrong size, or an unreadable file.
+    """
+    patterns = Patterns(count, file)
+    return {name: patterns.offsets(name) for name in dict.fromkeys([ORIGIN, *names])}
+
+
+def one_of_files(thing: str, name: str, folder: Path) -> str:
+    """Return ``name`` when ``folder`` has a YAML file of that name.
+
+    Raises:
+        OptionError: it has not.
+    """
+    known = sorted(path.stem for path in folder.glob("*.yaml"))
+    if name not in known:
+        raise OptionError(f"{thing}: {name!r} is unknown; there are: {', '.join(known) or 'none'}")
+    return name
+
+
+def free_port() -> int:
+    """Return a TCP port of this machine that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def check_master_port(number: int) -> int:
+    """Return ``number`` when a ROS master can listen there.
+
+    Raises:
+        OptionError: somebody else does.
+    """
+    if _taken(number, socket.SOCK_STREAM):
+        raise OptionError(f"port: {number} is taken by another program (a roscore?); leave it out to get a free one")
+    return number
+
+
+def check_vehicle_ports(fleet: tuple[Vehicle, ...]) -> None:
+    """Check that the MAVLink ports of all vehicles are free.
+
+    Raises:
+        OptionError: one is taken; the message names it and the vehicle.
+    """
+    for vehicle in fleet:
+        for number in (vehicle.offboard_local_port, vehicle.offboard_remote_port, vehicle.gcs_local_port):
+            if _taken(number, socket.SOCK_DGRAM):
+                raise OptionError(
+                    f"port: UDP {number} of {vehicle.name} is taken by another program; "
+                    "one simulation with these vehicles can run at a time"
+                )
+
+
+def _taken(number: int, kind: int) -> bool:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        if kind == socket.SOCK_STREAM:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the master does: TIME_WAIT is no obstacle
+        try:
+            probe.bind(("0.0.0.0", number))
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                return True
+            raise
+    return False

@@ -1,0 +1,192 @@
+"""Pictures of a formation flight: response curves, the formations in space, distances and errors.
+
+They need no display and no ROS. Each vehicle keeps one colour in all pictures; the leader is black.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from xtdrone_interaction.geometry import SETTLED_ERROR, formation_error, least_distances
+from xtdrone_interaction.record import FlightRecord
+from xtdrone_interaction.report import DISTANCE_LIMIT, flight_part, windows
+
+DPI = 150
+_LEAD_IN = 1.0  # s shown before the command
+_MAX_LEGEND = 18  # vehicles; more are not named one by one
+_MAX_PANELS = 3  # formations side by side
+_LEADER_COLOUR = "black"
+_STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
+
+
+def save_plots(record: FlightRecord, folder: str | Path) -> list[Path]:
+    """Write all pictures of ``record`` into ``folder`` and return their paths.
+
+    Raises:
+        RecordError: there is nothing to draw.
+    """
+    folder = Path(folder)
+    paths = []
+    with plt.rc_context(_STYLE):
+        for name, figure in _figures(record):
+            paths.append(folder / name)
+            figure.savefig(paths[-1], dpi=DPI)
+            plt.close(figure)
+    return paths
+
+
+def _figures(record: FlightRecord) -> list[tuple[str, Figure]]:
+    figures = []
+    before = None
+    for number, (pattern, start, end) in enumerate(windows(record)):
+        if before is not None:
+            name = f"response_{number}_{before}_to_{pattern}.png"
+            figures.append((name, response(record, before, pattern, start, end)))
+        before = pattern
+    figures.append(("formations.png", formations(record)))
+    figures.append(("distances.png", distances(record)))
+    return figures
+
+
+def colours(count: int) -> list[Any]:
+    """Return one colour for each vehicle, the leader's first."""
+    if count <= 11:
+        return [_LEADER_COLOUR, *plt.get_cmap("tab10").colors[: count - 1]]
+    return [_LEADER_COLOUR, *plt.get_cmap("turbo")(np.linspace(0.05, 0.95, count - 1))]
+
+
+def response(record: FlightRecord, before: str, pattern: str, start: float, end: float) -> Figure:
+    """Draw x, y and z of every vehicle against time during one reconfiguration, the slots dotted."""
+    track = record.track.between(start - _LEAD_IN, end)
+    offsets = record.latest(record.patterns, end)
+    figure, axes = plt.subplots(3, 1, figsize=(9.0, 7.5), sharex=True)
+    figure.subplots_adjust(left=0.08, right=0.83, top=0.93, bottom=0.07, hspace=0.1)
+    shades = colours(len(record.names))
+    leader_end = track.position[-1, 0]
+    for axis, (panel, letter) in enumerate(zip(axes, "xyz", strict=True)):
+        for i, name in enumerate(record.names):
+            width = 1.8 if i == 0 else 1.2
+            panel.plot(track.time - start, track.position[:, i, axis], color=shades[i], lw=width, label=name)
+            if i > 0 and offsets is not None:
+                panel.axhline(leader_end[axis] + offsets[i - 1, axis], color=shades[i], lw=0.7, ls=":", zorder=1)
+        panel.axvline(0.0, color="grey", lw=0.8, ls="--", zorder=1)
+        panel.set_ylabel(f"{letter} [m]")
+        panel.margins(x=0.01)
+    axes[-1].set_xlabel(f"time since the command '{pattern}' [s]")
+    figure.suptitle(f"Position response from {before} to {pattern} ({len(record.names)} UAVs, map frame, ENU)")
+    _name_vehicles(figure, record.names, axes[0])
+    return figure
+
+
+def _name_vehicles(figure: Figure, names: tuple[str, ...], panel: Axes) -> None:
+    """Put the legend beside the panels; a large fleet only gets its leader and the slots' line named."""
+    handles, labels = panel.get_legend_handles_labels()
+    labels = [f"{labels[0]} (leader)", *labels[1:]]
+    if len(names) > _MAX_LEGEND:
+        handles, labels = handles[:1], labels[:1]
+    handles.append(Line2D([], [], color="grey", lw=0.7, ls=":"))
+    labels.append("slot")
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.84, 0.94))
+
+
+def formations(record: FlightRecord) -> Figure:
+    """Draw the first settled formations after origin in space, side by side.
+
+    Shown are the vehicles, the topology's edges, and the ground trails: the ways of the vehicles during the
+    reconfiguration, dropped to the lowest plane of the picture.
+    """
+    chosen = [w for w in windows(record) if w[0] != "origin"][:_MAX_PANELS] or windows(record)[:1]
+    figure = plt.figure(figsize=(4.8 * len(chosen), 5.6))
+    figure.subplots_adjust(left=0.0, right=0.97, top=0.92, bottom=0.07, wspace=0.02)
+    shades = colours(len(record.names))
+    for number, window in enumerate(chosen):
+        panel = figure.add_subplot(1, len(chosen), number + 1, projection="3d")
+        _formation(panel, record, window, shades)
+    handles = [
+        Line2D([], [], marker="*", ls="", ms=13, color=_LEADER_COLOUR),
+        Line2D([], [], marker="o", ls="", ms=7, color="tab:blue"),
+        Line2D([], [], color="0.55", lw=1.2),
+        Line2D([], [], color="tab:blue", lw=1.2, alpha=0.5),
+    ]
+    labels = ["leader", "follower (number: index)", "communication topology", "ground trail"]
+    figure.legend(handles, labels, loc="lower center", ncol=4)
+    figure.suptitle(f"Formations of {len(record.names)} UAVs (map frame, ENU, metres)")
+    return figure
+
+
+def _formation(panel: Any, record: FlightRecord, window: tuple[str, float, float], shades: list[Any]) -> None:
+    pattern, start, end = window
+    track = record.track.between(start, end)
+    places = track.position[-1]
+    low, high = track.position.reshape(-1, 3).min(axis=0), track.position.reshape(-1, 3).max(axis=0)
+    margin = 0.08 * (high - low).max() + 0.3
+    floor = low[2] - 2 * margin
+    topology = record.latest(record.topologies, end)
+    for i, j in np.argwhere(topology > 0) if topology is not None else []:
+        panel.plot(*np.stack([places[i], places[j]]).T, color="0.55", lw=1.2, zorder=2)
+    for i, place in enumerate(places):
+        trail = track.position[:, i]
+        panel.plot(trail[:, 0], trail[:, 1], np.full(len(trail), floor), color=shades[i], lw=1.2, alpha=0.5, zorder=1)
+        panel.plot([place[0]] * 2, [place[1]] * 2, [floor, place[2]], color=shades[i], lw=0.6, ls=":", zorder=1)
+        marker, width = ("*", 16) if i == 0 else ("o", 9)
+        panel.plot(*place[:, None], marker=marker, ms=width, color=shades[i], mec="white", mew=0.6, ls="", zorder=5 + i)
+        if i > 0 and len(places) <= _MAX_LEGEND:
+            x, y, z = place
+            panel.text(x, y, z + 0.5 * margin, str(i), color=shades[i], ha="center", va="bottom", zorder=40)
+    panel.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+    panel.set(zlim=(floor, high[2] + margin), xlabel="x", ylabel="y", zlabel="z")
+    panel.set_title(pattern, y=0.94)
+    panel.patch.set_alpha(0.0)  # or it hides the neighbour's z label
+    size = high - low + 2 * margin
+    panel.set_box_aspect((size[0], size[1], high[2] + margin - floor), zoom=1.1)
+    panel.view_init(elev=20, azim=-60)
+
+
+def distances(record: FlightRecord) -> Figure:
+    """Draw the least distance between vehicles and the formation error against time, with the phases."""
+    track = flight_part(record, record.track)
+    figure, (upper, lower) = plt.subplots(2, 1, figsize=(9.0, 6.4), sharex=True)
+    figure.subplots_adjust(left=0.09, right=0.96, top=0.86, bottom=0.13, hspace=0.1)
+    upper.plot(track.time, least_distances(track.position), color="tab:blue", lw=1.2)
+    upper.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
+    upper.set(ylabel="least distance [m]", ylim=(0.0, None))
+    upper.legend(loc="lower right")
+    for pattern, start, end in windows(record):
+        part = track.between(start, end)
+        offsets = record.latest(record.patterns, end)
+        if offsets is None or not len(part.time):
+            continue
+        error = formation_error(part.position, offsets)
+        lower.plot(part.time, error.max(axis=1), color="tab:orange", lw=1.2)
+        lower.plot(part.time, error.mean(axis=1), color="tab:green", lw=1.2)
+        upper.annotate(pattern, (start, 1.0), xycoords=("data", "axes fraction"), xytext=(2, 3),
+                       textcoords="offset points", rotation=30, ha="left", va="bottom", color="0.35")  # fmt: skip
+        for panel in (upper, lower):
+            panel.axvspan(start, end, color="0.93", zorder=0)
+            panel.axvline(start, color="0.6", lw=0.8, zorder=1)
+    lower.axhline(SETTLED_ERROR, color="tab:red", lw=1.0, ls="--")
+    lower.set(yscale="log", ylabel="formation error [m]", xlabel="simulated time [s]")
+    lower.margins(x=0.01)
+    handles = [Line2D([], [], color=c, ls=s) for c, s in (("tab:orange", "-"), ("tab:green", "-"), ("tab:red", "--"))]
+    labels = ["greatest error", "mean error", f"settled below {SETTLED_ERROR} m"]
+    figure.legend(handles, labels, loc="lower center", ncol=3)
+    figure.suptitle("Distances between the UAVs and from their slots (shaded: reconfigurations)")
+    return figure

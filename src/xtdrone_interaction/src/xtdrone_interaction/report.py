@@ -1,0 +1,282 @@
+"""Figures of a formation flight: settling, overshoot, steady error, distances, assignment. No ROS is needed.
+
+A *reconfiguration* lasts from the command of a pattern to the director's next phase. A follower's error is the distance
+from its place to its slot, the leader's place plus the follower's assigned offset.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from xtdrone_interaction.geometry import SETTLED_ERROR, Array, formation_error, least_distances, relative
+from xtdrone_interaction.record import FlightRecord, RecordError, Track
+
+STEADY_SPAN = 2.0  # s; the steady error is taken over the window's last part
+STEADY_LIMIT = 0.10  # m
+DISTANCE_LIMIT = 0.5  # m between any two vehicles
+ASSIGNMENT_SLACK = 0.01  # part of the optimum; the leader assigns by positions a tick or two older than the record's
+_SHORT_STEP = 0.5  # m; no overshoot is taken of a follower whose slot is nearer than this
+_PACKAGES = ("numpy", "scipy", "numba", "pybullet", "pymavlink", "rosbags", "matplotlib")
+
+
+@dataclass(frozen=True)
+class Reconfiguration:
+    """Figures of one change of the formation.
+
+    Attributes:
+        pattern: name.
+        command_time: simulated time of the command, s.
+        end_time: end of the window, s.
+        settling_time: s from the command until all followers are within SETTLED_ERROR and stay there, None if never.
+        overshoot: greatest way past the slot along the way to it over the followers, m.
+        overshoot_percent: the same relative to that follower's step, %.
+        steady_error_mean: over followers and the last STEADY_SPAN of the window, m.
+        steady_error_max: the greatest one there, m.
+        least_distance: least distance between two vehicles in the window, m.
+        assigned_distance: total from the places at the command to the assigned slots, relative to the leader, m.
+        optimal_distance: the least possible total, m.
+    """
+
+    pattern: str
+    command_time: float
+    end_time: float
+    settling_time: float | None
+    overshoot: float
+    overshoot_percent: float
+    steady_error_mean: float
+    steady_error_max: float
+    least_distance: float
+    assigned_distance: float
+    optimal_distance: float
+
+
+def settling_time(time: Array, error: Array, limit: float = SETTLED_ERROR) -> float | None:
+    """Return the time from ``time[0]`` until every error is within ``limit`` and stays, or None.
+
+    Args:
+        time: shape (t,), s.
+        error: shape (t, m), m.
+        limit: m.
+    """
+    outside = np.flatnonzero((error > limit).any(axis=1))
+    if outside.size == 0:
+        return 0.0
+    first = int(outside[-1]) + 1
+    return float(time[first] - time[0]) if first < len(time) else None
+
+
+def overshoot(places: Array, offsets: Array) -> tuple[float, float]:
+    """Return the greatest overshoot (m, % of the follower's step) over all followers.
+
+    A follower overshoots by how far it gets past its slot along the straight line from its first place to the slot.
+
+    Args:
+        places: relative to the leader, shape (t, m, 3), m.
+        offsets: slots relative to the leader, shape (m, 3), m.
+    """
+    step = offsets - places[0]
+    length = np.linalg.norm(step, axis=1)
+    far = length > _SHORT_STEP
+    if not far.any():
+        return 0.0, 0.0
+    direction = step[far] / length[far, None]
+    past = np.einsum("tmk,mk->tm", places[:, far] - offsets[far], direction).max(axis=0).clip(min=0.0)
+    worst = int(past.argmax())
+    return float(past[worst]), float(100.0 * past[worst] / length[far][worst])
+
+
+def assignment_distances(before: Array, after: Array) -> tuple[float, float]:
+    """Return the total distance (as assigned, least), m, from places ``before`` to slots ``after``, each (m, 3)."""
+    cost = cdist(before, after)
+    return float(np.trace(cost)), float(cost[linear_sum_assignment(cost)].sum())
+
+
+def windows(record: FlightRecord) -> list[tuple[str, float, float]]:
+    """Return (pattern, command time, end time) of each reconfiguration, s."""
+    phases = record.phases
+    ends = [p["time"] for p in phases[1:]] + [record.events[-1]["time"]]
+    return [(p["pattern"], p["time"], end) for p, end in zip(phases, ends, strict=True) if p.get("pattern")]
+
+
+def flight_part(record: FlightRecord, track: Track) -> Track:
+    """Return the part of ``track`` from the beginning of take-off on."""
+    starts = [p["time"] for p in record.phases if p["phase"] == "take-off"]
+    if not starts:
+        raise RecordError("flight record: there was no take-off")
+    return track.between(starts[0], np.inf)
+
+
+def measure(record: FlightRecord, track: Track) -> list[Reconfiguration]:
+    """Return the figures of every reconfiguration, judged by ``track``."""
+    results = []
+    known = record.estimate or track  # what the leader assigns by
+    for pattern, start, end in windows(record):
+        part = track.between(start, end)
+        offsets = record.latest(record.patterns, end)
+        if offsets is None or len(part.time) < 2:
+            raise RecordError(f"pattern {pattern!r}: no assigned offsets or positions were recorded")
+        error = formation_error(part.position, offsets)
+        steady = error[part.time >= part.time[-1] - STEADY_SPAN]
+        way, percent = overshoot(relative(part.position), offsets)
+        assigned, optimal = assignment_distances(relative(known.between(start, end).position[0]), offsets)
+        results.append(
+            Reconfiguration(
+                pattern=pattern,
+                command_time=start,
+                end_time=end,
+                settling_time=settling_time(part.time, error),
+                overshoot=way,
+                overshoot_percent=percent,
+                steady_error_mean=float(steady.mean()),
+                steady_error_max=float(steady.max()),
+                least_distance=float(least_distances(part.position).min()),
+                assigned_distance=assigned,
+                optimal_distance=optimal,
+            )
+        )
+    return results
+
+
+def make_report(record: FlightRecord, settings: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the report of a flight as plain data.
+
+    Args:
+        record: the flight.
+        settings: what the flight was started with (seed, speed, ...), stored as it is; ``command_wall``, the wall
+            clock's seconds when the command was given, gives the start-up time.
+
+    Raises:
+        RecordError: the flight ended before there was anything to judge.
+    """
+    settings = dict(settings or {})
+    track = record.track
+    flight = flight_part(record, track)
+    distances = least_distances(flight.position)
+    reconfigurations = measure(record, track)
+    first, last = record.events[0], record.events[-1]
+    wall = last["wall"] - first["wall"]
+    sim = last["time"] - first["time"]
+    report: dict[str, Any] = {
+        "outcome": last["event"],
+        "vehicles": list(record.names),
+        "positions": track.source,
+        "reconfigurations": [asdict(r) for r in reconfigurations],
+        "least_distance": float(distances.min()),
+        "least_distance_time": float(flight.time[distances.argmin()]),
+        "sim_time": sim,
+        "wall_time": wall,
+        "real_time_factor": sim / wall if wall > 0 else None,
+        "startup_time": _startup_time(record, settings.pop("command_wall", None)),
+        "settings": settings,
+        "limits": {
+            "settled_error": SETTLED_ERROR,
+            "steady_error": STEADY_LIMIT,
+            "least_distance": DISTANCE_LIMIT,
+        },
+        "versions": versions(),
+        "machine": {"cpu": _cpu_name(), "cores": os.cpu_count(), "system": platform.platform()},
+    }
+    if record.truth is not None and record.estimate is not None:
+        report["by_estimate"] = [asdict(r) for r in measure(record, record.estimate)]
+    report["shortcomings"] = shortcomings(report)
+    return report
+
+
+def shortcomings(report: dict[str, Any]) -> list[str]:
+    """Return what the flight missed, in words; an empty list is a good flight."""
+    found = []
+    if report["outcome"] != "done":
+        found.append(f"the flight ended with {report['outcome']!r}")
+    for item in report["reconfigurations"]:
+        name = item["pattern"]
+        if item["settling_time"] is None:
+            found.append(f"pattern {name!r} did not settle within {SETTLED_ERROR} m")
+        elif item["steady_error_mean"] > STEADY_LIMIT:
+            error = item["steady_error_mean"]
+            found.append(f"pattern {name!r}: steady error {error:.3f} m, at most {STEADY_LIMIT} m")
+        if item["assigned_distance"] > item["optimal_distance"] * (1 + ASSIGNMENT_SLACK) + 0.01:
+            found.append(
+                f"pattern {name!r}: assigned distance {item['assigned_distance']:.2f} m, "
+                f"the optimum is {item['optimal_distance']:.2f} m"
+            )
+    if report["least_distance"] < DISTANCE_LIMIT:
+        found.append(f"least distance {report['least_distance']:.2f} m, at least {DISTANCE_LIMIT} m")
+    return found
+
+
+def _startup_time(record: FlightRecord, command_wall: float | None) -> float | None:
+    """Wall seconds from the command to the first armed vehicle."""
+    armed = [e["wall"] for e in record.events if e["event"] == "armed"]
+    return armed[0] - command_wall if armed and command_wall is not None else None
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that a flight's figures depend on."""
+    found = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _cpu_name() -> str:
+    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.machine()
+
+
+def write_report(report: dict[str, Any], path: str | Path) -> None:
+    """Write ``report`` as JSON."""
+    Path(path).write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def print_report(report: dict[str, Any], console: Console) -> None:
+    """Print the table of a flight, and what it missed."""
+    table = Table(title=f"Formation flight of {len(report['vehicles'])} vehicles", title_justify="left")
+    table.add_column("pattern")
+    for heading in (
+        "settling\ntime (s)", "overshoot\n(m)", "steady error\nmean (m)", "steady error\nmax (m)",
+        "least\ndistance (m)", "assigned\ndistance (m)", "optimum\n(m)",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for item in report["reconfigurations"]:
+        settling = item["settling_time"]
+        table.add_row(
+            item["pattern"],
+            "never" if settling is None else f"{settling:.2f}",
+            f"{item['overshoot']:.2f} ({item['overshoot_percent']:.0f} %)",
+            f"{item['steady_error_mean']:.3f}",
+            f"{item['steady_error_max']:.3f}",
+            f"{item['least_distance']:.2f}",
+            f"{item['assigned_distance']:.2f}",
+            f"{item['optimal_distance']:.2f}",
+        )
+    console.print(table)
+    factor = report["real_time_factor"]
+    line = (
+        f"Least distance {report['least_distance']:.2f} m; "
+        f"{report['sim_time']:.1f} s simulated in {report['wall_time']:.1f} s"
+    )
+    if factor is not None:
+        line += f" ({factor:.1f} x real time)"
+    if report["startup_time"] is not None:
+        line += f"; first vehicle armed {report['startup_time']:.1f} s after the command"
+    console.print(line + ".", highlight=False)
+    console.print(f"Positions: {report['positions']}.", highlight=False)
+    for text in report["shortcomings"]:
+        console.print(f"[red]Missed:[/red] {text}", highlight=False)

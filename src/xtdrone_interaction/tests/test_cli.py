@@ -1,0 +1,159 @@
+"""The command line: what is refused and how, and that nothing is left running."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from xtdrone_interaction import cli, options
+
+DEMO = ["demo", "formation"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--n", "0"], "'0' is not allowed; 2 to 250"),
+        (["--n", "10000"], "'10000' is not allowed; 2 to 250"),
+        (["--n", "nine"], "'nine' is not allowed"),
+        (["--type", "zeppelin"], "vehicle type: 'zeppelin' is unknown; there are: "),
+        (["--world", "moon"], "world: 'moon' is unknown; there are: empty"),
+        (["--patterns", "cube,heart"], "pattern 'heart' is unknown for 9 vehicles; there are: "),
+        (["--patterns", "cube,,cube"], "patterns: 'cube,,cube' is not allowed"),
+        (["--n", "9", "--patterns", "T"], "pattern 'T' is unknown for 9 vehicles"),
+        (["--speed", "0"], "speed: '0' is not allowed; a real-time factor of at least 0.1, or 'unlimited'"),
+        (["--speed", "-2"], "speed: '-2' is not allowed"),
+        (["--speed", "nan"], "speed: 'nan' is not allowed"),
+        (["--seed", "-1"], "seed: '-1' is not allowed"),
+        (["--clearance", "inf"], "clearance: 'inf' is not allowed"),
+        (["--processes", "many"], "invalid choice: 'many' (choose from 'per-uav', 'shared')"),
+        (["--master-port", "80"], "port: '80' is not allowed; 1024 to 65535"),
+        (["--follower", "mine.py"], "follower: 'mine.py' is neither"),
+        (["--pattern-file", "/nowhere.yaml"], "pattern file /nowhere.yaml"),
+    ],
+)
+def test_bad_values_are_named(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
+    try:
+        status = cli.main([*DEMO, *arguments])
+    except SystemExit as error:  # argparse
+        status = error.code
+    assert status == 2
+    assert message in capfd.readouterr().err
+
+
+def test_a_pattern_of_the_wrong_size_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("9: {row: [[1, 0, 0], [2, 0, 0]]}")
+    assert cli.main([*DEMO, "--pattern-file", str(file), "--patterns", "row"]) == 2
+    assert "size 2 x 3, but 9 vehicles need 8 x 3" in capfd.readouterr().err
+
+
+def test_a_taken_master_port_is_refused(capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        assert cli.main([*DEMO, "--master-port", str(port)]) == 2
+    assert f"port: {port} is taken" in capfd.readouterr().err
+
+
+def test_a_taken_mavlink_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(options, "_taken", lambda number, kind: number == 24542)
+    assert cli.main(DEMO) == 2
+    assert "port: UDP 24542 of iris_2 is taken" in capfd.readouterr().err
+
+
+def test_a_missing_master_is_named(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    uri = f"http://127.0.0.1:{options.free_port()}"
+    monkeypatch.setenv("ROS_MASTER_URI", uri)
+    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    assert cli.main([*DEMO, "--use-master"]) == 2
+    assert uri in capfd.readouterr().err
+
+
+def test_a_used_folder_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    (tmp_path / "report.json").touch()
+    assert cli.main([*DEMO, "--out", str(tmp_path)]) == 2
+    assert "not an empty folder" in capfd.readouterr().err
+
+
+def test_report_is_made_again(flight_bag: Path) -> None:
+    assert cli.main(["report", str(flight_bag)]) == 0
+    assert json.loads((flight_bag.parent / "report.json").read_text())["outcome"] == "done"
+    assert (flight_bag.parent / "formations.png").is_file()
+
+
+def test_report_names_a_missing_bag(capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["report", "/nowhere.bag"]) == 1
+    assert "/nowhere.bag does not exist" in capfd.readouterr().err
+
+
+FAKE_ROSLAUNCH = """\
+#!{python}
+# Starts 'nodes' as roslaunch does, each in a session of its own: one good, one that ignores SIGINT and SIGTERM.
+import os, signal, socket, subprocess, sys, time
+good = "import time; time.sleep(600)"
+stubborn = "import signal, time; [signal.signal(s, signal.SIG_IGN) for s in (2, 15)]; time.sleep(600)"
+for code in (good, stubborn):
+    subprocess.Popen([sys.executable, "-c", "MARK = {mark!r}; " + code], start_new_session=True)
+socket.create_connection(("127.0.0.1", {port})).close()
+{then}
+"""
+
+
+def _running(mark: str) -> list[str]:
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and mark in (entry / "cmdline").read_bytes().decode(errors="replace"):
+                found.append(entry.name)
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize(
+    ("then", "number", "status"),
+    [
+        ("time.sleep(600)", signal.SIGINT, 130),
+        ("time.sleep(600)", signal.SIGTERM, 143),
+        ("os.kill(os.getpid(), signal.SIGKILL)", None, 1),
+    ],
+)
+def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, status: int) -> None:
+    """Ctrl-C, SIGTERM, and a roslaunch that is killed: all nodes end, even one that ignores signals."""
+    mark = f"xtdrone-test-{os.getpid()}-{tmp_path.name}"
+    server = socket.create_server(("127.0.0.1", 0))
+    server.settimeout(30)
+    fake = tmp_path / "bin" / "roslaunch"
+    fake.parent.mkdir()
+    fake.write_text(FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, port=server.getsockname()[1], then=then))
+    fake.chmod(0o755)
+    program = textwrap.dedent(f"""
+        import sys
+        from xtdrone_interaction import cli, options, processes
+        processes._STEPS = tuple((s, 0.5) for s, _ in processes._STEPS)
+        options._taken = lambda number, kind: False
+        sys.exit(cli.main(["demo", "formation", "--headless", "--out", {str(tmp_path / "out")!r}]))
+    """)
+    path = f"{fake.parent}{os.pathsep}{os.environ['PATH']}"
+    demo = subprocess.Popen(
+        [sys.executable, "-c", program], env={**os.environ, "PATH": path}, stdout=subprocess.PIPE, text=True
+    )
+    with server:
+        server.accept()[0].close()  # the fake roslaunch has started its nodes
+    if number is not None:
+        assert _running(mark)
+        demo.send_signal(number)
+    output, _ = demo.communicate(timeout=30)
+    assert demo.returncode == status, output
+    assert _running(mark) == []

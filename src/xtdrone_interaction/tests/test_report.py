@@ -1,0 +1,128 @@
+"""Flight records, reports and pictures, from a made-up flight."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import image
+from rich.console import Console
+from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
+
+from xtdrone_interaction import report as reports
+from xtdrone_interaction.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
+from xtdrone_interaction.plots import save_plots
+from xtdrone_interaction.record import RecordError, read_record
+
+
+def test_record_holds_the_flight(flight_bag: Path) -> None:
+    record = read_record(flight_bag)
+    assert record.names == tuple(f"iris_{i}" for i in range(9))
+    assert record.truth is not None
+    assert record.estimate is not None
+    assert record.track is record.truth
+    np.testing.assert_allclose(record.truth.position[0, 1:, :2], GRID[:, :2], atol=1e-9)
+    np.testing.assert_allclose(record.estimate.position, record.truth.position, atol=1e-6)
+    assert len(record.patterns) == len(PATTERNS)
+    assert record.topologies[0].value[3, 2] == 1
+    assert [w[0] for w in reports.windows(record)] == list(PATTERNS)
+
+
+def test_offsets_are_read_row_major() -> None:
+    offsets = offsets_from_message([1, 2, 3, 4, 5, 6])
+    np.testing.assert_array_equal(offsets, [[1, 3, 5], [2, 4, 6]])
+    with pytest.raises(ValueError, match="4 values"):
+        offsets_from_message([1, 2, 3, 4])
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no bag at all"])
+def test_unreadable_bags_are_named(tmp_path: Path, content: bytes | None) -> None:
+    bag = tmp_path / "broken.bag"
+    if content is not None:
+        bag.write_bytes(content)
+    with pytest.raises(RecordError, match=r"broken\.bag"):
+        read_record(bag)
+
+
+def test_settling_follows_the_first_order_motion(flight_bag: Path) -> None:
+    results = {r.pattern: r for r in reports.measure(read_record(flight_bag), read_record(flight_bag).track)}
+    assert results["origin"].settling_time == pytest.approx(0.0, abs=0.05)
+    farthest = 6.63  # m, from the grid to the cube's slot that is farthest, at the least total distance
+    expected = math.log(farthest / SETTLED_ERROR) / RATE
+    assert results["cube"].settling_time == pytest.approx(expected, abs=0.5)
+    for result in results.values():
+        assert result.end_time - result.command_time == pytest.approx(WINDOW, abs=0.1)
+        assert result.steady_error_mean < 0.04
+        assert result.assigned_distance == pytest.approx(result.optimal_distance)
+
+
+def test_good_flight_has_no_shortcomings(flight_bag: Path) -> None:
+    report = reports.make_report(read_record(flight_bag), {"seed": 7, "command_wall": 990.0})
+    assert report["shortcomings"] == []
+    assert report["outcome"] == "done"
+    assert report["positions"] == TRUTH
+    assert report["real_time_factor"] == pytest.approx(2.0)
+    assert report["settings"] == {"seed": 7}
+    assert report["startup_time"] == pytest.approx(1000.0 + 5.0 / 2 - 990.0, abs=0.1)
+    assert 1.0 < report["least_distance"] < 2.0
+    json.dumps(report, allow_nan=False)
+
+
+def test_estimates_serve_where_no_truth_was_recorded(tmp_path: Path) -> None:
+    make_bag(tmp_path / "flight.bag", patterns=("cube",), truth=False)
+    report = reports.make_report(read_record(tmp_path / "flight.bag"))
+    assert report["positions"] == ESTIMATE
+    assert "by_estimate" not in report
+
+
+def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
+    make_bag(tmp_path / "flight.bag", patterns=("cube", "pyramid"), offset=0.3, shuffle=True)
+    report = reports.make_report(read_record(tmp_path / "flight.bag"))
+    text = " ".join(report["shortcomings"])
+    assert "'cube' did not settle" in text
+    assert "assigned distance" in text
+    assert report["reconfigurations"][0]["settling_time"] is None
+
+
+def test_settling_time_counts_the_last_entry() -> None:
+    time = np.arange(6.0)
+    error = np.array([[1.0], [0.1], [0.2], [0.1], [0.1], [0.1]])
+    assert reports.settling_time(time, error) == 3.0
+    assert reports.settling_time(time, error[::-1]) is None
+    assert reports.settling_time(time, np.zeros((6, 1))) == 0.0
+
+
+def test_overshoot_is_the_way_past_the_slot() -> None:
+    x = np.array([0.0, 3.0, 5.0, 4.5])
+    relative = np.stack([x, np.zeros(4), np.zeros(4)], axis=-1)[:, None]
+    assert reports.overshoot(relative, np.array([[4.0, 0.0, 0.0]])) == pytest.approx((1.0, 25.0))
+    assert reports.overshoot(relative, np.array([[6.0, 0.0, 0.0]])) == (0.0, 0.0)
+
+
+def test_least_distance_is_over_all_pairs() -> None:
+    positions = np.array([[[0, 0, 0], [3, 0, 0], [3, 0.4, 0.3]]], dtype=float)
+    assert least_distances(positions) == pytest.approx([0.5])
+
+
+def test_table_names_every_pattern(flight_bag: Path, tmp_path: Path) -> None:
+    report = reports.make_report(read_record(flight_bag))
+    output = io.StringIO()
+    reports.print_report(report, Console(file=output, width=120))
+    assert all(name in output.getvalue() for name in PATTERNS)
+    reports.write_report(report, tmp_path / "report.json")
+    assert json.loads((tmp_path / "report.json").read_text())["vehicles"] == report["vehicles"]
+
+
+def test_pictures_are_drawn(flight_bag: Path, tmp_path: Path) -> None:
+    paths = save_plots(read_record(flight_bag), tmp_path)
+    names = [p.name for p in paths]
+    assert names[0] == "response_1_origin_to_cube.png"
+    assert names[-2:] == ["formations.png", "distances.png"]
+    for path in paths:
+        pixels = image.imread(path)
+        assert pixels.shape[0] > 600
+        assert pixels[..., :3].std() > 0.02  # not blank

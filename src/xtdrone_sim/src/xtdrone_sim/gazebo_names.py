@@ -1,0 +1,34 @@
+"""Gazebo's messages from the simulator's records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from gazebo_msgs.msg import ModelStates
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
+from numpy.typing import NDArray
+
+from .plant import rotate
+
+
+def model_states(names: Sequence[str], plant: NDArray[np.void]) -> ModelStates:
+    """Return the true state of the ground plane and of every vehicle.
+
+    Args:
+        names: model names.
+        plant: (n,) ``PLANT``.
+
+    Returns:
+        Poses in the world frame (ENU, quaternion x, y, z, w) and twists in the world frame, as Gazebo gives them.
+    """
+    message = ModelStates(name=["ground_plane", *names])
+    level = Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+    message.pose.append(level)
+    message.twist.append(Twist())
+    for v in plant:
+        w, x, y, z = v["q"].tolist()
+        message.pose.append(Pose(Point(*v["position"].tolist()), Quaternion(x, y, z, w)))
+        spin = rotate(v["q"], *v["rates"].tolist())
+        message.twist.append(Twist(Vector3(*v["velocity"].tolist()), Vector3(*spin)))
+    return message

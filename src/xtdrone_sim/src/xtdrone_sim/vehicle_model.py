@@ -1,0 +1,174 @@
+"""Vehicle models: the YAML files of ``config/vehicles`` as checked values and as records for the kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from xtdrone_control.autopilot.autopilot import RotorLayout
+from xtdrone_control.autopilot.state import MAX_ROTORS
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+MODEL = np.dtype(
+    [
+        ("mass", "f8"),  # kg
+        ("inertia", "f8", 3),  # kg m^2, principal, body
+        ("box", "f8", 3),  # m, collision box
+        ("radius", "f8"),  # m, sphere around the box
+        ("rotor_count", "i8"),
+        ("rotor_position", "f8", (MAX_ROTORS, 3)),  # m, FLU
+        ("rotor_direction", "f8", MAX_ROTORS),  # +1 counter-clockwise seen from above, -1 clockwise
+        ("thrust_constant", "f8"),
+        ("moment_constant", "f8"),
+        ("time_constant_up", "f8"),
+        ("time_constant_down", "f8"),
+        ("max_speed", "f8"),
+        ("input_scaling", "f8"),
+        ("idle_speed", "f8"),
+        ("drag_coefficient", "f8"),
+        ("rolling_moment_coefficient", "f8"),
+        # sensors; densities per sqrt(Hz)
+        ("gyro_noise_density", "f8"),
+        ("gyro_random_walk", "f8"),
+        ("gyro_turn_on_bias", "f8"),
+        ("accel_noise_density", "f8"),
+        ("accel_random_walk", "f8"),
+        ("accel_turn_on_bias", "f8"),
+        ("mag_noise", "f8"),
+        ("mag_bias", "f8"),
+        ("baro_noise", "f8"),
+        ("baro_drift", "f8"),
+        ("gps_horizontal_noise", "f8"),
+        ("gps_vertical_noise", "f8"),
+        ("gps_velocity_noise", "f8"),
+        ("gps_wander", "f8"),
+        ("gps_wander_time", "f8"),
+        ("gps_satellites", "i8"),
+    ],
+    align=True,
+)
+
+_DIRECTIONS = {"ccw": 1.0, "cw": -1.0}
+_ROTOR_FIELDS = (
+    "thrust_constant",
+    "moment_constant",
+    "time_constant_up",
+    "time_constant_down",
+    "max_speed",
+    "input_scaling",
+    "idle_speed",
+    "drag_coefficient",
+    "rolling_moment_coefficient",
+)
+
+
+class ModelError(ValueError):
+    """A vehicle or world description that cannot be used."""
+
+
+@dataclass(frozen=True)
+class VehicleModel:
+    """One vehicle type.
+
+    Attributes:
+        name: type name, as ``iris``.
+        record: ``MODEL`` record.
+        parameters: PX4 parameters that this airframe sets.
+    """
+
+    name: str
+    record: np.void
+    parameters: dict[str, float]
+
+    @property
+    def rotor_layout(self) -> RotorLayout:
+        """Rotor places and moment ratios as the autopilot's allocator takes them (body FRD)."""
+        count = int(self.record["rotor_count"])
+        frd = self.record["rotor_position"][:count] * np.array([1.0, -1.0, -1.0])
+        return RotorLayout(frd, self.record["rotor_direction"][:count] * self.record["moment_constant"])
+
+
+def available(folder: str) -> list[str]:
+    """Return the names that ``config/<folder>`` offers (vehicles, worlds)."""
+    return sorted(path.stem for path in (CONFIG / folder).glob("*.yaml"))
+
+
+def read_description(folder: str, name: str) -> dict[str, Any]:
+    """Return the YAML of ``config/<folder>/<name>.yaml``, or of the file ``name`` if it is a path.
+
+    Raises:
+        ModelError: no such description, or not a YAML mapping.
+    """
+    path = Path(name) if name.endswith((".yaml", ".yml")) else CONFIG / folder / f"{name}.yaml"
+    if not path.is_file():
+        raise ModelError(f"{folder}: {name!r} is not known; there are {', '.join(available(folder))}")
+    try:
+        description = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise ModelError(f"{path}: not a YAML file: {error}") from error
+    if not isinstance(description, dict):
+        raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")
+    return description
+
+
+def load_vehicle(name: str) -> VehicleModel:
+    """Return the vehicle type ``name``.
+
+    Raises:
+        ModelError: unknown type, or a field that is missing, not a number or not positive.
+    """
+    description = read_description("vehicles", name)
+    record = np.zeros(1, MODEL)[0]
+    try:
+        _fill_body(record, description)
+        _fill_rotors(record, description)
+        _fill_sensors(record, description["sensors"])
+    except (KeyError, TypeError) as error:
+        raise ModelError(f"vehicle {name!r}: field {error} is missing or of the wrong kind") from error
+    parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
+    return VehicleModel(Path(name).stem, record, parameters)
+
+
+def _positive(description: dict[str, Any], field: str) -> float:
+    value = float(description[field])
+    if not value > 0.0 or not np.isfinite(value):
+        raise ModelError(f"{field}: {value} is not allowed, it must be positive")
+    return value
+
+
+def _fill_body(record: np.void, description: dict[str, Any]) -> None:
+    record["mass"] = _positive(description, "mass")
+    for field, source in (("inertia", "inertia"), ("box", "collision_box")):
+        values = np.asarray(description[source], float)
+        if values.shape != (3,) or not np.all(values > 0.0):
+            raise ModelError(f"{source}: {description[source]} is not allowed, three positive numbers")
+        record[field] = values
+    record["radius"] = 0.5 * float(np.linalg.norm(record["box"]))
+
+
+def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
+    for field in _ROTOR_FIELDS:
+        record[field] = float(description["rotor_model"][field])
+    for field in ("thrust_constant", "time_constant_up", "time_constant_down", "max_speed", "input_scaling"):
+        _positive(description["rotor_model"], field)
+    rotors = description["rotors"]
+    if not 4 <= len(rotors) <= MAX_ROTORS:
+        raise ModelError(f"rotors: {len(rotors)} is not allowed, 4 to {MAX_ROTORS}")
+    record["rotor_count"] = len(rotors)
+    for i, rotor in enumerate(rotors):
+        if rotor["direction"] not in _DIRECTIONS:
+            raise ModelError(f"rotor {i}: direction {rotor['direction']!r} is not allowed, ccw or cw")
+        record["rotor_position"][i] = rotor["position"]
+        record["rotor_direction"][i] = _DIRECTIONS[rotor["direction"]]
+
+
+def _fill_sensors(record: np.void, sensors: dict[str, Any]) -> None:
+    for field, value in sensors["imu"].items():
+        record[field] = float(value)
+    for prefix, sensor in (("mag", "magnetometer"), ("baro", "barometer"), ("gps", "gps")):
+        for field, value in sensors[sensor].items():
+            record[f"{prefix}_{field}"] = value

@@ -1,0 +1,98 @@
+"""Free-flight dynamics against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from xtdrone_sim import plant
+from xtdrone_sim.plant import PLANT
+from xtdrone_sim.vehicle_model import load_vehicle
+
+GRAVITY = 9.80665
+DT = 0.004
+
+
+@pytest.fixture
+def iris():
+    return np.array([load_vehicle("iris").record])
+
+
+def body(**fields):
+    state = np.zeros(1, PLANT)
+    state["q"][:, 0] = 1.0
+    for name, value in fields.items():
+        state[name] = value
+    return state
+
+
+def fly(state, models, steps, actuators=None, armed=0):
+    commands = np.zeros((1, 8)) if actuators is None else actuators
+    for _ in range(steps):
+        plant.step_all(state, models, commands, np.array([armed], np.int32), GRAVITY, DT)
+
+
+def test_free_fall_is_exact(iris):
+    state = body(position=(0.0, 0.0, 100.0), velocity=(2.0, -1.0, 0.0))
+    fly(state, iris, 250)
+    np.testing.assert_allclose(state["position"][0], (2.0, -1.0, 100.0 - 0.5 * GRAVITY), atol=1e-9)
+    np.testing.assert_allclose(state["velocity"][0], (2.0, -1.0, -GRAVITY), atol=1e-9)
+
+
+def test_upstream_hover_command_holds_weight(iris):
+    m = iris[0]
+    hover = math.sqrt(m["mass"] * GRAVITY / (4 * m["thrust_constant"]))
+    command = (hover - m["idle_speed"]) / m["input_scaling"]
+    assert command == pytest.approx(0.563, abs=0.001)
+    state = body(position=(0.0, 0.0, 10.0))
+    state["rotor_speed"][0, :4] = hover
+    fly(state, iris, 500, np.full((1, 8), command), armed=1)
+    np.testing.assert_allclose(state["position"][0], (0.0, 0.0, 10.0), atol=1e-6)
+
+
+def test_rotor_lag_is_first_order(iris):
+    state = body()
+    m = iris[0]
+    steps = 3
+    for _ in range(steps):
+        plant.advance_rotors(state[0], m, np.full(8, 0.5), 1, DT)
+    expected = 600.0 * (1.0 - math.exp(-steps * DT / m["time_constant_up"]))
+    np.testing.assert_allclose(state["rotor_speed"][0, :4], expected, rtol=1e-12)
+
+
+def test_torque_free_spin_keeps_angular_momentum_and_energy(iris):
+    models = iris.copy()
+    models["inertia"] = (0.02, 0.03, 0.055)
+    state = body(rates=(3.0, 0.5, -2.0))
+    inertia = models["inertia"][0]
+
+    def momentum():
+        v = state[0]
+        return np.array(plant.rotate(v["q"], *(inertia * v["rates"])))
+
+    before, energy = momentum(), float(inertia @ state["rates"][0] ** 2)
+    fly(state, models, 500)
+    np.testing.assert_allclose(momentum(), before, atol=2e-4)
+    assert float(inertia @ state["rates"][0] ** 2) == pytest.approx(energy, rel=1e-3)
+
+
+def test_yaw_torque_follows_rotor_directions(iris):
+    state = body()
+    state["rotor_speed"][0, :2] = 700.0  # counter-clockwise pair faster: the body turns clockwise
+    state["rotor_speed"][0, 2:4] = 600.0
+    plant.rotor_wrench(state[0], iris[0])
+    m = iris[0]
+    expected = -m["moment_constant"] * m["thrust_constant"] * 2 * (700.0**2 - 600.0**2)
+    assert state["torque"][0, 2] == pytest.approx(expected)
+
+
+def test_rotor_drag_brakes_and_leans_against_the_wind(iris):
+    state = body(velocity=(3.0, 0.0, 0.0))
+    state["rotor_speed"][0, :4] = 600.0
+    plant.rotor_wrench(state[0], iris[0])
+    assert state["force"][0, 0] == pytest.approx(-4 * 1.75e-4 * 600.0 * 3.0)
+    still = body(velocity=(3.0, 0.0, 0.0), wind=(3.0, 0.0, 0.0))
+    still["rotor_speed"][0, :4] = 600.0
+    plant.rotor_wrench(still[0], iris[0])
+    assert still["force"][0, 0] == pytest.approx(0.0)
