@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+
 from xtdrone_control.autopilot import geo
 
 _ORIGIN = (47.397742, 8.545594)

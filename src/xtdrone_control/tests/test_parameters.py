@@ -9,6 +9,7 @@ import zlib
 
 import numpy as np
 import pytest
+
 from xtdrone_control.autopilot.parameters import (
     FLOAT,
     INT32,

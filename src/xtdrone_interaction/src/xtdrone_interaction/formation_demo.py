@@ -25,7 +25,7 @@ from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.options import OptionError, repository
 from xtdrone_interaction.processes import ProcessTree
-from xtdrone_interaction.record import RecordError, read_record
+from xtdrone_interaction.record import RecordError, read_events, read_record
 from xtdrone_interaction.report import make_report, print_report, write_report
 
 _POLL = 0.2  # s, how often the processes are looked after
@@ -283,10 +283,7 @@ def _close_feed() -> None:
 
 
 def _events(settings: DemoSettings) -> list[dict[str, Any]]:
-    path = settings.out / "events.jsonl"
-    if not path.is_file():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+    return read_events(settings.out / "events.jsonl")
 
 
 def _log_lines(settings: DemoSettings) -> list[str]:

@@ -108,6 +108,9 @@ class FlightRecord:
 def read_record(bag: str | Path) -> FlightRecord:
     """Read a flight's bag.
 
+    The events come from ``events.jsonl`` beside it where that is, because a recorder that starts late on a busy machine
+    misses the first ones; else from the bag.
+
     Raises:
         RecordError: the file is missing, is not a readable bag, or holds no events of the director.
     """
@@ -116,15 +119,23 @@ def read_record(bag: str | Path) -> FlightRecord:
         raise RecordError(f"bag: {path} does not exist")
     try:
         with AnyReader([path]) as reader:
-            return _read(reader)
+            return _read(reader, read_events(path.with_name("events.jsonl")))
     except RecordError:
         raise
     except Exception as error:  # rosbags raises many kinds for a damaged file
         raise RecordError(f"bag: {path} cannot be read ({error}); 'rosbag reindex' may mend it") from error
 
 
-def _read(reader: AnyReader) -> FlightRecord:
-    events = [json.loads(m.data) for _, _, m in _messages(reader, [EVENTS_TOPIC])]
+def read_events(path: Path) -> list[dict[str, Any]]:
+    """Return the events in a file of JSON lines, none when there is no such file."""
+    if not path.is_file():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines if line.endswith("}")]  # the last may be cut off
+
+
+def _read(reader: AnyReader, events: list[dict[str, Any]]) -> FlightRecord:
+    events = events or [json.loads(m.data) for _, _, m in _messages(reader, [EVENTS_TOPIC])]
     starts = [e for e in events if "vehicles" in e]  # start and take-off; a recorder that is late misses the first
     if not starts:
         raise RecordError(f"bag: no take-off on {EVENTS_TOPIC}; this is no record of a formation flight")

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
@@ -247,21 +248,21 @@ def write_report(report: dict[str, Any], path: str | Path) -> None:
 
 def print_report(report: dict[str, Any], console: Console) -> None:
     """Print the table of a flight, and what it missed."""
-    table = Table(title=f"Formation flight of {len(report['vehicles'])} vehicles", title_justify="left")
-    table.add_column("pattern")
+    title = f"Formation flight of {len(report['vehicles'])} vehicles"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("pattern", no_wrap=True)
     for heading in (
-        "settling\ntime (s)", "overshoot\n(m)", "steady error\nmean (m)", "steady error\nmax (m)",
-        "least\ndistance (m)", "assigned\ndistance (m)", "optimum\n(m)",
+        "settled\nafter (s)", "overshoot\n(m)", "steady (m)\nmean/max", "least\ngap (m)", "assigned\n(m)",
+        "optimum\n(m)",
     ):  # fmt: skip
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for item in report["reconfigurations"]:
         settling = item["settling_time"]
         table.add_row(
             item["pattern"],
             "never" if settling is None else f"{settling:.2f}",
-            f"{item['overshoot']:.2f} ({item['overshoot_percent']:.0f} %)",
-            f"{item['steady_error_mean']:.3f}",
-            f"{item['steady_error_max']:.3f}",
+            f"{item['overshoot']:.2f} ({item['overshoot_percent']:.0f}%)",
+            f"{item['steady_error_mean']:.3f}/{item['steady_error_max']:.3f}",
             f"{item['least_distance']:.2f}",
             f"{item['assigned_distance']:.2f}",
             f"{item['optimal_distance']:.2f}",

@@ -127,24 +127,30 @@ class SimulatorNode:
 
     def run(self) -> None:
         """Step until shutdown."""
-        self._publish_clock()
-        self._wait_for_participants()
-        while not rospy.is_shutdown():
-            self._advance()
-            self._wait_for_pace()
-        self._server.close()
-        self._mavlink.close()
-        self._simulation.close()
+        try:
+            self._publish_clock()
+            self._wait_for_participants()
+            while True:
+                self._advance()
+                self._wait_for_pace()
+        except rospy.ROSException:
+            # ROSInterruptException of our own, or rospy's word that its topics are closed
+            if not rospy.is_shutdown():
+                raise
+        finally:
+            self._server.close()
+            self._mavlink.close()
+            self._simulation.close()
 
     def _wait_for_participants(self) -> None:
         expected = self._settings.participants
         end = time.monotonic() + self._settings.start_limit
-        while expected and not rospy.is_shutdown() and time.monotonic() < end:
+        while expected and time.monotonic() < end:
             if self._server.wait_for(expected, _JOIN_REPORT, self._serve):
-                rospy.loginfo("simulator: %d participants, %s", expected, "time starts")
+                rospy.loginfo("simulator: %d participants have joined, time starts", expected)
                 return
             rospy.loginfo("simulator: holding time at 0: %s", self._server.missing(expected))
-        if expected and not rospy.is_shutdown():
+        if expected:
             rospy.logwarn(
                 "simulator: time starts without all participants after %.0f s: %s",
                 self._settings.start_limit,
@@ -174,7 +180,13 @@ class SimulatorNode:
         self._meter.update(now, time.monotonic())
 
     def _serve(self, timeout: float) -> None:
-        """Wait up to ``timeout`` s for something on any socket, and serve what came by MAVLink."""
+        """Wait up to ``timeout`` s for something on any socket, and serve what came by MAVLink.
+
+        Raises:
+            ROSInterruptException: ROS shuts down; whoever waits for a participant must not wait on.
+        """
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
         events = self._poll.poll(timeout)
         server = self._server.fileno()
         if any(descriptor != server for descriptor, _ in events):
@@ -202,7 +214,7 @@ class SimulatorNode:
         return missing
 
     def _wait_for_pace(self) -> None:
-        while not rospy.is_shutdown():
+        while True:
             delay = self._pacer.delay(self._simulation.time_us, time.monotonic())
             if delay <= 0.0:
                 return

@@ -546,4 +546,3 @@ class Commander:
 
 def _is_place(latitude: float, longitude: float, altitude: float) -> bool:
     return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)
-

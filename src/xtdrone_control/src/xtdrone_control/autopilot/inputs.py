@@ -18,9 +18,8 @@ class SetpointError(ValueError):
 
 
 def _reject_infinite(name: str, values: Sequence[float]) -> None:
-    for value in values:
-        if math.isinf(value):
-            raise SetpointError(f"{name} is {value}, not a finite number")
+    if math.inf in values or -math.inf in values:
+        raise SetpointError(f"{name} is {list(values)}, not finite")
 
 
 class OffboardInput:
@@ -131,10 +130,10 @@ class OffboardInput:
 
     def write(self) -> None:
         """Let the cascade follow the last set-point."""
-        setpoint = self._view.setpoint
+        fields = self._view.setpoint_fields
         for name, value in self._fields.items():
-            setpoint[name] = value
-        if setpoint["task"] != self._task:
+            fields[name][:] = value
+        if self._view.setpoint["task"] != self._task:
             self._view.start_task(self._task)
 
 

@@ -187,7 +187,7 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "number of the airframe"),
 )  # fmt: skip
 
-# What a vehicle type changes: upstream XTDrone's start script where PX4 v1.14 has the same parameter in the same meaning.
+# What a vehicle type changes: upstream XTDrone's start script, where PX4 v1.14 has the parameter in the same meaning.
 AIRFRAMES: dict[str, dict[str, float]] = {
     "iris": {
         "BAT1_N_CELLS": 3,

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from . import geo
+from .state import SETPOINT
 
 if TYPE_CHECKING:
     from .autopilot import Autopilot
@@ -18,6 +21,7 @@ class VehicleView:
 
     Attributes:
         sensors, estimator, setpoint, control: the vehicle's elements of the record arrays.
+        setpoint_fields: set-point field to an array over it, for what is written often.
     """
 
     def __init__(self, autopilot: Autopilot, index: int) -> None:
@@ -27,6 +31,9 @@ class VehicleView:
         self.estimator: Any = autopilot.estimator[index]
         self.setpoint: Any = autopilot.setpoint[index]
         self.control: Any = autopilot.control[index]
+        element = autopilot.setpoint[index : index + 1]
+        self.setpoint_fields = {name: element[name].reshape(-1) for name in SETPOINT.names or ()}
+        assert all(np.shares_memory(field, element) for field in self.setpoint_fields.values())
 
     @property
     def time_us(self) -> int:

@@ -51,7 +51,13 @@ class Link:
     """
 
     def __init__(
-        self, vehicle: Vehicle, kind: str, local_port: int, remote_port: int, telemetry: Telemetry, rates: dict[str, float]
+        self,
+        vehicle: Vehicle,
+        kind: str,
+        local_port: int,
+        remote_port: int,
+        telemetry: Telemetry,
+        rates: dict[str, float],
     ) -> None:
         """Bind the port.
 
@@ -142,9 +148,13 @@ class Link:
             self.send_message(mavlink.MAVLink_statustext_message(severity, piece, number, i))
 
     def send_due(self, now_us: int) -> None:
-        """Queue the telemetry that is due."""
-        if now_us < self.streams.next_due_us:
-            return
+        """Send the telemetry that is due, and what is queued."""
+        if now_us >= self.streams.next_due_us:
+            self._queue_due(now_us)
+        if self._frames:
+            self.flush(now_us)
+
+    def _queue_due(self, now_us: int) -> None:
         if now_us - self._heard_us > _SILENCE_US and time.monotonic() - self._heard_wall > _SILENCE_S:
             self.streams.stop()  # by both clocks: the simulation may run fast, or stand still
         self.telemetry.refresh(now_us)

@@ -61,7 +61,5 @@ class Format:
         except (struct.error, OverflowError) as error:
             raise PackingError(f"{self.name}: {error}") from error
         number = self.number
-        header = _HEADER.pack(
-            _MAGIC_V2, len(payload), 0, 0, sequence, system, component, number & 0xFFFF, number >> 16
-        )
+        header = _HEADER.pack(_MAGIC_V2, len(payload), 0, 0, sequence, system, component, number & 0xFFFF, number >> 16)
         return header + payload + _crc(header[1:] + payload + self._crc_extra).to_bytes(2, "little")

@@ -28,7 +28,7 @@ _BROADCAST = 0
 _MISSION_ACCEPTED, _MISSION_ERROR, _MISSION_UNSUPPORTED = 0, 1, 3  # MAV_MISSION_RESULT
 
 # message, handler's name, field of the target system (empty: for everybody), of the target component
-_MESSAGES = (
+MESSAGES = (
     ("HEARTBEAT", "_heartbeat", "", ""),
     ("COMMAND_LONG", "_command_long", "target_system", "target_component"),
     ("COMMAND_INT", "_command_int", "target_system", "target_component"),
@@ -66,7 +66,7 @@ class Receiver:
         self._sender = (0, 0)
         self._handlers: dict[int, tuple[Callable[[bytes], Any], Callable[[Link, Any], None], str, str]] = {
             MESSAGE_ID[name]: (decoder(name), getattr(self, handler), system, component)
-            for name, handler, system, component in _MESSAGES
+            for name, handler, system, component in MESSAGES
         }
 
     def take(self, link: Link, datagram: bytes, sender: Address, now_us: int) -> None:

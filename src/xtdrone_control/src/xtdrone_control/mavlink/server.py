@@ -130,7 +130,6 @@ class MavlinkServer:
                         link.send_text(*text)
             for link in served.links:
                 link.send_due(now_us)
-                link.flush(now_us)
 
     def close(self) -> None:
         """Close all sockets."""

@@ -50,9 +50,9 @@ _DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 def _clamped(value: float, limit: int) -> int:
     """Return ``value`` rounded and cut to -limit..limit; 0 for NaN."""
-    if value != value:
-        return 0
-    return int(max(-limit, min(limit, round(value) if abs(value) < limit else value)))
+    if -limit < value < limit:
+        return round(value)
+    return 0 if value != value else int(math.copysign(limit, value))
 
 
 def _unsigned(value: float, limit: int) -> int:
