@@ -22,5 +22,6 @@ check "mypy" mypy
 ((${#cpp[@]} == 0)) || check "clang-format" clang-format --dry-run --Werror "${cpp[@]}"
 lint=$worst
 ((lint == 0)) || echo "== a check above failed (status $lint); the tests run all the same"
-check "pytest" python -m pytest "$@"
+# pybullet prints through C's own buffer, which empties after pytest's closing line unless it is kept by the line.
+check "pytest" stdbuf -oL python -m pytest "$@"
 exit "$worst"

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-STEP = 1.0 / 30.0  # s
+STEP = 0.032  # s, a multiple of the simulator's base step
 RATE = 0.8  # 1/s, the first-order motion's gain
 GRID = np.array([[3.0 * (i % 3), 3.0 * (i // 3), 0.0] for i in range(1, 9)])
 CUBE = np.array([[x, y, z] for z in (2.0, -2.0) for x, y in ((2, 2), (-2, 2), (-2, -2), (2, -2))])
@@ -46,9 +46,11 @@ class BagMaker:
         self.truth = truth
         self.connections: dict[str, object] = {}
         self.events: list[dict[str, object]] = []
+        self.delay = 0.0
 
     def write(self, topic: str, kind: str, message: object, time: float) -> None:
-        """Write one message at ``time`` s."""
+        """Write one message at ``time`` s, late by ``delay`` as by a recorder's clock that is off."""
+        time = max(0.0, time + self.delay)
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         self.writer.write(self.connections[topic], round(time * 1e9), self.store.serialize_ros1(message, kind))
@@ -103,6 +105,7 @@ def make_bag(
     noise: float = 0.01,
     offset: float = 0.0,
     shuffle: bool = False,
+    delay: float = 0.0,
 ) -> list[dict[str, object]]:
     """Write a flight and return its events. Each pattern's window is WINDOW long; followers move with gain RATE.
 
@@ -112,6 +115,7 @@ def make_bag(
         truth: whether /gazebo/model_states is there.
         noise: standard deviation of all positions, m.
         offset: so far (m, along x) follower 3 stays from its slot.
+        delay: s; the recorder's clock is so late in a part of each pattern, and so early in another.
         shuffle: give the slots out backwards instead of at the least distance.
     """
     rng = np.random.default_rng(0)
@@ -129,13 +133,16 @@ def make_bag(
         for pattern in patterns:
             maker.event(time, "phase", phase=f"pattern {pattern}", pattern=pattern)
             offsets = SLOTS[pattern][::-1] if shuffle else assign(offsets, SLOTS[pattern])
+            maker.event(time, "assigned", pattern=pattern, offsets=offsets.tolist())
             goal = offsets.copy()
             goal[2, 0] += offset
-            for _ in range(round(WINDOW / STEP)):
+            for tick in range(round(WINDOW / STEP)):
                 time += STEP
+                maker.delay = delay * (0.3 < tick * STEP / WINDOW < 0.45) - delay * (tick * STEP / WINDOW > 0.9)
                 maker.formation(time, offsets)
                 places[1:] += RATE * STEP * (places[0] + goal - places[1:])
                 maker.positions(time, places + noise * rng.standard_normal(places.shape))
+        maker.delay = 0.0
         maker.event(time, "phase", phase="land")
         maker.event(time, "done")
     return maker.events

@@ -16,7 +16,7 @@ from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 from xtdrone_interaction import report as reports
 from xtdrone_interaction.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
 from xtdrone_interaction.plots import save_plots
-from xtdrone_interaction.record import RecordError, read_record
+from xtdrone_interaction.record import RecordError, read_record, regular_times
 
 
 def test_record_holds_the_flight(flight_bag: Path) -> None:
@@ -29,7 +29,8 @@ def test_record_holds_the_flight(flight_bag: Path) -> None:
     np.testing.assert_allclose(record.estimate.position, record.truth.position, atol=1e-6)
     assert len(record.patterns) == len(PATTERNS)
     assert record.topologies[0].value[3, 2] == 1
-    assert [w[0] for w in reports.windows(record)] == list(PATTERNS)
+    assert [w.pattern for w in record.windows] == list(PATTERNS)
+    assert all(w.topology is not None and w.topology[3, 2] == 1 for w in record.windows)
 
 
 def test_offsets_are_read_row_major() -> None:
@@ -57,7 +58,7 @@ def test_settling_follows_the_first_order_motion(flight_bag: Path) -> None:
     for result in results.values():
         assert result.end_time - result.command_time == pytest.approx(WINDOW, abs=0.1)
         assert result.steady_error_mean < 0.04
-        assert result.assigned_distance == pytest.approx(result.optimal_distance)
+        assert result.assigned_distance == pytest.approx(result.optimal_distance, rel=0.01, abs=0.01)
 
 
 def test_good_flight_has_no_shortcomings(flight_bag: Path) -> None:
@@ -86,6 +87,24 @@ def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
     assert "'cube' did not settle" in text
     assert "assigned distance" in text
     assert report["reconfigurations"][0]["settling_time"] is None
+
+
+def test_a_recorder_whose_clock_is_off_changes_nothing(flight_bag: Path, tmp_path: Path) -> None:
+    make_bag(tmp_path / "flight.bag", delay=0.9)
+    good, bad = (reports.measure(r, r.track) for r in (read_record(flight_bag), read_record(tmp_path / "flight.bag")))
+    for expected, found in zip(good, bad, strict=True):
+        assert found.settling_time == pytest.approx(expected.settling_time, abs=0.04)
+        assert found.least_distance == pytest.approx(expected.least_distance, abs=0.02)
+        assert found.steady_error_max < 0.1
+
+
+def test_lost_messages_shift_the_rest() -> None:
+    sent = np.delete(np.arange(2000), slice(700, 720)) * 0.02
+    late = sent + np.where((sent > 5.0) & (sent < 6.0), 0.5, 0.0)
+    found = regular_times(late)
+    away = np.abs(sent - 14.0) > 6.0  # near the gap the shift is not known to the step
+    np.testing.assert_allclose(found[away], sent[away], atol=1e-6)
+    assert np.abs(found - sent).max() <= 20 * 0.02 + 1e-6
 
 
 def test_settling_time_counts_the_last_entry() -> None:

@@ -21,6 +21,7 @@ TRUTH_TOPIC = "/gazebo/model_states"
 TRUTH = "ground truth (/gazebo/model_states)"
 ESTIMATE = "estimate (mavros/local_position/pose)"
 
+ORIGIN = "origin"  # the pattern that is the spawn grid
 SETTLED_ERROR = 0.15  # m; every follower within it counts as settled
 _CHUNK = 1_000_000  # distances held at once
 

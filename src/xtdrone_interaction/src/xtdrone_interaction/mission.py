@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from xtdrone_interaction.geometry import SETTLED_ERROR, Array, formation_error
+from xtdrone_interaction.geometry import ORIGIN, SETTLED_ERROR, Array, formation_error
 
 Ticks = Iterator[None]
 
@@ -141,7 +141,7 @@ class FormationMission:
         yield from self._connect()
         yield from self._take_off()
         yield from self._offboard()
-        yield from self._form("origin")
+        yield from self._form(ORIGIN)
         self._begin("climb")
         yield from self._move_to(height=self.height, speed=CLIMB_SPEED)
         yield from self._settle("climb")
@@ -151,7 +151,7 @@ class FormationMission:
                 yield from self._move_to(forward=MOVE_DISTANCE, speed=MOVE_SPEED)
                 yield from self._settle("move")
             yield from self._form(pattern)
-        yield from self._form("origin")
+        yield from self._form(ORIGIN)
         self._begin("descend")
         yield from self._move_to(height=LANDING_HEIGHT, speed=CLIMB_SPEED)
         yield from self._settle("descend")
@@ -224,6 +224,8 @@ class FormationMission:
                 self.commands.leader(pattern)
                 due = self.view.time + _REPEAT
             yield
+        assert self.view.offsets is not None
+        self.commands.event("assigned", pattern=pattern, offsets=self.view.offsets.round(4).tolist())
         yield from self._settle(pattern)
 
     def _assigned(self, pattern: str) -> bool:

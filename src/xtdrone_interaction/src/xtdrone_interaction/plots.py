@@ -17,9 +17,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from xtdrone_interaction.geometry import SETTLED_ERROR, formation_error, least_distances
-from xtdrone_interaction.record import FlightRecord
-from xtdrone_interaction.report import DISTANCE_LIMIT, flight_part, windows
+from xtdrone_interaction.geometry import ORIGIN, SETTLED_ERROR, formation_error, least_distances
+from xtdrone_interaction.record import FlightRecord, Window
+from xtdrone_interaction.report import DISTANCE_LIMIT, flight_part
 
 DPI = 150
 _LEAD_IN = 1.0  # s shown before the command
@@ -56,11 +56,10 @@ def save_plots(record: FlightRecord, folder: str | Path) -> list[Path]:
 def _figures(record: FlightRecord) -> list[tuple[str, Figure]]:
     figures = []
     before = None
-    for number, (pattern, start, end) in enumerate(windows(record)):
+    for number, window in enumerate(record.windows):
         if before is not None:
-            name = f"response_{number}_{before}_to_{pattern}.png"
-            figures.append((name, response(record, before, pattern, start, end)))
-        before = pattern
+            figures.append((f"response_{number}_{before}_to_{window.pattern}.png", response(record, before, window)))
+        before = window.pattern
     figures.append(("formations.png", formations(record)))
     figures.append(("distances.png", distances(record)))
     return figures
@@ -73,10 +72,9 @@ def colours(count: int) -> list[Any]:
     return [_LEADER_COLOUR, *plt.get_cmap("turbo")(np.linspace(0.05, 0.95, count - 1))]
 
 
-def response(record: FlightRecord, before: str, pattern: str, start: float, end: float) -> Figure:
+def response(record: FlightRecord, before: str, window: Window) -> Figure:
     """Draw x, y and z of every vehicle against time during one reconfiguration, the slots dotted."""
-    track = record.track.between(start - _LEAD_IN, end)
-    offsets = record.latest(record.patterns, end)
+    track = record.track.between(window.start - _LEAD_IN, window.end)
     figure, axes = plt.subplots(3, 1, figsize=(9.0, 7.5), sharex=True)
     figure.subplots_adjust(left=0.08, right=0.83, top=0.93, bottom=0.07, hspace=0.1)
     shades = colours(len(record.names))
@@ -84,14 +82,14 @@ def response(record: FlightRecord, before: str, pattern: str, start: float, end:
     for axis, (panel, letter) in enumerate(zip(axes, "xyz", strict=True)):
         for i, name in enumerate(record.names):
             width = 1.8 if i == 0 else 1.2
-            panel.plot(track.time - start, track.position[:, i, axis], color=shades[i], lw=width, label=name)
-            if i > 0 and offsets is not None:
-                panel.axhline(leader_end[axis] + offsets[i - 1, axis], color=shades[i], lw=0.7, ls=":", zorder=1)
+            panel.plot(track.time - window.start, track.position[:, i, axis], color=shades[i], lw=width, label=name)
+            if i > 0:
+                panel.axhline(leader_end[axis] + window.offsets[i - 1, axis], color=shades[i], lw=0.7, ls=":", zorder=1)
         panel.axvline(0.0, color="grey", lw=0.8, ls="--", zorder=1)
         panel.set_ylabel(f"{letter} [m]")
         panel.margins(x=0.01)
-    axes[-1].set_xlabel(f"time since the command '{pattern}' [s]")
-    figure.suptitle(f"Position response from {before} to {pattern} ({len(record.names)} UAVs, map frame, ENU)")
+    axes[-1].set_xlabel(f"time since the command '{window.pattern}' [s]")
+    figure.suptitle(f"Position response from {before} to {window.pattern} ({len(record.names)} UAVs, map frame, ENU)")
     _name_vehicles(figure, record.names, axes[0])
     return figure
 
@@ -113,9 +111,9 @@ def formations(record: FlightRecord) -> Figure:
     Shown are the vehicles, the topology's edges, and the ground trails: the ways of the vehicles during the
     reconfiguration, dropped to the lowest plane of the picture.
     """
-    chosen = [w for w in windows(record) if w[0] != "origin"][:_MAX_PANELS] or windows(record)[:1]
-    figure = plt.figure(figsize=(4.8 * len(chosen), 5.6))
-    figure.subplots_adjust(left=0.0, right=0.97, top=0.92, bottom=0.07, wspace=0.02)
+    chosen = [w for w in record.windows if w.pattern != ORIGIN][:_MAX_PANELS] or record.windows[:1]
+    figure = plt.figure(figsize=(max(6.4, 4.8 * len(chosen)), 5.8))
+    figure.subplots_adjust(left=0.0, right=0.97, top=0.92, bottom=0.1, wspace=0.02)
     shades = colours(len(record.names))
     for number, window in enumerate(chosen):
         panel = figure.add_subplot(1, len(chosen), number + 1, projection="3d")
@@ -127,19 +125,18 @@ def formations(record: FlightRecord) -> Figure:
         Line2D([], [], color="tab:blue", lw=1.2, alpha=0.5),
     ]
     labels = ["leader", "follower (number: index)", "communication topology", "ground trail"]
-    figure.legend(handles, labels, loc="lower center", ncol=4)
+    figure.legend(handles, labels, loc="lower center", ncol=4 if len(chosen) > 1 else 2)
     figure.suptitle(f"Formations of {len(record.names)} UAVs (map frame, ENU, metres)")
     return figure
 
 
-def _formation(panel: Any, record: FlightRecord, window: tuple[str, float, float], shades: list[Any]) -> None:
-    pattern, start, end = window
-    track = record.track.between(start, end)
+def _formation(panel: Any, record: FlightRecord, window: Window, shades: list[Any]) -> None:
+    track = record.track.between(window.start, window.end)
     places = track.position[-1]
     low, high = track.position.reshape(-1, 3).min(axis=0), track.position.reshape(-1, 3).max(axis=0)
     margin = 0.08 * (high - low).max() + 0.3
     floor = low[2] - 2 * margin
-    topology = record.latest(record.topologies, end)
+    topology = window.topology
     for i, j in np.argwhere(topology > 0) if topology is not None else []:
         panel.plot(*np.stack([places[i], places[j]]).T, color="0.55", lw=1.2, zorder=2)
     for i, place in enumerate(places):
@@ -153,10 +150,12 @@ def _formation(panel: Any, record: FlightRecord, window: tuple[str, float, float
             panel.text(x, y, z + 0.5 * margin, str(i), color=shades[i], ha="center", va="bottom", zorder=40)
     panel.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     panel.set(zlim=(floor, high[2] + margin), xlabel="x", ylabel="y", zlabel="z")
-    panel.set_title(pattern, y=0.94)
+    panel.set_title(window.pattern, y=1.0)
     panel.patch.set_alpha(0.0)  # or it hides the neighbour's z label
     size = high - low + 2 * margin
-    panel.set_box_aspect((size[0], size[1], high[2] + margin - floor), zoom=1.1)
+    box = np.array([size[0], size[1], high[2] + margin - floor])
+    height = box @ [0.24, 0.24, 0.94] / np.linalg.norm(box)  # on the picture, seen from this elevation
+    panel.set_box_aspect(box, zoom=0.78 * min(1.3, 1.0 / height))
     panel.view_init(elev=20, azim=-60)
 
 
@@ -169,19 +168,16 @@ def distances(record: FlightRecord) -> Figure:
     upper.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
     upper.set(ylabel="least distance [m]", ylim=(0.0, None))
     upper.legend(loc="lower right")
-    for pattern, start, end in windows(record):
-        part = track.between(start, end)
-        offsets = record.latest(record.patterns, end)
-        if offsets is None or not len(part.time):
-            continue
-        error = formation_error(part.position, offsets)
+    for window in record.windows:
+        part = track.between(window.start, window.end)
+        error = formation_error(part.position, window.offsets)
         lower.plot(part.time, error.max(axis=1), color="tab:orange", lw=1.2)
         lower.plot(part.time, error.mean(axis=1), color="tab:green", lw=1.2)
-        upper.annotate(pattern, (start, 1.0), xycoords=("data", "axes fraction"), xytext=(2, 3),
+        upper.annotate(window.pattern, (window.start, 1.0), xycoords=("data", "axes fraction"), xytext=(2, 3),
                        textcoords="offset points", rotation=30, ha="left", va="bottom", color="0.35")  # fmt: skip
         for panel in (upper, lower):
-            panel.axvspan(start, end, color="0.93", zorder=0)
-            panel.axvline(start, color="0.6", lw=0.8, zorder=1)
+            panel.axvspan(window.start, window.end, color="0.93", zorder=0)
+            panel.axvline(window.start, color="0.6", lw=0.8, zorder=1)
     lower.axhline(SETTLED_ERROR, color="tab:red", lw=1.0, ls="--")
     lower.set(yscale="log", ylabel="formation error [m]", xlabel="simulated time [s]")
     lower.margins(x=0.01)

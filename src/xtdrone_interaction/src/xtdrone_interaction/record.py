@@ -1,6 +1,10 @@
 """What happened in a flight, read back from its bag. No ROS is needed to read it.
 
 All positions are in the common ``map`` frame: ENU, metres. Times are simulated seconds.
+
+The times of a bag are those at which the recorder saw /clock when a message came. In a simulation that runs fast on a
+busy machine they are early or late by up to seconds. So nothing here rests on them: poses carry their own stamps, the
+director's events too, and the ground truth, which has none, comes at a constant rate.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
+from scipy.ndimage import median_filter
 
 from xtdrone_interaction.geometry import (
     ESTIMATE,
@@ -26,7 +31,8 @@ from xtdrone_interaction.geometry import (
     offsets_from_message,
 )
 
-TRUTH_PERIOD = 0.01  # s; a record at 100 Hz is fine enough for distances, the topic may be published at 250 Hz
+_BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it
+_MEDIAN_SPAN = 10.0  # s; the recorder's clock is right most of the time in any span of this length
 
 
 class RecordError(ValueError):
@@ -58,12 +64,31 @@ class Change:
     """A new value on a topic that is repeated all the time.
 
     Attributes:
-        time: when it was first seen, s.
+        time: when it was first seen by the recorder's clock, s.
         value: assigned offsets, shape (n - 1, 3), or a topology, shape (n, n).
     """
 
     time: float
     value: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Window:
+    """One reconfiguration, from the command of a pattern to the director's next phase.
+
+    Attributes:
+        pattern: name.
+        start: time of the command, s.
+        end: s.
+        offsets: assigned, from the leader, in follower order, shape (n - 1, 3), m.
+        topology: row i: whom vehicle i listens to, shape (n, n); None when it was not recorded.
+    """
+
+    pattern: str
+    start: float
+    end: float
+    offsets: Array
+    topology: NDArray[Any] | None
 
 
 @dataclass
@@ -99,10 +124,36 @@ class FlightRecord:
         """The events that begin a phase."""
         return [e for e in self.events if e["event"] == "phase"]
 
-    def latest(self, changes: list[Change], time: float) -> NDArray[Any] | None:
-        """Return the value of ``changes`` that held at ``time``, or None before the first."""
-        values = [c.value for c in changes if c.time <= time]
-        return values[-1] if values else None
+    @property
+    def windows(self) -> list[Window]:
+        """The reconfigurations in order; one whose slots were never assigned is left out."""
+        windows = []
+        ends = [p["time"] for p in self.phases[1:]] + [self.events[-1]["time"]]
+        search = 0
+        for phase, end in zip(self.phases, ends, strict=True):
+            assigned = [e for e in self.events if e["event"] == "assigned" and phase["time"] <= e["time"] <= end]
+            if not phase.get("pattern") or not assigned:
+                continue
+            offsets = np.array(assigned[0]["offsets"], dtype=np.float64)
+            found = self._change_to(offsets, search)
+            search = search if found is None else found
+            topology = None if found is None else self._topology_at(found)
+            windows.append(Window(phase["pattern"], phase["time"], end, offsets, topology))
+        return windows
+
+    def _change_to(self, offsets: Array, first: int) -> int | None:
+        """Return the number of the change to ``offsets`` from the one numbered ``first`` on."""
+        for number in range(first, len(self.patterns)):
+            if np.allclose(self.patterns[number].value, offsets, atol=1e-3):
+                return number
+        return None
+
+    def _topology_at(self, number: int) -> NDArray[Any] | None:
+        """Return the topology that held in the middle of the pattern of a number; both by the recorder's clock."""
+        start = self.patterns[number].time
+        end = self.patterns[number + 1].time if number + 1 < len(self.patterns) else np.inf
+        known = [c.value for c in self.topologies if c.time <= start + 0.5 * min(end - start, 1.0)]
+        return known[-1] if known else None
 
 
 def read_record(bag: str | Path) -> FlightRecord:
@@ -178,18 +229,33 @@ def _read_truth(reader: AnyReader, names: tuple[str, ...]) -> Track | None:
     connections = [c for c in reader.connections if c.topic == TRUTH_TOPIC]
     if not connections:
         return None
-    times: list[float] = []
+    stamps: list[float] = []
     rows: list[list[tuple[float, float, float]]] = []
     for connection, stamp, raw in reader.messages(connections):
-        time = stamp * 1e-9
-        if times and time - times[-1] < TRUTH_PERIOD - 1e-6:
-            continue
         message: Any = reader.deserialize(raw, connection.msgtype)
         places = dict(zip(message.name, message.pose, strict=True))
         if all(name in places for name in names):
-            times.append(time)
+            stamps.append(stamp * 1e-9)
             rows.append([(p.x, p.y, p.z) for p in (places[name].position for name in names)])
-    return Track(TRUTH, np.array(times), np.array(rows)) if times else None
+    return Track(TRUTH, regular_times(np.array(stamps)), np.array(rows)) if rows else None
+
+
+def regular_times(stamps: Array) -> Array:
+    """Return when the messages of a topic with a constant rate were sent, from the times at which they were recorded.
+
+    The k-th was sent at k times the period, plus an offset that grows when messages were lost: the median over a while
+    of what the recorder's clock says.
+
+    Args:
+        stamps: shape (t,), s, in the order of sending.
+    """
+    count = len(stamps)
+    period = _BASE_STEP * round((stamps[-1] - stamps[0]) / max(1, count - 1) / _BASE_STEP)
+    if period == 0.0:  # faster than our simulator, or a single message
+        return np.maximum.accumulate(stamps)
+    offset = stamps - period * np.arange(count)
+    smooth = median_filter(offset, size=min(count, round(_MEDIAN_SPAN / period)), mode="nearest")
+    return np.maximum.accumulate(period * np.arange(count) + smooth)
 
 
 def _read_estimates(reader: AnyReader, names: tuple[str, ...]) -> Track | None:

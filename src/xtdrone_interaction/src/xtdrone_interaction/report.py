@@ -104,13 +104,6 @@ def assignment_distances(before: Array, after: Array) -> tuple[float, float]:
     return float(np.trace(cost)), float(cost[linear_sum_assignment(cost)].sum())
 
 
-def windows(record: FlightRecord) -> list[tuple[str, float, float]]:
-    """Return (pattern, command time, end time) of each reconfiguration, s."""
-    phases = record.phases
-    ends = [p["time"] for p in phases[1:]] + [record.events[-1]["time"]]
-    return [(p["pattern"], p["time"], end) for p, end in zip(phases, ends, strict=True) if p.get("pattern")]
-
-
 def flight_part(record: FlightRecord, track: Track) -> Track:
     """Return the part of ``track`` from the beginning of take-off on."""
     starts = [p["time"] for p in record.phases if p["phase"] == "take-off"]
@@ -123,20 +116,21 @@ def measure(record: FlightRecord, track: Track) -> list[Reconfiguration]:
     """Return the figures of every reconfiguration, judged by ``track``."""
     results = []
     known = record.estimate or track  # what the leader assigns by
-    for pattern, start, end in windows(record):
-        part = track.between(start, end)
-        offsets = record.latest(record.patterns, end)
-        if offsets is None or len(part.time) < 2:
-            raise RecordError(f"pattern {pattern!r}: no assigned offsets or positions were recorded")
-        error = formation_error(part.position, offsets)
+    for window in record.windows:
+        part = track.between(window.start, window.end)
+        if len(part.time) < 2:
+            raise RecordError(f"pattern {window.pattern!r}: no positions were recorded")
+        error = formation_error(part.position, window.offsets)
         steady = error[part.time >= part.time[-1] - STEADY_SPAN]
-        way, percent = overshoot(relative(part.position), offsets)
-        assigned, optimal = assignment_distances(relative(known.between(start, end).position[0]), offsets)
+        way, percent = overshoot(relative(part.position), window.offsets)
+        assigned, optimal = assignment_distances(
+            relative(known.between(window.start, window.end).position[0]), window.offsets
+        )
         results.append(
             Reconfiguration(
-                pattern=pattern,
-                command_time=start,
-                end_time=end,
+                pattern=window.pattern,
+                command_time=window.start,
+                end_time=window.end,
                 settling_time=settling_time(part.time, error),
                 overshoot=way,
                 overshoot_percent=percent,

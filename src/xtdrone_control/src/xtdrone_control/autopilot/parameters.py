@@ -201,8 +201,9 @@ AIRFRAMES: dict[str, dict[str, float]] = {
 
 
 def _parameter(row: tuple[str, float, float, float, str, str]) -> Parameter:
-    name, default, *rest = row
-    return Parameter(name, INT32 if isinstance(default, int) else FLOAT, default, *rest)
+    name, default, minimum, maximum, unit, text = row
+    kind = INT32 if isinstance(default, int) else FLOAT
+    return Parameter(name, kind, default, minimum, maximum, unit, text)
 
 
 _TABLE: dict[str, Parameter] = {row[0]: _parameter(row) for row in sorted(_KERNEL_ROWS + _SLOW_ROWS)}

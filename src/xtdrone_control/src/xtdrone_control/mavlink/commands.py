@@ -173,7 +173,7 @@ class CommandHandler:
 
     def _send(self, link: Link, number: int, now_us: int) -> Result:
         link.telemetry.refresh(now_us)
-        found = link.streams.values(number)
+        found = link.streams.values(number, lambda text: link.warn("packing", text, now_us))
         if found is None:
             return Result.DENIED
         link.send_values(*found, now_us)

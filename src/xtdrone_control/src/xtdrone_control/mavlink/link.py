@@ -158,7 +158,7 @@ class Link:
         if now_us - self._heard_us > _SILENCE_US and time.monotonic() - self._heard_wall > _SILENCE_S:
             self.streams.stop()  # by both clocks: the simulation may run fast, or stand still
         self.telemetry.refresh(now_us)
-        for message, values in self.streams.due(now_us):
+        for message, values in self.streams.due(now_us, lambda text: self.warn("packing", text, now_us)):
             self.send_values(message, values, now_us)
 
     def flush(self, now_us: int) -> None:

@@ -15,6 +15,7 @@ from .telemetry import Telemetry, Values
 
 _NEVER_US = 1 << 62
 _LEAST_INTERVAL_US = 4000  # the autopilot's step
+_LARGEST_INTERVAL_US = (1 << 31) - 1  # what MESSAGE_INTERVAL can tell
 _FALLBACK_RATE = 1.0  # Hz, for a message without a default rate when its default is asked for
 
 ONBOARD_RATES: dict[str, float] = {
@@ -69,6 +70,10 @@ FORMATS: dict[int, Format] = {
 }
 
 
+def _allowed(interval_us: float) -> int:
+    return round(min(max(interval_us, _LEAST_INTERVAL_US), _LARGEST_INTERVAL_US))
+
+
 class _Stream:
     __slots__ = ("due_us", "format", "interval_us", "values")
 
@@ -82,6 +87,14 @@ class _Stream:
         """Set the first due time after ``now_us``."""
         interval = self.interval_us
         self.due_us = _NEVER_US if interval == _NEVER_US else (now_us // interval + 1) * interval
+
+
+def _read(stream: _Stream, report: Callable[[str], None]) -> Values | None:
+    try:
+        return stream.values()
+    except (ValueError, OverflowError) as error:  # an estimate that is not finite
+        report(f"not sent: {stream.format.name}: {error}")
+        return None
 
 
 class Streams:
@@ -134,7 +147,7 @@ class Streams:
 
         Args:
             number: message id.
-            interval_us: microseconds, at least a step of the autopilot; -1: off; 0: the default.
+            interval_us: microseconds, cut to what is possible; negative: off; 0: the default.
             now_us: simulated time.
 
         Returns:
@@ -145,7 +158,7 @@ class Streams:
             return False
         if interval_us == 0:
             interval_us = round(1e6 / self._defaults.get(stream.format.name, _FALLBACK_RATE))
-        stream.interval_us = _NEVER_US if interval_us < 0 else max(round(interval_us), _LEAST_INTERVAL_US)
+        stream.interval_us = _NEVER_US if interval_us < 0 else _allowed(interval_us)
         stream.schedule(now_us)
         self._rebuild()
         return True
@@ -157,21 +170,24 @@ class Streams:
         heapq.heapify(self._heap)
         self.next_due_us = self._heap[0][0] if self._heap else _NEVER_US
 
-    def due(self, now_us: int) -> Iterator[tuple[Format, Values]]:
-        """Yield what is due by ``now_us``, and set when it is due again. A stream that is late is not made up for."""
+    def due(self, now_us: int, report: Callable[[str], None]) -> Iterator[tuple[Format, Values]]:
+        """Yield what is due by ``now_us``, and set when it is due again. A stream that is late is not made up for.
+
+        ``report`` is told of a message that cannot be made of the present estimate.
+        """
         heap = self._heap
         while heap and heap[0][0] <= now_us:
             number = heap[0][1]
             stream = self._streams[number]
             stream.schedule(now_us)
             heapq.heapreplace(heap, (stream.due_us, number))
-            values = stream.values()
+            values = _read(stream, report)
             if values is not None:
                 yield stream.format, values
         self.next_due_us = heap[0][0] if heap else _NEVER_US
 
-    def values(self, number: int) -> tuple[Format, Values] | None:
-        """Return message ``number`` as it is now, or None when it cannot be given."""
+    def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Values] | None:
+        """Return message ``number`` as it is now, or None when it cannot be given; ``report`` as in ``due``."""
         stream = self._streams.get(number)
-        values = None if stream is None else stream.values()
+        values = None if stream is None else _read(stream, report)
         return None if stream is None or values is None else (stream.format, values)
