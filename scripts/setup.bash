@@ -77,11 +77,18 @@ missing_packages() {
 as_root() {
   if [[ $EUID -eq 0 ]]; then
     env "$@"
-  elif [[ -t 0 ]]; then
-    sudo env "$@"
   else
     sudo -n env "$@"
   fi
+}
+
+# Root's rights, or a message that says what to do without them.
+need_root() {
+  [[ $EUID -ne 0 ]] || return 0
+  local way="have root run: apt-get install --no-install-recommends $*"
+  command -v sudo >/dev/null || fail "Debian packages are missing, you are not root and there is no sudo; $way"
+  # A password is asked for here, where a person sees it: in the steps that follow the output goes to a log.
+  sudo -n true 2>/dev/null || { [[ -t 0 ]] && sudo -v; } || fail "Debian packages are missing and sudo refuses; $way"
 }
 
 apt() {
@@ -95,12 +102,7 @@ install_packages() {
   local missing
   mapfile -t missing < <(missing_packages)
   ((${#missing[@]} > 0)) || return 0
-  if [[ $EUID -ne 0 ]]; then
-    command -v sudo >/dev/null ||
-      fail "not root and no sudo; have root run: apt-get install --no-install-recommends ${missing[*]}"
-    # Asked for here, where a person sees it: in the steps below the output goes to a log.
-    [[ ! -t 0 ]] || sudo -v
-  fi
+  need_root "${missing[@]}"
   say "Debian packages: reading the package lists"
   logged apt-update apt update || fail "the package lists could not be read; is there a network?"
   say "Debian packages: installing ${#missing[@]}: ${missing[*]}"

@@ -117,7 +117,7 @@ def test_every_pattern_settles_without_a_close_call(flight: Flight) -> None:
 
 
 def test_the_papers_topology_flies(flight: Flight) -> None:
-    """On the grid, where every UAV has its own slot, it is the paper's matrix; later the rule's for the assigned slots."""
+    """On the grid, where every UAV has its own slot, it is the paper's matrix; later the rule's for the slots."""
     windows = flight.record.windows
     np.testing.assert_array_equal(windows[0].topology, PAPER_TOPOLOGY)
     for window in windows:

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import PARAMS, airframe_parameters
+from xtdrone_control.autopilot.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, SENSORS, SETPOINT, TASK_GOTO, records
 from xtdrone_control.fleet import Vehicle
 
@@ -46,7 +46,7 @@ class Flight:
 
     def __init__(self, **parameters: float) -> None:
         self.autopilot: Any = FakeAutopilot()
-        self.parameters = airframe_parameters("iris", 1)
+        self.parameters = Parameters({"MAV_SYS_ID": 1})
         for name, value in parameters.items():
             self.parameters.set(name, value)
         self.commander = Commander(Vehicle("iris", 0, FIRST_ID), self.autopilot, self.parameters, 0)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from xtdrone_control.autopilot import attitude_control, control_allocator, flight_tasks, position_control, rotation
 from xtdrone_control.autopilot.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from xtdrone_control.autopilot import estimator, geo
 from xtdrone_control.autopilot.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.rotation import from_euler, integrate, rotate_inverse
@@ -36,9 +37,7 @@ class Flight:
         self.e["origin_set"] = 1
         self.s = np.zeros(1, SENSORS)
         self.p = np.zeros(1, PARAMS)
-        Parameters({"EKF2_MAG_DECL": DECLINATION, "EKF2_GPS_P_NOISE": 0.1, "EKF2_GPS_V_NOISE": 0.1}).write_to(
-            self.p[0]
-        )
+        Parameters({"EKF2_MAG_DECL": DECLINATION, "EKF2_GPS_P_NOISE": 0.1, "EKF2_GPS_V_NOISE": 0.1}).write_to(self.p[0])
         self.q = np.array(from_euler(0.05, -0.03, 0.7))
         self.gyro_bias = np.array([0.01, -0.008, 0.005])
         self.accel_bias = np.array([0.05, 0.03, -0.04])

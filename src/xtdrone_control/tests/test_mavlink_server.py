@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import NAMES, airframe_parameters
+from xtdrone_control.autopilot.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink import receiver, streams
@@ -60,7 +60,8 @@ class World:
         self.autopilot = FakeAutopilot(count)
         self.fleet = [Vehicle("iris", i, FIRST_ID + i) for i in range(count)]
         self.commanders = [
-            Commander(v, self.autopilot, airframe_parameters("iris", v.system_id), i) for i, v in enumerate(self.fleet)
+            Commander(v, self.autopilot, Parameters({"MAV_SYS_ID": v.system_id, "BAT1_N_CELLS": 3}), i)
+            for i, v in enumerate(self.fleet)
         ]
         self.server = MavlinkServer(self.fleet, self.autopilot, self.commanders)
         self.commander = self.commanders[0]
@@ -638,7 +639,7 @@ def test_taken_port_is_named():
     blocker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     blocker.bind(("127.0.0.1", vehicle.gcs_local_port))
     autopilot = FakeAutopilot()
-    commander = Commander(vehicle, autopilot, airframe_parameters("iris", 1), 0)
+    commander = Commander(vehicle, autopilot, Parameters({"MAV_SYS_ID": 1, "BAT1_N_CELLS": 3}), 0)
     with pytest.raises(LinkError, match=rf"iris_3 ground-station link: UDP port {vehicle.gcs_local_port}"):
         MavlinkServer([vehicle], autopilot, [commander])
     blocker.close()

@@ -17,7 +17,6 @@ from xtdrone_control.autopilot.parameters import (
     PARAMS,
     ParameterError,
     Parameters,
-    airframe_parameters,
     describe,
 )
 
@@ -44,7 +43,7 @@ def test_every_default_lies_in_its_range():
 
 
 def test_airframe_overrides_become_defaults():
-    p = airframe_parameters("iris", 7)
+    p = Parameters({"MC_ROLL_P": 6.0, "MAV_SYS_ID": 7})
     assert (p.get("MAV_SYS_ID"), p.get("MC_ROLL_P")) == (7, 6.0)
     p.set("MC_ROLL_P", 5.0)
     p.reset()

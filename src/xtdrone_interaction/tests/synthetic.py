@@ -47,10 +47,11 @@ class BagMaker:
         self.connections: dict[str, object] = {}
         self.events: list[dict[str, object]] = []
         self.delay = 0.0
+        self.clock = 0.0
 
     def write(self, topic: str, kind: str, message: object, time: float) -> None:
         """Write one message at ``time`` s, late by ``delay`` as by a recorder's clock that is off."""
-        time = max(0.0, time + self.delay)
+        time = self.clock = max(self.clock, time + self.delay)
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         self.writer.write(self.connections[topic], round(time * 1e9), self.store.serialize_ros1(message, kind))

@@ -56,9 +56,7 @@ def test_a_pattern_of_the_wrong_size_is_refused(tmp_path: Path, capfd: pytest.Ca
     assert "size 2 x 3, but 9 vehicles need 8 x 3" in capfd.readouterr().err
 
 
-def test_a_taken_master_port_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_taken_master_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]

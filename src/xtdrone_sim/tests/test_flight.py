@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 import pytest
+
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.rotation import rotate, yaw_of
 from xtdrone_control.fleet import parse_fleet

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from xtdrone_sim import plant
 from xtdrone_sim.plant import PLANT
 from xtdrone_sim.vehicle_model import load_vehicle

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from xtdrone_sim.plant import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.vehicle_model import ModelError, load_vehicle
 from xtdrone_sim.world import World, load_world

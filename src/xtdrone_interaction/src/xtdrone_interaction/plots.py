@@ -154,7 +154,7 @@ def _formation(panel: Any, record: FlightRecord, window: Window, shades: list[An
     panel.patch.set_alpha(0.0)  # or it hides the neighbour's z label
     size = high - low + 2 * margin
     box = np.array([size[0], size[1], high[2] + margin - floor])
-    height = box @ [0.24, 0.24, 0.94] / np.linalg.norm(box)  # on the picture, seen from this elevation
+    height = float(box @ [0.24, 0.24, 0.94] / np.linalg.norm(box))  # on the picture, seen from this elevation
     panel.set_box_aspect(box, zoom=0.78 * min(1.3, 1.0 / height))
     panel.view_init(elev=20, azim=-60)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import rospy
 from gazebo_msgs.msg import ModelStates
 from rosgraph_msgs.msg import Clock
+
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle, parse_fleet
 from xtdrone_control.lockstep.server import LockstepServer

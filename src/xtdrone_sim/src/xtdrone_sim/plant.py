@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from xtdrone_control.autopilot.rotation import integrate, rotate, rotate_inverse
 from xtdrone_control.autopilot.state import MAX_ROTORS
 
@@ -50,7 +51,7 @@ def advance_rotors(v, m, actuators, armed, dt):
 @kernel
 def rotor_wrench(v, m):
     """Fill v.force (world) and v.torque (body) with what the rotors do at the present speed and attitude."""
-    ax, ay, az = rotate_inverse(
+    ax, ay, _ = rotate_inverse(
         v.q, v.velocity[0] - v.wind[0], v.velocity[1] - v.wind[1], v.velocity[2] - v.wind[2]
     )  # fmt: skip
     fx, fy, fz = 0.0, 0.0, 0.0

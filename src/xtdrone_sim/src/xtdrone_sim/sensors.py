@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from xtdrone_control.autopilot import geo
 from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.rotation import rotate_inverse

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+
 from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 

@@ -16,6 +16,7 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 from pybullet_utils.bullet_client import BulletClient
+
 from xtdrone_control.autopilot.autopilot import Datum
 
 from . import plant as dynamics
@@ -196,9 +197,7 @@ class World:
         client.setGravity(0.0, 0.0, 0.0)
         ground = client.createCollisionShape(pybullet.GEOM_PLANE)
         self._ground = client.createMultiBody(0.0, ground)
-        client.changeDynamics(
-            self._ground, -1, lateralFriction=self.model.friction, restitution=self.model.restitution
-        )
+        client.changeDynamics(self._ground, -1, lateralFriction=self.model.friction, restitution=self.model.restitution)
         self._bodies = []
         for v, m in zip(self.plant, self.models, strict=True):
             shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(0.5 * m["box"]).tolist())

@@ -238,7 +238,7 @@ def fuse_heading(e, s, p, work):
 def fuse_gps(e, s, p, work):
     """Fuse a GPS fix: position and velocity; the first one sets them, and the origin if none is given."""
     e.time_last_gps_us = s.time_us
-    if s.gps_fix < 3:
+    if s.gps_fix < 3 or s.gps_eph > p.ekf2_req_eph or s.gps_epv > p.ekf2_req_epv:
         return
     if not e.origin_set:
         e.origin_lat, e.origin_lon, e.origin_alt = s.gps_lat, s.gps_lon, s.gps_alt

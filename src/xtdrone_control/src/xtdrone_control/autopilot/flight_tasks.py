@@ -142,7 +142,7 @@ def goto_task(c, s, e, p, dt):
 
 @kernel
 def _landing_speed(height, p):
-    """Return PX4's descent speed (m/s) at ``height`` m: from the cruise descent to MPC_LAND_SPEED between ALT1, ALT2."""
+    """Return PX4's descent speed (m/s) at ``height`` m: cruise descent over ALT1, MPC_LAND_SPEED under ALT2."""
     if height >= p.mpc_land_alt1:
         return p.mpc_z_v_auto_dn
     if height <= p.mpc_land_alt2:

@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba import config as _config_module
 from numba import njit
 
+_config: Any = _config_module  # its options are set at run time
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -38,12 +40,12 @@ def compiler(*packages: Path) -> Callable[[Callable[..., Any]], Any]:
     folder = str(cache_folder(*packages))
 
     def compile_kernel(function: Callable[..., Any]) -> Any:
-        previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = folder
+        previous = _config.CACHE_DIR
+        _config.CACHE_DIR = folder
         try:
             return njit(function, cache=True, error_model="numpy", fastmath=False)
         finally:
-            numba.config.CACHE_DIR = previous
+            _config.CACHE_DIR = previous
 
     return compile_kernel
 

@@ -1,7 +1,8 @@
 """The autopilot's parameters: PX4 v1.14's names, types and defaults, for those that something here obeys.
 
-Defaults are those of a PX4 v1.14.3 build; ``AIRFRAMES`` holds what a vehicle type changes. Kernels read the ``PARAMS``
-record, one float64 field a kernel parameter, named as the parameter in lower case; everything else asks ``Parameters``.
+Defaults are those of a PX4 v1.14.3 build; a vehicle's description says what its airframe changes. Kernels read the
+``PARAMS`` record, one float64 field a kernel parameter, named as the parameter in lower case; everything else asks
+``Parameters``.
 """
 
 from __future__ import annotations
@@ -67,7 +68,6 @@ _KERNEL_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("EKF2_BARO_NOISE", 3.5, 0.01, 15.0, "m", "noise of the pressure altitude"),
     ("EKF2_BARO_GATE", 5.0, 1.0, _INF, "SD", "gate of the pressure altitude"),
     ("EKF2_HEAD_NOISE", 0.3, 0.01, 1.0, "rad", "noise of the magnetic heading"),
-    ("EKF2_MAG_NOISE", 0.05, 0.001, 1.0, "gauss", "noise of the magnetic field"),
     ("EKF2_HDG_GATE", 2.6, 1.0, _INF, "SD", "gate of the magnetic heading"),
     ("EKF2_MAG_DECL", 0.0, -180.0, 180.0, "deg", "magnetic declination, east positive"),
     ("EKF2_GBIAS_INIT", 0.1, 0.0, 0.2, "rad/s", "uncertainty of the gyroscope's bias at start"),
@@ -92,7 +92,6 @@ _KERNEL_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("MPC_Z_V_AUTO_DN", 1.5, 0.5, 4.0, "m/s", "sink rate in AUTO modes"),
     ("MPC_VEL_MANUAL", 10.0, 3.0, 20.0, "m/s", "horizontal velocity at full stick"),
     ("MPC_ACC_HOR", 3.0, 2.0, 15.0, "m/s^2", "horizontal acceleration in AUTO modes"),
-    ("MPC_ACC_HOR_MAX", 5.0, 2.0, 15.0, "m/s^2", "largest horizontal acceleration by stick"),
     ("MPC_ACC_UP_MAX", 4.0, 2.0, 15.0, "m/s^2", "largest upward acceleration"),
     ("MPC_ACC_DOWN_MAX", 3.0, 2.0, 15.0, "m/s^2", "largest downward acceleration"),
     ("MPC_JERK_AUTO", 4.0, 1.0, 80.0, "m/s^3", "jerk in AUTO modes"),
@@ -103,23 +102,18 @@ _KERNEL_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("MPC_THR_MIN", 0.12, 0.05, 1.0, "", "least collective thrust in flight"),
     ("MPC_THR_MAX", 1.0, 0.0, 1.0, "", "largest collective thrust"),
     ("MPC_THR_XY_MARG", 0.3, 0.0, 0.5, "", "share of thrust kept for the horizontal when the vertical saturates"),
-    ("MPC_MANTHR_MIN", 0.08, 0.0, 1.0, "", "least thrust by stick"),
     ("MPC_TKO_SPEED", 1.5, 1.0, 5.0, "m/s", "climb rate at take-off"),
     ("MPC_TKO_RAMP_T", 3.0, 0.0, 5.0, "s", "time in which take-off thrust rises"),
     ("MPC_LAND_SPEED", 0.7, 0.6, _INF, "m/s", "sink rate near the ground"),
-    ("MPC_LAND_CRWL", 0.3, 0.1, _INF, "m/s", "sink rate below MPC_LAND_ALT3 with a range finder"),
     ("MPC_LAND_ALT1", 10.0, 0.0, 122.0, "m", "height below which a landing slows down"),
     ("MPC_LAND_ALT2", 5.0, 0.0, 122.0, "m", "height below which it sinks at MPC_LAND_SPEED"),
-    ("MPC_LAND_ALT3", 1.0, 0.0, 122.0, "m", "height below which it crawls, with a range finder"),
     ("MPC_MAN_Y_MAX", 150.0, 0.0, 400.0, "deg/s", "yaw rate at full stick"),
-    ("MPC_MAN_TILT_MAX", 35.0, 1.0, 70.0, "deg", "tilt at full stick in attitude modes"),
     ("MPC_YAWRAUTO_MAX", 45.0, 0.0, 360.0, "deg/s", "yaw rate in AUTO modes"),
     ("MPC_HOLD_DZ", 0.1, 0.0, 1.0, "", "dead zone of the sticks"),
     ("MPC_HOLD_MAX_XY", 0.8, 0.0, 3.0, "m/s", "horizontal velocity below which a centred stick holds position"),
     ("MPC_HOLD_MAX_Z", 0.6, 0.0, 3.0, "m/s", "vertical velocity below which a centred stick holds altitude"),
     ("MPC_USE_HTE", 1, 0, 1, "", "1: the hover thrust is estimated in flight"),
     ("MPC_XY_ERR_MAX", 2.0, 0.1, 10.0, "m", "lag behind the smoothed path at which it waits"),
-    ("MPC_XY_TRAJ_P", 0.5, 0.1, 1.0, "1/s", "gain of the approach to a goal"),
     ("MPC_VELD_LP", 5.0, 0.0, 10.0, "Hz", "low-pass on the velocity's derivative"),
     ("MC_ROLL_P", 6.5, 0.0, 12.0, "1/s", "roll rate per roll error"),
     ("MC_PITCH_P", 6.5, 0.0, 12.0, "1/s", "pitch rate per pitch error"),
@@ -146,17 +140,13 @@ _KERNEL_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("MC_RR_INT_LIM", 0.3, 0.0, _INF, "", "limit of the roll rate's integral"),
     ("MC_PR_INT_LIM", 0.3, 0.0, _INF, "", "limit of the pitch rate's integral"),
     ("MC_YR_INT_LIM", 0.3, 0.0, _INF, "", "limit of the yaw rate's integral"),
-    ("MC_AIRMODE", 0, 0, 2, "", "thrust raised to keep torque: 0 never, 1 roll and pitch, 2 all axes"),
-    ("LNDMC_ALT_GND", 2.0, -1.0, _INF, "m", "height of the ground effect"),
     ("LNDMC_ROT_MAX", 20.0, 0.0, _INF, "deg/s", "largest rate that counts as standing"),
     ("LNDMC_TRIG_TIME", 1.0, 0.1, 10.0, "s", "time over which landing must be seen"),
     ("LNDMC_XY_VEL_MAX", 1.5, 0.0, _INF, "m/s", "largest horizontal velocity that counts as standing"),
     ("LNDMC_Z_VEL_MAX", 0.25, 0.0, _INF, "m/s", "largest vertical velocity that counts as standing"),
     ("IMU_GYRO_CUTOFF", 40.0, 0.0, 1000.0, "Hz", "low-pass on the rates; 0: none"),
     ("IMU_DGYRO_CUTOFF", 30.0, 0.0, 1000.0, "Hz", "low-pass on the angular acceleration; 0: none"),
-    ("IMU_ACCEL_CUTOFF", 30.0, 0.0, 1000.0, "Hz", "low-pass on the acceleration; 0: none"),
     ("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0, "s", "time that motors idle between arming and take-off"),
-    ("THR_MDL_FAC", 0.0, 0.0, 1.0, "", "thrust is this times command squared, plus the rest times command"),
 )
 
 _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
@@ -186,18 +176,6 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("RTL_RETURN_ALT", 30.0, 0.0, _INF, "m", "least height over home of the return flight"),
     ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "number of the airframe"),
 )  # fmt: skip
-
-# What a vehicle type changes: upstream XTDrone's start script, where PX4 v1.14 has the parameter in the same meaning.
-AIRFRAMES: dict[str, dict[str, float]] = {
-    "iris": {
-        "BAT1_N_CELLS": 3,
-        "MC_PITCH_P": 6.0,
-        "MC_ROLL_P": 6.0,
-        "MPC_HOLD_MAX_Z": 2.0,
-        "MPC_TKO_RAMP_T": 1.0,
-        "MPC_XY_P": 0.8,
-    },
-}
 
 
 def _parameter(row: tuple[str, float, float, float, str, str]) -> Parameter:
@@ -314,8 +292,3 @@ class Parameters:
             # PX4 starts from 0 and does not invert; zlib inverts before and after
             crc = zlib.crc32(data, crc ^ _CRC_FLIP) ^ _CRC_FLIP
         return crc
-
-
-def airframe_parameters(kind: str, system_id: int) -> Parameters:
-    """Return the parameters of a new vehicle of type ``kind`` (``AIRFRAMES``; others have plain defaults)."""
-    return Parameters({**AIRFRAMES.get(kind, {}), "MAV_SYS_ID": system_id})

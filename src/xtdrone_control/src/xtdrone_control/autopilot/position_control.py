@@ -145,10 +145,7 @@ def thrust_to_attitude(c, e):
     tx, ty, tz = c.sp_thrust_vector[0], c.sp_thrust_vector[1], c.sp_thrust_vector[2]
     norm = math.sqrt(tx * tx + ty * ty + tz * tz)
     c.sp_thrust = norm
-    if norm < 1e-6:
-        z = (0.0, 0.0, 1.0)
-    else:
-        z = (-tx / norm, -ty / norm, -tz / norm)
+    z = (0.0, 0.0, 1.0) if norm < 1e-6 else (-tx / norm, -ty / norm, -tz / norm)
     yaw = yaw_of(e.q) if math.isnan(c.sp_yaw) else c.sp_yaw
     # x axis of the body: in the vertical plane of the heading, at right angles to z
     yx, yy = -math.sin(yaw), math.cos(yaw)

@@ -148,9 +148,7 @@ class Publisher(rospy.Publisher):
             ROSException: The topic is advertised in this process by a plain rospy.Publisher.
         """
         impl = acquire_publisher(name, data_class, latch, _node)
-        super().__init__(
-            name, data_class, subscriber_listener=subscriber_listener, latch=latch, queue_size=queue_size
-        )
+        super().__init__(name, data_class, subscriber_listener=subscriber_listener, latch=latch, queue_size=queue_size)
         if _node.publishers.get(self.resolved_name) is not impl:
             _node.publishers[self.resolved_name] = impl
             _node.topics_changed()

@@ -103,9 +103,7 @@ def pack_barrier(
         datagrams: UDP port to cumulative number of datagrams.
     """
     count = len(channels) + len(datagrams)
-    head = _BARRIER_FRAME.pack(
-        1 + _BARRIER.size + 12 * count, kind, tick, time_us, len(channels), len(datagrams)
-    )
+    head = _BARRIER_FRAME.pack(1 + _BARRIER.size + 12 * count, kind, tick, time_us, len(channels), len(datagrams))
     if not count:
         return head
     flat = [number for pair in channels.items() for number in pair]

@@ -340,9 +340,7 @@ class BufferingSubscriber(rospy.topics._SubscriberImpl):
         return [inbox.latch for _, inbox in boxes if inbox.latch is not None]
 
 
-def acquire_publisher(
-    name: str, data_class: type[rospy.Message], latch: bool, ledger: Ledger
-) -> CountingPublisher:
+def acquire_publisher(name: str, data_class: type[rospy.Message], latch: bool, ledger: Ledger) -> CountingPublisher:
     """Makes (or finds) the counting end of a topic before rospy can make a plain one.
 
     Raises:
@@ -362,9 +360,7 @@ def acquire_publisher(
     return impl
 
 
-def acquire_subscriber(
-    name: str, data_class: type[rospy.Message], arrived: threading.Condition
-) -> BufferingSubscriber:
+def acquire_subscriber(name: str, data_class: type[rospy.Message], arrived: threading.Condition) -> BufferingSubscriber:
     """Makes (or finds) the buffering end of a topic before rospy can make a plain one.
 
     Raises:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.autopilot.commander import CRITICAL, WARNING, Commander
 from xtdrone_control.autopilot.inputs import SetpointError
 from xtdrone_control.autopilot.parameters import FLOAT, INT32, NAMES, ParameterError, describe
-from xtdrone_control.mavros.codec import FrameError, decoder, split
+from xtdrone_control.mavlink.codec import FrameError, decoder, split
 
 from . import setpoints
 from .commands import Command, CommandHandler, from_command_int

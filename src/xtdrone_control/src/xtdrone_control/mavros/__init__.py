@@ -1,5 +1,5 @@
 """The MAVROS layer: MAVLink of many autopilots on one side, MAVROS's topics and services on the other.
 
-``connection`` and ``codec`` move and decode frames, ``uas`` is the hub of one vehicle, ``plugins`` has one module for
-each MAVROS plugin, ``streams`` asks the autopilot for what somebody takes, ``node`` ties it to ROS.
+``connection`` moves frames (``mavlink.codec`` decodes them), ``uas`` is the hub of one vehicle, ``plugins`` has one
+module for each MAVROS plugin, ``streams`` asks the autopilot for what somebody takes, ``node`` ties it to ROS.
 """

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.codec import FrameError, split
+from xtdrone_control.mavlink.codec import FrameError, split
 from xtdrone_control.mavros.throttle import Throttle
 
 log = logging.getLogger("rosout.mavros")

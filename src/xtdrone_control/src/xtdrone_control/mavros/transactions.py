@@ -14,7 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.codec import decoder
+from xtdrone_control.mavlink.codec import decoder
 
 ACK_LIMIT = 5.0  # s, as MAVROS's ACK_TIMEOUT
 RESENDS = 3
