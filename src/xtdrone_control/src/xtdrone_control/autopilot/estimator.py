@@ -18,7 +18,7 @@ from .rotation import constrain, from_euler, integrate, rotate, wrap_pi
 from .state import N_STATES
 
 GRAVITY = 9.80665  # m/s^2
-COVARIANCE_PERIOD = 0.008  # s
+COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whole IMU samples
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
 _MIN_MAG_SAMPLES = 5
 _THETA, _VEL, _POS, _BG, _BA = 0, 3, 6, 9, 12
