@@ -1,5 +1,6 @@
 # To be sourced by ../xtdrone: installs and builds what is missing. Needs `root` to be the repository's folder.
 
+# shellcheck disable=SC2154
 readonly state_dir="$root/.setup"
 readonly venv="$root/.venv"
 
@@ -143,7 +144,7 @@ digest() {
     tests+=(-o -name "$pattern")
   done
   (
-    cd "$root"
+    cd "$root" || exit
     find CMakeLists.txt src -type f \( -false "${tests[@]}" \) -print0 | LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum
     # A node's content is read when it starts; only its name matters to the build.
     find src -path '*/nodes/*.py' | LC_ALL=C sort | sha256sum
@@ -181,6 +182,7 @@ prepare_kernels() {
   want="$(digest '*.py')"
   [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
   say "kernels: compiling those that changed"
+  # shellcheck disable=SC2016
   if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_sim.prepare' _ "$root"; then
     printf '%s' "$want" >"$stamp"
     hand_over "$root/src"

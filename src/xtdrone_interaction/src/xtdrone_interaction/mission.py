@@ -19,7 +19,7 @@ from xtdrone_interaction.geometry import ORIGIN, SETTLED_ERROR, Array, formation
 
 Ticks = Iterator[None]
 
-SETTLED_HOLD = 3.0  # s; so long must all stay in their slots
+SETTLED_HOLD = 5.0  # s; so long must all stay in their slots: the approach has then died away
 SETTLE_LIMIT = 60.0  # s
 CLEARANCE = 3.0  # m between the ground and any pattern's lowest slot
 CLIMB_SPEED = 1.0  # m/s, of the leader; followers have no feed-forward and 1 m/s themselves
