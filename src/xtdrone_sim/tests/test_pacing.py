@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xtdrone_sim.pacing import Pacer, RateMeter
+from xtdrone_sim.pacing import Pacer
 
 
 @pytest.mark.parametrize("speed", [0.1, 1.0, 5.0])
@@ -30,10 +30,3 @@ def test_does_not_catch_up_after_a_stall():
 def test_refuses_other_speeds(speed):
     with pytest.raises(ValueError, match="speed"):
         Pacer(speed)
-
-
-def test_meter():
-    meter = RateMeter()
-    meter.update(0, 0.0)
-    meter.update(3_000_000, 1.5)
-    assert meter.factor == pytest.approx(2.0)

@@ -17,7 +17,7 @@ from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
 from .gazebo_names import model_states
-from .pacing import Pacer, RateMeter
+from .pacing import Pacer
 from .simulation import Simulation
 
 _CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
@@ -104,7 +104,6 @@ class SimulatorNode:
         self._settings = settings
         self._names = [vehicle.name for vehicle in settings.fleet]
         self._pacer = Pacer(settings.speed)
-        self._meter = RateMeter()
         self._simulation = Simulation(
             settings.fleet,
             rows=settings.rows,
@@ -119,6 +118,7 @@ class SimulatorNode:
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
+        self._collisions: set[tuple[int, int]] = set()
         self._lost: dict[int, int] = {}  # datagrams given up, by local port
         self._poll = select.epoll()
         self._poll.register(self._server.fileno(), select.EPOLLIN)
@@ -178,7 +178,13 @@ class SimulatorNode:
         self._serve(0.0)
         self._server.tick(now, mavlink.sent, self._serve)
         self._await_datagrams()
-        self._meter.update(now, time.monotonic())
+        self._report_collisions()
+
+    def _report_collisions(self) -> None:
+        new = self._simulation.world.collisions - self._collisions
+        for a, b in sorted(new):
+            rospy.logwarn("simulator: collision of %s and %s", self._names[a], self._names[b])
+        self._collisions |= new
 
     def _serve(self, timeout: float) -> None:
         """Wait up to ``timeout`` s for something on any socket, and serve what came by MAVLink.

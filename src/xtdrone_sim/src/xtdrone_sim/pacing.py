@@ -44,21 +44,3 @@ class Pacer:
             self._sim_us, self._wall = sim_us, wall
             return 0.0
         return max(due - wall, 0.0)
-
-
-class RateMeter:
-    """The real-time factor achieved over the last second or so of wall time."""
-
-    def __init__(self) -> None:
-        """Start empty."""
-        self.factor = 0.0
-        self._sim_us = 0
-        self._wall: float | None = None
-
-    def update(self, sim_us: int, wall: float) -> None:
-        """Take note of simulated time ``sim_us`` at wall time ``wall``."""
-        if self._wall is None:
-            self._sim_us, self._wall = sim_us, wall
-        elif wall - self._wall >= 1.0:
-            self.factor = (sim_us - self._sim_us) * 1e-6 / (wall - self._wall)
-            self._sim_us, self._wall = sim_us, wall

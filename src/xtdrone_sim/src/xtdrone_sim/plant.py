@@ -41,11 +41,11 @@ PLANT = np.dtype(
 @kernel
 def advance_rotors(v, m, actuators, armed, dt):
     """Advance the rotor speeds by ``dt`` towards what the motor commands (0..1) ask; disarmed motors run down."""
+    keep_up, keep_down = math.exp(-dt / m.time_constant_up), math.exp(-dt / m.time_constant_down)
     for i in range(m.rotor_count):
         wanted = min(m.input_scaling * actuators[i] + m.idle_speed, m.max_speed) if armed else 0.0
         speed = v.rotor_speed[i]
-        tau = m.time_constant_up if wanted > speed else m.time_constant_down
-        v.rotor_speed[i] = wanted + (speed - wanted) * math.exp(-dt / tau)
+        v.rotor_speed[i] = wanted + (speed - wanted) * (keep_up if wanted > speed else keep_down)
 
 
 @kernel

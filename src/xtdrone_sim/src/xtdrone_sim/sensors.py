@@ -21,8 +21,8 @@ STEPS = 250  # IMU samples a block: one second
 MAG_EVERY = 5  # steps: 50 Hz
 BARO_EVERY = 10  # 25 Hz
 GPS_EVERY = 25  # 10 Hz
-_FAST = 12  # normals a step: gyro 3, accel 3, gyro walk 3, accel walk 3
-_SLOW = 14  # normals a slot of MAG_EVERY steps: mag 3, baro 2, gps position 3, velocity 3, wander 3
+_FAST = 6  # normals a step: gyro 3, accel 3
+_SLOW = 20  # normals a slot of MAG_EVERY steps: mag 3, baro 2, gps position 3, velocity 3, wander 3, IMU walks 6
 
 BIAS = np.dtype(
     [
@@ -48,15 +48,21 @@ _reproject = kernel(geo.reproject)
 def _imu(s, v, m, b, noise, gravity, dt):
     """Gyroscope and accelerometer in body FRD; noise densities become sample noise by 1/sqrt(dt)."""
     root = 1.0 / math.sqrt(dt)
-    walk = math.sqrt(dt)
     fx, fy, fz = rotate_inverse(v.q, v.acceleration[0], v.acceleration[1], v.acceleration[2] + gravity)
     force = (fx, -fy, -fz)
     rates = (v.rates[0], -v.rates[1], -v.rates[2])
     for i in range(3):
-        b.gyro[i] += m.gyro_random_walk * walk * noise[6 + i]
-        b.accel[i] += m.accel_random_walk * walk * noise[9 + i]
         s.gyro[i] = rates[i] + b.gyro[i] + m.gyro_noise_density * root * noise[i]
         s.accel[i] = force[i] + b.accel[i] + m.accel_noise_density * root * noise[3 + i]
+
+
+@kernel
+def _walk_imu_biases(m, b, noise, dt):
+    """Let the IMU's biases walk for ``dt``; slowly enough that once a slot will do."""
+    root = math.sqrt(dt)
+    for i in range(3):
+        b.gyro[i] += m.gyro_random_walk * root * noise[14 + i]
+        b.accel[i] += m.accel_random_walk * root * noise[17 + i]
 
 
 @kernel
@@ -127,6 +133,7 @@ def sample_all(sensors, plant, models, bias, fast, slow, step, time_us, field, p
         s.gps_fresh = 0
         _imu(s, v, m, b, fast[i, k], gravity, dt)
         if step % MAG_EVERY == 0:
+            _walk_imu_biases(m, b, slow[i, slot], dt * MAG_EVERY)
             _magnetometer(s, v, m, b, slow[i, slot], field)
         if step % BARO_EVERY == 0:
             _barometer(s, v, m, b, slow[i, slot], place[2], dt * BARO_EVERY)
@@ -158,8 +165,8 @@ class Sensors:
             b["accel"] = m["accel_turn_on_bias"] * stream.standard_normal(3)
             b["mag"] = m["mag_bias"] * stream.standard_normal(3)
             b["gps"] = m["gps_wander"] * stream.standard_normal(3)
-        self._fast = np.empty((count, STEPS, _FAST))
-        self._slow = np.empty((count, STEPS // MAG_EVERY, _SLOW))
+        self._fast = np.empty((count, STEPS, _FAST), np.float32)
+        self._slow = np.empty((count, STEPS // MAG_EVERY, _SLOW), np.float32)
         datum = world.model.datum
         self._place = np.array([datum.latitude, datum.longitude, datum.altitude])
 
@@ -167,8 +174,8 @@ class Sensors:
         """Sample every sensor that is due at step number ``step``."""
         if step % STEPS == 0:
             for i, stream in enumerate(self._streams):
-                stream.standard_normal(out=self._fast[i])
-                stream.standard_normal(out=self._slow[i])
+                stream.standard_normal(dtype=np.float32, out=self._fast[i])
+                stream.standard_normal(dtype=np.float32, out=self._slow[i])
         world = self._world
         sample_all(
             self._autopilot.sensors,

@@ -7,7 +7,6 @@ gravity is off: weight is part of the wrench, so parked bodies stay where they a
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,8 +22,6 @@ from . import plant as dynamics
 from .kernel import kernel
 from .plant import ASLEEP, FREE, PLANT, TOUCHING
 from .vehicle_model import MODEL, ModelError, VehicleModel, read_description
-
-_LOG = logging.getLogger(__name__)
 
 _CHECK_STEPS = 5  # how often the contact sets are looked at; margins cover the motion in between
 _NEAR = 0.25  # m of clearance under which Bullet takes a body over
@@ -296,9 +293,7 @@ class World:
             if a is None or b is None or point[8] > 0.0:
                 continue
             pair = (min(a, b), max(a, b))
-            if pair not in self.collisions:
-                self.collisions.add(pair)
-                _LOG.warning("vehicles %d and %d touch at %s", *pair, np.round(self.plant[a]["position"], 2))
+            self.collisions.add(pair)
 
     def close(self) -> None:
         """Disconnect from Bullet."""

@@ -29,11 +29,9 @@ def attitude_control(c, e, p):
         reduced = multiply((w / norm, cx / norm, cy / norm, cz / norm), (q[0], q[1], q[2], q[3]))
     # what is left is a turn about the thrust axis: weigh it
     mix = conjugate_multiply(reduced, c.sp_q)
-    sign = 1.0 if mix[0] >= 0.0 else -1.0
-    mix_w = constrain(sign * mix[0], -1.0, 1.0)
-    mix_z = constrain(sign * mix[3], -1.0, 1.0)
     weight = p.mc_yaw_weight
-    heading = (math.cos(weight * math.acos(mix_w)), 0.0, 0.0, math.sin(weight * math.asin(mix_z)))
+    half = weight * math.atan2(mix[3], mix[0]) if mix[0] >= 0.0 else weight * math.atan2(-mix[3], -mix[0])
+    heading = (math.cos(half), 0.0, 0.0, math.sin(half))
     desired = multiply(reduced, heading)
     error = conjugate_multiply(q, desired)
     scale = 2.0 if error[0] >= 0.0 else -2.0

@@ -94,10 +94,9 @@ def propagate(e, s, p, dt):
 
 @kernel
 def _low_pass(cutoff_hz, dt):
-    """Return the gain of a discrete first-order low-pass with ``cutoff_hz``; 0 Hz switches it off."""
-    if cutoff_hz <= 0.0:
-        return 1.0
-    return 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt)
+    """Return the gain of a discrete first-order low-pass (PX4's AlphaFilter); 0 Hz switches it off."""
+    step = 2.0 * math.pi * cutoff_hz * dt
+    return step / (1.0 + step) if cutoff_hz > 0.0 else 1.0
 
 
 @kernel
