@@ -7,8 +7,13 @@ unset PYTHONPATH PYTHONHOME ROS_PACKAGE_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH P
 # catkin's set-up scripts read variables that may not be set.
 xtdrone_nounset="$(shopt -po nounset || true)"
 set +u
-# shellcheck disable=SC1091
-source "$xtdrone_root/devel/setup.bash"
+# In a function, so that catkin's script does not take this script's arguments for its own.
+xtdrone_source() {
+  # shellcheck disable=SC1091
+  source "$xtdrone_root/devel/setup.bash"
+}
+xtdrone_source
+unset -f xtdrone_source
 eval "$xtdrone_nounset"
 unset xtdrone_nounset
 
