@@ -106,6 +106,8 @@ install_packages() {
   need_root "${missing[@]}"
   say "Debian packages: reading the package lists"
   logged apt-update apt update || fail "the package lists could not be read; is there a network?"
+  # An installation that was interrupted leaves packages that must be configured before anything else is.
+  logged dpkg-configure as_root DEBIAN_FRONTEND=noninteractive dpkg --configure -a || fail "dpkg could not be repaired"
   say "Debian packages: installing ${#missing[@]}: ${missing[*]}"
   logged apt-install apt install -y --no-install-recommends "${missing[@]}" ||
     fail "Debian packages could not be installed (Debian 12 is needed)"
@@ -147,7 +149,7 @@ digest() {
     cd "$root" || exit
     find CMakeLists.txt src -type f \( -false "${tests[@]}" \) -print0 | LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum
     # A node's content is read when it starts; only its name matters to the build.
-    find src -path '*/nodes/*.py' | LC_ALL=C sort | sha256sum
+    find src \( -path '*/nodes/*.py' -o -path '*/examples/*.py' \) | LC_ALL=C sort | sha256sum
   )
 }
 

@@ -61,31 +61,31 @@ class RotorLayout:
 
 
 @kernel
-def _stop(c):
-    """Motors off: forget integrals, set-points and outputs."""
+def _no_thrust(c):
+    """Ask for no thrust and no torque, and forget the integrals."""
     for i in range(3):
         c.velocity_integral[i] = 0.0
         c.rate_integral[i] = 0.0
         c.sp_thrust_vector[i] = 0.0
-        c.sp_torque[i] = 0.0
         c.sp_rates[i] = 0.0
+        c.sp_torque[i] = 0.0
     c.sp_thrust = 0.0
+
+
+@kernel
+def _stop(c):
+    """Disarmed: motors off."""
+    _no_thrust(c)
     for i in range(MAX_ROTORS):
         c.actuators[i] = 0.0
 
 
 @kernel
 def _hold_on_ground(c, e):
-    """Armed on the ground: no thrust, attitude as it is, no integral."""
-    for i in range(3):
-        c.velocity_integral[i] = 0.0
-        c.rate_integral[i] = 0.0
-        c.sp_thrust_vector[i] = 0.0
-        c.sp_rates[i] = 0.0
-        c.sp_torque[i] = 0.0
+    """Armed on the ground: motors idle, the attitude set-point is the present attitude."""
+    _no_thrust(c)
     for i in range(4):
         c.sp_q[i] = e.q[i]
-    c.sp_thrust = 0.0
 
 
 @kernel

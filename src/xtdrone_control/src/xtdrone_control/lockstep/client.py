@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import socket
 import threading
 import time
@@ -42,7 +41,8 @@ from .protocol import (
     unpack_barrier,
     unpack_object,
 )
-from .topics import BufferingSubscriber, CountingPublisher, Inbox, Outlet, acquire_publisher, acquire_subscriber
+from .reader import Inbox, Reader
+from .topics import BufferingSubscriber, CountingPublisher, Outlet, acquire_publisher, acquire_subscriber
 
 Serve = Callable[[Mapping[int, int] | None, float], Mapping[int, int]]
 
@@ -69,7 +69,7 @@ class _Node:
         self.started = False
         self.publishers: dict[str, CountingPublisher] = {}
         self.subscribers: list[Subscriber] = []
-        self.arrived = threading.Condition()
+        self.reader = Reader()
         self.dirty: deque[Outlet] = deque()
         self.client: Client | None = None
         self.host: Host | None = None
@@ -188,7 +188,7 @@ class Subscriber(rospy.topics.Topic):
         Raises:
             ROSException: The topic has a plain rospy.Subscriber in this process, or the queue size is not positive.
         """
-        impl = acquire_subscriber(name, data_class, _node.arrived)
+        impl = acquire_subscriber(name, data_class, _node.reader)
         super().__init__(name, data_class, Registration.SUB)
         impl.set_queue_size(queue_size)
         if buff_size != rospy.topics.DEFAULT_BUFF_SIZE:
@@ -246,6 +246,7 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
     if _node.taking_part:
         # Time comes from TICK. The subscription to /clock that rospy makes would bring it late and in its own thread.
         rospy.rostime._set_rostime(rospy.Time(0, 0))
+        _node.reader.activate()
     elif not rospy.impl.simtime.init_simtime():
         raise rospy.ROSInitException("the time could not be initialised; is the master running?")
 
@@ -424,7 +425,7 @@ def _join() -> Client:
                         f"delete that parameter or set {PRIVATE_PARAM} to false."
                     ) from error
         # The parameter server has no event for a node that waits for a parameter; a simulator's start is not urgent.
-        rospy.rostime.wallsleep(2 * SLICE)
+        _node.reader.wait_whole(2 * SLICE)
     raise rospy.ROSInterruptException("shut down while waiting for the simulator")
 
 
@@ -444,7 +445,7 @@ class Client:
         self.time_us = 0
         self._node = _node
         self._sock: socket.socket | None = None
-        self._reader = FrameReader()
+        self._frame_reader = FrameReader()
         self._frames: deque[tuple[int, bytes]] = deque()
         self._send_lock = threading.Lock()
         self._joined = False
@@ -454,8 +455,7 @@ class Client:
         self._topics: dict[int, str] = {}
         self._lost: list[int] = []
         self._told: dict[int, int] = {}
-        self._wake_read, self._wake_write = os.pipe()
-        self._poll = select.poll()
+        self._reader = _node.reader
         self._ended = threading.Event()
 
     # ---- joining and leaving ----
@@ -490,8 +490,7 @@ class Client:
         if kind != Kind.WELCOME:
             raise ProtocolError(f"the answer to JOIN was a frame of type {kind}")
         self._sock.settimeout(None)
-        self._poll.register(self._sock.fileno(), select.POLLIN)
-        self._poll.register(self._wake_read, select.POLLIN)
+        self._reader.watch(self._sock.fileno(), self._readable)
         node.client = self
         # From here on rospy's threads announce new connections themselves; those made before are announced now.
         with self._send_lock:
@@ -524,7 +523,7 @@ class Client:
         # Nobody takes the lock from here on: rospy closes the topics next, perhaps in this same signal handler.
         self._joined = False
         self._ended.set()
-        os.write(self._wake_write, b"x")
+        self._reader.wake()
 
     def _keep_alive(self) -> None:
         """Tells the server that the process lives, also while the main thread stands at a breakpoint."""
@@ -625,14 +624,9 @@ class Client:
                     self._peers(unpack_object(payload))
                 elif kind == Kind.REFUSED:
                     self._simulator_gone(str(unpack_object(payload).get("reason")))
-            ready = self._poll.poll(1000.0)
+            self._reader.wait(1.0)
             if rospy.core.is_shutdown_requested():
                 raise rospy.ROSInterruptException("ROS shutdown request")
-            if ready:
-                try:
-                    self._read()
-                except (OSError, ProtocolError) as error:
-                    self._simulator_gone(str(error))
 
     def _enter(self, tick: Barrier) -> None:
         """Begins the turn that a TICK has opened."""
@@ -641,14 +635,14 @@ class Client:
         rospy.rostime._set_rostime(rospy.Time(seconds, micros * 1000))
         if self._node.serve is not None and tick.datagrams:
             self._serve_datagrams(self._node.serve, tick.datagrams)
-        awaited = []
+        awaited = {}
         for channel, count in tick.channels.items():
             inbox = self._inboxes.get(channel)
             if inbox is None:
                 continue
             inbox.target = count
-            if inbox.lacking():
-                awaited.append(channel)
+            if not inbox.fetch():
+                awaited[channel] = inbox
         if awaited:
             self._await_messages(awaited)
         for channel in self._lost:
@@ -666,29 +660,13 @@ class Client:
                 missed[port] = missed.get(port, 0) + short
                 rospy.logwarn(f"{short} datagrams from the simulator to UDP port {port} did not arrive")
 
-    def _await_messages(self, channels: list[int]) -> None:
-        ends = self._node.subscriptions()
-        for channel in channels:
-            end = ends.get(self._topics[channel])
-            if end is not None:
-                end.waited_for = True
-        limit = time.monotonic() + WAIT_LIMIT
-        with self._node.arrived:
-            while True:
-                channels = [
-                    channel
-                    for channel in channels
-                    if self._inboxes[channel].lacking() and not self._inboxes[channel].closed
-                ]
-                if not channels or time.monotonic() >= limit or rospy.core.is_shutdown_requested():
-                    break
-                self._node.arrived.wait(SLICE)
-        for end in ends.values():
-            end.waited_for = False
+    def _await_messages(self, awaited: Mapping[int, Inbox]) -> None:
+        lacking = self._reader.await_messages(awaited.values(), time.monotonic() + WAIT_LIMIT)
         if rospy.core.is_shutdown_requested():
             raise rospy.ROSInterruptException("ROS shutdown request")
-        for channel in channels:
-            inbox = self._inboxes[channel]
+        for channel, inbox in awaited.items():
+            if inbox not in lacking:
+                continue
             short = inbox.lacking()
             inbox.given_up += short
             rospy.logwarn(
@@ -702,7 +680,7 @@ class Client:
         for channel, topic, publisher, port in content["made"]:
             end = ends.get(topic)
             inbox = Inbox(publisher) if end is None else end.inbox(publisher, port)
-            inbox.target = 0
+            self._reader.count(inbox)
             self._inboxes[channel] = inbox
             self._topics[channel] = topic
         for number in content["counted"]:
@@ -725,6 +703,12 @@ class Client:
             if self._joined and self._sock is not None:
                 self._sock.sendall(data)
 
+    def _readable(self) -> None:
+        try:
+            self._read()
+        except (OSError, ProtocolError) as error:
+            self._simulator_gone(str(error))
+
     def _read(self) -> None:
         """Reads what there is, at least something.
 
@@ -736,8 +720,8 @@ class Client:
         data = self._sock.recv(1 << 16)
         if not data:
             raise ConnectionError("it has closed the connection")
-        self._reader.feed(data)
-        self._frames.extend(self._reader.frames())
+        self._frame_reader.feed(data)
+        self._frames.extend(self._frame_reader.frames())
 
     def _simulator_gone(self, why: str) -> None:
         rospy.logerr(f"the simulator at {self.uri} is gone: {why}")

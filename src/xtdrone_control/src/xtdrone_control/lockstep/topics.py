@@ -6,19 +6,20 @@ kernel when `publish` returns. A subscriber's messages are kept per connection; 
 
 from __future__ import annotations
 
-import itertools
+import functools
 import socket
 import threading
 from collections import deque
-from collections.abc import Iterator
 from typing import Any, Protocol
 
 import rospy
 import rospy.topics
 from rospy.impl.registration import Registration
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.msg import serialize_message
 
-FOREIGN_QUEUE = 1000
-"""Messages kept of a publisher that is no participant, when the subscriber names no queue size."""
+from .reader import FOREIGN_QUEUE, Feed, Inbox, Reader
+
 STALLED_QUEUE = 100
 """Messages kept for a stalled subscriber that is no participant, when the publisher names no queue size."""
 
@@ -74,7 +75,7 @@ class Outlet:
         self._draining = False
 
     def __call__(self, data: bytes) -> bool:
-        """Sends one serialised message without blocking.
+        """Sends one serialised message without blocking; the caller holds the topic's publishing lock.
 
         Args:
             data: Length-prefixed message.
@@ -86,11 +87,16 @@ class Outlet:
             TransportTerminated: The connection is closed.
         """
         transport = self._transport
-        with self._lock:
-            if self._draining:
-                self._keep(data)
-            else:
+        if self._draining:
+            with self._lock:
+                kept = self._draining
+                if kept:
+                    self._keep(data)
+            if not kept:
                 self._send(transport, data)
+        else:
+            # Nobody else sends, and only a sender under the publishing lock starts a thread that does.
+            self._send(transport, data)
         self.count += 1
         transport.stat_num_msg += 1
         transport.stat_bytes += len(data)
@@ -165,7 +171,44 @@ class CountingPublisher(rospy.topics._PublisherImpl):
             added = bool(super().add_connection(connection))
             if added:
                 self._ledger.outlet_made(outlet)
+            else:
+                del self.outlets[connection]
         return added
+
+    def publish(self, message: rospy.Message, connection_override: Any = None) -> bool | None:
+        """Serialises a message once and sends it over every connection, or over one; as rospy's, with less in between.
+
+        Raises:
+            SerializationError: The message cannot be serialised.
+            ROSException: The topic is closed.
+        """
+        lock, buffer = self.publock, self.buff
+        if self.closed or lock is None or buffer is None:
+            return super().publish(message, connection_override)
+        with lock:
+            if self.is_latch:
+                self.latch = message
+            if connection_override is not None:
+                outlets = [(connection_override, connection_override.write_data)]
+            else:
+                outlets = list(self.outlets.items())
+            if not outlets or rospy.core.is_shutdown():
+                return False
+            self.seq += 1
+            buffer.seek(0)
+            buffer.truncate(0)
+            serialize_message(buffer, self.seq, message)
+            data = buffer.getvalue()
+            self.message_data_sent += len(data)
+            ended = []
+            for connection, send in outlets:
+                try:
+                    send(data)
+                except rospy.exceptions.TransportTerminated:
+                    ended.append(connection)
+            for connection in ended:
+                connection.close()
+        return True
 
     def remove_connection(self, connection: Any) -> None:
         """Takes a closed connection out, once."""
@@ -177,92 +220,19 @@ class CountingPublisher(rospy.topics._PublisherImpl):
         self._ledger.outlet_lost(outlet)
 
 
-class Inbox:
-    """The messages of one connection, in the order of sending.
+class BufferingSubscriber(rospy.topics._SubscriberImpl):
+    """A topic's receiving end that keeps messages until `ready` is called.
 
-    Attributes:
-        publisher: The publisher's name.
-        messages: Received and not yet dispatched.
-        received: Messages received since the connection was made; written by rospy's thread only.
-        dropped: Of these, discarded because a foreign publisher's queue was full; written by rospy's thread only.
-        taken: Of these, dispatched or discarded by the node's thread; written by it only.
-        target: How many may be dispatched by now; None if the publisher is no participant.
-        given_up: Messages that were counted by the publisher and never came.
-        closed: True when no more will come.
-        lost: True when the server has said that the channel is no more.
-        latched: True if the publisher latches.
-        latch: The last message dispatched, kept if `latched`.
+    In a participant the connections are read by `Reader`, in the node's own thread; else by rospy's threads.
     """
 
-    __slots__ = (
-        "closed",
-        "dropped",
-        "given_up",
-        "latch",
-        "latched",
-        "lost",
-        "messages",
-        "publisher",
-        "received",
-        "taken",
-        "target",
-    )
-
-    def __init__(self, publisher: str) -> None:
-        """Starts empty, as a foreign publisher's."""
-        self.publisher = publisher
-        self.messages: deque[Any] = deque()
-        self.received = 0
-        self.dropped = 0
-        self.taken = 0
-        self.target: int | None = None
-        self.given_up = 0
-        self.closed = False
-        self.lost = False
-        self.latched = False
-        self.latch: Any = None
-
-    def lacking(self) -> int:
-        """Returns how many messages that must be here have not come yet."""
-        if self.target is None:
-            return 0
-        return max(0, self.target - self.given_up - self.received)
-
-    def take(self, most_foreign: int) -> Iterator[Any]:
-        """Yields and removes the messages whose tick it is.
-
-        Args:
-            most_foreign: Of a foreign publisher's messages at most so many, the newest.
-        """
-        if self.target is None:
-            surplus = max(0, len(self.messages) - most_foreign)
-            ready = len(self.messages)
-        else:
-            surplus = 0
-            ready = self.target - self.given_up - self.taken - self.dropped
-        for index in range(ready):
-            try:
-                message = self.messages.popleft()
-            except IndexError:  # given up waiting for it, or discarded by rospy's thread just now
-                return
-            self.taken += 1
-            if index >= surplus:
-                if self.latched:
-                    self.latch = message
-                yield message
-
-
-class BufferingSubscriber(rospy.topics._SubscriberImpl):
-    """A topic's receiving end that keeps messages until `ready` is called."""
-
-    def __init__(self, name: str, data_class: type[rospy.Message], arrived: threading.Condition) -> None:
-        """As rospy's, plus the condition that is notified when something comes."""
+    def __init__(self, name: str, data_class: type[rospy.Message], reader: Reader) -> None:
+        """As rospy's, plus the reader of the connections."""
         super().__init__(name, data_class)
         self.tcp_nodelay = True
         self.inboxes: dict[tuple[str, int], Inbox] = {}
         self.most_foreign = FOREIGN_QUEUE
-        self.waited_for = False
-        self._arrived = arrived
+        self._reader = reader
 
     def inbox(self, publisher: str, port: int) -> Inbox:
         """Returns the inbox of one connection, made if need be.
@@ -285,51 +255,75 @@ class BufferingSubscriber(rospy.topics._SubscriberImpl):
             raise rospy.ROSException(f"{self.resolved_name}: queue_size {queue_size!r} must be a positive integer")
         self.most_foreign = queue_size
 
-    def receive_callback(self, msgs: list[Any], connection: Any) -> None:
-        """Keeps the messages; called in the connection's own thread."""
+    def add_connection(self, connection: Any) -> bool:
+        """Sees to it that a connection is handed over when it is made: rospy then calls its `receive_loop`."""
+        connection.receive_loop = functools.partial(self._receive, connection)
+        return bool(super().add_connection(connection))
+
+    def _receive(self, connection: Any, callback: Any) -> None:
+        """Hands the connection over, or reads it in this thread of rospy's, which is the connection's own."""
+        if not self._reader.active:
+            TCPROSTransport.receive_loop(connection, callback)
+            return
+        inbox = self._inbox_of(connection)
+        inbox.decode = functools.partial(self._decode, connection)
+        try:
+            feed = Feed(connection, inbox)
+        except AttributeError:
+            # The connection was closed just now: it has neither a socket nor a buffer any more.
+            connection.close()
+            return
+        self._reader.hand_over(feed)
+
+    def _inbox_of(self, connection: Any) -> Inbox:
         inbox = getattr(connection, "inbox", None)
         if inbox is None:
             inbox = self.inbox(connection.callerid_pub, connection.local_endpoint[1])
             inbox.latched = connection.is_latched
+            inbox.most_kept = max(self.most_foreign, FOREIGN_QUEUE)
             connection.inbox = inbox
+        return inbox
+
+    def _decode(self, connection: Any, data: bytes) -> rospy.Message | None:
+        try:
+            message = self.data_class().deserialize(data)
+        except Exception as error:
+            rospy.logerr(f"a message on {self.resolved_name} from {connection.callerid_pub} cannot be read: {error}")
+            return None
+        message._connection_header = connection.header
+        if self.statistics_logger:
+            self.statistics_logger.callback(message, connection.callerid_pub, connection.stat_bytes)
+        return message
+
+    def receive_callback(self, msgs: list[Any], connection: Any) -> None:
+        """Keeps the messages; called in the connection's own thread if the reader does not read it."""
+        inbox = self._inbox_of(connection)
         if self.statistics_logger:
             for message in msgs:
                 self.statistics_logger.callback(message, connection.callerid_pub, connection.stat_bytes)
         inbox.messages.extend(msgs)
         inbox.received += len(msgs)
-        if inbox.target is None:
-            self._bound(inbox)
-        if self.waited_for:
-            with self._arrived:
-                self._arrived.notify()
-
-    def _bound(self, inbox: Inbox) -> None:
-        for _ in range(len(inbox.messages) - max(self.most_foreign, FOREIGN_QUEUE)):
-            try:
-                inbox.messages.popleft()
-            except IndexError:  # the node's thread was faster
-                return
-            inbox.dropped += 1
+        inbox.bound()
+        self._reader.wake()
 
     def remove_connection(self, connection: Any) -> None:
         """Takes a closed connection out; nothing more will come over it."""
         if connection in self.connections:
             super().remove_connection(connection)
-        inbox = getattr(connection, "inbox", None)
-        if inbox is None and connection.local_endpoint[1] is not None:
-            inbox = self.inbox(connection.callerid_pub, connection.local_endpoint[1])
-        if inbox is not None:
-            inbox.closed = True
-        with self._arrived:
-            self._arrived.notify()
+        if connection.local_endpoint[1] is not None:
+            self._inbox_of(connection).closed = True
+        self._reader.wake()
 
     def ready(self) -> list[Any]:
         """Returns and removes the messages whose tick it is: by publisher's name, then in the order of sending."""
         if not self.inboxes:
             return []
-        boxes = sorted(list(self.inboxes.items()), key=lambda item: item[0])  # rospy's threads add to the dictionary
-        taken = list(itertools.chain.from_iterable(inbox.take(self.most_foreign) for _, inbox in boxes))
+        boxes = list(self.inboxes.items())  # rospy's threads add to the dictionary
+        if len(boxes) > 1:
+            boxes.sort(key=lambda item: item[0])
+        taken: list[Any] = []
         for key, inbox in boxes:
+            taken += inbox.take(self.most_foreign)
             if inbox.lost or (inbox.closed and inbox.target is None and not inbox.messages):
                 del self.inboxes[key]
         return taken
@@ -371,7 +365,7 @@ def acquire_subscriber(name: str, data_class: type[rospy.Message], arrived: thre
     with manager.lock:
         impl = manager.subs.get(resolved)
         if impl is None:
-            impl = BufferingSubscriber(resolved, data_class, arrived)
+            impl = BufferingSubscriber(resolved, data_class, reader)
             manager._add(impl, manager.subs, Registration.SUB)
     if not isinstance(impl, BufferingSubscriber):
         raise rospy.ROSException(f"{resolved} has a rospy.Subscriber here; use lockstep.Subscriber for both")

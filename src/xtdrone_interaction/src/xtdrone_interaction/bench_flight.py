@@ -1,0 +1,379 @@
+"""The benchmark's measurements: each runs a program or a launch file to its end and returns a row of figures.
+
+A row has ``vehicles``, ``load_before`` (the machine's load average over the last minute) and the figures that
+:func:`measure_core`, :func:`measure_stack` and :func:`measure_formation` list.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction import options
+from xtdrone_interaction.bench_processes import CpuSample, memory, process_tree
+from xtdrone_interaction.processes import ProcessTree, end_descendants
+from xtdrone_interaction.record import read_events
+
+TYPE = "iris"
+Event = dict[str, Any]
+Row = dict[str, Any]
+
+_POLL = 0.1  # s of wall time
+_START_LIMIT = 60.0  # s of wall time until the first event, and _START_LIMIT_VEHICLE more for each vehicle
+_START_LIMIT_VEHICLE = 3.0
+_SILENCE_LIMIT = 300.0  # s of wall time between two events; a phase may take a minute of simulated time
+_PATIENCE = 25.0  # s that roslaunch gets to stop its nodes
+_NODE_PATIENCE = 8.0  # s that a node gets to stop
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+_CAUSE = re.compile(r"\b(ERROR|FATAL)\b|(Error|Exception)\b|has died|cannot launch|Invalid <")
+
+
+class BenchError(RuntimeError):
+    """A measurement that failed; the message says which part and where its log is."""
+
+
+class Stopped(BaseException):
+    """SIGINT, SIGTERM or SIGHUP came.
+
+    Attributes:
+        number: the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        """Keep the signal's number."""
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+class StopRequest:
+    """Takes SIGINT, SIGTERM and SIGHUP and remembers the first, so that none cuts a clean-up short.
+
+    A context manager: when it ends, no process that was started inside is left.
+    """
+
+    def __init__(self) -> None:
+        """Nothing has come yet."""
+        self._number = 0
+        self._previous: dict[int, Any] = {}
+
+    def check(self) -> None:
+        """Raise :class:`Stopped` if a signal has come."""
+        if self._number:
+            raise Stopped(self._number)
+
+    def __enter__(self) -> StopRequest:
+        """Take the signals."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            self._previous[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        """End what is left and give the signals back."""
+        end_descendants()
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        self._number = self._number or number
+
+
+@dataclass
+class Bench:
+    """What all measurements share.
+
+    Attributes:
+        folder: of logs and events, absolute; each measurement has its own in it.
+        stop: asked all the time.
+        progress: gets a few words on what goes on.
+        core_seconds: least wall time of one core measurement, s.
+        window: measured simulated time of the stack, s.
+        patterns: that the formation flies.
+    """
+
+    folder: Path
+    stop: StopRequest
+    progress: Callable[[str], None]
+    core_seconds: float
+    window: float
+    patterns: Sequence[str]
+
+
+def measure_core(bench: Bench, vehicles: int) -> Row:
+    """Measure the core alone: physics, contacts, sensors, estimators and control, without ROS.
+
+    Returns:
+        real_time_factor, vehicle_steps_per_second, microseconds_per_vehicle_step.
+
+    Raises:
+        BenchError: it failed.
+    """
+    folder = _fresh(bench, f"core-{vehicles}")
+    result, log = folder / "core.json", folder / "core.log"
+    row = _row(vehicles)
+    command = [
+        sys.executable, "-m", "xtdrone_sim.benchmark",
+        "--vehicles", str(vehicles), "--seconds", str(bench.core_seconds), "--json", str(result),
+    ]  # fmt: skip
+    tree = ProcessTree(command, os.environ, log)
+    try:
+        bench.progress("measuring")
+        while not tree.wait(_POLL):
+            bench.stop.check()
+    finally:
+        tree.stop(_NODE_PATIENCE)
+    if tree.process.returncode != 0 or not result.is_file():
+        raise BenchError(f"core: ended with status {tree.process.returncode}; {_cause(log)}")
+    return row | json.loads(result.read_text(encoding="utf-8"))[0]
+
+
+def measure_stack(bench: Bench, vehicles: int) -> Row:
+    """Measure simulator and MAVROS layer under one client that holds every vehicle in OFFBOARD.
+
+    Returns:
+        real_time_factor, window (``simulated`` and ``elapsed`` s), messages_per_second (of wall time),
+        messages_per_simulated_second (by topic), cpu_per_simulated_second (CPU s by program), others_cpu (cores' worth
+        that other programs took), memory_bytes, processes, startup_seconds (from roslaunch to all armed).
+
+    Raises:
+        BenchError: it failed.
+    """
+    folder = _fresh(bench, f"stack-{vehicles}")
+    row, command_wall = _row(vehicles), time.time()
+    arguments = {"vehicles": f"{TYPE}:{vehicles}", "window": bench.window, "out": folder}
+    events = _fly(bench, "bench.launch", arguments, folder, vehicles, lambda event, root: None)
+    return row | stack_figures(events, command_wall)
+
+
+def stack_figures(events: Sequence[Event], command_wall: float) -> Row:
+    """Return the figures of a stack measurement from the client's events; see :func:`measure_stack`."""
+    window = find(events, "window")
+    simulated, elapsed = window["simulated"], window["elapsed"]
+    received: dict[str, int] = window["received"]
+    return {
+        "real_time_factor": simulated / elapsed,
+        "window": {"simulated": simulated, "elapsed": elapsed},
+        "messages_per_second": sum(received.values()) / elapsed,
+        "messages_per_simulated_second": {topic: count / simulated for topic, count in received.items()},
+        "cpu_per_simulated_second": {name: seconds / simulated for name, seconds in window["cpu"].items()},
+        "others_cpu": window["others"] / elapsed,
+        "memory_bytes": window["memory"],
+        "processes": window["processes"],
+        "startup_seconds": find(events, "armed")["wall"] - command_wall,
+    }
+
+
+@dataclass
+class FormationProbe:
+    """Samples the process tree as the flight goes on: CPU from arming to landing, memory in the middle.
+
+    Attributes:
+        middle: pattern at whose beginning memory is sampled.
+        samples: (event, CPU sample) at arming and at the beginning of the landing.
+        memory: bytes; 0 before the sample.
+        processes: how many there were then.
+    """
+
+    middle: str
+    samples: list[tuple[Event, CpuSample]] = field(default_factory=list)
+    memory: int = 0
+    processes: int = 0
+
+    def __call__(self, event: Event, root: int) -> None:
+        """Take the samples that belong to ``event``; ``root`` is the tree's first process."""
+        if event["event"] == "armed" or event.get("phase") == "land":
+            self.samples.append((event, CpuSample.take(root)))
+        if event.get("phase") == f"pattern {self.middle}" and not self.memory:
+            pids = process_tree(root)
+            self.memory, self.processes = memory(pids), len(pids)
+
+
+def measure_formation(bench: Bench, vehicles: int, processes: str) -> Row:
+    """Measure the whole formation flight as the demo flies it, recorder included, as fast as it goes.
+
+    Args:
+        bench: what all measurements share.
+        vehicles: how many.
+        processes: ``per_uav`` or ``shared``.
+
+    Returns:
+        mode (``processes``), real_time_factor (from armed to all disarmed), flight (``simulated`` and ``elapsed`` s),
+        startup_seconds (from roslaunch to all armed), unsettled (phases that did not settle in time),
+        cpu_per_simulated_second (CPU s by program, arming to landing), others_cpu (cores' worth that other programs
+        took), memory_bytes and processes in mid-flight.
+
+    Raises:
+        BenchError: it failed.
+    """
+    folder = _fresh(bench, f"formation-{vehicles}-{processes}")
+    row, command_wall = _row(vehicles) | {"mode": processes}, time.time()
+    arguments = {
+        "n": vehicles,
+        "type": TYPE,
+        "patterns": ",".join(bench.patterns),
+        "processes": processes,
+        "speed": 0.0,
+        "out": folder,
+    }
+    probe = FormationProbe(bench.patterns[len(bench.patterns) // 2])
+    try:
+        events = _fly(bench, "formation.launch", arguments, folder, vehicles, probe)
+    finally:
+        for bag in folder.glob("flight.bag*"):
+            bag.unlink()  # large, and of no use here
+    return row | formation_figures(events, command_wall) | probe_figures(probe)
+
+
+def formation_figures(events: Sequence[Event], command_wall: float) -> Row:
+    """Return the figures that stand in the director's events; see :func:`measure_formation`."""
+    armed, done = find(events, "armed"), find(events, "done")
+    simulated, elapsed = done["time"] - armed["time"], done["wall"] - armed["wall"]
+    return {
+        "real_time_factor": simulated / elapsed,
+        "flight": {"simulated": simulated, "elapsed": elapsed},
+        "startup_seconds": armed["wall"] - command_wall,
+        "unsettled": done["unsettled"],
+    }
+
+
+def probe_figures(probe: FormationProbe) -> Row:
+    """Return what was sampled during a flight; see :func:`measure_formation`."""
+    (first, before), (last, after) = probe.samples[0], probe.samples[-1]
+    simulated, elapsed = last["time"] - first["time"], last["wall"] - first["wall"]
+    use = after.since(before)
+    return {
+        "cpu_per_simulated_second": {name: seconds / simulated for name, seconds in use.programs.items()},
+        "others_cpu": use.others / elapsed,
+        "memory_bytes": probe.memory,
+        "processes": probe.processes,
+    }
+
+
+def find(events: Sequence[Event], name: str) -> Event:
+    """Return the first event of that name.
+
+    Raises:
+        BenchError: there is none.
+    """
+    for event in events:
+        if event["event"] == name:
+            return event
+    raise BenchError(f"events: there is no {name!r} among {', '.join(e['event'] for e in events) or 'none'}")
+
+
+def _row(vehicles: int) -> Row:
+    return {"vehicles": vehicles, "load_before": os.getloadavg()[0]}
+
+
+def _fresh(bench: Bench, name: str) -> Path:
+    """Return a measurement's folder without what an earlier one left."""
+    folder = bench.folder / name
+    (folder / "logs").mkdir(parents=True, exist_ok=True)
+    for file in ("events.jsonl", "core.json"):
+        (folder / file).unlink(missing_ok=True)
+    return folder
+
+
+def _fly(
+    bench: Bench,
+    launch_file: str,
+    arguments: dict[str, Any],
+    folder: Path,
+    vehicles: int,
+    on_event: Callable[[Event, int], None],
+) -> list[Event]:
+    """Run a launch file to its end and return the events of its director or client.
+
+    Args:
+        bench: what all measurements share.
+        launch_file: its name in launch/.
+        arguments: of the launch file.
+        folder: where it writes events.jsonl, and its logs.
+        vehicles: how many.
+        on_event: called with each event as it comes and with roslaunch's process id.
+
+    Raises:
+        BenchError: it failed.
+        OptionError: a UDP port that the vehicles need is taken.
+    """
+    options.check_vehicle_ports(parse_fleet(f"{TYPE}:{vehicles}"))
+    log = folder / "logs" / "roslaunch.log"
+    port = options.free_port()
+    command = [
+        _roslaunch(), "--sigint-timeout", str(_NODE_PATIENCE), "-p", str(port),
+        str(options.repository() / "launch" / launch_file),
+        *(f"{name}:={value}" for name, value in arguments.items()),
+    ]  # fmt: skip
+    tree = ProcessTree(command, _environment(port, folder / "logs"), log)
+    try:
+        bench.progress("starting the nodes")
+        return _follow(bench, tree, folder / "events.jsonl", log, vehicles, on_event)
+    finally:
+        tree.stop(_PATIENCE)
+
+
+def _follow(
+    bench: Bench, tree: ProcessTree, file: Path, log: Path, vehicles: int, on_event: Callable[[Event, int], None]
+) -> list[Event]:
+    """Pass events on until the last has come, and give roslaunch the time to end by itself."""
+    limit, last = _START_LIMIT + _START_LIMIT_VEHICLE * vehicles, time.monotonic()
+    seen = 0
+    while True:
+        ended = tree.wait(_POLL)  # asked first: events that come before the end are read below
+        bench.stop.check()
+        events = read_events(file)
+        for event in events[seen:]:
+            on_event(event, tree.process.pid)
+            bench.progress(_words(event))
+            limit, last = _SILENCE_LIMIT, time.monotonic()
+        seen = len(events)
+        if seen and events[-1]["event"] == "failed":
+            raise BenchError(f"{events[-1]['reason']}; log: {log}")
+        if seen and events[-1]["event"] == "done":
+            tree.wait(_PATIENCE)
+            return events
+        if ended:
+            raise BenchError(f"{log.parent.parent.name}: the launch ended early; {_cause(log)}")
+        if not seen and "has died" in _text(log):
+            raise BenchError(f"{log.parent.parent.name}: a node died at the start; {_cause(log)}")
+        if time.monotonic() - last > limit:
+            raise BenchError(f"{log.parent.parent.name}: nothing happened for {limit:.0f} s; {_cause(log)}")
+
+
+def _words(event: Event) -> str:
+    return f"{event.get('phase') or event['event']}, {event['time']:.0f} s simulated"
+
+
+def _roslaunch() -> str:
+    program = shutil.which("roslaunch")
+    if program is None:
+        raise BenchError("roslaunch: not found; source the workspace's devel/setup.bash first")
+    return program
+
+
+def _environment(port: int, logs: Path) -> dict[str, str]:
+    environment = {k: v for k, v in os.environ.items() if k != "ROS_HOSTNAME"}
+    # nodes start by /usr/bin/env python3 where the workspace was not built: it must be this Python
+    path = f"{Path(sys.executable).parent}{os.pathsep}{environment.get('PATH', '')}"
+    local = {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": str(logs)}
+    return {**environment, **local, "PATH": path}
+
+
+def _text(log: Path) -> str:
+    return _COLOURS.sub("", log.read_text(encoding="utf-8", errors="replace")) if log.is_file() else ""
+
+
+def _cause(log: Path) -> str:
+    """Return the first line of a log that tells of trouble, and where the log is."""
+    lines = [line.strip() for line in _text(log).splitlines() if _CAUSE.search(line)]
+    return f"{lines[0]}; log: {log}" if lines else f"log: {log}"
