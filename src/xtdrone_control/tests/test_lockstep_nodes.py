@@ -128,6 +128,45 @@ def flood(name: str) -> None:
     lockstep.spin(step)
 
 
+def heavy(name: str) -> None:
+    """Publishes each turn more than a socket holds, and notes the length of what comes from another such node."""
+    lockstep.init_node(name, rate=50.0)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def take(message: String) -> None:
+        print(rospy.Time.now().to_nsec() // 1000, message.data[:3], len(message.data), file=out)
+
+    publisher = lockstep.Publisher(f"/from_{name}", String)
+    _subscriber = lockstep.Subscriber("/from_b" if name == "a" else "/from_a", String, take)
+    lockstep.start()
+    turns = itertools.count()
+
+    def step() -> None:
+        turn = next(turns)
+        for _ in range(3):
+            publisher.publish(f"{turn:03d}" + "x" * (2_000_000 + turn))
+
+    lockstep.spin(step)
+
+
+def churner(name: str) -> None:
+    """Subscribes to a topic, leaves it, and comes back, while another node publishes; notes how many publishers."""
+    lockstep.init_node(name, rate=50.0)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+    current: list[lockstep.Subscriber] = []
+    lockstep.start()
+    for turn in range(20):
+        if turn % 4 == 0:
+            current.append(
+                lockstep.Subscriber("/from_a", String, lambda message, t=turn: print(t, message.data, file=out))
+            )
+        elif turn % 4 == 3:
+            print(turn, "connections", current[-1].get_num_connections(), file=out)
+            current.pop().unregister()
+        lockstep.Rate().sleep()
+    lockstep.spin()
+
+
 def simulator(name: str) -> None:
     """A simulator that publishes itself: a message before each tick, which that tick must deliver."""
     rospy.init_node(name)
@@ -388,6 +427,43 @@ def test_a_stopped_listener_does_not_stop_the_world(graph: Graph, server: Lockst
     rider.send_signal(signal.SIGCONT)
 
 
+def test_messages_longer_than_a_socket_holds_come_in_the_next_turn(graph: Graph, server: LockstepServer) -> None:
+    for name in "ab":
+        graph.start("heavy", name)
+    assert server.wait_for(["/a", "/b"], timeout=PATIENCE)
+    run(server, 220_000)
+    server.close()
+    for name in "ab":
+        assert graph.processes[name].wait(PATIENCE) == 0, graph.output(name)
+        assert "did not arrive" not in graph.output(name)
+        seen = [line.split() for line in graph.transcript(name)]
+        turns = range(1, 11)
+        assert [(int(now), int(sent), int(size)) for now, sent, size in seen] == [
+            (turn * 20_000, turn - 1, 2_000_003 + turn - 1) for turn in turns for _ in range(3)
+        ]
+
+
+def test_a_subscriber_may_leave_and_come_back(graph: Graph, server: LockstepServer) -> None:
+    graph.start("participant", "a", "0")
+    graph.start("churner", "churner")
+    assert server.wait_for(["/a", "/churner"], timeout=PATIENCE)
+    now = run(server, 1_000_000)
+    assert sorted(server.participants) == ["/a", "/churner"]
+    server.close()
+    assert graph.processes["churner"].wait(PATIENCE) == 0, graph.output("churner")
+    assert "did not arrive" not in graph.output("churner")
+    lines = [line.split() for line in graph.transcript("churner")]
+    assert [line for line in lines if line[1] == "connections"] == [
+        [str(turn), "connections", "1"] for turn in range(3, 20, 4)
+    ]
+    # It leaves in turn k + 3, after the message of turn k + 2. Whether it has that of turn k + 1 depends on whether the
+    # publisher had noticed the end of the connection before by then: only if so the world was held for the new one.
+    times = due_times(50.0, now)
+    for turn in range(0, 20, 4):
+        sent = [int(line[1]) for line in lines if line[0] == str(turn)]
+        assert sent in (times[turn + 1 : turn + 3], times[turn : turn + 3], times[turn + 2 : turn + 3])
+
+
 def test_what_the_simulator_publishes_before_a_tick_is_dispatched_in_it(graph: Graph) -> None:
     process = graph.start("simulator", "simulator")
     graph.set_param("/lockstep/wait", True)
@@ -458,4 +534,5 @@ if __name__ == "__main__":
     elif role == "pinger":
         pinger(name, int(rest[0]), int(rest[1]))
     else:
-        {"alone": alone, "talker": talker, "listener": listener, "flood": flood, "simulator": simulator}[role](name)
+        roles = [alone, talker, listener, flood, heavy, churner, simulator]
+        {function.__name__: function for function in roles}[role](name)

@@ -51,5 +51,8 @@ def main() -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main())
+    except rospy.ROSInitException as error:
+        print(f"director: {error}", file=sys.stderr)
+        sys.exit(1)
     except rospy.ROSInterruptException:
         sys.exit(1)

@@ -1,8 +1,13 @@
 #!/usr/bin/env python3
 """Simulator node of all vehicles; parameters: see ``xtdrone_sim.node.Settings``."""
 
+import signal
 import sys
 
-from xtdrone_sim.node import main
+if __name__ == "__main__":
+    # The imports take seconds and some of them swallow a KeyboardInterrupt; rospy takes SIGINT over afterwards.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-sys.exit(main())
+    from xtdrone_sim.node import main
+
+    sys.exit(main())

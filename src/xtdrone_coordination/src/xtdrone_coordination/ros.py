@@ -30,7 +30,7 @@ from typing import Any, TypeVar
 
 import rospy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
-from std_msgs.msg import Float32MultiArray, Int32MultiArray
+from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray
 
 from xtdrone_control import lockstep
 from xtdrone_control.communication.arguments import (
@@ -49,6 +49,8 @@ from xtdrone_coordination.swarm import SwarmState
 PATTERN_TOPIC = "/xtdrone/formation_pattern"
 TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
 
+_SWARM_FIELDS = 6  # numbers a vehicle in the swarm topic: x, y, z, vx, vy, vz; m, m/s, ENU
+
 _Base = TypeVar("_Base")
 
 
@@ -60,6 +62,9 @@ def subscribe_swarm(
     on_leader_pose: Callable[[PoseStamped], None] | None = None,
 ) -> None:
     """Subscribe the positions of all vehicles of a type.
+
+    ``/xtdrone/swarm_topic`` (string) names a topic that has them all in one message, as this workspace's MAVROS layer
+    offers it; without it every vehicle's own ``mavros/local_position`` topics are subscribed, as upstream does.
 
     Args:
         kind: vehicle type, as ``iris``.
@@ -78,6 +83,21 @@ def subscribe_swarm(
         v = message.twist.linear
         swarm.on_velocity(index, (v.x, v.y, v.z))
 
+    def on_swarm(message: Float64MultiArray) -> None:
+        if len(message.data) < _SWARM_FIELDS * swarm.count:
+            rospy.logwarn_throttle(10.0, f"{topic}: {len(message.data)} numbers are too few for {swarm.count} vehicles")
+            return
+        for i in range(swarm.count):
+            x, y, z, vx, vy, vz = message.data[_SWARM_FIELDS * i : _SWARM_FIELDS * (i + 1)]
+            swarm.on_position(i, (x, y, z))
+            swarm.on_velocity(i, (vx, vy, vz))
+
+    topic = str(rospy.get_param("/xtdrone/swarm_topic", ""))
+    if topic:
+        lockstep.Subscriber(topic, Float64MultiArray, on_swarm)
+        if on_leader_pose is not None:
+            lockstep.Subscriber(f"/{kind}_0/mavros/local_position/pose", PoseStamped, on_leader_pose)
+        return
     for i in range(swarm.count):
         base = f"/{kind}_{i}/mavros/local_position"
         lockstep.Subscriber(f"{base}/pose", PoseStamped, partial(on_pose, i))

@@ -21,6 +21,7 @@ It writes events.jsonl as the formation director does: one JSON object a line wi
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections import Counter
@@ -49,6 +50,7 @@ _REPEAT = 1.0  # s until a refused request is made again; as long as PX4 holds f
 _NEAR = 0.3  # m from the set-point that count as there
 _LOST = 1.0  # m from the set-point at which a vehicle is no longer held
 _CALM_TIME = 2.0  # s between the last vehicle's arrival and the measurement
+_LEAST_ELAPSED = 2.0  # s of wall time that are measured at least: CPU times have a resolution of 10 ms
 _LIMIT = 60.0  # s of simulated time for each step of the way there
 
 
@@ -64,18 +66,25 @@ class _Vehicle:
         connected: whether MAVROS hears the autopilot.
         armed: as the autopilot says.
         mode: PX4's mode as MAVROS names it.
-        position: m, in the vehicle's local frame, ENU; None before the first.
-        target: the message that holds the place; None before the place is known.
+        position: m, ENU; None before the first.
     """
 
-    def __init__(self, name: str, received: Counter[str]) -> None:
-        """Declare the topics; ``received`` counts messages by topic."""
+    def __init__(self, name: str, height: float, received: Counter[str]) -> None:
+        """Declare the topics.
+
+        Args:
+            name: as ``iris_0``.
+            height: of the place that is held, m above where it is armed.
+            received: counts messages by topic.
+        """
         self.name = name
         self.connected = False
         self.armed = False
         self.mode = ""
         self.position: tuple[float, float, float] | None = None
-        self.target: PositionTarget | None = None
+        self._height = height
+        self._accepted = False  # to be armed
+        self._target = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_NED, type_mask=_POSITION_ONLY)
         self._received = received
         base = f"/{name}/mavros"
         self._output = lockstep.Publisher(f"{base}/setpoint_raw/local", PositionTarget)
@@ -100,26 +109,23 @@ class _Vehicle:
         self._received["state"] += 1
         self.connected, self.armed, self.mode = message.connected, message.armed, message.mode
 
-    def hold_above(self, height: float) -> None:
-        """Take the place ``height`` m above the present one as the set-point."""
-        assert self.position is not None
-        target = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_NED, type_mask=_POSITION_ONLY)
-        target.position.x, target.position.y, target.position.z = self.position
-        target.position.z += height
-        self.target = target
-
     def publish(self, now: rospy.Time) -> None:
-        """Publish the set-point, if there is one."""
-        if self.target is not None:
-            self.target.header.stamp = now
-            self._output.publish(self.target)
+        """Publish the set-point, if the position is known."""
+        if self.position is None:
+            return
+        target = self._target
+        if not self._accepted:  # positions before the estimator has aligned mean nothing, so the place is still open
+            target.position.x, target.position.y, target.position.z = self.position
+            target.position.z += self._height
+        target.header.stamp = now
+        self._output.publish(target)
 
     def distance(self) -> float:
-        """Return the distance from the set-point, m."""
-        assert self.position is not None
-        assert self.target is not None
-        goal = self.target.position
-        return sum((a - b) ** 2 for a, b in zip(self.position, (goal.x, goal.y, goal.z), strict=True)) ** 0.5
+        """Return the distance from the set-point, m; infinite before the position is known."""
+        if self.position is None:
+            return math.inf
+        goal = self._target.position
+        return math.dist(self.position, (goal.x, goal.y, goal.z))
 
     def offboard(self) -> bool:
         """Ask for OFFBOARD and return whether the autopilot accepts."""
@@ -127,13 +133,13 @@ class _Vehicle:
 
     def arm(self) -> bool:
         """Ask for arming and return whether the autopilot accepts."""
-        return bool(self._arm(True).success)
+        self._accepted = bool(self._arm(True).success)
+        return self._accepted
 
     def describe(self) -> str:
         """Return the state as text."""
         armed = "armed" if self.armed else "disarmed"
-        away = "" if self.target is None else f", {self.distance():.2f} m from its place"
-        return f"{self.name} ({armed}, mode {self.mode or 'unknown'!r}{away})"
+        return f"{self.name} ({armed}, mode {self.mode or 'unknown'!r}, {self.distance():.2f} m from its place)"
 
 
 class OffboardClient:
@@ -147,14 +153,13 @@ class OffboardClient:
 
         Args:
             names: vehicles.
-            window: how long is measured, simulated s.
+            window: how long is measured at least, simulated s.
             height: that is held, m above the ground.
             events: gets the events as JSON lines.
         """
         self._received: Counter[str] = Counter()
-        self._vehicles = [_Vehicle(name, self._received) for name in names]
+        self._vehicles = [_Vehicle(name, height, self._received) for name in names]
         self._window = window
-        self._height = height
         self._events = events
 
     def run(self) -> int:
@@ -182,8 +187,6 @@ class OffboardClient:
         """
         self._event("start", vehicles=[v.name for v in self._vehicles])
         yield from self._until("connect and report a position", lambda v: v.connected and v.position is not None)
-        for vehicle in self._vehicles:
-            vehicle.hold_above(self._height)
         yield from self._wait(_STREAM_TIME)
         yield from self._request("accept OFFBOARD", _Vehicle.offboard)
         yield from self._request("arm", _Vehicle.arm)
@@ -196,7 +199,7 @@ class OffboardClient:
         self._event("done")
 
     def _measure(self) -> Iterator[None]:
-        """Let the window pass and write the event ``window``.
+        """Let the window pass, and more where it is over in no time, and write the event ``window``.
 
         Its values: ``simulated`` and ``elapsed`` (s of simulated and of wall time), ``received`` (messages by topic,
         all vehicles together), ``cpu`` (CPU s by program), ``others`` (CPU s that other programs used or that the
@@ -208,7 +211,8 @@ class OffboardClient:
         root = os.getppid()  # roslaunch
         self._received.clear()
         start, start_wall, before = rospy.get_time(), time.perf_counter(), CpuSample.take(root)
-        yield from self._wait(self._window)
+        while rospy.get_time() - start < self._window or time.perf_counter() - start_wall < _LEAST_ELAPSED:
+            yield
         simulated, elapsed = rospy.get_time() - start, time.perf_counter() - start_wall
         received = dict(self._received)
         cpu = CpuSample.take(root).since(before)
@@ -244,8 +248,8 @@ class OffboardClient:
         Raises:
             ClientError: some still refuse after the limit.
         """
-        start = rospy.get_time()
-        while refused := [v for v in self._vehicles if not ask(v)]:
+        start, refused = rospy.get_time(), self._vehicles
+        while refused := [v for v in refused if not ask(v)]:
             self._check(start, what, refused)
             yield from self._wait(_REPEAT)
 

@@ -69,7 +69,7 @@ def cpu_table(results: dict[str, Any]) -> Table:
         for name, seconds in programs.items():
             most[name] = max(most.get(name, 0.0), seconds)
     shown = sorted((name for name in most if most[name] >= LEAST_CPU), key=lambda name: -most[name])
-    table = Table(title="CPU seconds per simulated second", title_justify="left", title_style="bold")
+    table = Table(title="CPU s per simulated s", title_justify="left", title_style="bold")
     table.add_column("program")
     for part, good in groups:
         table.add_column(_label(part, good[0]), justify="right")
@@ -87,13 +87,13 @@ def caveats(results: dict[str, Any]) -> list[str]:
         lines.append(f"the machine's load average was {load:.1f} before the benchmark began: it had other work to do")
     for part in _TITLES:
         for row in results.get(part, []):
-            label = _label(part, row)
+            label = f"{part}, {row['vehicles']} {row.get('mode', '').replace('_', '-')}".rstrip()
             if "error" in row:
-                lines.append(f"{part} {label} failed: {_escape(row['error'])}")
+                lines.append(f"{label}: failed: {_escape(row['error'])}")
             if row.get("others_cpu", 0.0) > 0.2:
-                lines.append(f"{part} {label}: other programs took {row['others_cpu']:.1f} cores meanwhile")
+                lines.append(f"{label}: other programs took {row['others_cpu']:.1f} cores meanwhile")
             if row.get("unsettled"):
-                lines.append(f"{part} {label}: did not settle: {', '.join(row['unsettled'])}")
+                lines.append(f"{label}: did not settle: {', '.join(row['unsettled'])}")
     return lines
 
 
@@ -137,7 +137,7 @@ def _factor(part: str, rows: Sequence[Row]) -> str:
     """Return the median factor, and the range where there is more than one."""
     values = [row["real_time_factor"] for row in rows]
     text = f"{statistics.median(values):.2f} x"
-    return text if len(values) == 1 else f"{text} ({min(values):.2f} to {max(values):.2f})"
+    return text if len(values) == 1 else f"{text}\n{min(values):.2f} to {max(values):.2f}"
 
 
 def _goal(part: str, rows: Sequence[Row]) -> str:
@@ -157,10 +157,10 @@ def _flown(_: str, rows: Sequence[Row]) -> str:
 
 
 _Cell = Callable[[str, Sequence[Row]], str]
-_SPEED: list[tuple[str, _Cell]] = [("vehicles", _vehicles), ("real-time factor", _factor), ("to reach", _goal)]
+_SPEED: list[tuple[str, _Cell]] = [("vehicles", _vehicles), ("real-time\nfactor", _factor), ("to\nreach", _goal)]
 _PROCESSES: list[tuple[str, _Cell]] = [
-    ("start-up s", _median("startup_seconds", ".1f")),
-    ("memory MB", _median("memory_bytes", ".0f", 1e-6)),
+    ("start-up\ns", _median("startup_seconds", ".1f")),
+    ("memory\nMB", _median("memory_bytes", ".0f", 1e-6)),
     ("processes", _median("processes", ".0f")),
 ]
 _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
@@ -170,5 +170,5 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
         ("us/vehicle-step", _median("microseconds_per_vehicle_step", ".2f")),
     ],
     "stack": [*_SPEED, ("messages/s", _median("messages_per_second", ".0f")), *_PROCESSES],
-    "formation": [*_SPEED, ("simulated s", _flown), *_PROCESSES],
+    "formation": [*_SPEED, ("simulated\ns", _flown), *_PROCESSES],
 }

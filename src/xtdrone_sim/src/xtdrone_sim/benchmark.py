@@ -21,7 +21,7 @@ from .simulation import Simulation
 _ALIGN_US = 2_000_000
 _CLIMB_US = 12_000_000
 _HEIGHT = 10.0  # m
-_SETPOINT_US = 200_000
+_SETPOINT_US = 500_000
 _UNSET = (math.nan, math.nan, math.nan)
 
 
@@ -71,7 +71,7 @@ def _steer(simulation: Simulation) -> None:
 
 
 def _rate(simulation: Simulation, seconds: float) -> float:
-    """Return simulated seconds per wall second while the vehicles circle in OFFBOARD, steered at 5 Hz."""
+    """Return simulated seconds per wall second while the vehicles circle in OFFBOARD, steered at 2 Hz, PX4's least."""
     start_us, start = simulation.time_us, time.perf_counter()
     while time.perf_counter() - start < seconds:
         _steer(simulation)

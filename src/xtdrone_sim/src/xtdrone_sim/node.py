@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import select
+import sys
 import time
 from dataclasses import dataclass
 
+import rosgraph
 import rospy
 from gazebo_msgs.msg import ModelStates
 from rosgraph_msgs.msg import Clock
@@ -254,6 +256,10 @@ def _log(level: int, text: str) -> None:
 
 def main() -> int:
     """Run the node; return its exit status."""
+    if not rosgraph.is_master_online():
+        advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
+        print(f"simulator: no ROS master answers at {rosgraph.get_master_uri()}; {advice}", file=sys.stderr)
+        return 1
     rospy.init_node("simulator", disable_rostime=True)
     try:
         node = SimulatorNode(Settings.from_parameters())

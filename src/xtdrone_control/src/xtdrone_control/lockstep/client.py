@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 from urllib.parse import urlparse
 
+import rosgraph
 import rospy
 import rospy.core
 import rospy.impl.simtime
@@ -239,6 +240,9 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
         ROSInitException: The master or the time cannot be reached.
     """
     Schedule(rate)
+    if not rosgraph.is_master_online():  # rospy would wait for one without end
+        advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
+        raise rospy.ROSInitException(f"no ROS master answers at {rosgraph.get_master_uri()}; {advice}")
     rospy.init_node(name, disable_rostime=True, **options)
     _node.rate = rate
     if rospy.get_param(PRIVATE_PARAM, True):

@@ -87,15 +87,8 @@ class Outlet:
             TransportTerminated: The connection is closed.
         """
         transport = self._transport
-        if self._draining:
-            with self._lock:
-                kept = self._draining
-                if kept:
-                    self._keep(data)
-            if not kept:
-                self._send(transport, data)
-        else:
-            # Nobody else sends, and only a sender under the publishing lock starts a thread that does.
+        # Without the drain thread nobody else sends, and only a sender under the publishing lock starts one.
+        if not self._draining or not self._keep(data):
             self._send(transport, data)
         self.count += 1
         transport.stat_num_msg += 1
@@ -123,12 +116,17 @@ class Outlet:
         self._backlog.append(data[sent:])
         threading.Thread(target=self._drain, args=(sock,), name=f"drain {self.topic}", daemon=True).start()
 
-    def _keep(self, data: bytes) -> None:
-        # The first entry may be the rest of a message that is half sent: never drop that.
-        if not self.participant and len(self._backlog) > self._queue_size:
-            del self._backlog[1]
-            self.count -= 1
-        self._backlog.append(data)
+    def _keep(self, data: bytes) -> bool:
+        """Leaves a message to the thread that sends; returns False if that has just ended."""
+        with self._lock:
+            if not self._draining:
+                return False
+            # The first entry may be the rest of a message that is half sent: never drop that.
+            if not self.participant and len(self._backlog) > self._queue_size:
+                del self._backlog[1]
+                self.count -= 1
+            self._backlog.append(data)
+            return True
 
     def _drain(self, sock: socket.socket) -> None:
         while True:
@@ -195,10 +193,16 @@ class CountingPublisher(rospy.topics._PublisherImpl):
             if not outlets or rospy.core.is_shutdown():
                 return False
             self.seq += 1
-            buffer.seek(0)
-            buffer.truncate(0)
-            serialize_message(buffer, self.seq, message)
-            data = buffer.getvalue()
+            try:
+                buffer.seek(0)
+                buffer.truncate(0)
+                serialize_message(buffer, self.seq, message)
+                data = buffer.getvalue()
+            except ValueError:
+                if not self.closed:
+                    raise
+                # Closed just now by another thread, or by a signal handler on top of this one.
+                return super().publish(message, connection_override)
             self.message_data_sent += len(data)
             ended = []
             for connection, send in outlets:
@@ -354,7 +358,7 @@ def acquire_publisher(name: str, data_class: type[rospy.Message], latch: bool, l
     return impl
 
 
-def acquire_subscriber(name: str, data_class: type[rospy.Message], arrived: threading.Condition) -> BufferingSubscriber:
+def acquire_subscriber(name: str, data_class: type[rospy.Message], reader: Reader) -> BufferingSubscriber:
     """Makes (or finds) the buffering end of a topic before rospy can make a plain one.
 
     Raises:

@@ -96,12 +96,12 @@ class Receiver:
         except (ValueError, struct.error, TypeError) as error:  # FrameError is a ValueError, as is bad text
             self._malformed(link, error)
             return
-        link.heard(sender, self._now_us)
         if system_field and getattr(message, system_field) not in (_BROADCAST, self._system_id):
             link.foreign += 1
             wanted = getattr(message, system_field)
             link.warn("foreign", f"message for system {wanted} ignored, this is {self._system_id}", self._now_us)
             return
+        link.heard(sender, self._now_us)
         if component_field and getattr(message, component_field) not in (_BROADCAST, COMPONENT_ID):
             return
         handle(link, message)

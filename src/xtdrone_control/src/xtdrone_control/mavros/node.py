@@ -24,6 +24,7 @@ from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver,
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plugin import Publisher
 from xtdrone_control.mavros.plugins import PLUGINS
+from xtdrone_control.mavros.swarm import Swarm
 from xtdrone_control.mavros.uas import Uas
 
 RATE = 50.0  # Hz of simulated time; PX4's fastest telemetry on the offboard link that MAVROS publishes
@@ -120,9 +121,17 @@ class MavrosNode:
         # The ports before anything is advertised, so that a node that cannot run leaves no trace.
         self._links = _open(vehicles, source)
         self._receiver = Receiver(self._links)
+        self._swarm = Swarm(self._ros, len(vehicles))
         self._uas = [
-            Uas(vehicle.name, vehicle.prefix, link, _params(vehicle, settings), self._ros, PLUGINS)
-            for vehicle, link in zip(vehicles, self._links, strict=True)
+            Uas(
+                vehicle.name,
+                vehicle.prefix,
+                link,
+                _params(vehicle, settings),
+                self._ros,
+                (*PLUGINS, self._swarm.member(index)),
+            )
+            for index, (vehicle, link) in enumerate(zip(vehicles, self._links, strict=True))
         ]
         # Datagrams that had arrived before the simulator began to count for this node, by port.
         self._uncounted: dict[int, int] = {}
@@ -130,7 +139,8 @@ class MavrosNode:
         self._receiver.start()
 
     def step(self) -> None:
-        """Run the timers and tell the simulator what was sent; once a turn."""
+        """Publish the swarm, run the timers and tell the simulator what was sent; once a turn."""
+        self._swarm.publish()
         now_ns = self._ros.now_ns()
         for uas in self._uas:
             uas.step(now_ns)

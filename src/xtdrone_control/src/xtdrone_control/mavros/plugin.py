@@ -106,3 +106,16 @@ class Plugin:
 
     def connected(self, connected: bool) -> None:
         """Take note that the autopilot's heartbeat came for the first time, or stays away; override if it matters."""
+
+
+class PluginKind(Protocol):
+    """What makes a plugin: a plugin class, or something that stands for one.
+
+    Attributes:
+        name: the plugin's name.
+    """
+
+    name: str
+
+    def __call__(self, uas: Uas) -> Plugin:
+        """Make the plugin of a vehicle."""

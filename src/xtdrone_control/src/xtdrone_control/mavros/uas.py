@@ -14,7 +14,7 @@ from xtdrone_control import frames
 from xtdrone_control.mavlink.codec import MESSAGE_ID, Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavros.connection import Link
 from xtdrone_control.mavros.params import Params
-from xtdrone_control.mavros.plugin import Feed, Plugin, Ros, Topic
+from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic
 from xtdrone_control.mavros.streams import Streams
 from xtdrone_control.mavros.throttle import Throttle
 from xtdrone_control.mavros.transactions import Commands
@@ -69,7 +69,7 @@ class Uas:
         link: Link,
         params: Params,
         ros: Ros,
-        plugins: Iterable[type[Plugin]],
+        plugins: Iterable[PluginKind],
     ) -> None:
         """Make the plugins.
 
@@ -112,6 +112,10 @@ class Uas:
         topic = Topic(self.ros.publisher(path, type(message), latch), message, latch)
         self._topics.append(topic)
         return topic
+
+    def share(self, topic: Topic) -> None:
+        """Take note of a topic that belongs to all vehicles: its subscribers count for this one's streams too."""
+        self._topics.append(topic)
 
     def subscribe(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:
         """Subscribe to ``<prefix>/<name>``."""

@@ -1,0 +1,84 @@
+"""All vehicles' positions and velocities in one message: N messages instead of N^2 for a swarm of many nodes.
+
+Real MAVROS has nothing like it. A node that flies with real MAVROS subscribes every ``local_position/pose`` instead.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from xtdrone_control import frames
+from xtdrone_control.mavros.plugin import Feed, Plugin, Ros, Topic
+from xtdrone_control.mavros.uas import Uas
+
+TOPIC = "/xtdrone/swarm"
+FIELDS = 6  # x, y, z in m, vx, vy, vz in m/s, ENU
+
+
+class Swarm:
+    """The topic: an array of shape (vehicles, FIELDS), NaN where nothing has been heard yet.
+
+    Attributes:
+        topic: to be refreshed by the vehicles' hubs.
+    """
+
+    def __init__(self, ros: Ros, count: int) -> None:
+        """Advertise the topic for ``count`` vehicles."""
+        message = Float64MultiArray()
+        message.layout.dim = [
+            MultiArrayDimension("vehicle", count, count * FIELDS),
+            MultiArrayDimension("x y z vx vy vz, ENU", FIELDS, FIELDS),
+        ]
+        self.topic = Topic(ros.publisher(TOPIC, Float64MultiArray, False), message, False)
+        self._values = [math.nan] * (count * FIELDS)
+        self._changed = False
+
+    def set(self, index: int, position: frames.Vector, velocity: frames.Vector) -> None:
+        """Take a vehicle's position (m) and velocity (m/s), ENU."""
+        start = index * FIELDS
+        self._values[start : start + FIELDS] = (*position, *velocity)
+        self._changed = True
+
+    def publish(self) -> None:
+        """Publish if something has come since the last time."""
+        if self._changed and self.topic.taken:
+            self.topic.message.data = self._values
+            self.topic.publish(self.topic.message)
+        self._changed = False
+
+    def member(self, index: int) -> _Member:
+        """Return the plugin class of vehicle ``index``, as ``Uas`` takes it."""
+        return _Member(self, index)
+
+
+class SwarmPlugin(Plugin):
+    """One vehicle's part of the swarm's topic."""
+
+    name = "swarm"
+
+    def __init__(self, uas: Uas, swarm: Swarm, index: int) -> None:
+        """Feed row ``index`` of ``swarm``."""
+        super().__init__(uas)
+        self._swarm = swarm
+        self._index = index
+        uas.share(swarm.topic)
+        self.messages = {"LOCAL_POSITION_NED": Feed(self._on_position, swarm.topic)}
+
+    def _on_position(self, ned: Any) -> None:
+        self._swarm.set(self._index, frames.ned_to_enu(ned.x, ned.y, ned.z), frames.ned_to_enu(ned.vx, ned.vy, ned.vz))
+
+
+class _Member:
+    """Makes the plugin of one vehicle."""
+
+    name = SwarmPlugin.name
+
+    def __init__(self, swarm: Swarm, index: int) -> None:
+        self._swarm = swarm
+        self._index = index
+
+    def __call__(self, uas: Uas) -> SwarmPlugin:
+        return SwarmPlugin(uas, self._swarm, self._index)

@@ -1,0 +1,358 @@
+"""The benchmark: options, what is read from events and /proc, tables, JSON, clean-up. Nothing is timed."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from xtdrone_interaction import bench, bench_flight, bench_machine, bench_processes, bench_report, cli, options
+
+TICKS = os.sysconf("SC_CLK_TCK")
+
+
+# ---- options
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--only", "core,wings"], "only: part 'wings' is unknown; there are: core, stack, formation"),
+        (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
+        (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
+        (["--vehicles", "stack=9,many"], "vehicles of stack: 'many' is not allowed; 1 to 250"),
+        (["--vehicles", "formation=1"], "vehicles of formation: '1' is not allowed; 2 to 250"),
+        (["--vehicles", "swarm=9"], "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, stack"),
+        (["--only", "core", "--vehicles", "stack=9"], "part 'stack' in 'stack=9' is not measured; measured are: core"),
+        (["--vehicles", "=9"], "part '' in '=9' is not measured"),
+        (["--repeat", "0"], "repeat: '0' is not allowed; 1 to 20"),
+        (["--processes", "many"], "invalid choice: 'many'"),
+        (["--json", "/"], "json: '/' is a folder"),
+        (["--json", "/proc/bench.json"], "json: '/proc/bench.json' cannot be written"),
+        (["--json", "/nowhere/my results.json"], "has a space in it"),
+    ],
+)
+def test_bad_values_are_named(
+    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
+    try:
+        status = cli.main(["bench", *arguments])
+    except SystemExit as error:  # argparse
+        status = error.code
+    assert status == 2
+    assert message in capfd.readouterr().err
+
+
+def test_vehicles_are_chosen_for_all_parts_or_for_one() -> None:
+    assert bench.chosen_vehicles(["core", "stack"], []) == {"core": (1, 9, 30, 100), "stack": (1, 9, 30)}
+    assert bench.chosen_vehicles(["core", "stack"], ["9", "core=1,100,1"]) == {"core": (1, 100), "stack": (9,)}
+    assert bench.chosen_parts("formation, core") == ["core", "formation"]
+
+
+def test_plan_names_each_measurement(tmp_path: Path) -> None:
+    settings = bench.BenchSettings(
+        {"core": (1,), "formation": (9,)}, ("per_uav", "shared"), 2, bench.QUICK, tmp_path / "b.json"
+    )
+    planned = list(bench.plan(settings))
+    assert [title for _, title, _, _ in planned] == [
+        "core, 1 vehicle, 1 of 2",
+        "core, 1 vehicle, 2 of 2",
+        "formation, 9 vehicles, processes per uav, 1 of 2",
+        "formation, 9 vehicles, processes per uav, 2 of 2",
+        "formation, 9 vehicles, processes shared, 1 of 2",
+        "formation, 9 vehicles, processes shared, 2 of 2",
+    ]
+    assert planned[-1][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
+
+
+# ---- /proc
+
+
+def _process(proc: Path, pid: int, parent: int, cpu: float, command: list[str], state: str = "S", pss: int = 0) -> None:
+    """Make a process of a /proc: half of ``cpu`` s is user's, half is system's time; ``pss`` in kB."""
+    folder = proc / str(pid)
+    folder.mkdir(parents=True, exist_ok=True)
+    half = int(cpu * TICKS / 2)
+    (folder / "stat").write_text(f"{pid} (a) b) {state} {parent} 1 1 0 -1 4194560 9 0 0 0 {half} {half} 77 88 20 0\n")
+    (folder / "cmdline").write_bytes(b"\0".join(word.encode() for word in command) + b"\0")
+    (folder / "smaps_rollup").write_text(
+        f"00400000-7ffd ---p 00000000 00:00 0 [rollup]\nRss: 999999 kB\nPss: {pss:8d} kB\nPss_Dirty: 5 kB\n"
+    )
+
+
+@pytest.fixture
+def proc(tmp_path: Path) -> Path:
+    """A machine with a launch (10) of two followers and a simulator, a zombie in it, and a foreign process (50)."""
+    proc = tmp_path / "proc"
+    _process(proc, 10, 1, 1.0, ["/usr/bin/python3", "/usr/bin/roslaunch", "x.launch"], pss=100)
+    _process(proc, 11, 10, 4.0, ["python3", "/ws/lib/simulator.py", "__name:=simulator"], pss=1000)
+    _process(proc, 12, 10, 1.0, ["/venv/bin/python3", "-u", "/ws/follower.py", "iris", "1"], pss=10)
+    _process(proc, 13, 12, 1.0, ["python3", "/ws/follower.py", "iris", "2"], pss=20)
+    _process(proc, 14, 10, 9.0, ["/usr/lib/rosbag/record", "-O", "x"], state="Z", pss=7)
+    _process(proc, 50, 1, 5.0, ["/usr/bin/make"], pss=3)
+    (proc / "self").mkdir()
+    (proc / "stat").write_text("cpu  100 0 100 5000 5000 0 0 0 0 0\ncpu0 1 1 1 1 1 1 1 1 1 1\n")
+    return proc
+
+
+def test_tree_has_all_generations_and_no_zombie(proc: Path) -> None:
+    assert sorted(bench_processes.process_tree(10, proc)) == [10, 11, 12, 13]
+
+
+def test_memory_is_the_sum_of_pss_alone(proc: Path) -> None:
+    assert bench_processes.memory([10, 11, 12, 13], proc) == 1130 * 1024
+    assert bench_processes.memory([12, 4711], proc) == 10 * 1024  # 4711 has ended
+
+
+def test_cpu_time_goes_to_programs_and_others(proc: Path) -> None:
+    before = bench_processes.CpuSample.take(10, proc)
+    _process(proc, 11, 10, 6.0, ["python3", "/ws/lib/simulator.py", "__name:=simulator"])
+    _process(proc, 12, 10, 1.5, ["/venv/bin/python3", "-u", "/ws/follower.py", "iris", "1"])
+    _process(proc, 15, 10, 0.5, ["python3", "/ws/follower.py", "iris", "3"])  # began meanwhile
+    user, idle, steal = 100 + 4 * TICKS, 9999, 2 * TICKS
+    (proc / "stat").write_text(f"cpu  {user} 0 100 {idle} 5000 0 0 {steal} 0 0\n")
+    use = bench_processes.CpuSample.take(10, proc).since(before)
+    assert use.programs == pytest.approx({"roslaunch": 0.0, "simulator": 2.0, "follower": 1.0})
+    assert use.others == pytest.approx(3.0)  # 4 s used and 2 s stolen, of which 3 s were ours
+
+
+def test_own_process_is_read_from_the_real_proc() -> None:
+    own = os.getpid()
+    assert own in bench_processes.process_tree(os.getppid())
+    assert bench_processes.memory([own]) > 2**20
+    assert bench_processes.CpuSample.take(own).processes[own][1] > 0.0
+
+
+# ---- events
+
+
+def _event(event: str, time: float, wall: float, **values: Any) -> dict[str, Any]:
+    return {"event": event, "time": time, "wall": wall, **values}
+
+
+FORMATION = [
+    _event("start", 0.0, 1003.0, vehicles=["iris_0", "iris_1"]),
+    _event("phase", 0.1, 1003.1, phase="take-off"),
+    _event("armed", 2.0, 1004.0),
+    _event("phase", 30.0, 1008.0, phase="pattern cube", pattern="cube"),
+    _event("phase", 60.0, 1020.0, phase="land"),
+    _event("done", 82.0, 1024.0, unsettled=["cube"]),
+]
+
+
+def test_formation_figures() -> None:
+    assert bench_flight.formation_figures(FORMATION, command_wall=1000.0) == {
+        "real_time_factor": 4.0,
+        "flight": {"simulated": 80.0, "elapsed": 20.0},
+        "startup_seconds": 4.0,
+        "unsettled": ["cube"],
+    }
+
+
+def test_missing_event_is_named() -> None:
+    with pytest.raises(bench_flight.BenchError, match="no 'done' among start, phase, armed"):
+        bench_flight.formation_figures(FORMATION[:3], 1000.0)
+
+
+def test_probe_samples_cpu_from_arming_to_landing_and_memory_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = iter([({1: ("leader", 1.0)}, 10.0), ({1: ("leader", 7.0)}, 20.0)])
+    monkeypatch.setattr(bench_flight.CpuSample, "take", lambda root: bench_processes.CpuSample(*next(samples)))
+    monkeypatch.setattr(bench_flight, "process_tree", lambda root: [root, 2, 3])
+    monkeypatch.setattr(bench_flight, "memory", lambda pids: 1000 * len(pids))
+    probe = bench_flight.FormationProbe("cube")
+    for event in FORMATION:
+        probe(event, 1)
+    figures = bench_flight.probe_figures(probe)
+    assert figures["cpu_per_simulated_second"] == {"leader": pytest.approx(6.0 / 58.0)}
+    assert figures["others_cpu"] == pytest.approx(4.0 / 16.0)
+    assert (figures["memory_bytes"], figures["processes"]) == (3000, 3)
+
+
+def test_stack_figures() -> None:
+    window = {
+        "simulated": 20.0,
+        "elapsed": 4.0,
+        "received": {"pose": 600, "state": 20},
+        "cpu": {"simulator": 2.0},
+        "others": 1.0,
+        "memory": 5,
+        "processes": 6,
+    }
+    events = [_event("start", 0.0, 1002.0), _event("armed", 1.0, 1003.0), _event("window", 30.0, 1009.0, **window)]
+    assert bench_flight.stack_figures(events, command_wall=1000.0) == {
+        "real_time_factor": 5.0,
+        "window": {"simulated": 20.0, "elapsed": 4.0},
+        "messages_per_second": 155.0,
+        "messages_per_simulated_second": {"pose": 30.0, "state": 1.0},
+        "cpu_per_simulated_second": {"simulator": 0.1},
+        "others_cpu": 0.25,
+        "memory_bytes": 5,
+        "processes": 6,
+        "startup_seconds": 3.0,
+    }
+
+
+# ---- results
+
+
+def _core_row(vehicles: int, factor: float) -> dict[str, Any]:
+    steps = factor * 250 * vehicles
+    return {
+        "vehicles": vehicles,
+        "real_time_factor": factor,
+        "vehicle_steps_per_second": steps,
+        "microseconds_per_vehicle_step": 1e6 / steps,
+    }
+
+
+def _formation_row(factor: float) -> dict[str, Any]:
+    figures = bench_flight.formation_figures(FORMATION, 1000.0)
+    return figures | {
+        "vehicles": 9,
+        "mode": "per_uav",
+        "real_time_factor": factor,
+        "cpu_per_simulated_second": {"follower_consensus": 0.25, "rosout": 0.0001},
+        "others_cpu": 1.5,
+        "memory_bytes": 900_000_000,
+        "processes": 24,
+    }
+
+
+def _printed(results: dict[str, Any]) -> str:
+    console = Console(file=io.StringIO(), width=80)
+    bench_report.print_results(results, console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_tables() -> None:
+    results = {
+        "machine": {"load_before": [2.5, 1.0, 1.0]},
+        "core": [_core_row(9, 40.0), {"vehicles": 100, "error": "core: ended with status 1 [x]"}],
+        "formation": [_formation_row(3.0), _formation_row(5.0), _formation_row(4.5)],
+    }
+    text = _printed(results)
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["9", "40.00 x", "30 x", "90000", "11.11"] in lines
+    assert ["100", "failed", "failed", "failed", "failed"] in lines
+    assert ["9 per-uav", "4.50 x", "3 x", "80.0", "4.0", "900", "24"] in lines  # the median
+    assert ["follower_consensus", "0.250"] in lines
+    assert "3.00 to 5.00" in text
+    assert "│ rosout" not in text  # too little for a line
+    assert "…" not in text  # it fits a terminal of 80 columns
+    flat = " ".join(text.split())
+    assert "load average was 2.5 before the benchmark" in flat
+    assert "core, 100: failed: core: ended with status 1 [x]" in flat
+    assert "formation, 9 per-uav: other programs took 1.5 cores" in flat
+    assert "formation, 9 per-uav: did not settle: cube" in flat
+
+
+def test_calm_machine_gets_no_note() -> None:
+    text = _printed({"machine": {"load_before": [0.4, 1.0, 1.0]}, "core": [_core_row(1, 90.0)]})
+    assert "Note" not in text
+    assert "90.00 x" in text
+
+
+def test_machine_facts(tmp_path: Path) -> None:
+    facts = bench_machine.machine_facts(tmp_path)
+    assert facts["cores"] >= 1
+    assert facts["memory_bytes"] > 2**28
+    assert facts["kernel"]
+    assert facts["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert facts["packages"]["numpy"]
+    assert len(facts["load_before"]) == 3
+    assert (facts["commit"], facts["changed_since_commit"]) == (None, None)  # no repository
+
+
+def test_results_are_written_and_one_failure_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def measure(settings: bench_flight.Bench, vehicles: int) -> dict[str, Any]:
+        if vehicles == 9:
+            raise bench_flight.BenchError("core: ended with status 1")
+        return _core_row(vehicles, 50.0)
+
+    monkeypatch.setattr(bench, "measure_core", measure)
+    file = tmp_path / "new" / "b.json"
+    assert bench.main(["--only", "core", "--vehicles", "9,30", "--quick", "--json", str(file)]) == 1
+    results = json.loads(file.read_text())
+    assert list(results) == ["schema", "started", "finished", "options", "machine", "core"]
+    assert results["schema"] == 1
+    assert results["finished"] >= results["started"]
+    assert results["options"]["vehicles"] == {"core": [9, 30]}
+    assert results["core"][0] == {"vehicles": 9, "repeat": 1, "error": "core: ended with status 1"}
+    assert results["core"][1] == {"vehicles": 30, "repeat": 1} | _core_row(30, 50.0)
+    assert list(file.parent.iterdir()) == [file]
+
+
+# ---- processes
+
+FAKE_ROSLAUNCH = """\
+#!{python}
+# Starts a node in a session of its own, as roslaunch does, and then what the test wants.
+import json, os, signal, subprocess, sys, time
+subprocess.Popen([sys.executable, "-c", "MARK = {mark!r}; import time; time.sleep(600)"], start_new_session=True)
+out = next(word[5:] for word in sys.argv if word.startswith("out:="))
+def event(name, **values):
+    with open(out + "/events.jsonl", "a") as file:
+        print(json.dumps(dict(event=name, time=1.0, wall=time.time(), **values)), file=file)
+{then}
+"""
+
+
+def _running(mark: str) -> list[str]:
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and mark in (entry / "cmdline").read_bytes().decode(errors="replace"):
+                found.append(entry.name)
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize(
+    ("then", "status", "message"),
+    [
+        ("event('start'); os.kill(os.getppid(), signal.SIGINT); time.sleep(600)", 130, "stopped by SIGINT"),
+        ("event('start'); os.kill(os.getppid(), signal.SIGTERM); time.sleep(600)", 143, "stopped by SIGTERM"),
+        ("print('FATAL: no plane'); sys.exit(1)", 1, "the launch ended early; FATAL: no plane"),
+        ("print('[mavros-3] process has died', flush=True); time.sleep(600)", 1, "a node died at the start"),
+        ("event('start'); event('failed', reason='iris_0: no wings'); time.sleep(600)", 1, "failed: iris_0: no wings"),
+    ],
+)
+def test_nothing_is_left_running(tmp_path: Path, then: str, status: int, message: str) -> None:
+    mark = f"xtdrone-test-{os.getpid()}-{tmp_path.name}"
+    fake = tmp_path / "bin" / "roslaunch"
+    fake.parent.mkdir()
+    fake.write_text(FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, then=then))
+    fake.chmod(0o755)
+    file = tmp_path / "b.json"
+    program = textwrap.dedent(f"""
+        import sys
+        from xtdrone_interaction import bench, bench_flight, options
+        options.check_vehicle_ports = lambda fleet: None
+        sys.exit(bench.main(["--only", "stack", "--vehicles", "1", "--json", {str(file)!r}]))
+    """)
+    path = f"{fake.parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        check=False,
+    )
+    assert done.returncode == status, done.stdout + done.stderr
+    assert message in " ".join(done.stdout.split())
+    assert _running(mark) == []
+    assert (json.loads(file.read_text())["finished"] is None) == (status > 128)

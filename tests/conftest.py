@@ -1,0 +1,462 @@
+"""What the system tests share: a ROS master, programs of the workspace, this process's ears and mouth on the graph.
+
+A test waits for events (a message, a line in a log, a process's end) and measures limits in simulated time; wall time
+only bounds how long a broken run may take.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction.options import OptionError, check_vehicle_ports
+from xtdrone_interaction.processes import ProcessTree
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+FLEET = "iris:2"
+WALL_LIMIT = 60.0  # s; longest that anything may take, on a machine that is busy otherwise
+_PORTS_LIMIT = 240.0  # s of wall time for another simulation on this machine to end
+_SLICE = 0.05  # s between looks at what sends no message: logs, processes
+_TAG = "XTDRONE_TEST_STACK"  # environment variable by which a stack's processes are found
+
+
+def built() -> bool:
+    """Whether roslaunch and the workspace's packages are there."""
+    if shutil.which("roslaunch") is None:
+        return False
+    import rospkg
+
+    return {"xtdrone_sim", "xtdrone_coordination"} <= set(rospkg.RosPack().list())
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs the built workspace where there is none."""
+    if built():
+        return
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.skip(reason="the workspace is not built and sourced"))
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def poll(condition: Callable[[], Any], what: str, limit: float = WALL_LIMIT) -> Any:
+    """Return the first true value of ``condition``, which no message announces; fail after ``limit`` s of wall time."""
+    end = time.monotonic() + limit
+    while not (value := condition()):
+        assert time.monotonic() < end, f"{what}: not within {limit:g} s"
+        time.sleep(_SLICE)
+    return value
+
+
+class Ear:
+    """A subscription that keeps every message.
+
+    Attributes:
+        messages: all so far.
+    """
+
+    def __init__(self, graph: Graph, topic: str, kind: type, queue_size: int | None = None) -> None:
+        import rospy
+
+        self.messages: list[Any] = []
+        self._graph = graph
+        self._subscriber = rospy.Subscriber(topic, kind, self._take, queue_size=queue_size, tcp_nodelay=True)
+
+    @property
+    def last(self) -> Any:
+        """The newest message, None before the first."""
+        return self.messages[-1] if self.messages else None
+
+    def since(self, count: int) -> list[Any]:
+        """Return all after the first ``count``."""
+        return self.messages[count:]
+
+    def _take(self, message: Any) -> None:
+        with self._graph.changed:
+            self.messages.append(message)
+            self._graph.changed.notify_all()
+
+    def close(self) -> None:
+        self._subscriber.unregister()
+
+
+class Graph:
+    """A ROS master of the tests' own, and this process as a plain node on it.
+
+    Attributes:
+        uri: the master's.
+        changed: notified with every message.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        self.uri = f"http://127.0.0.1:{self.port}"
+        self.folder = folder
+        self.changed = threading.Condition()
+        self._ears: dict[str, Ear] = {}
+        self._mouths: dict[str, Any] = {}
+        self.environment = {
+            "ROS_MASTER_URI": self.uri,
+            "ROS_IP": "127.0.0.1",
+            "ROS_LOG_DIR": str(folder / "ros"),
+            "PYTHONUNBUFFERED": "1",
+        }
+        environment = {**os.environ, **self.environment}
+        self._master = ProcessTree(["roscore", "-p", str(self.port)], environment, folder / "roscore.log")
+
+    def open(self) -> None:
+        """Join the master as a node; ``os.environ`` must name it."""
+        import rosgraph
+        import rospy
+
+        poll(rosgraph.is_master_online, "the master answers")
+        rospy.init_node("system_tests", disable_signals=True)
+        assert self.hear("/rosout_agg", _kind("rosgraph_msgs/Log")) is not None
+
+    def hear(self, topic: str, kind: type, queue_size: int | None = None) -> Ear:
+        """Return the ear on a topic."""
+        if topic not in self._ears:
+            self._ears[topic] = Ear(self, topic, kind, queue_size)
+        return self._ears[topic]
+
+    def say(self, topic: str, message: Any) -> None:
+        """Publish a message, once somebody listens."""
+        import rospy
+
+        if topic not in self._mouths:
+            self._mouths[topic] = rospy.Publisher(topic, type(message), queue_size=100, tcp_nodelay=True)
+        mouth = self._mouths[topic]
+        poll(mouth.get_num_connections, f"somebody subscribes to {topic}")
+        mouth.publish(message)
+
+    def call(self, service: str, kind: type, **fields: Any) -> Any:
+        """Call a service and return its response."""
+        import rospy
+
+        rospy.wait_for_service(service, WALL_LIMIT)
+        return rospy.ServiceProxy(service, kind)(**fields)
+
+    def forget(self) -> None:
+        """Close all ears and mouths, and take from the master what killed nodes have left on it."""
+        import rosgraph
+
+        for entry in (*self._ears.values(), *self._mouths.values()):
+            entry.close() if isinstance(entry, Ear) else entry.unregister()
+        self._ears.clear()
+        self._mouths.clear()
+        master = rosgraph.Master("/system_tests")
+        for name in ("/lockstep/uri", "/lockstep/wait", "/xtdrone/fleet", "/use_sim_time"):
+            if master.hasParam(name):
+                master.deleteParam(name)
+
+    def close(self) -> None:
+        import rospy
+
+        rospy.signal_shutdown("the tests have ended")
+        self._master.process.send_signal(signal.SIGINT)
+        self._master.wait(10.0)
+
+
+def _kind(name: str) -> type:
+    import roslib.message
+
+    kind = roslib.message.get_message_class(name)
+    assert kind is not None, name
+    return kind
+
+
+class Program:
+    """A program of the workspace, started as ``rosrun`` would."""
+
+    def __init__(self, stack: Stack, name: str, arguments: Sequence[str]) -> None:
+        self.name = name
+        self.log = stack.folder / f"{name}.log"
+        environment = {**os.environ, **stack.graph.environment, _TAG: stack.tag}
+        with self.log.open("wb") as output:
+            self.process = subprocess.Popen(
+                arguments, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+            )
+
+    @property
+    def output(self) -> str:
+        """What it has written so far."""
+        return self.log.read_text(encoding="utf-8", errors="replace")
+
+    @property
+    def alive(self) -> bool:
+        return self.process.poll() is None
+
+    def kill(self) -> None:
+        """As ``kill -9``."""
+        self.process.kill()
+        self.process.wait()
+
+    def end(self, limit: float = WALL_LIMIT) -> int:
+        """Wait for its end and return the exit status."""
+        try:
+            return self.process.wait(limit)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"{self.name} has not ended within {limit:g} s:\n{self.output[-3000:]}")
+
+
+class Safety:
+    """The worst that true motion has shown, from /gazebo/model_states.
+
+    Attributes:
+        sink: greatest speed downwards, m/s, by vehicle.
+        tilt: greatest angle between the vehicle's and the world's up, rad, by vehicle.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = list(names)
+        self.reset()
+
+    def reset(self) -> None:
+        self.sink = dict.fromkeys(self.names, 0.0)
+        self.tilt = dict.fromkeys(self.names, 0.0)
+
+    def see(self, states: Any) -> None:
+        for name, pose, twist in zip(states.name, states.pose, states.twist, strict=True):
+            if name in self.sink:
+                q = pose.orientation
+                up = 1.0 - 2.0 * (q.x * q.x + q.y * q.y)
+                self.tilt[name] = max(self.tilt[name], math.acos(max(-1.0, min(1.0, up))))
+                self.sink[name] = max(self.sink[name], -twist.linear.z)
+
+
+class Stack:
+    """A running system: programs and what they say.
+
+    Attributes:
+        graph: master and topics.
+        folder: logs.
+        programs: by name.
+        safety: the worst motion so far.
+    """
+
+    def __init__(self, graph: Graph, folder: Path, fleet: str = FLEET) -> None:
+        self.graph = graph
+        self.folder = folder
+        self.tag = uuid.uuid4().hex
+        self.programs: dict[str, Program] = {}
+        self.vehicles = parse_fleet(fleet)
+        self.safety = Safety([vehicle.name for vehicle in self.vehicles])
+        self._states = graph.hear("/gazebo/model_states", _kind("gazebo_msgs/ModelStates"))
+        self._seen = 0
+        # many a second at full speed, and only the newest counts
+        self._clock = graph.hear("/clock", _kind("rosgraph_msgs/Clock"), queue_size=1)
+
+    # processes
+
+    def run(self, name: str, package: str, program: str, *arguments: str) -> Program:
+        """Start a node; ``name`` is its node name."""
+        path = REPOSITORY / "src" / package / "nodes" / program
+        return self._start(name, [sys.executable, str(path), *arguments, f"__name:={name}"])
+
+    def launch(self, file: str, *arguments: str) -> Program:
+        """Start roslaunch with a file of launch/."""
+        return self._start("roslaunch", ["roslaunch", str(REPOSITORY / "launch" / file), *arguments])
+
+    def _start(self, name: str, command: list[str]) -> Program:
+        program = self.programs[name] = Program(self, name, command)
+        return program
+
+    def processes(self) -> dict[int, str]:
+        """Return id and command line of every process of this stack, roslaunch's nodes too."""
+        found = {}
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            try:
+                if f"{_TAG}={self.tag}".encode() in (entry / "environ").read_bytes():
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            except OSError:  # it has ended, or is somebody else's
+                continue
+        return found
+
+    def pid(self, program: str) -> int:
+        """Return the id of roslaunch's node that runs ``program``."""
+        found = [pid for pid, command in self.processes().items() if f"/{program} " in command]
+        assert len(found) == 1, (program, self.processes())
+        return found[0]
+
+    def stop(self) -> None:
+        """End everything: asked first, then killed."""
+        for program in self.programs.values():
+            if program.alive:
+                program.process.send_signal(signal.SIGINT)
+        end = time.monotonic() + 15.0
+        while self.processes() and time.monotonic() < end:
+            for program in self.programs.values():
+                program.process.poll()
+            time.sleep(_SLICE)
+        for pid in self.processes():
+            os.kill(pid, signal.SIGKILL)
+        for program in self.programs.values():
+            program.process.wait()
+
+    # time and events
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self._clock.last.clock.to_sec() if self._clock.last else 0.0
+
+    def wait(self, condition: Callable[[], Any], what: str, sim: float = 30.0, wall: float = WALL_LIMIT) -> Any:
+        """Return the first true value of ``condition``.
+
+        Args:
+            condition: looked at whenever a message has come.
+            what: for the failure.
+            sim: limit of simulated time, s.
+            wall: limit of wall time, s, for a simulation that stands still.
+        """
+        begin, end = self.time, time.monotonic() + wall
+        with self.graph.changed:
+            while True:
+                self._look()
+                if value := condition():
+                    return value
+                waited = self.time - begin
+                assert waited <= sim, f"{what}: not within {sim:g} s of simulated time; {self.described()}"
+                assert time.monotonic() < end, f"{what}: not within {wall:g} s of wall time; {self.described()}"
+                self.graph.changed.wait(_SLICE)
+
+    def pass_time(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        until = self.time + seconds
+        self.wait(lambda: self.time >= until, f"{seconds:g} s pass", sim=seconds + 5.0)
+
+    def log_has(self, program: str, *texts: str, since: int = 0) -> None:
+        """Wait until ``program`` has written all ``texts`` (in characters after ``since``)."""
+        log = self.programs[program]
+        poll(
+            lambda: all(text in log.output[since:] for text in texts),
+            f"{program} writes {texts}; it wrote {log.output[since:][-2000:]!r}",
+            20.0,
+        )
+
+    def described(self) -> str:
+        """Return what is known, for a failure."""
+        ended = {name: p.process.returncode for name, p in self.programs.items() if not p.alive}
+        tails = {name: p.output[-600:] for name, p in self.programs.items()}
+        return f"time {self.time:.2f} s, ended {ended}, last words {tails}"
+
+    # vehicles
+
+    def _look(self) -> None:
+        for states in self._states.since(self._seen):
+            self.safety.see(states)
+        self._seen = len(self._states.messages)
+
+    def pose(self, index: int) -> Any:
+        """Return the true pose, None before the first."""
+        states, name = self._states.last, self.vehicles[index].name
+        return states.pose[states.name.index(name)] if states and name in states.name else None
+
+    def height(self, index: int) -> float:
+        """Return the true height above the ground, m."""
+        pose = self.pose(index)
+        return pose.position.z if pose else 0.0
+
+    def state(self, index: int) -> Any:
+        """Return the newest mavros/state, None before the first."""
+        return self.graph.hear(f"/{self.vehicles[index].name}/mavros/state", _kind("mavros_msgs/State")).last
+
+    def wait_state(self, index: int, *, mode: str | None = None, armed: bool | None = None, sim: float = 30.0) -> None:
+        """Wait until mavros/state says so."""
+
+        def holds() -> bool:
+            state = self.state(index)
+            return (
+                state is not None
+                and state.connected
+                and (mode is None or state.mode == mode)
+                and (armed is None or state.armed == armed)
+            )
+
+        self.wait(holds, f"{self.vehicles[index].name} is {mode or ''} {'' if armed is None else armed}", sim)
+
+    def command(self, index: int, text: str) -> None:
+        """Send an XTDrone command."""
+        self.graph.say(f"/xtdrone/{self.vehicles[index].name}/cmd", _kind("std_msgs/String")(data=text))
+
+    def settled(self, index: int, position: tuple[float, float, float], radius: float = 0.4) -> bool:
+        """Whether a vehicle is near a true position, m ENU."""
+        pose = self.pose(index)
+        if pose is None:
+            return False
+        p = pose.position
+        return math.dist((p.x, p.y, p.z), position) < radius
+
+    def fly(self, index: int, height: float) -> tuple[float, float, float]:
+        """Take off to ``height`` above the spawn place in OFFBOARD by XTDrone's commands; return the place."""
+        name = self.vehicles[index].name
+        self.wait_state(index, sim=60.0)
+        p = self.wait(lambda: self.pose(index), f"{name} has a pose").position
+        place = (round(p.x, 1), round(p.y, 1), height)
+        target = _kind("geometry_msgs/Pose")()
+        target.position.x, target.position.y, target.position.z = place
+        self.graph.say(f"/xtdrone/{name}/cmd_pose_enu", target)
+        self.command(index, "OFFBOARD")
+        self.wait_state(index, mode="OFFBOARD")
+        self.command(index, "ARM")
+        self.wait_state(index, armed=True)
+        self.wait(lambda: self.settled(index, place, 0.3), f"{name} is at {place}")
+        return place
+
+
+def wait_for_ports(fleet: str = FLEET) -> None:
+    """Wait until no other simulation uses the MAVLink ports."""
+
+    def free() -> bool:
+        try:
+            check_vehicle_ports(parse_fleet(fleet))
+        except OptionError:
+            return False
+        return True
+
+    poll(free, f"the MAVLink ports of {fleet} are free", _PORTS_LIMIT)
+
+
+@pytest.fixture(scope="session")
+def session_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    graph = Graph(tmp_path_factory.mktemp("graph"))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in graph.environment.items():
+            patch.setenv(name, value)
+        try:
+            graph.open()
+            yield graph
+        finally:
+            graph.close()
+
+
+@pytest.fixture(scope="module")
+def graph(session_graph: Graph) -> Iterator[Graph]:
+    """The master without what the module before has left on it."""
+    session_graph.forget()
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in session_graph.environment.items():
+            patch.setenv(name, value)
+        yield session_graph
+        session_graph.forget()
