@@ -23,8 +23,9 @@ from .pacing import Pacer
 from .simulation import Simulation
 
 _CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
-_DATAGRAM_LIMIT = 2.0  # s of wall time to wait for datagrams that a participant says it has sent
+_DATAGRAM_LIMIT = 10.0  # s of wall time to wait for datagrams that a participant says it has sent
 _JOIN_REPORT = 5.0  # s between two words on who has not joined
+_CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class SimulatorNode:
             shared_datum=settings.shared_datum,
         )
         self._mavlink = MavlinkServer(settings.fleet, self._simulation.autopilot, self._simulation.commanders)
-        self._server = LockstepServer(settings.host, settings.hang_limit, log=_log)
+        self._server = LockstepServer(settings.host, settings.hang_limit, connect_limit=_CONNECT_LIMIT, log=_log)
         self._clock = rospy.Publisher("/clock", Clock, queue_size=10)
         self._server.attach_host(lockstep.host())
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)

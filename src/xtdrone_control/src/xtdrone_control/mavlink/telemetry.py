@@ -72,6 +72,8 @@ class Telemetry:
     Attributes:
         time_us: simulated time of what the methods return.
         time_ms: the same in milliseconds, as most messages have it.
+        aligned: the estimator has an attitude.
+        located: there has been a position fix.
     """
 
     def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
@@ -89,6 +91,7 @@ class Telemetry:
         self.time_us = -1
         self.time_ms = 0
         self._euler: tuple[float, float, float] | None = None
+        self.aligned = self.located = False
 
     def refresh(self, now_us: int) -> None:
         """Read the estimate again, unless that has been done for this time."""
@@ -101,6 +104,9 @@ class Telemetry:
         self.q = self._q.tolist()
         self.rates = self._rates.tolist()
         self._euler = None
+        # both stay true once they are: an estimate without GPS is still one
+        self.aligned = self.aligned or bool(self._estimator["initialised"])
+        self.located = self.located or bool(self._estimator["altitude_valid"])
 
     def _angles(self) -> tuple[float, float, float]:
         """Return roll, pitch and yaw in radians."""
@@ -168,20 +174,22 @@ class Telemetry:
 
     # attitude and position
 
-    def attitude(self) -> Values:
-        """Euler angles and rates."""
-        return (self.time_ms, *self._angles(), *self.rates)
+    def attitude(self) -> Values | None:
+        """Euler angles and rates, once the estimator is aligned."""
+        return None if not self.aligned else (self.time_ms, *self._angles(), *self.rates)
 
-    def attitude_quaternion(self) -> Values:
-        """Quaternion and rates."""
-        return (self.time_ms, *self.q, *self.rates, 0.0, 0.0, 0.0, 0.0)
+    def attitude_quaternion(self) -> Values | None:
+        """Quaternion and rates, once the estimator is aligned."""
+        return None if not self.aligned else (self.time_ms, *self.q, *self.rates, 0.0, 0.0, 0.0, 0.0)
 
-    def local_position_ned(self) -> Values:
-        """Position and velocity."""
-        return (self.time_ms, *self.position, *self.velocity)
+    def local_position_ned(self) -> Values | None:
+        """Position and velocity, once there has been a fix."""
+        return None if not self.located else (self.time_ms, *self.position, *self.velocity)
 
-    def global_position_int(self) -> Values:
-        """Latitude, longitude, altitude, velocity, heading."""
+    def global_position_int(self) -> Values | None:
+        """Latitude, longitude, altitude, velocity, heading, once there has been a fix."""
+        if not self.located:
+            return None
         lat, lon = self._latitude_longitude()
         vx, vy, vz = self.velocity
         return (
@@ -211,8 +219,10 @@ class Telemetry:
         throttle = _unsigned(100.0 * float(self._control["sp_thrust"]), 100) if self._commander.armed else 0
         return 0.0, math.hypot(vx, vy), self._altitude(), -vz, int(self._heading()), throttle
 
-    def odometry(self) -> Values:
-        """Pose in local NED, velocity in body FRD, with their variances."""
+    def odometry(self) -> Values | None:
+        """Pose in local NED, velocity in body FRD, with their variances, once there has been a fix."""
+        if not self.located:
+            return None
         w, x, y, z = self.q
         vx, vy, vz = self.velocity
         forward = vx * (1 - 2 * (y * y + z * z)) + 2 * vy * (x * y + w * z) + 2 * vz * (x * z - w * y)
