@@ -12,7 +12,18 @@ import yaml
 from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+def _config_folder() -> Path:
+    """Return the package's ``config``: beside the sources, or where an installed package has it."""
+    source = Path(__file__).resolve().parents[2] / "config"
+    if source.is_dir():
+        return source
+    import rospkg  # only an installed package needs it
+
+    return Path(rospkg.RosPack().get_path("xtdrone_sim")) / "config"
+
+
+CONFIG = _config_folder()
 
 MODEL = np.dtype(
     [
