@@ -183,9 +183,7 @@ def test_a_second_flight_at_the_same_time_is_refused(tmp_path: Path) -> None:
     demo = subprocess.Popen(_command(out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         _wait_for_event(out / "events.jsonl", "start", demo)
-        second = subprocess.run(
-            _command(tmp_path / "second"), capture_output=True, text=True, timeout=60, check=False
-        )
+        second = subprocess.run(_command(tmp_path / "second"), capture_output=True, text=True, timeout=60, check=False)
         with pytest.raises(OptionError, match="is taken"):
             check_vehicle_ports(parse_fleet(FLEET))
     finally:
