@@ -6,6 +6,7 @@ only bounds how long a broken run may take.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import shutil
@@ -130,7 +131,6 @@ class Graph:
 
         poll(rosgraph.is_master_online, "the master answers")
         rospy.init_node("system_tests", disable_signals=True)
-        assert self.hear("/rosout_agg", _kind("rosgraph_msgs/Log")) is not None
 
     def hear(self, topic: str, kind: type, queue_size: int | None = None) -> Ear:
         """Return the ear on a topic."""
@@ -417,10 +417,12 @@ class Stack:
         target = _kind("geometry_msgs/Pose")()
         target.position.x, target.position.y, target.position.z = place
         self.graph.say(f"/xtdrone/{name}/cmd_pose_enu", target)
-        self.command(index, "OFFBOARD")
-        self.wait_state(index, mode="OFFBOARD")
-        self.command(index, "ARM")
-        self.wait_state(index, armed=True)
+        if self.state(index).mode != "OFFBOARD":
+            self.command(index, "OFFBOARD")
+            self.wait_state(index, mode="OFFBOARD")
+        if not self.state(index).armed:
+            self.command(index, "ARM")
+            self.wait_state(index, armed=True)
         self.wait(lambda: self.settled(index, place, 0.3), f"{name} is at {place}")
         return place
 
@@ -438,25 +440,28 @@ def wait_for_ports(fleet: str = FLEET) -> None:
     poll(free, f"the MAVLink ports of {fleet} are free", _PORTS_LIMIT)
 
 
-@pytest.fixture(scope="session")
-def session_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
-    graph = Graph(tmp_path_factory.mktemp("graph"))
+@contextlib.contextmanager
+def _master_of(graph: Graph) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in graph.environment.items():
             patch.setenv(name, value)
-        try:
-            graph.open()
-            yield graph
-        finally:
-            graph.close()
+        yield
+
+
+@pytest.fixture(scope="session")
+def session_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    graph = Graph(tmp_path_factory.mktemp("graph"))
+    with _master_of(graph):
+        graph.open()
+    yield graph
+    with _master_of(graph):
+        graph.close()
 
 
 @pytest.fixture(scope="module")
 def graph(session_graph: Graph) -> Iterator[Graph]:
     """The master without what the module before has left on it."""
-    session_graph.forget()
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in session_graph.environment.items():
-            patch.setenv(name, value)
+    with _master_of(session_graph):
+        session_graph.forget()
         yield session_graph
         session_graph.forget()

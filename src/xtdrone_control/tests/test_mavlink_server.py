@@ -428,6 +428,15 @@ def test_messages_for_other_systems_are_ignored(world, caplog):
     assert str(_SYSTEM + 1) in caplog.text
 
 
+def test_messages_for_other_systems_do_not_draw_the_telemetry_away(world):
+    world.hear()
+    stranger = Client(0, world.fleet[0].offboard_local_port)
+    world.ask(mavlink.MAVLink_command_long_message(_SYSTEM + 1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0), client=stranger)
+    assert named(world.run(1.0), "LOCAL_POSITION_NED")
+    assert not stranger.receive()
+    stranger.socket.close()
+
+
 def test_commands_for_other_components_are_ignored(world):
     assert not world.ask(mavlink.MAVLink_command_long_message(_SYSTEM, 100, 400, 0, 1, 0, 0, 0, 0, 0, 0))
     assert not world.commander.armed

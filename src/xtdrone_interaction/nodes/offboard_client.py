@@ -23,3 +23,5 @@ if __name__ == "__main__":
         sys.exit(main())
     except rospy.ROSInterruptException:
         sys.exit(1)
+    except rospy.ROSInitException as error:
+        sys.exit(f"offboard_client: {error}")

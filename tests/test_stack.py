@@ -1,0 +1,337 @@
+"""The whole stack for two vehicles as ``roslaunch multi_vehicle.launch`` starts it, at full speed, seen by its users.
+
+One launch serves all tests of this file, which run in the order in which they stand: on the ground, in flight, landing,
+and at last the launch is made to end.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from conftest import FLEET, WALL_LIMIT, Graph, Stack, poll, wait_for_ports
+
+pytest.importorskip("rospy")
+
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from mavros_msgs.msg import ExtendedState, HomePosition, StatusText
+from mavros_msgs.srv import CommandBool, CommandHome, CommandTOL, SetMode
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as mavlink
+from sensor_msgs.msg import BatteryState, Imu, NavSatFix
+from std_msgs.msg import Float64
+
+DATUM = (47.397742, 8.545594, 488.0)  # of the world "empty": degrees, degrees, m AMSL
+EARTH = 6371000.0  # m
+GCS_PORT = 18570
+HEIGHT = 3.0  # m
+SPAWN = [(0.0, 3.0), (3.0, 3.0)]  # m ENU, with two rows
+
+TOPICS = {
+    "state": "mavros_msgs/State",
+    "extended_state": "mavros_msgs/ExtendedState",
+    "battery": "sensor_msgs/BatteryState",
+    "statustext/recv": "mavros_msgs/StatusText",
+    "local_position/pose": "geometry_msgs/PoseStamped",
+    "local_position/velocity_local": "geometry_msgs/TwistStamped",
+    "local_position/velocity_body": "geometry_msgs/TwistStamped",
+    "local_position/odom": "nav_msgs/Odometry",
+    "imu/data": "sensor_msgs/Imu",
+    "imu/data_raw": "sensor_msgs/Imu",
+    "imu/mag": "sensor_msgs/MagneticField",
+    "global_position/global": "sensor_msgs/NavSatFix",
+    "global_position/raw/fix": "sensor_msgs/NavSatFix",
+    "global_position/rel_alt": "std_msgs/Float64",
+    "global_position/compass_hdg": "std_msgs/Float64",
+    "home_position/home": "mavros_msgs/HomePosition",
+    "setpoint_raw/local": "mavros_msgs/PositionTarget",
+    "setpoint_raw/attitude": "mavros_msgs/AttitudeTarget",
+    "setpoint_position/local": "geometry_msgs/PoseStamped",
+    "setpoint_velocity/cmd_vel": "geometry_msgs/TwistStamped",
+    "setpoint_velocity/cmd_vel_unstamped": "geometry_msgs/Twist",
+}
+
+
+@pytest.fixture(scope="module")
+def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    wait_for_ports()
+    stack = Stack(graph, tmp_path_factory.mktemp("stack"))
+    try:
+        stack.launch("multi_vehicle.launch", f"vehicles:={FLEET}", "rows:=2", "speed:=0", "participants:=2")
+        poll(lambda: _fleet_is_set(graph), "roslaunch sets its parameters")
+        stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
+        stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs")
+        for i in range(2):
+            stack.wait_state(i)
+        yield stack
+    finally:
+        stack.stop()
+
+
+def _fleet_is_set(graph: Graph) -> bool:
+    import rosgraph
+
+    return bool(rosgraph.Master("/system_tests").hasParam("/lockstep/uri"))
+
+
+@pytest.fixture
+def flying(stack: Stack) -> list[tuple[float, float, float]]:
+    """Both vehicles hold their places in OFFBOARD; return the places, m ENU."""
+    return [stack.fly(i, HEIGHT) for i in range(2)]
+
+
+def ear(stack: Stack, topic: str, kind: type) -> Any:
+    """Return the ear on a topic of iris_1, which has a message."""
+    found = stack.graph.hear(f"/iris_1/mavros/{topic}", kind)
+    stack.wait(lambda: found.last is not None, f"{topic} comes")
+    return found
+
+
+def stamp(message: Any) -> float:
+    return message.header.stamp.to_sec()
+
+
+def yaw(message: PoseStamped) -> float:
+    """Return the heading, rad from east, anticlockwise."""
+    q = message.pose.orientation
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+
+
+def place_enu(latitude: float, longitude: float) -> tuple[float, float]:
+    """Return metres east and north of the datum."""
+    east = math.radians(longitude - DATUM[1]) * EARTH * math.cos(math.radians(DATUM[0]))
+    return east, math.radians(latitude - DATUM[0]) * EARTH
+
+
+class Station:
+    """pymavlink's own ground station on a vehicle's GCS port."""
+
+    def __init__(self, index: int) -> None:
+        self.target = index + 1
+        self.link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{GCS_PORT + index}", source_system=255)
+        self.link.mav.heartbeat_send(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+
+    def next(self, kind: str, **fields: Any) -> Any:
+        """Return the next message of a kind whose fields have these values."""
+        while True:
+            message = self.link.recv_match(type=kind, blocking=True, timeout=WALL_LIMIT)
+            assert message is not None, f"no {kind} with {fields}"
+            if all(getattr(message, name) == value for name, value in fields.items()):
+                return message
+
+
+@pytest.fixture
+def station(stack: Stack) -> Iterator[Station]:
+    opened = Station(1)
+    yield opened
+    opened.link.close()
+
+
+# ---- on the ground
+
+
+def test_topics_have_mavros_names_and_types(stack: Stack) -> None:
+    import rosgraph
+
+    types = dict(rosgraph.Master("/system_tests").getTopicTypes())
+    for vehicle in stack.vehicles:
+        found = {name: types.get(f"/{vehicle.name}/mavros/{name}") for name in TOPICS}
+        assert found == TOPICS
+
+
+def test_rates_in_simulated_time_are_mavros_ones(stack: Stack) -> None:
+    wanted = {
+        "local_position/pose": (PoseStamped, 30.0),
+        "local_position/velocity_local": (TwistStamped, 30.0),
+        "imu/data": (Imu, 50.0),
+    }
+    ears = {topic: ear(stack, topic, kind) for topic, (kind, _) in wanted.items()}
+    counts = {topic: len(found.messages) for topic, found in ears.items()}
+    stack.pass_time(6.0)
+    for topic, found in ears.items():
+        stamps = [stamp(message) for message in found.since(counts[topic])]
+        steps = [b - a for a, b in pairwise(stamps)]
+        rate = wanted[topic][1]
+        assert len(steps) / (stamps[-1] - stamps[0]) == pytest.approx(rate, rel=0.01), topic
+        assert min(steps) > 0.5 / rate, topic
+        assert max(steps) < 1.5 / rate, topic
+
+
+def test_on_the_ground_it_stands_where_it_was_put(stack: Stack) -> None:
+    pose = ear(stack, "local_position/pose", PoseStamped)
+    assert pose.last.header.frame_id == "map"
+    p = pose.last.pose.position
+    assert (p.x, p.y) == pytest.approx(SPAWN[1], abs=1.0)
+    assert p.z == pytest.approx(0.0, abs=1.0)
+    state = stack.state(1)
+    assert (state.connected, state.armed, state.mode) == (True, False, "AUTO.LOITER")
+    assert ear(stack, "extended_state", ExtendedState).last.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
+    force = ear(stack, "imu/data", Imu).last.linear_acceleration
+    assert force.z == pytest.approx(9.81, abs=0.5)
+
+
+def test_the_battery_is_plausible(stack: Stack) -> None:
+    battery = ear(stack, "battery", BatteryState).last
+    assert battery.present
+    assert 0.0 < battery.percentage <= 1.0
+    assert 9.0 < battery.voltage < 26.0
+    assert sum(battery.cell_voltage) == pytest.approx(battery.voltage)
+    assert not battery.current > 0.0  # drawn, or not measured
+
+
+def test_home_is_the_datum_and_the_offset(stack: Stack) -> None:
+    home = ear(stack, "home_position/home", HomePosition).last
+    assert place_enu(home.geo.latitude, home.geo.longitude) == pytest.approx(SPAWN[1], abs=1.5)
+    assert home.geo.altitude == pytest.approx(DATUM[2], abs=3.0)
+    assert (home.position.x, home.position.y) == pytest.approx(SPAWN[1], abs=1.0)
+
+
+def test_a_real_client_on_the_ground_stations_port(stack: Stack, station: Station) -> None:
+    heartbeat = station.next("HEARTBEAT")
+    assert heartbeat.get_srcSystem() == 2
+    assert heartbeat.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+    assert heartbeat.type == mavlink.MAV_TYPE_QUADROTOR
+    assert heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4
+    assert heartbeat.mavlink_version == 3
+    assert heartbeat.system_status == mavlink.MAV_STATE_STANDBY
+    assert heartbeat.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    assert not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    assert mavutil.mode_string_v10(heartbeat) == "LOITER"  # pymavlink's own reading of PX4's custom mode
+
+
+def test_a_real_client_lists_and_sets_parameters(stack: Stack, station: Station) -> None:
+    station.link.mav.param_request_list_send(2, 1)
+    first = station.next("PARAM_VALUE")
+    names = {first.param_id}
+    while len(names) < first.param_count:
+        names.add(station.next("PARAM_VALUE").param_id)
+    assert {"MPC_XY_VEL_MAX", "COM_OF_LOSS_T", "MIS_TAKEOFF_ALT", "MAV_SYS_ID"} <= names
+    for value in (3.5, 2.5):
+        station.link.mav.param_set_send(2, 1, b"MIS_TAKEOFF_ALT", value, mavlink.MAV_PARAM_TYPE_REAL32)
+        assert station.next("PARAM_VALUE", param_id="MIS_TAKEOFF_ALT").param_value == pytest.approx(value)
+
+
+def test_a_real_client_gets_acks_and_messages(stack: Stack, station: Station) -> None:
+    send = station.link.mav.command_long_send
+    request = mavlink.MAV_CMD_REQUEST_MESSAGE
+    send(2, 1, request, 0, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0, 0, 0, 0, 0, 0)
+    assert station.next("AUTOPILOT_VERSION").capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    assert station.next("COMMAND_ACK", command=request).result == mavlink.MAV_RESULT_ACCEPTED
+    send(2, 1, 31010, 0, 0, 0, 0, 0, 0, 0, 0)
+    assert station.next("COMMAND_ACK", command=31010).result == mavlink.MAV_RESULT_UNSUPPORTED
+    interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    send(2, 1, interval, 0, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 1e5, 0, 0, 0, 0, 0)
+    assert station.next("COMMAND_ACK", command=interval).result == mavlink.MAV_RESULT_ACCEPTED
+    times = [station.next("LOCAL_POSITION_NED").time_boot_ms for _ in range(6)]
+    assert times[-1] - times[2] == pytest.approx(300, abs=8)
+    send(2, 1, interval, 0, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 0, 0, 0, 0, 0, 0)  # the default again
+
+
+# ---- in flight
+
+
+def test_taking_off_is_told_by_texts_and_states(stack: Stack, station: Station) -> None:
+    texts = stack.graph.hear("/iris_1/mavros/statustext/recv", StatusText)
+    stack.fly(1, HEIGHT)
+    told = [text.text for text in texts.messages]
+    assert any("Armed by external command" in text for text in told), told
+    assert any("Takeoff detected" in text for text in told), told
+    assert ear(stack, "extended_state", ExtendedState).last.landed_state == ExtendedState.LANDED_STATE_IN_AIR
+    heartbeat = station.next("HEARTBEAT")
+    while not heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:  # what was sent before lies in the socket
+        heartbeat = station.next("HEARTBEAT")
+    assert heartbeat.system_status == mavlink.MAV_STATE_ACTIVE
+    assert mavutil.mode_string_v10(heartbeat) == "OFFBOARD"
+
+
+def test_global_position_is_the_datum_and_the_offset(stack: Stack, flying: list[tuple[float, float, float]]) -> None:
+    stack.pass_time(1.0)
+    fix = ear(stack, "global_position/global", NavSatFix).last
+    assert place_enu(fix.latitude, fix.longitude) == pytest.approx(flying[1][:2], abs=1.5)
+    assert fix.altitude - DATUM[2] == pytest.approx(HEIGHT, abs=1.5)
+    assert ear(stack, "global_position/rel_alt", Float64).last.data == pytest.approx(HEIGHT, abs=1.0)
+
+
+def test_east_is_x_north_is_y_and_left_is_positive(stack: Stack, flying: list[tuple[float, float, float]]) -> None:
+    pose = ear(stack, "local_position/pose", PoseStamped)
+    begin = pose.last.pose.position
+    north, east = Twist(), Twist()
+    east.linear.x, north.linear.y = 1.0, 1.0
+    stack.graph.say("/xtdrone/iris_1/cmd_vel_enu", east)
+    stack.wait(lambda: pose.last.pose.position.x > begin.x + 2.0, "it flies east")
+    assert pose.last.pose.position.y == pytest.approx(begin.y, abs=0.4)
+    assert stack.pose(1).position.x == pytest.approx(pose.last.pose.position.x, abs=0.7)
+    stack.graph.say("/xtdrone/iris_1/cmd_vel_enu", north)
+    stack.wait(lambda: pose.last.pose.position.y > begin.y + 2.0, "it flies north")
+
+    left = Twist()
+    left.angular.z = 0.5
+    before = yaw(pose.last)
+    stack.graph.say("/xtdrone/iris_1/cmd_vel_enu", left)
+    stack.wait(lambda: math.remainder(yaw(pose.last) - before, math.tau) > 1.0, "it turns left")
+
+    forward = Twist()
+    forward.linear.x = 1.0
+    stack.graph.say("/xtdrone/iris_1/cmd_vel_flu", forward)
+    local = ear(stack, "local_position/velocity_local", TwistStamped)
+    body = ear(stack, "local_position/velocity_body", TwistStamped)
+    stack.pass_time(3.0)
+    heading, v = yaw(pose.last), local.last.twist.linear
+    assert body.last.twist.linear.x == pytest.approx(1.0, abs=0.2)
+    assert body.last.twist.linear.y == pytest.approx(0.0, abs=0.2)
+    assert (v.x, v.y) == pytest.approx((math.cos(heading), math.sin(heading)), abs=0.25)
+    stack.command(1, "HOVER")
+
+
+def test_services_fly_too(stack: Stack, flying: list[tuple[float, float, float]]) -> None:
+    call = stack.graph.call
+    assert call("/iris_1/mavros/cmd/set_home", CommandHome, current_gps=True).success
+    assert call("/iris_1/mavros/set_mode", SetMode, custom_mode="AUTO.LOITER").mode_sent
+    stack.wait_state(1, mode="AUTO.LOITER")
+    land = call("/iris_1/mavros/cmd/land", CommandTOL)
+    assert (land.success, land.result) == (True, mavlink.MAV_RESULT_ACCEPTED)
+    stack.wait_state(1, mode="AUTO.LAND")
+    stack.wait_state(1, armed=False)
+    assert stack.height(1) < 0.3
+    extended = ear(stack, "extended_state", ExtendedState)
+    stack.wait(lambda: extended.last.landed_state == ExtendedState.LANDED_STATE_ON_GROUND, "it has landed")
+
+    stack.graph.call("/iris_1/mavros/set_mode", SetMode, custom_mode="AUTO.TAKEOFF")
+    arm = call("/iris_1/mavros/cmd/arming", CommandBool, value=True)
+    assert (arm.success, arm.result) == (True, mavlink.MAV_RESULT_ACCEPTED)
+    stack.wait(lambda: stack.height(1) > 1.0, "it takes off")
+    stack.wait_state(1, mode="AUTO.LOITER")
+    # as a real PX4: it counts as arrived NAV_MC_ALT_RAD (0.8 m) below MIS_TAKEOFF_ALT (2.5 m), and stays there
+    assert stack.height(1) == pytest.approx(1.7, abs=0.4)
+
+
+def test_commands_land_both(stack: Stack) -> None:
+    for i in range(2):
+        stack.command(i, "AUTO.LAND")
+    for i in range(2):
+        stack.wait_state(i, armed=False, sim=60.0)
+        assert stack.height(i) < 0.3
+
+
+# ---- the end
+
+
+def test_a_dead_part_ends_the_launch_and_leaves_nothing(stack: Stack, graph: Graph) -> None:
+    """MAVROS is required: without it roslaunch ends the simulator, in order, and a participant ends by itself."""
+    import rosgraph
+
+    os.kill(stack.pid("mavros_node.py"), signal.SIGKILL)
+    launch, communication = stack.programs["roslaunch"], stack.programs["communication"]
+    launch.end()
+    assert "REQUIRED process [mavros" in launch.output
+    assert "exit code -9" in launch.output
+    assert "SIGKILL" not in launch.output  # nobody else had to be forced
+    assert communication.end() == 0
+    assert "is gone" in communication.output
+    assert stack.processes() == {}
+    assert not rosgraph.Master("/system_tests").hasParam("/lockstep/uri")
