@@ -12,6 +12,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+import fake_roslaunch
 import pytest
 from rich.console import Console
 
@@ -308,17 +309,6 @@ def event(name, **values):
 """
 
 
-def _running(mark: str) -> list[str]:
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            if entry.name.isdigit() and mark in (entry / "cmdline").read_bytes().decode(errors="replace"):
-                found.append(entry.name)
-        except OSError:
-            continue
-    return found
-
-
 @pytest.mark.parametrize(
     ("then", "status", "message"),
     [
@@ -331,10 +321,7 @@ def _running(mark: str) -> list[str]:
 )
 def test_nothing_is_left_running(tmp_path: Path, then: str, status: int, message: str) -> None:
     mark = f"xtdrone-test-{os.getpid()}-{tmp_path.name}"
-    fake = tmp_path / "bin" / "roslaunch"
-    fake.parent.mkdir()
-    fake.write_text(FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, then=then))
-    fake.chmod(0o755)
+    path = fake_roslaunch.install(tmp_path, FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, then=then))
     file = tmp_path / "b.json"
     program = textwrap.dedent(f"""
         import sys
@@ -342,7 +329,6 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, status: int, message
         options.check_vehicle_ports = lambda fleet: None
         sys.exit(bench.main(["--only", "stack", "--vehicles", "1", "--json", {str(file)!r}]))
     """)
-    path = f"{fake.parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         [sys.executable, "-c", program],
         env={**os.environ, "PATH": path},
@@ -354,5 +340,5 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, status: int, message
     )
     assert done.returncode == status, done.stdout + done.stderr
     assert message in " ".join(done.stdout.split())
-    assert _running(mark) == []
+    assert fake_roslaunch.running(mark) == []
     assert (json.loads(file.read_text())["finished"] is None) == (status > 128)

@@ -11,6 +11,7 @@ import sys
 import textwrap
 from pathlib import Path
 
+import fake_roslaunch
 import pytest
 
 from xtdrone_interaction import cli, options
@@ -111,17 +112,6 @@ socket.create_connection(("127.0.0.1", {port})).close()
 """
 
 
-def _running(mark: str) -> list[str]:
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            if entry.name.isdigit() and mark in (entry / "cmdline").read_bytes().decode(errors="replace"):
-                found.append(entry.name)
-        except OSError:
-            continue
-    return found
-
-
 @pytest.mark.parametrize(
     ("then", "number", "status"),
     [
@@ -135,10 +125,9 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     mark = f"xtdrone-test-{os.getpid()}-{tmp_path.name}"
     server = socket.create_server(("127.0.0.1", 0))
     server.settimeout(30)
-    fake = tmp_path / "bin" / "roslaunch"
-    fake.parent.mkdir()
-    fake.write_text(FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, port=server.getsockname()[1], then=then))
-    fake.chmod(0o755)
+    path = fake_roslaunch.install(
+        tmp_path, FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, port=server.getsockname()[1], then=then)
+    )
     program = textwrap.dedent(f"""
         import sys
         from xtdrone_interaction import cli, options, processes
@@ -146,15 +135,14 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
         options._taken = lambda number, kind: False
         sys.exit(cli.main(["demo", "formation", "--headless", "--out", {str(tmp_path / "out")!r}]))
     """)
-    path = f"{fake.parent}{os.pathsep}{os.environ['PATH']}"
     demo = subprocess.Popen(
         [sys.executable, "-c", program], env={**os.environ, "PATH": path}, stdout=subprocess.PIPE, text=True
     )
     with server:
         server.accept()[0].close()  # the fake roslaunch has started its nodes
     if number is not None:
-        assert _running(mark)
+        assert fake_roslaunch.running(mark)
         demo.send_signal(number)
     output, _ = demo.communicate(timeout=30)
     assert demo.returncode == status, output
-    assert _running(mark) == []
+    assert fake_roslaunch.running(mark) == []
