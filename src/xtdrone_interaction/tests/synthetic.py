@@ -63,6 +63,17 @@ class BagMaker:
         string = self.store.types["std_msgs/msg/String"]
         self.write("/xtdrone/demo/events", "std_msgs/msg/String", string(data=json.dumps(values)), time)
 
+    def log(self, time: float, text: str) -> None:
+        """Write a warning of the simulator node."""
+        t = self.store.types
+        stamp = t["builtin_interfaces/msg/Time"](sec=int(time), nanosec=0)
+        header = t["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="")
+        kind = "rosgraph_msgs/msg/Log"
+        message = t[kind](
+            header=header, level=4, name="/simulator", msg=text, file="", function="", line=0, topics=[]
+        )  # fmt: skip
+        self.write("/rosout", kind, message, time)
+
     def positions(self, time: float, places: NDArray[np.float64]) -> None:
         """Write where the vehicles are, shape (n, 3)."""
         t = self.store.types
@@ -107,6 +118,7 @@ def make_bag(
     offset: float = 0.0,
     shuffle: bool = False,
     delay: float = 0.0,
+    log: tuple[str, ...] = (),
 ) -> list[dict[str, object]]:
     """Write a flight and return its events. Each pattern's window is WINDOW long; followers move with gain RATE.
 
@@ -117,6 +129,7 @@ def make_bag(
         noise: standard deviation of all positions, m.
         offset: so far (m, along x) follower 3 stays from its slot.
         delay: s; the recorder's clock is so late in a part of each pattern, and so early in another.
+        log: what the simulator says on the way.
         shuffle: give the slots out backwards instead of at the least distance.
     """
     rng = np.random.default_rng(0)
@@ -131,6 +144,8 @@ def make_bag(
             places = places + np.array([0.0, 0.0, 7.0 * STEP / 4.0])
             maker.positions(time, places)
         maker.event(time, "armed", vehicle="iris_0")
+        for text in log:
+            maker.log(time, text)
         for pattern in patterns:
             maker.event(time, "phase", phase=f"pattern {pattern}", pattern=pattern)
             offsets = SLOTS[pattern][::-1] if shuffle else assign(offsets, SLOTS[pattern])

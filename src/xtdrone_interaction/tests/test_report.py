@@ -89,6 +89,14 @@ def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
     assert report["reconfigurations"][0]["settling_time"] is None
 
 
+def test_a_collision_is_a_shortcoming(tmp_path: Path) -> None:
+    words = "simulator: collision of iris_1 and iris_2"
+    make_bag(tmp_path / "flight.bag", patterns=("cube",), log=("simulator: something else", words))
+    report = reports.make_report(read_record(tmp_path / "flight.bag"))
+    assert report["collisions"] == [words]
+    assert report["shortcomings"] == [words]
+
+
 def test_a_recorder_whose_clock_is_off_changes_nothing(flight_bag: Path, tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", delay=0.9)
     good, bad = (reports.measure(r, r.track) for r in (read_record(flight_bag), read_record(tmp_path / "flight.bag")))

@@ -31,6 +31,8 @@ from xtdrone_interaction.geometry import (
     offsets_from_message,
 )
 
+LOG_TOPIC = "/rosout"
+COLLISION = "collision of "  # in the words of the simulator node
 _BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it
 _MEDIAN_SPAN = 10.0  # s; the recorder's clock is right most of the time in any span of this length
 
@@ -102,6 +104,7 @@ class FlightRecord:
         patterns: assigned offsets from the leader in follower order, at each change.
         topologies: topology matrices (row i: whom vehicle i listens to), at each change.
         events: the director's events in order.
+        collisions: what the simulator said of vehicles that touched, in order.
     """
 
     names: tuple[str, ...]
@@ -110,6 +113,7 @@ class FlightRecord:
     patterns: list[Change] = field(default_factory=list)
     topologies: list[Change] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
+    collisions: list[str] = field(default_factory=list)
 
     @property
     def track(self) -> Track:
@@ -201,6 +205,7 @@ def _read(reader: AnyReader, events: list[dict[str, Any]]) -> FlightRecord:
             for t, m in _changes(reader, TOPOLOGY_TOPIC)
         ],
         events=events,
+        collisions=[m.msg for _, _, m in _messages(reader, [LOG_TOPIC]) if COLLISION in m.msg],
     )
 
 

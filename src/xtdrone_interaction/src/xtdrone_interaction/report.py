@@ -170,6 +170,7 @@ def make_report(record: FlightRecord, settings: dict[str, Any] | None = None) ->
         "reconfigurations": [asdict(r) for r in reconfigurations],
         "least_distance": float(distances.min()),
         "least_distance_time": float(flight.time[distances.argmin()]),
+        "collisions": record.collisions,
         "sim_time": sim,
         "wall_time": wall,
         "real_time_factor": sim / wall if wall > 0 else None,
@@ -208,7 +209,7 @@ def shortcomings(report: dict[str, Any]) -> list[str]:
             )
     if report["least_distance"] < DISTANCE_LIMIT:
         found.append(f"least distance {report['least_distance']:.2f} m, at least {DISTANCE_LIMIT} m")
-    return found
+    return found + report["collisions"]
 
 
 def _startup_time(record: FlightRecord, command_wall: float | None) -> float | None:
@@ -264,7 +265,7 @@ def print_report(report: dict[str, Any], console: Console) -> None:
     console.print(table)
     factor = report["real_time_factor"]
     line = (
-        f"Least distance {report['least_distance']:.2f} m; "
+        f"Least distance {report['least_distance']:.2f} m, {len(report['collisions'])} collisions; "
         f"{report['sim_time']:.1f} s simulated in {report['wall_time']:.1f} s"
     )
     if factor is not None:
