@@ -29,6 +29,7 @@ from xtdrone_control.lockstep.server import LockstepServer
 ROSMASTER = shutil.which("rosmaster")
 try:
     import rospy
+    from geometry_msgs.msg import PointStamped
     from std_msgs.msg import String
 except ImportError:
     rospy = None
@@ -167,6 +168,61 @@ def churner(name: str) -> None:
     lockstep.spin()
 
 
+def stamper(name: str) -> None:
+    """Publishes a latched message with a header each fifth turn."""
+    lockstep.init_node(name, rate=50.0)
+    publisher = lockstep.Publisher("/stamped", PointStamped, latch=True)
+    lockstep.start()
+    turns = itertools.count()
+    lockstep.spin(lambda: publisher.publish(PointStamped()) if next(turns) % 5 == 0 else None)
+
+
+def reader_of_stamps(name: str) -> None:
+    """Notes the sequence numbers."""
+    lockstep.init_node(name, rate=50.0)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+    _subscriber = lockstep.Subscriber("/stamped", PointStamped, lambda message: print(message.header.seq, file=out))
+    lockstep.start()
+    lockstep.spin()
+
+
+def late_rider(name: str) -> None:
+    """A node that knows nothing of the lockstep: says when it has got the latched message."""
+    rospy.init_node(name)
+    rospy.wait_for_message("/stamped", PointStamped)
+    print("got it", flush=True)
+
+
+def thinker(name: str) -> None:
+    """Stands at what is a breakpoint to everybody else: waits, in its turn, for the end of its standard input."""
+    lockstep.init_node(name, rate=50.0)
+    lockstep.start()
+    print("stands", flush=True)
+    sys.stdin.read()
+    lockstep.spin()
+
+
+def parent(name: str) -> None:
+    """Has a child that holds all its connections and does nothing."""
+    lockstep.init_node(name, rate=50.0)
+    lockstep.start()
+    lockstep.Rate().sleep()
+    child = os.fork()
+    if child == 0:
+        signal.pause()
+    print("child", child, flush=True)
+    signal.pause()  # in its turn
+
+
+def traveller(name: str) -> None:
+    """Notes when the time has gone back."""
+    lockstep.init_node(name, rate=50.0)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+    lockstep.add_reset_hook(lambda: print("back", rospy.Time.now().to_nsec() // 1000, file=out))
+    lockstep.start()
+    lockstep.spin(lambda: print("turn", rospy.Time.now().to_nsec() // 1000, file=out))
+
+
 def simulator(name: str) -> None:
     """A simulator that publishes itself: a message before each tick, which that tick must deliver."""
     rospy.init_node(name)
@@ -230,9 +286,9 @@ class Graph:
         self.master = xmlrpc.client.ServerProxy(self.env["ROS_MASTER_URI"])
         wait_until(self._master_answers, "the master answers")
 
-    def _popen(self, name: str, command: list[str], **env: str) -> subprocess.Popen:
+    def _popen(self, name: str, command: list[str], stdin: int | None = None, **env: str) -> subprocess.Popen:
         with open(self.folder / f"{name}.out", "w") as out:
-            return subprocess.Popen(command, env={**self.env, **env}, stdout=out, stderr=subprocess.STDOUT)
+            return subprocess.Popen(command, env={**self.env, **env}, stdin=stdin, stdout=out, stderr=subprocess.STDOUT)
 
     def _master_answers(self) -> bool:
         try:
@@ -243,9 +299,12 @@ class Graph:
     def set_param(self, name: str, value: object) -> None:
         self.master.setParam("/test", name, value)
 
-    def start(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
-        command = [sys.executable, __file__, role, name, *arguments]
-        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+    def start(
+        self, role: str, name: str, *arguments: str, remap: list[str] | None = None, stdin: int | None = None
+    ) -> subprocess.Popen:
+        command = [sys.executable, __file__, role, name, *arguments, *(remap or [])]
+        transcript = str(self.transcript_path(name))
+        self.processes[name] = self._popen(name, command, stdin=stdin, TRANSCRIPT=transcript)
         return self.processes[name]
 
     def transcript_path(self, name: str) -> Path:
@@ -375,6 +434,82 @@ def test_killing_one_lets_the_others_go_on_and_it_may_come_back(graph: Graph, se
     # What it sent in its last turn before it was killed was counted only if it had time to say so.
     assert {t for t in from_b if t < 800_000} in (set(before), set(before[:-1]))
     assert {t for t in from_b if t >= 800_000} == {t for t in turns if 800_000 <= t < last}
+
+
+def test_a_taken_name_is_refused_before_ros_ends_the_one_that_has_it(graph: Graph, server: LockstepServer) -> None:
+    graph.start("participant", "a", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    now = run(server, 100_000)
+    first = graph.processes["a"]
+    second = graph.start("traveller", "again", remap=["__name:=a"])
+    wait_until(lambda: server.poll(0.0) or second.poll() is not None, "the second ends")
+    assert second.returncode != 0
+    assert "the name /a is taken by a participant connected from 127.0.0.1" in graph.output("again")
+    assert f"process {first.pid}" in graph.output("again")
+    run(server, 200_000, now)
+    assert list(server.participants) == ["/a"]
+    assert first.poll() is None
+
+
+def test_a_breakpoint_holds_the_world_and_nobody_is_dropped(graph: Graph) -> None:
+    server = LockstepServer(hang_limit=2.5)
+    graph.set_param("/lockstep/uri", server.uri)
+    node = graph.start("thinker", "a", stdin=subprocess.PIPE)
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    barrier = threading.Thread(target=server.tick, args=(0,), daemon=True)
+    barrier.start()
+    wait_until(lambda: "stands" in graph.output("a"), "the node has its turn")
+    barrier.join(4.0)  # much longer than the hang limit, in which the node's keep-alives must come
+    assert barrier.is_alive()
+    assert list(server.participants) == ["/a"]
+    node.stdin.close()
+    barrier.join(PATIENCE)
+    assert not barrier.is_alive()
+    run(server, 100_000, 20_000)
+    assert list(server.participants) == ["/a"]
+    server.close()
+
+
+def test_a_dead_node_is_dropped_though_its_child_holds_the_connection(graph: Graph) -> None:
+    server = LockstepServer(hang_limit=60.0)
+    graph.set_param("/lockstep/uri", server.uri)
+    node = graph.start("parent", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    barrier = threading.Thread(target=run, args=(server, 100_000), daemon=True)
+    barrier.start()
+    wait_until(lambda: "child" in graph.output("a"), "the node has a child")
+    node.kill()
+    node.wait()
+    barrier.join(PATIENCE)
+    os.kill(int(graph.output("a").split()[-1]), signal.SIGKILL)
+    assert not barrier.is_alive()
+    assert not server.participants
+    server.close()
+
+
+def test_time_may_go_back(graph: Graph, server: LockstepServer) -> None:
+    graph.start("traveller", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 100_000)
+    server.reset_time(0)
+    run(server, 60_000)
+    server.close()
+    assert graph.processes["a"].wait(PATIENCE) == 0
+    first = [f"turn {t}" for t in range(0, 100_000, 20_000)]
+    assert graph.transcript("a") == [*first, "back 0", *first[:3]]
+
+
+def test_a_free_rider_that_comes_late_to_a_latched_topic_changes_nothing(graph: Graph, server: LockstepServer) -> None:
+    graph.start("stamper", "a")
+    graph.start("reader_of_stamps", "b")
+    assert server.wait_for(["/a", "/b"], timeout=PATIENCE)
+    now = run(server, 40_000)
+    graph.start("late_rider", "rider")
+    wait_until(lambda: "got it" in graph.output("rider"), "the rider has the latched message")
+    run(server, 420_000, now)
+    server.close()
+    assert graph.processes["b"].wait(PATIENCE) == 0
+    assert graph.transcript("b") == ["1", "2", "3", "4"]
 
 
 def test_a_foreign_latched_message_comes_with_the_next_turn(graph: Graph, server: LockstepServer) -> None:
@@ -530,9 +665,23 @@ def test_a_node_that_starts_first_waits_for_the_simulator(graph: Graph) -> None:
 if __name__ == "__main__":
     role, name, *rest = sys.argv[1:]
     if role == "participant":
-        participant(name, int(rest[0]), rest[1:])
+        participant(name, int(rest[0]), [peer for peer in rest[1:] if ":=" not in peer])
     elif role == "pinger":
         pinger(name, int(rest[0]), int(rest[1]))
     else:
-        roles = [alone, talker, listener, flood, heavy, churner, simulator]
+        roles = [
+            alone,
+            talker,
+            listener,
+            flood,
+            heavy,
+            churner,
+            thinker,
+            stamper,
+            reader_of_stamps,
+            late_rider,
+            parent,
+            traveller,
+            simulator,
+        ]
         {function.__name__: function for function in roles}[role](name)

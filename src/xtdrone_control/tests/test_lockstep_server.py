@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import logging
+import os
 import random
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
+import zlib
 from fractions import Fraction
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from xtdrone_control.lockstep import protocol
 from xtdrone_control.lockstep.protocol import FrameReader, Kind, ProtocolError, Schedule
@@ -29,7 +35,7 @@ class FakeParticipant:
         self.reader = FrameReader()
         self.frames: list[tuple[int, bytes]] = []
         self.peers: list[dict] = []
-        self.send_object(Kind.JOIN, {"version": protocol.VERSION, "name": name, "rate": rate, "pid": 1, **content})
+        self.send_object(Kind.JOIN, {"version": protocol.VERSION, "name": name, "rate": rate, **content})
 
     def send_object(self, kind: Kind, content: dict) -> None:
         self.sock.sendall(protocol.pack_object(kind, content))
@@ -268,7 +274,7 @@ def test_refusals_say_why(server, change, code, text):
     [
         b"GET / HTTP/1.1\r\n\r\n",
         protocol.pack_object(Kind.PEER, {}),
-        protocol.pack_object(Kind.JOIN, {"version": 1, "name": "/g", "rate": 1, "publications": 5}),
+        protocol.pack_object(Kind.JOIN, {"version": protocol.VERSION, "name": "/g", "rate": 1, "publications": 5}),
         protocol.ALIVE_FRAME[:4] + b"\x63",
     ],
 )
@@ -423,6 +429,130 @@ def test_keep_alives_hold_off_the_hang_limit_but_not_the_busy_limit(log):
     assert time.monotonic() - started > 0.75
     assert "/a took more than 0.8 s for one tick" in log.warnings()
     server.close()
+
+
+def own(pid: int) -> dict:
+    """How a participant names a process of this machine."""
+    return {"pid": pid, "host": protocol.process_namespace()}
+
+
+def test_a_dead_process_is_noticed_though_another_holds_its_connection(log):
+    server = LockstepServer(hang_limit=60.0, log=log)
+    process = subprocess.Popen(["sleep", "60"])
+    a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b", **own(process.pid))
+    joined(server, a, b)
+    with Running(server, 0):
+        a.done(a.tick())
+        b.tick()
+        killed = time.monotonic()
+        process.kill()
+        process.wait()
+    assert time.monotonic() - killed < 10.0  # about SILENCE; the hang limit is far
+    assert f"/b is gone: its process {process.pid} has ended" in log.warnings()
+    assert list(server.participants) == ["/a"]
+    server.close()
+
+
+def test_a_zombie_counts_as_dead(log):
+    server = LockstepServer(hang_limit=60.0, log=log)
+    process = subprocess.Popen(["sleep", "60"])
+    b = FakeParticipant(server, "/b", **own(process.pid))
+    joined(server, b)
+    with Running(server, 0):
+        b.tick()
+        process.kill()  # and nobody asks for its status
+    assert not server.participants
+    process.wait()
+    server.close()
+
+
+def test_a_process_that_a_debugger_has_stopped_does_not_hang(log):
+    """A debugger such as gdb stops every thread, the one that sends keep-alives too."""
+    server = LockstepServer(hang_limit=0.2, log=log)
+    traced = "import ctypes, os, signal; ctypes.CDLL(None).ptrace(0, 0, 0, 0); os.kill(os.getpid(), signal.SIGSTOP)"
+    process = subprocess.Popen([sys.executable, "-c", traced])  # 0: PTRACE_TRACEME, this process is the debugger
+    os.waitpid(process.pid, os.WUNTRACED)
+    b = FakeParticipant(server, "/b", **own(process.pid))
+    joined(server, b)
+    with Running(server, 0) as running:
+        tick = b.tick()
+        running.thread.join(1.0)
+        assert running.thread.is_alive()
+        b.done(tick)
+    assert list(server.participants) == ["/b"]
+    assert not log.warnings()
+    process.kill()
+    process.wait()
+    server.close()
+
+
+def test_a_process_of_another_machine_is_not_looked_for(log):
+    server = LockstepServer(hang_limit=0.3, log=log)
+    b = FakeParticipant(server, "/b", pid=1, host="another boot, another namespace")
+    joined(server, b)
+    with Running(server, 0):
+        b.tick()
+    assert "silent" in log.warnings()
+    server.close()
+
+
+class Reserving(FakeParticipant):
+    """Reserves its name first."""
+
+    def __init__(self, server: LockstepServer, name: str) -> None:
+        host, port = server.uri.removeprefix("tcp://").split(":")
+        self.name = name
+        self.sock = socket.create_connection((host, int(port)), timeout=5.0)
+        self.reader = FrameReader()
+        self.frames = []
+        self.peers = []
+        self.send_object(Kind.RESERVE, {"version": protocol.VERSION, "name": name})
+
+
+def test_a_reserved_name_is_taken_until_its_owner_joins_or_goes(server, log):
+    first, second = Reserving(server, "/a"), Reserving(server, "/a")
+    server.poll(1.0)
+    server.poll(1.0)
+    first.expect(Kind.WELCOME)
+    assert second.expect(Kind.REFUSED)["code"] == "taken"
+    assert not server.participants, "a reservation is no participant"
+    intruder = FakeParticipant(server, "/a")
+    server.poll(1.0)
+    assert intruder.expect(Kind.REFUSED)["code"] == "taken"
+    first.send_object(Kind.JOIN, {"version": protocol.VERSION, "name": "/a", "rate": 30.0})
+    joined(server, first)
+    late = Reserving(server, "/a")
+    server.poll(1.0)
+    assert late.expect(Kind.REFUSED)["code"] == "taken"
+    first.sock.close()
+    server.poll(1.0)
+    again = Reserving(server, "/a")
+    server.poll(1.0)
+    again.expect(Kind.WELCOME)
+    again.sock.close()
+    server.poll(1.0)
+    joined(server, FakeParticipant(server, "/a"))
+
+
+def test_digests_are_asked_for_and_passed_on(log):
+    got = []
+    server = LockstepServer(log=log, on_digest=lambda *content: got.append(content))
+    a = FakeParticipant(server, "/a")
+    assert server.wait_for(["/a"], timeout=5.0)
+    assert a.expect(Kind.WELCOME)["digest"] is True
+    a.send_object(Kind.DIGEST, {"time_us": 1_000_000, "topics": {"/x": [3, 40, 0xFFFFFFFF]}})
+    server.poll(1.0)
+    assert got == [("/a", 1_000_000, {"/x": [3, 40, 0xFFFFFFFF]})]
+    server.close()
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**60), st.binary(max_size=50)), max_size=20))
+def test_a_digest_is_the_checksum_of_all_in_one_piece(messages):
+    digest, whole = protocol.Digest(), b""
+    for time_us, message in messages:
+        digest.add(time_us, message)
+        whole += struct.pack("<qI", time_us, len(message)) + message
+    assert digest.state() == [len(messages), sum(len(m) for _, m in messages), zlib.crc32(whole)]
 
 
 def test_datagrams_are_counted_both_ways(server):

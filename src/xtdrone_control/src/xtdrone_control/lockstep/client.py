@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
+import sys
 import threading
 import time
 import traceback
@@ -22,6 +24,7 @@ from typing import Any
 from urllib.parse import urlparse
 
 import rosgraph
+import rosgraph.names
 import rospy
 import rospy.core
 import rospy.impl.simtime
@@ -31,14 +34,18 @@ from rospy.impl.registration import Registration
 
 from .protocol import (
     ALIVE_FRAME,
+    DIGEST_PERIOD_US,
     VERSION,
     Barrier,
+    Digest,
     FrameReader,
     Kind,
     ProtocolError,
     Schedule,
     pack_barrier,
     pack_object,
+    process_namespace,
+    tune,
     unpack_barrier,
     unpack_object,
 )
@@ -47,10 +54,18 @@ from .topics import BufferingSubscriber, CountingPublisher, Outlet, acquire_publ
 
 Serve = Callable[[Mapping[int, int] | None, float], Mapping[int, int]]
 
-WAIT_LIMIT = 5.0
-"""Wall seconds that a participant waits for a message that was counted."""
+WAIT_LIMIT = 60.0
+"""Wall seconds that a participant waits for a message that was counted while its publisher's connection is open."""
+WAIT_REPORT = 5.0
+"""Wall seconds after which it says that it waits."""
+DATAGRAM_LIMIT = 10.0
+"""Wall seconds that it waits for a counted datagram from its own machine, where none gets lost on the way."""
+REMOTE_DATAGRAM_LIMIT = 0.25
+"""Wall seconds that it waits for a counted datagram from another machine, where some do."""
 CONNECT_LIMIT = 10.0
 """Wall seconds for the simulator to answer at its address."""
+NAME_LIMIT = 3.0
+"""Wall seconds for a participant that has the node's name to go."""
 ALIVE_PERIOD = 1.0
 """Wall seconds between keep-alives."""
 SLICE = 0.1
@@ -72,6 +87,10 @@ class _Node:
         self.subscribers: list[Subscriber] = []
         self.reader = Reader()
         self.dirty: deque[Outlet] = deque()
+        self.digests: dict[str, Digest] | None = None
+        self.time_us = 0
+        self.reset_hooks: list[Callable[[], None]] = []
+        self.reservation: Client | None = None
         self.client: Client | None = None
         self.host: Host | None = None
         self.udp_ports: list[int] = []
@@ -153,6 +172,10 @@ class Publisher(rospy.Publisher):
         if _node.publishers.get(self.resolved_name) is not impl:
             _node.publishers[self.resolved_name] = impl
             _node.topics_changed()
+
+    def get_num_connections(self) -> int:
+        """Returns how many listen; digests count as one, so that they do not depend on who else does."""
+        return int(super().get_num_connections()) + (_node.digests is not None)
 
     def unregister(self) -> None:
         """Takes the topic back."""
@@ -237,13 +260,18 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
 
     Raises:
         ValueError: The rate is outside its range.
-        ROSInitException: The master or the time cannot be reached.
+        ROSInitException: The master or the time cannot be reached, or another participant has this name.
     """
     Schedule(rate)
     if not rosgraph.is_master_online():  # rospy would wait for one without end
         advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
         raise rospy.ROSInitException(f"no ROS master answers at {rosgraph.get_master_uri()}; {advice}")
+    if not options.get("anonymous"):
+        _node.reservation = _reserve(_future_name(name, options.get("argv")))
     rospy.init_node(name, disable_rostime=True, **options)
+    if not options.get("disable_signals"):
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, _on_signal)
     _node.rate = rate
     if rospy.get_param(PRIVATE_PARAM, True):
         _node.taking_part = bool(rospy.get_param(URI_PARAM, "") or rospy.get_param(WAIT_PARAM, False))
@@ -253,6 +281,21 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
         _node.reader.activate()
     elif not rospy.impl.simtime.init_simtime():
         raise rospy.ROSInitException("the time could not be initialised; is the master running?")
+
+
+def _on_signal(number: int, _: Any) -> None:
+    # rospy's handler takes the node's topics back on top of whatever the main thread does. If that was a log call,
+    # which asks the master for a parameter, it waits for ever for the lock of the master's proxy. A thread does not.
+    threading.Thread(target=rospy.core._ros_signal, args=(number, None), name="lockstep shutdown").start()
+
+
+def add_reset_hook(hook: Callable[[], None]) -> None:
+    """Has a function called when simulation time has gone back, as after /gazebo/reset_simulation.
+
+    Args:
+        hook: Called in the node's own thread in `Rate.sleep`, with the new time, before any callback of that turn.
+    """
+    _node.reset_hooks.append(hook)
 
 
 def is_active() -> bool:
@@ -341,12 +384,17 @@ class Rate:
 
     @staticmethod
     def _sleep_free(rate: rospy.Rate) -> None:
-        if _node.serve is not None:
-            remaining = rate.remaining().to_sec()
-            while remaining > 0.0 and not rospy.is_shutdown():
-                _node.serve(None, min(remaining, SLICE))
-                remaining = rate.remaining().to_sec()
-        rate.sleep()
+        serve = _node.serve
+        if serve is None:
+            rate.sleep()
+        elif rospy.rostime.is_wallclock():
+            while (remaining := rate.remaining().to_sec()) > 0.0 and not rospy.is_shutdown():
+                serve(None, min(remaining, SLICE))
+            rate.sleep()
+        else:
+            # /clock says when the turn is, and wakes nobody who waits for datagrams.
+            rate.sleep()
+            serve(None, 0.0)
 
 
 def sleep(seconds: float) -> None:
@@ -404,8 +452,53 @@ class _RefusedError(Exception):
         self.code = code
 
 
+def _future_name(name: str, argv: list[str] | None) -> str:
+    """Returns the resolved name that rospy.init_node will give this node."""
+    mappings = rosgraph.names.load_mappings(sys.argv if argv is None else argv)
+    namespace = mappings.get("__ns") or rosgraph.names.get_ros_namespace()
+    return rosgraph.names.ns_join(rosgraph.names.make_global_ns(namespace), mappings.get("__name") or name)
+
+
+def _reserve(name: str) -> Client | None:
+    """Reserves the node's name with a running simulator.
+
+    It must come before the node registers with the master, which would end the node that has this name now.
+
+    Raises:
+        ROSInitException: Another participant has it, or the simulator speaks another version.
+    """
+    master = rosgraph.Master(name)
+    private = rosgraph.names.ns_join(name, PRIVATE_PARAM[1:])
+    uri = master.getParam(URI_PARAM) if master.hasParam(URI_PARAM) else ""
+    if not uri or (master.hasParam(private) and not master.getParam(private)):
+        return None
+    began = time.monotonic()
+    while True:
+        client = Client(uri)
+        try:
+            client.reserve(name)
+            return client
+        except (OSError, ProtocolError):
+            client.close()
+            return None  # `start` finds out, and has patience
+        except _RefusedError as error:
+            client.close()
+            # The one that has it may be on its way out.
+            if error.code != "taken" or time.monotonic() - began > NAME_LIMIT:
+                raise rospy.ROSInitException(f"cannot join the simulator at {uri} ({URI_PARAM}): {error}") from error
+        time.sleep(SLICE)  # the simulator tells nobody of names that become free
+
+
 def _join() -> Client:
     """Finds the simulator and joins it, with patience for one that is starting and for a name that is just left."""
+    client, _node.reservation = _node.reservation, None
+    if client is not None:
+        try:
+            client.join(_node)
+            return client
+        except (OSError, _RefusedError, ProtocolError) as error:
+            rospy.logdebug(f"the simulator at {client.uri} took the name but not the node: {error}; trying again")
+            client.close()
     asked = time.monotonic()
     answered = asked
     while not rospy.is_shutdown():
@@ -458,9 +551,12 @@ class Client:
         self._inboxes: dict[int, Inbox] = {}
         self._topics: dict[int, str] = {}
         self._lost: list[int] = []
+        self._void: list[tuple[int, int]] = []
         self._told: dict[int, int] = {}
         self._reader = _node.reader
         self._ended = threading.Event()
+        self._remote = False
+        self._digested = -1
 
     # ---- joining and leaving ----
 
@@ -471,30 +567,18 @@ class Client:
             OSError: No connection.
             ProtocolError: The URI or the answer is none of a lockstep server.
         """
-        address = urlparse(self.uri)
-        if address.scheme != "tcp" or not address.hostname or not address.port:
-            raise ProtocolError(f"{URI_PARAM} is {self.uri!r}, it must be tcp://host:port")
-        self._sock = socket.create_connection((address.hostname, address.port), timeout=CONNECT_LIMIT)
-        self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         content = {
-            "version": VERSION,
-            "name": rospy.get_name(),
+            **self._introduction(rospy.get_name()),
             "rate": node.rate,
-            "pid": os.getpid(),
             "udp_ports": node.udp_ports,
             **node.declaration(),
         }
-        self._sock.sendall(pack_object(Kind.JOIN, content))
-        while not self._frames:
-            self._read()
-        kind, payload = self._frames.popleft()
-        if kind == Kind.REFUSED:
-            refusal = unpack_object(payload)
-            raise _RefusedError(str(refusal.get("code")), str(refusal.get("reason")))
-        if kind != Kind.WELCOME:
-            raise ProtocolError(f"the answer to JOIN was a frame of type {kind}")
-        self._sock.settimeout(None)
-        self._reader.watch(self._sock.fileno(), self._readable)
+        welcome = self._ask(Kind.JOIN, content)
+        if welcome.get("digest"):
+            node.digests = {}
+        sock = self._connected()
+        sock.settimeout(None)
+        self._reader.watch(sock.fileno(), self._readable)
         node.client = self
         # From here on rospy's threads announce new connections themselves; those made before are announced now.
         with self._send_lock:
@@ -504,7 +588,51 @@ class Client:
         if declared != content:
             self.declare(node.declaration())
         rospy.core.add_client_shutdown_hook(self._on_shutdown)
-        threading.Thread(target=self._keep_alive, name="lockstep keep-alive", daemon=True).start()
+        thread = threading.Thread(target=self._keep_alive, name="lockstep keep-alive", daemon=True)
+        # pydevd (the debugger of PyCharm and VS Code) stops every thread at a breakpoint, but none with these marks.
+        thread.__dict__.update(pydev_do_not_trace=True, is_pydev_daemon_thread=True)
+        thread.start()
+
+    def reserve(self, name: str) -> None:
+        """Connects and reserves a name for the node that is to join over this connection.
+
+        Args:
+            name: Resolved name.
+
+        Raises:
+            OSError: No connection.
+            ProtocolError: The URI or the answer is none of a lockstep server.
+        """
+        self._ask(Kind.RESERVE, self._introduction(name))
+
+    @staticmethod
+    def _introduction(name: str) -> dict[str, Any]:
+        return {"version": VERSION, "name": name, "pid": os.getpid(), "host": process_namespace()}
+
+    def _connect(self) -> socket.socket:
+        address = urlparse(self.uri)
+        if address.scheme != "tcp" or not address.hostname or not address.port:
+            raise ProtocolError(f"{URI_PARAM} is {self.uri!r}, it must be tcp://host:port")
+        sock = socket.create_connection((address.hostname, address.port), timeout=CONNECT_LIMIT)
+        tune(sock)
+        self._remote = sock.getpeername()[0] != sock.getsockname()[0]
+        return sock
+
+    def _ask(self, kind: Kind, content: Mapping[str, Any]) -> dict[str, Any]:
+        """Sends RESERVE or JOIN, over a new connection if there is none, and returns WELCOME's content."""
+        if self._sock is None:
+            self._sock = self._connect()
+        self._sock.settimeout(CONNECT_LIMIT)
+        self._sock.sendall(pack_object(kind, content))
+        while not self._frames:
+            self._read()
+        answer, payload = self._frames.popleft()
+        if answer == Kind.REFUSED:
+            refusal = unpack_object(payload)
+            raise _RefusedError(str(refusal.get("code")), str(refusal.get("reason")))
+        if answer != Kind.WELCOME:
+            raise ProtocolError(f"the answer to {kind.name} was a frame of type {answer}")
+        return unpack_object(payload)
 
     def close(self) -> None:
         """Closes the connection."""
@@ -519,7 +647,8 @@ class Client:
             try:
                 if self._joined and self._sock is not None:
                     self._joined = False
-                    frames = self._done_frame() + pack_object(Kind.LEAVE, {"reason": "shut down"})
+                    leave = pack_object(Kind.LEAVE, {"reason": "shut down"})
+                    frames = self._digest_frame() + self._done_frame() + leave
                     with contextlib.suppress(OSError):
                         self._sock.sendall(frames)
             finally:
@@ -598,7 +727,7 @@ class Client:
             if rospy.core.is_shutdown_requested() or self._sock is None:
                 raise rospy.ROSInterruptException("ROS shutdown request")
             try:
-                self._sock.sendall(self._done_frame())
+                self._sock.sendall(self._due_digest() + self._done_frame())
             except OSError as error:
                 failure = str(error)
         if failure:
@@ -618,6 +747,20 @@ class Client:
         self._told.update(ports)
         return pack_barrier(Kind.DONE, self.tick, self.time_us, counts, ports)
 
+    def _due_digest(self) -> bytes:
+        """Returns a DIGEST frame if it is time for one, else nothing."""
+        period = self.time_us // DIGEST_PERIOD_US
+        if self._node.digests is None or period == self._digested:
+            return b""
+        self._digested = period
+        return self._digest_frame()
+
+    def _digest_frame(self) -> bytes:
+        if self._node.digests is None:
+            return b""
+        topics = {topic: digest.state() for topic, digest in self._node.digests.items()}
+        return pack_object(Kind.DIGEST, {"time_us": self.time_us, "topics": topics})
+
     def _await_tick(self) -> Barrier:
         while True:
             while self._frames:
@@ -634,9 +777,13 @@ class Client:
 
     def _enter(self, tick: Barrier) -> None:
         """Begins the turn that a TICK has opened."""
-        self.tick, self.time_us = tick.tick, tick.time_us
+        gone_back = tick.time_us < self.time_us
+        self.tick, self.time_us, self._node.time_us = tick.tick, tick.time_us, tick.time_us
         seconds, micros = divmod(tick.time_us, 1_000_000)
         rospy.rostime._set_rostime(rospy.Time(seconds, micros * 1000))
+        if gone_back:
+            for hook in self._node.reset_hooks:
+                hook()
         if self._node.serve is not None and tick.datagrams:
             self._serve_datagrams(self._node.serve, tick.datagrams)
         awaited = {}
@@ -649,6 +796,9 @@ class Client:
                 awaited[channel] = inbox
         if awaited:
             self._await_messages(awaited)
+        for channel, count in self._void:
+            self._inboxes[channel].discard(count)
+        self._void.clear()
         for channel in self._lost:
             self._inboxes.pop(channel).lost = True
             del self._topics[channel]
@@ -657,7 +807,7 @@ class Client:
     def _serve_datagrams(self, serve: Serve, counts: Mapping[int, int]) -> None:
         missed = self._node.datagrams_missed
         expected = {port: count - missed.get(port, 0) for port, count in counts.items()}
-        received = serve(expected, WAIT_LIMIT)
+        received = serve(expected, REMOTE_DATAGRAM_LIMIT if self._remote else DATAGRAM_LIMIT)
         for port, count in expected.items():
             short = count - received.get(port, 0)
             if short > 0 and not rospy.is_shutdown():
@@ -665,7 +815,12 @@ class Client:
                 rospy.logwarn(f"{short} datagrams from the simulator to UDP port {port} did not arrive")
 
     def _await_messages(self, awaited: Mapping[int, Inbox]) -> None:
-        lacking = self._reader.await_messages(awaited.values(), time.monotonic() + WAIT_LIMIT)
+        began = time.monotonic()
+        lacking = self._reader.await_messages(awaited.values(), began + WAIT_REPORT)
+        if lacking and not rospy.core.is_shutdown_requested():
+            names = sorted({f"{self._topics[channel]} of {inbox.publisher}" for channel, inbox in awaited.items()})
+            rospy.logwarn(f"waiting for messages that were sent: {', '.join(names)}")
+            lacking = self._reader.await_messages(awaited.values(), began + WAIT_LIMIT)
         if rospy.core.is_shutdown_requested():
             raise rospy.ROSInterruptException("ROS shutdown request")
         for channel, inbox in awaited.items():
@@ -692,6 +847,7 @@ class Client:
         for number in content["uncounted"]:
             self._set_participant(number, False)
         self._lost += [channel for channel in content["lost"] if channel in self._inboxes]
+        self._void += [(channel, count) for channel, count in content.get("void", ()) if channel in self._inboxes]
 
     def _set_participant(self, number: int, value: bool) -> None:
         outlet = self._outlets.get(number)
@@ -707,6 +863,11 @@ class Client:
             if self._joined and self._sock is not None:
                 self._sock.sendall(data)
 
+    def _connected(self) -> socket.socket:
+        if self._sock is None:
+            raise ConnectionError("not connected")
+        return self._sock
+
     def _readable(self) -> None:
         try:
             self._read()
@@ -719,9 +880,7 @@ class Client:
         Raises:
             OSError: The connection is closed.
         """
-        if self._sock is None:
-            raise ConnectionError("not connected")
-        data = self._sock.recv(1 << 16)
+        data = self._connected().recv(1 << 16)
         if not data:
             raise ConnectionError("it has closed the connection")
         self._frame_reader.feed(data)
@@ -754,6 +913,15 @@ class Host:
         self._numbers = 0
         self._outlets: dict[int, Outlet] = {}
         self._lock = threading.Lock()
+
+    def want_digests(self) -> Mapping[str, Digest]:
+        """Has what is published from now on condensed, and returns where: by topic, for `time_passed`'s times."""
+        _node.digests = {} if _node.digests is None else _node.digests
+        return _node.digests
+
+    def time_passed(self, time_us: int) -> None:
+        """Notes the simulation time in microseconds, for the digests."""
+        _node.time_us = time_us
 
     def declare(self, declaration: dict[str, Any]) -> None:
         """Notes the topics that there are now; what the simulator subscribes to is not held for ticks."""

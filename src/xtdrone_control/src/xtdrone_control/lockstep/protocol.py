@@ -17,17 +17,23 @@ server's. The other m pairs are UDP ports and the number of datagrams sent to th
 All others carry a JSON object:
 
 =========  ==================  =========================================================================
-JOIN       client to server    version, name, rate (Hz), pid, publications [[topic, type]], subscriptions
+RESERVE    client to server    version, name, pid, host; answered like JOIN, which must follow on this connection
+JOIN       client to server    version, name, rate (Hz), pid, host, publications [[topic, type]], subscriptions
                                [[topic, type]], udp_ports [port]
-WELCOME    server to client    version, base_step_us
+WELCOME    server to client    version, base_step_us, digest (bool: DIGEST is wanted)
 REFUSED    server to client    code, reason; the server closes the connection
 PEER       client to server    made [[id, topic, subscriber, subscriber's TCP port, count]], lost [id]
 PEER       server to client    made [[id, topic, publisher, subscriber's TCP port]], lost [id]; and of the client's
                                own connections those whose subscriber is (counted [id]) or is no longer (uncounted
-                               [id]) a participant
+                               [id]) a participant; and, when simulation time was set back, up to which message
+                               of a channel all that is not dispatched yet is of before (void [[id, count]])
 DECLARE    client to server    publications, subscriptions (as JOIN: all that there are now)
+DIGEST     client to server    time_us, topics {topic: [messages, bytes, crc]}; see `Digest`
 LEAVE      client to server    reason
 =========  ==================  =========================================================================
+
+``host`` says in which machine and process namespace ``pid`` means something (see `process_namespace`), so that the
+server can tell a process that is gone from one that is silent; empty if unknown.
 """
 
 from __future__ import annotations
@@ -36,12 +42,15 @@ import enum
 import functools
 import json
 import math
+import os
+import socket
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-VERSION = 1
+VERSION = 2
 BASE_STEP_US = 4000
 MAX_FRAME = 1 << 24
 """Longest frame in bytes; anything above is taken for garbage."""
@@ -49,6 +58,7 @@ MAX_FRAME = 1 << 24
 _HEAD = struct.Struct("<IB")
 _BARRIER = struct.Struct("<QqII")
 _BARRIER_FRAME = struct.Struct("<IBQqII")
+_DIGEST_HEAD = struct.Struct("<qI")
 
 
 class ProtocolError(Exception):
@@ -67,6 +77,8 @@ class Kind(enum.IntEnum):
     TICK = 7
     DONE = 8
     ALIVE = 9
+    RESERVE = 10
+    DIGEST = 11
 
 
 class Barrier(NamedTuple):
@@ -185,6 +197,72 @@ class FrameReader:
             payload = bytes(self._buffer[_HEAD.size : end])
             del self._buffer[:end]
             yield kind, payload
+
+
+class Digest:
+    """What has been published on one topic, condensed: two flights are the same if all digests are, at all times.
+
+    For each message, in order, goes into the checksum: i64 time_us and u32 length, little-endian, then the serialised
+    message without its length prefix. ``time_us`` is the simulation time at which it was published. The checksum is
+    zlib's CRC-32 of all this in one piece.
+
+    Attributes:
+        messages: How many.
+        bytes: Their total length.
+        crc: The checksum.
+    """
+
+    __slots__ = ("bytes", "crc", "messages")
+
+    def __init__(self) -> None:
+        """Starts with nothing published."""
+        self.messages = 0
+        self.bytes = 0
+        self.crc = 0
+
+    def add(self, time_us: int, message: bytes | memoryview) -> None:
+        """Adds one serialised message, published at `time_us`."""
+        size = len(message)
+        self.messages += 1
+        self.bytes += size
+        self.crc = zlib.crc32(message, zlib.crc32(_DIGEST_HEAD.pack(time_us, size), self.crc))
+
+    def state(self) -> list[int]:
+        """Returns messages, bytes and crc, as the frame carries them."""
+        return [self.messages, self.bytes, self.crc]
+
+
+DIGEST_PERIOD_US = 1_000_000
+"""A participant sends DIGEST, with all its topics, before the DONE of the first turn in each such period of simulation
+time, and once more before it leaves."""
+
+
+def process_namespace() -> str:
+    """Returns a text that is the same in two processes exactly if a pid of one names the same process in the other.
+
+    Empty where the system does not say (other than Linux).
+    """
+    try:
+        with open("/proc/sys/kernel/random/boot_id", encoding="ascii") as file:
+            return f"{file.read().strip()} {os.readlink('/proc/self/ns/pid')}"
+    except OSError:
+        return ""
+
+
+_UNANSWERED_MS = 15_000
+_KEEPALIVE = ((socket.TCP_KEEPIDLE, 3), (socket.TCP_KEEPINTVL, 3), (socket.TCP_KEEPCNT, 4))
+
+
+def tune(sock: socket.socket) -> None:
+    """Sets a lockstep connection's TCP options: nothing waits to be sent, and a machine that is gone is noticed.
+
+    A machine's kernel answers even if the process hangs; without an answer for 15 s the connection ends.
+    """
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in _KEEPALIVE:
+        sock.setsockopt(socket.IPPROTO_TCP, option, value)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MS)
 
 
 class Schedule:

@@ -114,6 +114,14 @@ class Inbox:
                 return
             self.dropped += 1
 
+    def discard(self, count: int) -> None:
+        """Drops what is not dispatched yet of the first ``count`` messages, unless they are latched: those hold on."""
+        if self.latched:
+            return
+        for _ in range(min(len(self.messages), count - self.given_up - self.taken - self.dropped)):
+            self.messages.popleft()
+            self.taken += 1
+
     def take(self, most_foreign: int) -> Iterator[Any]:
         """Yields and removes the messages whose tick it is.
 

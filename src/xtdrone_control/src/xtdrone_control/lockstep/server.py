@@ -10,7 +10,7 @@ import logging
 import select
 import socket
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from .protocol import (
@@ -22,10 +22,14 @@ from .protocol import (
     Schedule,
     pack_barrier,
     pack_object,
+    process_namespace,
+    tune,
     unpack_barrier,
     unpack_object,
 )
 
+DigestSink = Callable[[str, int, Mapping[str, Sequence[int]]], None]
+"""Takes a participant's name, the simulation time in us and its topics' digests, see `protocol.Digest`."""
 Log = Callable[[int, str], None]
 Idle = Callable[[float], None]
 Pair = tuple[str, str, str]
@@ -34,7 +38,9 @@ Pair = tuple[str, str, str]
 SLICE = 0.1
 """Longest single wait in seconds, so that limits and signals are looked at in time."""
 GREETING_LIMIT = 10.0
-"""Seconds that a connection may stay without a JOIN."""
+"""Seconds that a connection may stay without a JOIN or RESERVE."""
+SILENCE = 1.5
+"""Wall seconds without a keep-alive after which the server looks whether the participant's process is there still."""
 
 
 class HostLink(Protocol):
@@ -67,11 +73,39 @@ class Channel:
         self.port = port
 
 
+class Process:
+    """A process of this machine, told apart from a later one with the same number."""
+
+    def __init__(self, pid: int) -> None:
+        """Notes which it is.
+
+        Args:
+            pid: Of a process that runs.
+        """
+        self.pid = pid
+        self._began = self._stat()[1]
+
+    def state(self) -> str:
+        """Returns the kernel's letter for its state (``t``: held by a debugger), empty if the process is gone."""
+        state, began = self._stat()
+        return "" if began != self._began or state in "ZX" else state
+
+    def _stat(self) -> tuple[str, str]:
+        try:
+            with open(f"/proc/{self.pid}/stat", encoding="ascii", errors="replace") as file:
+                # Fields 3 and 22 of proc(5); the second, the program's name, may hold anything.
+                fields = file.read().rpartition(")")[2].split()
+        except OSError:
+            return "", ""
+        return fields[0], fields[19]
+
+
 class Participant:
     """What the server knows of one participant.
 
     Attributes:
         name: Resolved ROS name, as /follower_1; empty until it joined.
+        reserved: The name that it has reserved, empty if none.
         address: Host and port of its connection.
         rate: In Hz; 0 for the simulator itself.
         due_us: When its next turn is.
@@ -79,6 +113,7 @@ class Participant:
         tick: Number of its last TICK.
         heard: Monotonic wall time at which something was last received from it, s.
         asked: Monotonic wall time of its last TICK, s.
+        process: Its process, if that runs on this machine.
         publications: Topic to type.
         subscriptions: Topic to type.
         udp_ports: Local ports on which it receives the simulator's datagrams.
@@ -89,6 +124,7 @@ class Participant:
         self.sock = sock
         self.address = address
         self.name = ""
+        self.reserved = ""
         self.rate = 0.0
         self.schedule: Schedule | None = None
         self.due_us = 0
@@ -96,6 +132,7 @@ class Participant:
         self.tick = 0
         self.heard = now
         self.asked = now
+        self.process: Process | None = None
         self.publications: dict[str, str] = {}
         self.subscriptions: dict[str, str] = {}
         self.udp_ports: list[int] = []
@@ -110,6 +147,7 @@ class Participant:
         self.counts: dict[int, int] = {}
         self.made: list[list[Any]] = []
         self.lost: list[int] = []
+        self.void: list[list[int]] = []
         # UDP: told and base count the simulator's datagrams to it, sent counts its own per remote port.
         self.datagrams_base: dict[int, int] = {}
         self.datagrams_told: dict[int, int] = {}
@@ -118,6 +156,10 @@ class Participant:
     def connected(self) -> bool:
         """Says whether its connection is open."""
         return self.sock is not None
+
+    def remote(self) -> bool:
+        """Says whether it runs on another machine."""
+        return self.sock is not None and self.sock.getpeername()[0] != self.sock.getsockname()[0]
 
 
 class LockstepServer:
@@ -139,6 +181,7 @@ class LockstepServer:
         connect_limit: float = 5.0,
         base_step_us: int = BASE_STEP_US,
         log: Log | None = None,
+        on_digest: DigestSink | None = None,
     ) -> None:
         """Opens the listening socket.
 
@@ -151,6 +194,7 @@ class LockstepServer:
             connect_limit: Wall seconds that the world is held for a topic connection between participants.
             base_step_us: The simulator's step in microseconds.
             log: Called with a level of `logging` and a text; a logger of this module's name if None.
+            on_digest: Called with what participants have published, condensed; None: they are not asked for it.
 
         Raises:
             OSError: The address or port cannot be used.
@@ -160,6 +204,8 @@ class LockstepServer:
         self._connect_limit = connect_limit
         self._base_step_us = base_step_us
         self._log = log or logging.getLogger(__name__).log
+        self._on_digest = on_digest
+        self._namespace = process_namespace()
         self._listener = socket.create_server((host, port))
         self._listener.setblocking(False)
         named = socket.gethostname() if host in {"", "0.0.0.0"} else host
@@ -167,6 +213,7 @@ class LockstepServer:
         self._epoll = select.epoll()
         self._epoll.register(self._listener.fileno(), select.EPOLLIN)
         self._connections: dict[int, Participant] = {}
+        self._reserved: dict[str, Participant] = {}
         self.participants: dict[str, Participant] = {}
         self.datagrams_expected: dict[int, int] = {}
         self._datagrams: dict[int, int] = {}
@@ -233,6 +280,21 @@ class LockstepServer:
             if participant.schedule is not None
         ]
         return min(times, default=None)
+
+    def reset_time(self, now_us: int) -> None:
+        """Sets simulation time back (or forth) between two ticks; the tick number goes on.
+
+        Args:
+            now_us: The new time in microseconds; participants are due from then on as they are at a start.
+        """
+        self._ticked_us = now_us - 1
+        if self._host is not None:
+            self._collect_host()
+        for participant in self.participants.values():
+            # What is on its way to it is of before, and must not be taken for news of the new time.
+            participant.void = [[channel, count] for channel, count in participant.counts.items()]
+            if participant.schedule is not None:
+                participant.due_us = participant.schedule.after_us(self._ticked_us)
 
     def tick(self, now_us: int, datagrams: Mapping[int, int] | None = None, idle: Idle | None = None) -> None:
         """Runs one barrier: holds for new connections, sends TICK to all who are due, waits until all are done.
@@ -326,6 +388,12 @@ class LockstepServer:
         self._epoll.close()
         self._listener.close()
 
+    def remote_sender(self, port: int) -> bool:
+        """Says whether a participant on another machine has sent datagrams to one of the simulator's UDP ports."""
+        return any(
+            port in participant.datagrams_sent and participant.remote() for participant in self.participants.values()
+        )
+
     # ---- barrier ----
 
     def _wait(self, timeout: float, idle: Idle | None) -> None:
@@ -371,6 +439,8 @@ class LockstepServer:
     @staticmethod
     def _peer_news(participant: Participant) -> bytes:
         content = {name: getattr(participant, name) for name in ("made", "lost", "counted", "uncounted")}
+        if participant.void:
+            content["void"] = participant.void
         if not any(content.values()):
             return b""
         for name in content:
@@ -390,6 +460,15 @@ class LockstepServer:
         now = time.monotonic()
         for participant in [participant for participant in self.participants.values() if participant.waiting]:
             silent = now - max(participant.heard, started)
+            if silent > min(SILENCE, self._hang_limit or SILENCE) and participant.process is not None:
+                # A child of it may hold the connection open; and a debugger that stops every thread is no hang.
+                state = participant.process.state()
+                if not state:
+                    self._drop(participant, f"is gone: its process {participant.process.pid} has ended")
+                    continue
+                if state == "t":
+                    participant.heard = now
+                    continue
             if self._hang_limit and silent > self._hang_limit:
                 self._drop(participant, f"was silent for {silent:.1f} s (hang limit {self._hang_limit:g} s)")
             elif self._busy_limit and now - participant.asked > self._busy_limit:
@@ -407,7 +486,7 @@ class LockstepServer:
                 self._log(logging.WARNING, f"a connection to {self.uri} was not taken: {error}")
                 return
             sock.setblocking(False)
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            tune(sock)
             participant = Participant(sock, f"{address[0]}:{address[1]}", time.monotonic())
             self._connections[sock.fileno()] = participant
             self._epoll.register(sock.fileno(), select.EPOLLIN)
@@ -472,7 +551,7 @@ class LockstepServer:
     def _drop_strangers(self) -> None:
         now = time.monotonic()
         for participant in list(self._connections.values()):
-            if not participant.name and now - participant.heard > GREETING_LIMIT:
+            if not participant.name and not participant.reserved and now - participant.heard > GREETING_LIMIT:
                 self._drop(participant, f"did not join within {GREETING_LIMIT:g} s")
 
     def _drop(self, participant: Participant, why: str) -> None:
@@ -490,6 +569,8 @@ class LockstepServer:
 
     def _remove(self, participant: Participant) -> None:
         self._close(participant)
+        if self._reserved.get(participant.reserved) is participant:
+            del self._reserved[participant.reserved]
         if participant.waiting:
             participant.waiting = False
             self._awaited -= 1
@@ -517,12 +598,18 @@ class LockstepServer:
             return
         elif kind == Kind.JOIN:
             self._join(participant, unpack_object(payload))
+        elif kind == Kind.RESERVE:
+            self._reserve(participant, unpack_object(payload))
         elif not participant.name:
             raise ProtocolError(f"frame of type {kind} before JOIN")
         elif kind == Kind.PEER:
             self._peer(participant, unpack_object(payload))
         elif kind == Kind.DECLARE:
             self._declare(participant, unpack_object(payload))
+        elif kind == Kind.DIGEST:
+            content = unpack_object(payload)
+            if self._on_digest is not None:
+                self._on_digest(participant.name, int(content["time_us"]), content["topics"])
         elif kind == Kind.LEAVE:
             reason = unpack_object(payload).get("reason", "")
             self._log(logging.INFO, f"participant {participant.name} leaves: {reason}")
@@ -544,22 +631,55 @@ class LockstepServer:
             participant.waiting = False
             self._awaited -= 1
 
-    def _join(self, participant: Participant, content: dict[str, Any]) -> None:
-        if participant.name:
-            raise ProtocolError("JOIN a second time")
+    def _reserve(self, participant: Participant, content: dict[str, Any]) -> None:
+        """Keeps a name for a node that is starting, so that a second one hears of it before it registers with ROS."""
+        if participant.name or participant.reserved:
+            raise ProtocolError("RESERVE on a connection that has a name")
+        name = self._checked_name(participant, content)
+        if not name:
+            return
+        participant.reserved = name
+        participant.process = self._process(content)
+        self._reserved[name] = participant
+        self._welcome(participant)
+
+    def _checked_name(self, participant: Participant, content: dict[str, Any]) -> str:
+        """Returns the name that a RESERVE or JOIN asks for, empty after having refused it."""
         name = str(content.get("name", ""))
         version = content.get("version")
         if version != VERSION:
             self._refuse(participant, "version", f"{name} speaks lockstep version {version!r}, this is {VERSION}")
-            return
+            return ""
         if not name.startswith("/"):
             self._refuse(participant, "name", f"name {name!r}: must be a resolved ROS name, as /follower_1")
-            return
+            return ""
         taken = self.participants.get(name) or (self._host_state if self._is_host(name) else None)
-        if taken is not None:
-            self._refuse(
-                participant, "taken", f"the name {name} is taken by a participant connected from {taken.address}"
-            )
+        if taken is None and self._reserved.get(name) is not participant:
+            taken = self._reserved.get(name)
+        if taken is None:
+            return name
+        pid = "" if taken.process is None else f" (process {taken.process.pid})"
+        self._refuse(
+            participant, "taken", f"the name {name} is taken by a participant connected from {taken.address}{pid}"
+        )
+        return ""
+
+    def _process(self, content: dict[str, Any]) -> Process | None:
+        """Returns the process that a RESERVE or JOIN names, None if it cannot be seen from here."""
+        pid = content.get("pid")
+        if not self._namespace or content.get("host") != self._namespace or not isinstance(pid, int) or pid < 1:
+            return None
+        return Process(pid)
+
+    def _welcome(self, participant: Participant) -> None:
+        content = {"version": VERSION, "base_step_us": self._base_step_us, "digest": self._on_digest is not None}
+        self._send(participant, pack_object(Kind.WELCOME, content))
+
+    def _join(self, participant: Participant, content: dict[str, Any]) -> None:
+        if participant.name:
+            raise ProtocolError("JOIN a second time")
+        name = self._checked_name(participant, content)
+        if not name:
             return
         try:
             schedule = Schedule(content.get("rate", 0), self._base_step_us)
@@ -574,7 +694,9 @@ class LockstepServer:
         # What the simulator sent before this participant existed it cannot have received.
         participant.datagrams_base = {port: self._datagrams.get(port, 0) for port in participant.udp_ports}
         self.participants[name] = participant
-        self._send(participant, pack_object(Kind.WELCOME, {"version": VERSION, "base_step_us": self._base_step_us}))
+        self._reserved.pop(participant.reserved, None)
+        participant.process = self._process(content)
+        self._welcome(participant)
         self._log(logging.INFO, f"participant {name} joins at {participant.rate:g} Hz from {participant.address}")
         self._adopt_channels(participant)
         self._declare(participant, content)
@@ -582,7 +704,7 @@ class LockstepServer:
     def _refuse(self, participant: Participant, code: str, reason: str) -> None:
         self._log(logging.WARNING, f"refused: {reason}")
         self._send(participant, pack_object(Kind.REFUSED, {"code": code, "reason": reason}))
-        self._close(participant)
+        self._remove(participant)
 
     # ---- topics and channels ----
 

@@ -18,6 +18,7 @@ from rospy.impl.registration import Registration
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.msg import serialize_message
 
+from .protocol import Digest
 from .reader import FOREIGN_QUEUE, Feed, Inbox, Reader
 
 STALLED_QUEUE = 100
@@ -25,9 +26,13 @@ STALLED_QUEUE = 100
 
 
 class Ledger(Protocol):
-    """Who is told of connections and messages, see `client.Client` and `client.Host`."""
+    """Who is told of connections and messages, see `client`."""
 
     dirty: deque[Outlet]
+    digests: dict[str, Digest] | None
+    """What has been published by topic, condensed; None if nobody wants to know."""
+    time_us: int
+    """The simulation time in microseconds, for the digests."""
 
     def outlet_made(self, outlet: Outlet) -> None:
         """A subscriber has connected; called in a thread of rospy's."""
@@ -190,9 +195,15 @@ class CountingPublisher(rospy.topics._PublisherImpl):
                 outlets = [(connection_override, connection_override.write_data)]
             else:
                 outlets = list(self.outlets.items())
-            if not outlets or rospy.core.is_shutdown():
+            if rospy.core.is_shutdown():
                 return False
-            self.seq += 1
+            # Also if nobody listens, and not for a latched message that is sent to a new connection once more: so the
+            # number does not depend on who connects when.
+            if connection_override is None or message is not self.latch:
+                self.seq += 1
+            digests = self._ledger.digests
+            if not outlets and digests is None:
+                return False
             try:
                 buffer.seek(0)
                 buffer.truncate(0)
@@ -203,6 +214,8 @@ class CountingPublisher(rospy.topics._PublisherImpl):
                     raise
                 # Closed just now by another thread, or by a signal handler on top of this one.
                 return super().publish(message, connection_override)
+            if digests is not None and connection_override is None:
+                digests.setdefault(self.resolved_name, Digest()).add(self._ledger.time_us, memoryview(data)[4:])
             self.message_data_sent += len(data)
             ended = []
             for connection, send in outlets:
@@ -262,7 +275,12 @@ class BufferingSubscriber(rospy.topics._SubscriberImpl):
     def add_connection(self, connection: Any) -> bool:
         """Sees to it that a connection is handed over when it is made: rospy then calls its `receive_loop`."""
         connection.receive_loop = functools.partial(self._receive, connection)
-        return bool(super().add_connection(connection))
+        with self.c_lock:
+            # The master may name a publisher twice within a millisecond. rospy would close the first connection in
+            # the middle of its handshake, for whose end the publisher then waits and accepts no other.
+            if any(other.endpoint_id == connection.endpoint_id and _connecting(other) for other in self.connections):
+                return False
+            return bool(super().add_connection(connection))
 
     def _receive(self, connection: Any, callback: Any) -> None:
         """Hands the connection over, or reads it in this thread of rospy's, which is the connection's own."""
@@ -336,6 +354,11 @@ class BufferingSubscriber(rospy.topics._SubscriberImpl):
         """Returns the latched messages dispatched so far, for a subscriber that comes later to the same topic."""
         boxes = sorted(list(self.inboxes.items()), key=lambda item: item[0])
         return [inbox.latch for _, inbox in boxes if inbox.latch is not None]
+
+
+def _connecting(connection: Any) -> bool:
+    """Says whether a subscriber's connection is neither made yet nor given up."""
+    return not connection.done and getattr(connection, "inbox", None) is None
 
 
 def acquire_publisher(name: str, data_class: type[rospy.Message], latch: bool, ledger: Ledger) -> CountingPublisher:

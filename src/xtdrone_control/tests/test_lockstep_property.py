@@ -1,0 +1,340 @@
+"""The law of the bulk-synchronous step, under any scheduler: a message that is sent in tick k is dispatched in the
+receiver's first turn after k, none earlier, none later, whoever dies, joins or is slow.
+
+The server is the real one, on real sockets. The participants are played here, one small action at a time: which of them
+acts next, how its bytes are cut, when a connection is made and when a message arrives is drawn at random. All in one
+thread, so that a drawn seed plays the same again.
+"""
+
+from __future__ import annotations
+
+import random
+import select
+import socket
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import pytest
+
+from xtdrone_control.lockstep.protocol import (
+    VERSION,
+    FrameReader,
+    Kind,
+    pack_barrier,
+    pack_object,
+    unpack_barrier,
+    unpack_object,
+)
+from xtdrone_control.lockstep.server import LockstepServer
+
+RATES = (20.0, 30.0, 50.0, 125.0, 250.0)
+MOST_ACTIONS = 20_000  # in one barrier; more is taken for a deadlock
+
+Message = tuple[str, int, int]
+"""Publisher, the tick in which it was published, running number."""
+
+
+@dataclass
+class Connection:
+    """One topic connection: ``wire`` has been sent and has not arrived, ``inbox`` has arrived."""
+
+    publisher: Member
+    subscriber: Member
+    number: int
+    port: int
+    sent: int = 0
+    announced: bool = False
+    told: bool = False  # that it is lost
+    wire: deque[Message] = field(default_factory=deque)
+    inbox: deque[Message] = field(default_factory=deque)
+    arrived: int = 0
+    dispatched: list[tuple[int, Message]] = field(default_factory=list)  # with the tick of the dispatch
+    target: int | None = None
+
+
+class Member:
+    """A participant: publishes on a topic of its own name, subscribes to some others'."""
+
+    def __init__(self, world: World, name: str, rate: float, subscribes: list[str]) -> None:
+        self.world = world
+        self.name = name
+        self.rate = rate
+        self.subscribes = subscribes
+        self.sock: socket.socket | None = None
+        self.joined = False
+        self.dead = False
+        self.out = bytearray()
+        self.reader = FrameReader()
+        self.frames: deque[tuple[int, bytes]] = deque()
+        self.channels: dict[int, Connection] = {}
+        self.tick = 0
+        self.ended = 0  # the tick whose DONE was written last
+        self.now = 0
+        self.outlets: list[Connection] = []
+        self.changed: dict[int, int] = {}
+        self.published: list[Message] = []
+        self.finished: set[int] = set()  # ticks whose DONE has left whole
+        self.turns: list[int] = []
+        self.script: Iterator[None] | None = None
+
+    # what it does
+
+    def start(self) -> None:
+        host, port = self.world.server.uri.removeprefix("tcp://").split(":")
+        self.sock = socket.create_connection((host, int(port)))
+        self.sock.setblocking(False)
+        content = {
+            "version": VERSION,
+            "name": self.name,
+            "rate": self.rate,
+            "pid": 0,
+            "host": "",
+            "publications": [[self.name, "t"]],
+            "subscriptions": [[topic, "t"] for topic in self.subscribes],
+        }
+        self.send(pack_object(Kind.JOIN, content))
+        self.joined = True
+
+    def send(self, data: bytes) -> None:
+        self.out += data
+
+    def die(self) -> None:
+        self.dead = True
+        if self.sock is not None:
+            self.sock.close()
+
+    def actions(self) -> list:
+        """What it could do now."""
+        if self.dead or self.sock is None:
+            return []
+        found = [self.receive] if select.select([self.sock], [], [], 0.0)[0] else []
+        if self.out:
+            found.append(self.flush)
+        if self.script is not None or self.frames:
+            found.append(self.go_on)
+        return found
+
+    def flush(self) -> None:
+        assert self.sock is not None
+        size = self.world.random.randint(1, len(self.out))
+        try:
+            self.sock.send(bytes(self.out[:size]))
+        except OSError:  # dropped by the server
+            self.dead = True
+            return
+        del self.out[:size]
+        if not self.out and self.ended:
+            self.finished.add(self.ended)
+
+    def receive(self) -> None:
+        assert self.sock is not None
+        try:
+            data = self.sock.recv(self.world.random.choice([1, 7, 65536]))
+        except OSError:
+            self.dead = True
+            return
+        if not data:
+            self.dead = True
+            return
+        self.reader.feed(data)
+        self.frames.extend(self.reader.frames())
+
+    def go_on(self) -> None:
+        if self.script is None:
+            kind, payload = self.frames.popleft()
+            if kind == Kind.PEER:
+                self.peers(unpack_object(payload))
+            elif kind == Kind.TICK:
+                self.script = self.turn(unpack_barrier(payload))
+            return
+        if next(self.script, "end") == "end":
+            self.script = None
+
+    def peers(self, content: dict) -> None:
+        for channel, topic, publisher, port in content["made"]:
+            assert topic == publisher
+            (connection,) = (c for c in self.world.connections if c.port == port and c.subscriber is self)
+            assert connection.publisher.name == publisher
+            self.channels[channel] = connection
+
+    def turn(self, tick) -> Iterator[None]:
+        self.tick, self.now = tick.tick, tick.time_us
+        self.turns.append(self.tick)
+        for channel, count in tick.channels.items():
+            self.channels[channel].target = count
+        for connection in list(self.channels.values()):
+            while connection.target is not None and connection.arrived < connection.target:
+                assert not connection.publisher.dead or connection.wire, "waits for what was never sent"
+                yield
+            while connection.target is not None and len(connection.dispatched) < connection.target:
+                connection.dispatched.append((self.tick, connection.inbox.popleft()))
+        for _ in range(self.world.random.choice([0, 1, 3])):
+            self.publish()
+            yield
+        self.send(pack_barrier(Kind.DONE, self.tick, self.now, self.changed, {}))
+        self.changed = {}
+        self.ended = self.tick
+
+    def publish(self) -> None:
+        message = (self.name, self.tick, len(self.published))
+        self.published.append(message)
+        for connection in self.outlets:
+            if connection.told:
+                continue
+            connection.wire.append(message)
+            connection.sent += 1
+            if connection.announced:
+                self.changed[connection.number] = connection.sent
+
+
+class World:
+    """The server, the members and the adversary who decides what happens next."""
+
+    def __init__(self, seed: int, count: int, deaths: int, late: int) -> None:
+        self.random = random.Random(seed)
+        self.warnings: list[str] = []
+        self.server = LockstepServer(hang_limit=0.0, connect_limit=60.0, log=lambda _, text: self.warnings.append(text))
+        names = [f"/m{i}" for i in range(count)]
+        self.members = [
+            Member(
+                self, name, self.random.choice(RATES), [n for n in names if n != name and self.random.random() < 0.6]
+            )
+            for name in names
+        ]
+        self.waiting = self.members[len(self.members) - late :] if late else []
+        self.deaths = deaths
+        self.connections: list[Connection] = []
+        self.busy = 0
+        self.haste = self.random.choice([0.0, 0.003, 0.05])  # 0: connections are made only when all else stands still
+        self.flying = False  # before that nobody dies or comes late: the start waits for all by name
+        for member in self.members:
+            if member not in self.waiting:
+                member.start()
+
+    def possible_connections(self) -> list[tuple[Member, Member]]:
+        made = {(c.publisher.name, c.subscriber.name) for c in self.connections}
+        return [
+            (publisher, subscriber)
+            for publisher in self.members
+            for subscriber in self.members
+            if publisher.name in subscriber.subscribes
+            and publisher.joined  # ROS connects a subscriber that has not joined yet as well
+            and not publisher.dead
+            and not subscriber.dead
+            and (publisher.name, subscriber.name) not in made
+        ]
+
+    def connect(self, publisher: Member, subscriber: Member) -> None:
+        connection = Connection(publisher, subscriber, len(publisher.outlets) + 1, 40000 + len(self.connections))
+        self.connections.append(connection)
+        publisher.outlets.append(connection)
+
+    @staticmethod
+    def announce(connection: Connection) -> None:
+        connection.announced = True
+        publisher, subscriber = connection.publisher, connection.subscriber
+        made = [[connection.number, publisher.name, subscriber.name, connection.port, connection.sent]]
+        publisher.send(pack_object(Kind.PEER, {"made": made, "lost": []}))
+
+    def lose(self, connection: Connection) -> None:
+        connection.told = True
+        connection.publisher.send(pack_object(Kind.PEER, {"made": [], "lost": [connection.number]}))
+        connection.publisher.changed.pop(connection.number, None)
+
+    def act(self) -> None:
+        """Let one thing happen."""
+        choices: list = []
+        slow: list = []  # connections, which take long beside messages
+        for member in self.members:
+            choices += member.actions()
+        for publisher, subscriber in self.possible_connections():
+            slow.append(lambda p=publisher, s=subscriber: self.connect(p, s))
+        for connection in self.connections:
+            if not connection.announced and not connection.publisher.dead:
+                slow.append(lambda c=connection: self.announce(c))
+            if connection.wire and not connection.subscriber.dead:
+                choices.append(lambda c=connection: self.deliver(c))
+            if (
+                connection.announced
+                and connection.subscriber.dead
+                and not connection.told
+                and not connection.publisher.dead
+            ):
+                choices.append(lambda c=connection: self.lose(c))
+        alive = [m for m in self.members if m.joined and not m.dead]
+        if not self.flying:
+            pass
+        elif self.waiting and self.random.random() < 0.02:
+            choices = [self.waiting.pop().start]
+        elif self.deaths and len(alive) > 2 and self.random.random() < 0.01:
+            self.deaths -= 1
+            choices = [self.random.choice(alive).die]
+        if slow and (not choices or self.random.random() < self.haste):
+            choices = slow
+        if choices:
+            self.random.choice(choices)()
+
+    @staticmethod
+    def deliver(connection: Connection) -> None:
+        connection.inbox.append(connection.wire.popleft())
+        connection.arrived += 1
+
+    def idle(self, _: float) -> None:
+        """Stand for the wait in a barrier."""
+        self.busy += 1
+        assert self.busy < MOST_ACTIONS, f"deadlock; the server says: {self.warnings[-3:]}"
+        self.act()
+
+    def run(self, ticks: int) -> None:
+        first = [m.name for m in self.members if m.joined]
+        assert self.server.wait_for(first, None, self.idle)
+        self.flying = True
+        now: int | None = 0
+        for _ in range(ticks):
+            if now is None:
+                break
+            self.busy = 0
+            self.server.tick(now, idle=self.idle)
+            now = self.server.next_due_us(now)
+        self.server.close()
+        for member in self.members:
+            if member.sock is not None:
+                member.sock.close()
+
+
+def law(connection: Connection) -> None:
+    """Check what one connection has dispatched against what was published over it."""
+    reader, writer = connection.subscriber, connection.publisher
+    got = [message for _, message in connection.dispatched]
+    first = got[0][2] if got else len(writer.published)
+    assert got == writer.published[first : first + len(got)], "in order, none lost, none twice"
+    for tick, message in connection.dispatched:
+        previous = max((turn for turn in reader.turns if turn < tick), default=0)  # in the first: all that came before
+        assert previous <= message[1] < tick, f"{message} was dispatched in tick {tick}, the turn before was {previous}"
+    if reader.dead or not reader.turns or (writer.dead and writer.turns[-1:] < reader.turns[:1]):
+        return  # the last: it died before the reader joined, and so never was a participant in the reader's time
+    # All that was published over this connection, or since both took part, in turns that were finished before its last.
+    last, since = reader.turns[-1], len(writer.published) - connection.sent
+    due = [
+        message
+        for message in writer.published
+        if (message[2] >= since or message[1] >= reader.turns[0])
+        and message[1] < last
+        and message[1] in writer.finished
+    ]
+    assert reader.script is not None or got[: len(due)] == due, (
+        f"{len(due) - len(got)} messages are late in tick {last}"
+    )
+
+
+@pytest.mark.parametrize("seed", range(45))
+def test_every_message_is_dispatched_in_the_first_turn_after_its_tick(seed: int):
+    sizes = random.Random(-1 - seed)
+    world = World(seed, count=sizes.randint(3, 6), deaths=sizes.randint(0, 3), late=sizes.randint(1, 2))
+    world.run(ticks=15)
+    for publisher, subscriber in world.possible_connections():
+        world.connections.append(Connection(publisher, subscriber, 0, 0))  # never made: the law holds all the same
+    for connection in world.connections:
+        law(connection)
+    assert sum(len(member.turns) for member in world.members) > 0
