@@ -121,6 +121,48 @@ def test_a_taken_port_ends_the_launch(graph: Graph, tmp_path: Path, port: int, n
         graph.forget()
 
 
+@pytest.fixture(scope="module")
+def refused_simulators(graph: Graph) -> dict[str, subprocess.Popen[str]]:
+    """Simulators with bad values, all at the same time."""
+    values = {
+        "no vehicle": "_fleet:=iris:0",
+        "too many": "_fleet:=iris:10000",
+        "type": "_fleet:=helicopter:2",
+        "world": "_world:=mars",
+        "speed": "_speed:=-1",
+        "slow": "_speed:=0.001",
+        "paused": "_paused:=perhaps",
+        "limit": "_busy_limit:=-2",
+    }
+    return {
+        name: node(PROGRAMS["simulator"][0], value, f"__name:=refused_simulator_{i}", **graph.environment)
+        for i, (name, value) in enumerate(values.items())
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("no vehicle", ("0 of type 'iris'", "1 to 250")),
+        ("too many", ("10000 of type 'iris'", "1 to 250")),
+        ("type", ("'helicopter'", "iris")),
+        ("world", ("'mars'", "empty")),
+        ("speed", ("speed: -1 is not allowed", "0.0 to")),
+        ("slow", ("speed: 0.001 is not allowed", "at least 0.01")),
+        ("paused", ("paused: 'perhaps' is not allowed, true or false",)),
+        ("limit", ("busy_limit: -2 is not allowed", "0.0 to")),
+    ],
+)
+def test_a_bad_value_ends_the_simulator(
+    refused_simulators: dict[str, subprocess.Popen[str]], name: str, words: tuple[str, ...]
+) -> None:
+    status, output = ended(refused_simulators[name])
+    assert status == 1, output
+    for word in words:
+        assert word in output
+    assert "Traceback" not in output
+
+
 # ---- the running system
 
 
@@ -231,12 +273,7 @@ def refused(stack: Stack) -> dict[str, subprocess.Popen[str]]:
     wrong_size = stack.folder / "size.yaml"
     wrong_size.write_text("2:\n  mine: [[1, 0, 0], [2, 0, 0]]\n")
     commands = {
-        "no vehicle": (simulator, "_fleet:=iris:0"),
-        "too many": (simulator, "_fleet:=iris:10000"),
-        "type": (simulator, "_fleet:=helicopter:2"),
-        "world": (simulator, "_world:=mars"),
-        "speed": (simulator, "_speed:=-1"),
-        "simulator's port": (simulator,),
+        "second simulator": (simulator,),
         "mavros too many": (mavros, "_fleet:=iris:10000"),
         "mavros's port": (mavros,),
         "communication type": (communication, "helicopter", "0"),
@@ -254,12 +291,7 @@ def refused(stack: Stack) -> dict[str, subprocess.Popen[str]]:
 @pytest.mark.parametrize(
     ("name", "status", "words"),
     [
-        ("no vehicle", 1, ("0 of type 'iris'", "1 to 250")),
-        ("too many", 1, ("10000 of type 'iris'", "1 to 250")),
-        ("type", 1, ("'helicopter'", "iris")),
-        ("world", 1, ("'mars'", "empty")),
-        ("speed", 1, ("speed: -1 is not allowed", "0.0 to")),
-        ("simulator's port", 1, ("iris_0 offboard link", "UDP port 34580")),
+        ("second simulator", 1, ("a simulator is running on the ROS master", "rosnode kill /simulator")),
         ("mavros too many", 1, ("10000 of type 'iris'", "1 to 250")),
         ("mavros's port", 1, ("iris_0", "UDP port 24540")),
         ("communication type", 2, ("'helicopter'", "iris")),

@@ -707,3 +707,23 @@ def test_random_payloads_with_a_right_checksum_do_no_harm(world):
     world.client.receive()
     assert named(world.run(1.1), "HEARTBEAT")
     assert world.command(401)[0] == 0
+
+
+def test_held_setpoints_come_after_the_commands_of_the_tick_whatever_the_order_of_arrival(world):
+    steer = local_target(x=9.0, y=2.0, z=-5.0, mask=_ALL_BUT_POSITION)
+    loiter = mavlink.MAVLink_command_long_message(_SYSTEM, 1, 176, 0, 1, 4, 3, 0, 0, 0, 0)
+    outcomes = []
+    for messages in [(steer, loiter), (loiter, steer)]:
+        world.fly_offboard(x=1.0)
+        world.server.hold_setpoints()
+        answers = world.ask(*messages)
+        assert [m.result for m in answers if m.get_type() == "COMMAND_ACK"] == [0]
+        assert world.setpoint["position"][0] != 9.0
+        world.server.release_setpoints()
+        world.commander.update()
+        outcomes.append(world.setpoint.tobytes())
+    assert outcomes[0] == outcomes[1]
+    world.ask(steer)
+    assert world.command(176, 1, 6)[0] == 0
+    world.commander.update()
+    assert world.setpoint["position"][0] == 9.0  # nothing is kept any more

@@ -30,7 +30,7 @@ DEMO = ["demo", "formation"]
         (["--patterns", "cube,heart"], "pattern 'heart' is unknown for 9 vehicles; there are: "),
         (["--patterns", "cube,,cube"], "patterns: 'cube,,cube' is not allowed"),
         (["--n", "9", "--patterns", "T"], "pattern 'T' is unknown for 9 vehicles"),
-        (["--speed", "0"], "speed: '0' is not allowed; a real-time factor of at least 0.1, or 'unlimited'"),
+        (["--speed", "0"], "speed: '0' is not allowed; a real-time factor of at least 0.01, or 'unlimited'"),
         (["--speed", "-2"], "speed: '-2' is not allowed"),
         (["--speed", "nan"], "speed: 'nan' is not allowed"),
         (["--seed", "-1"], "seed: '-1' is not allowed"),

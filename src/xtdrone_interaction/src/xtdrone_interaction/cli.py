@@ -51,6 +51,8 @@ def _parser() -> argparse.ArgumentParser:
     ))  # fmt: skip
     report = commands.add_parser("report", help="make report and pictures of a recorded flight again")
     report.add_argument("bag", type=Path, help="flight.bag of a run")
+    commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
+    commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
     return parser
 
@@ -70,6 +72,8 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
     add("--follower", default=DEFAULT_FOLLOWER, metavar="PROGRAM",
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class")  # fmt: skip
     add("--control", choices=["vel", "accel"], default="vel", help="what followers command")
+    add("--avoidance", choices=["own", "python", "cpp"], default="own",
+        help="who computes the avoidance: every follower its own, or one node for all (Python, C++)")  # fmt: skip
     add("--clearance", type=_checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
         help="least height of any slot above the ground, m")  # fmt: skip
     add("--world", default="empty", metavar="WORLD", help="world's name")
@@ -104,6 +108,7 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         follower=follower,
         follower_class=follower_class,
         control=arguments.control,
+        avoidance=arguments.avoidance,
         clearance=arguments.clearance,
         world=arguments.world,
         seed=arguments.seed,
@@ -159,6 +164,14 @@ def _new_folder(wanted: Path | None) -> Path:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == ["replay-check"]:
+        from xtdrone_interaction import replay_check
+
+        return replay_check.main(arguments[1:])
+    if arguments[:1] == ["sim"]:
+        from xtdrone_interaction import sim_cli
+
+        return sim_cli.main(arguments[1:])
     if arguments[:1] == ["bench"]:
         from xtdrone_interaction import bench
 

@@ -12,7 +12,7 @@ published
 /xtdrone/T/cmd                            String                   ARM, OFFBOARD, AUTO.LAND, ...
 /xtdrone/leader/cmd                       String                   names of patterns
 /xtdrone/leader/cmd_vel_flu               Twist
-/xtdrone/demo/events                      String (JSON)            event, time (simulated s), wall (epoch s), ...
+/xtdrone/demo/events                      String (JSON)            event, time (simulated s), ...
 /xtdrone/demo/progress                    String (JSON)            see :meth:`FormationDirector._progress`
 ========================================  =======================  ====================================================
 """
@@ -48,7 +48,6 @@ from xtdrone_interaction.mission import FormationMission, MissionError, View
 
 RATE = 30.0  # Hz
 _PROGRESS_TICKS = 6  # 5 Hz of simulated time
-_RTF_SPAN = 1.0  # s of wall time over which the real-time factor is taken
 _LAST_TICKS = 15  # so long the director stays after the flight, so that the recorder gets the last events
 
 
@@ -77,9 +76,6 @@ class FormationDirector:
         self._events = events
         self._has_truth = False
         self._least_distance = math.inf
-        self._start_wall = time.monotonic()
-        self._rtf = 0.0
-        self._rtf_from = (0.0, self._start_wall)
         self._event_publisher = lockstep.Publisher(EVENTS_TOPIC, String)
         self._progress_publisher = lockstep.Publisher(PROGRESS_TOPIC, String)
         self._commands = [lockstep.Publisher(f"/xtdrone/{name}/cmd", String) for name in names]
@@ -138,12 +134,12 @@ class FormationDirector:
         self._leader_velocity.publish(message)
 
     def event(self, event: str, **values: Any) -> None:
-        """Publish an event and add it to the events' file."""
-        values = {"event": event, "time": self.view.time, "wall": time.time(), **values}
+        """Publish an event, and add it to the events' file with the wall time, which must not be on any topic."""
+        values = {"event": event, "time": self.view.time, **values}
         text = json.dumps(values)
         self._event_publisher.publish(String(text))
         if self._events is not None:
-            self._events.write(text + "\n")
+            self._events.write(json.dumps({**values, "wall": time.time()}) + "\n")
             self._events.flush()
         (rospy.logerr if event == "failed" else rospy.loginfo)("director: %s", text)
 
@@ -167,14 +163,20 @@ class FormationDirector:
         return 0
 
     def _advance(self, ticks: Any, rate: Any) -> None:
-        """Advance ``ticks`` once a tick until it ends or the node is to stop."""
+        """Advance ``ticks`` once a tick until it ends or the node is to stop.
+
+        Raises:
+            MissionError: the mission has failed, or simulated time has gone back.
+        """
         for number, _ in enumerate(ticks):
             if number % _PROGRESS_TICKS == 0:
                 self._publish_progress()
             rate.sleep()
-            self.view.time = rospy.get_time()
+            before, self.view.time = self.view.time, rospy.get_time()
             if rospy.is_shutdown():
                 return
+            if self.view.time < before:
+                raise MissionError(f"the simulation was set back from {before:.1f} s to {self.view.time:.1f} s")
 
     def _give_up(self, reason: str, rate: Any) -> None:
         """Land all vehicles; the flight has failed for ``reason``."""
@@ -200,10 +202,6 @@ class FormationDirector:
 
     def _progress(self) -> dict[str, Any]:
         """Return what the flight has come to; times in s, distances in m, error is the greatest of all followers."""
-        now = time.monotonic()
-        if now - self._rtf_from[1] >= _RTF_SPAN:
-            self._rtf = (self.view.time - self._rtf_from[0]) / (now - self._rtf_from[1])
-            self._rtf_from = (self.view.time, now)
         error = self.view.error()
         distance = float(least_distances(self.view.position[None])[0])
         if self.mission.step > 1 and math.isfinite(distance):
@@ -213,8 +211,6 @@ class FormationDirector:
             "step": self.mission.step,
             "steps": self.mission.steps,
             "sim_time": self.view.time,
-            "wall_time": now - self._start_wall,
-            "rtf": self._rtf,
             "error": _finite(error.max() if error is not None else math.nan),
             "distance": _finite(distance),
             "least_distance": _finite(self._least_distance),

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+_SPAN = 1.0  # s of wall time over which the real-time factor is taken
 _LINE_PERIOD = 5.0  # s of wall time between two lines where there is no terminal
 
 
@@ -24,9 +25,28 @@ class Display(Protocol):
         """End the display."""
 
 
-def figures(progress: dict[str, Any]) -> str:
+class RealTimeFactor:
+    """How fast simulated time passes, over the last second or so of wall time."""
+
+    def __init__(self, span: float = _SPAN) -> None:
+        """Know nothing yet; ``span`` is in s of wall time."""
+        self._span = span
+        self._factor = 0.0
+        self._since: tuple[float, float] | None = None
+
+    def update(self, sim_time: float, wall: float) -> float:
+        """Return the factor, given simulated and wall time in s; 0 until a span has passed."""
+        if self._since is None:
+            self._since = (sim_time, wall)
+        elif wall - self._since[1] >= self._span:
+            self._factor = (sim_time - self._since[0]) / (wall - self._since[1])
+            self._since = (sim_time, wall)
+        return self._factor
+
+
+def figures(progress: dict[str, Any], factor: float) -> str:
     """Return the figures of a progress message as text: simulated time, real-time factor, error, distance."""
-    parts = [f"sim {progress['sim_time']:6.1f} s", f"{progress['rtf']:4.1f} x real time"]
+    parts = [f"sim {progress['sim_time']:6.1f} s", f"{factor:4.1f} x real time"]
     if progress["error"] is not None:
         parts.append(f"formation error {progress['error']:5.2f} m")
     if progress["least_distance"] is not None:
@@ -49,6 +69,7 @@ class LiveDisplay:
             console=console,
             refresh_per_second=5,
         )
+        self._factor = RealTimeFactor()
         self._task = self._progress.add_task("starting the nodes", total=None, figures="")
         self._progress.start()
 
@@ -63,7 +84,7 @@ class LiveDisplay:
             description=progress["phase"],
             completed=max(0, progress["step"] - 1),
             total=progress["steps"],
-            figures=figures(progress),
+            figures=figures(progress, self._factor.update(progress["sim_time"], time.monotonic())),
         )
 
     def close(self) -> None:
@@ -79,6 +100,7 @@ class LineDisplay:
         self._console = console
         self._shown = 0.0
         self._phase = ""
+        self._factor = RealTimeFactor()
         self.note("starting the nodes")
 
     def note(self, text: str) -> None:
@@ -88,10 +110,11 @@ class LineDisplay:
     def update(self, progress: dict[str, Any]) -> None:
         """Show a message of /xtdrone/demo/progress when it is time for one."""
         now = time.monotonic()
+        factor = self._factor.update(progress["sim_time"], now)
         if progress["phase"] == self._phase and now - self._shown < _LINE_PERIOD:
             return
         self._shown, self._phase = now, progress["phase"]
-        self.note(f"{progress['step']:2d}/{progress['steps']} {progress['phase']:<18} {figures(progress)}")
+        self.note(f"{progress['step']:2d}/{progress['steps']} {progress['phase']:<18} {figures(progress, factor)}")
 
     def close(self) -> None:
         """Nothing is left open."""

@@ -27,6 +27,7 @@ from xtdrone_interaction.options import OptionError, repository
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.record import RecordError, read_events, read_record
 from xtdrone_interaction.report import make_report, print_report, write_report
+from xtdrone_interaction.sim_cli import MASTER_FILE
 
 _POLL = 0.2  # s, how often the processes are looked after
 _START_LIMIT = 60.0  # s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
@@ -69,6 +70,7 @@ class DemoSettings:
         follower: program of xtdrone_coordination.
         follower_class: the user's own follower class, ``/absolute/file.py`` or ``/absolute/file.py:Class``, or empty.
         control: ``vel`` or ``accel``.
+        avoidance: ``own``: every follower computes its own; ``python`` or ``cpp``: one node for all.
         clearance: least height of any slot above the ground, m.
         world: name.
         seed: of sensor noise and biases.
@@ -86,6 +88,7 @@ class DemoSettings:
     follower: str
     follower_class: str
     control: str
+    avoidance: str
     clearance: float
     world: str
     seed: int
@@ -103,6 +106,10 @@ class _Feed:
 
     def callback(self, kind: str) -> Callable[[Any], None]:
         return lambda message: self.messages.put((kind, json.loads(message.data)))
+
+    def on_status(self, status: Any) -> None:
+        if status.paused or status.waiting_for:
+            self.messages.put(("standstill", {}))
 
 
 def run_demo(settings: DemoSettings, console: Console) -> int:
@@ -136,6 +143,8 @@ def _fly(settings: DemoSettings, console: Console) -> None:
     uri = _master_uri(settings)
     environment = _environment(settings, uri)
     os.environ.update({k: environment[k] for k in environment if k.startswith("ROS_")})  # for our own rospy
+    master = settings.out / MASTER_FILE
+    master.write_text(uri + "\n", encoding="utf-8")
     tree = ProcessTree(_command(settings), environment, _roslaunch_log(settings))
     display: Display = LineDisplay(console) if settings.headless or not console.is_terminal else LiveDisplay(console)
     try:
@@ -145,6 +154,7 @@ def _fly(settings: DemoSettings, console: Console) -> None:
             display.close()
             _close_feed()
             tree.stop(_PATIENCE)
+            master.unlink(missing_ok=True)
             _mend_bag(settings.out / "flight.bag", environment)
 
 
@@ -161,6 +171,7 @@ def _command(settings: DemoSettings) -> list[str]:
         "follower": settings.follower,
         "follower_class": settings.follower_class,
         "control": settings.control,
+        "avoidance": settings.avoidance,
         "clearance": settings.clearance,
         "world": settings.world,
         "seed": settings.seed,
@@ -231,7 +242,10 @@ def _watch(tree: ProcessTree, settings: DemoSettings, uri: str, display: Display
             connected = True
         with contextlib.suppress(queue.Empty):
             kind, message = feed.messages.get(timeout=_POLL)
-            last, begun, limit = time.monotonic(), True, _SILENCE_LIMIT
+            last = time.monotonic()
+            if kind == "standstill":  # a pause, or a node at a breakpoint: however long, nothing is wrong
+                continue
+            begun, limit = True, _SILENCE_LIMIT
             if kind == "progress":
                 display.update(message)
             else:
@@ -269,10 +283,12 @@ def _open_feed(feed: _Feed) -> None:
     """Subscribe to the director's messages."""
     import rospy
     from std_msgs.msg import String
+    from xtdrone_msgs.msg import SimulationStatus
 
     rospy.init_node("formation_demo_display", anonymous=True, disable_signals=True)
     rospy.Subscriber(PROGRESS_TOPIC, String, feed.callback("progress"))
     rospy.Subscriber(EVENTS_TOPIC, String, feed.callback("event"))
+    rospy.Subscriber("/simulator/status", SimulationStatus, feed.on_status)
 
 
 def _close_feed() -> None:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from xtdrone_control.fleet import MAX_VEHICLES, Vehicle
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.geometry import ORIGIN
-
-LEAST_SPEED = 0.1
+from xtdrone_sim.pacing import LEAST_SPEED
 
 
 class OptionError(ValueError):

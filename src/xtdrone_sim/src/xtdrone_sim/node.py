@@ -7,8 +7,10 @@ import select
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import rosgraph
+import rosgraph.network
 import rospy
 from gazebo_msgs.msg import ModelStates
 from rosgraph_msgs.msg import Clock
@@ -18,12 +20,19 @@ from xtdrone_control.fleet import Vehicle, parse_fleet
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
+from .control import Control, Reset
+from .datagrams import Datagrams
+from .digests import DigestFile
 from .gazebo_names import model_states
+from .mailbox import Mailbox
 from .pacing import Pacer
+from .services import Services
 from .simulation import Simulation
+from .startup import node_name, obstacle, stale_uri
+from .stopping import Stop
 
 _CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
-_DATAGRAM_LIMIT = 10.0  # s of wall time to wait for datagrams that a participant says it has sent
+_SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
 _JOIN_REPORT = 5.0  # s between two words on who has not joined
 _CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
 
@@ -38,12 +47,18 @@ class Settings:
         world: name or file (``~world``).
         seed: of the sensor noise (``~seed``).
         speed: target real-time factor, 0 for unlimited (``~speed``).
+        paused: start paused (``~paused``).
+        until: simulated seconds after which the node ends, 0 for never (``~until``).
+        lockstep: offer it; without, nothing is waited for and nodes run on /clock (``~lockstep``).
         participants: lockstep participants to wait for before time starts (``~participants``).
         start_limit: wall seconds to wait for them (``~start_limit``).
-        hang_limit: wall seconds of silence after which a participant is dropped (``~hang_limit``).
-        host: address on which lockstep and MAVLink listen (``~host``).
+        hang_limit: wall seconds of silence after which a participant is dropped, 0 for never (``~hang_limit``).
+        busy_limit: wall seconds that a living participant may take for one turn, 0 for any time (``~busy_limit``).
+        host: address on which lockstep and MAVLink listen; "0.0.0.0" for every network (``~host``).
+        lockstep_port: the lockstep's TCP port, 0 for any free one (``~lockstep_port``).
         shared_datum: one local frame for all (``~shared_datum``).
         states_rate: /gazebo/model_states, Hz of simulated time (``~model_states_rate``).
+        digest: file for digests of all that is published, see ``digests``; empty for none (``~digest``).
     """
 
     fleet: tuple[Vehicle, ...]
@@ -51,12 +66,18 @@ class Settings:
     world: str
     seed: int
     speed: float
+    paused: bool
+    until: float
+    lockstep: bool
     participants: int
     start_limit: float
     hang_limit: float
+    busy_limit: float
     host: str
+    lockstep_port: int
     shared_datum: bool
     states_rate: float
+    digest: str
 
     @classmethod
     def from_parameters(cls) -> Settings:
@@ -71,12 +92,18 @@ class Settings:
             world=str(rospy.get_param("~world", "empty")),
             seed=_integer("~seed", 0, 0),
             speed=_number("~speed", 1.0, 0.0, 1e6),
+            paused=_flag("~paused", False),
+            until=_number("~until", 0.0, 0.0, 1e9),
+            lockstep=_flag("~lockstep", True),
             participants=_integer("~participants", 0, 0),
             start_limit=_number("~start_limit", 120.0, 0.0, 1e6),
             hang_limit=_number("~hang_limit", 60.0, 0.0, 1e6),
+            busy_limit=_number("~busy_limit", 0.0, 0.0, 1e6),
             host=str(rospy.get_param("~host", "127.0.0.1")),
+            lockstep_port=_integer("~lockstep_port", 0, 0, 65535),
             shared_datum=bool(rospy.get_param("~shared_datum", True)),
             states_rate=_number("~model_states_rate", 50.0, 0.1, 250.0),
+            digest=str(rospy.get_param("~digest", "")),
         )
 
 
@@ -87,26 +114,39 @@ def _number(name: str, default: float, low: float, high: float) -> float:
     return float(value)
 
 
-def _integer(name: str, default: int, low: int) -> int:
+def _integer(name: str, default: int, low: int, high: int | None = None) -> int:
     value = rospy.get_param(name, default)
-    if not isinstance(value, int) or value < low:
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, a whole number from {low}")
+    if not isinstance(value, int) or value < low or (high is not None and value > high):
+        limits = f"from {low}" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, a whole number {limits}")
+    return value
+
+
+def _flag(name: str, default: bool) -> bool:
+    value = rospy.get_param(name, default)
+    if not isinstance(value, bool):
+        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, true or false")
     return value
 
 
 class SimulatorNode:
-    """Runs a simulation against the ROS graph until ROS shuts down."""
+    """Runs a simulation against the ROS graph until it is to end."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, stop: Stop) -> None:
         """Set everything up; time stands at 0.
+
+        Args:
+            settings: what the node's parameters ask.
+            stop: says when to end.
 
         Raises:
             ValueError: bad settings, unknown vehicle or world.
             OSError: a port that is taken.
         """
         self._settings = settings
+        self._stop = stop
         self._names = [vehicle.name for vehicle in settings.fleet]
-        self._pacer = Pacer(settings.speed)
+        pacer = Pacer(settings.speed)
         self._simulation = Simulation(
             settings.fleet,
             rows=settings.rows,
@@ -114,40 +154,80 @@ class SimulatorNode:
             seed=settings.seed,
             shared_datum=settings.shared_datum,
         )
-        self._mavlink = MavlinkServer(settings.fleet, self._simulation.autopilot, self._simulation.commanders)
-        self._server = LockstepServer(settings.host, settings.hang_limit, connect_limit=_CONNECT_LIMIT, log=_log)
+        self._mavlink = MavlinkServer(
+            settings.fleet, self._simulation.autopilot, self._simulation.commanders, settings.host
+        )
+        host = lockstep.host()
+        self._digests = DigestFile(Path(settings.digest), host.name, host.want_digests()) if settings.digest else None
+        self._server = LockstepServer(
+            settings.host,
+            settings.hang_limit,
+            port=settings.lockstep_port,
+            busy_limit=settings.busy_limit,
+            connect_limit=_CONNECT_LIMIT,
+            log=_log,
+            on_digest=self._digests.write if self._digests else None,
+        )
         self._clock = rospy.Publisher("/clock", Clock, queue_size=10)
-        self._server.attach_host(lockstep.host())
+        self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
         self._collisions: set[tuple[int, int]] = set()
-        self._lost: dict[int, int] = {}  # datagrams given up, by local port
+        self._datagrams = Datagrams(self._mavlink, self._server, lambda text: rospy.logwarn("simulator: %s", text))
+        self._control = Control(
+            pacer,
+            self._server,
+            lambda: self._simulation.time_us,
+            paused=settings.paused,
+            hang_limit=settings.hang_limit,
+            info=lambda text: rospy.loginfo("simulator: %s", text),
+            warn=lambda text: rospy.logwarn("simulator: %s", text),
+        )
+        self._mailbox = Mailbox()
+        self._services = Services(
+            self._control,
+            self._mailbox,
+            step_s=self._simulation.step_us * 1e-6,
+            gravity=self._simulation.world.model.gravity,
+            model_names=["ground_plane", *self._names],
+        )
         self._poll = select.epoll()
+        self._poll.register(self._mailbox.fileno(), select.EPOLLIN)
         self._poll.register(self._server.fileno(), select.EPOLLIN)
         self._poll.register(self._mavlink.fileno(), select.EPOLLIN)
-        rospy.set_param("/lockstep/uri", self._server.uri)
-        rospy.on_shutdown(_forget_uri)
+        self._uri = reachable_uri(self._server.uri, settings.host)
+        if settings.lockstep:
+            rospy.set_param("/lockstep/uri", self._uri)
+        else:
+            rospy.logwarn("simulator: no lockstep (~lockstep is false): nodes run on /clock, nothing is repeatable")
 
     def run(self) -> None:
-        """Step until shutdown."""
+        """Step until the node is to end."""
         try:
             self._publish_clock()
             self._wait_for_participants()
-            while True:
+            self._control.start()
+            while not self._over():
+                self._hold()
                 self._advance()
                 self._wait_for_pace()
         except rospy.ROSException:
             # ROSInterruptException of our own, or rospy's word that its topics are closed
-            if not rospy.is_shutdown():
+            if not self._stop.requested():
                 raise
         finally:
+            _forget_uri(self._uri)
+            self._mailbox.close()
+            self._control.close()
             self._server.close()
+            if self._digests is not None:
+                self._digests.close(self._simulation.time_us)
             self._mavlink.close()
             self._simulation.close()
 
     def _wait_for_participants(self) -> None:
-        expected = self._settings.participants
+        expected = self._control.held = self._settings.participants if self._settings.lockstep else 0
         end = time.monotonic() + self._settings.start_limit
         while expected and time.monotonic() < end:
             if self._server.wait_for(expected, _JOIN_REPORT, self._serve):
@@ -161,12 +241,36 @@ class SimulatorNode:
                 self._server.missing(expected),
             )
 
+    def _over(self) -> bool:
+        """Say whether the simulated time is reached at which the node is to end."""
+        until = self._settings.until
+        return until > 0.0 and self._simulation.time_us >= round(until * 1e6)
+
+    def _hold(self) -> None:
+        """Carry out what waits for the end of a tick; stay here while the simulation is paused."""
+        while not self._control.between_ticks(self._reset):
+            self._serve(_SLICE)
+            self._server.poll(0.0)
+
+    def _reset(self, kind: Reset) -> None:
+        """Put everything back to its start, with simulated time or without: a reboot of all autopilots."""
+        simulation = self._simulation
+        simulation.restart(0 if kind is Reset.SIMULATION else simulation.time_us)
+        self._mavlink.reboot(simulation.autopilot, simulation.commanders)
+        self._collisions.clear()
+        if kind is Reset.SIMULATION:
+            self._next_states_us = 0
+            self._server.reset_time(0)
+        self._publish_clock()
+
     def _advance(self) -> None:
         """Step to the next tick, or a little way when nobody is due soon; then one barrier."""
+        self._datagrams.direct()
         simulation, mavlink = self._simulation, self._mavlink
         now = simulation.time_us
         due = self._server.next_due_us(now)
         until = now + _CHUNK_US if due is None else min(due, now + _CHUNK_US)
+        is_tick = due is None or due == until
         next_stream = mavlink.next_due_us
         while simulation.time_us < until:
             simulation.step()
@@ -176,12 +280,19 @@ class SimulatorNode:
         now = simulation.time_us
         mavlink.send_streams(now)
         self._publish_clock()
+        lockstep.host().time_passed(now)
         if now >= self._next_states_us:
             self._publish_states(now)
         self._serve(0.0)
+        if self._digests is not None:
+            self._digests.tick(now, simulation.world)
+        mavlink.hold_setpoints()
         self._server.tick(now, mavlink.sent, self._serve)
-        self._await_datagrams()
+        self._datagrams.wait()
+        mavlink.release_setpoints()
         self._report_collisions()
+        if is_tick:
+            self._control.ticked()
 
     def _report_collisions(self) -> None:
         new = self._simulation.world.collisions - self._collisions
@@ -195,40 +306,22 @@ class SimulatorNode:
         Raises:
             ROSInterruptException: ROS shuts down; whoever waits for a participant must not wait on.
         """
-        if rospy.is_shutdown():
+        if self._stop.requested():
             raise rospy.ROSInterruptException("shutdown")
-        events = self._poll.poll(timeout)
-        server = self._server.fileno()
-        if any(descriptor != server for descriptor, _ in events):
+        ready = {descriptor for descriptor, _ in self._poll.poll(timeout)}
+        if self._mavlink.fileno() in ready:
             self._mavlink.receive(0.0)
-
-    def _await_datagrams(self) -> None:
-        """Take in the MAVLink that participants say they have sent in this tick."""
-        missing = self._missing_datagrams()
-        end = time.monotonic() + _DATAGRAM_LIMIT
-        while missing and time.monotonic() < end:
-            self._mavlink.receive(0.01)
-            missing = self._missing_datagrams()
-        for port, count in missing.items():
-            rospy.logwarn("simulator: %d datagrams to UDP port %d did not come", count, port)
-            self._lost[port] = self._lost.get(port, 0) + count
-
-    def _missing_datagrams(self) -> dict[int, int]:
-        """Return how many datagrams are on their way to each local port, where there are any."""
-        received, lost = self._mavlink.received, self._lost
-        missing = {}
-        for port, count in self._server.datagrams_expected.items():
-            away = count - received.get(port, count) - lost.get(port, 0)
-            if away > 0:
-                missing[port] = away
-        return missing
+        if self._mailbox.fileno() in ready:
+            self._mailbox.serve()
+        self._mavlink.keep_alive()
+        self._services.tend()
 
     def _wait_for_pace(self) -> None:
-        while True:
-            delay = self._pacer.delay(self._simulation.time_us, time.monotonic())
+        while self._control.flowing:
+            delay = self._control.pacer.delay(self._simulation.time_us, time.monotonic())
             if delay <= 0.0:
                 return
-            self._serve(min(delay, 0.1))
+            self._serve(min(delay, _SLICE))
             self._server.poll(0.0)
 
     def _publish_clock(self) -> None:
@@ -242,10 +335,24 @@ class SimulatorNode:
             self._states.publish(model_states(self._names, self._simulation.world.plant))
 
 
-def _forget_uri() -> None:
+def reachable_uri(uri: str, host: str) -> str:
+    """Return an address under which participants on other machines find the lockstep's server.
+
+    Args:
+        uri: the server's, tcp://host:port.
+        host: the address on which it listens; for "0.0.0.0" the one that this machine tells other ROS nodes is named.
+    """
+    if host not in {"", "0.0.0.0"}:
+        return uri
+    return f"tcp://{rosgraph.network.get_local_address()}:{uri.rpartition(':')[2]}"
+
+
+def _forget_uri(uri: str) -> None:
     try:
-        rospy.delete_param("/lockstep/uri")
-    except (KeyError, rospy.ROSException, OSError):
+        master = rosgraph.Master(rospy.get_name())
+        if master.getParam("/lockstep/uri") == uri:  # not that of another simulator
+            master.deleteParam("/lockstep/uri")
+    except (rosgraph.MasterException, OSError):
         rospy.logdebug("simulator: /lockstep/uri was gone already")
 
 
@@ -261,11 +368,22 @@ def main() -> int:
         advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
         print(f"simulator: no ROS master answers at {rosgraph.get_master_uri()}; {advice}", file=sys.stderr)
         return 1
-    rospy.init_node("simulator", disable_rostime=True)
+    name = node_name("simulator", sys.argv)
+    # Before the name is registered: the master would shut down the node that has it now.
+    reason = obstacle(name)
+    if reason:
+        print(f"simulator: {reason}", file=sys.stderr)
+        return 1
+    stale = stale_uri(name)
+    rospy.init_node("simulator", disable_rostime=True, disable_signals=True)
+    stop = Stop()
+    if stale:
+        rospy.logwarn("simulator: /lockstep/uri was %s, where nobody answers: it is taken over", stale)
     try:
-        node = SimulatorNode(Settings.from_parameters())
+        node = SimulatorNode(Settings.from_parameters(), stop)
     except (ValueError, OSError) as error:
         rospy.logfatal("simulator: %s", error)
         return 1
     node.run()
+    rospy.signal_shutdown("the simulation has ended")
     return 0

@@ -64,20 +64,32 @@ class Simulation:
         models = [types[vehicle.type] for vehicle in fleet]
         spawn = places if places is not None else spawn_grid(fleet, rows)
         self.fleet = fleet
-        self.time_us = 0
-        self.world = World(model, models, spawn, STEP_US * 1e-6)
-        layouts = [vehicle.rotor_layout for vehicle in models]
-        self.autopilot = Autopilot(layouts, model.datum if shared_datum else None)
-        self.sensors = Sensors(self.world, self.autopilot, seed)
-        self.commanders = []
-        for vehicle, vehicle_model in zip(fleet, models, strict=True):
-            parameters = Parameters(
+        self._model = model
+        self._models = models
+        self._spawn = spawn
+        self._seed = seed
+        self._datum = model.datum if shared_datum else None
+        self._parameters = [
+            Parameters(
                 {
                     **vehicle_model.parameters,
                     "EKF2_MAG_DECL": model.declination,
                     "MAV_SYS_ID": vehicle.system_id,
                 }
             )
+            for vehicle, vehicle_model in zip(fleet, models, strict=True)
+        ]
+        self._begin(0)
+
+    def _begin(self, time_us: int) -> None:
+        """Make world, sensors and autopilots as they are at the start, at simulated time ``time_us``."""
+        self.time_us = time_us
+        self.world = World(self._model, self._models, self._spawn, STEP_US * 1e-6)
+        self.autopilot = Autopilot([vehicle.rotor_layout for vehicle in self._models], self._datum)
+        self.autopilot.time_us = time_us
+        self.sensors = Sensors(self.world, self.autopilot, self._seed)
+        self.commanders = []
+        for vehicle, parameters in zip(self.fleet, self._parameters, strict=True):
             parameters.write_to(self.autopilot.params[vehicle.id])
             self.commanders.append(Commander(vehicle, self.autopilot, parameters, vehicle.id))
         self.autopilot.start_control()
@@ -94,6 +106,24 @@ class Simulation:
         if self.time_us % COMMANDER_PERIOD_US == 0:
             for commander in self.commanders:
                 commander.update()
+
+    def restart(self, time_us: int = 0) -> None:
+        """Put the fleet back to its start: spawn places, disarmed, estimators, modes and noise from the beginning.
+
+        Parameters that were changed stay changed, as they do when an autopilot is rebooted. ``world``, ``autopilot``,
+        ``sensors`` and ``commanders`` are new objects.
+
+        Args:
+            time_us: simulated time from which it goes on, microseconds; a multiple of ``step_us``. From 0 the same
+                inputs lead to the same flight as the first time, to the last bit.
+
+        Raises:
+            ValueError: ``time_us`` is no such multiple.
+        """
+        if time_us < 0 or time_us % STEP_US:
+            raise ValueError(f"time: {time_us} us is not allowed, a multiple of {STEP_US} us")
+        self.world.close()
+        self._begin(time_us)
 
     def run_until(self, time_us: int) -> None:
         """Step until simulated time is at least ``time_us``."""

@@ -128,12 +128,16 @@ class MultirotorCore:
         if not 0.0 <= hover_speed <= LARGEST:
             raise ValueError(f"hover_speed: {hover_speed} m/s is not allowed, 0 or more")
         self.name = name
-        self.setpoint = velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False)
-        self.hovering = False
-        self.mission = ""
         self._log = log
         self._hover_speed = hover_speed
         self._cmd_timeout = cmd_timeout
+        self.restart()
+
+    def restart(self) -> None:
+        """Hold, and know of no input: as at the start."""
+        self.setpoint = velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False)
+        self.hovering = False
+        self.mission = ""
         self._pose: tuple[Vector, float] | None = None  # position ENU m, yaw rad
         self._idle = True  # no input and no HOVER yet: the hold follows the vehicle
         self._moving_since: float | None = None  # time of the last velocity or acceleration, while it is the set-point

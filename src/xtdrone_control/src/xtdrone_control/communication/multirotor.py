@@ -122,6 +122,7 @@ class MultirotorCommunication:
         self._output = lockstep.Publisher(f"/{vehicle}/mavros/setpoint_raw/local", PositionTarget)
         lockstep.Subscriber(f"/{vehicle}/mavros/state", State, self._on_state)
         lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.add_reset_hook(self.core.restart)  # the vehicle is as at the start, and times of before are to come
         base = f"/xtdrone/{vehicle}"
         lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
         for frame, body in (("enu", False), ("flu", True)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import socket
 import time
@@ -13,18 +14,19 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.fleet import Vehicle
 
 from .packing import Format, PackingError
-from .streams import Streams
+from .streams import HEARTBEAT, Streams
 from .telemetry import Telemetry, Values
 
 Address = tuple[str, int]
 
 COMPONENT_ID = 1  # MAV_COMP_ID_AUTOPILOT1
-_HOST = "127.0.0.1"
+LOOPBACK = "127.0.0.1"
 _MAX_DATAGRAM = 1400  # bytes; below the MTU of what a datagram may cross
 _RECEIVE_BUFFER = 1 << 20
 _SILENCE_US = 5_000_000
 _SILENCE_S = 5.0
 _WARNING_INTERVAL_US = 1_000_000
+_BEAT_PERIOD = 1.0  # s of wall time, see keep_alive
 _TEXT_SIZE = 50  # STATUSTEXT.text
 
 _log = logging.getLogger("rosout.mavlink")
@@ -58,26 +60,29 @@ class Link:
         remote_port: int,
         telemetry: Telemetry,
         rates: dict[str, float],
+        host: str = LOOPBACK,
     ) -> None:
         """Bind the port.
 
         Args:
             vehicle: whose link this is.
             kind: what the link is called in messages.
-            local_port: port to bind on 127.0.0.1.
-            remote_port: port there to which frames go until somebody speaks.
+            local_port: port to bind.
+            remote_port: port on this machine to which frames go until somebody speaks, or ``direct`` names another.
             telemetry: what the vehicle tells.
             rates: default rates of the streams, message name to Hz.
+            host: address to bind; "0.0.0.0" for every network.
 
         Raises:
-            LinkError: the port cannot be bound.
+            LinkError: the port cannot be bound, or there is no such address here.
         """
         self.name = f"{vehicle.name} {kind} link"
         self.system_id = vehicle.system_id
         self.local_port = local_port
-        self.peer: Address = (_HOST, remote_port)
+        self.peer: Address = (LOOPBACK, remote_port)
         self.telemetry = telemetry
         self.streams = Streams(telemetry, rates)
+        self._rates = rates
         self.received = 0
         self.sent: dict[int, int] = {}
         self.lost = 0
@@ -87,24 +92,34 @@ class Link:
         self._frames: deque[bytes] = deque()
         self._heard_us = -1
         self._heard_wall = 0.0
+        self._beat_wall = 0.0
         self._text_id = 0
         self._warned_us: dict[str, int] = {}
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
             self.socket.setblocking(False)
-            self.socket.bind((_HOST, local_port))
+            self.socket.bind((host, local_port))
         except OSError as error:
             self.socket.close()
+            advice = "it must be an address of this machine"
+            if error.errno == errno.EADDRINUSE:
+                advice = "is another simulator, PX4 or ground station using it?"
             raise LinkError(
                 error.errno,
-                f"{self.name}: UDP port {local_port} cannot be bound: {error.strerror}; "
-                "is another simulator, PX4 or ground station using it?",
+                f"{self.name}: UDP port {local_port} cannot be bound on {host}: {error.strerror or error}; {advice}",
             ) from error
 
     def close(self) -> None:
         """Close the socket."""
         self.socket.close()
+
+    def reboot(self, telemetry: Telemetry) -> None:
+        """Start anew for an autopilot that has been rebooted: streams begin again; socket, peer and counters stay."""
+        self.telemetry = telemetry
+        self.streams = Streams(telemetry, self._rates)
+        self._frames.clear()
+        self._warned_us.clear()
 
     def read(self) -> tuple[bytes, Address] | None:
         """Return the next datagram and its sender, None when there is none."""
@@ -114,6 +129,11 @@ class Link:
             return None
         self.received += 1
         return datagram, sender
+
+    def direct(self, host: str) -> None:
+        """Send to ``host`` what was to go to this machine; without effect once somebody has spoken."""
+        if self._heard_us < 0:
+            self.peer = (host, self.peer[1])
 
     def heard(self, sender: Address, now_us: int) -> None:
         """Note a valid frame from ``sender``: answers and streams go there from now on."""
@@ -159,7 +179,25 @@ class Link:
             self.streams.stop()  # by both clocks: the simulation may run fast, or stand still
         self.telemetry.refresh(now_us)
         for message, values in self.streams.due(now_us, lambda text: self.warn("packing", text, now_us)):
+            if message is HEARTBEAT:
+                self._beat_wall = time.monotonic()
             self.send_values(message, values, now_us)
+
+    def keep_alive(self, now_us: int) -> None:
+        """Send a HEARTBEAT when the last one is older than a second of wall time.
+
+        Simulated time may stand still or go slowly; a ground station, which lives by wall time, takes silence for a
+        lost link. Not for links whose datagrams are part of a flight that must be the same each time.
+        """
+        wall = time.monotonic()
+        if wall - self._beat_wall < _BEAT_PERIOD:
+            return
+        self._beat_wall = wall
+        self.telemetry.refresh(now_us)
+        found = self.streams.values(HEARTBEAT.number, lambda text: self.warn("packing", text, now_us))
+        if found is not None:
+            self.send_values(*found, now_us)
+        self.flush(now_us)
 
     def flush(self, now_us: int) -> None:
         """Send what is queued, in as few datagrams as possible."""

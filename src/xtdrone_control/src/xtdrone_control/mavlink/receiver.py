@@ -53,7 +53,12 @@ MESSAGES = (
 
 
 class Receiver:
-    """Acts on the messages of one vehicle. Nothing that comes in raises."""
+    """Acts on the messages of one vehicle. Nothing that comes in raises.
+
+    In a tick of the lockstep, commands and requests come when some participant's service call makes them, and
+    set-points when the MAVROS layer has its turn: which is first, the scheduler decides. Therefore set-points can be
+    held until everybody is done; commands and requests, whose answers somebody waits for, then always come first.
+    """
 
     def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
         """Take the vehicle's commander and its place in ``autopilot``."""
@@ -62,6 +67,7 @@ class Receiver:
         self._estimator = autopilot.estimator[index]
         self._system_id = commander.vehicle.system_id
         self._commands = CommandHandler(commander)
+        self._held: list[tuple[Link, Callable[[Commander, Any], None], Any]] | None = None
         self._now_us = 0
         self._sender = (0, 0)
         self._handlers: dict[int, tuple[Callable[[bytes], Any], Callable[[Link, Any], None], str, str]] = {
@@ -159,7 +165,20 @@ class Receiver:
     def _manual_control(self, link: Link, m: Any) -> None:
         self._steer(link, setpoints.sticks, m)
 
+    def hold(self) -> None:
+        """Keep set-points from now on until ``release``."""
+        self._held = [] if self._held is None else self._held
+
+    def release(self) -> None:
+        """Act on the set-points that were kept, in the order of their coming."""
+        held, self._held = self._held, None
+        for link, take, m in held or ():
+            self._steer(link, take, m)
+
     def _steer(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
+        if self._held is not None:
+            self._held.append((link, take, m))
+            return
         try:
             take(self._commander, m)
         except SetpointError as error:

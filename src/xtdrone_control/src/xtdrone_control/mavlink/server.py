@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import selectors
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
 
-from .link import Link
+from .link import LOOPBACK, Link
 from .receiver import Receiver
 from .streams import GCS_RATES, ONBOARD_RATES
 from .telemetry import Telemetry
@@ -18,12 +19,14 @@ if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
 
 _MAX_DATAGRAMS = 256  # read from one link before the others have their turn
+_LOOK_PERIOD = 0.1  # s of wall time between two looks at whether ground stations hear enough
 
 
 class _Vehicle:
     """One vehicle's links, and what serves them."""
 
-    def __init__(self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int) -> None:
+    def __init__(self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str) -> None:
+        self.index = index
         self.commander = commander
         self.receiver = Receiver(commander, autopilot, index)
         telemetry = Telemetry(commander, autopilot, index)
@@ -34,10 +37,17 @@ class _Vehicle:
         self.links: list[Link] = []
         try:
             for kind, local, remote, rates in ends:
-                self.links.append(Link(vehicle, kind, local, remote, telemetry, rates))
+                self.links.append(Link(vehicle, kind, local, remote, telemetry, rates, host))
         except OSError:
             self.close()
             raise
+
+    def reboot(self, autopilot: Autopilot, commander: Commander) -> None:
+        self.commander = commander
+        self.receiver = Receiver(commander, autopilot, self.index)
+        telemetry = Telemetry(commander, autopilot, self.index)
+        for link in self.links:
+            link.reboot(telemetry)
 
     def close(self) -> None:
         for link in self.links:
@@ -47,13 +57,16 @@ class _Vehicle:
 class MavlinkServer:
     """MAVLink of a fleet. One thread calls everything; nothing here blocks but ``receive`` with a timeout."""
 
-    def __init__(self, fleet: Sequence[Vehicle], autopilot: Autopilot, commanders: Sequence[Commander]) -> None:
+    def __init__(
+        self, fleet: Sequence[Vehicle], autopilot: Autopilot, commanders: Sequence[Commander], host: str = LOOPBACK
+    ) -> None:
         """Bind all ports.
 
         Args:
             fleet: the vehicles, in the order of the autopilot's records.
             autopilot: holder of the records.
             commanders: one a vehicle.
+            host: address to listen on; "0.0.0.0" for every network.
 
         Raises:
             LinkError: a port is taken; the message names vehicle, link and port. No port stays bound then.
@@ -63,11 +76,13 @@ class MavlinkServer:
         self._selector = selectors.EpollSelector()
         try:
             for index, (vehicle, commander) in enumerate(zip(fleet, commanders, strict=True)):
-                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index))
+                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index, host))
         except OSError:
             self.close()
             raise
         self._links = [link for served in self._vehicles for link in served.links]
+        self._stations = [served.links[-1] for served in self._vehicles]
+        self._next_look = 0.0
         for served in self._vehicles:
             for link in served.links:
                 self._selector.register(link.socket, selectors.EVENT_READ, (served, link))
@@ -100,6 +115,13 @@ class MavlinkServer:
         """Datagrams read so far, by local port."""
         return {link.local_port: link.received for link in self.links}
 
+    def direct(self, ports: Iterable[int], host: str) -> None:
+        """Let the links whose remote port is one of ``ports`` send to ``host`` until somebody has spoken to them."""
+        wanted = set(ports)
+        for link in self._links:
+            if link.peer[1] in wanted:
+                link.direct(host)
+
     def receive(self, timeout: float = 0.0) -> int:
         """Act on all datagrams that have come, waiting up to ``timeout`` seconds of wall time for the first.
 
@@ -130,6 +152,39 @@ class MavlinkServer:
                         link.send_text(*text)
             for link in served.links:
                 link.send_due(now_us)
+
+    def keep_alive(self) -> None:
+        """Keep ground stations from taking slow or paused simulated time for a lost link; call it now and then.
+
+        Only there: what the offboard links carry is counted and the same in every run.
+        """
+        wall = time.monotonic()
+        if wall < self._next_look:
+            return
+        self._next_look = wall + _LOOK_PERIOD
+        for link in self._stations:
+            link.keep_alive(self._autopilot.time_us)
+
+    def reboot(self, autopilot: Autopilot, commanders: Sequence[Commander]) -> None:
+        """Go on with autopilots that have been rebooted: streams start anew; sockets, peers and counters stay.
+
+        Args:
+            autopilot: holder of the new records; its time may be before the old one's.
+            commanders: the new ones, one a vehicle.
+        """
+        self._autopilot = autopilot
+        for served, commander in zip(self._vehicles, commanders, strict=True):
+            served.reboot(autopilot, commander)
+
+    def hold_setpoints(self) -> None:
+        """Keep what steers the vehicles until ``release_setpoints``; see :class:`Receiver`."""
+        for served in self._vehicles:
+            served.receiver.hold()
+
+    def release_setpoints(self) -> None:
+        """Act on the set-points that were kept."""
+        for served in self._vehicles:
+            served.receiver.release()
 
     def close(self) -> None:
         """Close all sockets."""

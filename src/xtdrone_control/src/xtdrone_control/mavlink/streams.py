@@ -63,11 +63,11 @@ GCS_RATES: dict[str, float] = {
     "VFR_HUD": 4.0,
 }
 
-HEARTBEAT = Format("HEARTBEAT")
 _OTHERS = ("SCALED_IMU",)  # can be asked for, without a default rate
 FORMATS: dict[int, Format] = {
     f.number: f for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_OTHERS]))
 }
+HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
 
 
 def _allowed(interval_us: float) -> int:

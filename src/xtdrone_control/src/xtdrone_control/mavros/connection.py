@@ -25,6 +25,7 @@ log = logging.getLogger("rosout.mavros")
 
 _RECEIVE_BUFFER = 1 << 20  # bytes; a tick's telemetry of one vehicle is some hundred
 _LARGEST_DATAGRAM = 65535
+_PROBE_PORT = 9  # any: nothing is sent to it
 
 
 class LinkError(RuntimeError):
@@ -56,6 +57,40 @@ def parse_fcu_url(url: str) -> FcuUrl:
         if not 1 <= port <= 65535:
             raise LinkError(f"fcu_url: port {port} in {url!r} is not in 1..65535")
     return parts
+
+
+def bind_host_for(fcu_host: str, bind_host: str = "") -> str:
+    """Return the address to bind for autopilots at ``fcu_host``, after a look whether they can be reached from there.
+
+    Args:
+        fcu_host: name or IPv4 address of the machine with the autopilots.
+        bind_host: address of this machine; empty: 127.0.0.1 if the autopilots are there, else 0.0.0.0, every network.
+
+    Raises:
+        LinkError: a name without an address, an address to which there is no way, or one that is not this machine's.
+    """
+    try:
+        remote = socket.gethostbyname(fcu_host)
+    except (OSError, UnicodeError) as error:
+        raise LinkError(f"fcu_host: {fcu_host!r} has no IPv4 address: {_reason(error)}") from error
+    bind_host = bind_host or ("127.0.0.1" if remote.startswith("127.") else "0.0.0.0")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((bind_host, 0))
+        except (OSError, UnicodeError) as error:
+            reason = _reason(error)
+            raise LinkError(f"bind_host: {bind_host!r} cannot be bound, is it this machine's? {reason}") from error
+        try:
+            probe.connect((remote, _PROBE_PORT))  # asks for a way, sends nothing
+        except OSError as error:
+            raise LinkError(
+                f"fcu_host: {fcu_host!r} ({remote}) cannot be reached from {bind_host}: {_reason(error)}"
+            ) from error
+    return bind_host
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 class Link:

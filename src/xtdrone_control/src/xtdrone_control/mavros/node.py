@@ -4,6 +4,8 @@ Private parameters, besides those of ``config/px4_config.yaml``:
 
 - ``~fleet`` (``/xtdrone/fleet`` when absent): the vehicles, as ``iris:9``. Topics are ``/iris_0/mavros/...``, links
   as upstream numbers them.
+- ``~fcu_host`` (127.0.0.1): the machine with the fleet's autopilots, by name or IPv4 address.
+- ``~bind_host`` (127.0.0.1 if the autopilots are on this machine, else 0.0.0.0): where MAVLink from them is received.
 - ``~fcu_url``, with ``~tgt_system`` and ``~tgt_component``: a single vehicle as real MAVROS has it; topics are in the
   node's own namespace.
 - ``~system_id``, ``~component_id``: what the node sends as (1, 240).
@@ -12,6 +14,7 @@ Private parameters, besides those of ``config/px4_config.yaml``:
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -20,7 +23,7 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
+from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plugin import Publisher
 from xtdrone_control.mavros.plugins import PLUGINS
@@ -29,6 +32,7 @@ from xtdrone_control.mavros.uas import Uas
 
 RATE = 50.0  # Hz of simulated time; PX4's fastest telemetry on the offboard link that MAVROS publishes
 _FAILED = 1
+_LOOK_PERIOD = 0.2  # s between looks at the parameter server
 
 
 class Connection(NamedTuple):
@@ -78,7 +82,7 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list
 
     Raises:
         FleetError: no fleet, or one that cannot be flown.
-        LinkError: a malformed ``fcu_url``.
+        LinkError: a malformed ``fcu_url``, or an ``fcu_host`` that cannot be reached.
         ParamError: a setting of the wrong type.
     """
     params = Params(settings)
@@ -90,14 +94,17 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list
     text = params.get("fleet", fleet)
     if not text:
         raise FleetError("vehicles: none are named; set /xtdrone/fleet, as iris:9, or fcu_url for a single one")
+    vehicles = parse_fleet(text)
+    fcu_host = params.get("fcu_host", "127.0.0.1")
+    bind_host = bind_host_for(fcu_host, params.get("bind_host", ""))
     return [
         Connection(
             vehicle.name,
             f"/{vehicle.name}/mavros",
-            FcuUrl("127.0.0.1", vehicle.offboard_remote_port, "127.0.0.1", vehicle.offboard_local_port),
+            FcuUrl(bind_host, vehicle.offboard_remote_port, fcu_host, vehicle.offboard_local_port),
             (vehicle.system_id, 1),
         )
-        for vehicle in parse_fleet(text)
+        for vehicle in vehicles
     ]
 
 
@@ -136,6 +143,7 @@ class MavrosNode:
         # Datagrams that had arrived before the simulator began to count for this node, by port.
         self._uncounted: dict[int, int] = {}
         lockstep.declare_udp([link.port for link in self._links], self._serve)
+        lockstep.add_reset_hook(self._time_gone_back)
         self._receiver.start()
 
     def step(self) -> None:
@@ -150,6 +158,10 @@ class MavrosNode:
     def close(self) -> None:
         """End the receiver thread and close the ports."""
         self._receiver.stop()
+
+    def _time_gone_back(self) -> None:
+        for uas in self._uas:
+            uas.time_gone_back(self._ros.now_ns())
 
     def _serve(self, expected: Mapping[int, int] | None, timeout: float) -> Mapping[int, int]:
         """Receive and publish: in lockstep what the simulator has counted, otherwise what comes."""
@@ -188,8 +200,10 @@ def main() -> int:
     lockstep.init_node("mavros", rate=RATE)
     try:
         settings = rospy.get_param("~", {})
-        vehicles = connections(settings, str(rospy.get_param("/xtdrone/fleet", "")), rospy.get_name())
+        vehicles = connections(settings, _fleet(settings), rospy.get_name())
         node = MavrosNode(vehicles, settings)
+    except rospy.ROSInterruptException:
+        return 0  # shut down while waiting
     except (FleetError, LinkError, ValueError) as error:
         rospy.logfatal(f"mavros: {error}")
         rospy.signal_shutdown(str(error))
@@ -206,6 +220,26 @@ def main() -> int:
     finally:
         node.close()
     return 0
+
+
+def _fleet(settings: Mapping[str, Any]) -> str:
+    """Return the value of ``/xtdrone/fleet``, empty if it is not set.
+
+    In lockstep it is waited for when ``settings`` name no vehicle either: the launch file that sets it may run on
+    another machine and be late.
+
+    Raises:
+        ROSInterruptException: the node was shut down meanwhile.
+    """
+    fleet = str(rospy.get_param("/xtdrone/fleet", ""))
+    if fleet or not lockstep.is_active() or settings.get("fleet") or settings.get("fcu_url"):
+        return fleet
+    rospy.loginfo("mavros: waiting for /xtdrone/fleet, which the simulator's launch file sets")
+    while not (fleet := str(rospy.get_param("/xtdrone/fleet", ""))):
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shutdown")
+        time.sleep(_LOOK_PERIOD)  # of wall time: the parameter server has no event for this
+    return fleet
 
 
 def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:

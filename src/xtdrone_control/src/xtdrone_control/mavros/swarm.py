@@ -42,6 +42,11 @@ class Swarm:
         self._values[start : start + FIELDS] = (*position, *velocity)
         self._changed = True
 
+    def forget(self, index: int) -> None:
+        """Nothing has been heard of a vehicle."""
+        start = index * FIELDS
+        self._values[start : start + FIELDS] = [math.nan] * FIELDS
+
     def publish(self) -> None:
         """Publish if something has come since the last time."""
         if self._changed and self.topic.taken:
@@ -66,6 +71,11 @@ class SwarmPlugin(Plugin):
         self._index = index
         uas.share(swarm.topic)
         self.messages = {"LOCAL_POSITION_NED": Feed(self._on_position, swarm.topic)}
+
+    def connected(self, connected: bool) -> None:
+        """Forget where an autopilot was that is new, or has been rebooted."""
+        if connected:
+            self._swarm.forget(self._index)
 
     def _on_position(self, ned: Any) -> None:
         self._swarm.set(self._index, frames.ned_to_enu(ned.x, ned.y, ned.z), frames.ned_to_enu(ned.vx, ned.vy, ned.vz))

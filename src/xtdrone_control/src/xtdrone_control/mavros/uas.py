@@ -23,6 +23,7 @@ log = logging.getLogger("rosout.mavros")
 
 _NS = 1_000_000_000
 _REFRESH_PERIOD = 0.5  # s of ROS time between looks at the subscribers
+_HEARTBEAT = MESSAGE_ID["HEARTBEAT"]
 
 
 class _Slot:
@@ -87,6 +88,7 @@ class Uas:
         self.connected = False
         self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
         self.now_ns = 0
+        self._gone_back = False
         self._throttle = Throttle()
         self._topics: list[Topic] = []
         self._timers: list[_Timer] = []
@@ -191,8 +193,32 @@ class Uas:
             datagrams: how many datagrams, since the start, have their turn now; None for all that are here.
         """
         self.now_ns = now_ns
-        for number, frame in self.link.drain(datagrams):
+        frames = self.link.drain(datagrams)
+        if self._gone_back:
+            # What was sent before the time was set back is telemetry of a time to come. An autopilot that has just been
+            # rebooted has sent its heartbeat and nothing else yet.
+            self._gone_back = False
+            frames = [entry for entry in frames if entry[0] == _HEARTBEAT][-1:]
+        for number, frame in frames:
             self.handle(number, frame)
+
+    def time_gone_back(self, now_ns: int) -> None:
+        """Begin anew: the simulation, and the autopilot with it, has been set back to its start."""
+        self.now_ns = now_ns
+        self._gone_back = True
+        for timer in self._timers:
+            timer.next_ns = 0
+        self.set_connected(False, "begins anew: the simulation was set back to its start")
+        self._forget()
+
+    def rebooted(self) -> None:
+        """Take note that the autopilot has been rebooted: what it was asked for and what it has told are void."""
+        log.warning("%s: autopilot %d.%d has been rebooted", self.name, *self.target)
+        self._forget()
+        self.streams.reset()
+        for plugin in self.plugins:
+            plugin.connected(True)
+        self.refresh()
 
     def step(self, now_ns: int) -> None:
         """Run the timers; once a tick, in the main thread."""
@@ -233,8 +259,8 @@ class Uas:
         if self._manage_streams and self.connected:
             self.streams.update(wanted, seen)
 
-    def set_connected(self, connected: bool) -> None:
-        """Take note that heartbeats come, or stay away."""
+    def set_connected(self, connected: bool, why: str = "lost") -> None:
+        """Take note that heartbeats come, or stay away (``why``, for the log)."""
         if connected == self.connected:
             return
         self.connected = connected
@@ -243,10 +269,15 @@ class Uas:
             log.info("%s: connected to autopilot %d.%d on port %d", self.name, system, component, self.link.port)
             self.streams.reset()
         else:
-            log.warning("%s: connection to autopilot %d.%d lost", self.name, system, component)
+            log.warning("%s: connection to autopilot %d.%d %s", self.name, system, component, why)
         for plugin in self.plugins:
             plugin.connected(connected)
         self.refresh()
+
+    def _forget(self) -> None:
+        for slot in self._slots.values():
+            slot.frame = slot.message = None
+        self._attitude_of = self._attitude = None
 
     def _connect(self, plugin: Plugin) -> None:
         for name, feeds in plugin.messages.items():

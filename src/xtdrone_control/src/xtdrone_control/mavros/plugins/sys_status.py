@@ -69,6 +69,7 @@ class SysStatusPlugin(Plugin):
         rate = uas.params.get("conn/heartbeat_rate", 1.0)
         self._last_heartbeat_ns = 0
         self._armed = False
+        self._booted = False
         self._state = uas.topic("state", State(), latch=True)
         self._extended = uas.topic("extended_state", ExtendedState())
         self._battery = uas.topic("battery", BatteryState())
@@ -94,7 +95,7 @@ class SysStatusPlugin(Plugin):
     def connected(self, connected: bool) -> None:
         """Publish the state of an autopilot that is lost: not connected, not armed, no mode."""
         if not connected:
-            self._armed = False
+            self._armed = self._booted = False
             state = self._state.message = State()
             self.uas.stamp_now(state.header)
             self._state.publish(state)
@@ -118,6 +119,10 @@ class SysStatusPlugin(Plugin):
     def _on_heartbeat(self, heartbeat: Any) -> None:
         uas = self.uas
         self._last_heartbeat_ns = uas.now_ns
+        booted = heartbeat.system_status not in (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT)
+        if self._booted and not booted:
+            uas.rebooted()
+        self._booted = booted
         state = self._state.message
         uas.stamp_now(state.header)
         state.connected = True

@@ -1,0 +1,104 @@
+"""MAVLink ends on more than one machine: what is bound, and what is refused."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from xtdrone_control.mavlink.link import Link, LinkError
+from xtdrone_control.mavros import connection
+from xtdrone_control.mavros.connection import FcuUrl, bind_host_for
+from xtdrone_control.mavros.node import connections
+
+
+@pytest.fixture
+def resolver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Know two hosts, and no name server."""
+    known = {"localhost": "127.0.0.1", "127.0.0.1": "127.0.0.1", "0.0.0.0": "0.0.0.0", "elsewhere": "255.255.255.255"}
+
+    def look_up(name: str) -> str:
+        if name not in known:
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return known[name]
+
+    monkeypatch.setattr(connection.socket, "gethostbyname", look_up)
+
+
+@pytest.mark.usefixtures("resolver")
+class TestBindHost:
+    def test_autopilots_here_are_heard_on_loopback(self):
+        assert bind_host_for("127.0.0.1") == "127.0.0.1"
+        assert bind_host_for("localhost") == "127.0.0.1"
+
+    def test_a_name_without_an_address_is_named(self):
+        with pytest.raises(connection.LinkError, match=r"fcu_host: 'nowhere' has no IPv4 address: Name or service"):
+            bind_host_for("nowhere")
+
+    def test_a_host_without_a_way_is_named_with_its_address(self):
+        # A plain socket may not send to everybody; that stands for every address to which there is no way.
+        with pytest.raises(
+            connection.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
+        ):
+            bind_host_for("elsewhere")
+
+    def test_an_address_of_another_machine_cannot_be_bound(self):
+        with pytest.raises(connection.LinkError, match=r"bind_host: '192\.0\.2\.1' cannot be bound"):
+            bind_host_for("127.0.0.1", "192.0.2.1")
+
+
+def test_the_fleets_links_lead_to_the_autopilots_machine(monkeypatch):
+    monkeypatch.setattr("xtdrone_control.mavros.node.bind_host_for", lambda fcu_host, bind_host: bind_host or "0.0.0.0")
+    first, second = connections({"fcu_host": "sim.example"}, "iris:2", "/mavros")
+    assert first.url == FcuUrl("0.0.0.0", 24540, "sim.example", 34580)
+    assert second.url == FcuUrl("0.0.0.0", 24541, "sim.example", 34581)
+    (own,) = connections({"fcu_host": "sim.example", "bind_host": "10.1.2.3"}, "iris:1", "/mavros")
+    assert own.url.bind_host == "10.1.2.3"
+
+
+def test_the_fleets_links_are_local_by_default():
+    (link,) = connections({}, "iris:1", "/mavros")
+    assert link.url == FcuUrl("127.0.0.1", 24540, "127.0.0.1", 34580)
+
+
+class _NoTelemetry:
+    """Stands for a vehicle that has nothing to tell."""
+
+    def __getattr__(self, _name: str):
+        return lambda: None
+
+
+def _link(host: str, port: int) -> Link:
+    from xtdrone_control.fleet import Vehicle
+
+    return Link(Vehicle("iris", 0, 0), "offboard", port, 24540, _NoTelemetry(), {"HEARTBEAT": 1.0}, host)
+
+
+def test_an_autopilots_link_is_bound_where_it_is_told_to(free_port):
+    for host in ("127.0.0.1", "0.0.0.0"):
+        link = _link(host, free_port)
+        assert link.socket.getsockname() == (host, free_port)
+        link.close()
+
+
+def test_an_autopilots_link_on_another_machines_address_is_refused(free_port):
+    with pytest.raises(LinkError, match=rf"UDP port {free_port} cannot be bound on 192\.0\.2\.1.*of this machine"):
+        _link("192.0.2.1", free_port)
+
+
+def test_a_link_points_where_it_is_directed_until_somebody_speaks(free_port):
+    link = _link("127.0.0.1", free_port)
+    assert link.peer == ("127.0.0.1", 24540)
+    link.direct("10.0.0.2")
+    assert link.peer == ("10.0.0.2", 24540)
+    link.heard(("10.0.0.3", 4711), 0)
+    link.direct("10.0.0.4")
+    assert link.peer == ("10.0.0.3", 4711)
+    link.close()
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

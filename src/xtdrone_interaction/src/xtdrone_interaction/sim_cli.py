@@ -1,0 +1,339 @@
+"""``xtdrone sim``: pause, resume, step, speed, reset and status of a running simulation.
+
+It must start fast, so it talks to master and services itself instead of becoming a node: rospy alone takes longer to
+import than all of this to run.
+
+Exit status: 0 when it was done, 1 when it could not be, 2 for a value that is not allowed, 130 after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import io
+import math
+import os
+import re
+import socket
+import struct
+import sys
+import xmlrpc.client
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlparse
+
+import rosgraph.network
+
+from xtdrone_sim.pacing import LEAST_SPEED
+
+DEFAULT_MASTER = "http://localhost:11311"
+MASTER_FILE = "master"
+"""In a flight's folder while it flies: the URI of its ROS master."""
+
+_CALLER = "/xtdrone_sim_cli"
+_MASTER_LIMIT = 3.0  # s for a master to answer
+_ANSWER_LIMIT = 20.0  # s for the simulator; a reset may wait 10 s for the end of a tick
+_MOST_TICKS = (1 << 32) - 1
+_NAMES_SHOWN = 8
+
+
+class SimError(RuntimeError):
+    """What was asked for could not be done; the message says why."""
+
+
+class _Timeout(xmlrpc.client.Transport):
+    """XML-RPC that does not wait for ever."""
+
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = _MASTER_LIMIT
+        return connection
+
+
+# ---- master and services
+
+
+def find_service(master: str, name: str) -> tuple[str, int] | None:
+    """Return host and port of a service, None when the master knows none of this name.
+
+    Raises:
+        OSError: the master does not answer.
+        SimError: what answers is no ROS master.
+    """
+    proxy: Any = xmlrpc.client.ServerProxy(master, transport=_Timeout())
+    try:
+        code, _, uri = proxy.lookupService(_CALLER, name)
+    except (xmlrpc.client.Error, http.client.HTTPException, ValueError, TypeError) as error:
+        raise SimError(f"master: what answers at {master} is no ROS master: {error}") from error
+    if code != 1:
+        return None
+    address = urlparse(uri)
+    return str(address.hostname), int(address.port or 0)
+
+
+def call(master: str, name: str, kind: Any, request: Any, limit: float | None = _ANSWER_LIMIT) -> Any:
+    """Call a service and return its response.
+
+    Args:
+        master: URI of the ROS master.
+        name: the service's.
+        kind: its generated class.
+        request: an object of ``kind._request_class``.
+        limit: seconds to wait for the answer, None for any time.
+
+    Raises:
+        SimError: there is no such service, it refuses, or does not answer.
+    """
+    try:
+        address = find_service(master, name)
+    except OSError as error:
+        raise SimError(f"master: none answers at {master}: {error}") from error
+    if address is None:
+        raise SimError(f"simulator: none on the ROS master {master} (service {name} is not there)")
+    try:
+        with socket.create_connection(address, timeout=_MASTER_LIMIT) as sock:
+            return _exchange(sock, name, kind, request, limit)
+    except TimeoutError as error:
+        raise SimError(f"simulator: {name} has not answered within {limit or _MASTER_LIMIT:g} s") from error
+    except OSError as error:
+        raise SimError(f"simulator: {name} at {address[0]}:{address[1]} does not answer: {error}") from error
+
+
+def _exchange(sock: socket.socket, name: str, kind: Any, request: Any, limit: float | None) -> Any:
+    """Speak TCPROS: header, header, request, response."""
+    header = {"callerid": _CALLER, "service": name, "type": kind._type, "md5sum": kind._md5sum}
+    rosgraph.network.write_ros_handshake_header(sock, header)
+    try:
+        answer = rosgraph.network.read_ros_handshake_header(sock, io.BytesIO(), 1 << 16)
+    except rosgraph.network.ROSHandshakeException as error:
+        raise SimError(f"simulator: {name}: {error}") from error
+    if "error" in answer:
+        raise SimError(f"simulator: {name}: {answer['error']}")
+    content = io.BytesIO()
+    request.serialize(content)
+    data = content.getvalue()
+    sock.sendall(struct.pack("<I", len(data)) + data)
+    sock.settimeout(limit)
+    done, size = struct.unpack("<BI", _read(sock, 5))
+    data = _read(sock, size)
+    if not done:
+        raise SimError(re.sub(r"^service \[.*?\] responded with an error: ", "", data.decode("utf-8", "replace")))
+    return kind._response_class().deserialize(data)
+
+
+def _read(sock: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        piece = sock.recv(size - len(data))
+        if not piece:
+            raise ConnectionError("it closed the connection")
+        data += piece
+    return data
+
+
+# ---- which master
+
+
+def choose_master(given: str, environment: str, runs: Sequence[Path]) -> tuple[str, str]:
+    """Return the URI of the master to use, and where it comes from if the user did not say it.
+
+    Args:
+        given: what the user says, empty for nothing.
+        environment: ROS_MASTER_URI, empty when it is not set.
+        runs: folders with the folders of flights.
+
+    Raises:
+        SimError: no master with a simulator was found.
+    """
+    if given:
+        return given, ""
+    uri = environment or DEFAULT_MASTER
+    try:
+        if find_service(uri, "/simulator/get_status"):
+            return uri, ""
+        reason = f"there is no simulator on the ROS master {uri}"
+    except OSError:
+        reason = f"no ROS master answers at {uri}"
+    for file in flights(runs):
+        try:
+            flight = file.read_text(encoding="utf-8").strip()
+            if find_service(flight, "/simulator/get_status"):
+                return flight, f"flight {file.parent}"
+        except (OSError, SimError):
+            continue  # it has ended, or is on its way
+    raise SimError(
+        f"simulator: {reason}, and no flight of this workspace is running; start one, or name its master: "
+        "--master PORT or --master URI"
+    )
+
+
+def flights(runs: Sequence[Path]) -> Iterator[Path]:
+    """Yield the master files of flights, the newest first."""
+    files = {file.resolve() for folder in runs for file in folder.glob(f"*/{MASTER_FILE}")}
+    yield from sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
+
+
+# ---- commands; each returns what to print
+
+
+def _trigger(name: str) -> Callable[[str, argparse.Namespace], str]:
+    def run(master: str, _arguments: argparse.Namespace) -> str:
+        from std_srvs.srv import Trigger, TriggerRequest
+
+        return _accepted(call(master, f"/simulator/{name}", Trigger, TriggerRequest()))
+
+    return run
+
+
+def _step(master: str, arguments: argparse.Namespace) -> str:
+    import genpy
+    from xtdrone_msgs.srv import Step, StepRequest
+
+    request = StepRequest(ticks=arguments.ticks or 0)
+    if arguments.until is not None:
+        request.until = genpy.Time.from_sec(arguments.until)
+    if arguments.seconds is not None:
+        request.duration = genpy.Duration.from_sec(arguments.seconds)
+    return _accepted(call(master, "/simulator/step", Step, request, limit=None))
+
+
+def _speed(master: str, arguments: argparse.Namespace) -> str:
+    from xtdrone_msgs.srv import SetSpeed, SetSpeedRequest
+
+    return _accepted(call(master, "/simulator/set_speed", SetSpeed, SetSpeedRequest(speed=arguments.factor)))
+
+
+def _reset(master: str, arguments: argparse.Namespace) -> str:
+    from std_srvs.srv import Empty, EmptyRequest
+
+    call(master, f"/gazebo/reset_{arguments.what}", Empty, EmptyRequest())
+    if arguments.what == "world":
+        return "reset: vehicles are at their places, simulated time goes on"
+    return "reset: vehicles are at their places, simulated time is 0"
+
+
+def _status(master: str, _arguments: argparse.Namespace) -> str:
+    from xtdrone_msgs.srv import GetStatus, GetStatusRequest
+
+    status = call(master, "/simulator/get_status", GetStatus, GetStatusRequest()).status
+    state = "stepping, then paused" if status.stepping else "paused" if status.paused else "running"
+    target = f"target {status.speed:g}" if status.speed else "as fast as it goes"
+    names = ", ".join(status.participants[:_NAMES_SHOWN])
+    rest = len(status.participants) - _NAMES_SHOWN
+    lines = [
+        ("master", master),
+        ("state", state),
+        ("time", f"{status.sim_time.to_sec():.3f} s, tick {status.tick}"),
+        ("speed", f"{status.measured_speed:.2f} x real time, {target}"),
+        ("lockstep", f"{len(status.participants)} participants: {names}{f' and {rest} more' if rest > 0 else ''}"),
+    ]
+    if status.reason and status.reason != state:
+        lines.append(("stands still", status.reason))
+    return "\n".join(f"{name:<13}{text}" for name, text in lines)
+
+
+def _accepted(response: Any) -> str:
+    """Return a response's message.
+
+    Raises:
+        SimError: it is a refusal.
+    """
+    if not response.success:
+        raise SimError(response.message)
+    return str(response.message)
+
+
+# ---- the command line
+
+
+def _number(thing: str, least: float, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > least):
+        raise argparse.ArgumentTypeError(f"{thing}: {text!r} is not allowed; a number of seconds above {least:g}")
+    return value
+
+
+def _ticks(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= _MOST_TICKS:
+        raise argparse.ArgumentTypeError(f"ticks: {text!r} is not allowed; a whole number from 1 to {_MOST_TICKS}")
+    return int(text)
+
+
+def _factor(text: str) -> float:
+    try:
+        value = 0.0 if text == "unlimited" else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or (value != 0.0 and value < LEAST_SPEED):
+        raise argparse.ArgumentTypeError(
+            f"speed: {text!r} is not allowed; a real-time factor of at least {LEAST_SPEED}, or 'unlimited' (0)"
+        )
+    return value
+
+
+def _master(text: str) -> str:
+    if text.isdecimal() and 1 <= int(text) <= 65535:
+        return f"http://127.0.0.1:{text}"
+    try:
+        parts = urlparse(text)
+        if parts.scheme == "http" and parts.hostname and parts.port:
+            return text
+    except ValueError:
+        pass  # a port that is none
+    raise argparse.ArgumentTypeError(f"master: {text!r} is not allowed; a TCP port, or http://host:port")
+
+
+def _parser() -> argparse.ArgumentParser:
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--master", type=_master, metavar="PORT|URI",
+                        help="the simulation's ROS master (default: ROS_MASTER_URI; without a simulator there, "
+                        "the newest flight of ./xtdrone demo)")  # fmt: skip
+    parser = argparse.ArgumentParser(prog="xtdrone sim", description="Control a running simulation.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def add(name: str, run: Callable[[str, argparse.Namespace], str], text: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, parents=[common], help=text, description=text)
+        command.set_defaults(run=run)
+        return command
+
+    add("pause", _trigger("pause"), "let simulated time stand still; every node stays alive and answers")
+    add("resume", _trigger("resume"), "let simulated time go on")
+    step = add("step", _step, "let a tick pass, or some, and pause")
+    goal = step.add_mutually_exclusive_group()
+    goal.add_argument("ticks", type=_ticks, nargs="?", default=None, metavar="N", help="number of ticks (1)")
+    goal.add_argument("--until", type=lambda text: _number("until", 0.0, text), metavar="T",
+                      help="to the first tick at or after this simulated time, s")  # fmt: skip
+    goal.add_argument("--for", dest="seconds", type=lambda text: _number("for", 0.0, text), metavar="S",
+                      help="to the first tick after so much simulated time, s")  # fmt: skip
+    speed = add("speed", _speed, "set the target real-time factor")
+    speed.add_argument("factor", type=_factor, metavar="FACTOR", help=f"at least {LEAST_SPEED}, or 'unlimited'")
+    reset = add("reset", _reset, "put all vehicles back to their places, as after a start")
+    reset.add_argument("what", choices=["world", "simulation"], nargs="?", default="simulation",
+                       help="simulation: time starts again at 0 (default); world: time goes on")  # fmt: skip
+    add("status", _status, "say what the simulation does, and for whom it waits")
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run ``xtdrone sim`` with the arguments after "sim"; return the exit status."""
+    arguments = _parser().parse_args(list(argv))
+    runs = [Path("runs"), Path(__file__).resolve().parents[4] / "runs"]
+    try:
+        master, origin = choose_master(arguments.master or "", os.environ.get("ROS_MASTER_URI", ""), runs)
+        if origin:
+            print(f"xtdrone sim: {origin}, ROS master {master}", file=sys.stderr)
+        print(arguments.run(master, arguments))
+    except SimError as error:
+        print(f"xtdrone sim: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,71 @@
+"""What must be looked at before the simulator becomes a node: whether there is one already.
+
+A node that registers under a name that is taken makes the master shut down the one that has it. So everything here
+asks the master without being a node.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Sequence
+from urllib.parse import urlparse
+
+import rosgraph
+import rosgraph.names
+
+_URI = "/lockstep/uri"
+_ANSWER_LIMIT = 2.0  # s
+
+
+def node_name(name: str, argv: Sequence[str]) -> str:
+    """Return the resolved name that a node called ``name`` gets with the arguments ``argv``."""
+    mappings = rosgraph.names.load_mappings(argv)
+    namespace = mappings.get("__ns") or rosgraph.names.get_ros_namespace()
+    return str(rosgraph.names.ns_join(rosgraph.names.make_global_ns(namespace), mappings.get("__name") or name))
+
+
+def obstacle(name: str) -> str:
+    """Return why no simulator called ``name`` can run on this master, or an empty text.
+
+    Args:
+        name: resolved node name.
+    """
+    master, uri = rosgraph.Master(name), rosgraph.get_master_uri()
+    elsewhere = "or use another master for this one (ROS_MASTER_URI)"
+    lockstep = _lockstep_uri(master)
+    if lockstep and _answers(lockstep):
+        return (
+            f"a simulator is running on the ROS master {uri} already, with its lockstep at {lockstep}; stop it "
+            f"(Ctrl-C where it was started, or rosnode kill /simulator), {elsewhere}"
+        )
+    try:
+        node = str(master.lookupNode(name))
+    except rosgraph.MasterError:
+        return ""
+    if _answers(node):
+        return (
+            f"the node name {name} is taken on the ROS master {uri} by a node that is running, at {node}; stop it "
+            f"(rosnode kill {name}), {elsewhere}"
+        )
+    return ""
+
+
+def stale_uri(name: str) -> str:
+    """Return the address that a simulator which is no more has left on the master, or an empty text."""
+    return _lockstep_uri(rosgraph.Master(name))
+
+
+def _lockstep_uri(master: rosgraph.Master) -> str:
+    return str(master.getParam(_URI)) if master.hasParam(_URI) else ""
+
+
+def _answers(uri: str) -> bool:
+    """Return whether somebody listens at ``uri``, scheme://host:port."""
+    try:
+        address = urlparse(uri)
+        if not address.hostname or not address.port:
+            return False
+        socket.create_connection((address.hostname, address.port), timeout=_ANSWER_LIMIT).close()
+    except (OSError, ValueError):
+        return False
+    return True

@@ -1,0 +1,151 @@
+"""Waiting for MAVLink datagrams of participants on this machine and on others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from xtdrone_sim import datagrams
+from xtdrone_sim.datagrams import Datagrams
+from xtdrone_sim.node import reachable_uri
+
+PORT = 34580
+
+
+@dataclass
+class Participant:
+    address: str
+    away: bool
+    udp_ports: list[int] = field(default_factory=lambda: [24540, 24541])
+
+    def remote(self) -> bool:
+        return self.away
+
+
+@dataclass
+class Server:
+    """Says what participants have sent."""
+
+    away: bool = False
+    datagrams_expected: dict[int, int] = field(default_factory=dict)
+    participants: dict[str, Participant] = field(default_factory=dict)
+
+    def remote_sender(self, port: int) -> bool:
+        assert port == PORT
+        return self.away
+
+
+@dataclass
+class Mavlink:
+    """Receives what is on its way, one a call."""
+
+    received: dict[int, int] = field(default_factory=lambda: {PORT: 0})
+    under_way: int = 0
+    directed: list[tuple[list[int], str]] = field(default_factory=list)
+
+    def receive(self, timeout: float) -> int:
+        assert timeout > 0.0
+        came = min(1, self.under_way)
+        self.under_way -= came
+        self.received[PORT] += came
+        return came
+
+    def direct(self, ports: list[int], host: str) -> None:
+        self.directed.append((ports, host))
+
+
+class Rig:
+    """The waiting between a simulated server and simulated sockets, with a clock that only the waiting advances."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, away: bool) -> None:
+        self.now = 0.0
+        self.server, self.mavlink, self.warnings = Server(away), Mavlink(), []
+        self.datagrams = Datagrams(self.mavlink, self.server, self.warnings.append)  # type: ignore[arg-type]
+        monkeypatch.setattr(datagrams.time, "monotonic", self._time)
+
+    def _time(self) -> float:
+        self.now += 0.01
+        return self.now
+
+    def turn(self, sent: int, lost: int = 0, early: bool = False) -> float:
+        """Let a participant send some; return how long the simulator waited for them, s.
+
+        Args:
+            sent: how many.
+            lost: how many of them get lost on the way.
+            early: whether they come while the simulator still waits for the participant's turn to end.
+        """
+        self.server.datagrams_expected[PORT] = self.server.datagrams_expected.get(PORT, 0) + sent
+        self.mavlink.under_way += sent - lost
+        while early and self.mavlink.receive(0.1):
+            pass
+        began = self.now
+        self.datagrams.wait()
+        return self.now - began
+
+
+@pytest.mark.parametrize(("away", "limit"), [(True, datagrams.REMOTE_LIMIT), (False, datagrams.LIMIT)])
+def test_lost_datagrams_are_waited_for_once_and_reported(monkeypatch, away, limit):
+    rig = Rig(monkeypatch, away)
+    assert rig.turn(sent=3) < 0.1
+    assert rig.warnings == []
+    assert limit <= rig.turn(sent=3, lost=2) < limit + 0.1
+    assert rig.warnings == [f"2 datagrams to UDP port {PORT} did not come; 2 are lost so far"]
+    assert rig.turn(sent=3) < 0.1
+    assert rig.mavlink.received[PORT] == 7
+
+
+def test_reports_are_throttled_and_complete(monkeypatch):
+    rig = Rig(monkeypatch, away=True)
+    for _ in range(3):
+        rig.turn(sent=2, lost=1)
+    assert len(rig.warnings) == 1
+    rig.now += 1.0
+    rig.turn(sent=1)
+    assert rig.warnings[1:] == [f"2 datagrams to UDP port {PORT} did not come; 3 are lost so far"]
+
+
+def test_what_comes_late_is_not_taken_for_what_is_to_come(monkeypatch):
+    rig = Rig(monkeypatch, away=True)
+    rig.turn(sent=5, lost=2)
+    rig.mavlink.under_way += 1  # one of the two was only late
+    rig.mavlink.receive(0.1)
+    rig.turn(sent=1)
+    assert rig.mavlink.under_way == 1  # the late one is taken for this one
+    for _ in range(100):
+        rig.turn(sent=1, early=True)
+    rig.turn(sent=1)
+    assert rig.mavlink.under_way == 0
+    assert rig.turn(sent=1, lost=1) >= datagrams.REMOTE_LIMIT
+    assert rig.mavlink.received[PORT] == 106
+
+
+def test_what_is_not_counted_yet_is_no_late_comer(monkeypatch):
+    rig = Rig(monkeypatch, away=True)
+    rig.turn(sent=5, lost=1)
+    for _ in range(200):
+        rig.mavlink.received[PORT] += 1  # a thread of the participant's has sent it after the count
+        rig.turn(sent=0)
+        rig.mavlink.under_way -= 1
+        rig.turn(sent=1)
+    assert len(rig.warnings) == 1
+
+
+def test_links_point_at_participants_on_other_machines_once(monkeypatch):
+    rig = Rig(monkeypatch, away=True)
+    rig.server.participants = {
+        "/mavros": Participant("10.0.0.2:4711", True),
+        "/here": Participant("127.0.0.1:4712", False),
+        "/deaf": Participant("10.0.0.3:4713", True, []),
+    }
+    rig.datagrams.direct()
+    rig.datagrams.direct()
+    assert rig.mavlink.directed == [([24540, 24541], "10.0.0.2")]
+
+
+def test_participants_elsewhere_are_told_an_address_that_they_reach(monkeypatch):
+    monkeypatch.setenv("ROS_IP", "10.1.2.3")
+    monkeypatch.delenv("ROS_HOSTNAME", raising=False)
+    assert reachable_uri("tcp://anything:4711", "0.0.0.0") == "tcp://10.1.2.3:4711"
+    assert reachable_uri("tcp://10.9.9.9:4711", "10.9.9.9") == "tcp://10.9.9.9:4711"
