@@ -163,7 +163,7 @@ configure_and_make() {
 
 build_workspace() {
   local stamp="$state_dir/built" want
-  want="$root $(digest CMakeLists.txt package.xml setup.py '*.msg' '*.srv' '*.action')"
+  want="$root $(digest CMakeLists.txt package.xml setup.py '*.msg' '*.srv' '*.action' '*.cpp' '*.h')"
   [[ ! -f $stamp || ! -f $root/devel/setup.bash || $(<"$stamp") != "$want" ]] || return 0
   say "workspace: building"
   # CMake refuses a build folder that was made elsewhere.

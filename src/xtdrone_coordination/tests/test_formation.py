@@ -221,6 +221,15 @@ def test_avoidance_may_come_from_elsewhere_or_not_at_all() -> None:
     assert abs(moves["own"][2]) == pytest.approx(1 - 0.5 / 1.5)
 
 
+@pytest.mark.parametrize(("avoid", "remains"), [("own", 0.0), ("topic", 0.0), ("off", 0.5)])
+def test_gives_way_whoever_computes_the_avoidance(avoid: str, remains: float) -> None:
+    follower, _ = follower_alone(avoid=avoid, clearance=0.7, vel_max=9.0)
+    follower.on_pattern(OFFSETS)
+    for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]):
+        follower.swarm.on_position(j, p)
+    assert follower.update()[1] == pytest.approx(-remains, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     "bad",
     [{"Kp": 0.0}, {"Kp": math.nan}, {"mode": "position"}, {"avoid": "yes"}, {"vel_max": "fast"}, {"clearance": 2}],

@@ -49,8 +49,8 @@ class FollowerOptions:
         avoid: ``own``: compute the avoidance here; ``topic``: use what somebody else computes; ``off``.
         Kp_avoid: gain of the avoidance, 0 or more.
         avoid_radius: b, m, above 0.
-        clearance: m, below ``avoid_radius``; in vel mode with its own avoidance a follower does not fly towards a
-            vehicle that is nearer than this; 0 leaves the paper's Algorithm 1 alone.
+        clearance: m, below ``avoid_radius``; in vel mode, unless the avoidance is off, a follower does not fly towards
+            a vehicle that is nearer than this; 0 leaves the paper's Algorithm 1 alone.
         pose_timeout: s; a position older than this is not used any more, above 0.
     """
 
@@ -225,7 +225,7 @@ class Follower:
         """Add the avoidance to the consensus, each within the limit first, so that a far slot cannot drown it."""
         limit, k = self.options.limit, self.options.Kp_avoid
         x, y, z = clip(wanted, limit)
-        if self.options.avoid == "own" and self.options.mode == "vel":
+        if self.options.avoid != "off" and self.options.mode == "vel":
             x, y, z = avoidance.give_way(
                 self.id, self.swarm.positions, (x, y, z), self.options.avoid_radius, self.options.clearance
             )

@@ -1,0 +1,155 @@
+/// The topic connections that roscpp keeps to itself.
+///
+/// A participant must know each of them: which TCP port it has, which messages went over it, when it is closed; and
+/// what it has published must be under way when its turn ends. roscpp has no calls for this. C++ lets an explicit
+/// instantiation name private members, so these few can be read from here without a changed roscpp; with another one
+/// this does not compile instead of going wrong.
+#pragma once
+
+#include <ros/connection.h>
+#include <ros/publication.h>
+#include <ros/publisher_link.h>
+#include <ros/subscriber_link.h>
+#include <ros/subscription.h>
+#include <ros/topic_manager.h>
+#include <ros/transport/transport.h>
+#include <ros/transport_publisher_link.h>
+#include <ros/transport_subscriber_link.h>
+
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <vector>
+
+namespace xtdrone_control::lockstep {
+namespace exposed {
+
+template <auto MEMBER, class Tag>
+struct Expose {
+  friend constexpr auto member(Tag) { return MEMBER; }
+};
+
+#define XTDRONE_EXPOSE(tag, pointer)   \
+  struct tag {                         \
+    friend constexpr auto member(tag); \
+  };                                   \
+  template struct Expose<pointer, tag>
+
+XTDRONE_EXPOSE(Subscriptions, &ros::TopicManager::subscriptions_);
+XTDRONE_EXPOSE(SubscriptionsMutex, &ros::TopicManager::subs_mutex_);
+XTDRONE_EXPOSE(PublisherLinks, &ros::Subscription::publisher_links_);
+XTDRONE_EXPOSE(PublisherLinksMutex, &ros::Subscription::publisher_links_mutex_);
+XTDRONE_EXPOSE(SubscriberLinks, &ros::Publication::subscriber_links_);
+XTDRONE_EXPOSE(SubscriberLinksMutex, &ros::Publication::subscriber_links_mutex_);
+XTDRONE_EXPOSE(Outbox, &ros::TransportSubscriberLink::outbox_);
+XTDRONE_EXPOSE(OutboxMutex, &ros::TransportSubscriberLink::outbox_mutex_);
+XTDRONE_EXPOSE(HeaderWritten, &ros::TransportSubscriberLink::header_written_);
+XTDRONE_EXPOSE(Writing, &ros::TransportSubscriberLink::writing_message_);
+
+#undef XTDRONE_EXPOSE
+
+}  // namespace exposed
+
+/// Returns roscpp's subscription to a topic, nullptr if there is none.
+inline ros::SubscriptionPtr findSubscription(const std::string& topic) {
+  ros::TopicManager& manager = *ros::TopicManager::instance();
+  boost::mutex::scoped_lock lock(manager.*member(exposed::SubscriptionsMutex()));
+  for (const ros::SubscriptionPtr& subscription : manager.*member(exposed::Subscriptions())) {
+    if (!subscription->isDropped() && subscription->getName() == topic) {
+      return subscription;
+    }
+  }
+  return nullptr;
+}
+
+/// Returns the connections to a topic's publishers in other processes.
+inline std::vector<ros::TransportPublisherLinkPtr> linksOf(ros::Subscription& subscription) {
+  std::vector<ros::TransportPublisherLinkPtr> links;
+  boost::mutex::scoped_lock lock(subscription.*member(exposed::PublisherLinksMutex()));
+  for (const ros::PublisherLinkPtr& link : subscription.*member(exposed::PublisherLinks())) {
+    if (auto transport = boost::dynamic_pointer_cast<ros::TransportPublisherLink>(link)) {
+      links.push_back(transport);
+    }
+  }
+  return links;
+}
+
+/// Returns the connections to a topic's subscribers.
+inline ros::V_SubscriberLink linksOf(ros::Publication& publication) {
+  boost::mutex::scoped_lock lock(publication.*member(exposed::SubscriberLinksMutex()));
+  return publication.*member(exposed::SubscriberLinks());
+}
+
+/// Sends a message over a connection, in the calling thread and without blocking, so that it is under way when this
+/// returns; what the kernel does not take now, roscpp's own thread sends.
+///
+/// @return False if messages wait to be sent.
+inline bool sendNow(ros::SubscriberLink& link, const ros::SerializedMessage& message) {
+  auto* transport = dynamic_cast<ros::TransportSubscriberLink*>(&link);
+  if (transport == nullptr) {
+    link.enqueueMessage(message, true, false);
+    return true;
+  }
+  bool idle;
+  {
+    boost::mutex::scoped_lock lock(transport->*member(exposed::OutboxMutex()));
+    idle = transport->*member(exposed::HeaderWritten()) && !(transport->*member(exposed::Writing())) &&
+           (transport->*member(exposed::Outbox())).empty();
+  }
+  std::size_t sent = 0;
+  if (idle) {
+    // Nobody else writes now: the outbox is empty, and only this thread fills it.
+    const ros::ConnectionPtr connection = transport->getConnection();
+    const auto taken =
+        connection->getTransport()->write(message.buf.get(), static_cast<std::uint32_t>(message.num_bytes));
+    if (taken < 0 || static_cast<std::size_t>(taken) == message.num_bytes) {
+      return true;  // closed, or done
+    }
+    sent = static_cast<std::size_t>(taken);
+  }
+  ros::SerializedMessage rest = message;
+  if (sent != 0) {
+    rest.num_bytes = message.num_bytes - sent;
+    rest.buf.reset(new std::uint8_t[rest.num_bytes]);
+    std::memcpy(rest.buf.get(), message.buf.get() + sent, rest.num_bytes);
+  }
+  link.enqueueMessage(rest, true, false);
+  return false;
+}
+
+/// Discards the oldest messages that wait to be sent, down to `most`; returns how many. The rest of one that is half
+/// sent is not among them.
+inline std::size_t boundOutbox(ros::SubscriberLink& link, std::size_t most) {
+  auto* transport = dynamic_cast<ros::TransportSubscriberLink*>(&link);
+  if (transport == nullptr) {
+    return 0;
+  }
+  boost::mutex::scoped_lock lock(transport->*member(exposed::OutboxMutex()));
+  auto& outbox = transport->*member(exposed::Outbox());
+  std::size_t dropped = 0;
+  for (; outbox.size() > most; ++dropped) {
+    outbox.pop();
+  }
+  return dropped;
+}
+
+/// Returns this process's TCP port of a connection, -1 if there is none.
+///
+/// @param info  The transport's description of itself: "TCPROS connection on port 45678 to [10.0.0.2:37001 on socket
+/// 9]".
+inline int localPort(const std::string& info) {
+  static const std::string phrase = "on port ";
+  const std::size_t at = info.find(phrase);
+  return at == std::string::npos ? -1 : std::atoi(info.c_str() + at + phrase.size());
+}
+
+/// Returns the other side's TCP port of a connection, -1 if there is none.
+inline int remotePort(const std::string& info) {
+  // The address may be one of IPv6, full of colons.
+  const std::size_t end = info.rfind(" on socket ");
+  const std::size_t colon = end == std::string::npos ? end : info.rfind(':', end);
+  return colon == std::string::npos ? -1 : std::atoi(info.c_str() + colon + 1);
+}
+
+}  // namespace xtdrone_control::lockstep

@@ -1,0 +1,646 @@
+"""The lockstep of C++ nodes, among themselves and with Python ones; this test plays the simulator.
+
+Called as a program this file is one of the Python nodes; the C++ ones are lockstep_test_node.cpp, which catkin builds.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from test_lockstep_nodes import PATIENCE, ROSMASTER, Graph, due_times, run, wait_until
+
+from xtdrone_control import lockstep
+from xtdrone_control.lockstep.protocol import Digest
+from xtdrone_control.lockstep.server import LockstepServer
+
+try:
+    import rospy
+    from geometry_msgs.msg import PointStamped
+    from rosgraph_msgs.msg import Clock
+    from std_msgs.msg import Header, String
+except ImportError:
+    rospy = None
+
+NODE = shutil.which(
+    "lockstep_test_node",
+    path=os.pathsep.join(
+        f"{prefix}/lib/xtdrone_control" for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
+    ),
+)
+
+pytestmark = pytest.mark.skipif(
+    ROSMASTER is None or rospy is None or NODE is None,
+    reason="needs ROS 1 (rosmaster on PATH, rospy) and the built workspace (lockstep_test_node)",
+)
+
+RATES = {"a": 50.0, "b": 30.0, "c": 20.0}
+END_US = 1_000_000
+
+
+# ---- the Python nodes ----
+
+
+def participant(name: str, rate: float, seed: int, peers: list[str]) -> None:
+    """The same as the C++ node's role of this name."""
+    lockstep.init_node(name, rate=rate)
+    lazy = random.Random(seed)
+    checksum = 14695981039346656037  # FNV-1a
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def take(message: String, source: str) -> None:
+        nonlocal checksum
+        for byte in message.data.encode():
+            checksum = ((checksum ^ byte) * 1099511628211) % 2**64
+        print(rospy.Time.now().to_nsec() // 1000, source, message.data, file=out)
+
+    publishers = [lockstep.Publisher(f"/from_{name}", String), lockstep.Publisher("/shared", String)]
+    keep = [lockstep.Subscriber(f"/from_{peer}", String, take, peer) for peer in peers]
+    keep.append(lockstep.Subscriber("/shared", String, take, "shared"))
+    keep.append(lockstep.Subscriber("/foreign", String, take, "foreign"))
+    lockstep.start()
+
+    def step() -> None:
+        if seed and lazy.random() < 0.25:
+            time.sleep(0.02)
+        now = rospy.Time.now().to_nsec() // 1000
+        for publisher in publishers:
+            publisher.publish(f"{now} {name} {checksum:016x}")
+
+    lockstep.spin(step)
+
+
+def heavy(name: str) -> None:
+    """The same as the C++ node's role of this name."""
+    lockstep.init_node(name, rate=50.0)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def take(message: String) -> None:
+        print(rospy.Time.now().to_nsec() // 1000, message.data[:3], len(message.data), file=out)
+
+    publisher = lockstep.Publisher(f"/from_{name}", String)
+    _subscriber = lockstep.Subscriber("/from_b" if name == "a" else "/from_a", String, take)
+    lockstep.start()
+    turns = iter(range(1000))
+
+    def step() -> None:
+        turn = next(turns)
+        for _ in range(3):
+            publisher.publish(f"{turn:03d}" + "x" * (2_000_000 + turn))
+
+    lockstep.spin(step)
+
+
+def stamper(name: str) -> None:
+    """The same as the C++ node's role of this name."""
+    lockstep.init_node(name, rate=50.0)
+    publisher = lockstep.Publisher("/stamps", PointStamped)
+    lockstep.start()
+    lockstep.spin(lambda: publisher.publish(PointStamped(header=Header(stamp=rospy.Time.now(), frame_id="map"))))
+
+
+def sender(name: str, rate: str) -> None:
+    """The same as the C++ node's role of this name."""
+    lockstep.init_node(name, rate=float(rate))
+    publishers = [lockstep.Publisher("/passing", String), lockstep.Publisher("/held", String, latch=True)]
+    lockstep.start()
+
+    def step() -> None:
+        for publisher in publishers:
+            publisher.publish(f"{rospy.Time.now().to_nsec() // 1000} {name}")
+
+    lockstep.spin(step)
+
+
+def reader(name: str, rate: str) -> None:
+    """The same as the C++ node's role of this name."""
+    lockstep.init_node(name, rate=float(rate))
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def note(*words: str) -> None:
+        print(rospy.Time.now().to_nsec() // 1000, *words, file=out)
+
+    _passing = lockstep.Subscriber("/passing", String, lambda message: note("passing", message.data))
+    _held = lockstep.Subscriber("/held", String, lambda message: note("held", message.data))
+    lockstep.add_reset_hook(lambda: note("reset"))
+    lockstep.start()
+    lockstep.spin()
+
+
+def talker(name: str) -> None:
+    """A node that knows nothing of the lockstep: latches one message."""
+    rospy.init_node(name)
+    publisher = rospy.Publisher("/foreign", String, latch=True, queue_size=1)
+    publisher.publish("hello")
+    rospy.spin()
+
+
+def listener(name: str) -> None:
+    """A node that knows nothing of the lockstep: listens."""
+    rospy.init_node(name)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+    _words = rospy.Subscriber("/foreign", String, lambda message: print(message.data, file=out))
+    _flood = rospy.Subscriber("/flood", String, lambda message: None)
+    rospy.spin()
+
+
+def clock(name: str) -> None:
+    """Publishes times that are wrong, as fast as it can."""
+    rospy.init_node(name, disable_rostime=True)
+    publisher = rospy.Publisher("/clock", Clock, queue_size=10)
+    while not rospy.is_shutdown():
+        for seconds in (0, 1, 1_000_000):
+            publisher.publish(Clock(rospy.Time(seconds)))
+        time.sleep(0.001)
+
+
+# ---- the test's side ----
+
+
+@dataclass
+class Node:
+    """One node of a graph: its language, and whether it is slow now and then (a seed) or not (0)."""
+
+    cpp: bool
+    seed: int = 0
+
+
+class MixedGraph(Graph):
+    """Starts C++ nodes too."""
+
+    def start_cpp(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
+        command = [str(NODE), role, name, *arguments]
+        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+        return self.processes[name]
+
+    def start(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
+        command = [sys.executable, __file__, role, name, *arguments]
+        self.processes[name] = self._popen(name, command, TRANSCRIPT=str(self.transcript_path(name)))
+        return self.processes[name]
+
+    def start_participants(self, server: LockstepServer, nodes: dict[str, Node]) -> None:
+        for name in reversed(nodes):
+            start = self.start_cpp if nodes[name].cpp else self.start
+            start("participant", name, str(RATES[name]), str(nodes[name].seed), *nodes)
+        assert server.wait_for(list(nodes), timeout=PATIENCE), server.missing(list(nodes))
+
+    def ended(self, name: str) -> str:
+        """Waits for a node's orderly end and returns what it has said."""
+        assert self.processes[name].wait(PATIENCE) == 0, self.output(name)
+        return self.output(name)
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[MixedGraph]:
+    graph = MixedGraph(tmp_path)
+    yield graph
+    graph.stop()
+
+
+@pytest.fixture
+def server(graph: MixedGraph) -> Iterator[LockstepServer]:
+    server = LockstepServer(hang_limit=10.0, busy_limit=10.0)
+    graph.set_param("/lockstep/uri", server.uri)
+    yield server
+    server.close()
+
+
+def expected_receptions(receiver: str, end_us: int) -> list[tuple[int, str, int, str]]:
+    """What a receiver must note: (time, topic's source, time of sending, publisher), from the rule alone."""
+    times = {name: due_times(rate, end_us) for name, rate in RATES.items()}
+    receptions = []
+    for previous, now in zip(times[receiver], times[receiver][1:], strict=False):
+        sent = [(turn, source) for source in RATES for turn in times[source] if previous <= turn < now]
+        receptions += [(now, source, turn, source) for turn, source in sent]
+        receptions += [(now, "shared", turn, source) for turn, source in sent]
+    return receptions
+
+
+def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_in_either_language(tmp_path: Path) -> None:
+    graphs = [
+        {"a": Node(cpp=True), "b": Node(cpp=True), "c": Node(cpp=True)},
+        {"a": Node(cpp=True, seed=3), "b": Node(cpp=False), "c": Node(cpp=True)},
+        {"a": Node(cpp=False, seed=5), "b": Node(cpp=True, seed=7), "c": Node(cpp=False)},
+    ]
+    transcripts = []
+    for number, nodes in enumerate(graphs):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        graph = MixedGraph(folder)
+        server = LockstepServer(hang_limit=10.0)
+        try:
+            graph.set_param("/lockstep/uri", server.uri)
+            graph.start_participants(server, nodes)
+            run(server, END_US)
+            server.close()
+            for name in nodes:
+                said = graph.ended(name)
+                assert "is gone" in said
+                assert "did not arrive" not in said
+                assert "waiting for messages" not in said
+            transcripts.append({name: graph.transcript(name) for name in nodes})
+        finally:
+            server.close()
+            graph.stop()
+    for name, lines in transcripts[0].items():
+        fields = [line.split() for line in lines]
+        got = [(int(now), source, int(sent), publisher) for now, source, sent, publisher, _ in fields]
+        assert got == expected_receptions(name, END_US)
+    assert transcripts[1] == transcripts[0]
+    assert transcripts[2] == transcripts[0]
+
+
+def test_a_killed_one_is_dropped_the_flight_goes_on_and_it_may_come_back(
+    graph: MixedGraph, server: LockstepServer
+) -> None:
+    graph.start_participants(server, {"a": Node(cpp=True), "b": Node(cpp=True), "c": Node(cpp=False)})
+    now = run(server, 400_000)
+    graph.processes["b"].kill()
+    graph.processes["b"].wait()
+    now = run(server, 700_000, now)
+    assert sorted(server.participants) == ["/a", "/c"]
+    graph.start_cpp("participant", "b", str(RATES["b"]), "0", *RATES)
+    assert server.wait_for(["/b"], timeout=PATIENCE), server.missing(["/b"])
+    now = run(server, 1_000_000, now)
+    server.close()
+    for name in RATES:
+        assert "did not arrive" not in graph.ended(name)
+    turns = due_times(RATES["b"], now)
+    before = [turn for turn in turns if turn < 400_000]
+    for name in "ac":
+        seen = [line.split() for line in graph.transcript(name)]
+        last = due_times(RATES[name], now)[-1]
+        assert int(seen[-1][0]) == last
+        from_b = [int(sent) for _, source, sent, _, _ in seen if source == "b"]
+        # What it sent in its last turn before it was killed was counted only if it had time to say so.
+        assert [t for t in from_b if t < 700_000] in (before, before[:-1])
+        assert [t for t in from_b if t >= 700_000] == [t for t in turns if 700_000 <= t < last]
+
+
+def test_a_second_one_of_a_name_is_refused_and_the_first_lives_on(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.start_cpp("participant", "a", "50", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    first = graph.processes["a"]
+    log = graph.folder / "second.out"
+    with open(log, "w") as out:
+        command = [str(NODE), "participant", "a", "50", "0", "a"]
+        second = subprocess.Popen(command, env=graph.env, stdout=out, stderr=subprocess.STDOUT)
+    now = 0
+    end = time.monotonic() + PATIENCE
+    while second.poll() is None and time.monotonic() < end:
+        now = run(server, now + 20_000, now)
+    assert second.wait(PATIENCE) == 1
+    assert "the name /a is taken by a participant connected from" in log.read_text()
+    now = run(server, now + 200_000, now)
+    assert list(server.participants) == ["/a"]
+    assert first.poll() is None
+
+
+def test_another_version_is_refused_with_the_reason(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("xtdrone_control.lockstep.server.VERSION", 99)
+    server = LockstepServer()
+    graph.set_param("/lockstep/uri", server.uri)
+    process = graph.start_cpp("participant", "a", "50", "0")
+    end = time.monotonic() + PATIENCE
+    while process.poll() is None and time.monotonic() < end:
+        server.poll(0.05)
+    server.close()
+    assert process.wait(PATIENCE) == 1
+    assert "/a speaks lockstep version 2, this is 99" in graph.output("a")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_that_waits_for_its_turn(
+    graph: MixedGraph, server: LockstepServer, number: signal.Signals
+) -> None:
+    process = graph.start_cpp("participant", "a", "50", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 100_000)
+    process.send_signal(number)
+    assert process.wait(3.0) == 0
+    server.poll(1.0)
+    assert not server.participants
+
+
+def test_the_clock_topic_cannot_turn_the_time(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.set_param("/use_sim_time", True)
+    graph.start("clock", "clock")
+    wait_until(lambda: "/clock" in [topic for topic, _ in graph.master.getPublishedTopics("/t", "")[2]], "it publishes")
+    graph.start_cpp("participant", "a", "50", "11", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 600_000)
+    subscribers = dict(graph.master.getSystemState("/t")[2][1])
+    server.close()
+    graph.ended("a")
+    assert "/a" not in subscribers.get("/clock", [])
+    times = [int(line.split()[0]) for line in graph.transcript("a") if " a " in line]
+    assert sorted(set(times)) == due_times(50.0, 600_000)[1:]
+
+
+def test_a_foreign_latched_message_comes_once(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.start("talker", "talker")
+    graph.start_cpp("participant", "a", "50", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    now = 0
+
+    def heard() -> bool:
+        nonlocal now
+        now = run(server, now + 20_000, now)
+        return any("foreign hello" in line for line in graph.transcript("a"))
+
+    wait_until(heard, "the message comes")
+    run(server, now + 200_000, now)
+    assert sum("foreign hello" in line for line in graph.transcript("a")) == 1
+
+
+def test_a_latched_message_of_its_own_comes_once_to_everybody(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.start_cpp("latcher", "latcher")
+    assert server.wait_for(["/latcher"], timeout=PATIENCE)
+    run(server, 100_000)
+    graph.start("listener", "rider")
+    graph.start_cpp("participant", "a", "50", "0")
+    graph.start("participant", "b", "50", "0")
+    assert server.wait_for(["/a", "/b"], timeout=PATIENCE), server.missing(["/a", "/b"])
+    now = 100_000
+
+    def heard() -> bool:
+        nonlocal now
+        now = run(server, now + 20_000, now)
+        path = graph.transcript_path("rider")
+        return path.exists() and "hello" in path.read_text()
+
+    wait_until(heard, "the rider hears it")
+    now = run(server, now + 100_000, now)
+    server.close()
+    graph.ended("a")
+    graph.ended("b")
+    for name in "ab":
+        assert [line.split()[1:] for line in graph.transcript(name) if "foreign" in line] == [["foreign", "hello"]]
+    assert graph.transcript("rider") == ["hello"]
+
+
+@pytest.mark.parametrize("other", ["cpp", "python"])
+def test_messages_longer_than_a_socket_holds_come_in_the_next_turn(
+    graph: MixedGraph, server: LockstepServer, other: str
+) -> None:
+    graph.start_cpp("heavy", "a")
+    (graph.start_cpp if other == "cpp" else graph.start)("heavy", "b")
+    assert server.wait_for(["/a", "/b"], timeout=PATIENCE)
+    run(server, 220_000)
+    server.close()
+    for name in "ab":
+        assert "did not arrive" not in graph.ended(name)
+        seen = [line.split() for line in graph.transcript(name)]
+        assert [(int(now), int(sent), int(size)) for now, sent, size in seen] == [
+            (turn * 20_000, turn - 1, 2_000_003 + turn - 1) for turn in range(1, 11) for _ in range(3)
+        ]
+
+
+def test_a_stopped_listener_stops_nothing_and_costs_no_memory(graph: MixedGraph, server: LockstepServer) -> None:
+    rider = graph.start("listener", "rider")
+    graph.start_cpp("flood", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    now = 0
+
+    def connected() -> bool:
+        nonlocal now
+        now = run(server, now + 20_000, now)
+        return any(line.startswith("1 ") for line in graph.transcript("a"))
+
+    wait_until(connected, "the listener is connected")
+    rider.send_signal(signal.SIGSTOP)
+    run(server, now + 4_000_000, now)
+    rider.send_signal(signal.SIGCONT)
+    assert list(server.participants) == ["/a"]
+    kilobytes = [int(line.split()[1]) for line in graph.transcript("a")]
+    assert len(kilobytes) > 200
+    assert kilobytes[-1] - kilobytes[0] < 30_000, "200 messages of 500 kB are 100 MB"
+
+
+def test_topics_may_come_and_go(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.start_cpp("participant", "a", "50", "0", "churner")
+    graph.start_cpp("churner", "churner")
+    assert server.wait_for(["/a", "/churner"], timeout=PATIENCE)
+    now = run(server, 1_000_000)
+    assert sorted(server.participants) == ["/a", "/churner"]
+    server.close()
+    assert "did not arrive" not in graph.ended("churner")
+    assert "waiting for messages" not in graph.ended("a")
+    lines = [line.split() for line in graph.transcript("churner")]
+    assert [line for line in lines if line[1] == "connections"] == [
+        [str(turn), "connections", "1"] for turn in range(3, 20, 4)
+    ]
+    # It leaves in turn k + 3, after the message of turn k + 2. Whether it has that of turn k + 1 depends on whether the
+    # publisher had noticed the end of the connection before by then: only if so the world was held for the new one.
+    times = due_times(50.0, now)
+    for turn in range(0, 20, 4):
+        sent = [int(line[1]) for line in lines if line[0] == str(turn)]
+        assert sent in (times[turn + 1 : turn + 3], times[turn : turn + 3], times[turn + 2 : turn + 3])
+    # Its own topic exists from turn k to k + 3, and it publishes in k + 1 and k + 2.
+    heard = [line.split() for line in graph.transcript("a") if " churner " in line]
+    sent = [int(line[2]) for line in heard]
+    assert set(sent) <= {times[turn + i] for turn in range(0, 20, 4) for i in (1, 2)}
+    assert {times[1], times[2]} <= set(sent)
+    assert all(int(line[0]) == int(line[2]) + 20_000 for line in heard)
+
+
+def test_time_that_goes_back_is_told_first(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.start_participants(server, {"a": Node(cpp=True), "b": Node(cpp=False)})
+    run(server, 300_000)
+    server.reset_time(0)
+    run(server, 200_000)
+    server.close()
+    graph.ended("a")
+    lines = [line.split() for line in graph.transcript("a")]
+    reset = lines.index(["0", "reset"])
+    assert [line for line in lines if line[1] == "reset"] == [["0", "reset"]]
+    assert {int(line[0]) for line in lines[:reset]} == set(due_times(50.0, 300_000)[1:])
+    # What was under way at the reset does not come: the first turn after it has nothing.
+    assert {int(line[0]) for line in lines[reset + 1 :]} == set(due_times(50.0, 200_000)[1:])
+
+
+def test_what_was_under_way_when_time_went_back_is_void_unless_it_is_latched(
+    graph: MixedGraph, server: LockstepServer
+) -> None:
+    # By the names the C++ sender comes first.
+    senders, readers = {"s_cpp": 50.0, "s_py": 50.0}, {"r_cpp": 20.0, "r_py": 20.0}
+    for role, nodes in (("reader", readers), ("sender", senders)):
+        for name, rate in nodes.items():
+            (graph.start_cpp if name.endswith("cpp") else graph.start)(role, name, str(rate))
+    names = [*senders, *readers]
+    assert server.wait_for(names, timeout=PATIENCE), server.missing(names)
+    run(server, 290_000)
+    server.reset_time(0)
+    run(server, 200_000)
+    server.close()
+    for name in names:
+        assert "did not arrive" not in graph.ended(name)
+
+    def heard(now: int, topic: str, sent: list[int]) -> list[str]:
+        return [f"{now} {topic} {time_us} {name}" for name in senders for time_us in sent]
+
+    def heard_until(end_us: int) -> list[str]:
+        lines: list[str] = []
+        for previous, now in itertools.pairwise(due_times(20.0, end_us)):
+            sent = [turn for turn in due_times(50.0, end_us) if previous <= turn < now]
+            lines += heard(now, "passing", sent) + heard(now, "held", sent)
+        return lines
+
+    # Before the reset the readers had their last turn at 252 ms, the senders had theirs at 260 and 280 ms.
+    expected = [*heard_until(290_000), "0 reset", *heard(0, "held", [260_000, 280_000]), *heard_until(200_000)]
+    assert graph.transcript("r_cpp") == expected
+    assert graph.transcript("r_py") == expected
+
+
+def test_a_machine_that_is_gone_is_noticed_within_seconds(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.start_cpp("participant", "a", "50", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    ports = [int(end.rpartition(":")[2]) for end in (server.participants["/a"].address, server.uri)]
+    timers: list[float] = []
+
+    def keepalive_runs() -> bool:
+        timers[:] = keepalive_timers(*ports)
+        return bool(timers)  # while something it has sent is under way the kernel shows another timer
+
+    wait_until(keepalive_runs, "the node's keep-alive timer runs")
+    assert len(timers) == 1
+    assert timers[0] <= 3.0
+
+
+def keepalive_timers(local: int, remote: int) -> list[float]:
+    """Returns when the kernel will ask whether the other end of a TCP connection is there, s; empty if it will not.
+
+    Args:
+        local: Port on this side.
+        remote: Port on the other side.
+    """
+    ends = [f"{local:04X}", f"{remote:04X}"]
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    timers = [row[5].split(":") for row in rows if [end.split(":")[1] for end in row[1:3]] == ends]
+    return [int(left, 16) / os.sysconf("SC_CLK_TCK") for kind, left in timers if kind == "02"]
+
+
+def test_what_it_publishes_is_condensed_as_the_protocol_says(graph: MixedGraph) -> None:
+    told: list[tuple[str, int, dict[str, list[int]]]] = []
+    server = LockstepServer(on_digest=lambda name, time_us, topics: told.append((name, time_us, dict(topics))))
+    graph.set_param("/lockstep/uri", server.uri)
+    graph.start_cpp("stamper", "stamper")
+    graph.start("stamper", "py_stamper")
+    graph.start_cpp("participant", "a", "50", "0", "a")
+    assert server.wait_for(["/a", "/stamper", "/py_stamper"], timeout=PATIENCE)
+    now = run(server, 1_030_000)
+    for name in ("a", "stamper", "py_stamper"):
+        graph.processes[name].send_signal(signal.SIGINT)
+        graph.ended(name)
+    end = time.monotonic() + PATIENCE
+    while server.participants and time.monotonic() < end:
+        server.poll(0.1)
+    server.close()
+    times = due_times(50.0, now)
+    stamps, words = Digest(), Digest()
+    for seq, turn in enumerate(times, start=1):
+        message = PointStamped(header=Header(seq, rospy.Time(*divmod(turn * 1000, 10**9)), "map"))
+        stamps.add(turn, serialised(message))
+    heard = [line.split(maxsplit=2)[2] for line in graph.transcript("a") if line.split()[1] == "a"]
+    for text in heard:
+        words.add(int(text.split()[0]), serialised(String(text)))
+    assert [time_us for name, time_us, _ in told if name == "/stamper"] == [0, 1_000_000, times[-1]]
+    assert told_last(told, "/stamper") == {"/stamps": stamps.state()}
+    assert told_last(told, "/py_stamper") == {"/stamps": stamps.state()}
+    # Nobody has heard what it said last.
+    last = told_last(told, "/a")
+    assert last["/from_a"] == last["/shared"]
+    assert last["/from_a"][0] == words.messages + 1
+    second = next(topics for name, time_us, topics in told if name == "/a" and time_us == 1_000_000)
+    early = Digest()
+    for text in heard[: times.index(1_000_000) + 1]:
+        early.add(int(text.split()[0]), serialised(String(text)))
+    assert second["/from_a"] == early.state()
+
+
+def serialised(message: object) -> bytes:
+    from io import BytesIO
+
+    buffer = BytesIO()
+    message.serialize(buffer)  # type: ignore[attr-defined]
+    return buffer.getvalue()
+
+
+def told_last(told: list[tuple[str, int, dict[str, list[int]]]], name: str) -> dict[str, list[int]]:
+    return [topics for who, _, topics in told if who == name][-1]
+
+
+def test_without_a_simulator_it_is_an_ordinary_node(graph: MixedGraph) -> None:
+    graph.start_cpp("alone", "alone")
+    assert "alone is well" in graph.ended("alone")
+
+
+def test_the_private_parameter_opts_out(graph: MixedGraph, server: LockstepServer) -> None:
+    graph.set_param("/alone/lockstep", False)
+    graph.start_cpp("alone", "alone")
+    assert "alone is well" in graph.ended("alone")
+    assert not server.participants
+
+
+def test_a_node_that_starts_first_waits_for_the_simulator(graph: MixedGraph) -> None:
+    graph.set_param("/lockstep/wait", True)
+    graph.start_cpp("participant", "a", "50", "0", "a")
+
+    def there() -> bool:
+        return any("/a" in nodes for _, nodes in graph.master.getSystemState("/t")[2][0])
+
+    wait_until(there, "the node registers")
+    server = LockstepServer()
+    graph.set_param("/lockstep/uri", server.uri)
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 100_000)
+    assert list(server.participants) == ["/a"]
+    server.close()
+
+
+def test_without_a_master_it_says_so(graph: MixedGraph) -> None:
+    graph.processes["master"].kill()
+    graph.processes["master"].wait()
+    assert graph.start_cpp("alone", "alone").wait(PATIENCE) == 1
+    assert f"no ROS master answers at {graph.env['ROS_MASTER_URI']}" in graph.output("alone")
+
+
+@pytest.mark.parametrize("program", ["lockstep_idle", "lockstep_idle.py"])
+def test_an_idle_participant_takes_every_turn(graph: MixedGraph, server: LockstepServer, program: str) -> None:
+    path = Path(str(NODE)).with_name(program)
+    graph.processes["idle"] = graph._popen("idle", [str(path), "idle_1", "125"])
+    assert server.wait_for(["/idle_1"], timeout=PATIENCE)
+    assert server.participants["/idle_1"].rate == 125.0
+    run(server, 200_000)
+    assert list(server.participants) == ["/idle_1"]
+    server.close()
+    graph.ended("idle")
+
+
+@pytest.mark.parametrize("program", ["lockstep_idle", "lockstep_idle.py"])
+@pytest.mark.parametrize("arguments", [["idle"], ["idle", "fast"], ["idle", "1000"]])
+def test_an_idle_participant_needs_a_name_and_a_rate(graph: MixedGraph, program: str, arguments: list[str]) -> None:
+    command = [str(Path(str(NODE)).with_name(program)), *arguments]
+    done = subprocess.run(command, env=graph.env, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    assert "usage" in done.stderr
+
+
+if __name__ == "__main__":
+    role, name, *rest = sys.argv[1:]
+    if role == "participant":
+        participant(name, float(rest[0]), int(rest[1]), rest[2:])
+    else:
+        {function.__name__: function for function in (heavy, stamper, sender, reader, talker, listener, clock)}[role](
+            name, *rest
+        )

@@ -1,0 +1,243 @@
+"""The avoidance in C++ gives what the one in Python gives, to the last bit: the function, and the node in a graph.
+
+Called as a program this file is a node: it makes a swarm, and notes what avoidance is published for it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import math
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import xmlrpc.client
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xtdrone_control import lockstep
+from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_coordination.avoidance import RADIUS, avoid
+
+try:
+    import rospy
+    from geometry_msgs.msg import PoseStamped, Vector3
+    from std_msgs.msg import Float64MultiArray
+except ImportError:
+    rospy = None
+
+PATIENCE = 20.0  # s of wall time; bounds a broken run
+PREFIXES = [prefix for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep) if prefix]
+LIBRARY = next(filter(Path.exists, (Path(prefix) / "lib/libavoidance_for_test.so" for prefix in PREFIXES)), None)
+PROGRAMS = {
+    name: shutil.which(name, path=os.pathsep.join(f"{prefix}/lib/xtdrone_coordination" for prefix in PREFIXES))
+    for name in ("avoid.py", "avoid_cpp")
+}
+COUNT = 30  # more than few enough for the C++ one to look at every pair
+ROSMASTER = shutil.which("rosmaster")
+
+needs_library = pytest.mark.skipif(LIBRARY is None, reason="needs the built workspace (avoidance_for_test)")
+needs_ros = pytest.mark.skipif(
+    ROSMASTER is None or rospy is None or None in PROGRAMS.values(),
+    reason="needs ROS 1 (rosmaster on PATH, rospy) and the built workspace (avoid_cpp)",
+)
+
+
+# ---- the function ----
+
+
+def swarms() -> Iterator[tuple[str, np.ndarray, float, float]]:
+    """Yield a name, positions (N, 3) with NaN for unknown, radius and gain."""
+    rng = np.random.default_rng(11)
+    for count, size in itertools.product((2, 9, 25, 60, 200), (1.0, 4.0, 30.0)):
+        yield f"{count} within {size} m", rng.uniform(-size, size, (count, 3)), RADIUS, 1.0
+    unknown = rng.uniform(-3.0, 3.0, (60, 3))
+    unknown[rng.random(60) < 0.3] = math.nan
+    yield "some unknown", unknown, RADIUS, 0.7
+    lattice = np.array(list(itertools.product(range(-3, 4), repeat=3)), dtype=float)
+    yield "a lattice as wide as the radius", RADIUS * lattice, RADIUS, 1.0
+    yield "a lattice of tenths", 0.1 * lattice, 0.3, 1.0
+    near = np.nextafter(RADIUS, 0.0)
+    yield "just within the radius", np.array([[near * i, 0.0, -near * i] for i in range(40)]), 2.0 * near, 1.0
+    pairs = rng.uniform(-5.0, 5.0, (20, 3))
+    yield "all twice at one place", np.concatenate([pairs, pairs]), RADIUS, 1.0
+    yield "almost at one place", np.concatenate([pairs, pairs + 3e-7]), RADIUS, 1.0
+    yield "far away", 1e7 + rng.uniform(-2.0, 2.0, (40, 3)), RADIUS, 1.0
+    yield "in a corner of the grid", 1.5e6 + rng.uniform(-2.0, 2.0, (40, 3)), RADIUS, 1.0
+    yield "in space", rng.uniform(-1.0, 1.0, (40, 3)) * 1e300, RADIUS, 1.0
+    yield "large radius", rng.uniform(-100.0, 100.0, (40, 3)), 1e6, 1.0
+    yield "least radius", rng.uniform(-1e-200, 1e-200, (40, 3)), 5e-324, 1.0
+
+
+@needs_library
+@pytest.mark.parametrize(("positions", "radius", "gain"), [pytest.param(*rest, id=name) for name, *rest in swarms()])
+def test_equals_the_python_function_to_the_last_bit(positions: np.ndarray, radius: float, gain: float) -> None:
+    library = ctypes.CDLL(str(LIBRARY))
+    places = np.ascontiguousarray(positions)
+    result = np.full_like(places, math.nan)
+    real = ctypes.POINTER(ctypes.c_double)
+    library.avoidAll(
+        places.ctypes.data_as(real),
+        ctypes.c_size_t(len(places)),
+        ctypes.c_double(radius),
+        ctypes.c_double(gain),
+        result.ctypes.data_as(real),
+    )
+    known = [None if math.isnan(place[0]) else tuple(place) for place in places.tolist()]
+    expected = np.array([avoid(i, known, radius, gain) for i in range(len(known))])
+    assert result.tobytes() == expected.tobytes()
+
+
+# ---- the node ----
+
+
+class Graph:
+    """A master of its own and the processes that a test starts; the test plays the simulator."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as sock:
+            sock.bind(("127.0.0.1", 0))
+            port = sock.getsockname()[1]
+        uri = f"http://127.0.0.1:{port}"
+        self.folder = folder
+        self.env = {**os.environ, "ROS_MASTER_URI": uri, "ROS_HOSTNAME": "127.0.0.1", "ROS_HOME": str(folder)}
+        self.processes: list[subprocess.Popen] = []
+        self.start(str(ROSMASTER), "--core", "-p", str(port))
+        self.master = xmlrpc.client.ServerProxy(uri)
+        end = time.monotonic() + PATIENCE
+        while not self._answers():
+            assert time.monotonic() < end, "the master does not answer"
+            time.sleep(0.02)
+
+    def _answers(self) -> bool:
+        try:
+            return self.master.getPid("/test")[0] == 1
+        except OSError:
+            return False
+
+    def start(self, *command: str) -> subprocess.Popen:
+        with open(self.folder / "output", "a") as out:
+            self.processes.append(subprocess.Popen(command, env=self.env, stdout=out, stderr=subprocess.STDOUT))
+        return self.processes[-1]
+
+    def run(self, *command: str) -> subprocess.CompletedProcess:
+        return subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=PATIENCE, check=False)
+
+    def stop(self) -> None:
+        for process in self.processes:
+            process.kill()
+        for process in self.processes:
+            process.wait()
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    graph = Graph(tmp_path)
+    yield graph
+    graph.stop()
+
+
+def swarm_maker(topic: str, out: str) -> None:
+    """Publishes a swarm that moves about, parts of it unknown, and notes the avoidance that is published for it."""
+    lockstep.init_node("swarm", rate=50.0)
+    rng = np.random.default_rng(3)
+    state = rng.uniform(-4.0, 4.0, (COUNT, 6))
+    together = lockstep.Publisher(topic, Float64MultiArray) if topic else None
+    poses = [lockstep.Publisher(f"/iris_{i}/mavros/local_position/pose", PoseStamped) for i in range(COUNT)]
+    with open(out, "w", buffering=1) as file:
+
+        def take(index: int, message: Vector3) -> None:
+            now = rospy.Time.now().to_nsec() // 1000
+            print(now, index, message.x.hex(), message.y.hex(), message.z.hex(), file=file)
+
+        _keep = [lockstep.Subscriber(f"/xtdrone/iris_{i}/avoid_vel", Vector3, partial(take, i)) for i in range(COUNT)]
+        lockstep.start()
+
+        def step() -> None:
+            state[:, :3] += rng.uniform(-0.1, 0.1, (COUNT, 3))
+            shown = state.copy()
+            shown[rng.random(COUNT) < 0.1] = math.nan
+            if together is not None:
+                together.publish(Float64MultiArray(data=shown.ravel().tolist()))
+                return
+            for place, publisher in zip(shown.tolist(), poses, strict=True):
+                message = PoseStamped()
+                p = message.pose.position
+                p.x, p.y, p.z = place[:3]
+                publisher.publish(message)
+
+        lockstep.spin(step)
+
+
+def heard(graph: Graph, program: str, topic: str, ids: str) -> list[str]:
+    """Runs a swarm with an avoidance node, and returns what was published."""
+    out = graph.folder / f"{program}.transcript"
+    graph.master.setParam("/test", "/xtdrone/swarm_topic", topic)
+    server = LockstepServer()
+    try:
+        graph.master.setParam("/test", "/lockstep/uri", server.uri)
+        node = graph.start(str(PROGRAMS[program]), "iris", str(COUNT), "vel", f"_ids:={ids}", "_avoid_radius:=2")
+        maker = graph.start(sys.executable, __file__, topic, str(out))
+        names = ["/avoid", "/swarm"]
+        assert server.wait_for(names, timeout=PATIENCE), server.missing(names)
+        now: int | None = 0
+        while now is not None and now < 500_000:
+            server.tick(now)
+            now = server.next_due_us(now)
+        assert sorted(server.participants) == names
+    finally:
+        server.close()
+    assert node.wait(PATIENCE) == 0
+    assert maker.wait(PATIENCE) == 0
+    return out.read_text().splitlines()
+
+
+@needs_ros
+@pytest.mark.parametrize(("topic", "ids"), [("/xtdrone/swarm", "all"), ("", "0-4,7")])
+def test_publishes_what_the_python_node_publishes(graph: Graph, topic: str, ids: str) -> None:
+    python = heard(graph, "avoid.py", topic, ids)
+    assert len(python) > 5 * 12
+    assert any(float.fromhex(line.split()[2]) != 0.0 for line in python)
+    assert heard(graph, "avoid_cpp", topic, ids) == python
+
+
+@needs_ros
+def test_refuses_what_the_python_node_refuses(graph: Graph) -> None:
+    def both(arguments: list[str]) -> None:
+        python, cpp = (graph.run(str(PROGRAMS[name]), *arguments) for name in ("avoid.py", "avoid_cpp"))
+        assert cpp.returncode == python.returncode == 2, (arguments, cpp.stderr, python.stderr)
+        assert cpp.stderr.splitlines()[0] == python.stderr.splitlines()[0]
+        assert cpp.stderr.splitlines()[1].replace("avoid_cpp", "avoid.py") == python.stderr.splitlines()[1]
+
+    both(["iris", "9"])
+    both(["iris", "many", "vel"])
+    both(["iris", "1", "vel"])
+    both(["plane", "9", "vel"])
+    both(["iris", "9", "speed"])
+    for name, value in [("ids", "3-12"), ("ids", "1,,2"), ("ids", 9), ("avoid_radius", 0), ("avoid_radius", "wide")]:
+        graph.master.setParam("/test", f"/avoid/{name}", value)
+        both(["iris", "9", "vel"])
+        graph.master.deleteParam("/test", f"/avoid/{name}")
+    graph.master.setParam("/test", "/xtdrone/fleet", "iris:3,solo:2")
+    both(["typhoon_h480", "3", "vel"])
+    both(["iris", "4", "vel"])
+
+
+@needs_ros
+def test_without_a_master_it_says_so(graph: Graph) -> None:
+    graph.processes[0].kill()
+    graph.processes[0].wait()
+    done = graph.run(str(PROGRAMS["avoid_cpp"]), "iris", "9", "vel")
+    assert done.returncode == 1
+    assert f"no ROS master at {graph.env['ROS_MASTER_URI']}" in done.stderr
+
+
+if __name__ == "__main__":
+    swarm_maker(*sys.argv[1:])
