@@ -1,0 +1,339 @@
+"""``./xtdrone replay-check``: the same flight under other circumstances is the same flight, to the last bit.
+
+Flies the formation flight with the same seed at other speeds, on one core, on a busy machine, with other processes, and
+compares the checksums of all that every node has published and of where every vehicle was, second by second.
+
+Exit status: 0 all the same, 1 a difference or a flight that failed, 2 for a value that is not allowed, 128 + n when
+stopped by signal n.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_interaction import options
+from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.processes import ProcessTree
+from xtdrone_interaction.record import read_events
+from xtdrone_interaction.replay import Comparison, DigestError, Digests, compare, read_digests
+from xtdrone_interaction.scripted_launch import (
+    NODE_PATIENCE,
+    PATIENCE,
+    LaunchError,
+    Stopped,
+    StopRequest,
+    cause,
+    launch_command,
+    launch_environment,
+)
+
+TYPE = "iris"
+_POLL = 0.2  # s of wall time between two looks at signals and progress
+_START_LIMIT = 120.0  # s of wall time until time starts
+_SILENCE_LIMIT = 120.0  # s of wall time in which a second of simulated time must pass
+_SPIN = "while True: pass"
+
+
+@dataclass(frozen=True)
+class Circumstance:
+    """Under what a flight is flown.
+
+    Attributes:
+        title: for the table.
+        speed: target real-time factor, 0 for unlimited.
+        one_core: whether every process runs on one core.
+        load: programs that do nothing but compute beside it.
+        processes: ``per_uav`` or ``shared``.
+        recorded: whether rosbag, which takes no part in the lockstep, records it.
+    """
+
+    title: str
+    speed: float = 0.0
+    one_core: bool = False
+    load: int = 0
+    processes: str = "per_uav"
+    recorded: bool = False
+
+
+REFERENCE = Circumstance("as fast as it goes")
+FULL = (
+    Circumstance("once more"),
+    Circumstance("real time", speed=1.0),
+    Circumstance("half speed", speed=0.5),
+    Circumstance("one core", one_core=True),
+    Circumstance("busy machine", load=4),
+    Circumstance("recorded by rosbag", recorded=True),
+    Circumstance("shared processes", processes="shared"),
+)
+SHORT = (
+    Circumstance("half speed, one busy core", speed=0.5, one_core=True, load=2),
+    Circumstance("real time, shared processes, recorded", speed=1.0, processes="shared", recorded=True),
+)
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """What is flown.
+
+    Attributes:
+        n: number of vehicles.
+        patterns: flown in turn.
+        until: simulated s at which a flight ends; 0 for the whole flight.
+        seed: of all noise.
+        circumstances: each compared with the reference.
+        folder: of logs and digests, absolute.
+    """
+
+    n: int
+    patterns: tuple[str, ...]
+    until: float
+    seed: int
+    circumstances: tuple[Circumstance, ...]
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight that was flown.
+
+    Attributes:
+        circumstance: under what.
+        digests: what was published.
+        wall: s from the launch to the end.
+        end_us: simulated microseconds up to which it counts.
+    """
+
+    circumstance: Circumstance
+    digests: Digests
+    wall: float
+    end_us: int
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="xtdrone replay-check",
+        description="Fly the same formation flight under other circumstances (speed, cores, load, processes) and check "
+        "that every node publishes the same, to the last bit.",
+    )
+    add = parser.add_argument
+    add(
+        "--short",
+        action="store_true",
+        help="three vehicles, twelve simulated seconds, two circumstances: about a minute",
+    )
+    add("--n", metavar="N", help="number of vehicles (default: 9; short: 3)")
+    add("--patterns", metavar="NAMES", help="patterns to fly (default: cube,pyramid,triangle; short: origin)")
+    add("--until", metavar="S", help="end each flight at this simulated time (default: whole flights; short: 12)")
+    add("--seed", default="0", help="seed of all noise (default: 0)")
+    add("--out", type=Path, metavar="FOLDER", help="where logs and digests go (default: runs/replay-<time>)")
+    return parser
+
+
+def replay_settings(arguments: argparse.Namespace) -> ReplaySettings:
+    """Return the settings after all checks.
+
+    Raises:
+        OptionError, PatternError: a value that is not allowed.
+    """
+    short = arguments.short
+    n = options.vehicle_count(arguments.n or ("3" if short else "9"))
+    patterns = options.split_patterns(arguments.patterns or ("origin" if short else "cube,pyramid,triangle"))
+    options.swarm_patterns(n, patterns)
+    options.check_vehicle_ports(parse_fleet(f"{TYPE}:{n}"))
+    until = options.positive("until", arguments.until) if arguments.until else (12.0 if short else 0.0)
+    folder = (arguments.out or Path("runs") / f"replay-{time.strftime('%Y%m%d-%H%M%S')}").resolve()
+    if any(c.isspace() for c in str(folder)):
+        raise OptionError(f"out: {str(folder)!r} has a space in it, which roslaunch cannot pass on; choose --out")
+    return ReplaySettings(n, tuple(patterns), until, options.seed(arguments.seed), SHORT if short else FULL, folder)
+
+
+def run_check(settings: ReplaySettings, console: Console) -> int:
+    """Fly, compare, print, and return the exit status."""
+    console.print(f"Results: {settings.folder}", highlight=False, soft_wrap=True)
+    with StopRequest() as stop:
+        reference = fly(settings, REFERENCE, stop, console)
+        console.print(_flight_line(reference), highlight=False, soft_wrap=True)
+        rows: list[tuple[Flight, Comparison]] = []
+        for circumstance in settings.circumstances:
+            flight = fly(settings, circumstance, stop, console)
+            result = compare(reference.digests, flight.digests, min(reference.end_us, flight.end_us))
+            if reference.end_us != flight.end_us and result.same:
+                # Both flights end by themselves: then also at the same time.
+                early = min(reference.end_us, flight.end_us) * 1e-6
+                result = replace(result, difference_time=early, differing=("the flight's end",))
+            rows.append((flight, result))
+            console.print(f"{_flight_line(flight)}: {verdict(result)}", highlight=False, soft_wrap=True)
+    _print_table(reference, rows, console)
+    return 0 if all(result.same for _, result in rows) else 1
+
+
+def fly(settings: ReplaySettings, circumstance: Circumstance, stop: StopRequest, console: Console) -> Flight:
+    """Fly once.
+
+    Raises:
+        LaunchError: the flight failed.
+        Stopped: a signal came.
+    """
+    folder = settings.folder / circumstance.title.replace(" ", "-").replace(",", "")
+    (folder / "logs").mkdir(parents=True, exist_ok=True)
+    digest, log = folder / "digest.jsonl", folder / "logs" / "roslaunch.log"
+    arguments: dict[str, object] = {
+        "n": settings.n,
+        "type": TYPE,
+        "patterns": ",".join(settings.patterns),
+        "processes": circumstance.processes,
+        "speed": circumstance.speed,
+        "seed": settings.seed,
+        "until": settings.until,
+        "digest": digest,
+        "out": folder,
+        "bag": folder / "flight.bag" if circumstance.recorded else "none",
+    }
+    port = options.free_port()
+    command = launch_command("formation.launch", arguments, port)
+    if circumstance.one_core:
+        core = min(os.sched_getaffinity(0))
+        command = ["taskset", "-c", str(core), *command]
+    began = time.monotonic()
+    with _busy(circumstance), _status(console, circumstance.title) as progress:
+        tree = ProcessTree(command, launch_environment(port, folder / "logs"), log)
+        try:
+            _follow(tree, digest, log, stop, progress)
+        finally:
+            tree.stop(PATIENCE)
+    wall = time.monotonic() - began
+    try:
+        digests = read_digests(digest)
+    except DigestError as error:
+        raise LaunchError(f"{circumstance.title}: {error}; {cause(log)}") from error
+    return Flight(circumstance, digests, wall, _end_us(settings, folder, digests, log))
+
+
+def _end_us(settings: ReplaySettings, folder: Path, digests: Digests, log: Path) -> int:
+    """Return up to which simulated time a flight counts: what the nodes do while they are shut down is no flight."""
+    if settings.until:
+        end = round(settings.until * 1e6)
+        if digests.end < end:
+            raise LaunchError(f"{folder.name}: the flight ended at {digests.end * 1e-6:g} s; {cause(log)}")
+        return end
+    events = read_events(folder / "events.jsonl")
+    if not events or events[-1]["event"] != "done":
+        raise LaunchError(f"{folder.name}: the flight was not flown to its end; {cause(log)}")
+    return round(events[-1]["time"] * 1e6)
+
+
+def _follow(tree: ProcessTree, digest: Path, log: Path, stop: StopRequest, progress: Callable[[str], None]) -> None:
+    """Wait until a flight has ended by itself.
+
+    Raises:
+        LaunchError: it stands still.
+        Stopped: a signal came.
+    """
+    last, limit, simulated = time.monotonic(), _START_LIMIT, -1.0
+    while not tree.wait(_POLL):
+        stop.check()
+        now = _simulated(digest)
+        if now != simulated:
+            simulated, last, limit = now, time.monotonic(), _SILENCE_LIMIT
+            progress(f"{simulated:.0f} s simulated")
+        if time.monotonic() - last > limit:
+            raise LaunchError(f"{digest.parent.name}: nothing happened for {limit:.0f} s; {cause(log)}")
+
+
+def _simulated(digest: Path) -> float:
+    """Return the simulated time of a digest file's last whole line, s; -1 before the first."""
+    try:
+        with digest.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - (1 << 16)))
+            lines = file.read().split(b"\n")
+    except OSError:
+        return -1.0
+    return json.loads(lines[-2])["time"] * 1e-6 if len(lines) > 2 else -1.0
+
+
+@contextmanager
+def _busy(circumstance: Circumstance) -> Iterator[None]:
+    """Keep the machine busy meanwhile; on the flight's own core where it has only one."""
+    prefix = ["taskset", "-c", str(min(os.sched_getaffinity(0)))] if circumstance.one_core else []
+    command = [*prefix, sys.executable, "-c", _SPIN]
+    trees = [ProcessTree(command, os.environ, Path(os.devnull)) for _ in range(circumstance.load)]
+    try:
+        yield
+    finally:
+        for tree in trees:
+            tree.stop(NODE_PATIENCE)
+
+
+@contextmanager
+def _status(console: Console, title: str) -> Iterator[Callable[[str], None]]:
+    """Show how far a flight is: in place on a terminal, else its beginning only."""
+    if not console.is_terminal:
+        console.print(f"{title} ...", highlight=False, soft_wrap=True)
+        yield lambda text: None
+        return
+    with console.status(title) as status:
+        yield lambda text: status.update(f"{title}: {text}")
+
+
+def _flight_line(flight: Flight) -> str:
+    return f"{flight.circumstance.title}: {flight.end_us * 1e-6:.2f} s simulated in {flight.wall:.1f} s with start-up"
+
+
+def verdict(result: Comparison) -> str:
+    """Return a comparison's outcome in words."""
+    if result.same:
+        return "the same to the last bit"
+    if result.difference_time is None:
+        return "nothing could be compared"
+    names = ", ".join(result.differing[:6]) + (" ..." if len(result.differing) > 6 else "")
+    return f"differs in the second before {result.difference_time:.3f} s: {names}"
+
+
+def _print_table(reference: Flight, rows: Sequence[tuple[Flight, Comparison]], console: Console) -> None:
+    table = Table(title="The same flight under other circumstances, compared with: " + reference.circumstance.title)
+    for heading in ("circumstance", "wall time (s)", "compared (s)", "topics", "messages", "MB", "outcome"):
+        table.add_column(heading, justify="left" if heading in ("circumstance", "outcome") else "right")
+    for flight, result in rows:
+        figures: list[Any] = [f"{flight.wall:.1f}", f"{result.time:.2f}", result.topics, result.messages]
+        table.add_row(
+            flight.circumstance.title,
+            *map(str, figures),
+            f"{result.bytes * 1e-6:.1f}",
+            "[green]same[/green]" if result.same else f"[red]{verdict(result)}[/red]",
+        )
+    console.print(table)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the check and return its exit status."""
+    try:
+        settings = replay_settings(_parser().parse_args(argv))
+    except (OptionError, PatternError) as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    console = Console()
+    try:
+        return run_check(settings, console)
+    except LaunchError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    except Stopped as stopped:
+        console.print(f"stopped by {stopped}; nothing is left running", highlight=False)
+        return 128 + stopped.number
+    except OSError as error:
+        print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1
