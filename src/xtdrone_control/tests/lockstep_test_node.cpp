@@ -195,6 +195,16 @@ void reader() {
   lockstep::spin();
 }
 
+/// Sleeps ten seconds at a time, and notes when it awakes and when the time goes back; its first reset hook fails.
+void sleeper() {
+  lockstep::addResetHook([] { throw std::runtime_error("as asked"); });
+  lockstep::addResetHook([] { transcript << now() << " reset" << std::endl; });
+  lockstep::start();
+  while (lockstep::sleep(10.0)) {
+    transcript << now() << " awake" << std::endl;
+  }
+}
+
 void run(const std::string& role, const std::string& name, const std::vector<std::string>& rest) {
   if (role == "participant") {
     participant(name, static_cast<unsigned>(std::stoul(rest.at(1))), {rest.begin() + 2, rest.end()});
@@ -214,6 +224,8 @@ void run(const std::string& role, const std::string& name, const std::vector<std
     sender(name);
   } else if (role == "reader") {
     reader();
+  } else if (role == "sleeper") {
+    sleeper();
   } else {
     throw std::runtime_error("no role is called " + role);
   }

@@ -164,6 +164,23 @@ def clock(name: str) -> None:
         time.sleep(0.001)
 
 
+def rewinder(name: str) -> None:
+    """Publishes the time from 100 s on, and from 50 s on when it gets SIGUSR1."""
+    rospy.init_node(name, disable_rostime=True)
+    publisher = rospy.Publisher("/clock", Clock, queue_size=10)
+    now = 100_000  # ms
+
+    def rewind(*_: object) -> None:
+        nonlocal now
+        now = 50_000
+
+    signal.signal(signal.SIGUSR1, rewind)
+    while not rospy.is_shutdown():
+        now += 1
+        publisher.publish(Clock(rospy.Time(*divmod(now * 10**6, 10**9))))
+        time.sleep(0.001)
+
+
 # ---- the test's side ----
 
 
@@ -469,6 +486,65 @@ def test_time_that_goes_back_is_told_first(graph: MixedGraph, server: LockstepSe
     assert {int(line[0]) for line in lines[reset + 1 :]} == set(due_times(50.0, 200_000)[1:])
 
 
+def test_time_that_goes_back_is_noticed_by_a_node_that_was_there_already(
+    graph: MixedGraph, server: LockstepServer
+) -> None:
+    graph.start_cpp("reader", "a", "50")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    server.tick(20_000)
+    server.reset_time(0)
+    for now in (20_000, 40_000, 60_000):
+        server.tick(now)
+    server.close()
+    graph.ended("a")
+    assert graph.transcript("a") == ["20000 reset"]
+
+
+def test_time_that_goes_back_ends_a_sleep_and_a_hook_that_fails_ends_nothing(
+    graph: MixedGraph, server: LockstepServer
+) -> None:
+    graph.start_cpp("sleeper", "a", "50")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 300_000)
+    server.reset_time(0)
+    run(server, 100_000)
+    server.close()
+    assert "bad reset hook: as asked" in graph.ended("a")
+    assert graph.transcript("a") == ["0 reset", "0 awake"]
+
+
+def test_a_clock_that_goes_back_is_noticed_without_lockstep(graph: MixedGraph) -> None:
+    graph.set_param("/use_sim_time", True)
+    clock = graph.start("rewinder", "clock")
+    graph.start_cpp("sleeper", "a", "50")
+    # It begins at 0, before the first time has come.
+    wait_until(lambda: graph.transcript_path("a").exists() and graph.transcript("a"), "it has the time")
+    clock.send_signal(signal.SIGUSR1)
+    wait_until(lambda: len(graph.transcript("a")) == 3, "it notices")
+    graph.processes["a"].send_signal(signal.SIGINT)
+    assert "bad reset hook: as asked" in graph.ended("a")
+    (began, _), (back, what), (awake, _) = [line.split() for line in graph.transcript("a")]
+    assert what == "reset"
+    assert int(began) > 100_000_000
+    assert 50_000_000 < int(back) <= int(awake) < 60_000_000
+
+
+def test_a_node_that_was_dropped_says_so(graph: MixedGraph) -> None:
+    server = LockstepServer(hang_limit=1.0)
+    graph.set_param("/lockstep/uri", server.uri)
+    process = graph.start_cpp("participant", "a", "50", "0", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    now = run(server, 100_000)
+    process.send_signal(signal.SIGSTOP)
+    run(server, now + 40_000, now)
+    assert not server.participants
+    process.send_signal(signal.SIGCONT)
+    said = graph.ended("a")
+    server.close()
+    assert f"the simulator at {server.uri} has dropped this node: it was silent for" in said
+    assert "is gone" not in said
+
+
 def test_what_was_under_way_when_time_went_back_is_void_unless_it_is_latched(
     graph: MixedGraph, server: LockstepServer
 ) -> None:
@@ -641,6 +717,7 @@ if __name__ == "__main__":
     if role == "participant":
         participant(name, float(rest[0]), int(rest[1]), rest[2:])
     else:
-        {function.__name__: function for function in (heavy, stamper, sender, reader, talker, listener, clock)}[role](
-            name, *rest
-        )
+        {
+            function.__name__: function
+            for function in (heavy, stamper, sender, reader, talker, listener, clock, rewinder)
+        }[role](name, *rest)

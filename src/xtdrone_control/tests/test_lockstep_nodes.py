@@ -30,6 +30,7 @@ ROSMASTER = shutil.which("rosmaster")
 try:
     import rospy
     from geometry_msgs.msg import PointStamped
+    from rosgraph_msgs.msg import Clock
     from std_msgs.msg import String
 except ImportError:
     rospy = None
@@ -97,6 +98,41 @@ def alone(name: str) -> None:
         rate.sleep()
     assert seen == [("hello", main)]
     print("alone is well")
+
+
+def on_clock(name: str) -> None:
+    """A node without the lockstep in simulated time, which goes on as fast as messages do: ten turns."""
+    lockstep.init_node(name, rate=50.0)
+    served: list[tuple[object, float]] = []
+
+    def serve(expected, timeout: float):
+        served.append((expected, timeout))
+        return {}
+
+    lockstep.declare_udp([1], serve)
+    clock = lockstep.UncountedPublisher("/clock", Clock)
+    over = threading.Event()
+
+    def run_clock() -> None:
+        for step in itertools.count(1):
+            if over.wait(0.001):
+                return
+            clock.publish(Clock(rospy.Time.from_sec(step * 0.004)))
+
+    lockstep.start()
+    assert not lockstep.is_active()
+    thread = threading.Thread(target=run_clock)
+    thread.start()
+    began = rospy.get_time()
+    rate = lockstep.Rate()
+    for _ in range(10):
+        rate.sleep()
+    ended = rospy.get_time()
+    over.set()
+    thread.join()
+    assert served == [(None, 0.0)] * 10
+    assert ended - began > 10 / 50.0 - 1e-6
+    print("on the clock")
 
 
 def talker(name: str) -> None:
@@ -168,6 +204,37 @@ def churner(name: str) -> None:
     lockstep.spin()
 
 
+def sleeper(name: str) -> None:
+    """Hears itself, takes its own second subscription back in the first one's callback, and sleeps for a second."""
+    lockstep.init_node(name, rate=50.0)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+    late: list[lockstep.Subscriber] = []
+
+    def take(_: String) -> None:
+        print("heard", file=out)
+        late.pop().unregister()
+
+    publisher = lockstep.Publisher("/x", String)
+    first = lockstep.Subscriber("/x", String, take)
+    late.append(lockstep.Subscriber("/y", String))
+    lockstep.start()
+    publisher.publish("hello")
+    lockstep.sleep(1.0)
+    print("slept until", rospy.Time.now().to_nsec() // 1000, file=out)
+    first.unregister()
+    lockstep.spin()
+
+
+def mixer(name: str) -> None:
+    """Takes part, and hears the same node by a plain rospy subscriber too, as a tf listener would."""
+    lockstep.init_node(name, rate=50.0)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+    _plain = rospy.Subscriber("/from_a", String, lambda message: print("plain", file=out))
+    _counted = lockstep.Subscriber("/shared", String, lambda message: print("counted", file=out))
+    lockstep.start()
+    lockstep.spin()
+
+
 def stamper(name: str) -> None:
     """Publishes a latched message with a header each fifth turn."""
     lockstep.init_node(name, rate=50.0)
@@ -235,6 +302,24 @@ def simulator(name: str) -> None:
     while now is not None and now < 300_000:
         publisher.publish(f"{now}")
         server.tick(now)
+        now = server.next_due_us(now)
+    server.close()
+
+
+def announcer(name: str) -> None:
+    """A simulator that publishes what nobody counts, until it is told to end."""
+    rospy.init_node(name)
+    server = LockstepServer(hang_limit=10.0)
+    publisher = lockstep.UncountedPublisher("/foreign", String)
+    link = lockstep.host()
+    server.attach_host(link)
+    rospy.set_param("/lockstep/uri", server.uri)
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    now: int | None = 0
+    while now is not None and not rospy.is_shutdown():
+        publisher.publish(f"{now}")
+        server.tick(now)
+        assert not any(link.collect()[1:])
         now = server.next_due_us(now)
     server.close()
 
@@ -499,6 +584,31 @@ def test_time_may_go_back(graph: Graph, server: LockstepServer) -> None:
     assert graph.transcript("a") == [*first, "back 0", *first[:3]]
 
 
+def test_time_may_go_back_to_the_very_time_of_the_last_turn(graph: Graph, server: LockstepServer) -> None:
+    graph.start("traveller", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    server.reset_time(0)  # before its first turn: nothing that it would have to take back
+    for _ in range(3):
+        run(server, 20_000)
+        server.reset_time(0)
+    server.close()
+    assert graph.processes["a"].wait(PATIENCE) == 0
+    assert graph.transcript("a") == ["turn 0", "back 0", "turn 0", "back 0", "turn 0"]
+
+
+def test_a_callback_may_unregister_another_subscriber_and_sleep_ends_when_time_goes_back(
+    graph: Graph, server: LockstepServer
+) -> None:
+    graph.start("sleeper", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 200_000)
+    server.reset_time(0)
+    run(server, 60_000)
+    server.close()
+    assert graph.processes["a"].wait(PATIENCE) == 0, graph.output("a")
+    assert graph.transcript("a") == ["heard", "slept until 0"]
+
+
 def test_a_free_rider_that_comes_late_to_a_latched_topic_changes_nothing(graph: Graph, server: LockstepServer) -> None:
     graph.start("stamper", "a")
     graph.start("reader_of_stamps", "b")
@@ -510,6 +620,17 @@ def test_a_free_rider_that_comes_late_to_a_latched_topic_changes_nothing(graph: 
     server.close()
     assert graph.processes["b"].wait(PATIENCE) == 0
     assert graph.transcript("b") == ["1", "2", "3", "4"]
+
+
+def test_a_participant_may_have_plain_subscribers_too(graph: Graph, server: LockstepServer) -> None:
+    graph.start("participant", "a", "0")
+    graph.start("mixer", "b")
+    assert server.wait_for(["/a", "/b"], timeout=PATIENCE)
+    now = run(server, 100_000)
+    wait_until(lambda: "plain" in graph.transcript("b"), "its plain subscriber hears")
+    run(server, 200_000, now)
+    assert "counted" in graph.transcript("b")
+    assert "waiting for messages" not in graph.output("b")
 
 
 def test_a_foreign_latched_message_comes_with_the_next_turn(graph: Graph, server: LockstepServer) -> None:
@@ -610,6 +731,22 @@ def test_what_the_simulator_publishes_before_a_tick_is_dispatched_in_it(graph: G
     assert all(sent == now for now, _, sent in seen)
 
 
+def test_nobody_waits_for_what_is_not_counted(graph: Graph) -> None:
+    process = graph.start("announcer", "announcer")
+    graph.set_param("/lockstep/wait", True)
+    graph.start("participant", "a", "0", "a")
+
+    def heard() -> list[list[str]]:
+        return [line.split() for line in graph.transcript("a") if " foreign " in line]
+
+    wait_until(lambda: graph.transcript_path("a").exists() and len(heard()) > 2, "a hears the announcer")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE) == 0, graph.output("announcer")
+    assert graph.processes["a"].wait(PATIENCE) == 0
+    assert all(int(sent) <= int(now) for now, _, sent in heard())
+    assert "waiting for messages" not in graph.output("a")
+
+
 def test_datagrams_are_waited_for(graph: Graph, server: LockstepServer) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
@@ -638,6 +775,12 @@ def test_datagrams_are_waited_for(graph: Graph, server: LockstepServer) -> None:
 def test_without_a_simulator_it_is_an_ordinary_node(graph: Graph) -> None:
     assert graph.start("alone", "alone").wait(PATIENCE) == 0, graph.output("alone")
     assert "alone is well" in graph.output("alone")
+
+
+def test_without_the_lockstep_turns_go_by_simulated_time(graph: Graph) -> None:
+    graph.set_param("/use_sim_time", True)
+    assert graph.start("on_clock", "on_clock").wait(PATIENCE) == 0, graph.output("on_clock")
+    assert "on the clock" in graph.output("on_clock")
 
 
 def test_the_private_parameter_opts_out(graph: Graph, server: LockstepServer) -> None:
@@ -671,17 +814,21 @@ if __name__ == "__main__":
     else:
         roles = [
             alone,
+            on_clock,
             talker,
             listener,
             flood,
             heavy,
             churner,
             thinker,
+            sleeper,
+            mixer,
             stamper,
             reader_of_stamps,
             late_rider,
             parent,
             traveller,
             simulator,
+            announcer,
         ]
         {function.__name__: function for function in roles}[role](name)

@@ -321,3 +321,27 @@ class TestLink:
         finally:
             receiver.stop()
             fcu.close()
+
+    def test_what_came_before_the_simulator_counted_belongs_to_the_first_turn(self):
+        link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
+        link.wanted = frozenset({32})
+        receiver = Receiver([link])  # its thread may be late: it is not started
+        fcu = udp_socket()
+        packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+        def send() -> None:
+            fcu.sendto(bytes(LOCAL_POSITION.pack(packer)), ("127.0.0.1", link.port))
+
+        try:
+            for _ in range(3):
+                send()
+            handled = []
+            for count in range(1, 5):
+                send()
+                targets = receiver.wait_counted({link.port: count, 1: 99}, limit=0.01)
+                handled.append(len(link.drain(targets[link.port])))
+                assert receiver.counted() == {link.port: count}
+        finally:
+            link.close()
+            fcu.close()
+        assert handled == [4, 1, 1, 1]

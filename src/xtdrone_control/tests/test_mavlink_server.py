@@ -16,7 +16,7 @@ from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
-from xtdrone_control.fleet import Vehicle
+from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
 from xtdrone_control.mavlink import receiver, streams
 from xtdrone_control.mavlink.link import LinkError
 from xtdrone_control.mavlink.server import MavlinkServer
@@ -98,6 +98,15 @@ class World:
             found += self.client.receive()  # at once: the socket holds less than a second's telemetry
         return found
 
+    def listen(self, seconds, step_us=4000):
+        """Let time pass like ``run``, and speak often enough that the streams go on."""
+        found = []
+        while seconds > 0.0:
+            self.hear()
+            found += self.run(min(seconds, 4.0), step_us)
+            seconds -= 4.0
+        return found
+
     def hear(self):
         """Make the client known, so that telemetry flows."""
         self.ask(heartbeat())
@@ -166,8 +175,7 @@ def test_only_heartbeats_before_somebody_speaks(world):
 
 
 def test_default_rates_are_px4s(world):
-    world.hear()
-    messages = world.run(20.0, step_us=10_000)
+    messages = world.listen(20.0, step_us=10_000)
     counts = {name: len(named(messages, name)) for name in streams.ONBOARD_RATES}
     for name, rate in streams.ONBOARD_RATES.items():
         assert counts[name] == pytest.approx(20.0 * rate, abs=1), name
@@ -244,16 +252,52 @@ def test_links_have_intervals_of_their_own(world):
     gcs.socket.close()
 
 
-def test_streams_end_for_a_peer_that_is_silent_by_both_clocks(world, monkeypatch):
-    world.hear()
+def test_streams_end_for_a_ground_station_that_is_silent_by_both_clocks(world, monkeypatch):
+    station = Client(GCS_REMOTE_PORT, world.fleet[0].gcs_local_port)
+    wall = [0.0]
+    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    world.ask(heartbeat(6), client=station)
+    world.run(5.5, 100_000)
+    station.receive()
+    world.run(1.0, 100_000)
+    assert named(station.receive(), "ATTITUDE"), "fast simulation: no wall time has gone by"
+    wall[0] = 6.0
+    world.run(3.0, 100_000)
+    assert {m.get_type() for m in station.receive()} == {"HEARTBEAT"}
+    world.ask(heartbeat(6), client=station)
+    world.run(1.0, 100_000)
+    assert named(station.receive(), "ATTITUDE")
+    station.socket.close()
+
+
+@pytest.mark.parametrize("wall_s", [0.0, 100.0])
+def test_streams_of_the_offboard_link_end_by_simulated_time_alone(world, monkeypatch, wall_s):
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
     world.hear()
-    assert named(world.run(6.0, 100_000), "ATTITUDE"), "fast simulation: no wall time has gone by"
-    wall[0] = 6.0
+    wall[0] = wall_s
+    assert named(world.run(4.9, 100_000)[-50:], "ATTITUDE")
+    world.run(0.2, 100_000)
     assert {m.get_type() for m in world.run(3.0, 100_000)} == {"HEARTBEAT"}
-    world.hear()
-    assert named(world.run(1.0), "ATTITUDE")
+
+
+def test_receiving_reads_all_that_is_there(world):
+    for _ in range(600):
+        world.client.send(heartbeat())
+    assert world.server.receive() == 600
+    assert world.server.receive() == 0
+
+
+def test_links_are_pointed_at_another_machine_when_the_peer_is_gone(world):
+    vehicle = world.fleet[0]
+    link = world.server.links[0]
+    stray = Client(0, vehicle.offboard_local_port)
+    world.ask(heartbeat(), client=stray)
+    world.server.direct([vehicle.offboard_remote_port], "10.0.0.2", override=False)
+    assert link.peer == stray.socket.getsockname()
+    world.server.direct([vehicle.offboard_remote_port], "10.0.0.2", override=True)
+    assert link.peer == ("10.0.0.2", vehicle.offboard_remote_port)
+    stray.socket.close()
 
 
 def test_content(world):
@@ -266,8 +310,7 @@ def test_content(world):
     a.sensors[0]["gps_eph"] = 0.9
     a.sensors[0]["baro_pressure"] = 95598.0
     a.control[0]["sp_position"] = (1.0, math.nan, 3.0)
-    world.hear()
-    got = {m.get_type(): m for m in world.run(10.0, 10_000)}
+    got = {m.get_type(): m for m in world.listen(10.0, 10_000)}
     lpos, att, gpos = got["LOCAL_POSITION_NED"], got["ATTITUDE"], got["GLOBAL_POSITION_INT"]
     assert (lpos.x, lpos.y, lpos.z) == (10.0, -20.0, -30.0)
     assert att.yaw == pytest.approx(-math.pi / 2)
@@ -727,3 +770,16 @@ def test_held_setpoints_come_after_the_commands_of_the_tick_whatever_the_order_o
     assert world.command(176, 1, 6)[0] == 0
     world.commander.update()
     assert world.setpoint["position"][0] == 9.0  # nothing is kept any more
+
+
+def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):
+    topic = mavlink.MAVLink_set_home_position_message(
+        _SYSTEM, 475_000_000, 86_000_000, 500_000, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0
+    )
+    world.server.hold_setpoints()
+    world.ask(topic)
+    assert world.commander.home.latitude == pytest.approx(ORIGIN[0])
+    assert world.command(179, 0, 0, 0, 0, 46.0, 8.0, 400.0)[0] == 0
+    assert world.commander.home.latitude == pytest.approx(46.0, abs=1e-5)
+    world.server.release_setpoints()
+    assert world.commander.home.latitude == pytest.approx(47.5, abs=1e-5)

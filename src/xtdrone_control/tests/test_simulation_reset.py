@@ -68,6 +68,17 @@ def test_a_ground_station_hears_a_heartbeat_a_second_while_time_stands_still(wor
     assert world.client.receive() == []  # what goes over the offboard link is counted, and the same in every run
 
 
+def test_no_heartbeat_by_wall_time_goes_where_a_participant_counts(world, station, clock):
+    station.receive()
+    for _ in range(30):
+        clock.now += 0.1
+        world.server.keep_alive(lambda: {GCS_REMOTE_PORT})
+    assert station.receive() == []
+    clock.now += 0.1
+    world.server.keep_alive(lambda: {24540})
+    assert types(station.receive()) == ["HEARTBEAT"]
+
+
 def test_a_heartbeat_by_simulated_time_is_enough(world, station, clock):
     world.server.keep_alive()
     station.receive()

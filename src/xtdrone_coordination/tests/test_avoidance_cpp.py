@@ -177,7 +177,7 @@ def swarm_maker(topic: str, out: str) -> None:
 
 
 def heard(graph: Graph, program: str, topic: str, ids: str) -> list[str]:
-    """Runs a swarm with an avoidance node, and returns what was published."""
+    """Runs a swarm with an avoidance node, sets time back and goes on, and returns what was published."""
     out = graph.folder / f"{program}.transcript"
     graph.master.setParam("/test", "/xtdrone/swarm_topic", topic)
     server = LockstepServer()
@@ -187,10 +187,12 @@ def heard(graph: Graph, program: str, topic: str, ids: str) -> list[str]:
         maker = graph.start(sys.executable, __file__, topic, str(out))
         names = ["/avoid", "/swarm"]
         assert server.wait_for(names, timeout=PATIENCE), server.missing(names)
-        now: int | None = 0
-        while now is not None and now < 500_000:
-            server.tick(now)
-            now = server.next_due_us(now)
+        for end in (400_000, 200_000):
+            server.reset_time(0)
+            now: int | None = 0
+            while now is not None and now < end:
+                server.tick(now)
+                now = server.next_due_us(now)
         assert sorted(server.participants) == names
     finally:
         server.close()
@@ -204,6 +206,10 @@ def heard(graph: Graph, program: str, topic: str, ids: str) -> list[str]:
 def test_publishes_what_the_python_node_publishes(graph: Graph, topic: str, ids: str) -> None:
     python = heard(graph, "avoid.py", topic, ids)
     assert len(python) > 5 * 12
+    # at 0 it knows nobody's position, not even after others were known: the first avoidance is of 36 ms
+    times = [int(line.split()[0]) for line in python]
+    assert min(times) == 40_000
+    assert times.index(40_000, times.index(380_000)) > 0
     assert any(float.fromhex(line.split()[2]) != 0.0 for line in python)
     assert heard(graph, "avoid_cpp", topic, ids) == python
 

@@ -343,3 +343,49 @@ def test_close_slots_are_warned_of() -> None:
     leader.patterns._tables["near"] = np.array([[0.0, 1.0, 0.0]])
     leader.on_command("near")
     assert "1.00 m apart" in warnings[0]
+
+
+def state_of(thing: object) -> dict[str, object]:
+    """What an object remembers, as text where it is numpy's or another object's."""
+    return {
+        name: state_of(value) if isinstance(value, SwarmState) else repr(value) for name, value in vars(thing).items()
+    }
+
+
+def test_a_restart_brings_back_the_state_after_construction() -> None:
+    swarm = Swarm(4, avoid="topic")
+    everybody = [swarm.leader, *swarm.followers]
+    for one in everybody:
+        one._warn = print  # the same text at both times
+    before = [state_of(one) for one in everybody]
+    positions = swarm.state.positions
+    swarm.command("cube")
+    swarm.leader.on_steering((1.0, 0.0, 0.0), 0.1)
+    swarm.leader.yaw = 1.0
+    swarm.followers[0].on_avoidance((1.0, 0.0, 0.0))
+    swarm.fly(1.0)
+    swarm.leader.update()
+    swarm.state.on_position(1, (9.0, 9.0, 9.0))
+    changed = [state_of(one) for one in everybody]
+    assert all(a != b for a, b in zip(before, changed, strict=True))
+    for one in everybody:
+        one.restart()
+    assert [state_of(one) for one in everybody] == before
+    assert swarm.state.positions is positions  # who holds the list sees it
+
+
+def test_a_subclass_restarts_what_it_has_added() -> None:
+    class Counting(Follower):
+        def __init__(self, *args: object, **kwargs: object) -> None:
+            super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+            self.calls = 0
+
+        def restart(self) -> None:
+            super().restart()
+            self.calls = 0
+
+    follower = Counting(1, 2)
+    follower.calls = 3
+    follower.on_pattern([[3.0, 0.0, 0.0]])
+    follower.restart()
+    assert (follower.calls, follower.offsets) == (0, None)

@@ -96,14 +96,17 @@ class BagMaker:
             self.write(f"/{name}/mavros/local_position/pose", kind, t[kind](header=header, pose=pose), time)
 
     def formation(self, time: float, offsets: NDArray[np.float64]) -> None:
-        """Write the assigned offsets, shape (8, 3), and a topology: everybody listens to the one before."""
+        """Write the assigned offsets, shape (8, 3), and a topology: everybody listens to the one before.
+
+        Without offsets, shape (0, 3), both are empty: the leader takes them back.
+        """
         t = self.store.types
         layout = t["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
         kind = "std_msgs/msg/Float32MultiArray"
         message = t[kind](layout=layout, data=offsets.T.ravel().astype(np.float32))
         self.write("/xtdrone/formation_pattern", kind, message, time)
         kind = "std_msgs/msg/Int32MultiArray"
-        message = t[kind](layout=layout, data=np.eye(9, k=-1, dtype=np.int32).ravel())
+        message = t[kind](layout=layout, data=np.eye(9 if len(offsets) else 0, k=-1, dtype=np.int32).ravel())
         self.write("/xtdrone/communication_topology", kind, message, time)
 
 
@@ -119,6 +122,7 @@ def make_bag(
     shuffle: bool = False,
     delay: float = 0.0,
     log: tuple[str, ...] = (),
+    taken_back: bool = False,
 ) -> list[dict[str, object]]:
     """Write a flight and return its events. Each pattern's window is WINDOW long; followers move with gain RATE.
 
@@ -130,6 +134,7 @@ def make_bag(
         offset: so far (m, along x) follower 3 stays from its slot.
         delay: s; the recorder's clock is so late in a part of each pattern, and so early in another.
         log: what the simulator says on the way.
+        taken_back: whether the leader takes the last pattern back.
         shuffle: give the slots out backwards instead of at the least distance.
     """
     rng = np.random.default_rng(0)
@@ -159,6 +164,8 @@ def make_bag(
                 places[1:] += RATE * STEP * (places[0] + goal - places[1:])
                 maker.positions(time, places + noise * rng.standard_normal(places.shape))
         maker.delay = 0.0
+        if taken_back:
+            maker.formation(time, np.empty((0, 3)))
         maker.event(time, "phase", phase="land")
         maker.event(time, "done")
     return maker.events

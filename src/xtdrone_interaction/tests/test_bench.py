@@ -2,21 +2,40 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import textwrap
+import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import fake_roslaunch
 import pytest
 from rich.console import Console
 
-from xtdrone_interaction import bench, bench_flight, bench_machine, bench_processes, bench_report, cli, options
+from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_interaction import (
+    bench,
+    bench_barrier,
+    bench_flight,
+    bench_free,
+    bench_machine,
+    bench_processes,
+    bench_report,
+    bus_statistics,
+    cli,
+    options,
+    scripted_launch,
+    speed_search,
+)
 
 TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -27,13 +46,15 @@ TICKS = os.sysconf("SC_CLK_TCK")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--only", "core,wings"], "only: part 'wings' is unknown; there are: core, stack, formation"),
+        (["--only", "core,wings"], "only: part 'wings' is unknown; there are: core, barrier, stack, formation, free"),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
         (["--vehicles", "stack=9,many"], "vehicles of stack: 'many' is not allowed; 1 to 250"),
         (["--vehicles", "formation=1"], "vehicles of formation: '1' is not allowed; 2 to 250"),
-        (["--vehicles", "swarm=9"], "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, stack"),
+        (["--vehicles", "swarm=9"], "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, barrier"),
         (["--only", "core", "--vehicles", "stack=9"], "part 'stack' in 'stack=9' is not measured; measured are: core"),
+        (["--vehicles", "barrier=-1"], "vehicles of barrier: '-1' is not allowed; 0 to 250"),
+        (["--vehicles", "free=1"], "vehicles of free: '1' is not allowed; 2 to 250"),
         (["--vehicles", "=9"], "part '' in '=9' is not measured"),
         (["--repeat", "0"], "repeat: '0' is not allowed; 1 to 20"),
         (["--processes", "many"], "invalid choice: 'many'"),
@@ -62,18 +83,31 @@ def test_vehicles_are_chosen_for_all_parts_or_for_one() -> None:
 
 def test_plan_names_each_measurement(tmp_path: Path) -> None:
     settings = bench.BenchSettings(
-        {"core": (1,), "formation": (9,)}, ("per_uav", "shared"), 2, bench.QUICK, tmp_path / "b.json"
+        {"core": (1,), "barrier": (0, 9), "formation": (9,), "free": (9,)},
+        ("per_uav", "shared"),
+        2,
+        bench.QUICK,
+        tmp_path / "b.json",
     )
     planned = list(bench.plan(settings))
     assert [title for _, title, _, _ in planned] == [
         "core, 1 vehicle, 1 of 2",
         "core, 1 vehicle, 2 of 2",
+        "barrier, 0 participants, 1 of 2",
+        "barrier, 0 participants, 2 of 2",
+        "barrier, 9 participants, python, 1 of 2",
+        "barrier, 9 participants, python, 2 of 2",
+        "barrier, 9 participants, cpp, 1 of 2",
+        "barrier, 9 participants, cpp, 2 of 2",
         "formation, 9 vehicles, processes per uav, 1 of 2",
         "formation, 9 vehicles, processes per uav, 2 of 2",
         "formation, 9 vehicles, processes shared, 1 of 2",
         "formation, 9 vehicles, processes shared, 2 of 2",
+        "free, 9 vehicles, 1 of 2",
+        "free, 9 vehicles, 2 of 2",
     ]
-    assert planned[-1][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
+    assert planned[-3][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
+    assert planned[7][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc
@@ -203,6 +237,232 @@ def test_stack_figures() -> None:
     }
 
 
+# ---- barrier
+
+
+def test_figures_of_ticks() -> None:
+    durations = [1000] * 90 + [21000] * 9 + [1_000_000]
+    assert bench_barrier.figures(durations) == {
+        "ticks": 100,
+        "mean_us": pytest.approx(12.79),
+        "median_us": pytest.approx(1.0),
+        "p99_us": pytest.approx(30.79),
+    }
+
+
+def test_empty_barrier_ticks_at_the_base_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = LockstepServer()
+    times: list[int] = []
+    monkeypatch.setattr(server, "tick", times.append)
+    try:
+        durations = bench_barrier.run_ticks(server, 0.0, 5)
+    finally:
+        server.close()
+    assert len(durations) == 5
+    assert times == [4000 * k for k in range(1 + bench_barrier.WARM_UP + 5)]
+
+
+def test_barrier_with_real_participants(tmp_path: Path) -> None:
+    file = tmp_path / "b.json"
+    arguments = ["--participants", "2", "--seconds", "0", "--ticks", "5", "--json", str(file)]
+    subprocess.run([sys.executable, "-m", "xtdrone_interaction.bench_barrier", *arguments], check=True, timeout=120)
+    row = json.loads(file.read_text())
+    assert row["ticks"] >= 5
+    assert 0.0 < row["median_us"] <= row["p99_us"]
+
+
+def test_interrupted_barrier_leaves_nothing_running(tmp_path: Path) -> None:
+    mark = f"XTDRONE_TEST={os.getpid()}-{tmp_path.name}"
+    environment = {**os.environ, mark.partition("=")[0]: mark.partition("=")[2]}
+    arguments = ["bench", "--only", "barrier", "--vehicles", "2", "--json", str(tmp_path / "b.json")]
+    program = f"import sys; from xtdrone_interaction import cli; sys.exit(cli.main({arguments!r}))"
+    bench_process = subprocess.Popen(
+        [sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    end = time.monotonic() + 60.0
+    while not _marked(mark, "lockstep_idle") and time.monotonic() < end:
+        time.sleep(0.02)  # a process has no event for its grandparent's starter
+    assert _marked(mark, "lockstep_idle")
+    bench_process.send_signal(signal.SIGINT)
+    output, _ = bench_process.communicate(timeout=60)
+    assert bench_process.returncode == 130, output
+    assert "stopped by SIGINT" in output
+    assert _marked(mark, "") == []
+
+
+def _marked(mark: str, word: str) -> list[str]:
+    """Return the living processes with ``mark`` in their environment and ``word`` in their command."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            if (
+                entry.name.isdigit()
+                and mark.encode() in (entry / "environ").read_bytes().split(b"\0")
+                and word in (command := (entry / "cmdline").read_bytes().decode(errors="replace"))
+            ):
+                found.append(command)
+        except OSError:
+            continue
+    return found
+
+
+# ---- free-running
+
+
+TURNS = {"commands": 1.0, "set-points": 1.0, "poses": 1.0, "swarm": 0.9}
+
+
+def _search(exact: float, works: Callable[[float, int], bool], breaks: float = math.inf) -> list[speed_search.Trial]:
+    """Run a search; ``works`` says whether nodes keep up at a speed in the trial of that number."""
+    trials: list[speed_search.Trial] = []
+    while (speed := speed_search.next_speed(exact, trials)) is not None:
+        turns = TURNS | {"poses": 0.99 if works(speed, len(trials)) else 0.5}
+        trials.append(speed_search.Trial(speed, 0.0 if speed > breaks else speed, turns))
+    return trials
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.99, 1.2, 1.9, 2.9, 4.6, 8.0])
+@pytest.mark.parametrize("breaks", [1.5, math.inf])
+def test_search_finds_the_highest_speed_at_which_nodes_keep_up(limit: float, breaks: float) -> None:
+    trials = _search(5.0, lambda speed, _: speed <= 5.0 * limit, 5.0 * max(limit, breaks))
+    top = speed_search.best(trials)
+    assert top is not None
+    assert 5.0 * limit / speed_search.RESOLUTION / 1.02 <= top.speed <= 5.0 * limit
+    assert len(trials) <= speed_search.MAX_TRIALS
+
+
+def test_search_does_not_believe_a_single_failure() -> None:
+    trials = _search(2.0, lambda speed, number: speed < 7.0 and number != 2)
+    top = speed_search.best(trials)
+    assert top is not None
+    assert 7.0 / speed_search.RESOLUTION <= top.speed < 7.0
+    assert trials[2].speed == trials[3].speed
+
+
+def test_search_gives_up_where_nodes_keep_up_at_no_speed() -> None:
+    trials = _search(2.0, lambda speed, _: False)
+    assert speed_search.best(trials) is None
+    assert len(trials) <= speed_search.MAX_TRIALS
+
+
+@pytest.mark.parametrize(
+    ("reached", "turns", "good"),
+    [
+        (2.0, TURNS | {"commands": 0.96}, True),
+        (1.8, TURNS, False),
+        (2.0, TURNS | {"poses": 0.9}, False),
+        (2.0, {"commands": 1.0}, False),
+        (0.0, TURNS, False),
+    ],
+)
+def test_good_is_speed_and_work(reached: float, turns: dict[str, float], good: bool) -> None:
+    assert speed_search.Trial(2.0, reached, turns).good == good
+
+
+class _Master:
+    """A master with one follower and the MAVROS layer of two vehicles."""
+
+    def getSystemState(self) -> Any:  # noqa: N802 - rosgraph's name
+        topics = {
+            "/xtdrone/iris_1/cmd_vel_enu": ["/follower_1"],
+            "/xtdrone/leader/cmd_vel_enu": ["/somebody"],
+            "/iris_0/mavros/local_position/pose": ["/mavros"],
+            "/iris_1/mavros/local_position/pose": ["/mavros"],
+            "/rosout": ["/follower_1", "/mavros"],
+        }
+        return [[list(item) for item in topics.items()], [], []]
+
+    def lookupNode(self, name: str) -> str:  # noqa: N802 - rosgraph's name
+        return f"http:/{name}"
+
+
+def _node_with(counts: dict[str, dict[int, int]]) -> Any:
+    """Return the proxy of a node that has sent ``counts`` by topic and connection."""
+    published = [[topic, 0, [[c, 99, n, True] for c, n in sent.items()]] for topic, sent in counts.items()]
+    return SimpleNamespace(getBusStats=lambda caller: [1, "", [published, [], []]])
+
+
+def test_turns_are_counted_by_asking_the_nodes() -> None:
+    command, poses = "/xtdrone/iris_1/cmd_vel_enu", "/iris_{}/mavros/local_position/pose"
+    roles = bus_statistics.publishers(_Master())
+    assert roles == {
+        "/follower_1": {command: "commands"},
+        "/mavros": {poses.format(0): "poses", poses.format(1): "poses"},
+    }
+    clock = iter([10.0, 10.5, 20.0, 20.5])
+    taken = [
+        bus_statistics.take(_Master(), roles, lambda: next(clock), nodes.__getitem__)
+        for nodes in (
+            {
+                "http://follower_1": _node_with({command: {1: 50, 2: 20}, "/rosout": {1: 7}}),
+                "http://mavros": _node_with({poses.format(0): {1: 0}, poses.format(1): {1: 1000}}),
+            },
+            {
+                "http://follower_1": _node_with({command: {2: 320, 1: 350, 3: 9000}, "/rosout": {1: 999}}),
+                "http://mavros": _node_with({poses.format(0): {1: 400}, poses.format(1): {1: 1200}}),
+            },
+        )
+    ]
+    assert bus_statistics.rates(roles, *taken) == {"commands": 30.0, "poses": 30.0}
+
+
+@pytest.mark.parametrize("lockstep", ["true", "false"])
+def test_flights_to_compare_differ_in_the_lockstep_alone(lockstep: str, tmp_path: Path) -> None:
+    words = ["n:=2", f"lockstep:={lockstep}", f"plan:={tmp_path}/plan.json", f"out:={tmp_path}"]
+    command = ["roslaunch", "--dump-params", str(options.repository() / "launch" / "bench_free.launch"), *words]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+    parameters = dict(line.split(": ", 1) for line in printed.splitlines() if line.startswith("/"))
+    assert parameters["/lockstep/wait"] == lockstep
+    assert parameters["/simulator/lockstep"] == lockstep
+    assert float(parameters["/simulator/speed"]) == {"true": 0.0, "false": 1.0}[lockstep]
+
+
+def test_trial_that_broke_the_flight_off_is_one() -> None:
+    good = {"speed": 2.0, "real_time_factor": 2.0, "turns": TURNS, "cpu": {}, "others_cpu": 0.1}
+    events = [
+        _event("start", 0.0, 0.0),
+        _event("trying", 1.0, 1.0, speed=2.0),
+        _event("trial", 2.0, 2.0, **good),
+        _event("trying", 3.0, 3.0, speed=4.0),
+        _event("failed", 4.0, 4.0, reason="iris_0: is armed in mode 'AUTO.LAND'"),
+    ]
+    trials = bench_free.new_trials(events)
+    assert [(trial.speed, trial.good, trial.broken) for trial in trials] == [(2.0, True, False), (4.0, False, True)]
+    with pytest.raises(bench_flight.BenchError, match="before a speed was tried"):
+        bench_free.new_trials(events[:1])
+
+
+def test_comparison_goes_on_after_a_flight_that_broke_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flights: list[dict[str, Any]] = []
+
+    def fly(
+        bench: Any, launch: str, arguments: dict[str, Any], folder: Path, vehicles: int, on_event: Callable[..., None]
+    ) -> None:
+        plan = json.loads(arguments["plan"].read_text())
+        flights.append(plan)
+        if "exact" not in plan:
+            on_event(_event("window", 1.0, 1.0, real_time_factor=3.0, rates={"poses": 30.0}, cpu={}, others_cpu=0.0), 1)
+            return
+        trials = [speed_search.Trial(**trial) for trial in plan["trials"]]
+        while (speed := speed_search.next_speed(plan["exact"]["real_time_factor"], trials)) is not None:
+            on_event(_event("trying", 1.0, 1.0, speed=speed), 1)
+            if speed > 4.0:
+                raise bench_flight.BenchError("the flight has ended: failed")
+            trials.append(speed_search.Trial(speed, speed, TURNS))
+            on_event(_event("trial", 1.0, 1.0, **dataclasses.asdict(trials[-1])), 1)
+
+    monkeypatch.setattr(bench_free, "fly", fly)
+    with scripted_launch.StopRequest() as stop:
+        row = bench_free.measure_free(bench_flight.Bench(tmp_path, stop, lambda text: None, bench.QUICK), 9)
+    assert [len(plan.get("trials", ())) for plan in flights] == [0, 0, 2]
+    assert row["exact_real_time_factor"] == 3.0
+    assert 4.0 / speed_search.RESOLUTION <= row["free_real_time_factor"] <= 4.0
+    assert row["exact_share"] == pytest.approx(3.0 / row["free_real_time_factor"])
+    assert [trial["speed"] for trial in row["trials"] if not trial["good"]] == sorted(
+        [trial["speed"] for trial in row["trials"] if not trial["good"]], reverse=True
+    )
+
+
 # ---- results
 
 
@@ -256,6 +516,50 @@ def test_tables() -> None:
     assert "core, 100: failed: core: ended with status 1 [x]" in flat
     assert "formation, 9 per-uav: other programs took 1.5 cores" in flat
     assert "formation, 9 per-uav: did not settle: cube" in flat
+
+
+def test_tables_of_barrier_and_comparison() -> None:
+    barrier = {"median_us": 80.0, "mean_us": 91.25, "p99_us": 200.0, "server_cpu_us": 30.0, "ticks": 999}
+    trials = [
+        {"speed": 6.0, "real_time_factor": 0.0, "turns": {}, "good": False},
+        {"speed": 4.0, "real_time_factor": 3.99, "turns": {"swarm": 0.98, "poses": 1.0}, "good": True},
+    ]
+    free = {
+        "vehicles": 9,
+        "exact_real_time_factor": 3.0,
+        "free_real_time_factor": 4.0,
+        "exact_share": 0.75,
+        "trials": trials,
+        "exact_cpu": {"simulator": 0.2},
+        "free_cpu": {"simulator": 0.1},
+    }
+    nowhere = free | {"vehicles": 30, "free_real_time_factor": 0.0, "exact_share": None, "trials": [], "free_cpu": {}}
+    results = {
+        "machine": {"load_before": [0.1, 0.1, 0.1]},
+        "barrier": [
+            barrier | {"participants": 0, "kind": "none", "participants_cpu_us": 0.0},
+            barrier | {"participants": 9, "kind": "cpp", "participants_cpu_us": 40.0},
+            {"participants": 9, "kind": "python", "error": "barrier: ended with status 1"},
+        ],
+        "free": [free, nowhere, {"vehicles": 50, "error": "free: ended"}],
+    }
+    text = _printed(results)
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["0", "80.0", "91.2", "200.0", "30.0", "0.0", "999"] in lines
+    assert ["9 cpp", "80.0", "91.2", "200.0", "30.0", "40.0", "999"] in lines
+    assert ["9 python", *["failed"] * 6] in lines
+    assert ["9", "3.00 x", "4.00 x", "0.75", "0.70"] in lines
+    assert ["30", "3.00 x", "0.00 x", "", ""] in lines
+    assert ["50", *["failed"] * 4] in lines
+    assert lines.index(["9", "4.00 x", "3.99 x", "98%", "100%", "yes"]) + 1 == lines.index(
+        ["9", "6.00 x", "broke off", "", "", "no"]
+    )
+    assert ["simulator", "0.200", "0.100", "0.200"] in lines  # 9 in lockstep and free, 30 in lockstep
+    flat = " ".join(text.split())
+    assert "barrier, 9 python: failed: barrier: ended with status 1" in flat
+    assert "free, 30: free-running, nodes kept up at no speed that was tried" in flat
+    assert bench_report.short_result(results["barrier"][0]) == "80 us per tick"
+    assert bench_report.short_result(free) == "3.00 x real time, free-running 4.00 x"
 
 
 def test_calm_machine_gets_no_note() -> None:

@@ -62,6 +62,17 @@ def test_whose_process_publishes_does_not_matter_unless_several_do(tmp_path: Pat
     assert not compare(read_digests(two), read_digests(swapped), LATE).same
 
 
+def test_the_truth_alone_can_be_compared(tmp_path: Path) -> None:
+    whole = read_digests(
+        write(tmp_path / "a", (0, "/s", {"truth": [1, 1, 1], "/x": [1, 1, 1]}), (5, "/f", {"/y": [2, 2, 2]}))
+    )
+    bare = read_digests(write(tmp_path / "b", (0, "/s", {"truth": [1, 1, 1]})))
+    assert not compare(whole, bare, LATE).same
+    result = compare(whole.truth(), bare, LATE)
+    assert result.same
+    assert result.topics == 1
+
+
 def test_nothing_compared_is_not_the_same(tmp_path: Path) -> None:
     nothing = read_digests(write(tmp_path / "a"))
     assert not compare(nothing, nothing, LATE).same

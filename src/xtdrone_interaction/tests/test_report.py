@@ -49,6 +49,13 @@ def test_unreadable_bags_are_named(tmp_path: Path, content: bytes | None) -> Non
         read_record(bag)
 
 
+def test_a_pattern_that_is_taken_back_is_none(tmp_path: Path) -> None:
+    make_bag(tmp_path / "flight.bag", patterns=("origin",), taken_back=True)
+    record = read_record(tmp_path / "flight.bag")
+    assert [len(change.value) for change in record.patterns] == [8]
+    assert [change.value.shape for change in record.topologies] == [(9, 9)]
+
+
 def test_settling_follows_the_first_order_motion(flight_bag: Path) -> None:
     results = {r.pattern: r for r in reports.measure(read_record(flight_bag), read_record(flight_bag).track)}
     assert results["origin"].settling_time == pytest.approx(0.0, abs=0.05)

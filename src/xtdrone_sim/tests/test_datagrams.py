@@ -16,11 +16,8 @@ PORT = 34580
 @dataclass
 class Participant:
     address: str
-    away: bool
+    remote: bool
     udp_ports: list[int] = field(default_factory=lambda: [24540, 24541])
-
-    def remote(self) -> bool:
-        return self.away
 
 
 @dataclass
@@ -30,6 +27,11 @@ class Server:
     away: bool = False
     datagrams_expected: dict[int, int] = field(default_factory=dict)
     participants: dict[str, Participant] = field(default_factory=dict)
+    polls: int = 0
+
+    def poll(self, timeout: float) -> None:
+        assert timeout == 0.0
+        self.polls += 1
 
     def remote_sender(self, port: int) -> bool:
         assert port == PORT
@@ -38,21 +40,26 @@ class Server:
 
 @dataclass
 class Mavlink:
-    """Receives what is on its way, one a call."""
+    """Receives what is in its socket; what is on its way comes one at a time."""
 
     received: dict[int, int] = field(default_factory=lambda: {PORT: 0})
+    in_socket: int = 0
     under_way: int = 0
-    directed: list[tuple[list[int], str]] = field(default_factory=list)
+    directed: list[tuple[list[int], str, bool]] = field(default_factory=list)
 
     def receive(self, timeout: float) -> int:
-        assert timeout > 0.0
-        came = min(1, self.under_way)
-        self.under_way -= came
+        assert timeout == 0.0
+        came, self.in_socket = self.in_socket, 0
         self.received[PORT] += came
         return came
 
-    def direct(self, ports: list[int], host: str) -> None:
-        self.directed.append((ports, host))
+    def let_one_come(self) -> None:
+        came = min(1, self.under_way)
+        self.under_way -= came
+        self.in_socket += came
+
+    def direct(self, ports: list[int], host: str, *, override: bool) -> None:
+        self.directed.append((ports, host, override))
 
 
 class Rig:
@@ -61,12 +68,20 @@ class Rig:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, away: bool) -> None:
         self.now = 0.0
         self.server, self.mavlink, self.warnings = Server(away), Mavlink(), []
-        self.datagrams = Datagrams(self.mavlink, self.server, self.warnings.append)  # type: ignore[arg-type]
+        self.stopping = False
+        self.datagrams = Datagrams(self.mavlink, self.server, self.warnings.append, self.idle)  # type: ignore[arg-type]
         monkeypatch.setattr(datagrams.time, "monotonic", self._time)
 
     def _time(self) -> float:
         self.now += 0.01
         return self.now
+
+    def idle(self, timeout: float) -> None:
+        assert timeout > 0.0
+        if self.stopping:
+            raise KeyboardInterrupt
+        self.mavlink.let_one_come()
+        self.mavlink.receive(0.0)
 
     def turn(self, sent: int, lost: int = 0, early: bool = False) -> float:
         """Let a participant send some; return how long the simulator waited for them, s.
@@ -78,8 +93,8 @@ class Rig:
         """
         self.server.datagrams_expected[PORT] = self.server.datagrams_expected.get(PORT, 0) + sent
         self.mavlink.under_way += sent - lost
-        while early and self.mavlink.receive(0.1):
-            pass
+        while early and self.mavlink.under_way:
+            self.idle(0.1)
         began = self.now
         self.datagrams.wait()
         return self.now - began
@@ -109,8 +124,7 @@ def test_reports_are_throttled_and_complete(monkeypatch):
 def test_what_comes_late_is_not_taken_for_what_is_to_come(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     rig.turn(sent=5, lost=2)
-    rig.mavlink.under_way += 1  # one of the two was only late
-    rig.mavlink.receive(0.1)
+    rig.mavlink.received[PORT] += 1  # one of the two was only late
     rig.turn(sent=1)
     assert rig.mavlink.under_way == 1  # the late one is taken for this one
     for _ in range(100):
@@ -132,6 +146,49 @@ def test_what_is_not_counted_yet_is_no_late_comer(monkeypatch):
     assert len(rig.warnings) == 1
 
 
+def test_what_is_in_the_sockets_is_read_whatever_was_counted(monkeypatch):
+    rig = Rig(monkeypatch, away=False)
+    rig.mavlink.received[PORT] = 7  # a stranger's
+    rig.mavlink.in_socket = 1
+    assert rig.turn(sent=0) < 0.1
+    assert rig.mavlink.received[PORT] == 8
+
+
+def test_a_strangers_datagrams_upset_the_counts_for_a_while_only(monkeypatch):
+    rig = Rig(monkeypatch, away=True)
+    rig.turn(sent=1)
+    rig.mavlink.received[PORT] += 3
+    rig.turn(sent=1)
+    assert rig.mavlink.under_way == 1  # taken for one of the three
+    for _ in range(120):
+        rig.turn(sent=1, early=True)
+    rig.turn(sent=1)
+    assert rig.mavlink.under_way == 0
+    assert rig.warnings == []
+
+
+def test_a_surplus_that_was_none_costs_little_once(monkeypatch):
+    rig = Rig(monkeypatch, away=False)
+    rig.turn(sent=1)
+    rig.mavlink.received[PORT] += 1  # sent after each turn, and counted in the next
+    for _ in range(100):
+        rig.turn(sent=1, early=True)
+    rig.server.datagrams_expected[PORT] += 1
+    assert datagrams.REMOTE_LIMIT <= rig.turn(sent=0) < datagrams.REMOTE_LIMIT + 0.1
+    assert rig.turn(sent=1) < 0.1
+    assert rig.mavlink.under_way == 0
+    assert rig.warnings == []  # nothing is lost
+
+
+def test_a_stop_and_the_lockstep_are_heard_while_waiting(monkeypatch):
+    rig = Rig(monkeypatch, away=False)
+    rig.turn(sent=2)
+    assert rig.server.polls == 2
+    rig.stopping = True
+    with pytest.raises(KeyboardInterrupt):
+        rig.turn(sent=1, lost=1)
+
+
 def test_links_point_at_participants_on_other_machines_once(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     rig.server.participants = {
@@ -141,7 +198,40 @@ def test_links_point_at_participants_on_other_machines_once(monkeypatch):
     }
     rig.datagrams.direct()
     rig.datagrams.direct()
-    assert rig.mavlink.directed == [([24540, 24541], "10.0.0.2")]
+    assert rig.mavlink.directed == [([24540], "10.0.0.2", False), ([24541], "10.0.0.2", False)]
+    assert rig.datagrams.counted_ports() == {24540, 24541}
+
+
+def test_links_follow_a_participant_that_comes_back_from_elsewhere(monkeypatch):
+    rig = Rig(monkeypatch, away=True)
+    for participant in (
+        Participant("127.0.0.1:4710", False, [24540]),
+        Participant("10.0.0.2:4711", True, [24540]),
+        Participant("10.0.0.3:4711", True, [24540]),
+        Participant("127.0.0.1:4712", False, [24540]),
+        Participant("127.0.0.1:4713", False, [24540]),
+    ):
+        rig.server.participants = {"/mavros": participant}
+        rig.datagrams.direct()
+        rig.datagrams.direct()
+    assert rig.mavlink.directed == [
+        ([24540], "10.0.0.2", True),
+        ([24540], "10.0.0.3", True),
+        ([24540], "127.0.0.1", True),
+    ]
+
+
+def test_a_port_stays_with_whom_had_it_first_as_long_as_he_is_there(monkeypatch):
+    rig = Rig(monkeypatch, away=True)
+    first, second = Participant("10.0.0.2:1", True, [24540]), Participant("10.0.0.3:1", True, [24540])
+    rig.server.participants = {"/first": first}
+    rig.datagrams.direct()
+    rig.server.participants = {"/first": first, "/second": second}
+    rig.datagrams.direct()
+    assert rig.mavlink.directed == [([24540], "10.0.0.2", False)]
+    rig.server.participants = {"/second": second}
+    rig.datagrams.direct()
+    assert rig.mavlink.directed[1:] == [([24540], "10.0.0.3", True)]
 
 
 def test_participants_elsewhere_are_told_an_address_that_they_reach(monkeypatch):

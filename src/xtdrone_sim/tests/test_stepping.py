@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 
@@ -31,7 +32,7 @@ class FakeBarrier:
     participants: dict[str, FakeParticipant] = field(default_factory=dict)
     text: str = ""
 
-    def missing(self, expected: int = 0) -> str:
+    def missing(self, expected: int | Iterable[str] = 0) -> str:
         return self.text
 
 
@@ -323,3 +324,17 @@ def test_mailbox_brings_requests_to_the_thread_that_serves():
         with pytest.raises(ClosedError):
             answer.result(timeout=0)
     assert len(threads) == 1
+
+
+def test_a_reset_that_fails_is_told_to_those_who_asked_and_to_the_simulator():
+    loop = Loop(1.0, paused=True)
+    answers = [loop.reset(Reset.WORLD), loop.reset(Reset.SIMULATION)]
+
+    def fail(kind: Reset) -> None:
+        raise RuntimeError(f"{kind.name} cannot be set back")
+
+    with pytest.raises(RuntimeError, match="SIMULATION cannot be set back"):
+        loop.control.between_ticks(fail)
+    for answer in answers:
+        with pytest.raises(ControlError, match="no reset: RuntimeError: SIMULATION cannot"):
+            answer.result(timeout=0)

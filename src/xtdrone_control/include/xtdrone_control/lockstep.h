@@ -75,7 +75,10 @@ void init(int& argc, char** argv, const std::string& name, double rate = 30.0, s
 bool isActive();
 
 /// Has a function called when simulation time has gone back, as after /gazebo/reset_simulation: in Rate::sleep(), with
-/// the new time, before any callback of that turn.
+/// the new time, before any callback of that turn. An exception in it is logged and does not end the node.
+///
+/// Without lockstep it is called too if time is /clock's (/use_sim_time) and that has gone back, but callbacks of what
+/// was under way then follow.
 void addResetHook(std::function<void()> hook);
 
 /// Joins the simulator, when there is one, and waits for the first tick; all topics should be declared by now.
@@ -103,7 +106,8 @@ class Rate {
   std::optional<ros::Rate> free_;
 };
 
-/// Lets simulation time pass, turn by turn, at least so many seconds of it; callbacks run meanwhile.
+/// Lets simulation time pass, turn by turn, at least so many seconds of it; callbacks run meanwhile. When time goes
+/// back it returns at once, after the reset hooks and the callbacks of that turn.
 ///
 /// @return False if the node is to end.
 bool sleep(double seconds);

@@ -221,8 +221,41 @@ void Client::close() {
 }
 
 void Client::fail(const std::string& why) {
-  failure_ = why.empty() ? "unknown reason" : why;
+  // A connection may break while the word why is there already, unread.
+  if (const auto refusal = findRefusal()) {
+    refused(*refusal);
+    return;
+  }
+  failure_ = "is gone: " + (why.empty() ? "unknown reason" : why);
   close();
+}
+
+void Client::refused(const Frame& frame) {
+  static const std::string prefix = "dropped: ";
+  std::string reason;
+  try {
+    reason = unpackObject(frame.payload).value("reason", "");
+  } catch (const std::exception& error) {  // the protocol's and the JSON library's
+    reason = error.what();
+  }
+  failure_ = "has dropped this node: " + (reason.rfind(prefix, 0) == 0 ? reason.substr(prefix.size()) : reason);
+  close();
+}
+
+std::optional<Frame> Client::findRefusal() {
+  try {
+    std::array<char, 1 << 16> data;
+    for (ssize_t size; socket_ >= 0 && (size = recv(socket_, data.data(), data.size(), MSG_DONTWAIT)) > 0;) {
+      reader_.feed(data.data(), static_cast<std::size_t>(size));
+    }
+    while (auto frame = reader_.next()) {
+      if (frame->kind == Kind::REFUSED) {
+        return frame;
+      }
+    }
+  } catch (const ProtocolError&) {  // what is there says nothing
+  }
+  return std::nullopt;
 }
 
 void Client::keepAlive() {
@@ -249,12 +282,12 @@ std::optional<bool> Client::awaitTick() {
         if (frame->kind == Kind::TICK) {
           const std::int64_t before = now_.time_us;
           now_ = unpackBarrier(frame->payload);
-          return now_.time_us < before;
+          return std::exchange(set_back_, false) || now_.time_us < before;
         }
         if (frame->kind == Kind::PEER) {
           takePeers(unpackObject(frame->payload));
         } else if (frame->kind == Kind::REFUSED) {
-          fail(unpackObject(frame->payload).value("reason", ""));
+          refused(*frame);
           return std::nullopt;
         }
       }
@@ -434,6 +467,8 @@ void Client::takePeers(const nlohmann::json& content) {
       void_.emplace_back(pair.at(0).get<std::uint32_t>(), pair.at(1).get<std::uint64_t>());
     }
   }
+  // The next tick may have the time of the last one, or a later one.
+  set_back_ = set_back_ || content.value("reset", false);
 }
 
 void Client::setParticipant(std::uint32_t number, bool value) {

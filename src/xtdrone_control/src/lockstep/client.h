@@ -54,7 +54,7 @@ class Client {
   const std::string& uri() const { return uri_; }
   std::int64_t time() const { return now_.time_us; }
   bool digests() const { return digests_; }
-  /// Why there is no connection any more, empty if there is one or the node has taken leave.
+  /// What the simulator did, as "is gone: why", when it has ended the connection; else empty.
   const std::string& failure() const { return failure_; }
 
   /// Connects and reserves the name for the node that is to join over this connection.
@@ -70,8 +70,8 @@ class Client {
   /// Tells the server that a topic's connections are about to end.
   void withdraw(detail::Outlet& outlet);
 
-  /// Waits for the next tick; returns whether its time is less than that of the last one, or nothing if the node is to
-  /// end or the simulator is gone.
+  /// Waits for the next tick; returns whether time was set back since the last one, or nothing if the node is to end or
+  /// the simulator is gone.
   std::optional<bool> awaitTick();
   /// Waits for the messages that the tick promises; returns false if the node is to end or the simulator is gone.
   bool awaitMessages();
@@ -90,6 +90,9 @@ class Client {
   void connect();
   void close();
   void fail(const std::string& why);
+  void refused(const Frame& frame);
+  /// Returns the REFUSED that lies behind what has been handled so far.
+  std::optional<Frame> findRefusal();
   /// Waits until something comes, handles it, and returns false if the node is to end or the simulator is gone.
   bool wait(double seconds);
   std::size_t receive();
@@ -114,6 +117,7 @@ class Client {
   std::string failure_;
   FrameReader reader_;
   Barrier now_;
+  bool set_back_ = false;
   std::uint32_t numbers_ = 0;
   std::map<std::uint32_t, Channel> channels_;
   std::vector<std::uint32_t> awaited_;

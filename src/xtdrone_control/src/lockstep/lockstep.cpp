@@ -44,6 +44,10 @@ struct Node {
   Topics topics;
   std::vector<std::shared_ptr<detail::Entry>> entries;
   std::vector<std::function<void()>> reset_hooks;
+  /// How often simulated time has gone back.
+  unsigned resets = 0;
+  /// The time of the last turn, where there is no lockstep.
+  ros::Time last;
   std::unique_ptr<Client> reservation;
   std::unique_ptr<Client> client;
 };
@@ -73,7 +77,7 @@ bool ending() { return signalled != 0 || !ros::ok(); }
 void end() {
   if (const auto client = std::move(node().client)) {
     if (!client->failure().empty()) {
-      ROS_ERROR("the simulator at %s is gone: %s", client->uri().c_str(), client->failure().c_str());
+      ROS_ERROR("the simulator at %s %s", client->uri().c_str(), client->failure().c_str());
     }
     client->leave();
   }
@@ -220,6 +224,30 @@ void dispatch() {
   }
 }
 
+/// Tells the node that simulated time has gone back.
+void reset() {
+  ++node().resets;
+  const auto hooks = node().reset_hooks;  // one of them may add another
+  for (const auto& hook : hooks) {
+    try {
+      hook();
+    } catch (const std::exception& error) {
+      ROS_ERROR("bad reset hook: %s", error.what());
+    }
+  }
+}
+
+/// Begins a turn without lockstep.
+void enterFreeTurn() {
+  const ros::Time now = ros::Time::now();
+  // Wall time that is set back is no reset.
+  if (ros::Time::isSimTime() && now < node().last) {
+    reset();
+  }
+  node().last = now;
+  dispatch();
+}
+
 /// Waits for the next turn and begins it; returns false if there is none.
 bool enterTurn() {
   Client& client = *node().client;
@@ -232,9 +260,7 @@ bool enterTurn() {
   ros::Time::setNow(
       ros::Time(static_cast<std::uint32_t>(micros / 1'000'000), static_cast<std::uint32_t>(micros % 1'000'000 * 1000)));
   if (*gone_back) {
-    for (const auto& hook : node().reset_hooks) {
-      hook();
-    }
+    reset();
   }
   if (!client.awaitMessages()) {
     end();
@@ -329,7 +355,7 @@ bool Rate::sleep() {
     if (!ros::ok()) {
       return false;
     }
-    dispatch();
+    enterFreeTurn();
     return true;
   }
   if (!node().client) {
@@ -349,7 +375,8 @@ bool Rate::sleep() {
 bool sleep(double seconds) {
   Rate rate;
   const ros::Time until = ros::Time::now() + ros::Duration(seconds);
-  while (ros::Time::now() < until) {
+  const unsigned resets = node().resets;
+  while (ros::Time::now() < until && node().resets == resets) {
     if (!rate.sleep()) {
       return false;
     }

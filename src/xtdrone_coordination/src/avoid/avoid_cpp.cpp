@@ -101,6 +101,7 @@ class AvoidanceNode {
       const std::string topic = "/xtdrone/" + vehicle(id) + "/avoid_" + settings.mode;
       publishers_.push_back(lockstep::advertise<geometry_msgs::Vector3>(topic, 100));
     }
+    lockstep::addResetHook([this] { positions_.assign(settings_.count, std::nullopt); });
     if (!settings.swarm_topic.empty()) {
       lockstep::subscribe<std_msgs::Float64MultiArray>(settings.swarm_topic, 0,
                                                        [this](const auto& message) { onSwarm(message.data); });

@@ -89,7 +89,8 @@ class FollowerOptions:
 class Follower:
     """One follower.
 
-    Override :meth:`control_law`, :meth:`neighbours` or :meth:`avoidance`. They may return tuples, lists or arrays.
+    Override :meth:`control_law`, :meth:`neighbours` or :meth:`avoidance`. They may return tuples, lists or arrays. What
+    else a subclass remembers it forgets in :meth:`restart`.
 
     Attributes:
         id: this vehicle's number, 1 to count-1.
@@ -133,17 +134,29 @@ class Follower:
         self.count = count
         self.swarm = swarm or SwarmState(count)
         self.options = options or FollowerOptions()
+        self._gamma = critical_damping(self.options.Kp)
+        self._timeout = math.ceil(self.options.pose_timeout * RATE)
+        self._warn = warn or logging.getLogger(__name__).warning
+        self._know_nothing()
+
+    def _know_nothing(self) -> None:
         self.offsets: list[Vector] | None = None
         self.weights: Mapping[int, float] = {0: 1.0}
         self.avoidance_vector: Vector = _ZERO
         self._heard_avoidance: Vector = _ZERO
-        self._gamma = critical_damping(self.options.Kp)
-        self._timeout = math.ceil(self.options.pose_timeout * RATE)
-        self._warn = warn or logging.getLogger(__name__).warning
         self._problems: set[str] = set()  # of the last update
         self._said: set[str] = set()  # of the update before
 
     # to be overridden
+
+    def restart(self) -> None:
+        """Know nothing again, nor does the swarm: the state after construction.
+
+        Called when the simulation starts anew (time was set back), and when the leader takes its pattern back. A
+        subclass with a state of its own overrides it, and calls this one too.
+        """
+        self._know_nothing()
+        self.swarm.restart()
 
     def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
         """Return this vehicle's velocity (m/s) or acceleration (m/s^2), ENU, before avoidance and limits.

@@ -67,7 +67,8 @@ class LeaderOptions:
 class Leader:
     """The leader.
 
-    Override :meth:`assignment`, :meth:`topology` or :meth:`avoidance`.
+    Override :meth:`assignment`, :meth:`topology` or :meth:`avoidance`. What else a subclass remembers it forgets in
+    :meth:`restart`.
 
     Attributes:
         count: number of vehicles N.
@@ -106,18 +107,30 @@ class Leader:
         self.patterns = patterns or Patterns(count)
         self.swarm = swarm or SwarmState(count)
         self.options = options or LeaderOptions()
+        self._warn = warn or logging.getLogger(__name__).warning
+        self._know_nothing()
+
+    def _know_nothing(self) -> None:
         self.pattern = ""
         self.offsets: Offsets | None = None
         self.adjacency: NDArray[np.int32] | None = None
         self.distance = 0.0
         self.yaw = 0.0
-        self._warn = warn or logging.getLogger(__name__).warning
         self._steering: tuple[Vector, float] | None = None  # FLU velocity, yaw rate; not yet given out
         self._course: tuple[Vector, float] = ((0.0, 0.0, 0.0), 0.0)  # the last of them
         self._course_age = STEERING_TICKS + 1
         self._avoiding = False
 
     # to be overridden
+
+    def restart(self) -> None:
+        """Know nothing again, nor does the swarm: the state after construction.
+
+        Called when the simulation starts anew (time was set back). A subclass with a state of its own overrides it,
+        and calls this one too.
+        """
+        self._know_nothing()
+        self.swarm.restart()
 
     def assignment(self, current: Offsets, target: Offsets) -> Assignment:
         """Return which slot each follower takes; the default minimises the total distance.

@@ -14,6 +14,10 @@ topic                               type                          from, to
 /xtdrone/T/cmd_vel_enu (..accel..)  geometry_msgs/Twist           follower -> communication node
 /T/mavros/local_position/pose       geometry_msgs/PoseStamped     every vehicle -> leader, followers, avoid
 ==================================  ============================  =====================================================
+
+When simulated time is set back, leader, followers and avoidance are as after their start. Pattern and topology are
+latched, and messages on latched topics outlive that: followers ignore those that come before their first step, and the
+leader publishes an empty pattern and topology, which mean none, in place of what it had latched.
 """
 
 from __future__ import annotations
@@ -121,6 +125,7 @@ class FollowerNode:
         self._count = followers[0].count
         self._pattern: tuple[float, ...] = ()
         self._topology: tuple[int, ...] = ()
+        self._restarting = False
         self._twist = Twist()
         self._vector = Vector3()
         self._commands = {}
@@ -136,9 +141,21 @@ class FollowerNode:
                 self._avoidances[follower.id] = lockstep.Publisher(topic, Vector3)
             elif options.avoid == "topic":
                 lockstep.Subscriber(topic, Vector3, partial(self._on_avoidance, follower))
+        lockstep.add_reset_hook(self._restart)
+
+    def _restart(self) -> None:
+        """Begin anew. What comes in this turn was published before; of that only latched topics arrive."""
+        self._forget()
+        self._restarting = True
+
+    def _forget(self) -> None:
+        self._pattern = self._topology = ()
+        for follower in self.followers:
+            follower.restart()
 
     def step(self) -> None:
         """Command all followers once; call it at 30 Hz."""
+        self._restarting = False
         for follower in self.followers:
             command = follower.update()
             if command is None:
@@ -154,9 +171,12 @@ class FollowerNode:
 
     def _on_pattern(self, message: Float32MultiArray) -> None:
         """Take the leader's pattern; it is repeated all the time, so most messages are known already."""
-        if message.data == self._pattern:
+        if self._restarting or tuple(message.data) == self._pattern:
             return
-        self._pattern = message.data
+        if not message.data:
+            self._forget()
+            return
+        self._pattern = tuple(message.data)
         width = self._count - 1
         if len(message.data) != 3 * width:
             rospy.logwarn(f"{PATTERN_TOPIC}: {len(message.data)} values, {self._count} vehicles need 3 x {width}")
@@ -169,9 +189,9 @@ class FollowerNode:
             rospy.logwarn(f"{PATTERN_TOPIC}: {error}")
 
     def _on_topology(self, message: Int32MultiArray) -> None:
-        if message.data == self._topology:
+        if self._restarting or not message.data or tuple(message.data) == self._topology:
             return
-        self._topology = message.data
+        self._topology = tuple(message.data)
         try:
             for follower in self.followers:
                 follower.on_topology(message.data)
@@ -199,6 +219,7 @@ class AvoidanceNode:
         self._radius = radius
         self._publishers = {i: lockstep.Publisher(f"/xtdrone/{kind}_{i}/avoid_{mode}", Vector3) for i in ids}
         subscribe_swarm(kind, self.swarm)
+        lockstep.add_reset_hook(self.swarm.restart)
 
     def step(self) -> None:
         """Publish the avoidance of each vehicle whose position is known; call it at 30 Hz."""

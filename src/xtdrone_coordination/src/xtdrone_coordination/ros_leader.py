@@ -58,6 +58,17 @@ class LeaderNode:
         lockstep.Subscriber("/xtdrone/leader/cmd_vel_flu", Twist, self._on_velocity)
         lockstep.Subscriber("/xtdrone/leader/cmd_accel_flu", Twist, to_acceleration.publish)
         subscribe_swarm(kind, leader.swarm, on_leader_pose=self._on_pose)
+        lockstep.add_reset_hook(self._restart)
+
+    def _restart(self) -> None:
+        """Begin anew, and take back what is latched: who joins now must not get the pattern of another flight."""
+        if self._said:
+            self._to_pattern.publish(Float32MultiArray())
+            self._to_topology.publish(Int32MultiArray())
+        self._ticks = 0
+        self._said = ""
+        self._pose = None
+        self.leader.restart()
 
     def step(self) -> None:
         """Say what there is to say; call it at 30 Hz."""

@@ -27,6 +27,12 @@ class SwarmState:
         self._heard = [0] * count
         self._ticks = 0
 
+    def restart(self) -> None:
+        """Know nothing again, as after construction."""
+        self.positions[:] = self.velocities[:] = [None] * self.count
+        self._heard[:] = [0] * self.count
+        self._ticks = 0
+
     def on_position(self, index: int, position: Vector) -> None:
         """Take a vehicle's position, m ENU; one that is not finite is as if it had not come."""
         if math.isfinite(position[0] + position[1] + position[2]):

@@ -1,8 +1,9 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Three parts: the core alone (no ROS), the stack without the swarm's own nodes, and the whole formation flight. Prints
-tables and writes JSON with the machine's facts; the JSON is written after each measurement, so that nothing measured is
-lost. Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+Five parts: the core alone (no ROS), the lockstep's barrier alone, the stack without the swarm's own nodes, the whole
+formation flight, and the speed of that flight in lockstep compared with the same nodes running free. Prints tables and
+writes JSON with the machine's facts; the JSON is written after each measurement, so that nothing measured is lost.
+Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,45 +24,46 @@ from rich.console import Console
 from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
+from xtdrone_interaction.bench_barrier import NOBODY, PROGRAMS
 from xtdrone_interaction.bench_flight import (
     TYPE,
     Bench,
-    BenchError,
+    Length,
     Row,
-    Stopped,
-    StopRequest,
+    measure_barrier,
     measure_core,
     measure_formation,
     measure_stack,
 )
+from xtdrone_interaction.bench_free import measure_free
 from xtdrone_interaction.bench_machine import machine_facts
 from xtdrone_interaction.bench_report import print_results, short_result
 from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.scripted_launch import LaunchError, Stopped, StopRequest
 
 SCHEMA = 1  # of the JSON file
-PARTS: dict[str, tuple[int, ...]] = {"core": (1, 9, 30, 100), "stack": (1, 9, 30), "formation": (9, 30)}
-_LEAST = {"core": 1, "stack": 1, "formation": 2}
+PARTS: dict[str, tuple[int, ...]] = {
+    "core": (1, 9, 30, 100),
+    "barrier": (0, 1, 9, 20, 60),
+    "stack": (1, 9, 30),
+    "formation": (9, 30),
+    "free": (9, 30),
+}
+_LEAST = {"core": 1, "barrier": 0, "stack": 1, "formation": 2, "free": 2}
+_FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
 
 
-@dataclass(frozen=True)
-class Length:
-    """How long the measurements are.
-
-    Attributes:
-        core_seconds: least wall time of one core measurement, s.
-        window: measured simulated time of the stack, s.
-        patterns: that the formation flies.
-    """
-
-    core_seconds: float
-    window: float
-    patterns: tuple[str, ...]
-
-
-FULL = Length(3.0, 20.0, ("cube", "pyramid", "triangle"))
-QUICK = Length(1.0, 5.0, ("cube",))
+FULL = Length(
+    core_seconds=3.0,
+    barrier_seconds=2.0,
+    barrier_ticks=200,
+    window=20.0,
+    patterns=("cube", "pyramid", "triangle"),
+    free_window=5.0,
+)
+QUICK = Length(core_seconds=1.0, barrier_seconds=0.5, barrier_ticks=50, window=5.0, patterns=("cube",), free_window=2.0)
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class BenchSettings:
     """What is measured.
 
     Attributes:
-        vehicles: numbers of vehicles by part; parts that are not measured are left out.
+        vehicles: numbers of vehicles (barrier: of participants) by part; parts that are not measured are left out.
         modes: of the formation: ``per_uav``, ``shared``.
         repeat: how often each measurement is made.
         length: of the measurements.
@@ -96,7 +98,8 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--only", metavar="PARTS", help=f"parts to measure, with commas between, of {', '.join(PARTS)} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
-        help="numbers of vehicles, with commas between, for one part (as core=1,100) or for all (as 9); default: "
+        help="numbers of vehicles (barrier: of participants), with commas between, for one part (as core=1,100) or for "
+        "all (as 9); default: "
         + " ".join(f"{part}={','.join(map(str, counts))}" for part, counts in PARTS.items()))  # fmt: skip
     add("--processes", choices=list(_MODES), default="both",
         help="formation with a process per vehicle and role, with one per role, or both (default)")  # fmt: skip
@@ -115,9 +118,9 @@ def bench_settings(arguments: argparse.Namespace) -> BenchSettings:
     """
     vehicles = chosen_vehicles(chosen_parts(arguments.only), arguments.vehicles or [])
     length = QUICK if arguments.quick else FULL
-    for count in vehicles.get("formation", ()):
+    for count in {*vehicles.get("formation", ()), *vehicles.get("free", ())}:
         options.swarm_patterns(count, list(length.patterns))
-    flown = max((*vehicles.get("stack", ()), *vehicles.get("formation", ())), default=0)
+    flown = max((count for part in _FLOWN for count in vehicles.get(part, ())), default=0)
     if flown:
         options.check_vehicle_ports(parse_fleet(f"{TYPE}:{flown}"))
     repeat = _whole_number("repeat", arguments.repeat, 1, _MAX_REPEATS)
@@ -189,19 +192,28 @@ def plan(settings: BenchSettings) -> Iterator[tuple[str, str, Row, Callable[[Ben
     """Yield (part, title, what a row always has, measurement) in the order in which they are made."""
     for part, counts in settings.vehicles.items():
         for count in counts:
-            for mode in settings.modes if part == "formation" else (None,):
+            for title, known, measure in _variants(part, count, settings.modes):
                 for number in range(1, settings.repeat + 1):
-                    title = f"{part}, {count} {'vehicle' if count == 1 else 'vehicles'}"
-                    known: Row = {"vehicles": count, "repeat": number}
-                    if mode is None:
-                        measure = partial(measure_core if part == "core" else measure_stack, vehicles=count)
-                    else:
-                        measure = partial(measure_formation, vehicles=count, processes=mode)
-                        title += f", processes {mode.replace('_', ' ')}"
-                        known["mode"] = mode
-                    if settings.repeat > 1:
-                        title += f", {number} of {settings.repeat}"
-                    yield part, title, known, measure
+                    ending = f", {number} of {settings.repeat}" if settings.repeat > 1 else ""
+                    yield part, f"{part}, {title}{ending}", known | {"repeat": number}, measure
+
+
+def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str, Row, Callable[[Bench], Row]]]:
+    """Yield (title, what a row always has, measurement) of a part's measurements with ``count`` vehicles."""
+    if part == "barrier":
+        for kind in PROGRAMS if count else (NOBODY,):
+            title = f"{count} participants" + (f", {kind}" if count else "")
+            known: Row = {"participants": count, "kind": kind}
+            yield title, known, partial(measure_barrier, participants=count, kind=kind)
+        return
+    title, known = f"{count} {'vehicle' if count == 1 else 'vehicles'}", {"vehicles": count}
+    if part == "formation":
+        for mode in modes:
+            measure = partial(measure_formation, vehicles=count, processes=mode)
+            yield f"{title}, processes {mode.replace('_', ' ')}", known | {"mode": mode}, measure
+        return
+    measurements = {"core": measure_core, "stack": measure_stack, "free": measure_free}
+    yield title, known, partial(measurements[part], vehicles=count)
 
 
 def new_results(settings: BenchSettings) -> dict[str, Any]:
@@ -215,9 +227,7 @@ def new_results(settings: BenchSettings) -> dict[str, Any]:
             "vehicles": {part: list(counts) for part, counts in settings.vehicles.items()},
             "type": TYPE,
             "repeat": settings.repeat,
-            "core_seconds": length.core_seconds,
-            "window": length.window,
-            "patterns": list(length.patterns),
+            **asdict(length),
         },
         "machine": machine_facts(options.repository()),
         **{part: [] for part in settings.vehicles},
@@ -254,11 +264,10 @@ def _measure_all(settings: BenchSettings, results: dict[str, Any], stop: StopReq
         stop.check()
         head = f"\\[{number}/{len(measurements)}] {title}"
         with _progress(console, head) as progress:
-            length = settings.length
-            bench = Bench(settings.logs, stop, progress, length.core_seconds, length.window, length.patterns)
+            bench = Bench(settings.logs, stop, progress, settings.length)
             try:
                 row = known | measure(bench)
-            except (BenchError, OptionError) as error:  # OptionError: a port was taken meanwhile
+            except (LaunchError, OptionError) as error:  # OptionError: a port was taken meanwhile
                 row = known | {"error": str(error)}
         console.print(f"{head}: {short_result(row)}", highlight=False, soft_wrap=True)
         results[part].append(row)

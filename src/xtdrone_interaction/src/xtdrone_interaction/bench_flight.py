@@ -1,29 +1,36 @@
 """The benchmark's measurements: each runs a program or a launch file to its end and returns a row of figures.
 
 A row has ``vehicles``, ``load_before`` (the machine's load average over the last minute) and the figures that
-:func:`measure_core`, :func:`measure_stack` and :func:`measure_formation` list.
+:func:`measure_core`, :func:`measure_barrier`, :func:`measure_stack` and :func:`measure_formation` list. A row of the
+barrier has ``participants`` and ``kind`` in place of ``vehicles``.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import re
-import shutil
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType, TracebackType
 from typing import Any
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction import options
 from xtdrone_interaction.bench_processes import CpuSample, memory, process_tree
-from xtdrone_interaction.processes import ProcessTree, end_descendants
+from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.record import read_events
+from xtdrone_interaction.scripted_launch import (
+    NODE_PATIENCE,
+    PATIENCE,
+    LaunchError,
+    StopRequest,
+    cause,
+    launch_command,
+    launch_environment,
+    log_text,
+)
 
 TYPE = "iris"
 Event = dict[str, Any]
@@ -33,59 +40,31 @@ _POLL = 0.1  # s of wall time
 _START_LIMIT = 60.0  # s of wall time until the first event, and _START_LIMIT_VEHICLE more for each vehicle
 _START_LIMIT_VEHICLE = 3.0
 _SILENCE_LIMIT = 300.0  # s of wall time between two events; a phase may take a minute of simulated time
-_PATIENCE = 25.0  # s that roslaunch gets to stop its nodes
-_NODE_PATIENCE = 8.0  # s that a node gets to stop
-_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-_CAUSE = re.compile(r"\b(ERROR|FATAL)\b|(Error|Exception)\b|has died|cannot launch|Invalid <")
 
 
-class BenchError(RuntimeError):
+class BenchError(LaunchError):
     """A measurement that failed; the message says which part and where its log is."""
 
 
-class Stopped(BaseException):
-    """SIGINT, SIGTERM or SIGHUP came.
+@dataclass(frozen=True)
+class Length:
+    """How long the measurements are.
 
     Attributes:
-        number: the signal.
+        core_seconds: least wall time of one core measurement, s.
+        barrier_seconds: least wall time of one barrier measurement, s.
+        barrier_ticks: least number of ticks of one barrier measurement.
+        window: measured simulated time of the stack, s.
+        patterns: that the formation flies.
+        free_window: wall time for which each speed of the free-running flight is measured, s.
     """
 
-    def __init__(self, number: int) -> None:
-        """Keep the signal's number."""
-        super().__init__(signal.Signals(number).name)
-        self.number = number
-
-
-class StopRequest:
-    """Takes SIGINT, SIGTERM and SIGHUP and remembers the first, so that none cuts a clean-up short.
-
-    A context manager: when it ends, no process that was started inside is left.
-    """
-
-    def __init__(self) -> None:
-        """Nothing has come yet."""
-        self._number = 0
-        self._previous: dict[int, Any] = {}
-
-    def check(self) -> None:
-        """Raise :class:`Stopped` if a signal has come."""
-        if self._number:
-            raise Stopped(self._number)
-
-    def __enter__(self) -> StopRequest:
-        """Take the signals."""
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._previous[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        """End what is left and give the signals back."""
-        end_descendants()
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, _: FrameType | None) -> None:
-        self._number = self._number or number
+    core_seconds: float
+    barrier_seconds: float
+    barrier_ticks: int
+    window: float
+    patterns: tuple[str, ...]
+    free_window: float
 
 
 @dataclass
@@ -96,17 +75,13 @@ class Bench:
         folder: of logs and events, absolute; each measurement has its own in it.
         stop: asked all the time.
         progress: gets a few words on what goes on.
-        core_seconds: least wall time of one core measurement, s.
-        window: measured simulated time of the stack, s.
-        patterns: that the formation flies.
+        length: of the measurements.
     """
 
     folder: Path
     stop: StopRequest
     progress: Callable[[str], None]
-    core_seconds: float
-    window: float
-    patterns: Sequence[str]
+    length: Length
 
 
 def measure_core(bench: Bench, vehicles: int) -> Row:
@@ -118,23 +93,59 @@ def measure_core(bench: Bench, vehicles: int) -> Row:
     Raises:
         BenchError: it failed.
     """
-    folder = _fresh(bench, f"core-{vehicles}")
-    result, log = folder / "core.json", folder / "core.log"
     row = _row(vehicles)
-    command = [
-        sys.executable, "-m", "xtdrone_sim.benchmark",
-        "--vehicles", str(vehicles), "--seconds", str(bench.core_seconds), "--json", str(result),
-    ]  # fmt: skip
+    arguments = ["--vehicles", str(vehicles), "--seconds", str(bench.length.core_seconds)]
+    return row | _run_program(bench, "core", f"core-{vehicles}", "xtdrone_sim.benchmark", arguments)[0]
+
+
+def measure_barrier(bench: Bench, participants: int, kind: str) -> Row:
+    """Measure the lockstep's barrier with participants that do nothing, all due at every tick.
+
+    Args:
+        bench: what all measurements share.
+        participants: how many.
+        kind: ``python``, ``cpp``, or ``none`` without participants.
+
+    Returns:
+        See :func:`xtdrone_interaction.bench_barrier.measure`.
+
+    Raises:
+        BenchError: it failed.
+    """
+    row = {"load_before": os.getloadavg()[0]}
+    length = bench.length
+    arguments = ["--participants", str(participants), "--kind", kind]
+    arguments += ["--seconds", str(length.barrier_seconds), "--ticks", str(length.barrier_ticks)]
+    name = f"barrier-{participants}-{kind}"
+    return row | _run_program(bench, "barrier", name, "xtdrone_interaction.bench_barrier", arguments)
+
+
+def _run_program(bench: Bench, part: str, name: str, module: str, arguments: Sequence[str]) -> Any:
+    """Run a Python program that writes its result as JSON, and return that.
+
+    Args:
+        bench: what all measurements share.
+        part: for the messages.
+        name: of the measurement's folder.
+        module: the program.
+        arguments: besides ``--json``.
+
+    Raises:
+        BenchError: it failed.
+    """
+    folder = fresh_folder(bench, name)
+    result, log = folder / "result.json", folder / "output.log"
+    command = [sys.executable, "-m", module, *arguments, "--json", str(result)]
     tree = ProcessTree(command, os.environ, log)
     try:
         bench.progress("measuring")
         while not tree.wait(_POLL):
             bench.stop.check()
     finally:
-        tree.stop(_NODE_PATIENCE)
+        tree.stop(NODE_PATIENCE)
     if tree.process.returncode != 0 or not result.is_file():
-        raise BenchError(f"core: ended with status {tree.process.returncode}; {_cause(log)}")
-    return row | json.loads(result.read_text(encoding="utf-8"))[0]
+        raise BenchError(f"{part}: ended with status {tree.process.returncode}; {cause(log)}")
+    return json.loads(result.read_text(encoding="utf-8"))
 
 
 def measure_stack(bench: Bench, vehicles: int) -> Row:
@@ -148,10 +159,10 @@ def measure_stack(bench: Bench, vehicles: int) -> Row:
     Raises:
         BenchError: it failed.
     """
-    folder = _fresh(bench, f"stack-{vehicles}")
+    folder = fresh_folder(bench, f"stack-{vehicles}")
     row, command_wall = _row(vehicles), time.time()
-    arguments = {"vehicles": f"{TYPE}:{vehicles}", "window": bench.window, "out": folder}
-    events = _fly(bench, "bench.launch", arguments, folder, vehicles, lambda event, root: None)
+    arguments = {"vehicles": f"{TYPE}:{vehicles}", "window": bench.length.window, "out": folder}
+    events = fly(bench, "bench.launch", arguments, folder, vehicles, lambda event, root: None)
     return row | stack_figures(events, command_wall)
 
 
@@ -215,19 +226,19 @@ def measure_formation(bench: Bench, vehicles: int, processes: str) -> Row:
     Raises:
         BenchError: it failed.
     """
-    folder = _fresh(bench, f"formation-{vehicles}-{processes}")
+    folder = fresh_folder(bench, f"formation-{vehicles}-{processes}")
     row, command_wall = _row(vehicles) | {"mode": processes}, time.time()
     arguments = {
         "n": vehicles,
         "type": TYPE,
-        "patterns": ",".join(bench.patterns),
+        "patterns": ",".join(bench.length.patterns),
         "processes": processes,
         "speed": 0.0,
         "out": folder,
     }
-    probe = FormationProbe(bench.patterns[len(bench.patterns) // 2])
+    probe = FormationProbe(bench.length.patterns[len(bench.length.patterns) // 2])
     try:
-        events = _fly(bench, "formation.launch", arguments, folder, vehicles, probe)
+        events = fly(bench, "formation.launch", arguments, folder, vehicles, probe)
     finally:
         for bag in folder.glob("flight.bag*"):
             bag.unlink()  # large, and of no use here
@@ -275,16 +286,16 @@ def _row(vehicles: int) -> Row:
     return {"vehicles": vehicles, "load_before": os.getloadavg()[0]}
 
 
-def _fresh(bench: Bench, name: str) -> Path:
+def fresh_folder(bench: Bench, name: str) -> Path:
     """Return a measurement's folder without what an earlier one left."""
     folder = bench.folder / name
     (folder / "logs").mkdir(parents=True, exist_ok=True)
-    for file in ("events.jsonl", "core.json"):
+    for file in ("events.jsonl", "result.json"):
         (folder / file).unlink(missing_ok=True)
     return folder
 
 
-def _fly(
+def fly(
     bench: Bench,
     launch_file: str,
     arguments: dict[str, Any],
@@ -309,17 +320,13 @@ def _fly(
     options.check_vehicle_ports(parse_fleet(f"{TYPE}:{vehicles}"))
     log = folder / "logs" / "roslaunch.log"
     port = options.free_port()
-    command = [
-        _roslaunch(), "--sigint-timeout", str(_NODE_PATIENCE), "-p", str(port),
-        str(options.repository() / "launch" / launch_file),
-        *(f"{name}:={value}" for name, value in arguments.items()),
-    ]  # fmt: skip
-    tree = ProcessTree(command, _environment(port, folder / "logs"), log)
+    command = launch_command(launch_file, arguments, port)
+    tree = ProcessTree(command, launch_environment(port, folder / "logs"), log)
     try:
         bench.progress("starting the nodes")
         return _follow(bench, tree, folder / "events.jsonl", log, vehicles, on_event)
     finally:
-        tree.stop(_PATIENCE)
+        tree.stop(PATIENCE)
 
 
 def _follow(
@@ -340,40 +347,15 @@ def _follow(
         if seen and events[-1]["event"] == "failed":
             raise BenchError(f"{events[-1]['reason']}; log: {log}")
         if seen and events[-1]["event"] == "done":
-            tree.wait(_PATIENCE)
+            tree.wait(PATIENCE)
             return events
         if ended:
-            raise BenchError(f"{log.parent.parent.name}: the launch ended early; {_cause(log)}")
-        if not seen and "has died" in _text(log):
-            raise BenchError(f"{log.parent.parent.name}: a node died at the start; {_cause(log)}")
+            raise BenchError(f"{log.parent.parent.name}: the launch ended early; {cause(log)}")
+        if not seen and "has died" in log_text(log):
+            raise BenchError(f"{log.parent.parent.name}: a node died at the start; {cause(log)}")
         if time.monotonic() - last > limit:
-            raise BenchError(f"{log.parent.parent.name}: nothing happened for {limit:.0f} s; {_cause(log)}")
+            raise BenchError(f"{log.parent.parent.name}: nothing happened for {limit:.0f} s; {cause(log)}")
 
 
 def _words(event: Event) -> str:
     return f"{event.get('phase') or event['event']}, {event['time']:.0f} s simulated"
-
-
-def _roslaunch() -> str:
-    program = shutil.which("roslaunch")
-    if program is None:
-        raise BenchError("roslaunch: not found; source the workspace's devel/setup.bash first")
-    return program
-
-
-def _environment(port: int, logs: Path) -> dict[str, str]:
-    environment = {k: v for k, v in os.environ.items() if k != "ROS_HOSTNAME"}
-    # nodes start by /usr/bin/env python3 where the workspace was not built: it must be this Python
-    path = f"{Path(sys.executable).parent}{os.pathsep}{environment.get('PATH', '')}"
-    local = {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": str(logs)}
-    return {**environment, **local, "PATH": path}
-
-
-def _text(log: Path) -> str:
-    return _COLOURS.sub("", log.read_text(encoding="utf-8", errors="replace")) if log.is_file() else ""
-
-
-def _cause(log: Path) -> str:
-    """Return the first line of a log that tells of trouble, and where the log is."""
-    lines = [line.strip() for line in _text(log).splitlines() if _CAUSE.search(line)]
-    return f"{lines[0]}; log: {log}" if lines else f"log: {log}"

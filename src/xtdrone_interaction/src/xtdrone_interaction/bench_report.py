@@ -10,21 +10,25 @@ from rich.console import Console
 from rich.table import Table
 
 Row = dict[str, Any]
+_Cell = Callable[[str, Sequence[Row]], str]
 
-# Real-time factors to reach, by part, number of vehicles and processes.
+# To reach, by part, number of vehicles and processes: real-time factors; of the free part the share of the free speed.
 GOALS: dict[tuple[str, int, str | None], float] = {
     ("core", 9, None): 30.0,
     ("core", 100, None): 6.0,
     ("stack", 9, None): 10.0,
     ("formation", 9, "per_uav"): 3.0,
     ("formation", 30, "per_uav"): 1.0,
+    ("free", 9, None): 0.7,
 }
 LEAST_CPU = 0.005  # CPU s per simulated s; programs that never use more have no column
 
 _TITLES = {
     "core": "Core: physics, sensors, autopilots; no ROS",
+    "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
     "formation": "Formation flight",
+    "free": "Formation in lockstep, and free-running",
 }
 
 
@@ -33,8 +37,9 @@ def print_results(results: dict[str, Any], console: Console) -> None:
     for part, title in _TITLES.items():
         if results.get(part):
             console.print(part_table(part, title, results[part]))
-    measured = [row for part in ("stack", "formation") for row in results.get(part, [])]
-    if any("cpu_per_simulated_second" in row for row in measured):
+    if any("trials" in row for row in results.get("free", [])):
+        console.print(trial_table(results["free"]))
+    if _cpu_groups(results):
         console.print(cpu_table(results))
     for line in caveats(results):
         console.print(f"[yellow]Note:[/yellow] {line}", highlight=False)
@@ -51,19 +56,14 @@ def part_table(part: str, title: str, rows: Sequence[Row]) -> Table:
         if good:
             table.add_row(*(cell(part, good) for _, cell in columns))
         else:
-            table.add_row(_vehicles(part, group), *["failed"] * (len(columns) - 1))
+            table.add_row(columns[0][1](part, group), *["failed"] * (len(columns) - 1))
     return table
 
 
 def cpu_table(results: dict[str, Any]) -> Table:
-    """Return CPU seconds per simulated second by program, a line for each measurement of stack and formation."""
-    groups = [
-        (part, good)
-        for part in ("stack", "formation")
-        for group in grouped(results.get(part, []))
-        if (good := [row for row in group if "cpu_per_simulated_second" in row])
-    ]
-    use = [{name: _median_cpu(good, name) for name in _programs(good)} for _, good in groups]
+    """Return CPU seconds per simulated second by program, a column for each flight or stack that was measured."""
+    groups = _cpu_groups(results)
+    use = [{name: _median_cpu(rows, name) for name in _programs(rows)} for _, rows in groups]
     most: dict[str, float] = {}
     for programs in use:
         for name, seconds in programs.items():
@@ -71,11 +71,32 @@ def cpu_table(results: dict[str, Any]) -> Table:
     shown = sorted((name for name in most if most[name] >= LEAST_CPU), key=lambda name: -most[name])
     table = Table(title="CPU s per simulated s", title_justify="left", title_style="bold")
     table.add_column("program")
-    for part, good in groups:
-        table.add_column(_label(part, good[0]), justify="right")
+    for label, _ in groups:
+        table.add_column(label, justify="right")
     for name in shown:
         table.add_row(name, *(f"{programs[name]:.3f}" if name in programs else "" for programs in use))
     table.add_row("all", *(f"{sum(programs.values()):.3f}" for programs in use), style="bold")
+    return table
+
+
+def trial_table(rows: Sequence[Row]) -> Table:
+    """Return the speeds that free-running flights tried: what was reached, and the share of messages by role."""
+    table = Table(
+        title="Free-running: messages published, of those in lockstep", title_justify="left", title_style="bold"
+    )
+    trials = [(row["vehicles"], trial) for row in rows for trial in row.get("trials", [])]
+    roles = list(dict.fromkeys(role for _, trial in trials for role in trial["turns"]))
+    for name in ("vehicles", "target", "reached", *roles, "kept\nup"):
+        table.add_column(name, justify="right")
+    for vehicles, trial in sorted(trials, key=lambda item: (item[0], item[1]["speed"])):
+        reached = trial["real_time_factor"]
+        table.add_row(
+            str(vehicles),
+            f"{trial['speed']:.2f} x",
+            f"{reached:.2f} x" if reached else "broke off",
+            *(f"{trial['turns'][role]:.0%}" if role in trial["turns"] else "" for role in roles),
+            "yes" if trial["good"] else "no",
+        )
     return table
 
 
@@ -87,11 +108,13 @@ def caveats(results: dict[str, Any]) -> list[str]:
         lines.append(f"the machine's load average was {load:.1f} before the benchmark began: it had other work to do")
     for part in _TITLES:
         for row in results.get(part, []):
-            label = f"{part}, {row['vehicles']} {row.get('mode', '').replace('_', '-')}".rstrip()
+            label = f"{part}, {_label('', row)}"
             if "error" in row:
                 lines.append(f"{label}: failed: {_escape(row['error'])}")
             if row.get("others_cpu", 0.0) > 0.2:
                 lines.append(f"{label}: other programs took {row['others_cpu']:.1f} cores meanwhile")
+            if row.get("exact_share", 1.0) is None:
+                lines.append(f"{label}: free-running, nodes kept up at no speed that was tried")
             if row.get("unsettled"):
                 lines.append(f"{label}: did not settle: {', '.join(row['unsettled'])}")
     return lines
@@ -101,15 +124,36 @@ def short_result(row: Row) -> str:
     """Return a measurement's main figure as text."""
     if "error" in row:
         return f"failed: {row['error']}"
+    if "median_us" in row:
+        return f"{row['median_us']:.0f} us per tick"
+    if "exact_share" in row:
+        exact, free = row["exact_real_time_factor"], row["free_real_time_factor"]
+        return f"{exact:.2f} x real time, free-running {free:.2f} x"
     return f"{row['real_time_factor']:.2f} x real time"
 
 
 def grouped(rows: Iterable[Row]) -> list[list[Row]]:
-    """Return the rows of equal vehicles and mode together, in the order of their first."""
-    groups: dict[tuple[int, str | None], list[Row]] = {}
+    """Return the rows of equal vehicles (or participants) and mode (or kind) together, in the order of their first."""
+    groups: dict[str, list[Row]] = {}
     for row in rows:
-        groups.setdefault((row["vehicles"], row.get("mode")), []).append(row)
+        groups.setdefault(_label("", row), []).append(row)
     return list(groups.values())
+
+
+def _cpu_groups(results: dict[str, Any]) -> list[tuple[str, list[Row]]]:
+    """Return heading and rows with ``cpu_per_simulated_second`` of each flight or stack that was measured."""
+    groups = [
+        (_label(part, rows[0]), rows)
+        for part in ("stack", "formation")
+        for group in grouped(results.get(part, []))
+        if (rows := [row for row in group if "cpu_per_simulated_second" in row])
+    ]
+    for group in grouped(results.get("free", [])):
+        for label, key in (("exact", "exact_cpu"), ("free", "free_cpu")):
+            rows = [{"cpu_per_simulated_second": row[key]} for row in group if row.get(key)]
+            if rows:
+                groups.append((f"{group[0]['vehicles']} {label}", rows))
+    return groups
 
 
 def _programs(rows: Sequence[Row]) -> dict[str, None]:
@@ -121,7 +165,10 @@ def _median_cpu(rows: Sequence[Row], name: str) -> float:
 
 
 def _label(part: str, row: Row) -> str:
-    words = [str(row["vehicles"]), row.get("mode", "").replace("_", "-")]
+    if "kind" in row:
+        words = [str(row["participants"]), row["kind"]]
+    else:
+        words = [str(row["vehicles"]), row.get("mode", "").replace("_", "-")]
     return " ".join(([part] if part == "stack" else []) + [word for word in words if word])
 
 
@@ -133,19 +180,35 @@ def _vehicles(part: str, rows: Sequence[Row]) -> str:
     return str(rows[0]["vehicles"]) if part != "formation" else _label(part, rows[0])
 
 
+def _participants(_: str, rows: Sequence[Row]) -> str:
+    return _label("", rows[0]) if rows[0]["participants"] else "0"
+
+
 def _factor(part: str, rows: Sequence[Row]) -> str:
-    """Return the median factor, and the range where there is more than one."""
-    values = [row["real_time_factor"] for row in rows]
-    text = f"{statistics.median(values):.2f} x"
+    return _with_range("real_time_factor", rows, " x")
+
+
+def _with_range(key: str, rows: Sequence[Row], unit: str) -> str:
+    """Return the median, and the range where there is more than one value; empty where there is none."""
+    values = [row[key] for row in rows if row[key] is not None]
+    if not values:
+        return ""
+    text = f"{statistics.median(values):.2f}{unit}"
     return text if len(values) == 1 else f"{text}\n{min(values):.2f} to {max(values):.2f}"
 
 
 def _goal(part: str, rows: Sequence[Row]) -> str:
     goal = GOALS.get((part, rows[0]["vehicles"], rows[0].get("mode")))
-    return f"{goal:g} x" if goal is not None else ""
+    if goal is None:
+        return ""
+    return f"{goal:.2f}" if part == "free" else f"{goal:g} x"
 
 
-def _median(key: str, form: str, scale: float = 1.0) -> Callable[[str, Sequence[Row]], str]:
+def _range(key: str, unit: str = "") -> _Cell:
+    return lambda _, rows: _with_range(key, rows, unit)
+
+
+def _median(key: str, form: str, scale: float = 1.0) -> _Cell:
     def cell(_: str, rows: Sequence[Row]) -> str:
         return format(statistics.median(row[key] for row in rows) * scale, form)
 
@@ -156,7 +219,6 @@ def _flown(_: str, rows: Sequence[Row]) -> str:
     return f"{statistics.median(row['flight']['simulated'] for row in rows):.1f}"
 
 
-_Cell = Callable[[str, Sequence[Row]], str]
 _SPEED: list[tuple[str, _Cell]] = [("vehicles", _vehicles), ("real-time\nfactor", _factor), ("to\nreach", _goal)]
 _PROCESSES: list[tuple[str, _Cell]] = [
     ("start-up\ns", _median("startup_seconds", ".1f")),
@@ -169,6 +231,22 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
         ("vehicle-steps/s", _median("vehicle_steps_per_second", ".0f")),
         ("us/vehicle-step", _median("microseconds_per_vehicle_step", ".2f")),
     ],
+    "barrier": [
+        ("participants", _participants),
+        ("median", _median("median_us", ".1f")),
+        ("mean", _median("mean_us", ".1f")),
+        ("p99", _median("p99_us", ".1f")),
+        ("server\nCPU", _median("server_cpu_us", ".1f")),
+        ("participants'\nCPU", _median("participants_cpu_us", ".1f")),
+        ("ticks", _median("ticks", ".0f")),
+    ],
     "stack": [*_SPEED, ("messages/s", _median("messages_per_second", ".0f")), *_PROCESSES],
     "formation": [*_SPEED, ("simulated\ns", _flown), *_PROCESSES],
+    "free": [
+        ("vehicles", _vehicles),
+        ("in lockstep", _range("exact_real_time_factor", " x")),
+        ("free-running", _range("free_real_time_factor", " x")),
+        ("share", _range("exact_share")),
+        ("to\nreach", _goal),
+    ],
 }

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.fleet import MAX_VEHICLES, Vehicle
+from xtdrone_control.speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.geometry import ORIGIN
-from xtdrone_sim.pacing import LEAST_SPEED
 
 
 class OptionError(ValueError):

@@ -199,10 +199,12 @@ def _read(reader: AnyReader, events: list[dict[str, Any]]) -> FlightRecord:
         names=names,
         truth=_read_truth(reader, names),
         estimate=_read_estimates(reader, names),
-        patterns=[Change(t, offsets_from_message(m.data)) for t, m in _changes(reader, PATTERN_TOPIC)],
+        # empty: taken back when time was set back
+        patterns=[Change(t, offsets_from_message(m.data)) for t, m in _changes(reader, PATTERN_TOPIC) if len(m.data)],
         topologies=[
             Change(t, np.asarray(m.data, dtype=np.int64).reshape(len(names), len(names)))
             for t, m in _changes(reader, TOPOLOGY_TOPIC)
+            if len(m.data)
         ],
         events=events,
         collisions=[m.msg for _, _, m in _messages(reader, [LOG_TOPIC]) if COLLISION in m.msg],

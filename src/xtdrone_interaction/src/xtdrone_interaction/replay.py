@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+TRUTH = "truth"  # as xtdrone_sim.digests names it
 State = tuple[int, int, int]
 """Messages, bytes, checksum."""
 Key = tuple[str, str]
@@ -39,6 +40,12 @@ class Digests:
     def end(self) -> int:
         """The last time, in microseconds; 0 without any."""
         return max(self.lines, default=0)
+
+    def truth(self) -> Digests:
+        """Return the part of it that tells of the vehicles' true states alone."""
+        return Digests(
+            {t: {k: s for k, s in keys.items() if k[0] == TRUTH} for t, keys in self.lines.items()}, self.name
+        )
 
 
 @dataclass(frozen=True)

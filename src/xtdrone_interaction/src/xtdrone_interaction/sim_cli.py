@@ -17,6 +17,7 @@ import re
 import socket
 import struct
 import sys
+import xml.parsers.expat
 import xmlrpc.client
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -25,7 +26,7 @@ from urllib.parse import urlparse
 
 import rosgraph.network
 
-from xtdrone_sim.pacing import LEAST_SPEED
+from xtdrone_control.speed import LEAST_SPEED
 
 DEFAULT_MASTER = "http://localhost:11311"
 MASTER_FILE = "master"
@@ -35,7 +36,10 @@ _CALLER = "/xtdrone_sim_cli"
 _MASTER_LIMIT = 3.0  # s for a master to answer
 _ANSWER_LIMIT = 20.0  # s for the simulator; a reset may wait 10 s for the end of a tick
 _MOST_TICKS = (1 << 32) - 1
+_TIME_END = float(1 << 32)  # s; a ROS time is less
+_DURATION_END = float(1 << 31)  # s; a ROS duration is less
 _NAMES_SHOWN = 8
+_NO_XMLRPC = (xmlrpc.client.Error, http.client.HTTPException, xml.parsers.expat.ExpatError)
 
 
 class SimError(RuntimeError):
@@ -64,7 +68,7 @@ def find_service(master: str, name: str) -> tuple[str, int] | None:
     proxy: Any = xmlrpc.client.ServerProxy(master, transport=_Timeout())
     try:
         code, _, uri = proxy.lookupService(_CALLER, name)
-    except (xmlrpc.client.Error, http.client.HTTPException, ValueError, TypeError) as error:
+    except (*_NO_XMLRPC, ValueError, TypeError) as error:
         raise SimError(f"master: what answers at {master} is no ROS master: {error}") from error
     if code != 1:
         return None
@@ -247,13 +251,15 @@ def _accepted(response: Any) -> str:
 # ---- the command line
 
 
-def _number(thing: str, least: float, text: str) -> float:
+def _seconds(thing: str, end: float, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value > least):
-        raise argparse.ArgumentTypeError(f"{thing}: {text!r} is not allowed; a number of seconds above {least:g}")
+    if not 0.0 < value < end:
+        raise argparse.ArgumentTypeError(
+            f"{thing}: {text!r} is not allowed; a number of seconds above 0 and below {end:.0f}"
+        )
     return value
 
 
@@ -305,9 +311,9 @@ def _parser() -> argparse.ArgumentParser:
     step = add("step", _step, "let a tick pass, or some, and pause")
     goal = step.add_mutually_exclusive_group()
     goal.add_argument("ticks", type=_ticks, nargs="?", default=None, metavar="N", help="number of ticks (1)")
-    goal.add_argument("--until", type=lambda text: _number("until", 0.0, text), metavar="T",
+    goal.add_argument("--until", type=lambda text: _seconds("until", _TIME_END, text), metavar="T",
                       help="to the first tick at or after this simulated time, s")  # fmt: skip
-    goal.add_argument("--for", dest="seconds", type=lambda text: _number("for", 0.0, text), metavar="S",
+    goal.add_argument("--for", dest="seconds", type=lambda text: _seconds("for", _DURATION_END, text), metavar="S",
                       help="to the first tick after so much simulated time, s")  # fmt: skip
     speed = add("speed", _speed, "set the target real-time factor")
     speed.add_argument("factor", type=_factor, metavar="FACTOR", help=f"at least {LEAST_SPEED}, or 'unlimited'")

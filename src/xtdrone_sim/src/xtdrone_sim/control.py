@@ -11,7 +11,7 @@ from __future__ import annotations
 import enum
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -55,7 +55,7 @@ class Barrier(Protocol):
     def participants(self) -> Mapping[str, Participant]:
         """Who takes part, by name."""
 
-    def missing(self, expected: int = 0) -> str:
+    def missing(self, expected: int | Iterable[str] = 0) -> str:
         """Say who or what is missing."""
 
 
@@ -139,7 +139,7 @@ class Control:
         pacer: the target speed.
         ticks: ticks so far.
         changed: something has changed that the status tells; whoever publishes it sets it back.
-        held: participants that are waited for before time starts, None once it has.
+        held: participants (how many, or their names) that are waited for before time starts, None once it has.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class Control:
         self.pacer = pacer
         self.ticks = 0
         self.changed = True
-        self.held: int | None = 0
+        self.held: int | Sequence[str] | None = 0
         self._barrier = barrier
         self._now_us = now_us
         self._hang_limit = hang_limit
@@ -238,7 +238,7 @@ class Control:
             answer.set_result(
                 self._refusal(
                     f"{caller} takes part in the lockstep and its turn is not over: the step would wait for {caller} "
-                    "for ever; call it from another node or thread"
+                    "for ever; call it from another node"
                 )
             )
         else:
@@ -264,15 +264,23 @@ class Control:
 
         Returns:
             Whether the next tick may begin.
+
+        Raises:
+            Exception: what ``reset`` raises; those who asked for it get it too.
         """
         kinds = [asked.what for asked in self._asked if isinstance(asked.what, Reset)]
         if kinds:
             asking = [asked for asked in self._asked if isinstance(asked.what, Reset)]
             self._asked = deque(asked for asked in self._asked if not isinstance(asked.what, Reset))
-            self._reset(max(kinds), reset)
-            for asked in asking:
-                if asked.answer is not None:
-                    asked.answer.set_result(None)
+            answers = [asked.answer for asked in asking if asked.answer is not None]
+            try:
+                self._reset(max(kinds), reset)
+            except Exception as error:
+                for answer in answers:
+                    answer.set_exception(ControlError(f"no reset: {type(error).__name__}: {error}"))
+                raise
+            for answer in answers:
+                answer.set_result(None)
         while self._asked:
             asked = self._asked.popleft()
             assert isinstance(asked.what, StepRequest)

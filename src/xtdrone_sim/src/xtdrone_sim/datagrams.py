@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.mavlink.link import LOOPBACK
 from xtdrone_control.mavlink.server import MavlinkServer
 
 LIMIT = 10.0  # s of wall time to wait for datagrams that a participant of this machine says it has sent
@@ -15,46 +17,94 @@ _SURPLUS_TURNS = 50
 _REPORT_PERIOD = 1.0  # s of wall time between two words on lost datagrams
 
 
+class _End(NamedTuple):
+    """A participant that receives on some port: its name, host and port of its connection, whether it is elsewhere."""
+
+    name: str
+    address: str
+    remote: bool
+
+
 class Datagrams:
     """Waits for what participants have sent, and sees to it that the autopilots send where participants are."""
 
-    def __init__(self, mavlink: MavlinkServer, server: LockstepServer, warn: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        mavlink: MavlinkServer,
+        server: LockstepServer,
+        warn: Callable[[str], None],
+        idle: Callable[[float], None],
+    ) -> None:
         """Start with nothing lost.
 
         Args:
             mavlink: counts what comes.
             server: tells what participants have sent, and where they are.
             warn: takes a warning for the user.
+            idle: called with a time in wall seconds instead of a plain wait: receives what comes by MAVLink, serves
+                everything else but ``server``, and raises when the node is to end.
         """
         self._mavlink = mavlink
         self._server = server
         self._warn = warn
-        self._directed: set[str] = set()
-        self._lost: dict[int, int] = {}  # given up, by local port
+        self._idle = idle
+        self._ends: dict[int, _End] = {}  # by port, whom the links have been pointed at
+        self._known: set[_End] = set()
+        # By local port, what will not come any more; below 0: so many have come that nobody has counted.
+        self._lost: dict[int, int] = {}
         self._surplus: dict[int, tuple[int, int]] = {}  # for how many turns, and the least of it
         self._unreported: dict[int, int] = {}
         self._reported = -_REPORT_PERIOD
 
     def direct(self) -> None:
-        """Point links at participants on other machines: what is sent before these speak would go astray else."""
-        for name, participant in self._server.participants.items():
-            if participant.udp_ports and name not in self._directed and participant.remote():
-                self._directed.add(name)
-                self._mavlink.direct(participant.udp_ports, participant.address.rpartition(":")[0])
+        """Point links at participants on other machines: what is sent before these speak would go astray else.
+
+        A participant that takes the place of one that is gone gets what went there, wherever either of them is.
+        """
+        present = {
+            _End(name, participant.address, participant.remote): participant.udp_ports
+            for name, participant in self._server.participants.items()
+            if participant.udp_ports
+        }
+        if present.keys() == self._known:
+            return
+        self._known = set(present)
+        for end, ports in present.items():
+            for port in ports:
+                self._point(port, end)
+
+    def _point(self, port: int, end: _End) -> None:
+        """Let the links to ``port`` send to a participant, unless another one that is there still has it."""
+        before = self._ends.get(port)
+        if before in self._known:
+            return
+        self._ends[port] = end
+        if end.remote:
+            self._mavlink.direct([port], end.address.rpartition(":")[0], override=before is not None)
+        elif before is not None and before.remote:
+            self._mavlink.direct([port], LOOPBACK, override=True)
+
+    def counted_ports(self) -> set[int]:
+        """Return the ports on which participants count what comes from the simulator."""
+        return {port for participant in self._server.participants.values() for port in participant.udp_ports}
 
     def wait(self) -> None:
-        """Take in what participants say they have sent by now; what does not come in time is reported as lost."""
+        """Take in what participants say they have sent by now; what does not come in time is reported as lost.
+
+        What was sent on this machine is in the sockets already. So it is read here in any case, also if strangers'
+        datagrams have upset the counts.
+        """
+        self._mavlink.receive(0.0)
         began = time.monotonic()
         while missing := self._missing():
             waited = time.monotonic() - began
             for port, count in missing.items():
-                if waited >= (REMOTE_LIMIT if self._server.remote_sender(port) else LIMIT):
-                    self._lost[port] = self._lost.get(port, 0) + count
-                    self._unreported[port] = self._unreported.get(port, 0) + count
-            self._mavlink.receive(_SLICE)
-        if self._lost:
-            self._take_back()
-            self._report()
+                if waited >= self._limit(port):
+                    self._give_up(port, count)
+            self._idle(_SLICE)
+            self._server.poll(0.0)
+        self._take_back()
+        self._report()
 
     def _missing(self) -> dict[int, int]:
         """Return how many datagrams are on their way to each local port, where there are any."""
@@ -66,23 +116,36 @@ class Datagrams:
                 missing[port] = away
         return missing
 
+    def _limit(self, port: int) -> float:
+        # As many have come as were counted, and it is only thought that some of them are a stranger's.
+        doubtful = self._mavlink.received[port] >= self._server.datagrams_expected[port]
+        return REMOTE_LIMIT if doubtful or self._server.remote_sender(port) else LIMIT
+
+    def _give_up(self, port: int, count: int) -> None:
+        before = self._lost.get(port, 0)
+        self._lost[port] = before + count
+        lost = max(self._lost[port], 0) - max(before, 0)
+        if lost:
+            self._unreported[port] = self._unreported.get(port, 0) + lost
+
     def _take_back(self) -> None:
-        """Lower the number of lost datagrams when some of them have come late.
+        """Lower the number of lost datagrams when some of them have come late, or others that nobody has counted.
 
         Else they would be taken for those that are still to come. A surplus that passes is none: it is what was sent
         but had not been counted yet.
         """
         received, expected = self._mavlink.received, self._server.datagrams_expected
-        for port, lost in self._lost.items():
-            surplus = received.get(port, 0) + lost - expected[port]
+        for port, count in expected.items():
+            surplus = received.get(port, count) + self._lost.get(port, 0) - count
+            if surplus <= 0:
+                self._surplus.pop(port, None)
+                continue
             turns, least = self._surplus.get(port, (0, surplus))
             least = min(least, surplus)
-            if least <= 0:
-                self._surplus.pop(port, None)
-            elif turns < _SURPLUS_TURNS:
+            if turns < _SURPLUS_TURNS:
                 self._surplus[port] = turns + 1, least
             else:
-                self._lost[port] -= min(least, lost)
+                self._lost[port] = self._lost.get(port, 0) - least
                 del self._surplus[port]
 
     def _report(self) -> None:
@@ -91,5 +154,6 @@ class Datagrams:
             return
         self._reported = now
         for port, count in sorted(self._unreported.items()):
-            self._warn(f"{count} datagrams to UDP port {port} did not come; {self._lost[port]} are lost so far")
+            lost = max(self._lost[port], 0)
+            self._warn(f"{count} datagrams to UDP port {port} did not come; {lost} are lost so far")
         self._unreported.clear()

@@ -7,8 +7,10 @@ same name and time are. The simulator's own lines have the topic ``truth``: the 
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
@@ -20,20 +22,25 @@ TRUTH = "truth"
 
 
 class DigestFile:
-    """Writes the digest file; every line is in the file when it was written."""
+    """Writes the digest file; every line is in the file when it was written. A full disk ends it, not the flight."""
 
-    def __init__(self, path: Path, name: str, own: Mapping[str, Digest]) -> None:
+    def __init__(
+        self, path: Path, name: str, own: Mapping[str, Digest], warn: Callable[[str], None] | None = None
+    ) -> None:
         """Open the file.
 
         Args:
             path: the file; one that is there is overwritten.
             name: the simulator's node name.
             own: what the simulator publishes itself, kept up to date by the owner.
+            warn: where a word goes on a file that can no longer be written; the logger of this module if none is given.
 
         Raises:
             OSError: it cannot be written.
         """
-        self._file: TextIO = path.open("w", encoding="utf-8", buffering=1)
+        self._path = path
+        self._file: TextIO | None = path.open("w", encoding="utf-8", buffering=1)
+        self._warn = warn or logging.getLogger(__name__).warning
         self._name = name
         self._own = own
         self._truth = Digest()
@@ -41,7 +48,15 @@ class DigestFile:
 
     def write(self, name: str, time_us: int, topics: Mapping[str, Sequence[int]]) -> None:
         """Write what a participant says at simulated time ``time_us``, microseconds."""
-        self._file.write(json.dumps({"name": name, "time": time_us, "topics": topics}) + "\n")
+        if self._file is None:
+            return
+        try:
+            self._file.write(json.dumps({"name": name, "time": time_us, "topics": topics}) + "\n")
+        except OSError as error:
+            self._warn(f"digest file {self._path}: {error.strerror or error}; no more is written")
+            file, self._file = self._file, None
+            with contextlib.suppress(OSError):  # it tries to write what is left
+                file.close()
 
     def tick(self, time_us: int, world: World) -> None:
         """Take in the vehicles' states at a tick, and write the simulator's own line when a second has begun."""
@@ -54,7 +69,8 @@ class DigestFile:
     def close(self, time_us: int) -> None:
         """Write the simulator's last line, and close the file."""
         self._write_own(time_us)
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
     def _write_own(self, time_us: int) -> None:
         topics = {topic: digest.state() for topic, digest in self._own.items()}

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import select
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import rosgraph
+import rosgraph.names
 import rosgraph.network
 import rospy
 from gazebo_msgs.msg import ModelStates
@@ -17,6 +22,7 @@ from rosgraph_msgs.msg import Clock
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle, parse_fleet
+from xtdrone_control.lockstep.names import future_name
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
@@ -28,12 +34,13 @@ from .mailbox import Mailbox
 from .pacing import Pacer
 from .services import Services
 from .simulation import Simulation
-from .startup import node_name, obstacle, stale_uri
+from .startup import obstacle, stale_uri
 from .stopping import Stop
 
 _CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
 _SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
 _JOIN_REPORT = 5.0  # s between two words on who has not joined
+_LEAST_HANG_LIMIT = 2.0  # s; participants send a keep-alive each second
 _CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
 
 
@@ -50,15 +57,19 @@ class Settings:
         paused: start paused (``~paused``).
         until: simulated seconds after which the node ends, 0 for never (``~until``).
         lockstep: offer it; without, nothing is waited for and nodes run on /clock (``~lockstep``).
-        participants: lockstep participants to wait for before time starts (``~participants``).
+        participants: lockstep participants to wait for before time starts, how many or their names
+            (``~participants``: a number, a list of names, or a text with names and commas between).
         start_limit: wall seconds to wait for them (``~start_limit``).
-        hang_limit: wall seconds of silence after which a participant is dropped, 0 for never (``~hang_limit``).
+        hang_limit: wall seconds of silence after which a participant is dropped, 0 for never, else at least 2
+            (``~hang_limit``).
         busy_limit: wall seconds that a living participant may take for one turn, 0 for any time (``~busy_limit``).
         host: address on which lockstep and MAVLink listen; "0.0.0.0" for every network (``~host``).
         lockstep_port: the lockstep's TCP port, 0 for any free one (``~lockstep_port``).
         shared_datum: one local frame for all (``~shared_datum``).
         states_rate: /gazebo/model_states, Hz of simulated time (``~model_states_rate``).
         digest: file for digests of all that is published, see ``digests``; empty for none (``~digest``).
+        digest_topics: digests of topics too, which are then published even if nobody listens; else only of the truth
+            (``~digest_topics``).
     """
 
     fleet: tuple[Vehicle, ...]
@@ -69,7 +80,7 @@ class Settings:
     paused: bool
     until: float
     lockstep: bool
-    participants: int
+    participants: int | tuple[str, ...]
     start_limit: float
     hang_limit: float
     busy_limit: float
@@ -78,6 +89,7 @@ class Settings:
     shared_datum: bool
     states_rate: float
     digest: str
+    digest_topics: bool
 
     @classmethod
     def from_parameters(cls) -> Settings:
@@ -95,31 +107,64 @@ class Settings:
             paused=_flag("~paused", False),
             until=_number("~until", 0.0, 0.0, 1e9),
             lockstep=_flag("~lockstep", True),
-            participants=_integer("~participants", 0, 0),
+            participants=_participants("~participants"),
             start_limit=_number("~start_limit", 120.0, 0.0, 1e6),
-            hang_limit=_number("~hang_limit", 60.0, 0.0, 1e6),
+            hang_limit=_hang_limit("~hang_limit"),
             busy_limit=_number("~busy_limit", 0.0, 0.0, 1e6),
             host=str(rospy.get_param("~host", "127.0.0.1")),
             lockstep_port=_integer("~lockstep_port", 0, 0, 65535),
-            shared_datum=bool(rospy.get_param("~shared_datum", True)),
+            shared_datum=_flag("~shared_datum", True),
             states_rate=_number("~model_states_rate", 50.0, 0.1, 250.0),
             digest=str(rospy.get_param("~digest", "")),
+            digest_topics=_flag("~digest_topics", True),
         )
 
 
 def _number(name: str, default: float, low: float, high: float) -> float:
     value = rospy.get_param(name, default)
-    if not isinstance(value, (int, float)) or not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, {low} to {high}")
     return float(value)
 
 
 def _integer(name: str, default: int, low: int, high: int | None = None) -> int:
     value = rospy.get_param(name, default)
-    if not isinstance(value, int) or value < low or (high is not None and value > high):
+    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
         limits = f"from {low}" if high is None else f"from {low} to {high}"
         raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, a whole number {limits}")
     return value
+
+
+def _hang_limit(name: str) -> float:
+    value = _number(name, 60.0, 0.0, 1e6)
+    if 0.0 < value < _LEAST_HANG_LIMIT:
+        raise ValueError(
+            f"{rospy.resolve_name(name)}: {value:g} s is not allowed, 0 (never), or at least {_LEAST_HANG_LIMIT:g} s: "
+            "participants give a sign of life once a second"
+        )
+    return value
+
+
+def _participants(name: str) -> int | tuple[str, ...]:
+    value: Any = rospy.get_param(name, 0)
+    if isinstance(value, str) and not value.strip().isdecimal():
+        value = [part.strip() for part in value.split(",")]
+    if isinstance(value, list) and all(_is_node_name(part) for part in value):
+        return tuple(rosgraph.names.make_global_ns(part).rstrip("/") for part in value)
+    if isinstance(value, str):
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ValueError(
+            f"{rospy.resolve_name(name)}: {value!r} is not allowed, how many (from 0), or their node names with commas "
+            "between, as /mavros,/leader"
+        )
+    return value
+
+
+def _is_node_name(text: object) -> bool:
+    if not isinstance(text, str) or text.startswith("~"):
+        return False
+    return bool(text.strip("/")) and rosgraph.names.is_legal_name(text)
 
 
 def _flag(name: str, default: bool) -> bool:
@@ -127,6 +172,18 @@ def _flag(name: str, default: bool) -> bool:
     if not isinstance(value, bool):
         raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, true or false")
     return value
+
+
+def _digest_file(settings: Settings, host: lockstep.Host) -> DigestFile | None:
+    """Open the digest file, if one is asked for.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if not settings.digest:
+        return None
+    own = host.want_digests() if settings.digest_topics else {}
+    return DigestFile(Path(settings.digest), host.name, own, lambda text: rospy.logerr("simulator: %s", text))
 
 
 class SimulatorNode:
@@ -158,7 +215,7 @@ class SimulatorNode:
             settings.fleet, self._simulation.autopilot, self._simulation.commanders, settings.host
         )
         host = lockstep.host()
-        self._digests = DigestFile(Path(settings.digest), host.name, host.want_digests()) if settings.digest else None
+        self._digests = _digest_file(settings, host)
         self._server = LockstepServer(
             settings.host,
             settings.hang_limit,
@@ -166,15 +223,17 @@ class SimulatorNode:
             busy_limit=settings.busy_limit,
             connect_limit=_CONNECT_LIMIT,
             log=_log,
-            on_digest=self._digests.write if self._digests else None,
+            on_digest=self._digests.write if self._digests and settings.digest_topics else None,
         )
-        self._clock = rospy.Publisher("/clock", Clock, queue_size=10)
+        self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10)
         self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
         self._collisions: set[tuple[int, int]] = set()
-        self._datagrams = Datagrams(self._mavlink, self._server, lambda text: rospy.logwarn("simulator: %s", text))
+        self._datagrams = Datagrams(
+            self._mavlink, self._server, lambda text: rospy.logwarn("simulator: %s", text), self._serve
+        )
         self._control = Control(
             pacer,
             self._server,
@@ -201,6 +260,9 @@ class SimulatorNode:
             rospy.set_param("/lockstep/uri", self._uri)
         else:
             rospy.logwarn("simulator: no lockstep (~lockstep is false): nodes run on /clock, nothing is repeatable")
+            # That of a simulator which is no more: nodes that saw it would try to take part.
+            with contextlib.suppress(KeyError):
+                rospy.delete_param("/lockstep/uri")
 
     def run(self) -> None:
         """Step until the node is to end."""
@@ -217,21 +279,26 @@ class SimulatorNode:
             if not self._stop.requested():
                 raise
         finally:
-            _forget_uri(self._uri)
-            self._mailbox.close()
-            self._control.close()
-            self._server.close()
-            if self._digests is not None:
-                self._digests.close(self._simulation.time_us)
-            self._mavlink.close()
-            self._simulation.close()
+            self._close()
+
+    def _close(self) -> None:
+        digests = [] if self._digests is None else [partial(self._digests.close, self._simulation.time_us)]
+        close_all(
+            partial(_forget_uri, self._uri),
+            self._mailbox.close,
+            self._control.close,
+            self._server.close,
+            *digests,
+            self._mavlink.close,
+            self._simulation.close,
+        )
 
     def _wait_for_participants(self) -> None:
         expected = self._control.held = self._settings.participants if self._settings.lockstep else 0
         end = time.monotonic() + self._settings.start_limit
         while expected and time.monotonic() < end:
             if self._server.wait_for(expected, _JOIN_REPORT, self._serve):
-                rospy.loginfo("simulator: %d participants have joined, time starts", expected)
+                rospy.loginfo("simulator: %d participants have joined, time starts", len(self._server.participants))
                 return
             rospy.loginfo("simulator: holding time at 0: %s", self._server.missing(expected))
         if expected:
@@ -313,7 +380,7 @@ class SimulatorNode:
             self._mavlink.receive(0.0)
         if self._mailbox.fileno() in ready:
             self._mailbox.serve()
-        self._mavlink.keep_alive()
+        self._mavlink.keep_alive(self._datagrams.counted_ports)
         self._services.tend()
 
     def _wait_for_pace(self) -> None:
@@ -347,6 +414,17 @@ def reachable_uri(uri: str, host: str) -> str:
     return f"tcp://{rosgraph.network.get_local_address()}:{uri.rpartition(':')[2]}"
 
 
+def close_all(*closings: Callable[[], object]) -> None:
+    """Call all ``closings`` in this order, also those after one that raises.
+
+    Raises:
+        Exception: what a closing raised; if several did, the last one's, with the others as its context.
+    """
+    with contextlib.ExitStack() as stack:
+        for closing in reversed(closings):
+            stack.callback(closing)
+
+
 def _forget_uri(uri: str) -> None:
     try:
         master = rosgraph.Master(rospy.get_name())
@@ -368,7 +446,7 @@ def main() -> int:
         advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
         print(f"simulator: no ROS master answers at {rosgraph.get_master_uri()}; {advice}", file=sys.stderr)
         return 1
-    name = node_name("simulator", sys.argv)
+    name = future_name("simulator", sys.argv)
     # Before the name is registered: the master would shut down the node that has it now.
     reason = obstacle(name)
     if reason:
@@ -378,7 +456,7 @@ def main() -> int:
     rospy.init_node("simulator", disable_rostime=True, disable_signals=True)
     stop = Stop()
     if stale:
-        rospy.logwarn("simulator: /lockstep/uri was %s, where nobody answers: it is taken over", stale)
+        rospy.logwarn("simulator: /lockstep/uri was %s, where nobody answers: it is forgotten", stale)
     try:
         node = SimulatorNode(Settings.from_parameters(), stop)
     except (ValueError, OSError) as error:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-LEAST_SPEED = 0.01
-"""Least target factor; below it one 20 ms tick would take longer than two seconds."""
+from xtdrone_control.speed import LEAST_SPEED
 
 _MAX_LAG = 0.2  # s of wall time; a simulation further behind does not hurry to catch up
 

@@ -43,9 +43,10 @@ from std_srvs.srv import Empty, EmptyResponse, Trigger, TriggerResponse
 from xtdrone_msgs.msg import SimulationStatus
 from xtdrone_msgs.srv import GetStatus, GetStatusResponse, SetSpeed, SetSpeedResponse, Step, StepResponse
 
+from xtdrone_control.speed import LEAST_SPEED
+
 from .control import Control, ControlError, Reset, Status, StepRequest
 from .mailbox import ClosedError, Mailbox
-from .pacing import LEAST_SPEED
 
 _STATUS_PERIOD = 1.0  # wall s
 _STATE_PERIOD = 0.1  # wall s between two looks at what nobody announces
@@ -178,7 +179,8 @@ class Services:
         obstacle = self._physics_obstacle(request)
         if obstacle:
             return SetPhysicsPropertiesResponse(False, obstacle)
-        done = self._call(self._control.set_speed, request.max_update_rate * self._step_s, _caller(request))
+        speed = target_speed(request.max_update_rate, self._step_s)
+        done = self._call(self._control.set_speed, speed, _caller(request))
         ignored = "" if request.ode_config == ODEPhysics() else "; ode_config ignored, the physics engine is Bullet"
         return SetPhysicsPropertiesResponse(True, done + ignored)
 
@@ -186,9 +188,10 @@ class Services:
         """Return what of ``request`` is not allowed, or an empty text."""
         if not math.isclose(request.time_step, self._step_s, rel_tol=1e-6):
             return f"time_step: {request.time_step:g} s is not allowed, it is {self._step_s:g} s always"
-        rate, least = request.max_update_rate, LEAST_SPEED / self._step_s
-        if not math.isfinite(rate) or (rate != 0.0 and rate < least * (1.0 - 1e-9)):
-            return f"max_update_rate: {rate:g} Hz is not allowed, 0 (unlimited) or at least {least:g} Hz"
+        try:
+            target_speed(request.max_update_rate, self._step_s)
+        except ValueError as error:
+            return str(error)
         g = request.gravity
         if math.dist((g.x, g.y, g.z), (0.0, 0.0, -self._gravity)) > 1e-6:
             return (
@@ -205,6 +208,23 @@ class Services:
             success=True,
             status_message="",
         )
+
+
+def target_speed(rate: float, step_s: float) -> float:
+    """Return the target real-time factor that Gazebo's ``max_update_rate`` means.
+
+    Args:
+        rate: steps a wall second, Hz; 0 for unlimited.
+        step_s: the physics' step, s.
+
+    Raises:
+        ValueError: a rate that is not allowed.
+    """
+    least = LEAST_SPEED / step_s
+    # Both are rounded: the least rate, as the message says it, must be allowed and give the least speed.
+    if not math.isfinite(rate) or (rate != 0.0 and rate < least * (1.0 - 1e-9)):
+        raise ValueError(f"max_update_rate: {rate:g} Hz is not allowed, 0 (unlimited) or at least {least:g} Hz")
+    return max(rate * step_s, LEAST_SPEED) if rate else 0.0
 
 
 def status_message(status: Status) -> SimulationStatus:

@@ -7,21 +7,12 @@ asks the master without being a node.
 from __future__ import annotations
 
 import socket
-from collections.abc import Sequence
 from urllib.parse import urlparse
 
 import rosgraph
-import rosgraph.names
 
 _URI = "/lockstep/uri"
 _ANSWER_LIMIT = 2.0  # s
-
-
-def node_name(name: str, argv: Sequence[str]) -> str:
-    """Return the resolved name that a node called ``name`` gets with the arguments ``argv``."""
-    mappings = rosgraph.names.load_mappings(argv)
-    namespace = mappings.get("__ns") or rosgraph.names.get_ros_namespace()
-    return str(rosgraph.names.ns_join(rosgraph.names.make_global_ns(namespace), mappings.get("__name") or name))
 
 
 def obstacle(name: str) -> str:

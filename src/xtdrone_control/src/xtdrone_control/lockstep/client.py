@@ -14,7 +14,6 @@ import contextlib
 import os
 import signal
 import socket
-import sys
 import threading
 import time
 import traceback
@@ -32,6 +31,7 @@ import rospy.rostime
 import rospy.topics
 from rospy.impl.registration import Registration
 
+from .names import future_name
 from .protocol import (
     ALIVE_FRAME,
     DIGEST_PERIOD_US,
@@ -45,6 +45,7 @@ from .protocol import (
     pack_barrier,
     pack_object,
     process_namespace,
+    same_machine,
     tune,
     unpack_barrier,
     unpack_object,
@@ -186,6 +187,42 @@ class Publisher(rospy.Publisher):
             _node.topics_changed()
 
 
+class _Unheard:
+    """A ledger that nobody reads."""
+
+    def __init__(self) -> None:
+        self.dirty: deque[Outlet] = deque()
+        self.digests: dict[str, Digest] | None = None
+        self.time_us = 0
+
+    def outlet_made(self, outlet: Outlet) -> None:
+        """Nobody counts."""
+
+    def outlet_lost(self, outlet: Outlet) -> None:
+        """Nobody counts."""
+
+
+class UncountedPublisher(rospy.Publisher):
+    """A publisher that sends as `Publisher` does, and for whose messages nobody waits: /clock's, say.
+
+    rospy's own hands each message with a queue size to another thread, which costs several times as much.
+    """
+
+    def __init__(self, name: str, data_class: type[rospy.Message], queue_size: int = 100) -> None:
+        """Advertises a topic.
+
+        Args:
+            name: Topic name, resolved as usual.
+            data_class: Message type.
+            queue_size: Messages kept for a subscriber that stalls.
+
+        Raises:
+            ROSException: The topic is advertised in this process by a plain rospy.Publisher.
+        """
+        acquire_publisher(name, data_class, False, _Unheard())
+        super().__init__(name, data_class, queue_size=queue_size)
+
+
 class Subscriber(rospy.topics.Topic):
     """A subscriber whose callback runs in `Rate.sleep`, in the thread that calls it."""
 
@@ -267,7 +304,7 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
         advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
         raise rospy.ROSInitException(f"no ROS master answers at {rosgraph.get_master_uri()}; {advice}")
     if not options.get("anonymous"):
-        _node.reservation = _reserve(_future_name(name, options.get("argv")))
+        _node.reservation = _reserve(future_name(name, options.get("argv")))
     rospy.init_node(name, disable_rostime=True, **options)
     if not options.get("disable_signals"):
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -366,7 +403,8 @@ class Rate:
         """
         if hz is not None and hz != _node.rate:
             raise ValueError(f"lockstep.Rate({hz!r}): the node was initialised with rate={_node.rate!r}")
-        self._rate = None if _node.taking_part else rospy.Rate(_node.rate)
+        # With reset, rospy does not raise when /clock goes back.
+        self._rate = None if _node.taking_part else rospy.Rate(_node.rate, reset=True)
 
     def sleep(self) -> None:
         """Says that this turn is done, waits for the next and runs the callbacks of what has come.
@@ -384,7 +422,7 @@ class Rate:
 
     @staticmethod
     def _sleep_free(rate: rospy.Rate) -> None:
-        serve = _node.serve
+        serve, began = _node.serve, rospy.Time.now()
         if serve is None:
             rate.sleep()
         elif rospy.rostime.is_wallclock():
@@ -395,21 +433,26 @@ class Rate:
             # /clock says when the turn is, and wakes nobody who waits for datagrams.
             rate.sleep()
             serve(None, 0.0)
+        if rospy.Time.now() < began:
+            _run_reset_hooks()
 
 
 def sleep(seconds: float) -> None:
     """Lets simulation time pass, turn by turn; callbacks run meanwhile.
 
     Args:
-        seconds: At least so long, in ROS time.
+        seconds: At least so long, in ROS time; it returns early if the time is set back.
 
     Raises:
         ROSInterruptException: The node is shut down, or the simulator is gone.
     """
-    rate = Rate()
-    end = rospy.Time.now() + rospy.Duration.from_sec(seconds)
-    while rospy.Time.now() < end:
+    rate, now = Rate(), rospy.Time.now()
+    end = now + rospy.Duration.from_sec(seconds)
+    while now < end:
         rate.sleep()
+        before, now = now, rospy.Time.now()
+        if now < before:
+            return
 
 
 def spin(step: Callable[[], None] | None = None) -> None:
@@ -426,11 +469,22 @@ def spin(step: Callable[[], None] | None = None) -> None:
             rate.sleep()
 
 
+def _run_reset_hooks() -> None:
+    """Tells the node that time has gone back; an exception is logged, as in a callback."""
+    for hook in _node.reset_hooks:
+        try:
+            hook()
+        except Exception:
+            rospy.logerr(f"bad reset hook: {traceback.format_exc()}")
+
+
 def _dispatch() -> None:
     """Runs the callbacks: subscriptions as declared, within one by publisher's name, then as sent."""
     ready: dict[int, list[Any]] = {}
     for entry in list(_node.subscribers):
         impl = entry.impl
+        if impl is None:  # a callback has just unregistered it
+            continue
         messages = ready.get(id(impl))
         if messages is None:
             messages = ready[id(impl)] = impl.ready()
@@ -450,13 +504,6 @@ class _RefusedError(Exception):
     def __init__(self, code: str, reason: str) -> None:
         super().__init__(reason)
         self.code = code
-
-
-def _future_name(name: str, argv: list[str] | None) -> str:
-    """Returns the resolved name that rospy.init_node will give this node."""
-    mappings = rosgraph.names.load_mappings(sys.argv if argv is None else argv)
-    namespace = mappings.get("__ns") or rosgraph.names.get_ros_namespace()
-    return rosgraph.names.ns_join(rosgraph.names.make_global_ns(namespace), mappings.get("__name") or name)
 
 
 def _reserve(name: str) -> Client | None:
@@ -557,6 +604,7 @@ class Client:
         self._ended = threading.Event()
         self._remote = False
         self._digested = -1
+        self._gone_back = False
 
     # ---- joining and leaving ----
 
@@ -615,7 +663,7 @@ class Client:
             raise ProtocolError(f"{URI_PARAM} is {self.uri!r}, it must be tcp://host:port")
         sock = socket.create_connection((address.hostname, address.port), timeout=CONNECT_LIMIT)
         tune(sock)
-        self._remote = sock.getpeername()[0] != sock.getsockname()[0]
+        self._remote = not same_machine(sock.getpeername()[0], sock.getsockname()[0])
         return sock
 
     def _ask(self, kind: Kind, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -758,7 +806,7 @@ class Client:
     def _digest_frame(self) -> bytes:
         if self._node.digests is None:
             return b""
-        topics = {topic: digest.state() for topic, digest in self._node.digests.items()}
+        topics = {topic: digest.state() for topic, digest in list(self._node.digests.items())}  # threads add to it
         return pack_object(Kind.DIGEST, {"time_us": self.time_us, "topics": topics})
 
     def _await_tick(self) -> Barrier:
@@ -770,20 +818,19 @@ class Client:
                 if kind == Kind.PEER:
                     self._peers(unpack_object(payload))
                 elif kind == Kind.REFUSED:
-                    self._simulator_gone(str(unpack_object(payload).get("reason")))
+                    self._end("the simulator has dropped this node", str(unpack_object(payload).get("reason")))
             self._reader.wait(1.0)
             if rospy.core.is_shutdown_requested():
                 raise rospy.ROSInterruptException("ROS shutdown request")
 
     def _enter(self, tick: Barrier) -> None:
         """Begins the turn that a TICK has opened."""
-        gone_back = tick.time_us < self.time_us
+        gone_back, self._gone_back = self._gone_back or tick.time_us < self.time_us, False
         self.tick, self.time_us, self._node.time_us = tick.tick, tick.time_us, tick.time_us
         seconds, micros = divmod(tick.time_us, 1_000_000)
         rospy.rostime._set_rostime(rospy.Time(seconds, micros * 1000))
         if gone_back:
-            for hook in self._node.reset_hooks:
-                hook()
+            _run_reset_hooks()
         if self._node.serve is not None and tick.datagrams:
             self._serve_datagrams(self._node.serve, tick.datagrams)
         awaited = {}
@@ -810,7 +857,9 @@ class Client:
         received = serve(expected, REMOTE_DATAGRAM_LIMIT if self._remote else DATAGRAM_LIMIT)
         for port, count in expected.items():
             short = count - received.get(port, 0)
-            if short > 0 and not rospy.is_shutdown():
+            if short < 0 < missed.get(port, 0):
+                missed[port] = max(0, missed[port] + short)  # some of those given up were only late
+            elif short > 0 and not rospy.is_shutdown():
                 missed[port] = missed.get(port, 0) + short
                 rospy.logwarn(f"{short} datagrams from the simulator to UDP port {port} did not arrive")
 
@@ -838,7 +887,9 @@ class Client:
         ends = self._node.subscriptions()
         for channel, topic, publisher, port in content["made"]:
             end = ends.get(topic)
-            inbox = Inbox(publisher) if end is None else end.inbox(publisher, port)
+            if end is None:  # a plain rospy.Subscriber of this process (a tf listener, say): its threads read it
+                continue
+            inbox = end.inbox(publisher, port)
             self._reader.count(inbox)
             self._inboxes[channel] = inbox
             self._topics[channel] = topic
@@ -847,6 +898,7 @@ class Client:
         for number in content["uncounted"]:
             self._set_participant(number, False)
         self._lost += [channel for channel in content["lost"] if channel in self._inboxes]
+        self._gone_back |= bool(content.get("reset"))
         self._void += [(channel, count) for channel, count in content.get("void", ()) if channel in self._inboxes]
 
     def _set_participant(self, number: int, value: bool) -> None:
@@ -887,11 +939,14 @@ class Client:
         self._frames.extend(self._frame_reader.frames())
 
     def _simulator_gone(self, why: str) -> None:
-        rospy.logerr(f"the simulator at {self.uri} is gone: {why}")
+        self._end(f"the simulator at {self.uri} is gone", why)
+
+    def _end(self, what: str, why: str) -> None:
+        rospy.logerr(f"{what}: {why}")
         self._joined = False
         self._ended.set()
-        rospy.signal_shutdown("the simulator is gone")
-        raise rospy.ROSInterruptException("the simulator is gone")
+        rospy.signal_shutdown(what)
+        raise rospy.ROSInterruptException(what)
 
 
 # ---- the simulator's own publishers ----

@@ -25,8 +25,9 @@ REFUSED    server to client    code, reason; the server closes the connection
 PEER       client to server    made [[id, topic, subscriber, subscriber's TCP port, count]], lost [id]
 PEER       server to client    made [[id, topic, publisher, subscriber's TCP port]], lost [id]; and of the client's
                                own connections those whose subscriber is (counted [id]) or is no longer (uncounted
-                               [id]) a participant; and, when simulation time was set back, up to which message
-                               of a channel all that is not dispatched yet is of before (void [[id, count]])
+                               [id]) a participant; and, when simulation time was set back, reset (true) and up to
+                               which message of a channel all that is not dispatched yet is of before (void [[id,
+                               count]])
 DECLARE    client to server    publications, subscriptions (as JOIN: all that there are now)
 DIGEST     client to server    time_us, topics {topic: [messages, bytes, crc]}; see `Digest`
 LEAVE      client to server    reason
@@ -160,7 +161,7 @@ def unpack_object(payload: bytes) -> dict[str, Any]:
     """
     try:
         content = json.loads(payload)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ProtocolError(f"not JSON: {payload[:40]!r}") from error
     if not isinstance(content, dict):
         raise ProtocolError(f"not a JSON object: {payload[:40]!r}")
@@ -247,6 +248,11 @@ def process_namespace() -> str:
             return f"{file.read().strip()} {os.readlink('/proc/self/ns/pid')}"
     except OSError:
         return ""
+
+
+def same_machine(first: str, second: str) -> bool:
+    """Says whether two IP addresses, the ends of one connection, are of one machine."""
+    return first == second or (first.startswith("127.") and second.startswith("127."))
 
 
 _UNANSWERED_MS = 15_000

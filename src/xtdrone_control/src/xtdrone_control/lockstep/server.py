@@ -23,6 +23,7 @@ from .protocol import (
     pack_barrier,
     pack_object,
     process_namespace,
+    same_machine,
     tune,
     unpack_barrier,
     unpack_object,
@@ -105,6 +106,7 @@ class Participant:
 
     Attributes:
         name: Resolved ROS name, as /follower_1; empty until it joined.
+        remote: True if it runs on another machine.
         reserved: The name that it has reserved, empty if none.
         address: Host and port of its connection.
         rate: In Hz; 0 for the simulator itself.
@@ -124,6 +126,7 @@ class Participant:
         self.sock = sock
         self.address = address
         self.name = ""
+        self.remote = False
         self.reserved = ""
         self.rate = 0.0
         self.schedule: Schedule | None = None
@@ -132,21 +135,25 @@ class Participant:
         self.tick = 0
         self.heard = now
         self.asked = now
+        self.accepted = now
         self.process: Process | None = None
         self.publications: dict[str, str] = {}
         self.subscriptions: dict[str, str] = {}
         self.udp_ports: list[int] = []
         self.reader = FrameReader()
         self.unsent = bytearray()
-        # Its own connections as publisher: id -> channel, and id -> (news of the subscriber, id there) for new counts.
+        # Its own connections as publisher: id -> channel, and id -> (news of the subscriber, id there) for new counts;
+        # those that are no more, whose last counts come with its next DONE.
         self.channels: dict[int, Channel] = {}
         self.routes: dict[int, tuple[dict[int, int], int]] = {}
+        self.closing: list[int] = []
         self.counted: list[int] = []
         self.uncounted: list[int] = []
         # News for it as subscriber, sent with its next TICK.
         self.counts: dict[int, int] = {}
         self.made: list[list[Any]] = []
         self.lost: list[int] = []
+        self.reset = False
         self.void: list[list[int]] = []
         # UDP: told and base count the simulator's datagrams to it, sent counts its own per remote port.
         self.datagrams_base: dict[int, int] = {}
@@ -156,10 +163,6 @@ class Participant:
     def connected(self) -> bool:
         """Says whether its connection is open."""
         return self.sock is not None
-
-    def remote(self) -> bool:
-        """Says whether it runs on another machine."""
-        return self.sock is not None and self.sock.getpeername()[0] != self.sock.getsockname()[0]
 
 
 class LockstepServer:
@@ -217,6 +220,7 @@ class LockstepServer:
         self.participants: dict[str, Participant] = {}
         self.datagrams_expected: dict[int, int] = {}
         self._datagrams: dict[int, int] = {}
+        self._remote_ports: set[int] = set()
         self._tick = 0
         self._ticked_us = -1
         self._awaited = 0
@@ -291,6 +295,7 @@ class LockstepServer:
         if self._host is not None:
             self._collect_host()
         for participant in self.participants.values():
+            participant.reset = participant.tick > 0  # its next tick may have the very time of its last
             # What is on its way to it is of before, and must not be taken for news of the new time.
             participant.void = [[channel, count] for channel, count in participant.counts.items()]
             if participant.schedule is not None:
@@ -389,10 +394,8 @@ class LockstepServer:
         self._listener.close()
 
     def remote_sender(self, port: int) -> bool:
-        """Says whether a participant on another machine has sent datagrams to one of the simulator's UDP ports."""
-        return any(
-            port in participant.datagrams_sent and participant.remote() for participant in self.participants.values()
-        )
+        """Says whether whoever sends to one of the simulator's UDP ports is, or was, on another machine."""
+        return port in self._remote_ports
 
     # ---- barrier ----
 
@@ -438,12 +441,15 @@ class LockstepServer:
 
     @staticmethod
     def _peer_news(participant: Participant) -> bytes:
-        content = {name: getattr(participant, name) for name in ("made", "lost", "counted", "uncounted")}
-        if participant.void:
-            content["void"] = participant.void
+        content: dict[str, Any] = {
+            name: getattr(participant, name) for name in ("made", "lost", "counted", "uncounted")
+        }
+        if participant.reset:
+            content |= {"reset": True, "void": participant.void}
         if not any(content.values()):
             return b""
-        for name in content:
+        participant.reset = False
+        for name in ("made", "lost", "counted", "uncounted", "void"):
             setattr(participant, name, [])
         return pack_object(Kind.PEER, content)
 
@@ -488,6 +494,7 @@ class LockstepServer:
             sock.setblocking(False)
             tune(sock)
             participant = Participant(sock, f"{address[0]}:{address[1]}", time.monotonic())
+            participant.remote = not same_machine(address[0], sock.getsockname()[0])
             self._connections[sock.fileno()] = participant
             self._epoll.register(sock.fileno(), select.EPOLLIN)
             # Its JOIN is mostly there already: then it takes part in the very next tick.
@@ -551,7 +558,7 @@ class LockstepServer:
     def _drop_strangers(self) -> None:
         now = time.monotonic()
         for participant in list(self._connections.values()):
-            if not participant.name and not participant.reserved and now - participant.heard > GREETING_LIMIT:
+            if not participant.name and not participant.reserved and now - participant.accepted > GREETING_LIMIT:
                 self._drop(participant, f"did not join within {GREETING_LIMIT:g} s")
 
     def _drop(self, participant: Participant, why: str) -> None:
@@ -621,11 +628,13 @@ class LockstepServer:
         done = unpack_barrier(payload)
         routes = participant.routes
         for number, count in done.channels.items():
-            news, channel = routes[number]
+            news, channel = routes.get(number, (self._ignored_counts, 0))  # it may be gone by now
             news[channel] = count
+        _forget_routes(participant)
         for port, count in done.datagrams.items():
             more = count - participant.datagrams_sent.get(port, 0)
             participant.datagrams_sent[port] = count
+            (self._remote_ports.add if participant.remote else self._remote_ports.discard)(port)
             self.datagrams_expected[port] = self.datagrams_expected.get(port, 0) + more
         if participant.waiting and done.tick == participant.tick:
             participant.waiting = False
@@ -697,7 +706,9 @@ class LockstepServer:
         self._reserved.pop(participant.reserved, None)
         participant.process = self._process(content)
         self._welcome(participant)
-        self._log(logging.INFO, f"participant {name} joins at {participant.rate:g} Hz from {participant.address}")
+        late = f", in flight at {self._ticked_us * 1e-6:g} s" if self._tick else ""
+        rate, address = participant.rate, participant.address
+        self._log(logging.INFO, f"participant {name} joins at {rate:g} Hz from {address}{late}")
         self._adopt_channels(participant)
         self._declare(participant, content)
 
@@ -727,6 +738,7 @@ class LockstepServer:
             route = self._host_state.routes.get(number)
             if route is not None:
                 route[0][route[1]] = count
+        _forget_routes(self._host_state)
 
     def _declare(self, participant: Participant, content: dict[str, Any]) -> None:
         """Takes a participant's topics and finds the connections that there must be."""
@@ -803,6 +815,7 @@ class LockstepServer:
             return
         # A count that is under way finds its route still; nobody reads it.
         publisher.routes[number] = (self._ignored_counts, 0)
+        publisher.closing.append(number)
         live = self._live.get(channel.pair, set())
         if channel.id not in live:
             return
@@ -815,6 +828,12 @@ class LockstepServer:
         still_wanted = topic in reader.subscriptions and topic in publisher.publications and name in self.participants
         if not live and (still_wanted or (self._is_host(name) and topic in reader.subscriptions)):
             self._missing.setdefault(channel.pair, time.monotonic() + self._connect_limit)
+
+
+def _forget_routes(publisher: Participant) -> None:
+    for number in publisher.closing:
+        publisher.routes.pop(number, None)
+    publisher.closing.clear()
 
 
 def _listing(items: list[str], most: int = 6) -> str:

@@ -43,6 +43,7 @@ class Link:
         name: vehicle and kind of link, for messages.
         system_id: the vehicle's MAVLink system id.
         local_port: bound port.
+        remote_port: where frames go to until somebody speaks.
         peer: where frames go to: whoever spoke last.
         streams: what is sent by itself.
         received: datagrams read.
@@ -61,6 +62,8 @@ class Link:
         telemetry: Telemetry,
         rates: dict[str, float],
         host: str = LOOPBACK,
+        *,
+        by_wall: bool = False,
     ) -> None:
         """Bind the port.
 
@@ -72,6 +75,8 @@ class Link:
             telemetry: what the vehicle tells.
             rates: default rates of the streams, message name to Hz.
             host: address to bind; "0.0.0.0" for every network.
+            by_wall: the peer lives by wall time, as a ground station does: it is silent only if it is so by both
+                clocks. Else simulated time alone counts, so that the streams are the same at any speed.
 
         Raises:
             LinkError: the port cannot be bound, or there is no such address here.
@@ -79,10 +84,12 @@ class Link:
         self.name = f"{vehicle.name} {kind} link"
         self.system_id = vehicle.system_id
         self.local_port = local_port
+        self.remote_port = remote_port
         self.peer: Address = (LOOPBACK, remote_port)
         self.telemetry = telemetry
         self.streams = Streams(telemetry, rates)
         self._rates = rates
+        self._by_wall = by_wall
         self.received = 0
         self.sent: dict[int, int] = {}
         self.lost = 0
@@ -114,8 +121,15 @@ class Link:
         """Close the socket."""
         self.socket.close()
 
-    def reboot(self, telemetry: Telemetry) -> None:
-        """Start anew for an autopilot that has been rebooted: streams begin again; socket, peer and counters stay."""
+    def reboot(self, telemetry: Telemetry, now_us: int) -> None:
+        """Start anew for an autopilot that has been rebooted: streams begin again; socket, peer and counters stay.
+
+        Args:
+            telemetry: what the rebooted vehicle tells.
+            now_us: simulated time, microseconds; it may have gone back.
+        """
+        self._heard_us = min(self._heard_us, now_us)
+        self._text_id = 0
         self.telemetry = telemetry
         self.streams = Streams(telemetry, self._rates)
         self._frames.clear()
@@ -130,10 +144,10 @@ class Link:
         self.received += 1
         return datagram, sender
 
-    def direct(self, host: str) -> None:
-        """Send to ``host`` what was to go to this machine; without effect once somebody has spoken."""
-        if self._heard_us < 0:
-            self.peer = (host, self.peer[1])
+    def direct(self, host: str, *, override: bool = False) -> None:
+        """Send to ``host`` from now on, unless somebody has spoken; with ``override`` also then, for he is gone."""
+        if override or self._heard_us < 0:
+            self.peer = (host, self.remote_port)
 
     def heard(self, sender: Address, now_us: int) -> None:
         """Note a valid frame from ``sender``: answers and streams go there from now on."""
@@ -175,13 +189,17 @@ class Link:
             self.flush(now_us)
 
     def _queue_due(self, now_us: int) -> None:
-        if now_us - self._heard_us > _SILENCE_US and time.monotonic() - self._heard_wall > _SILENCE_S:
-            self.streams.stop()  # by both clocks: the simulation may run fast, or stand still
+        if now_us - self._heard_us > _SILENCE_US and not (self._by_wall and self._heard_lately()):
+            self.streams.stop()
         self.telemetry.refresh(now_us)
         for message, values in self.streams.due(now_us, lambda text: self.warn("packing", text, now_us)):
             if message is HEARTBEAT:
                 self._beat_wall = time.monotonic()
             self.send_values(message, values, now_us)
+
+    def _heard_lately(self) -> bool:
+        """Say whether somebody spoke within the last seconds of wall time; simulated time may run fast."""
+        return time.monotonic() - self._heard_wall <= _SILENCE_S
 
     def keep_alive(self, now_us: int) -> None:
         """Send a HEARTBEAT when the last one is older than a second of wall time.

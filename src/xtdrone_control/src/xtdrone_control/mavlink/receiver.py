@@ -56,8 +56,9 @@ class Receiver:
     """Acts on the messages of one vehicle. Nothing that comes in raises.
 
     In a tick of the lockstep, commands and requests come when some participant's service call makes them, and
-    set-points when the MAVROS layer has its turn: which is first, the scheduler decides. Therefore set-points can be
-    held until everybody is done; commands and requests, whose answers somebody waits for, then always come first.
+    set-points and home positions when the MAVROS layer has its turn: which is first, the scheduler decides. Therefore
+    the latter can be held until everybody is done; commands and requests, whose answers somebody waits for, then always
+    come first. An origin (SET_GPS_GLOBAL_ORIGIN) is not held, for it is answered at once with the origin that holds.
     """
 
     def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
@@ -67,7 +68,7 @@ class Receiver:
         self._estimator = autopilot.estimator[index]
         self._system_id = commander.vehicle.system_id
         self._commands = CommandHandler(commander)
-        self._held: list[tuple[Link, Callable[[Commander, Any], None], Any]] | None = None
+        self._held: list[Callable[[], None]] | None = None
         self._now_us = 0
         self._sender = (0, 0)
         self._handlers: dict[int, tuple[Callable[[bytes], Any], Callable[[Link, Any], None], str, str]] = {
@@ -166,19 +167,26 @@ class Receiver:
         self._steer(link, setpoints.sticks, m)
 
     def hold(self) -> None:
-        """Keep set-points from now on until ``release``."""
+        """Keep set-points and home positions from now on until ``release``."""
         self._held = [] if self._held is None else self._held
 
     def release(self) -> None:
-        """Act on the set-points that were kept, in the order of their coming."""
+        """Act on what was kept, in the order of its coming."""
         held, self._held = self._held, None
-        for link, take, m in held or ():
-            self._steer(link, take, m)
+        for act in held or ():
+            act()
+
+    def _in_turn(self, act: Callable[[], None]) -> None:
+        """Call ``act`` now, or at ``release``."""
+        if self._held is None:
+            act()
+        else:
+            self._held.append(act)
 
     def _steer(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
-        if self._held is not None:
-            self._held.append((link, take, m))
-            return
+        self._in_turn(lambda: self._take_setpoint(link, take, m))
+
+    def _take_setpoint(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
         try:
             take(self._commander, m)
         except SetpointError as error:
@@ -273,5 +281,8 @@ class Receiver:
         )
 
     def _set_home(self, _link: Link, m: Any) -> None:
+        self._in_turn(lambda: self._take_home(m))
+
+    def _take_home(self, m: Any) -> None:
         if self._commander.set_home((m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)):
             self._commander.say(WARNING, "Home position rejected")

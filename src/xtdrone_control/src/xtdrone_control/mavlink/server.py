@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import selectors
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from xtdrone_control.autopilot.commander import Commander
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
 
 _MAX_DATAGRAMS = 256  # read from one link before the others have their turn
+_MAX_ROUNDS = 16  # of that; 4096 small datagrams are more than a socket's buffer holds, and a flood must not hold us
 _LOOK_PERIOD = 0.1  # s of wall time between two looks at whether ground stations hear enough
 
 
@@ -31,13 +32,13 @@ class _Vehicle:
         self.receiver = Receiver(commander, autopilot, index)
         telemetry = Telemetry(commander, autopilot, index)
         ends = (
-            ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES),
-            ("ground-station", vehicle.gcs_local_port, GCS_REMOTE_PORT, GCS_RATES),
+            ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, False),
+            ("ground-station", vehicle.gcs_local_port, GCS_REMOTE_PORT, GCS_RATES, True),
         )
         self.links: list[Link] = []
         try:
-            for kind, local, remote, rates in ends:
-                self.links.append(Link(vehicle, kind, local, remote, telemetry, rates, host))
+            for kind, local, remote, rates, by_wall in ends:
+                self.links.append(Link(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall))
         except OSError:
             self.close()
             raise
@@ -47,7 +48,7 @@ class _Vehicle:
         self.receiver = Receiver(commander, autopilot, self.index)
         telemetry = Telemetry(commander, autopilot, self.index)
         for link in self.links:
-            link.reboot(telemetry)
+            link.reboot(telemetry, autopilot.time_us)
 
     def close(self) -> None:
         for link in self.links:
@@ -115,12 +116,18 @@ class MavlinkServer:
         """Datagrams read so far, by local port."""
         return {link.local_port: link.received for link in self.links}
 
-    def direct(self, ports: Iterable[int], host: str) -> None:
-        """Let the links whose remote port is one of ``ports`` send to ``host`` until somebody has spoken to them."""
+    def direct(self, ports: Iterable[int], host: str, *, override: bool = False) -> None:
+        """Let the links whose remote port is one of ``ports`` send to ``host`` until somebody speaks to them.
+
+        Args:
+            ports: remote ports, as the links have them at the start.
+            host: address of the machine to send to.
+            override: also where somebody has spoken already: he is gone.
+        """
         wanted = set(ports)
         for link in self._links:
-            if link.peer[1] in wanted:
-                link.direct(host)
+            if link.remote_port in wanted:
+                link.direct(host, override=override)
 
     def receive(self, timeout: float = 0.0) -> int:
         """Act on all datagrams that have come, waiting up to ``timeout`` seconds of wall time for the first.
@@ -128,7 +135,17 @@ class MavlinkServer:
         Returns:
             How many there were.
         """
-        count = 0
+        count, full = self._receive_round(timeout)
+        for _ in range(_MAX_ROUNDS - 1):
+            if not full:
+                break
+            more, full = self._receive_round(0.0)
+            count += more
+        return count
+
+    def _receive_round(self, timeout: float) -> tuple[int, bool]:
+        """Give every link its turn; return how many datagrams there were, and whether some link may have more."""
+        count, full = 0, False
         now_us = self._autopilot.time_us
         for key, _ in self._selector.select(timeout):
             served, link = key.data
@@ -138,8 +155,10 @@ class MavlinkServer:
                     break
                 served.receiver.take(link, *arrived, now_us)
                 count += 1
+            else:
+                full = True
             link.flush(now_us)
-        return count
+        return count, full
 
     def send_streams(self, now_us: int) -> None:
         """Send the texts that wait and the telemetry that is due by ``now_us``."""
@@ -153,17 +172,23 @@ class MavlinkServer:
             for link in served.links:
                 link.send_due(now_us)
 
-    def keep_alive(self) -> None:
+    def keep_alive(self, counted_ports: Callable[[], Collection[int]] = tuple) -> None:
         """Keep ground stations from taking slow or paused simulated time for a lost link; call it now and then.
 
         Only there: what the offboard links carry is counted and the same in every run.
+
+        Args:
+            counted_ports: returns the remote ports on which lockstep participants count what comes; what goes there
+                must not depend on wall time either.
         """
         wall = time.monotonic()
         if wall < self._next_look:
             return
         self._next_look = wall + _LOOK_PERIOD
+        counted = counted_ports()
         for link in self._stations:
-            link.keep_alive(self._autopilot.time_us)
+            if link.peer[1] not in counted:
+                link.keep_alive(self._autopilot.time_us)
 
     def reboot(self, autopilot: Autopilot, commanders: Sequence[Commander]) -> None:
         """Go on with autopilots that have been rebooted: streams start anew; sockets, peers and counters stay.
@@ -177,12 +202,12 @@ class MavlinkServer:
             served.reboot(autopilot, commander)
 
     def hold_setpoints(self) -> None:
-        """Keep what steers the vehicles until ``release_setpoints``; see :class:`Receiver`."""
+        """Keep what comes from topics until ``release_setpoints``; see :class:`Receiver`."""
         for served in self._vehicles:
             served.receiver.hold()
 
     def release_setpoints(self) -> None:
-        """Act on the set-points that were kept."""
+        """Act on what was kept."""
         for served in self._vehicles:
             served.receiver.release()
 

@@ -218,6 +218,7 @@ class Receiver:
         """Take the links; ``start`` begins."""
         self._links = list(links)
         self._by_port = {link.port: link for link in self._links}
+        self._uncounted: dict[int, int] = {}  # came before the simulator began to count, by port
         self._batches = 0  # how often the thread has read something
         self._arrived = threading.Condition()
         self._stop_read, self._stop_write = socket.socketpair()
@@ -260,6 +261,33 @@ class Receiver:
         with self._arrived:
             self._arrived.wait_for(complete, limit)
         return {link.port: count - link.received for link, count in pairs if link.received < count}
+
+    def wait_counted(self, expected: Mapping[int, int], limit: float) -> dict[int, int]:
+        """Wait for datagrams as the simulator counts them; it has not counted what came before this node had joined.
+
+        Args:
+            expected: port to cumulative count of the simulator's.
+            limit: seconds of wall time after which to give up.
+
+        Returns:
+            For the ports of ``expected`` that are ours: up to which datagram, since the port was bound, this turn
+            reaches.
+        """
+        targets = {}
+        for port, count in expected.items():
+            link = self._by_port.get(port)
+            if link is None:
+                continue
+            if port not in self._uncounted:
+                link.read()  # what was sent before the simulator said its first count is in the socket by now
+                self._uncounted[port] = max(0, link.received - count)
+            targets[port] = count + self._uncounted[port]
+        self.wait(targets, limit)
+        return targets
+
+    def counted(self) -> dict[int, int]:
+        """Return how many of the datagrams that the simulator counts have been read, by port."""
+        return {link.port: link.received - self._uncounted.get(link.port, 0) for link in self._links}
 
     def wait_any(self, limit: float) -> None:
         """Wait until something has been read, at most ``limit`` seconds of wall time."""

@@ -140,8 +140,6 @@ class MavrosNode:
             )
             for index, (vehicle, link) in enumerate(zip(vehicles, self._links, strict=True))
         ]
-        # Datagrams that had arrived before the simulator began to count for this node, by port.
-        self._uncounted: dict[int, int] = {}
         lockstep.declare_udp([link.port for link in self._links], self._serve)
         lockstep.add_reset_hook(self._time_gone_back)
         self._receiver.start()
@@ -167,14 +165,14 @@ class MavrosNode:
         """Receive and publish: in lockstep what the simulator has counted, otherwise what comes."""
         if expected is None:
             self._receiver.wait_any(timeout)
-        else:
-            self._receiver.wait(expected, timeout)
-        for uas, link in zip(self._uas, self._links, strict=True):
-            if expected is None:
+            for uas in self._uas:
                 self._receive(uas)
-            elif link.port in expected:
-                self._receive(uas, self._turn(link, expected[link.port]))
-        return {link.port: link.received for link in self._links}
+        else:
+            targets = self._receiver.wait_counted(expected, timeout)
+            for uas, link in zip(self._uas, self._links, strict=True):
+                if link.port in targets:
+                    self._receive(uas, targets[link.port])
+        return self._receiver.counted()
 
     def _receive(self, uas: Uas, datagrams: int | None = None) -> None:
         try:
@@ -182,12 +180,6 @@ class MavrosNode:
         except Exception:  # what one vehicle sends must not take the topics away from all others
             if not rospy.is_shutdown():  # while shutting down, topics are closed under the plugins
                 uas.failed("receiving MAVLink failed")
-
-    def _turn(self, link: Link, counted: int) -> int:
-        """Return up to which datagram, since the port was bound, this turn reaches."""
-        if link.port not in self._uncounted:
-            self._uncounted[link.port] = max(0, link.received - counted)
-        return counted + self._uncounted[link.port]
 
 
 def main() -> int:

@@ -1,0 +1,119 @@
+"""What leader and follower nodes do with pattern and topology when time is set back; topics are this test's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rospy")
+
+from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
+
+from xtdrone_coordination import ros
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.leader import Leader
+from xtdrone_coordination.ros import PATTERN_TOPIC, TOPOLOGY_TOPIC, FollowerNode
+from xtdrone_coordination.ros_leader import LeaderNode
+
+
+class Graph:
+    """Topics without a master.
+
+    Attributes:
+        said: messages by topic.
+        callbacks: by topic.
+        hooks: called when time is set back.
+    """
+
+    def __init__(self) -> None:
+        self.said: dict[str, list[Any]] = {}
+        self.callbacks: dict[str, Callable[[Any], None]] = {}
+        self.hooks: list[Callable[[], None]] = []
+
+    def publisher(self, topic: str, kind: type, **_: object) -> Any:
+        class Publisher:
+            publish = self.said.setdefault(topic, []).append
+
+        return Publisher
+
+    def subscriber(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
+        self.callbacks[topic] = callback
+
+    def pattern(self, *data: float) -> None:
+        self.callbacks[PATTERN_TOPIC](Float32MultiArray(data=data))
+
+    def topology(self, *data: int) -> None:
+        self.callbacks[TOPOLOGY_TOPIC](Int32MultiArray(data=data))
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
+    graph = Graph()
+    for name, value in (
+        ("Publisher", graph.publisher),
+        ("Subscriber", graph.subscriber),
+        ("add_reset_hook", graph.hooks.append),
+    ):
+        monkeypatch.setattr(ros.lockstep, name, value, raising=False)
+    monkeypatch.setattr(ros.rospy, "get_param", lambda name, default: default)
+    return graph
+
+
+def test_followers_ignore_what_was_latched_before_time_was_set_back(graph: Graph) -> None:
+    follower = Follower(1, 3)
+    node = FollowerNode("iris", [follower])
+    offsets, listeners = (3.0, 0.0, 0.0, 3.0, 0.0, 0.0), (0, 0, 0, 1, 0, 0, 1, 1, 0)
+    for _ in range(2):
+        graph.pattern(*offsets)
+        graph.topology(*listeners)
+        node.step()
+        assert follower.offsets == [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 3.0, 0.0)]
+        for hook in graph.hooks:
+            hook()
+        graph.pattern(*offsets)
+        graph.topology(*listeners)
+        assert follower.offsets is None
+        node.step()
+
+
+def test_an_empty_pattern_is_none(graph: Graph) -> None:
+    follower = Follower(1, 3)
+    FollowerNode("iris", [follower])
+    graph.pattern()
+    graph.topology()
+    graph.topology(0, 0, 0, 0, 0, 5, 0, 0, 0)
+    graph.pattern(3.0, 0.0, 0.0, 3.0, 0.0, 0.0)
+    assert follower.offsets is not None
+    assert follower.weights == {2: 5.0}
+    graph.pattern()
+    graph.topology()
+    assert follower.offsets is None
+    assert follower.weights == {0: 1.0}
+
+
+def test_the_leader_takes_back_what_it_has_latched(graph: Graph) -> None:
+    leader = Leader(3)
+    node = LeaderNode("iris", leader, republish_rate=10)
+    (restart,) = graph.hooks
+    restart()
+    assert graph.said[PATTERN_TOPIC] == graph.said[TOPOLOGY_TOPIC] == []  # nothing was latched
+    flights = []
+    for _ in range(2):
+        said = [graph.said[topic] for topic in (PATTERN_TOPIC, TOPOLOGY_TOPIC)]
+        for messages in said:
+            messages.clear()
+        node.step()
+        node.step()
+        graph.callbacks["/xtdrone/leader/cmd"](String(data="cube"))
+        counts = []
+        for _ in range(8):
+            node.step()
+            counts.append(len(said[0]))
+        flights.append((counts, [list(messages) for messages in said]))
+        restart()
+        assert [list(messages[-1].data) for messages in said] == [[], []]
+        assert (leader.pattern, leader.offsets) == ("", None)
+    assert flights[0][0] == [1, 1, 1, 2, 2, 2, 3, 3]
+    assert flights[1] == flights[0]

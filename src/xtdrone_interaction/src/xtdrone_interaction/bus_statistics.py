@@ -1,0 +1,100 @@
+"""How many messages nodes have published, asked of the nodes themselves: rospy's ``getBusStats``.
+
+Nothing has to listen to the topics for it, so that counting costs the nodes nothing while they work.
+"""
+
+from __future__ import annotations
+
+import re
+import xmlrpc.client
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rosgraph import Master
+
+Connections = dict[int, int]
+"""Messages sent by number of the connection."""
+_Key = tuple[str, str]
+"""Node and topic."""
+
+ROLES = {
+    "commands": r"/xtdrone/\w+_\d+/cmd_(vel|accel)_enu",
+    "set-points": r"/\w+_\d+/mavros/setpoint_raw/local",
+    "poses": r"/\w+_\d+/mavros/local_position/pose",
+    "swarm": r"/xtdrone/swarm",
+}
+"""Topics by what is counted. Followers publish commands, communication nodes set-points, once a turn; the MAVROS layer
+each pose that comes, and the swarm's message once in a turn in which poses have come."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What was published up to now.
+
+    Attributes:
+        sent: messages by connection, for each node and topic.
+        times: simulated time at which each node was asked, s.
+    """
+
+    sent: Mapping[_Key, Connections]
+    times: Mapping[str, float]
+
+
+def publishers(master: Master) -> dict[str, dict[str, str]]:
+    """Return the roles by topic, for each node that publishes such topics.
+
+    Raises:
+        rosgraph.MasterException, OSError: the master does not answer.
+    """
+    found: dict[str, dict[str, str]] = {}
+    for topic, nodes in master.getSystemState()[0]:
+        for role, pattern in ROLES.items():
+            if re.fullmatch(pattern, topic):
+                for node in nodes:
+                    found.setdefault(node, {})[topic] = role
+    return found
+
+
+def take(
+    master: Master,
+    roles: Mapping[str, Mapping[str, str]],
+    now: Callable[[], float],
+    proxy: Callable[[str], Any] = xmlrpc.client.ServerProxy,
+) -> Counts:
+    """Ask all nodes.
+
+    Args:
+        master: knows their addresses.
+        roles: roles by topic, for each node; see :func:`publishers`.
+        now: gives the simulated time, s.
+        proxy: makes the connection to a node's address.
+
+    Raises:
+        rosgraph.MasterException, OSError: the master or a node does not answer.
+    """
+    sent: dict[_Key, Connections] = {}
+    times = {}
+    for node, topics in roles.items():
+        answer = proxy(master.lookupNode(node)).getBusStats("/speed_probe")
+        times[node] = now()
+        for topic, _, connections in answer[2][0]:
+            if topic in topics:
+                sent[node, topic] = {int(number): int(count) for number, _, count, *_ in connections}
+    return Counts(sent, times)
+
+
+def rates(roles: Mapping[str, Mapping[str, str]], before: Counts, after: Counts) -> dict[str, float]:
+    """Return how many messages were published per simulated second, by role: the mean over nodes and topics.
+
+    Of several connections of a topic the one with the most counts; one that was made meanwhile does not.
+    """
+    found: dict[str, list[float]] = {}
+    for node, topics in roles.items():
+        elapsed = after.times[node] - before.times[node]
+        for topic, role in topics.items():
+            first, last = before.sent.get((node, topic), {}), after.sent.get((node, topic), {})
+            counts = [last[number] - count for number, count in first.items() if number in last]
+            if counts and elapsed > 0.0:
+                found.setdefault(role, []).append(max(counts) / elapsed)
+    return {role: sum(values) / len(values) for role, values in found.items()}

@@ -1,0 +1,88 @@
+"""The simulator node's parameters, what Gazebo's properties mean, and an orderly end."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from xtdrone_control.speed import LEAST_SPEED
+from xtdrone_sim import node
+from xtdrone_sim.pacing import Pacer
+from xtdrone_sim.services import target_speed
+
+STEP = 0.004  # s
+
+
+@pytest.fixture
+def settings(monkeypatch):
+    """Give a function that reads the settings with some parameters set."""
+    values: dict[str, object] = {}
+    monkeypatch.setattr(node.rospy, "get_param", lambda name, default: values.get(name, default))
+    monkeypatch.setattr(node.rospy, "resolve_name", lambda name: name.replace("~", "/simulator/"))
+
+    def read(**parameters: object) -> node.Settings:
+        values.clear()
+        values.update({f"~{name}": value for name, value in parameters.items()})
+        return node.Settings.from_parameters()
+
+    return read
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        (3, 3),
+        ("3", 3),
+        (0, 0),
+        ("/mavros", ("/mavros",)),
+        ("/mavros, leader,/a/b", ("/mavros", "/leader", "/a/b")),
+        (["/mavros", "leader"], ("/mavros", "/leader")),
+    ],
+)
+def test_participants_are_a_number_or_names(settings, given, meant):
+    assert settings(participants=given).participants == meant
+
+
+@pytest.mark.parametrize(
+    "value", [True, -1, 1.5, "", "/mavros,,/leader", "two words", [1], "/mavros,~leader", "/a b/c"]
+)
+def test_other_participants_are_refused(settings, value):
+    with pytest.raises(ValueError, match=r"/simulator/participants: .* is not allowed"):
+        settings(participants=value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("rows", True), ("seed", False), ("speed", True), ("until", True), ("shared_datum", 1)]
+)
+def test_truth_values_and_numbers_are_told_apart(settings, name, value):
+    with pytest.raises(ValueError, match=f"/simulator/{name}: {value} is not allowed"):
+        settings(**{name: value})
+
+
+def test_a_hang_limit_leaves_room_for_a_sign_of_life(settings):
+    assert settings(hang_limit=0).hang_limit == 0.0
+    assert settings(hang_limit=2).hang_limit == 2.0
+    with pytest.raises(ValueError, match=r"hang_limit: 1.9 s is not allowed, 0 \(never\), or at least 2 s"):
+        settings(hang_limit=1.9)
+
+
+def test_every_allowed_update_rate_is_an_allowed_speed():
+    least = LEAST_SPEED / STEP
+    for rate in (0.0, least, least * (1.0 - 5e-10), 250.0):
+        Pacer(target_speed(rate, STEP))
+    assert target_speed(500.0, STEP) == 2.0
+    for rate in (least * 0.99, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="max_update_rate"):
+            target_speed(rate, STEP)
+
+
+def test_one_that_cannot_be_closed_does_not_keep_the_others_open():
+    closed = []
+
+    def full() -> None:
+        raise OSError("no space left")
+
+    with pytest.raises(OSError, match="no space left"):
+        node.close_all(lambda: closed.append("server"), full, lambda: closed.append("mavlink"))
+    assert closed == ["server", "mavlink"]
