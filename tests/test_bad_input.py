@@ -573,5 +573,5 @@ def check_ended_without_simulator(program: Program) -> None:
     status = program.end()
     assert "the simulator at tcp://" in program.output
     assert "is gone" in program.output
-    assert status == 0
+    assert status == 1
     assert "Traceback" not in program.output

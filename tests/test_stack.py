@@ -332,6 +332,6 @@ def test_a_dead_part_ends_the_launch_and_leaves_nothing(stack: Stack, graph: Gra
     assert "exit code -9" in launch.output
     assert "SIGKILL" not in launch.output  # nobody else had to be forced
     assert communication.end() == 0
-    assert "is gone" in communication.output
+    assert "the simulation has ended" in communication.output
     assert stack.processes() == {}
     assert not rosgraph.Master("/system_tests").hasParam("/lockstep/uri")

@@ -262,7 +262,8 @@ def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_in_either_l
             server.close()
             for name in nodes:
                 said = graph.ended(name)
-                assert "is gone" in said
+                assert "the simulation has ended" in said
+                assert "is gone" not in said
                 assert "did not arrive" not in said
                 assert "waiting for messages" not in said
             transcripts.append({name: graph.transcript(name) for name in nodes})

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import logging
 import os
 import random
 import shutil
@@ -233,6 +234,16 @@ def mixer(name: str) -> None:
     _counted = lockstep.Subscriber("/shared", String, lambda message: print("counted", file=out))
     lockstep.start()
     lockstep.spin()
+
+
+def crasher(name: str) -> None:
+    """Ends by an exception in its third turn."""
+    lockstep.init_node(name, rate=50.0)
+    lockstep.start()
+    rate = lockstep.Rate()
+    for turns_left in (2, 1, 0):
+        print(1 // turns_left)
+        rate.sleep()
 
 
 def stamper(name: str) -> None:
@@ -484,7 +495,8 @@ def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_whatever_th
             server.close()
             for name in RATES:
                 assert graph.processes[name[1:]].wait(PATIENCE) == 0, graph.output(name[1:])
-                assert "is gone" in graph.output(name[1:])
+                assert "the simulation has ended" in graph.output(name[1:])
+                assert "is gone" not in graph.output(name[1:])
                 assert "did not arrive" not in graph.output(name[1:])
             transcripts.append({name: graph.transcript(name[1:]) for name in RATES})
         finally:
@@ -534,6 +546,20 @@ def test_a_taken_name_is_refused_before_ros_ends_the_one_that_has_it(graph: Grap
     run(server, 200_000, now)
     assert list(server.participants) == ["/a"]
     assert first.poll() is None
+
+
+def test_a_crash_is_told(graph: Graph) -> None:
+    lines: list[tuple[int, str]] = []
+    server = LockstepServer(log=lambda level, text: lines.append((level, text)))
+    graph.set_param("/lockstep/uri", server.uri)
+    node = graph.start("crasher", "a")
+    assert server.wait_for(["/a"], timeout=PATIENCE)
+    run(server, 100_000)
+    assert node.wait(PATIENCE) == 1
+    assert not server.participants
+    crash = "ZeroDivisionError: integer division or modulo by zero"
+    assert (logging.WARNING, f"participant /a leaves: it has crashed: {crash}") in lines
+    server.close()
 
 
 def test_a_breakpoint_holds_the_world_and_nobody_is_dropped(graph: Graph) -> None:
@@ -823,6 +849,7 @@ if __name__ == "__main__":
             thinker,
             sleeper,
             mixer,
+            crasher,
             stamper,
             reader_of_stamps,
             late_rider,

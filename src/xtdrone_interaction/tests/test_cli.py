@@ -146,3 +146,12 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     output, _ = demo.communicate(timeout=30)
     assert demo.returncode == status, output
     assert fake_roslaunch.running(mark) == []
+
+
+def test_help_says_each_default_once_as_it_is_typed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main([*DEMO, "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "(default: cube,pyramid,triangle)" in said
+    assert "(default: unlimited)" in said
+    assert not any(word in said for word in ("None", "False", "0.0)", "['"))

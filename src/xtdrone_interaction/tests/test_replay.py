@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from xtdrone_interaction import replay_check
 from xtdrone_interaction.options import OptionError
@@ -109,3 +111,30 @@ def test_the_short_form_is_short() -> None:
         pytest.skip(str(error))  # another simulation runs on this machine
     assert (settings.n, settings.patterns) == (3, ("origin",))
     assert 0.0 < settings.until <= 20.0
+
+
+def test_a_used_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr(replay_check.options, "check_vehicle_ports", lambda fleet: None)
+    (tmp_path / "digest.jsonl").touch()
+    assert replay_check.main(["--short", "--out", str(tmp_path)]) == 2
+    assert "not an empty folder" in capsys.readouterr().err
+
+
+def test_the_outcome_is_plain_data_and_its_table_fits_80_columns(tmp_path: Path) -> None:
+    digests = read_digests(flight(tmp_path / "a"))
+    other = read_digests(flight(tmp_path / "b", [62, 610, 333]))
+    known = replay_check.Flight(replay_check.REFERENCE, digests, 9.0, 2 * SECOND)
+    rows = [
+        (replay_check.Flight(circumstance, found, 123.4, 2 * SECOND), compare(digests, found, LATE))
+        for circumstance, found in zip(replay_check.SHORT, (digests, other, digests), strict=True)
+    ]
+    settings = replay_check.ReplaySettings(3, ("origin",), 12.0, 0, replay_check.SHORT, tmp_path)
+    data = json.loads(json.dumps(replay_check.outcome_data(settings, known, rows)))
+    assert (data["same"], [row["same"] for row in data["flights"]]) == (False, [True, False, True])
+    assert data["flights"][1]["differing"] == ["/x"]
+    console = Console(file=io.StringIO(), width=80)
+    replay_check._print_table(known, rows, console)
+    shown = console.file.getvalue()
+    for word in ("half speed, one busy core", "messages", "outcome", "differs", "same"):
+        assert word in shown
+    assert "…" not in shown

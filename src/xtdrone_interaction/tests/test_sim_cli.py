@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 import threading
+import types
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
@@ -57,3 +59,55 @@ def test_times_that_ros_cannot_hold_are_refused(option, value, end, capsys):
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert f"{value!r} is not allowed; a number of seconds above 0 and below {end}" in said
+
+
+def test_a_flight_elsewhere_is_found_until_it_ends(tmp_path):
+    runs, flight = tmp_path / "runs", tmp_path / "elsewhere" / "flight"
+    flight.mkdir(parents=True)
+    master = flight / sim_cli.MASTER_FILE
+    master.write_text("http://127.0.0.1:1\n")
+    pointer = sim_cli.announce(flight, runs)
+    assert list(sim_cli.flights([runs])) == [master]
+    master.unlink()  # killed: the pointer has stayed
+    assert list(sim_cli.flights([runs])) == []
+    stale = pointer.rename(pointer.with_name("1"))
+    sim_cli.announce(flight, runs)
+    assert not stale.exists()
+
+
+def test_a_flight_in_runs_needs_no_pointer(tmp_path):
+    assert sim_cli.announce(tmp_path / "flight", tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "state"),
+    [
+        ({}, "running"),
+        ({"paused": True, "reason": "paused"}, "paused"),
+        ({"paused": True, "stepping": True}, "stepping, then paused"),
+        ({"reason": "time has not started: 1 of 3 participants have joined"}, "waiting for participants"),
+        ({"waiting_for": ["/a"], "reason": "waiting for /a (1.0 s)"}, "waiting"),
+    ],
+)
+def test_the_state_in_words(values, state):
+    plain = {"paused": False, "stepping": False, "waiting_for": [], "reason": ""}
+    assert sim_cli._state(types.SimpleNamespace(**{**plain, **values})) == state
+
+
+def test_the_limit_that_has_passed_is_named(monkeypatch):
+    from std_srvs.srv import Trigger, TriggerRequest
+
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        monkeypatch.setattr(sim_cli, "find_service", lambda master, name: silent.getsockname())
+        monkeypatch.setattr(sim_cli, "_MASTER_LIMIT", 0.125)
+        with pytest.raises(sim_cli.SimError, match=r"/simulator/pause has not answered within 0\.125 s"):
+            sim_cli.call("http://127.0.0.1:1", "/simulator/pause", Trigger, TriggerRequest())
+
+
+def test_ctrl_c_leaves_a_step_under_way_and_says_so(monkeypatch, capsys):
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sim_cli, "call", interrupted)
+    assert sim_cli.main(["step", "--for", "100", "--master", "11311"]) == 130
+    assert "the step goes on; './xtdrone sim pause' ends it" in capsys.readouterr().err

@@ -222,8 +222,8 @@ void Client::close() {
 
 void Client::fail(const std::string& why) {
   // A connection may break while the word why is there already, unread.
-  if (const auto refusal = findRefusal()) {
-    refused(*refusal);
+  if (const auto word = findLastWord()) {
+    refused(*word);
     return;
   }
   failure_ = "is gone: " + (why.empty() ? "unknown reason" : why);
@@ -231,25 +231,25 @@ void Client::fail(const std::string& why) {
 }
 
 void Client::refused(const Frame& frame) {
-  static const std::string prefix = "dropped: ";
   std::string reason;
   try {
     reason = unpackObject(frame.payload).value("reason", "");
   } catch (const std::exception& error) {  // the protocol's and the JSON library's
     reason = error.what();
   }
-  failure_ = "has dropped this node: " + (reason.rfind(prefix, 0) == 0 ? reason.substr(prefix.size()) : reason);
+  (frame.kind == Kind::LEAVE ? farewell_ : failure_) =
+      frame.kind == Kind::LEAVE ? reason : "has dropped this node: " + reason;
   close();
 }
 
-std::optional<Frame> Client::findRefusal() {
+std::optional<Frame> Client::findLastWord() {
   try {
     std::array<char, 1 << 16> data;
     for (ssize_t size; socket_ >= 0 && (size = recv(socket_, data.data(), data.size(), MSG_DONTWAIT)) > 0;) {
       reader_.feed(data.data(), static_cast<std::size_t>(size));
     }
     while (auto frame = reader_.next()) {
-      if (frame->kind == Kind::REFUSED) {
+      if (frame->kind == Kind::REFUSED || frame->kind == Kind::LEAVE) {
         return frame;
       }
     }
@@ -286,7 +286,7 @@ std::optional<bool> Client::awaitTick() {
         }
         if (frame->kind == Kind::PEER) {
           takePeers(unpackObject(frame->payload));
-        } else if (frame->kind == Kind::REFUSED) {
+        } else if (frame->kind == Kind::REFUSED || frame->kind == Kind::LEAVE) {
           refused(*frame);
           return std::nullopt;
         }

@@ -56,6 +56,8 @@ class Client {
   bool digests() const { return digests_; }
   /// What the simulator did, as "is gone: why", when it has ended the connection; else empty.
   const std::string& failure() const { return failure_; }
+  /// What the simulator said when it ended in an orderly way; empty otherwise.
+  const std::string& farewell() const { return farewell_; }
 
   /// Connects and reserves the name for the node that is to join over this connection.
   ///
@@ -92,7 +94,7 @@ class Client {
   void fail(const std::string& why);
   void refused(const Frame& frame);
   /// Returns the REFUSED that lies behind what has been handled so far.
-  std::optional<Frame> findRefusal();
+  std::optional<Frame> findLastWord();
   /// Waits until something comes, handles it, and returns false if the node is to end or the simulator is gone.
   bool wait(double seconds);
   std::size_t receive();
@@ -115,6 +117,7 @@ class Client {
   bool joined_ = false;
   bool digests_ = false;
   std::string failure_;
+  std::string farewell_;
   FrameReader reader_;
   Barrier now_;
   bool set_back_ = false;

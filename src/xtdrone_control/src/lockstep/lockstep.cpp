@@ -78,6 +78,8 @@ void end() {
   if (const auto client = std::move(node().client)) {
     if (!client->failure().empty()) {
       ROS_ERROR("the simulator at %s %s", client->uri().c_str(), client->failure().c_str());
+    } else if (!client->farewell().empty()) {
+      ROS_INFO("%s", client->farewell().c_str());
     }
     client->leave();
   }

@@ -47,7 +47,6 @@ def _parser() -> argparse.ArgumentParser:
         help="UAVs take off, fly through formation patterns and land",
         description="Fly the formation demo: take-off, origin, each pattern in turn with the leader moving between, "
         "origin, landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures and logs.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     ))  # fmt: skip
     report = commands.add_parser("report", help="make report and pictures of a recorded flight again")
     report.add_argument("bag", type=Path, help="flight.bag of a run")
@@ -59,24 +58,38 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_formation(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--n", type=_checked(options.vehicle_count), default=9, metavar="N", help="number of vehicles")
-    add("--type", default="iris", metavar="TYPE", help="vehicle type")
+    add(
+        "--n",
+        type=_checked(options.vehicle_count),
+        default=9,
+        metavar="N",
+        help="number of vehicles (default: %(default)s)",
+    )
+    add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
     add("--patterns", type=_checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
-        help="patterns to fly, with commas between")  # fmt: skip
+        help="patterns to fly, with commas between (default: cube,pyramid,triangle)")  # fmt: skip
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with patterns of your own")
     add("--speed", type=_checked(options.speed), default=0.0, metavar="FACTOR",
-        help="target real-time factor, or 'unlimited' (0.0)")  # fmt: skip
-    add("--seed", type=_checked(options.seed), default=0, metavar="SEED", help="seed of all noise")
+        help="target real-time factor, or 'unlimited' (default: unlimited)")  # fmt: skip
+    add(
+        "--seed",
+        type=_checked(options.seed),
+        default=0,
+        metavar="SEED",
+        help="seed of all noise (default: %(default)s)",
+    )
     add("--processes", choices=["per-uav", "shared"], default="per-uav",
-        help="a process per vehicle and role, as in the paper, or one per role")  # fmt: skip
+        help="a process per vehicle and role, as in the paper, or one per role (default: %(default)s)")  # fmt: skip
     add("--follower", default=DEFAULT_FOLLOWER, metavar="PROGRAM",
-        help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class")  # fmt: skip
-    add("--control", choices=["vel", "accel"], default="vel", help="what followers command")
+        help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
+        "(default: %(default)s)")  # fmt: skip
+    add("--control", choices=["vel", "accel"], default="vel", help="what followers command (default: %(default)s)")
     add("--avoidance", choices=["own", "python", "cpp"], default="own",
-        help="who computes the avoidance: every follower its own, or one node for all (Python, C++)")  # fmt: skip
+        help="who computes the avoidance: every follower its own, or one node for all (Python, C++) "
+        "(default: %(default)s)")  # fmt: skip
     add("--clearance", type=_checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
-        help="least height of any slot above the ground, m")  # fmt: skip
-    add("--world", default="empty", metavar="WORLD", help="world's name")
+        help="least height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
+    add("--world", default="empty", metavar="WORLD", help="world's name (default: %(default)s)")
     add("--headless", action="store_true", help="no live display: a line of progress every few seconds")
     add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
     master = parser.add_mutually_exclusive_group()
@@ -153,12 +166,7 @@ def _new_folder(wanted: Path | None) -> Path:
         while wanted.exists():
             number += 1
             wanted = base.with_name(f"{base.name}-{number}")
-    folder = wanted.resolve()
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise OptionError(f"out: {str(wanted)!r} is there and not an empty folder")
-    if any(c.isspace() for c in str(folder)):
-        raise OptionError(f"out: {str(folder)!r} has a space in it, which roslaunch cannot pass on; choose --out")
-    return folder
+    return options.new_folder(wanted)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import time
+from collections.abc import Iterable
 from typing import Any, Protocol
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 _SPAN = 1.0  # s of wall time over which the real-time factor is taken
+_REMINDER = 30.0  # s of wall time between two lines while the world stands still
+_FIGURES = re.compile(r" \(|: ")  # begins what changes in a standstill's text: "waiting for /x (4 s)"
 _LINE_PERIOD = 5.0  # s of wall time between two lines where there is no terminal
 
 
@@ -20,6 +25,9 @@ class Display(Protocol):
 
     def update(self, progress: dict[str, Any]) -> None:
         """Show a message of /xtdrone/demo/progress."""
+
+    def standstill(self, text: str) -> None:
+        """Show why the world stands still; empty: it moves."""
 
     def close(self) -> None:
         """End the display."""
@@ -48,44 +56,61 @@ def figures(progress: dict[str, Any], factor: float) -> str:
     """Return the figures of a progress message as text: simulated time, real-time factor, error, distance."""
     parts = [f"sim {progress['sim_time']:6.1f} s", f"{factor:4.1f} x real time"]
     if progress["error"] is not None:
-        parts.append(f"formation error {progress['error']:5.2f} m")
+        parts.append(f"error {progress['error']:5.2f} m")
     if progress["least_distance"] is not None:
-        parts.append(f"least distance {progress['least_distance']:4.2f} m")
+        parts.append(f"least gap {progress['least_distance']:4.2f} m")
     return "  ".join(parts)
 
 
+class _TwoLines(Progress):
+    """A bar with the task's figures on a line of their own, so that both fit 80 columns."""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Yield the bar, then the figures."""
+        yield from super().get_renderables()
+        for task in self.tasks:
+            yield Text(f"  {task.fields['figures']}", no_wrap=True, overflow="ellipsis")
+
+
 class LiveDisplay:
-    """A line that changes in place, below the notes."""
+    """Two lines that change in place, below the notes."""
 
     def __init__(self, console: Console) -> None:
         """Show that the stack starts."""
-        self._progress = Progress(
+        self._progress = _TwoLines(
             SpinnerColumn(),
             TextColumn("{task.description:<18}"),
             BarColumn(bar_width=20),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            TextColumn("{task.fields[figures]}"),
             console=console,
             refresh_per_second=5,
         )
         self._factor = RealTimeFactor()
+        self._figures = ""
+        self._standstill = ""
         self._task = self._progress.add_task("starting the nodes", total=None, figures="")
         self._progress.start()
 
     def note(self, text: str) -> None:
         """Show a line that stays."""
-        self._progress.console.print(text, highlight=False)
+        self._progress.console.print(text, highlight=False, soft_wrap=True)
 
     def update(self, progress: dict[str, Any]) -> None:
         """Show a message of /xtdrone/demo/progress."""
+        self._figures = figures(progress, self._factor.update(progress["sim_time"], time.monotonic()))
         self._progress.update(
             self._task,
             description=progress["phase"],
             completed=max(0, progress["step"] - 1),
             total=progress["steps"],
-            figures=figures(progress, self._factor.update(progress["sim_time"], time.monotonic())),
+            figures=self._standstill or self._figures,
         )
+
+    def standstill(self, text: str) -> None:
+        """Show ``text`` in place of the figures; empty: the figures again."""
+        self._standstill = text
+        self._progress.update(self._task, figures=text or self._figures)
 
     def close(self) -> None:
         """Leave the last line as it is."""
@@ -100,6 +125,8 @@ class LineDisplay:
         self._console = console
         self._shown = 0.0
         self._phase = ""
+        self._standstill = ""
+        self._reminded = 0.0
         self._factor = RealTimeFactor()
         self.note("starting the nodes")
 
@@ -115,6 +142,14 @@ class LineDisplay:
             return
         self._shown, self._phase = now, progress["phase"]
         self.note(f"{progress['step']:2d}/{progress['steps']} {progress['phase']:<18} {figures(progress, factor)}")
+
+    def standstill(self, text: str) -> None:
+        """Show a line when the world stops for another cause than before, or goes on, and now and then between."""
+        now, cause = time.monotonic(), _FIGURES.split(text)[0]
+        if cause == self._standstill and (not text or now - self._reminded < _REMINDER):
+            return
+        self.note(f"  {text or 'goes on'}")
+        self._standstill, self._reminded = cause, now
 
     def close(self) -> None:
         """Nothing is left open."""

@@ -21,13 +21,14 @@ from urllib.parse import urlparse
 
 from rich.console import Console
 
+from xtdrone_interaction.deaths import Deaths
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.options import OptionError, repository
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.record import RecordError, read_events, read_record
 from xtdrone_interaction.report import make_report, print_report, write_report
-from xtdrone_interaction.sim_cli import MASTER_FILE
+from xtdrone_interaction.sim_cli import MASTER_FILE, announce
 
 _POLL = 0.2  # s, how often the processes are looked after
 _START_LIMIT = 60.0  # s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
@@ -38,6 +39,7 @@ _NODE_PATIENCE = 8.0  # s that a node gets to stop
 _TROUBLE = re.compile(r"\b(ERROR|FATAL)\b|(Error|Exception)\b|has died|cannot launch|RLException|Invalid <")
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _TROUBLE_LINES = 12
+_NAMES_SHOWN = 3
 
 
 class DemoError(RuntimeError):
@@ -108,8 +110,23 @@ class _Feed:
         return lambda message: self.messages.put((kind, json.loads(message.data)))
 
     def on_status(self, status: Any) -> None:
-        if status.paused or status.waiting_for:
-            self.messages.put(("standstill", {}))
+        self.messages.put(("status", {"text": standstill(status), "held": bool(status.paused or status.waiting_for)}))
+
+
+def standstill(status: Any) -> str:
+    """Return why the world stands still, in a few words; empty while it moves.
+
+    Args:
+        status: an xtdrone_msgs/SimulationStatus.
+    """
+    if status.waiting_for:
+        names = ", ".join(sorted(status.waiting_for)[:_NAMES_SHOWN])
+        rest = len(status.waiting_for) - _NAMES_SHOWN
+        more = f" and {rest} more" if rest > 0 else ""
+        return f"waiting for {names}{more} ({status.waiting.to_sec():.0f} s)"
+    if status.stepping:
+        return ""
+    return "paused" if status.paused else str(status.reason)
 
 
 def run_demo(settings: DemoSettings, console: Console) -> int:
@@ -121,12 +138,16 @@ def run_demo(settings: DemoSettings, console: Console) -> int:
     command_wall = time.time()
     (settings.out / "logs").mkdir(parents=True)
     console.print(f"Results: {settings.out}", highlight=False, soft_wrap=True)
+    console.print(_how_to_control(settings), highlight=False, soft_wrap=True)
+    deaths = Deaths(_roslaunch_log(settings))
     with _signals_raise():
         try:
-            _fly(settings, console)
-            return _conclude(settings, console, command_wall)
+            _fly(settings, console, deaths)
+            return _conclude(settings, console, command_wall, deaths)
         except DemoError as error:
             console.print(f"[red]Error:[/red] {_escape(str(error))}", highlight=False, soft_wrap=True)
+            for death in deaths.found.values():
+                console.print(f"  {_escape(str(death))}", highlight=False, soft_wrap=True)
             _print_trouble(settings, console)
             return 1
         except Interrupted as signalled:
@@ -134,7 +155,14 @@ def run_demo(settings: DemoSettings, console: Console) -> int:
             return 128 + signalled.number
 
 
-def _fly(settings: DemoSettings, console: Console) -> None:
+def _how_to_control(settings: DemoSettings) -> str:
+    uri = _master_uri(settings)
+    return (
+        f"ROS master {uri}; './xtdrone sim --master {settings.master_port or uri} pause' (step, speed, ...) controls it"
+    )
+
+
+def _fly(settings: DemoSettings, console: Console, deaths: Deaths) -> None:
     """Run the launch file to its end.
 
     Raises:
@@ -145,16 +173,19 @@ def _fly(settings: DemoSettings, console: Console) -> None:
     os.environ.update({k: environment[k] for k in environment if k.startswith("ROS_")})  # for our own rospy
     master = settings.out / MASTER_FILE
     master.write_text(uri + "\n", encoding="utf-8")
+    pointer = announce(settings.out)
     tree = ProcessTree(_command(settings), environment, _roslaunch_log(settings))
     display: Display = LineDisplay(console) if settings.headless or not console.is_terminal else LiveDisplay(console)
     try:
-        _watch(tree, settings, uri, display)
+        _watch(tree, settings, uri, display, deaths)
     finally:
         with _signals_wait():
             display.close()
             _close_feed()
             tree.stop(_PATIENCE)
             master.unlink(missing_ok=True)
+            if pointer is not None:
+                pointer.unlink(missing_ok=True)
             _mend_bag(settings.out / "flight.bag", environment)
 
 
@@ -226,7 +257,7 @@ def _listens(uri: str) -> bool:
     return True
 
 
-def _watch(tree: ProcessTree, settings: DemoSettings, uri: str, display: Display) -> None:
+def _watch(tree: ProcessTree, settings: DemoSettings, uri: str, display: Display, deaths: Deaths) -> None:
     """Show the flight's progress until roslaunch has ended.
 
     Raises:
@@ -234,19 +265,25 @@ def _watch(tree: ProcessTree, settings: DemoSettings, uri: str, display: Display
     """
     limit = _START_LIMIT + _START_LIMIT_VEHICLE * settings.n
     last, begun, outcome = time.monotonic(), False, ""
+    sim_time: float | None = None
     feed = _Feed()
     connected = False
     while not tree.wait(0.0):
         if not connected and _listens(uri):
             _open_feed(feed)
             connected = True
+        _show_deaths(deaths, sim_time, display)
         with contextlib.suppress(queue.Empty):
             kind, message = feed.messages.get(timeout=_POLL)
-            last = time.monotonic()
-            if kind == "standstill":  # a pause, or a node at a breakpoint: however long, nothing is wrong
+            if kind == "status":
+                display.standstill(message["text"])
+                if message["held"]:  # a pause, or a node at a breakpoint: however long, nothing is wrong
+                    last = time.monotonic()
                 continue
+            last = time.monotonic()
             begun, limit = True, _SILENCE_LIMIT
             if kind == "progress":
+                sim_time = message["sim_time"]
                 display.update(message)
             else:
                 _show_event(message, display)
@@ -258,6 +295,7 @@ def _watch(tree: ProcessTree, settings: DemoSettings, uri: str, display: Display
         if time.monotonic() - last > limit:
             what = "no message from the director" if begun else "the flight did not begin"
             raise DemoError(f"{what} within {limit:.0f} s of wall time")
+    _show_deaths(deaths, sim_time, display)
     if outcome in ("done", "failed"):
         with _signals_wait():
             _close_feed()
@@ -267,6 +305,11 @@ def _watch(tree: ProcessTree, settings: DemoSettings, uri: str, display: Display
         raise DemoError("the flight ended early")
     if events[-1]["event"] == "failed":
         raise DemoError(events[-1]["reason"])
+
+
+def _show_deaths(deaths: Deaths, sim_time: float | None, display: Display) -> None:
+    for death in deaths.look(sim_time):
+        display.note(f"  [red]{_escape(str(death))}[/red]")
 
 
 def _show_event(event: dict[str, Any], display: Display) -> None:
@@ -325,14 +368,20 @@ def _escape(text: str) -> str:
     return text.replace("[", r"\[")
 
 
-def _conclude(settings: DemoSettings, console: Console, command_wall: float) -> int:
+def _conclude(settings: DemoSettings, console: Console, command_wall: float, deaths: Deaths) -> int:
     """Make report and pictures of the finished flight and return the exit status."""
     stored = {k: v for k, v in asdict(settings).items() if k not in ("out", "master_port", "headless")}
-    return report_flight(settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console)
+    return report_flight(settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console, deaths)
 
 
-def report_flight(bag: Path, settings: dict[str, Any], console: Console) -> int:
+def report_flight(bag: Path, settings: dict[str, Any], console: Console, deaths: Deaths | None = None) -> int:
     """Write report.json and the pictures beside ``bag``, print the table, and return 0 for a good flight, else 1.
+
+    Args:
+        bag: the flight's record.
+        settings: see :func:`~xtdrone_interaction.report.make_report`.
+        console: gets the table.
+        deaths: nodes that ended in flight, where that is known.
 
     Raises:
         DemoError: the bag is no flight record.
@@ -342,6 +391,8 @@ def report_flight(bag: Path, settings: dict[str, Any], console: Console) -> int:
     try:
         record = read_record(bag)
         report = make_report(record, settings)
+        report["died"] = deaths.as_data() if deaths else []
+        report["shortcomings"] = [*map(str, deaths.found.values() if deaths else []), *report["shortcomings"]]
         write_report(report, bag.parent / "report.json")
         pictures = save_plots(record, bag.parent)
     except RecordError as error:

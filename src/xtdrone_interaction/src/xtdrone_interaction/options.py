@@ -138,6 +138,20 @@ def one_of_files(thing: str, name: str, folder: Path) -> str:
     return name
 
 
+def new_folder(wanted: Path) -> Path:
+    """Return an absolute folder for results: it is not there, or empty.
+
+    Raises:
+        OptionError: it is there with something in it, or roslaunch cannot pass its name on.
+    """
+    folder = wanted.resolve()
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OptionError(f"out: {str(wanted)!r} is there and not an empty folder")
+    if any(c.isspace() for c in str(folder)):
+        raise OptionError(f"out: {str(folder)!r} has a space in it, which roslaunch cannot pass on; choose --out")
+    return folder
+
+
 def free_port() -> int:
     """Return a TCP port of this machine that nobody uses now."""
     with socket.socket() as probe:

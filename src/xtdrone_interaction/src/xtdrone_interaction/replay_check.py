@@ -16,10 +16,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -160,9 +161,7 @@ def replay_settings(arguments: argparse.Namespace) -> ReplaySettings:
     options.swarm_patterns(n, patterns)
     options.check_vehicle_ports(parse_fleet(f"{TYPE}:{n}"))
     until = options.positive("until", arguments.until) if arguments.until else (12.0 if short else 0.0)
-    folder = (arguments.out or Path("runs") / f"replay-{time.strftime('%Y%m%d-%H%M%S')}").resolve()
-    if any(c.isspace() for c in str(folder)):
-        raise OptionError(f"out: {str(folder)!r} has a space in it, which roslaunch cannot pass on; choose --out")
+    folder = options.new_folder(arguments.out or Path("runs") / f"replay-{time.strftime('%Y%m%d-%H%M%S')}")
     return ReplaySettings(n, tuple(patterns), until, options.seed(arguments.seed), SHORT if short else FULL, folder)
 
 
@@ -184,6 +183,9 @@ def run_check(settings: ReplaySettings, console: Console) -> int:
             rows.append((flight, result))
             console.print(f"{_flight_line(flight)}: {verdict(result)}", highlight=False, soft_wrap=True)
     _print_table(reference, rows, console)
+    outcome = settings.folder / "replay.json"
+    outcome.write_text(json.dumps(outcome_data(settings, reference, rows), indent=2) + "\n", encoding="utf-8")
+    console.print(f"  {outcome}", highlight=False, soft_wrap=True)
     return 0 if all(result.same for _, result in rows) else 1
 
 
@@ -310,17 +312,54 @@ def verdict(result: Comparison) -> str:
     return f"differs in the second before {result.difference_time:.3f} s: {names}"
 
 
+def outcome_data(
+    settings: ReplaySettings, reference: Flight, rows: Sequence[tuple[Flight, Comparison]]
+) -> dict[str, Any]:
+    """Return the outcome as plain data; times in s."""
+    return {
+        "same": all(result.same for _, result in rows),
+        "vehicles": settings.n,
+        "patterns": list(settings.patterns),
+        "seed": settings.seed,
+        "until": settings.until or None,
+        "reference": {
+            "circumstance": asdict(reference.circumstance),
+            "sim_time": reference.end_us * 1e-6,
+            "wall_time": reference.wall,
+        },
+        "flights": [
+            {
+                "circumstance": asdict(flight.circumstance),
+                "sim_time": flight.end_us * 1e-6,
+                "wall_time": flight.wall,
+                "same": result.same,
+                "verdict": verdict(result),
+                "compared_time": result.time,
+                "topics": result.topics,
+                "messages": result.messages,
+                "bytes": result.bytes,
+                "difference_time": result.difference_time,
+                "differing": list(result.differing),
+            }
+            for flight, result in rows
+        ],
+    }
+
+
 def _print_table(reference: Flight, rows: Sequence[tuple[Flight, Comparison]], console: Console) -> None:
-    table = Table(title="The same flight under other circumstances, compared with: " + reference.circumstance.title)
-    for heading in ("circumstance", "wall time (s)", "compared (s)", "topics", "messages", "MB", "outcome"):
-        table.add_column(heading, justify="left" if heading in ("circumstance", "outcome") else "right")
+    """Print the outcome in at most 80 columns: what differs where was printed with each flight."""
+    title = "The same flight under other circumstances, compared with: " + reference.circumstance.title
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for heading in ("circumstance", "wall\n(s)", "until\n(s)", "topics", "messages", "MB", "outcome"):
+        left = heading in ("circumstance", "outcome")
+        table.add_column(heading, justify="left" if left else "right", no_wrap=heading != "circumstance")
     for flight, result in rows:
         figures: list[Any] = [f"{flight.wall:.1f}", f"{result.time:.2f}", result.topics, result.messages]
         table.add_row(
             flight.circumstance.title,
             *map(str, figures),
             f"{result.bytes * 1e-6:.1f}",
-            "[green]same[/green]" if result.same else f"[red]{verdict(result)}[/red]",
+            "[green]same[/green]" if result.same else "[red]differs[/red]",
         )
     console.print(table)
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
@@ -276,4 +277,4 @@ def print_report(report: dict[str, Any], console: Console) -> None:
     console.print(line + ".", highlight=False)
     console.print(f"Positions: {report['positions']}.", highlight=False)
     for text in report["shortcomings"]:
-        console.print(f"[red]Missed:[/red] {text}", highlight=False)
+        console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)

@@ -29,9 +29,11 @@ import rosgraph.network
 from xtdrone_control.speed import LEAST_SPEED
 
 DEFAULT_MASTER = "http://localhost:11311"
+RUNS = Path(__file__).resolve().parents[4] / "runs"
 MASTER_FILE = "master"
 """In a flight's folder while it flies: the URI of its ROS master."""
 
+_POINTERS = ".flights"  # in runs/: a file for each flight whose results are elsewhere, with its folder's path
 _CALLER = "/xtdrone_sim_cli"
 _MASTER_LIMIT = 3.0  # s for a master to answer
 _ANSWER_LIMIT = 20.0  # s for the simulator; a reset may wait 10 s for the end of a tick
@@ -95,17 +97,20 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
         raise SimError(f"master: none answers at {master}: {error}") from error
     if address is None:
         raise SimError(f"simulator: none on the ROS master {master} (service {name} is not there)")
+    patience = _MASTER_LIMIT  # for the connection; _exchange gives the answer its own limit
     try:
-        with socket.create_connection(address, timeout=_MASTER_LIMIT) as sock:
-            return _exchange(sock, name, kind, request, limit)
+        with socket.create_connection(address, timeout=patience) as sock:
+            _greet(sock, name, kind)
+            patience = limit or 0.0
+            return _exchange(sock, kind, request, limit)
     except TimeoutError as error:
-        raise SimError(f"simulator: {name} has not answered within {limit or _MASTER_LIMIT:g} s") from error
+        raise SimError(f"simulator: {name} has not answered within {patience:g} s") from error
     except OSError as error:
         raise SimError(f"simulator: {name} at {address[0]}:{address[1]} does not answer: {error}") from error
 
 
-def _exchange(sock: socket.socket, name: str, kind: Any, request: Any, limit: float | None) -> Any:
-    """Speak TCPROS: header, header, request, response."""
+def _greet(sock: socket.socket, name: str, kind: Any) -> None:
+    """Exchange the headers of TCPROS."""
     header = {"callerid": _CALLER, "service": name, "type": kind._type, "md5sum": kind._md5sum}
     rosgraph.network.write_ros_handshake_header(sock, header)
     try:
@@ -114,6 +119,10 @@ def _exchange(sock: socket.socket, name: str, kind: Any, request: Any, limit: fl
         raise SimError(f"simulator: {name}: {error}") from error
     if "error" in answer:
         raise SimError(f"simulator: {name}: {answer['error']}")
+
+
+def _exchange(sock: socket.socket, kind: Any, request: Any, limit: float | None) -> Any:
+    """Send a request of TCPROS and return the response."""
     content = io.BytesIO()
     request.serialize(content)
     data = content.getvalue()
@@ -175,7 +184,37 @@ def choose_master(given: str, environment: str, runs: Sequence[Path]) -> tuple[s
 def flights(runs: Sequence[Path]) -> Iterator[Path]:
     """Yield the master files of flights, the newest first."""
     files = {file.resolve() for folder in runs for file in folder.glob(f"*/{MASTER_FILE}")}
+    files |= {file.resolve() for folder in runs for file in map(_pointed, (folder / _POINTERS).glob("*")) if file}
     yield from sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
+
+
+def announce(flight: Path, runs: Path = RUNS) -> Path | None:
+    """Leave a pointer to a flight's folder in ``runs``, so that ``xtdrone sim`` finds it.
+
+    Returns:
+        The pointer, to be removed at the flight's end; None where none is needed, or none can be written.
+    """
+    if flight.parent == runs:
+        return None
+    pointer = runs / _POINTERS / str(os.getpid())
+    try:
+        pointer.parent.mkdir(parents=True, exist_ok=True)
+        for old in pointer.parent.glob("*"):
+            if _pointed(old) is None:  # of a flight that was killed
+                old.unlink(missing_ok=True)
+        pointer.write_text(f"{flight}\n", encoding="utf-8")
+    except OSError:
+        return None  # somebody else's workspace: the flight's master is on the screen
+    return pointer
+
+
+def _pointed(pointer: Path) -> Path | None:
+    """Return the master file of the flight that a pointer names, None where there is none any more."""
+    try:
+        file = Path(pointer.read_text(encoding="utf-8").strip()) / MASTER_FILE
+    except (OSError, UnicodeDecodeError):
+        return None
+    return file if file.is_file() else None
 
 
 # ---- commands; each returns what to print
@@ -199,7 +238,11 @@ def _step(master: str, arguments: argparse.Namespace) -> str:
         request.until = genpy.Time.from_sec(arguments.until)
     if arguments.seconds is not None:
         request.duration = genpy.Duration.from_sec(arguments.seconds)
-    return _accepted(call(master, "/simulator/step", Step, request, limit=None))
+    try:
+        return _accepted(call(master, "/simulator/step", Step, request, limit=None))
+    except KeyboardInterrupt:
+        print("\nxtdrone sim: the step goes on; './xtdrone sim pause' ends it", file=sys.stderr)
+        raise
 
 
 def _speed(master: str, arguments: argparse.Namespace) -> str:
@@ -221,20 +264,32 @@ def _status(master: str, _arguments: argparse.Namespace) -> str:
     from xtdrone_msgs.srv import GetStatus, GetStatusRequest
 
     status = call(master, "/simulator/get_status", GetStatus, GetStatusRequest()).status
-    state = "stepping, then paused" if status.stepping else "paused" if status.paused else "running"
+    state = _state(status)
     target = f"target {status.speed:g}" if status.speed else "as fast as it goes"
-    names = ", ".join(status.participants[:_NAMES_SHOWN])
-    rest = len(status.participants) - _NAMES_SHOWN
+    count = len(status.participants)
+    names = ", ".join(sorted(status.participants)[:_NAMES_SHOWN]) or "none has joined"
+    rest = count - _NAMES_SHOWN
     lines = [
         ("master", master),
         ("state", state),
         ("time", f"{status.sim_time.to_sec():.3f} s, tick {status.tick}"),
         ("speed", f"{status.measured_speed:.2f} x real time, {target}"),
-        ("lockstep", f"{len(status.participants)} participants: {names}{f' and {rest} more' if rest > 0 else ''}"),
+        ("lockstep", f"{count} participant{'s' * (count != 1)}: {names}{f' and {rest} more' if rest > 0 else ''}"),
     ]
     if status.reason and status.reason != state:
         lines.append(("stands still", status.reason))
     return "\n".join(f"{name:<13}{text}" for name, text in lines)
+
+
+def _state(status: Any) -> str:
+    """Return in a word or two what the simulation does."""
+    if status.stepping:
+        return "stepping, then paused"
+    if status.paused:
+        return "paused"
+    if status.waiting_for:
+        return "waiting"
+    return "waiting for participants" if status.reason else "running"
 
 
 def _accepted(response: Any) -> str:
@@ -327,7 +382,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str]) -> int:
     """Run ``xtdrone sim`` with the arguments after "sim"; return the exit status."""
     arguments = _parser().parse_args(list(argv))
-    runs = [Path("runs"), Path(__file__).resolve().parents[4] / "runs"]
+    runs = [Path("runs"), RUNS]
     try:
         master, origin = choose_master(arguments.master or "", os.environ.get("ROS_MASTER_URI", ""), runs)
         if origin:

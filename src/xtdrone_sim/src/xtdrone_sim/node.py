@@ -328,7 +328,8 @@ class SimulatorNode:
         if kind is Reset.SIMULATION:
             self._next_states_us = 0
             self._server.reset_time(0)
-        self._publish_clock()
+        if simulation.time_us > 0:  # 0 means "no time yet" in ROS, and ends rosbag record: the next tick's is the first
+            self._publish_clock()
 
     def _advance(self) -> None:
         """Step to the next tick, or a little way when nobody is due soon; then one barrier."""

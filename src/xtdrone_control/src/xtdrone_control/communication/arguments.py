@@ -95,11 +95,13 @@ def check_multirotor(kind: str, fleet: tuple[Vehicle, ...] | None) -> int | None
 def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str], usage: str) -> int:
     """Run a node's main function with the arguments that ROS leaves; return the exit status.
 
-    0 after a normal end, 1 without a master or when the simulator refuses, 2 for wrong arguments, each with its reason
-    on standard error.
+    0 after a normal end, 1 without a master, when the simulator refuses or drops the node or crashes, 2 for wrong
+    arguments, each with its reason on standard error.
     """
     import rosgraph  # here, so that this module can be imported without ROS
     import rospy
+
+    from xtdrone_control import lockstep
 
     arguments = rospy.myargv(list(arguments))[1:]
     if not rosgraph.is_master_online():
@@ -113,6 +115,8 @@ def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str],
     except rospy.ROSInitException as error:
         print(error, file=sys.stderr)
         return 1
-    except (rospy.ROSInterruptException, KeyboardInterrupt):
+    except rospy.ROSInterruptException:
+        pass  # shut down
+    except KeyboardInterrupt:
         return 0
-    return 0
+    return lockstep.exit_status()

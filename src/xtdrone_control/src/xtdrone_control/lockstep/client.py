@@ -14,6 +14,7 @@ import contextlib
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 import traceback
@@ -92,6 +93,8 @@ class _Node:
         self.time_us = 0
         self.reset_hooks: list[Callable[[], None]] = []
         self.reservation: Client | None = None
+        self.crash = ""
+        self.exit_status = 0
         self.client: Client | None = None
         self.host: Host | None = None
         self.udp_ports: list[int] = []
@@ -309,6 +312,7 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
     if not options.get("disable_signals"):
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _on_signal)
+    _notice_crash()
     _node.rate = rate
     if rospy.get_param(PRIVATE_PARAM, True):
         _node.taking_part = bool(rospy.get_param(URI_PARAM, "") or rospy.get_param(WAIT_PARAM, False))
@@ -324,6 +328,22 @@ def _on_signal(number: int, _: Any) -> None:
     # rospy's handler takes the node's topics back on top of whatever the main thread does. If that was a log call,
     # which asks the master for a parameter, it waits for ever for the lock of the master's proxy. A thread does not.
     threading.Thread(target=rospy.core._ros_signal, args=(number, None), name="lockstep shutdown").start()
+
+
+def _notice_crash() -> None:
+    """Has an exception that ends the program noted, so that the simulator hears of it."""
+    previous = sys.excepthook
+
+    def note(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+        _node.crash = f"{kind.__name__}: {error}" if str(error) else kind.__name__
+        previous(kind, error, trace)
+
+    sys.excepthook = note
+
+
+def exit_status() -> int:
+    """Returns with what status the program should end: 1 if the simulator has dropped the node or crashed, else 0."""
+    return _node.exit_status
 
 
 def add_reset_hook(hook: Callable[[], None]) -> None:
@@ -533,7 +553,10 @@ def _reserve(name: str) -> Client | None:
             # The one that has it may be on its way out.
             if error.code != "taken" or time.monotonic() - began > NAME_LIMIT:
                 raise rospy.ROSInitException(f"cannot join the simulator at {uri} ({URI_PARAM}): {error}") from error
-        time.sleep(SLICE)  # the simulator tells nobody of names that become free
+        try:
+            time.sleep(SLICE)  # the simulator tells nobody of names that become free
+        except KeyboardInterrupt:  # rospy, which would handle the signal, has not begun
+            raise SystemExit(128 + signal.SIGINT) from None
 
 
 def _join() -> Client:
@@ -695,7 +718,9 @@ class Client:
             try:
                 if self._joined and self._sock is not None:
                     self._joined = False
-                    leave = pack_object(Kind.LEAVE, {"reason": "shut down"})
+                    crash = self._node.crash
+                    reason = f"it has crashed: {crash}" if crash else "shut down"
+                    leave = pack_object(Kind.LEAVE, {"reason": reason, "failed": bool(crash)})
                     frames = self._digest_frame() + self._done_frame() + leave
                     with contextlib.suppress(OSError):
                         self._sock.sendall(frames)
@@ -819,6 +844,8 @@ class Client:
                     self._peers(unpack_object(payload))
                 elif kind == Kind.REFUSED:
                     self._end("the simulator has dropped this node", str(unpack_object(payload).get("reason")))
+                elif kind == Kind.LEAVE:
+                    self._end("", str(unpack_object(payload).get("reason")))
             self._reader.wait(1.0)
             if rospy.core.is_shutdown_requested():
                 raise rospy.ROSInterruptException("ROS shutdown request")
@@ -939,14 +966,28 @@ class Client:
         self._frames.extend(self._frame_reader.frames())
 
     def _simulator_gone(self, why: str) -> None:
+        # What it said last may be here, unread.
+        with contextlib.suppress(OSError, ProtocolError):
+            self._connected().settimeout(0.0)
+            self._read()
+        for kind, payload in self._frames:
+            if kind == Kind.LEAVE:
+                self._end("", str(unpack_object(payload).get("reason")))
+            if kind == Kind.REFUSED:
+                self._end("the simulator has dropped this node", str(unpack_object(payload).get("reason")))
         self._end(f"the simulator at {self.uri} is gone", why)
 
-    def _end(self, what: str, why: str) -> None:
-        rospy.logerr(f"{what}: {why}")
+    def _end(self, fault: str, why: str) -> None:
+        """Ends the node; without a fault the simulation has ended in an orderly way."""
+        if fault:
+            rospy.logerr(f"{fault}: {why}")
+            self._node.exit_status = 1
+        else:
+            rospy.loginfo(why)
         self._joined = False
         self._ended.set()
-        rospy.signal_shutdown(what)
-        raise rospy.ROSInterruptException(what)
+        rospy.signal_shutdown(fault or why)
+        raise rospy.ROSInterruptException(fault or why)
 
 
 # ---- the simulator's own publishers ----

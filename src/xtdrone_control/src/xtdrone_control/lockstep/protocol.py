@@ -30,7 +30,8 @@ PEER       server to client    made [[id, topic, publisher, subscriber's TCP por
                                count]])
 DECLARE    client to server    publications, subscriptions (as JOIN: all that there are now)
 DIGEST     client to server    time_us, topics {topic: [messages, bytes, crc]}; see `Digest`
-LEAVE      client to server    reason
+LEAVE      client to server    reason, failed (bool)
+LEAVE      server to client    reason; the simulation has ended
 =========  ==================  =========================================================================
 
 ``host`` says in which machine and process namespace ``pid`` means something (see `process_namespace`), so that the

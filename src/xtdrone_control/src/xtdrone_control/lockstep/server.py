@@ -6,6 +6,7 @@ calls from its own loop. Wall time is used for nothing but giving up on the dead
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import select
 import socket
@@ -217,6 +218,7 @@ class LockstepServer:
         self._epoll.register(self._listener.fileno(), select.EPOLLIN)
         self._connections: dict[int, Participant] = {}
         self._reserved: dict[str, Participant] = {}
+        self._refused = ""
         self.participants: dict[str, Participant] = {}
         self.datagrams_expected: dict[int, int] = {}
         self._datagrams: dict[int, int] = {}
@@ -385,8 +387,11 @@ class LockstepServer:
         if self._closed:
             return
         self._closed = True
+        farewell = pack_object(Kind.LEAVE, {"reason": "the simulation has ended"})
         for participant in self._connections.values():
             if participant.sock is not None:
+                with contextlib.suppress(OSError):
+                    participant.sock.send(farewell)
                 participant.sock.close()
         self._connections.clear()
         self.participants.clear()
@@ -566,10 +571,15 @@ class LockstepServer:
         if participant.sock is None:
             return
         who = f"participant {participant.name}" if participant.name else f"the connection from {participant.address}"
-        self._log(logging.WARNING, f"{who} {why}; dropped, the simulation goes on")
+        if participant.name:
+            self._log(logging.WARNING, f"{who} {why}; dropped, the simulation goes on")
+        elif participant.reserved:
+            self._log(logging.INFO, f"{participant.reserved} has ended before it joined")
+        else:
+            self._log(logging.DEBUG if participant.heard == participant.accepted else logging.WARNING, f"{who} {why}")
         # It may be alive and only slow: say why. One attempt, it may be dead as well.
         try:
-            participant.sock.send(pack_object(Kind.REFUSED, {"code": "dropped", "reason": f"dropped: it {why}"}))
+            participant.sock.send(pack_object(Kind.REFUSED, {"code": "dropped", "reason": f"it {why}"}))
         except OSError:
             self._log(logging.DEBUG, f"{who} could not be told")
         self._remove(participant)
@@ -618,8 +628,9 @@ class LockstepServer:
             if self._on_digest is not None:
                 self._on_digest(participant.name, int(content["time_us"]), content["topics"])
         elif kind == Kind.LEAVE:
-            reason = unpack_object(payload).get("reason", "")
-            self._log(logging.INFO, f"participant {participant.name} leaves: {reason}")
+            content = unpack_object(payload)
+            level = logging.WARNING if content.get("failed") else logging.INFO
+            self._log(level, f"participant {participant.name} leaves: {content.get('reason', '')}")
             self._remove(participant)
         else:
             raise ProtocolError(f"unknown frame type {kind}")
@@ -713,7 +724,9 @@ class LockstepServer:
         self._declare(participant, content)
 
     def _refuse(self, participant: Participant, code: str, reason: str) -> None:
-        self._log(logging.WARNING, f"refused: {reason}")
+        again, self._refused = reason == self._refused, reason
+        # One that waits for a name asks many times a second.
+        self._log(logging.DEBUG if again else logging.WARNING, f"refused: {reason}")
         self._send(participant, pack_object(Kind.REFUSED, {"code": code, "reason": reason}))
         self._remove(participant)
 

@@ -211,7 +211,7 @@ def main() -> int:
         return _FAILED
     finally:
         node.close()
-    return 0
+    return lockstep.exit_status()
 
 
 def _fleet(settings: Mapping[str, Any]) -> str:

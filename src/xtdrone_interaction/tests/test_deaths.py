@@ -1,0 +1,74 @@
+"""Nodes that end in flight: what is found in roslaunch's log, and how it is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from xtdrone_interaction.deaths import Deaths
+
+BEFORE = "process[follower_2-12]: started with pid [7]\n"
+KILLED = "\x1b[31m[follower_2-12] process has died [pid 7, exit code -9, cmd /x/f.py].\nlog file: /l*.log\x1b[0m\n"
+DROPPED = "[WARN] [1795250671.65]: simulator: participant /follower_2 is gone: [Errno 104] reset; dropped, ...\n"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "roslaunch.log"
+    path.write_text(BEFORE)
+    return path
+
+
+def add(log: Path, text: str) -> None:
+    with log.open("a") as file:
+        file.write(text)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_killed_node_is_told_once_with_its_signal(log: Path, first: bool) -> None:
+    deaths = Deaths(log)
+    assert deaths.look(11.0) == []
+    add(log, DROPPED if first else KILLED)
+    assert [death.node for death in deaths.look(12.04)] == ["follower_2"]
+    add(log, KILLED if first else DROPPED)
+    assert deaths.look(13.0) == []
+    assert [str(d) for d in deaths.found.values()] == [f"follower_2 has died (SIGKILL) at 12.0 s, see {log}"]
+    assert deaths.as_data()[0]["time"] == 12.04
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("[a/b-3] process has finished cleanly\n", "a/b has ended by itself at 1.0 s"),
+        ("[a-3] process has died [pid 7, exit code 1, cmd x].\n", "a has died (exit code 1) at 1.0 s"),
+        ("[WARN] [17.5, 66.2]: participant /a leaves: it has crashed: ValueError: no\n",
+         "a has died (ValueError: no) at 66.2 s"),
+        ("[WARN] [17.5]: simulator: participant /a has not answered for 60 s; dropped, the simulation goes on\n",
+         "a was dropped by the simulator (has not answered for 60 s) at 1.0 s"),
+    ],
+)  # fmt: skip
+def test_each_end_is_said_in_its_words(log: Path, line: str, text: str) -> None:
+    deaths = Deaths(log)
+    add(log, line[:12])
+    assert deaths.look(1.0) == [], "the line is not whole yet"
+    add(log, line[12:])
+    assert [str(death) for death in deaths.look(1.0)] == [f"{text}, see {log}"]
+
+
+@pytest.mark.parametrize("line", ["[leader-5] killing on exit\n", "Initiating shutdown!\n"])
+def test_what_ends_with_the_flight_is_no_death(log: Path, line: str) -> None:
+    add(log, line + KILLED)
+    assert Deaths(log).look(1.0) == []
+
+
+def test_the_file_with_the_traceback_is_named(log: Path) -> None:
+    own = log.parent / "run" / "follower_2-12-stdout.log"
+    own.parent.mkdir()
+    own.write_text("Traceback (most recent call last):\n")
+    add(log, KILLED)
+    assert Deaths(log).look(None)[0].log == str(own)
+
+
+def test_no_log_yet_is_no_death(tmp_path: Path) -> None:
+    assert Deaths(tmp_path / "roslaunch.log").look(None) == []
