@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from test_lockstep_nodes import PATIENCE, ROSMASTER, Graph, due_times, run, wait_until
+from test_lockstep_nodes import PATIENCE, ROSMASTER, Graph, due_times, heavy, run, wait_until
 
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.protocol import Digest
@@ -76,27 +76,6 @@ def participant(name: str, rate: float, seed: int, peers: list[str]) -> None:
         now = rospy.Time.now().to_nsec() // 1000
         for publisher in publishers:
             publisher.publish(f"{now} {name} {checksum:016x}")
-
-    lockstep.spin(step)
-
-
-def heavy(name: str) -> None:
-    """The same as the C++ node's role of this name."""
-    lockstep.init_node(name, rate=50.0)
-    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
-
-    def take(message: String) -> None:
-        print(rospy.Time.now().to_nsec() // 1000, message.data[:3], len(message.data), file=out)
-
-    publisher = lockstep.Publisher(f"/from_{name}", String)
-    _subscriber = lockstep.Subscriber("/from_b" if name == "a" else "/from_a", String, take)
-    lockstep.start()
-    turns = iter(range(1000))
-
-    def step() -> None:
-        turn = next(turns)
-        for _ in range(3):
-            publisher.publish(f"{turn:03d}" + "x" * (2_000_000 + turn))
 
     lockstep.spin(step)
 

@@ -20,6 +20,7 @@ import time
 import xmlrpc.client
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -807,6 +808,19 @@ def test_without_the_lockstep_turns_go_by_simulated_time(graph: Graph) -> None:
     graph.set_param("/use_sim_time", True)
     assert graph.start("on_clock", "on_clock").wait(PATIENCE) == 0, graph.output("on_clock")
     assert "on the clock" in graph.output("on_clock")
+
+
+@pytest.mark.parametrize("wall", [True, False])
+def test_a_wall_clock_that_is_set_right_is_no_reset(monkeypatch: pytest.MonkeyPatch, wall: bool) -> None:
+    from xtdrone_control.lockstep import client
+
+    times = iter([rospy.Time(10), rospy.Time(5)])
+    resets: list[str] = []
+    monkeypatch.setattr(client.rospy.Time, "now", staticmethod(lambda: next(times)))
+    monkeypatch.setattr(client.rospy.rostime, "is_wallclock", lambda: wall)
+    monkeypatch.setattr(client._node, "reset_hooks", [lambda: resets.append("reset")])
+    client.Rate._sleep_free(SimpleNamespace(sleep=lambda: None))
+    assert resets == ([] if wall else ["reset"])
 
 
 def test_the_private_parameter_opts_out(graph: Graph, server: LockstepServer) -> None:

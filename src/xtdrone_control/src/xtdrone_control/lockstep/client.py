@@ -453,7 +453,8 @@ class Rate:
             # /clock says when the turn is, and wakes nobody who waits for datagrams.
             rate.sleep()
             serve(None, 0.0)
-        if rospy.Time.now() < began:
+        # A wall clock that is set right, as on a real vehicle, is no reset.
+        if rospy.Time.now() < began and not rospy.rostime.is_wallclock():
             _run_reset_hooks()
 
 
@@ -842,10 +843,8 @@ class Client:
                     return unpack_barrier(payload)
                 if kind == Kind.PEER:
                     self._peers(unpack_object(payload))
-                elif kind == Kind.REFUSED:
-                    self._end("the simulator has dropped this node", str(unpack_object(payload).get("reason")))
-                elif kind == Kind.LEAVE:
-                    self._end("", str(unpack_object(payload).get("reason")))
+                elif kind in (Kind.REFUSED, Kind.LEAVE):
+                    self._last_word(kind, payload)
             self._reader.wait(1.0)
             if rospy.core.is_shutdown_requested():
                 raise rospy.ROSInterruptException("ROS shutdown request")
@@ -971,11 +970,13 @@ class Client:
             self._connected().settimeout(0.0)
             self._read()
         for kind, payload in self._frames:
-            if kind == Kind.LEAVE:
-                self._end("", str(unpack_object(payload).get("reason")))
-            if kind == Kind.REFUSED:
-                self._end("the simulator has dropped this node", str(unpack_object(payload).get("reason")))
+            if kind in (Kind.REFUSED, Kind.LEAVE):
+                self._last_word(kind, payload)
         self._end(f"the simulator at {self.uri} is gone", why)
+
+    def _last_word(self, kind: int, payload: bytes) -> None:
+        fault = "the simulator has dropped this node" if kind == Kind.REFUSED else ""
+        self._end(fault, str(unpack_object(payload).get("reason")))
 
     def _end(self, fault: str, why: str) -> None:
         """Ends the node; without a fault the simulation has ended in an orderly way."""
