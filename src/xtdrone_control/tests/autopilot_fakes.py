@@ -7,7 +7,7 @@ from typing import Any
 
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.parameters import PARAMS, Parameters
-from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, SENSORS, SETPOINT, TASK_GOTO, records
+from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, FAILURES, SENSORS, SETPOINT, TASK_GOTO, records
 from xtdrone_control.fleet import Vehicle
 
 ORIGIN = (47.397742, 8.545594, 488.0)  # degrees, m AMSL
@@ -24,6 +24,7 @@ class FakeAutopilot:
         self.estimator = records(ESTIMATOR, count)
         self.setpoint = records(SETPOINT, count)
         self.control = records(CONTROL, count)
+        self.failures = records(FAILURES, count)
         self.params = records(PARAMS, count)
         self.estimator["q"][:, 0] = 1.0
         self.control["sp_q"][:, 0] = 1.0

@@ -25,6 +25,7 @@ from .rate_control import rate_control
 from .state import (
     CONTROL,
     ESTIMATOR,
+    FAILURES,
     MAX_ROTORS,
     N_STATES,
     SENSORS,
@@ -171,7 +172,8 @@ class Autopilot:
     """State and inner loops of ``count`` vehicles.
 
     Attributes:
-        sensors, estimator, setpoint, control, params: record arrays of ``state`` and ``parameters``, shape (count,).
+        sensors, estimator, setpoint, control, failures, params: record arrays of ``state`` and ``parameters``, shape
+            (count,).
         time_us: simulated time, microseconds, of the last step.
     """
 
@@ -188,6 +190,7 @@ class Autopilot:
         self.estimator = records(ESTIMATOR, self.count)
         self.setpoint = records(SETPOINT, self.count)
         self.control = records(CONTROL, self.count)
+        self.failures = records(FAILURES, self.count)
         self.params = records(PARAMS, self.count)
         self.estimator["q"][:, 0] = 1.0
         self.control["landed"] = 1

@@ -439,9 +439,10 @@ class Commander:
         self._update_failsafe()
         if view.setpoint["task"] == TASK_STICKS:
             self._write_sticks()
-        if self.navigator.update():
-            self._mode = modes.AUTO_LOITER
-            self.navigator.activate(self._mode)
+        following = self.navigator.update()
+        if following is not None:
+            self._mode = following
+            self.navigator.activate(following)
 
     def _note_landing(self, landed: bool) -> None:
         self._was_landed = landed

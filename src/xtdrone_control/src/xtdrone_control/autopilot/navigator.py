@@ -92,17 +92,22 @@ class Navigator:
         self._mode = None
         self.landing = False
 
-    def update(self) -> bool:
+    def update(self) -> Mode | None:
         """Go on to the mode's next phase when the present one is done.
 
         Returns:
-            Whether a take-off has reached its height.
+            The mode to go on with, when the present one has come to its end: a take-off that has reached its height
+            goes on in AUTO.LOITER.
         """
-        if self._mode is modes.AUTO_TAKEOFF:
-            return not self._view.landed and self._at_goal_height()
+        if self._mode is modes.AUTO_TAKEOFF and not self._view.landed and self._at_goal_height():
+            return modes.AUTO_LOITER
         if self._mode is modes.AUTO_RTL and not self._view.landed:
             self._update_return()
-        return False
+        return None
+
+    def mission_obstacle(self) -> str:
+        """Return why AUTO.MISSION cannot be flown, or an empty text."""
+        return "No valid mission available"
 
     def hold(self) -> None:
         """Stop, and stay there."""

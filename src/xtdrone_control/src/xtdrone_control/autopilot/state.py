@@ -6,7 +6,7 @@ means "not controlled", PX4's contract for trajectory set-points.
 
 Who writes what: the simulator's sensor models (or a driver) write ``SENSORS``; the estimator kernel writes
 ``ESTIMATOR``; commander, navigator and the MAVLink receiver write ``SETPOINT``; the control kernels write ``CONTROL``;
-the parameter store writes ``PARAMS``.
+the MAVLink door writes ``FAILURES``; the parameter store writes ``PARAMS``.
 """
 
 from __future__ import annotations
@@ -53,6 +53,28 @@ SENSORS = np.dtype(
         ("gps_eph", "f8"),  # m, 1 sigma horizontal
         ("gps_epv", "f8"),  # m, 1 sigma vertical
         ("gps_speed_accuracy", "f8"),  # m/s, 1 sigma
+    ],
+    align=True,
+)
+
+# What a unit does that was told to fail (FAILURES), MAVLink's FAILURE_TYPE.
+FAILURE_OK, FAILURE_OFF, FAILURE_STUCK, FAILURE_GARBAGE, FAILURE_WRONG, FAILURE_SLOW = range(6)
+
+# Failures that were asked for by MAV_CMD_INJECT_FAILURE, one FAILURE_* a unit. The MAVLink door writes them, the
+# simulator's sensors and motors obey; a real vehicle has no use for them.
+FAILURES = np.dtype(
+    [
+        ("gyro", "i4"),
+        ("accel", "i4"),
+        ("mag", "i4"),
+        ("baro", "i4"),
+        ("gps", "i4"),
+        ("optical_flow", "i4"),
+        ("vio", "i4"),
+        ("distance_sensor", "i4"),
+        ("battery", "i4"),
+        ("rc_signal", "i4"),
+        ("motor", "i4", MAX_ROTORS),
     ],
     align=True,
 )

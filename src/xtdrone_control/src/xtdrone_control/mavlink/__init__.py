@@ -1,4 +1,5 @@
 """The autopilot's MAVLink: UDP links of every vehicle, telemetry streams, commands, set-points, parameters.
 
-``server`` owns the links; ``receiver`` acts on what comes in, ``streams`` sends ``telemetry`` when it is due.
+``server`` owns the links; ``receiver`` routes what comes in to the ``services``, ``streams`` sends ``telemetry`` when
+it is due.
 """

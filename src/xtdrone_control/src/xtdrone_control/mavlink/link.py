@@ -45,6 +45,7 @@ class Link:
         local_port: bound port.
         remote_port: where frames go to until somebody speaks.
         peer: where frames go to: whoever spoke last.
+        sender: MAVLink system and component id of the message that is handled; answers are addressed to it.
         streams: what is sent by itself.
         received: datagrams read.
         sent: datagrams sent by remote port.
@@ -86,6 +87,7 @@ class Link:
         self.local_port = local_port
         self.remote_port = remote_port
         self.peer: Address = (LOOPBACK, remote_port)
+        self.sender = (0, 0)
         self.telemetry = telemetry
         self.streams = Streams(telemetry, rates)
         self._rates = rates

@@ -94,13 +94,19 @@ class MavlinkServer:
 
     @property
     def next_due_us(self) -> int:
-        """Simulated time, microseconds, at which ``send_streams`` has something to send next."""
-        return min(link.streams.next_due_us for link in self._links)
+        """Simulated time, microseconds, at which ``send_streams`` has something to do next."""
+        streams = min(link.streams.next_due_us for link in self._links)
+        return min(streams, min(served.receiver.next_due_us for served in self._vehicles))
 
     @property
     def links(self) -> list[Link]:
         """All links, for their counters."""
         return self._links
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Names of the messages that are acted on."""
+        return self._vehicles[0].receiver.messages
 
     @property
     def sent(self) -> dict[int, int]:
@@ -161,8 +167,10 @@ class MavlinkServer:
         return count, full
 
     def send_streams(self, now_us: int) -> None:
-        """Send the texts that wait and the telemetry that is due by ``now_us``."""
+        """Send the texts that wait, the telemetry that is due by ``now_us``, and what services have to say by then."""
         for served in self._vehicles:
+            if served.receiver.next_due_us <= now_us:
+                served.receiver.update(now_us)
             texts = served.commander.texts
             while texts:
                 text = texts.popleft()

@@ -1,0 +1,88 @@
+"""What the MAVLink services of one vehicle have in common.
+
+A service acts on the messages that belong to it and answers the client that they came from. Services know nothing of
+each other; ``receiver`` routes messages to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from xtdrone_control.autopilot.commander import Commander
+
+from .link import Link
+
+if TYPE_CHECKING:
+    from xtdrone_control.autopilot.autopilot import Autopilot
+
+NEVER_US = 1 << 62
+
+Handler = Callable[[Link, Any], None]
+
+
+class Vehicle:
+    """What a service needs to know of its vehicle.
+
+    Attributes:
+        commander: the vehicle's state machine; ``commander.parameters`` and ``commander.navigator`` are reached by it.
+        autopilot: holder of the records.
+        index: the vehicle's place in them.
+        system_id: MAVLink system id.
+        now_us: simulated time, microseconds, of the message that is handled.
+    """
+
+    def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
+        """Look at vehicle ``index`` of ``autopilot``, whose commander is given."""
+        self.commander = commander
+        self.autopilot = autopilot
+        self.index = index
+        self.system_id = commander.vehicle.system_id
+        self.now_us = 0
+        self._held: list[Callable[[], None]] | None = None
+
+    def hold(self) -> None:
+        """Keep what is given to ``in_turn`` from now on until ``release``."""
+        self._held = [] if self._held is None else self._held
+
+    def release(self) -> None:
+        """Act on what was kept, in the order of its coming."""
+        held, self._held = self._held, None
+        for act in held or ():
+            act()
+
+    def in_turn(self, act: Callable[[], None]) -> None:
+        """Call ``act`` now, or at ``release``: for what comes from topics, see ``receiver``."""
+        if self._held is None:
+            act()
+        else:
+            self._held.append(act)
+
+
+class Service:
+    """One MAVLink microservice of one vehicle.
+
+    A subclass says in ``MESSAGES`` what it handles: message name to the handler's name. A message with a
+    ``target_system`` (or ``target``) reaches the handler only when it is for this vehicle or for all, one with a
+    ``target_component`` only when it is for the autopilot or for all.
+
+    Attributes:
+        vehicle: the vehicle served.
+        due_us: simulated time, microseconds, at which ``update`` wants to be called; ``NEVER_US`` for never.
+    """
+
+    MESSAGES: ClassVar[dict[str, str]] = {}
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        self.vehicle = vehicle
+        self.due_us = NEVER_US
+
+    @property
+    def handlers(self) -> dict[str, Handler]:
+        """Message name to what handles it: a function of the client's link and the decoded message."""
+        return {message: getattr(self, name) for message, name in self.MESSAGES.items()}
+
+    def update(self, now_us: int) -> None:
+        """Go on with what takes time; called once ``due_us`` is reached, and sets it anew."""
+        self.due_us = NEVER_US

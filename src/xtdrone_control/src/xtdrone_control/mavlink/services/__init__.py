@@ -1,0 +1,25 @@
+"""The MAVLink services of one vehicle, one module each."""
+
+from __future__ import annotations
+
+from xtdrone_control.mavlink.service import Service, Vehicle
+
+from .command import CommandService
+from .mission import MissionService
+from .parameter import ParameterService
+from .place import PlaceService
+from .presence import PresenceService
+from .setpoint import SetpointService
+
+
+def all_services(vehicle: Vehicle) -> list[Service]:
+    """Return every service of ``vehicle``."""
+    commands = CommandService(vehicle)
+    return [
+        PresenceService(vehicle),
+        commands,
+        SetpointService(vehicle),
+        ParameterService(vehicle),
+        MissionService(vehicle),
+        PlaceService(vehicle, commands),
+    ]

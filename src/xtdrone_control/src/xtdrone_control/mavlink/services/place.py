@@ -1,0 +1,50 @@
+"""SET_GPS_GLOBAL_ORIGIN and SET_HOME_POSITION."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.commander import WARNING
+from xtdrone_control.mavlink.commands import Command
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.packing import MESSAGE_ID
+from xtdrone_control.mavlink.service import Service, Vehicle
+
+from .command import CommandService
+
+
+class PlaceService(Service):
+    """Sets the local frame's origin and the home position."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {"SET_GPS_GLOBAL_ORIGIN": "_set_origin", "SET_HOME_POSITION": "_set_home"}
+
+    def __init__(self, vehicle: Vehicle, commands: CommandService) -> None:
+        """Serve ``vehicle``; ``commands`` sends the origin back."""
+        super().__init__(vehicle)
+        self._commands = commands
+        self._estimator = vehicle.autopilot.estimator[vehicle.index]
+
+    def _set_origin(self, link: Link, m: Any) -> None:
+        e = self._estimator
+        place = (m.latitude * 1e-7, m.longitude * 1e-7)
+        if e["origin_set"]:
+            self.vehicle.commander.say(WARNING, "GPS origin is already set")
+        elif abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
+            self.vehicle.commander.say(WARNING, f"GPS origin {place[0]:.4f}, {place[1]:.4f} is no place")
+        else:
+            e["origin_lat"], e["origin_lon"] = place
+            e["origin_alt"] = m.altitude * 1e-3
+            e["origin_set"] = 1
+        self._commands.run(
+            Command(mavlink.MAV_CMD_REQUEST_MESSAGE, (MESSAGE_ID["GPS_GLOBAL_ORIGIN"], 0, 0, 0, 0, 0, 0)),
+            link,
+        )
+
+    def _set_home(self, _link: Link, m: Any) -> None:
+        self.vehicle.in_turn(lambda: self._take_home(m))
+
+    def _take_home(self, m: Any) -> None:
+        if self.vehicle.commander.set_home((m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)):
+            self.vehicle.commander.say(WARNING, "Home position rejected")

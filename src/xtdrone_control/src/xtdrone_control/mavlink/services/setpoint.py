@@ -1,0 +1,45 @@
+"""Set-point messages of OFFBOARD, and MANUAL_CONTROL."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.inputs import SetpointError
+from xtdrone_control.mavlink import setpoints
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import Service
+
+
+class SetpointService(Service):
+    """Hands set-points and sticks to the commander."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "SET_POSITION_TARGET_LOCAL_NED": "_local_target",
+        "SET_POSITION_TARGET_GLOBAL_INT": "_global_target",
+        "SET_ATTITUDE_TARGET": "_attitude_target",
+        "MANUAL_CONTROL": "_manual_control",
+    }
+
+    def _local_target(self, link: Link, m: Any) -> None:
+        self._steer(link, setpoints.local_target, m)
+
+    def _global_target(self, link: Link, m: Any) -> None:
+        self._steer(link, setpoints.global_target, m)
+
+    def _attitude_target(self, link: Link, m: Any) -> None:
+        self._steer(link, setpoints.attitude_target, m)
+
+    def _manual_control(self, link: Link, m: Any) -> None:
+        self._steer(link, setpoints.sticks, m)
+
+    def _steer(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
+        self.vehicle.in_turn(lambda: self._take_setpoint(link, take, m))
+
+    def _take_setpoint(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
+        try:
+            take(self.vehicle.commander, m)
+        except SetpointError as error:
+            self.vehicle.commander.warn(f"Set-point rejected: {error}")
+            link.warn("set-point", f"set-point rejected: {error}", self.vehicle.now_us)
