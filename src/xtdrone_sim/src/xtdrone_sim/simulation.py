@@ -1,8 +1,8 @@
 """The simulator without ROS: world, sensors and autopilots of a fleet, in strict lockstep at 250 Hz.
 
-One step: the world moves on under the last motor commands, sensors see it, the autopilots' kernels run on them and
-give the next commands. So after a step truth, samples and estimates all belong to ``time_us``. Mode logic runs on its
-own, slower beat between steps.
+One step: the world moves on under the last motor commands, sensors see it, the autopilots run on what these say and
+give the next commands. So after a step truth, samples and estimates all belong to ``time_us``. Whose autopilots they
+are, ours or others, is the business of ``autopilots``.
 """
 
 from __future__ import annotations
@@ -11,14 +11,12 @@ from collections.abc import Sequence
 
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import Parameters
 from xtdrone_control.fleet import Vehicle, spawn_grid
 
+from .autopilots import AutopilotsFactory, Builtin
 from .sensors import Sensors
 from .vehicle_model import load_vehicle
 from .world import World, load_world
-
-COMMANDER_PERIOD_US = 100_000
 
 
 class Simulation:
@@ -27,8 +25,7 @@ class Simulation:
     Attributes:
         fleet: the vehicles, in order of their global index.
         world: bodies; ``world.plant`` is the truth.
-        autopilot: estimators and controllers.
-        commanders: one a vehicle.
+        autopilots: who flies them.
         time_us: simulated time, microseconds.
         step_us: one step.
     """
@@ -44,6 +41,7 @@ class Simulation:
         seed: int = 0,
         shared_datum: bool = True,
         places: Sequence[tuple[float, float, float]] | None = None,
+        autopilots: AutopilotsFactory = Builtin,
     ) -> None:
         """Place the fleet on the ground.
 
@@ -54,6 +52,7 @@ class Simulation:
             seed: of all sensor noise.
             shared_datum: every local frame starts at the world's origin; otherwise at each vehicle's first GPS fix.
             places: (x, y, z) m ENU a vehicle instead of the grid.
+            autopilots: makes who flies the vehicles.
 
         Raises:
             ModelError: unknown vehicle type or world.
@@ -68,44 +67,35 @@ class Simulation:
         self._models = models
         self._spawn = spawn
         self._seed = seed
-        self._datum = model.datum if shared_datum else None
-        self._parameters = [
-            Parameters(
-                {
-                    **vehicle_model.parameters,
-                    "EKF2_MAG_DECL": model.declination,
-                    "MAV_SYS_ID": vehicle.system_id,
-                }
-            )
-            for vehicle, vehicle_model in zip(fleet, models, strict=True)
-        ]
+        self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None)
         self._begin(0)
 
     def _begin(self, time_us: int) -> None:
         """Make world, sensors and autopilots as they are at the start, at simulated time ``time_us``."""
         self.time_us = time_us
         self.world = World(self._model, self._models, self._spawn, STEP_US * 1e-6)
-        self.autopilot = Autopilot([vehicle.rotor_layout for vehicle in self._models], self._datum)
-        self.autopilot.time_us = time_us
+        self.autopilots.begin(self.world, time_us)
         self.sensors = Sensors(self.world, self.autopilot, self._seed)
-        self.commanders = []
-        for vehicle, parameters in zip(self.fleet, self._parameters, strict=True):
-            parameters.write_to(self.autopilot.params[vehicle.id])
-            self.commanders.append(Commander(vehicle, self.autopilot, parameters, vehicle.id))
-        self.autopilot.start_control()
         self._steps = 0
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """The autopilots' records; their own estimates and set-points only where they are ours."""
+        return self.autopilots.autopilot
+
+    @property
+    def commanders(self) -> list[Commander]:
+        """Modes and arming, one a vehicle that ours flies."""
+        return self.autopilots.commanders
 
     def step(self) -> None:
         """Advance everything by one step."""
-        autopilot = self.autopilot
+        autopilot = self.autopilots.autopilot
         self.world.step(autopilot.control["actuators"], autopilot.setpoint["armed"])
         self.time_us += STEP_US
         self.sensors.sample(self._steps, self.time_us)
-        autopilot.step()
+        self.autopilots.step()
         self._steps += 1
-        if self.time_us % COMMANDER_PERIOD_US == 0:
-            for commander in self.commanders:
-                commander.update()
 
     def restart(self, time_us: int = 0) -> None:
         """Put the fleet back to its start: spawn places, disarmed, estimators, modes and noise from the beginning.
@@ -131,5 +121,6 @@ class Simulation:
             self.step()
 
     def close(self) -> None:
-        """Free the physics engine."""
+        """Free the physics engine and what the autopilots hold."""
+        self.autopilots.close()
         self.world.close()

@@ -1,0 +1,119 @@
+"""Who flies the vehicles: the cut between the simulator and the autopilots, and our own autopilot's side of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from xtdrone_control.autopilot.autopilot import Autopilot, Datum
+from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.fleet import Vehicle
+
+from .vehicle_model import VehicleModel
+from .world import World, WorldModel
+
+COMMANDER_PERIOD_US = 100_000
+
+
+class Autopilots(Protocol):
+    """The autopilots of a simulation's vehicles.
+
+    One step: the simulator writes ``autopilot.sensors``, calls ``step``, and lets the world go on under
+    ``autopilot.control["actuators"]`` and ``autopilot.setpoint["armed"]``.
+
+    Attributes:
+        autopilot: records of all vehicles; a new object after each ``begin``.
+        commanders: modes and arming of ``served``, one a vehicle; new objects after each ``begin``.
+        served: the vehicles whose MAVLink the simulator serves.
+        descriptors: file descriptors on which something may come while time stands still; see ``serve``.
+    """
+
+    autopilot: Autopilot
+    commanders: list[Commander]
+    served: tuple[Vehicle, ...]
+    descriptors: tuple[int, ...]
+
+    def begin(self, world: World, time_us: int) -> None:
+        """Start anew, in a new world, at simulated time ``time_us``."""
+
+    def step(self) -> None:
+        """Advance by one step over the samples in ``autopilot.sensors``."""
+
+    def missing(self) -> str:
+        """Say for whom time should not begin yet; "" for nobody."""
+
+    def serve(self) -> None:
+        """Act on what has come on ``descriptors``; returns at once."""
+
+    def close(self) -> None:
+        """Free what is held."""
+
+
+class AutopilotsFactory(Protocol):
+    """Makes the autopilots of a fleet."""
+
+    def __call__(
+        self, fleet: tuple[Vehicle, ...], models: Sequence[VehicleModel], world: WorldModel, datum: Datum | None
+    ) -> Autopilots:
+        """Make them; they start with ``begin``.
+
+        Args:
+            fleet: the vehicles, in order of their global index.
+            models: one a vehicle.
+            world: where they fly.
+            datum: the local frame's origin that all vehicles share; None lets each start at its first GPS fix.
+        """
+
+
+class Builtin:
+    """Our own autopilot: kernels at every step, mode logic at 10 Hz. See ``Autopilots``."""
+
+    descriptors: tuple[int, ...] = ()
+
+    def __init__(
+        self, fleet: tuple[Vehicle, ...], models: Sequence[VehicleModel], world: WorldModel, datum: Datum | None
+    ) -> None:
+        """Make the vehicles' parameters, which outlive a restart; for the arguments see ``AutopilotsFactory``."""
+        self.served = fleet
+        self._layouts = [model.rotor_layout for model in models]
+        self._datum = datum
+        self._parameters = [
+            Parameters(
+                {
+                    **model.parameters,
+                    "EKF2_MAG_DECL": world.declination,
+                    "MAV_SYS_ID": vehicle.system_id,
+                }
+            )
+            for vehicle, model in zip(fleet, models, strict=True)
+        ]
+        self.autopilot = Autopilot(self._layouts, datum)
+        self.commanders: list[Commander] = []
+
+    def begin(self, world: World, time_us: int) -> None:
+        """Boot all autopilots; parameters that were changed stay changed."""
+        self.autopilot = Autopilot(self._layouts, self._datum)
+        self.autopilot.time_us = time_us
+        self.commanders = []
+        for vehicle, parameters in zip(self.served, self._parameters, strict=True):
+            parameters.write_to(self.autopilot.params[vehicle.id])
+            self.commanders.append(Commander(vehicle, self.autopilot, parameters, vehicle.id))
+        self.autopilot.start_control()
+
+    def step(self) -> None:
+        """Run the kernels, and the mode logic when it is due."""
+        self.autopilot.step()
+        if self.autopilot.time_us % COMMANDER_PERIOD_US == 0:
+            for commander in self.commanders:
+                commander.update()
+
+    def missing(self) -> str:
+        """Nobody is waited for."""
+        return ""
+
+    def serve(self) -> None:
+        """Nothing comes from outside."""
+
+    def close(self) -> None:
+        """Nothing is held."""
