@@ -18,7 +18,7 @@ from xtdrone_control.autopilot.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
 from xtdrone_control.mavlink import streams
-from xtdrone_control.mavlink.link import LinkError
+from xtdrone_control.mavlink.port import LinkError
 from xtdrone_control.mavlink.server import MavlinkServer
 
 _SYSTEM = FIRST_ID + 1
@@ -290,14 +290,12 @@ def test_receiving_reads_all_that_is_there(world):
 
 def test_links_are_pointed_at_another_machine_when_the_peer_is_gone(world):
     vehicle = world.fleet[0]
-    link = world.server.links[0]
-    stray = Client(0, vehicle.offboard_local_port)
-    world.ask(heartbeat(), client=stray)
+    port = world.server.ports[0]
+    world.hear()
     world.server.direct([vehicle.offboard_remote_port], "10.0.0.2", override=False)
-    assert link.peer == stray.socket.getsockname()
+    assert port.default.peer == ("127.0.0.1", vehicle.offboard_remote_port)
     world.server.direct([vehicle.offboard_remote_port], "10.0.0.2", override=True)
-    assert link.peer == ("10.0.0.2", vehicle.offboard_remote_port)
-    stray.socket.close()
+    assert port.default.peer == ("10.0.0.2", vehicle.offboard_remote_port)
 
 
 def test_content(world):
@@ -466,8 +464,7 @@ def test_messages_for_other_systems_are_ignored(world, caplog):
     answers = world.ask(mavlink.MAVLink_command_long_message(_SYSTEM + 1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
     assert not answers
     assert not world.commander.armed
-    link = world.server.links[0]
-    assert link.foreign == 1
+    assert world.server.ports[0].foreign == 1
     assert str(_SYSTEM + 1) in caplog.text
 
 
@@ -667,7 +664,7 @@ def test_origin_is_set_once(world):
     assert world.ask(other)[0].latitude == 475000000
 
 
-def test_answers_go_to_whoever_spoke_last(world):
+def test_answers_go_to_whoever_asked(world):
     other = Client(0, world.fleet[0].offboard_local_port)
     world.hear()
     assert world.command(401, client=other)[0] == 0
@@ -704,7 +701,7 @@ def test_malformed_bytes_are_counted_and_the_link_lives_on(world, caplog):
     for datagram in (b"", b"\xfd", b"hello", good[:-3], wrong_crc, b"\xfd\x09\xff" + good[3:], good + b"junk"):
         world.client.socket.sendto(datagram, world.client.remote)
     world.server.receive(1.0)
-    assert world.server.links[0].malformed == 6
+    assert world.server.ports[0].malformed == 6
     assert caplog.text.count("bad MAVLink ignored") == 1
     assert world.command(401)[0] == 0
 

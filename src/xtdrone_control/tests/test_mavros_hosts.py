@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from xtdrone_control.mavlink.link import Link, LinkError
+from xtdrone_control.mavlink.port import LinkError, Port
 from xtdrone_control.mavros import connection
 from xtdrone_control.mavros.connection import FcuUrl, bind_host_for
 from xtdrone_control.mavros.node import connections
@@ -68,33 +68,48 @@ class _NoTelemetry:
         return lambda: None
 
 
-def _link(host: str, port: int) -> Link:
+def _port(host: str, port: int) -> Port:
     from xtdrone_control.fleet import Vehicle
 
-    return Link(Vehicle("iris", 0, 0), "offboard", port, 24540, _NoTelemetry(), {"HEARTBEAT": 1.0}, host)
+    return Port(Vehicle("iris", 0, 0), "offboard", port, 24540, _NoTelemetry(), {"HEARTBEAT": 1.0}, host)
 
 
 def test_an_autopilots_link_is_bound_where_it_is_told_to(free_port):
     for host in ("127.0.0.1", "0.0.0.0"):
-        link = _link(host, free_port)
-        assert link.socket.getsockname() == (host, free_port)
-        link.close()
+        port = _port(host, free_port)
+        assert port.socket.getsockname() == (host, free_port)
+        port.close()
 
 
 def test_an_autopilots_link_on_another_machines_address_is_refused(free_port):
     with pytest.raises(LinkError, match=rf"UDP port {free_port} cannot be bound on 192\.0\.2\.1.*of this machine"):
-        _link("192.0.2.1", free_port)
+        _port("192.0.2.1", free_port)
 
 
-def test_a_link_points_where_it_is_directed_until_somebody_speaks(free_port):
-    link = _link("127.0.0.1", free_port)
-    assert link.peer == ("127.0.0.1", 24540)
-    link.direct("10.0.0.2")
-    assert link.peer == ("10.0.0.2", 24540)
-    link.heard(("10.0.0.3", 4711), 0)
-    link.direct("10.0.0.4")
-    assert link.peer == ("10.0.0.3", 4711)
-    link.close()
+def test_a_link_points_where_it_is_directed_until_its_client_speaks(free_port):
+    port = _port("127.0.0.1", free_port)
+    assert port.default.peer == ("127.0.0.1", 24540)
+    port.direct("10.0.0.2")
+    assert port.default.peer == ("10.0.0.2", 24540)
+    other = port.link_of(("10.0.0.3", 4711), 0)
+    other.heard(0, 2)
+    port.direct("10.0.0.4")
+    port.default.heard(0, 2)
+    port.direct("10.0.0.5")
+    assert [link.peer for link in port.links] == [("10.0.0.4", 24540), ("10.0.0.3", 4711)]
+    port.direct("10.0.0.5", override=True)
+    assert [link.peer for link in port.links] == [("10.0.0.5", 24540), ("10.0.0.3", 4711)]
+    port.close()
+
+
+def test_a_client_who_spoke_before_the_link_is_pointed_at_him_keeps_his_link(free_port):
+    port = _port("127.0.0.1", free_port)
+    early = port.link_of(("10.0.0.2", 24540), 0)
+    early.heard(0, 2)
+    port.direct("10.0.0.2")
+    assert port.links == [early]
+    assert port.default is early
+    port.close()
 
 
 @pytest.fixture

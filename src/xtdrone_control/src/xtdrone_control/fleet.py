@@ -14,6 +14,8 @@ MAX_VEHICLES = 250  # MAVLink system ids are 1..255; 255 is the ground station's
 _OFFBOARD_LOCAL_PORT = 34580  # the autopilot's end of the offboard link
 _OFFBOARD_REMOTE_PORT = 24540  # MAVROS's end
 _GCS_LOCAL_PORT = 18570
+_PAYLOAD_LOCAL_PORT = 14280
+_PAYLOAD_REMOTE_PORT = 14030
 _SIMULATOR_TCP_PORT = 4560
 GCS_REMOTE_PORT = 14550
 
@@ -60,6 +62,16 @@ class Vehicle:
     def gcs_local_port(self) -> int:
         """UDP port that the autopilot binds for the ground-station link."""
         return _GCS_LOCAL_PORT + self.id
+
+    @property
+    def payload_local_port(self) -> int:
+        """UDP port that the autopilot binds for the payload link."""
+        return _PAYLOAD_LOCAL_PORT + self.id
+
+    @property
+    def payload_remote_port(self) -> int:
+        """UDP port of the payload's end of that link."""
+        return _PAYLOAD_REMOTE_PORT + self.id
 
     @property
     def simulator_tcp_port(self) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.mavlink.link import LOOPBACK
+from xtdrone_control.mavlink.port import LOOPBACK
 from xtdrone_control.mavlink.server import MavlinkServer
 
 LIMIT = 10.0  # s of wall time to wait for datagrams that a participant of this machine says it has sent

@@ -160,6 +160,7 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("COM_POS_FS_DELAY", 1, 1, 100, "s", "time without a position until the failsafe acts"),
     ("COM_RC_LOSS_T", 0.5, 0.0, 35.0, "s", "silence after which manual control is lost"),
     ("MAV_COMP_ID", 1, 1, 250, "", "MAVLink component id (read at start)"),
+    ("MAV_PROTO_VER", 2, 0, 2, "", "MAVLink: 0 begin with version 1, 1 always version 1, 2 begin with version 2"),
     ("MAV_SYS_ID", 1, 1, 250, "", "MAVLink system id (read at start)"),
     ("MAV_TYPE", 2, 0, 22, "", "MAV_TYPE in the heartbeat"),
     ("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0, "m", "least take-off height over home"),

@@ -34,6 +34,11 @@ def message_name(number: int) -> str:
     return f"#{number}" if cls is None else cls.msgname
 
 
+def version(frame: bytes) -> int:
+    """Return the MAVLink version, 1 or 2, of a frame that ``split`` has yielded."""
+    return 1 if frame[0] == _MAGIC_V1 else 2
+
+
 def split(datagram: bytes) -> Iterator[tuple[int, int, int, bytes]]:
     """Yield (message id, system id, component id, frame) of each frame in ``datagram``.
 

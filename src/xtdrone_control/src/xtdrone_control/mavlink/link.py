@@ -1,130 +1,83 @@
-"""One UDP link of one vehicle: its socket, its peer, its streams."""
+"""MAVLink with one client: its address, its streams, its sequence numbers, the version it speaks."""
 
 from __future__ import annotations
 
-import errno
-import logging
-import socket
 import time
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.fleet import Vehicle
-
-from .packing import Format, PackingError
+from .packing import COMPONENT_ID, Format, PackingError, as_version_1
 from .streams import HEARTBEAT, Streams
 from .telemetry import Telemetry, Values
 
+if TYPE_CHECKING:
+    from .port import Port
+
 Address = tuple[str, int]
 
-COMPONENT_ID = 1  # MAV_COMP_ID_AUTOPILOT1
-LOOPBACK = "127.0.0.1"
 _MAX_DATAGRAM = 1400  # bytes; below the MTU of what a datagram may cross
-_RECEIVE_BUFFER = 1 << 20
 _SILENCE_US = 5_000_000
 _SILENCE_S = 5.0
-_WARNING_INTERVAL_US = 1_000_000
 _BEAT_PERIOD = 1.0  # s of wall time, see keep_alive
 _TEXT_SIZE = 50  # STATUSTEXT.text
-
-_log = logging.getLogger("rosout.mavlink")
-
-
-class LinkError(OSError):
-    """A link whose port cannot be bound."""
+_NEVER_US = -1
 
 
 class Link:
-    """One end of MAVLink over UDP.
+    """One client of one port of one vehicle.
+
+    Several clients may speak on a port at once; each has a link, so that intervals, sequence numbers, time-outs and
+    answers are its own.
 
     Attributes:
         name: vehicle and kind of link, for messages.
         system_id: the vehicle's MAVLink system id.
-        local_port: bound port.
-        remote_port: where frames go to until somebody speaks.
-        peer: where frames go to: whoever spoke last.
+        peer: the client's address.
         sender: MAVLink system and component id of the message that is handled; answers are addressed to it.
+        version: of MAVLink, 1 or 2: what is sent.
         streams: what is sent by itself.
-        received: datagrams read.
-        sent: datagrams sent by remote port.
-        lost: datagrams that the operating system did not take.
-        malformed: datagrams that were not, or not wholly, MAVLink.
-        foreign: messages for other systems.
+        telemetry: what the vehicle tells.
+        received: messages of this client that were acted on.
+        sent: messages sent to it.
+        open: whether the client is still one of the port's; what is sent over a link that is not goes nowhere.
+        credit: what the client may still ask for, see ``Port``.
     """
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        kind: str,
-        local_port: int,
-        remote_port: int,
-        telemetry: Telemetry,
-        rates: dict[str, float],
-        host: str = LOOPBACK,
-        *,
-        by_wall: bool = False,
-    ) -> None:
-        """Bind the port.
-
-        Args:
-            vehicle: whose link this is.
-            kind: what the link is called in messages.
-            local_port: port to bind.
-            remote_port: port on this machine to which frames go until somebody speaks, or ``direct`` names another.
-            telemetry: what the vehicle tells.
-            rates: default rates of the streams, message name to Hz.
-            host: address to bind; "0.0.0.0" for every network.
-            by_wall: the peer lives by wall time, as a ground station does: it is silent only if it is so by both
-                clocks. Else simulated time alone counts, so that the streams are the same at any speed.
-
-        Raises:
-            LinkError: the port cannot be bound, or there is no such address here.
-        """
-        self.name = f"{vehicle.name} {kind} link"
-        self.system_id = vehicle.system_id
-        self.local_port = local_port
-        self.remote_port = remote_port
-        self.peer: Address = (LOOPBACK, remote_port)
+    def __init__(self, port: Port, peer: Address, name: str) -> None:
+        """Serve ``peer`` over ``port``; nothing but the heartbeat is sent before ``heard``."""
+        self._port = port
+        self.name = name
+        self.system_id = port.system_id
+        self.peer = peer
         self.sender = (0, 0)
-        self.telemetry = telemetry
-        self.streams = Streams(telemetry, rates)
-        self._rates = rates
-        self._by_wall = by_wall
+        self.version = port.first_version
+        self.telemetry: Telemetry = port.telemetry
+        self.streams = Streams(port.telemetry, port.rates)
         self.received = 0
-        self.sent: dict[int, int] = {}
-        self.lost = 0
-        self.malformed = 0
-        self.foreign = 0
-        self._mav = mavlink.MAVLink(None, srcSystem=vehicle.system_id, srcComponent=COMPONENT_ID)
+        self.sent = 0
+        self.open = True
+        self.credit = 0
+        self._mav = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=COMPONENT_ID)
         self._frames: deque[bytes] = deque()
-        self._heard_us = -1
+        self._heard_us = _NEVER_US
         self._heard_wall = 0.0
         self._beat_wall = 0.0
         self._text_id = 0
-        self._warned_us: dict[str, int] = {}
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            self.socket.setblocking(False)
-            self.socket.bind((host, local_port))
-        except OSError as error:
-            self.socket.close()
-            advice = "it must be an address of this machine"
-            if error.errno == errno.EADDRINUSE:
-                advice = "is another simulator, PX4 or ground station using it?"
-            raise LinkError(
-                error.errno,
-                f"{self.name}: UDP port {local_port} cannot be bound on {host}: {error.strerror or error}; {advice}",
-            ) from error
 
-    def close(self) -> None:
-        """Close the socket."""
-        self.socket.close()
+    @property
+    def has_spoken(self) -> bool:
+        """Whether the client has said something."""
+        return self._heard_us != _NEVER_US
+
+    @property
+    def waiting(self) -> int:
+        """How many frames are queued."""
+        return len(self._frames)
 
     def reboot(self, telemetry: Telemetry, now_us: int) -> None:
-        """Start anew for an autopilot that has been rebooted: streams begin again; socket, peer and counters stay.
+        """Start anew for an autopilot that has been rebooted: streams begin again; address and counters stay.
 
         Args:
             telemetry: what the rebooted vehicle tells.
@@ -133,45 +86,52 @@ class Link:
         self._heard_us = min(self._heard_us, now_us)
         self._text_id = 0
         self.telemetry = telemetry
-        self.streams = Streams(telemetry, self._rates)
+        self.streams = Streams(telemetry, self._port.rates)
         self._frames.clear()
-        self._warned_us.clear()
 
-    def read(self) -> tuple[bytes, Address] | None:
-        """Return the next datagram and its sender, None when there is none."""
-        try:
-            datagram, sender = self.socket.recvfrom(65535)
-        except (BlockingIOError, ConnectionRefusedError):
-            return None
+    def close(self) -> None:
+        """Forget the client. A service that still answers it does so in vain."""
+        self.open = False
+        self._frames.clear()
+
+    def heard(self, now_us: int, version: int) -> None:
+        """Note a valid frame of MAVLink ``version`` from the client: streams begin, unless they have."""
         self.received += 1
-        return datagram, sender
-
-    def direct(self, host: str, *, override: bool = False) -> None:
-        """Send to ``host`` from now on, unless somebody has spoken; with ``override`` also then, for he is gone."""
-        if override or self._heard_us < 0:
-            self.peer = (host, self.remote_port)
-
-    def heard(self, sender: Address, now_us: int) -> None:
-        """Note a valid frame from ``sender``: answers and streams go there from now on."""
-        self.peer = sender
         self._heard_us = now_us
         self._heard_wall = time.monotonic()
+        self.version = self._port.version_for(version, self.version if self.received > 1 else 0)
         self.streams.start(now_us)
+
+    def silent(self, now_us: int) -> bool:
+        """Say whether the client has not spoken for 5 s, as the port's clock counts them."""
+        if now_us - self._heard_us <= _SILENCE_US and self.has_spoken:
+            return False
+        return not (self._port.by_wall and time.monotonic() - self._heard_wall <= _SILENCE_S)
 
     def send_message(self, message: Any) -> None:
         """Queue a pymavlink message object; ``flush`` sends it."""
-        self._frames.append(message.pack(self._mav))
-        self._mav.seq = self._mav.seq + 1 & 0xFF
+        self._queue(message.pack(self._mav))
 
     def send_values(self, message: Format, values: Values, now_us: int) -> None:
         """Queue a message given by its values in wire order; ``flush`` sends it."""
         try:
-            frame = message.frame(values, self._mav.seq, self.system_id, COMPONENT_ID)
+            payload = message.payload(values)
         except PackingError as error:
             self.warn("packing", f"not sent: {error}", now_us)
             return
-        self._frames.append(frame)
-        self._mav.seq = self._mav.seq + 1 & 0xFF
+        self._queue(message.frame(payload, self._mav.seq, self.system_id, COMPONENT_ID))
+
+    def _queue(self, frame: bytes) -> None:
+        """Queue a MAVLink 2 frame in the client's version; one that has no MAVLink 1 form is not sent in that."""
+        if self.version == 1:
+            converted = as_version_1(frame)
+            if converted is None:
+                return
+            frame = converted
+        if self.open:
+            self._frames.append(frame)
+            self._mav.seq = self._mav.seq + 1 & 0xFF
+            self.sent += 1
 
     def send_text(self, severity: int, text: str) -> None:
         """Queue a STATUSTEXT, in numbered pieces when it is longer than one holds."""
@@ -191,17 +151,11 @@ class Link:
             self.flush(now_us)
 
     def _queue_due(self, now_us: int) -> None:
-        if now_us - self._heard_us > _SILENCE_US and not (self._by_wall and self._heard_lately()):
-            self.streams.stop()
         self.telemetry.refresh(now_us)
         for message, values in self.streams.due(now_us, lambda text: self.warn("packing", text, now_us)):
             if message is HEARTBEAT:
                 self._beat_wall = time.monotonic()
             self.send_values(message, values, now_us)
-
-    def _heard_lately(self) -> bool:
-        """Say whether somebody spoke within the last seconds of wall time; simulated time may run fast."""
-        return time.monotonic() - self._heard_wall <= _SILENCE_S
 
     def keep_alive(self, now_us: int) -> None:
         """Send a HEARTBEAT when the last one is older than a second of wall time.
@@ -227,18 +181,8 @@ class Link:
             while frames and size + len(frames[0]) <= _MAX_DATAGRAM:
                 size += len(frames[0])
                 parts.append(frames.popleft())
-            try:
-                self.socket.sendto(b"".join(parts), self.peer)
-            except OSError as error:
-                self.lost += 1
-                self.warn("send", f"cannot send to {self.peer[0]}:{self.peer[1]}: {error.strerror}", now_us)
-                continue
-            port = self.peer[1]
-            self.sent[port] = self.sent.get(port, 0) + 1
+            self._port.send(b"".join(parts), self.peer, now_us)
 
     def warn(self, kind: str, text: str, now_us: int) -> None:
-        """Log a warning, at most one of each ``kind`` a simulated second."""
-        last = self._warned_us.get(kind)
-        if last is None or now_us - last >= _WARNING_INTERVAL_US:
-            self._warned_us[kind] = now_us
-            _log.warning("%s: %s", self.name, text)
+        """Log a warning, at most one of each ``kind`` a simulated second and port."""
+        self._port.warn(kind, text, now_us, self.name)

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.mavlink.codec import FrameError, decoder, split
+from xtdrone_control.mavlink.codec import FrameError, decoder, split, version
 
-from .link import COMPONENT_ID, Address, Link
-from .packing import MESSAGE_ID
+from .link import Address, Link
+from .packing import COMPONENT_ID, MESSAGE_ID
+from .port import Port
 from .service import Handler, Vehicle
 from .services import all_services
 
@@ -60,9 +61,11 @@ class Receiver:
     come first. An origin (SET_GPS_GLOBAL_ORIGIN) is not held, for it is answered at once with the origin that holds.
     """
 
-    def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
-        """Take the vehicle's commander and its place in ``autopilot``."""
-        self._vehicle = Vehicle(commander, autopilot, index)
+    def __init__(
+        self, commander: Commander, autopilot: Autopilot, index: int, clients: Callable[[], list[Link]] = list
+    ) -> None:
+        """Take the vehicle's commander and its place in ``autopilot``; ``clients`` returns the links of all."""
+        self._vehicle = Vehicle(commander, autopilot, index, clients)
         self._services = all_services(self._vehicle)
         self._entries = {
             MESSAGE_ID[name]: _entry(name, handle)
@@ -71,39 +74,42 @@ class Receiver:
         }
         self.messages = tuple(name for service in self._services for name in service.handlers)
 
-    def take(self, link: Link, datagram: bytes, sender: Address, now_us: int) -> None:
-        """Act on every message in ``datagram``, which came over ``link`` from ``sender``; answers are queued there."""
+    def take(self, port: Port, datagram: bytes, sender: Address, now_us: int) -> None:
+        """Act on every message in ``datagram``, which came to ``port`` from ``sender``; answers are queued there."""
         self._vehicle.now_us = now_us
         try:
             for number, system, component, frame in split(datagram):
                 entry = self._entries.get(number)
                 if entry is not None:
-                    link.sender = (system, component)
-                    self._dispatch(link, frame, sender, entry)
+                    self._dispatch(port, frame, sender, (system, component), entry)
         except FrameError as error:
-            self._malformed(link, error)
+            self._malformed(port, error)
 
-    def _dispatch(self, link: Link, frame: bytes, sender: Address, entry: _Entry) -> None:
+    def _dispatch(self, port: Port, frame: bytes, sender: Address, origin: tuple[int, int], entry: _Entry) -> None:
         now_us = self._vehicle.now_us
         try:
             message = entry.decode(frame)
         except (ValueError, struct.error, TypeError) as error:  # FrameError is a ValueError, as is bad text
-            self._malformed(link, error)
+            self._malformed(port, error)
             return
         system = self._vehicle.system_id
         if entry.system_field and getattr(message, entry.system_field) not in (_BROADCAST, system):
-            link.foreign += 1
+            port.foreign += 1
             wanted = getattr(message, entry.system_field)
-            link.warn("foreign", f"message for system {wanted} ignored, this is {system}", now_us)
+            port.warn("foreign", f"message for system {wanted} ignored, this is {system}", now_us)
             return
-        link.heard(sender, now_us)
+        link = port.link_of(sender, now_us)
+        if link is None:
+            return
+        link.sender = origin
+        link.heard(now_us, version(frame))
         if entry.component_field and getattr(message, entry.component_field) not in (_BROADCAST, COMPONENT_ID):
             return
         entry.handle(link, message)
 
-    def _malformed(self, link: Link, error: Exception) -> None:
-        link.malformed += 1
-        link.warn("malformed", f"bad MAVLink ignored: {error}", self._vehicle.now_us)
+    def _malformed(self, port: Port, error: Exception) -> None:
+        port.malformed += 1
+        port.warn("malformed", f"bad MAVLink ignored: {error}", self._vehicle.now_us)
 
     @property
     def next_due_us(self) -> int:

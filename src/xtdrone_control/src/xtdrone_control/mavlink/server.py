@@ -1,4 +1,8 @@
-"""The MAVLink door of all vehicles: two UDP links each, as upstream XTDrone's PX4 instances have them."""
+"""The MAVLink door of all vehicles: three UDP ports each, as upstream XTDrone's PX4 instances have them.
+
+One for MAVROS (offboard), one for ground stations, and one of low bandwidth for payloads; several clients may speak on
+each. PX4's further port for gimbals is not there: its only messages are those of PX4's gimbal manager.
+"""
 
 from __future__ import annotations
 
@@ -10,49 +14,83 @@ from typing import TYPE_CHECKING
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
 
-from .link import LOOPBACK, Link
+from .link import Link
+from .port import LOOPBACK, Port
 from .receiver import Receiver
-from .streams import GCS_RATES, ONBOARD_RATES
+from .streams import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES
 from .telemetry import Telemetry
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
 
-_MAX_DATAGRAMS = 256  # read from one link before the others have their turn
-_MAX_ROUNDS = 16  # of that; 4096 small datagrams are more than a socket's buffer holds, and a flood must not hold us
+_MAX_DATAGRAMS = 4096  # read from one port in a round: more than a socket's buffer holds, and a flood must not hold us
 _LOOK_PERIOD = 0.1  # s of wall time between two looks at whether ground stations hear enough
 
 
 class _Vehicle:
-    """One vehicle's links, and what serves them."""
+    """One vehicle's ports, and what serves them."""
 
     def __init__(self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str) -> None:
         self.index = index
         self.commander = commander
-        self.receiver = Receiver(commander, autopilot, index)
         telemetry = Telemetry(commander, autopilot, index)
         ends = (
             ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, False),
             ("ground-station", vehicle.gcs_local_port, GCS_REMOTE_PORT, GCS_RATES, True),
+            ("payload", vehicle.payload_local_port, vehicle.payload_remote_port, PAYLOAD_RATES, False),
         )
-        self.links: list[Link] = []
+        self.ports: list[Port] = []
         try:
             for kind, local, remote, rates, by_wall in ends:
-                self.links.append(Link(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall))
+                self.ports.append(Port(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall))
         except OSError:
             self.close()
             raise
+        self.receiver = Receiver(commander, autopilot, index, self.clients)
+
+    def clients(self) -> list[Link]:
+        """Return the links to everybody who listens, in a fixed order."""
+        return [link for port in self.ports for link in port.links if link.streams.active]
 
     def reboot(self, autopilot: Autopilot, commander: Commander) -> None:
         self.commander = commander
-        self.receiver = Receiver(commander, autopilot, self.index)
+        self.receiver = Receiver(commander, autopilot, self.index, self.clients)
         telemetry = Telemetry(commander, autopilot, self.index)
-        for link in self.links:
-            link.reboot(telemetry, autopilot.time_us)
+        for port in self.ports:
+            port.reboot(telemetry, autopilot.time_us)
+
+    def send(self, now_us: int) -> None:
+        """Send texts, telemetry, and what services have to say by ``now_us``."""
+        if self.receiver.next_due_us <= now_us:
+            self.receiver.update(now_us)
+        texts = self.commander.texts
+        while texts:
+            text = texts.popleft()
+            for link in self.clients():
+                link.send_text(*text)
+        for port in self.ports:
+            port.send_due(now_us)
 
     def close(self) -> None:
-        for link in self.links:
-            link.close()
+        for port in self.ports:
+            port.close()
+
+
+def _receive(receiver: Receiver, port: Port, now_us: int) -> int:
+    """Act on what has come to ``port``; return how many datagrams there were."""
+    port.begin_round()
+    count = 0
+    while count < _MAX_DATAGRAMS:
+        arrived = port.read()
+        if arrived is None:
+            break
+        count += 1
+        datagram, sender = arrived
+        if port.admit(sender, now_us):
+            receiver.take(port, datagram, sender, now_us)
+            port.charge(sender, len(datagram))
+    port.flush(now_us)
+    return count
 
 
 class MavlinkServer:
@@ -81,12 +119,11 @@ class MavlinkServer:
         except OSError:
             self.close()
             raise
-        self._links = [link for served in self._vehicles for link in served.links]
-        self._stations = [served.links[-1] for served in self._vehicles]
+        self._ports = [port for served in self._vehicles for port in served.ports]
         self._next_look = 0.0
         for served in self._vehicles:
-            for link in served.links:
-                self._selector.register(link.socket, selectors.EVENT_READ, (served, link))
+            for port in served.ports:
+                self._selector.register(port.socket, selectors.EVENT_READ, (served, port))
 
     def fileno(self) -> int:
         """Return a descriptor that is readable when a datagram has come."""
@@ -95,13 +132,13 @@ class MavlinkServer:
     @property
     def next_due_us(self) -> int:
         """Simulated time, microseconds, at which ``send_streams`` has something to do next."""
-        streams = min(link.streams.next_due_us for link in self._links)
+        streams = min(port.next_due_us for port in self._ports)
         return min(streams, min(served.receiver.next_due_us for served in self._vehicles))
 
     @property
-    def links(self) -> list[Link]:
-        """All links, for their counters."""
-        return self._links
+    def ports(self) -> list[Port]:
+        """All ports, for their counters."""
+        return self._ports
 
     @property
     def messages(self) -> tuple[str, ...]:
@@ -112,78 +149,50 @@ class MavlinkServer:
     def sent(self) -> dict[int, int]:
         """Datagrams sent so far, by remote port."""
         totals: dict[int, int] = {}
-        for link in self.links:
-            for port, count in link.sent.items():
-                totals[port] = totals.get(port, 0) + count
+        for port in self._ports:
+            for remote, count in port.sent.items():
+                totals[remote] = totals.get(remote, 0) + count
         return totals
 
     @property
     def received(self) -> dict[int, int]:
         """Datagrams read so far, by local port."""
-        return {link.local_port: link.received for link in self.links}
+        return {port.local_port: port.received for port in self._ports}
 
     def direct(self, ports: Iterable[int], host: str, *, override: bool = False) -> None:
-        """Let the links whose remote port is one of ``ports`` send to ``host`` until somebody speaks to them.
+        """Let what goes to one of ``ports`` from the start go to ``host``, until the client there has spoken.
 
         Args:
-            ports: remote ports, as the links have them at the start.
+            ports: ports of first clients.
             host: address of the machine to send to.
-            override: also where somebody has spoken already: he is gone.
+            override: also where the client has spoken already: he is gone.
         """
         wanted = set(ports)
-        for link in self._links:
-            if link.remote_port in wanted:
-                link.direct(host, override=override)
+        for port in self._ports:
+            if port.remote_port in wanted:
+                port.direct(host, override=override)
 
     def receive(self, timeout: float = 0.0) -> int:
         """Act on all datagrams that have come, waiting up to ``timeout`` seconds of wall time for the first.
 
         Returns:
-            How many there were.
+            How many there were; what floods is read, but only in part acted on (see ``port``).
         """
-        count, full = self._receive_round(timeout)
-        for _ in range(_MAX_ROUNDS - 1):
-            if not full:
-                break
-            more, full = self._receive_round(0.0)
-            count += more
-        return count
-
-    def _receive_round(self, timeout: float) -> tuple[int, bool]:
-        """Give every link its turn; return how many datagrams there were, and whether some link may have more."""
-        count, full = 0, False
         now_us = self._autopilot.time_us
-        for key, _ in self._selector.select(timeout):
-            served, link = key.data
-            for _ in range(_MAX_DATAGRAMS):
-                arrived = link.read()
-                if arrived is None:
-                    break
-                served.receiver.take(link, *arrived, now_us)
-                count += 1
-            else:
-                full = True
-            link.flush(now_us)
-        return count, full
+        return sum(
+            _receive(served.receiver, port, now_us)
+            for served, port in [key.data for key, _ in self._selector.select(timeout)]
+        )
 
     def send_streams(self, now_us: int) -> None:
         """Send the texts that wait, the telemetry that is due by ``now_us``, and what services have to say by then."""
         for served in self._vehicles:
-            if served.receiver.next_due_us <= now_us:
-                served.receiver.update(now_us)
-            texts = served.commander.texts
-            while texts:
-                text = texts.popleft()
-                for link in served.links:
-                    if link.streams.active:
-                        link.send_text(*text)
-            for link in served.links:
-                link.send_due(now_us)
+            served.send(now_us)
 
     def keep_alive(self, counted_ports: Callable[[], Collection[int]] = tuple) -> None:
         """Keep ground stations from taking slow or paused simulated time for a lost link; call it now and then.
 
-        Only there: what the offboard links carry is counted and the same in every run.
+        Only there: what the other ports carry is counted and the same in every run.
 
         Args:
             counted_ports: returns the remote ports on which lockstep participants count what comes; what goes there
@@ -194,9 +203,9 @@ class MavlinkServer:
             return
         self._next_look = wall + _LOOK_PERIOD
         counted = counted_ports()
-        for link in self._stations:
-            if link.peer[1] not in counted:
-                link.keep_alive(self._autopilot.time_us)
+        for port in self._ports:
+            if port.by_wall:
+                port.keep_alive(self._autopilot.time_us, counted)
 
     def reboot(self, autopilot: Autopilot, commanders: Sequence[Commander]) -> None:
         """Go on with autopilots that have been rebooted: streams start anew; sockets, peers and counters stay.

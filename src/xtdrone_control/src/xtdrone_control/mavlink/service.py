@@ -30,15 +30,23 @@ class Vehicle:
         index: the vehicle's place in them.
         system_id: MAVLink system id.
         now_us: simulated time, microseconds, of the message that is handled.
+        clients: returns the links to everybody who listens, for what is for all.
     """
 
-    def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
+    def __init__(
+        self,
+        commander: Commander,
+        autopilot: Autopilot,
+        index: int,
+        clients: Callable[[], list[Link]] = list,
+    ) -> None:
         """Look at vehicle ``index`` of ``autopilot``, whose commander is given."""
         self.commander = commander
         self.autopilot = autopilot
         self.index = index
         self.system_id = commander.vehicle.system_id
         self.now_us = 0
+        self.clients = clients
         self._held: list[Callable[[], None]] | None = None
 
     def hold(self) -> None:

@@ -8,7 +8,7 @@ filled with what is known; the ground station's have upstream XTDrone's 50 Hz se
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 from .packing import MESSAGE_ID, Format
 from .telemetry import Telemetry, Values
@@ -68,6 +68,19 @@ FORMATS: dict[int, Format] = {
     f.number: f for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_OTHERS]))
 }
 HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
+_PAYLOAD_BYTES = 4000.0  # a second: "mavlink start -r 4000" of PX4's payload link
+_FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame besides its payload
+
+
+def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
+    """Return ``rates`` multiplied by one factor so that a link carries ``limit`` bytes a second; HEARTBEAT stays."""
+    load = {name: rate * (FORMATS[MESSAGE_ID[name]].size + _FRAME_OVERHEAD) for name, rate in rates.items()}
+    beat = load["HEARTBEAT"]
+    factor = min((limit - beat) / (sum(load.values()) - beat), 1.0)
+    return {name: rate if name == "HEARTBEAT" else rate * factor for name, rate in rates.items()}
+
+
+PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
 
 
 def _allowed(interval_us: float) -> int:
@@ -105,7 +118,7 @@ class Streams:
         active: whether more than the heartbeat is sent.
     """
 
-    def __init__(self, telemetry: Telemetry, rates: dict[str, float]) -> None:
+    def __init__(self, telemetry: Telemetry, rates: Mapping[str, float]) -> None:
         """Take the default ``rates`` (message name to Hz). Nothing but the heartbeat is due before ``start``."""
         self._defaults = rates
         self.active = False

@@ -93,6 +93,11 @@ class Telemetry:
         self._euler: tuple[float, float, float] | None = None
         self.aligned = self.located = False
 
+    @property
+    def protocol(self) -> int:
+        """MAV_PROTO_VER: 0 to begin in MAVLink 1, 1 to stay with it, 2 to begin in MAVLink 2."""
+        return int(self._commander.parameters.get("MAV_PROTO_VER"))
+
     def refresh(self, now_us: int) -> None:
         """Read the estimate again, unless that has been done for this time."""
         if now_us == self.time_us:

@@ -1,0 +1,280 @@
+"""One UDP port of one vehicle, and the clients that speak on it.
+
+A port knows its first client before he speaks: heartbeats go to his address from the start. Whoever else speaks on the
+port becomes a further client with a link of his own, up to ``MAX_CLIENTS`` of them, and is forgotten when he has been
+silent for 5 s. When there is no room, newcomers are not answered; nobody who is there has to go for them.
+
+Floods. The first client is part of the flight (MAVROS), and all that he sends is acted on at once. Everybody else has a
+credit that is filled up with every round of reading and pays for what he sends and for the answers to it; who has none
+left is not listened to in that round, and what he sent is dropped, as a full socket buffer would. Those who are no
+clients share one credit. So a stranger's flood costs a bounded time a round and takes nothing from the others.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import socket
+from collections.abc import Collection, Mapping
+
+from xtdrone_control.fleet import Vehicle
+
+from .link import Address, Link
+from .telemetry import Telemetry
+
+LOOPBACK = "127.0.0.1"
+MAX_CLIENTS = 16  # on one port
+_LARGEST_DATAGRAM = 8192  # what is longer is cut off, as PX4 does
+_RECEIVE_BUFFER = 1 << 20
+_WARNING_INTERVAL_US = 1_000_000
+_CREDIT = 256  # of one client a round: as many small frames, or answers
+_BYTES_A_CREDIT = 64
+
+_log = logging.getLogger("rosout.mavlink")
+
+
+class LinkError(OSError):
+    """A link whose port cannot be bound."""
+
+
+class Port:
+    """One end of MAVLink over UDP.
+
+    Attributes:
+        name: vehicle and kind of link, for messages.
+        system_id: the vehicle's MAVLink system id.
+        local_port: bound port.
+        remote_port: port of the first client.
+        default: the link to the first client.
+        telemetry: what the vehicle tells.
+        rates: default rates of the streams, message name to Hz.
+        by_wall: whether clients live by wall time, as a ground station does: they are silent only if they are so by
+            both clocks. Else simulated time alone counts, so that the streams are the same at any speed.
+        received: datagrams read.
+        sent: datagrams sent by remote port.
+        lost: datagrams that the operating system did not take.
+        malformed: datagrams that were not, or not wholly, MAVLink.
+        foreign: messages for other systems.
+        dropped: datagrams that were not looked at since their sender had no credit left.
+        refused: messages of newcomers for whom there was no room.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        kind: str,
+        local_port: int,
+        remote_port: int,
+        telemetry: Telemetry,
+        rates: Mapping[str, float],
+        host: str = LOOPBACK,
+        *,
+        by_wall: bool = False,
+    ) -> None:
+        """Bind the port.
+
+        Args:
+            vehicle: whose port this is.
+            kind: what the link is called in messages.
+            local_port: port to bind.
+            remote_port: port on this machine to which frames go from the start, unless ``direct`` names another.
+            telemetry: what the vehicle tells.
+            rates: default rates of the streams, message name to Hz.
+            host: address to bind; "0.0.0.0" for every network.
+            by_wall: see above.
+
+        Raises:
+            LinkError: the port cannot be bound, or there is no such address here.
+        """
+        self.name = f"{vehicle.name} {kind} link"
+        self.system_id = vehicle.system_id
+        self.local_port = local_port
+        self.remote_port = remote_port
+        self.telemetry = telemetry
+        self.rates = rates
+        self.by_wall = by_wall
+        self.received = 0
+        self.sent: dict[int, int] = {}
+        self.lost = 0
+        self.malformed = 0
+        self.foreign = 0
+        self.dropped = 0
+        self.refused = 0
+        self._warned_us: dict[str, int] = {}
+        self._strangers_credit = 0
+        self.default = Link(self, (LOOPBACK, remote_port), self.name)
+        self._links: dict[Address, Link] = {self.default.peer: self.default}
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            self.socket.setblocking(False)
+            self.socket.bind((host, local_port))
+        except OSError as error:
+            self.socket.close()
+            advice = "it must be an address of this machine"
+            if error.errno == errno.EADDRINUSE:
+                advice = "is another simulator, PX4 or ground station using it?"
+            raise LinkError(
+                error.errno,
+                f"{self.name}: UDP port {local_port} cannot be bound on {host}: {error.strerror or error}; {advice}",
+            ) from error
+
+    @property
+    def links(self) -> list[Link]:
+        """The links to all clients: the first one's, then the others' in the order of their coming."""
+        return list(self._links.values())
+
+    @property
+    def first_version(self) -> int:
+        """The MAVLink version in which a client is addressed that has not spoken yet (MAV_PROTO_VER)."""
+        return 2 if self.telemetry.protocol == 2 else 1
+
+    def version_for(self, spoken: int, before: int) -> int:
+        """Return the MAVLink version for a client that speaks version ``spoken``.
+
+        He is answered in MAVLink 2 once he has spoken it, else in MAVLink 1. A real PX4 sends MAVLink 2 to everybody
+        unless MAV_PROTO_VER is set otherwise, which a client that knows only MAVLink 1 could not read. With 1 in that
+        parameter all are answered in MAVLink 1.
+
+        Args:
+            spoken: version of the client's last frame.
+            before: what was sent to him until now; 0 when this is his first frame.
+        """
+        if self.telemetry.protocol == 1:
+            return 1
+        return max(spoken, before)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+    def reboot(self, telemetry: Telemetry, now_us: int) -> None:
+        """Start anew for an autopilot that has been rebooted: streams begin again; socket, clients, counters stay.
+
+        Args:
+            telemetry: what the rebooted vehicle tells.
+            now_us: simulated time, microseconds; it may have gone back.
+        """
+        self.telemetry = telemetry
+        self._warned_us.clear()
+        for link in self._links.values():
+            link.reboot(telemetry, now_us)
+
+    def direct(self, host: str, *, override: bool = False) -> None:
+        """Have the first client at ``host`` unless he has spoken; with ``override`` also then, for he is gone."""
+        if self.default.has_spoken and not override:
+            return
+        peer = (host, self.remote_port)
+        if peer == self.default.peer:
+            return
+        others = [link for link in self._links.values() if link is not self.default]
+        self.default.close()
+        known = self._links.get(peer)
+        self.default = known or Link(self, peer, self.name)
+        self.default.name = self.name
+        self._links = {peer: self.default, **{link.peer: link for link in others}}
+
+    # what comes
+
+    def begin_round(self) -> None:
+        """Give everybody new credit."""
+        for link in self._links.values():
+            link.credit = min(link.credit + _CREDIT, _CREDIT)
+        self._strangers_credit = min(self._strangers_credit + _CREDIT, _CREDIT)
+
+    def read(self) -> tuple[bytes, Address] | None:
+        """Return the next datagram and its sender, None when there is none."""
+        while True:
+            try:
+                datagram, sender = self.socket.recvfrom(_LARGEST_DATAGRAM)
+            except BlockingIOError:
+                return None
+            except ConnectionRefusedError:  # an earlier datagram found nobody
+                continue
+            self.received += 1
+            return datagram, sender
+
+    def admit(self, sender: Address, now_us: int) -> bool:
+        """Say whether ``sender`` has credit left in this round."""
+        link = self._links.get(sender)
+        if link is self.default or (self._strangers_credit if link is None else link.credit) > 0:
+            return True
+        self.dropped += 1
+        who = "strangers send" if link is None else f"{sender[0]}:{sender[1]} sends"
+        self.warn("flood", f"{who} more than can be served; {self.dropped} datagrams were dropped so far", now_us)
+        return False
+
+    def charge(self, sender: Address, size: int) -> None:
+        """Charge ``sender`` for a datagram of ``size`` bytes that was acted on, and for the answers that are queued."""
+        link = self._links.get(sender)
+        cost = 1 + size // _BYTES_A_CREDIT
+        if link is None:
+            self._strangers_credit -= cost
+        else:
+            link.credit -= cost + link.waiting
+
+    def link_of(self, sender: Address, now_us: int) -> Link | None:
+        """Return the link to ``sender``, who has sent a valid message; None when there is no room for him."""
+        link = self._links.get(sender)
+        if link is not None:
+            return link
+        if len(self._links) >= MAX_CLIENTS:
+            self._forget_silent(now_us)
+        if len(self._links) >= MAX_CLIENTS:
+            self.refused += 1
+            text = f"{sender[0]}:{sender[1]} is not served: there are {MAX_CLIENTS} clients already"
+            self.warn("room", text, now_us)
+            return None
+        link = Link(self, sender, f"{self.name} to {sender[0]}:{sender[1]}")
+        self._links[sender] = link
+        return link
+
+    # what goes out
+
+    @property
+    def next_due_us(self) -> int:
+        """Simulated time, microseconds, at which ``send_due`` has something to do next."""
+        return min(link.streams.next_due_us for link in self._links.values())
+
+    def send_due(self, now_us: int) -> None:
+        """Send the telemetry that is due, and what is queued, and forget clients that are gone."""
+        self._forget_silent(now_us)
+        for link in self._links.values():
+            link.send_due(now_us)
+
+    def _forget_silent(self, now_us: int) -> None:
+        """Forget silent clients; the first one goes on to hear heartbeats."""
+        for link in [link for link in self._links.values() if link.silent(now_us)]:
+            if link is self.default:
+                link.streams.stop()
+            else:
+                link.close()
+                del self._links[link.peer]
+
+    def keep_alive(self, now_us: int, counted: Collection[int]) -> None:
+        """Send a HEARTBEAT to whom the last one was sent more than a wall second ago, save to ``counted`` ports."""
+        for link in self._links.values():
+            if link.peer[1] not in counted:
+                link.keep_alive(now_us)
+
+    def flush(self, now_us: int) -> None:
+        """Send what is queued."""
+        for link in self._links.values():
+            link.flush(now_us)
+
+    def send(self, datagram: bytes, peer: Address, now_us: int) -> None:
+        """Send a datagram; one that the operating system does not take is counted."""
+        try:
+            self.socket.sendto(datagram, peer)
+        except OSError as error:
+            self.lost += 1
+            self.warn("send", f"cannot send to {peer[0]}:{peer[1]}: {error.strerror}", now_us)
+            return
+        self.sent[peer[1]] = self.sent.get(peer[1], 0) + 1
+
+    def warn(self, kind: str, text: str, now_us: int, name: str = "") -> None:
+        """Log a warning, at most one of each ``kind`` a simulated second."""
+        last = self._warned_us.get(kind)
+        if last is None or now_us - last >= _WARNING_INTERVAL_US:
+            self._warned_us[kind] = now_us
+            _log.warning("%s: %s", name or self.name, text)

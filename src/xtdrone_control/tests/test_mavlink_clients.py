@@ -1,0 +1,237 @@
+"""Several MAVLink clients at once on the ports of one vehicle, through real UDP sockets."""
+
+from __future__ import annotations
+
+import socket
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+from autopilot_fakes import FIRST_ID
+from pymavlink.dialects.v20 import common as mavlink
+from test_mavlink_server import Client, World, heartbeat, named
+
+from xtdrone_control.fleet import GCS_REMOTE_PORT
+from xtdrone_control.mavlink.packing import Format, as_version_1
+from xtdrone_control.mavlink.port import MAX_CLIENTS
+
+_SYSTEM = FIRST_ID + 1
+_REQUEST_POSITION = mavlink.MAVLink_command_long_message(_SYSTEM, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.fixture
+def world():
+    world = World()
+    yield world
+    world.close()
+
+
+@pytest.fixture
+def clients(world):
+    """Four ground stations on the ground-station port; the first has the port that heartbeats go to."""
+    port = world.fleet[0].gcs_local_port
+    made = [Client(GCS_REMOTE_PORT if i == 0 else 0, port, system=250 + i) for i in range(4)]
+    for client in made:
+        world.ask(heartbeat(6), client=client)
+    yield made
+    for client in made:
+        client.socket.close()
+
+
+def listen(world, clients, seconds):
+    """Let time pass while ``clients`` send a heartbeat each second; return what each of them hears."""
+    heard = [[] for _ in clients]
+    for client in clients:
+        client.receive()
+        client.datagrams.clear()
+    for _ in range(round(seconds)):
+        for client in clients:
+            client.send(heartbeat(6))
+        world.server.receive(1.0)
+        world.run(1.0, 20_000)
+        for client, messages in zip(clients, heard, strict=True):
+            messages += client.receive()
+    return heard
+
+
+def test_all_hear_the_same_streams_with_sequence_numbers_of_their_own(world, clients):
+    heard = listen(world, clients, 2.0)
+    counts = [Counter(m.get_type() for m in messages) for messages in heard]
+    assert counts[0]["ATTITUDE"] == 100
+    assert all(count == counts[0] for count in counts)
+    for messages in heard:
+        sequence = [m.get_seq() for m in messages]
+        assert all((after - before) % 256 == 1 for before, after in pairwise(sequence))
+
+
+def test_intervals_are_a_clients_own(world, clients):
+    second = clients[1]
+    ask = mavlink.MAVLink_command_long_message(_SYSTEM, 1, 511, 0, 30, 1e6, 0, 0, 0, 0, 0)
+    (ack,) = named(world.ask(ask, client=second), "COMMAND_ACK")
+    assert (ack.result, ack.target_system) == (0, 251)
+    counts = [len(named(messages, "ATTITUDE")) for messages in listen(world, clients, 2.0)]
+    assert counts == [100, 2, 100, 100]
+
+
+def test_answers_go_to_whoever_asked_and_texts_to_all(world, clients):
+    (ack,) = named(world.ask(mavlink.MAVLink_command_long_message(_SYSTEM, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0),
+                             client=clients[2]), "COMMAND_ACK")  # fmt: skip
+    assert (ack.result, ack.target_system, ack.target_component) == (0, 252, 190)
+    others = [clients[0], clients[1], clients[3]]
+    assert not any(named(client.receive(), "COMMAND_ACK") for client in others)
+    world.run(0.1)
+    for client in clients:
+        assert [m.text for m in named(client.receive(), "STATUSTEXT")] == ["Armed by external command"]
+
+
+def test_a_client_that_is_silent_is_forgotten_and_may_come_back(world, clients, monkeypatch):
+    wall = [0.0]
+    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    for client in clients:
+        world.ask(heartbeat(6), client=client)
+    port = world.server.ports[1]
+    wall[0] += 6.0
+    listen(world, clients[:2], 6.0)
+    assert [link.peer[1] for link in port.links] == [c.socket.getsockname()[1] for c in clients[:2]]
+    clients[3].receive()
+    listen(world, clients[:2], 1.0)
+    assert not clients[3].receive()
+    world.ask(heartbeat(6), client=clients[3])
+    world.run(1.0)
+    assert named(clients[3].receive(), "ATTITUDE")
+
+
+def test_what_is_sent_to_a_forgotten_client_goes_nowhere(world, clients):
+    link = world.server.ports[1].links[3]
+    link.close()
+    clients[3].receive()
+    for _ in range(1000):
+        link.send_text(6, "nobody hears this")
+    link.flush(world.autopilot.time_us)
+    assert link.waiting == 0
+    assert not clients[3].receive()
+
+
+def test_a_strangers_ports_take_no_slot_from_the_living_and_no_memory(world, clients, caplog):
+    port = world.server.ports[1]
+    strangers = [Client(0, world.fleet[0].gcs_local_port) for _ in range(200)]
+    for stranger in strangers:
+        stranger.send(heartbeat(6))
+        world.server.receive(1.0)
+    assert len(port.links) == MAX_CLIENTS
+    assert port.refused == 200 - (MAX_CLIENTS - 4)
+    assert caplog.text.count("is not served: there are 16 clients already") == 1
+    for stranger in strangers:
+        stranger.socket.close()
+    heard = listen(world, clients, 2.0)
+    assert [len(named(messages, "ATTITUDE")) for messages in heard] == [100] * 4
+
+
+def test_a_clients_flood_is_cut_and_the_others_are_served(world, clients, caplog):
+    flooder, stranger = clients[1], Client(0, world.fleet[0].gcs_local_port)
+    for client in (flooder, stranger):
+        for _ in range(150):  # a socket's buffer holds no more than some hundred
+            client.send(_REQUEST_POSITION)
+    clients[2].send(_REQUEST_POSITION)
+    world.server.receive(1.0)
+    answered = len(named(flooder.receive(), "COMMAND_ACK"))
+    assert 10 < answered < 150
+    assert len(named(clients[2].receive(), "LOCAL_POSITION_NED")) == 1
+    assert world.server.ports[1].dropped > 100
+    assert "sends more than can be served" in caplog.text
+    world.server.receive()
+    for _ in range(30):  # the debt is paid by rounds
+        world.ask(heartbeat(6), client=clients[3])
+    (ack,) = named(world.ask(_REQUEST_POSITION, client=flooder), "COMMAND_ACK")
+    assert ack.result == 0
+    stranger.socket.close()
+
+
+def test_the_payload_link_keeps_to_its_bandwidth(world):
+    vehicle = world.fleet[0]
+    payload = Client(vehicle.payload_remote_port, vehicle.payload_local_port)
+    world.run(0.1)
+    world.ask(heartbeat(18), client=payload)
+    (messages,) = listen(world, [payload], 20.0)
+    assert len(named(messages, "HEARTBEAT")) == 20
+    assert 0.7 * 80_000 < sum(map(len, payload.datagrams)) < 80_000
+    payload.socket.close()
+
+
+class TestVersion1:
+    def client(self, world):
+        client = Client(0, world.fleet[0].gcs_local_port)
+        send = client.socket.sendto
+        client.send = lambda m: send(m.pack(client.mav, force_mavlink1=True), client.remote)
+        return client
+
+    def test_is_answered_in_version_1(self, world):
+        client = self.client(world)
+        world.ask(heartbeat(6), client=client)
+        answers = world.ask(_REQUEST_POSITION, client=client)
+        assert [m.get_type() for m in answers] == ["LOCAL_POSITION_NED", "COMMAND_ACK"]
+        world.run(1.0)
+        client.receive()
+        assert {datagram[0] for datagram in client.datagrams} == {0xFE}
+        client.socket.close()
+
+    def test_a_client_that_turns_to_version_2_is_answered_in_it(self, world):
+        client = self.client(world)
+        world.ask(heartbeat(6), client=client)
+        del client.send  # the instance's; the class's speaks version 2
+        world.ask(_REQUEST_POSITION, client=client)
+        assert {datagram[0] for datagram in client.datagrams} == {0xFD}
+        client.socket.close()
+
+    def test_others_are_answered_in_version_2(self, world, clients):
+        client = self.client(world)
+        world.ask(heartbeat(6), client=client)
+        listen(world, [client, *clients], 1.0)
+        assert {datagram[0] for datagram in client.datagrams} == {0xFE}
+        assert {datagram[0] for datagram in clients[0].datagrams} == {0xFD}
+        client.socket.close()
+
+    @pytest.mark.parametrize(("setting", "first", "answer"), [(0, 0xFE, 0xFD), (1, 0xFE, 0xFE), (2, 0xFD, 0xFD)])
+    def test_mav_proto_ver(self, setting, first, answer):
+        world = World()
+        world.commander.parameters.set("MAV_PROTO_VER", setting)
+        world.server.close()
+        world.server = type(world.server)(world.fleet, world.autopilot, world.commanders)
+        world.run(1.0)
+        assert {datagram[0] for datagram in world.client.datagrams} == {first}
+        world.hear()
+        world.client.datagrams.clear()
+        world.run(1.0)
+        assert {datagram[0] for datagram in world.client.datagrams} == {answer}
+        world.close()
+
+    def test_extension_fields_and_large_ids_stay_away(self):
+        parser = mavlink.MAVLink(None)
+        values = (-1, -1, 0, *[7] * 10, -1, 0, 1, 1, 100, 0, 1, 9, 9, 9, 9, 3, 5)
+        status = Format("BATTERY_STATUS")
+        frame = as_version_1(status.frame(status.payload(values), 3, 1, 1))
+        assert (frame[0], frame[1], len(frame)) == (0xFE, 36, 44)
+        message = parser.decode(bytearray(frame))
+        assert (message.voltages[9], message.battery_remaining, message.voltages_ext[0]) == (7, 100, 0)
+        origin = Format("UTM_GLOBAL_POSITION")
+        assert as_version_1(origin.frame(b"\0", 0, 1, 1)) is None
+
+
+def test_a_signed_frame_is_taken_as_an_unsigned_one(world):
+    client = Client(0, world.fleet[0].gcs_local_port)
+    client.mav.signing.secret_key = b"k" * 32
+    client.mav.signing.sign_outgoing = True
+    client.send(_REQUEST_POSITION)
+    client.mav.signing.secret_key = None
+    world.server.receive(1.0)
+    assert named(client.receive(), "LOCAL_POSITION_NED")
+    assert not any(datagram[2] & 1 for datagram in client.datagrams), "answers are not signed"
+    client.socket.close()
+
+
+def test_no_socket_stays_open(world):
+    ports = [port.local_port for port in world.server.ports]
+    world.server.close()
+    for number in ports:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", number))
