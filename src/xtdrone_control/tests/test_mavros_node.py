@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_control.mavlink.codec import MESSAGE_ID
+from xtdrone_control.mavlink.dialect import MESSAGE_ID
 
 HERE = Path(__file__).parent
 NODE = HERE.parent / "nodes" / "mavros_node.py"

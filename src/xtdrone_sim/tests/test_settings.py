@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import pytest
 
+from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.speed import LEAST_SPEED
 from xtdrone_sim import node
+from xtdrone_sim.autopilots import Builtin
 from xtdrone_sim.pacing import Pacer
 from xtdrone_sim.services import target_speed
+from xtdrone_sim.simulation import Simulation
 
 STEP = 0.004  # s
 
@@ -86,3 +90,20 @@ def test_one_that_cannot_be_closed_does_not_keep_the_others_open():
     with pytest.raises(OSError, match="no space left"):
         node.close_all(lambda: closed.append("server"), full, lambda: closed.append("mavlink"))
     assert closed == ["server", "mavlink"]
+
+
+def test_changed_parameters_outlive_the_simulator_where_a_folder_is_given(settings, tmp_path):
+    assert settings().params == ""
+    assert settings(params="/somewhere").params == "/somewhere"
+    fleet = parse_fleet("iris:2")
+    first = Simulation(fleet, autopilots=partial(Builtin, params=tmp_path))
+    first.commanders[1].parameters.set("MPC_XY_CRUISE", 7.0)
+    assert first.commanders[1].parameters.save()
+    first.restart()
+    assert first.commanders[1].parameters.get("MPC_XY_CRUISE") == 7.0
+    first.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["iris_1.params"]
+    second = Simulation(fleet, autopilots=partial(Builtin, params=tmp_path))
+    assert [c.parameters.get("MPC_XY_CRUISE") for c in second.commanders] == [5.0, 7.0]
+    assert second.autopilot.params["mpc_xy_cruise"].tolist() == [5.0, 7.0]
+    second.close()

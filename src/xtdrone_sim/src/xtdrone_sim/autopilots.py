@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol
 
 from xtdrone_control.autopilot.autopilot import Autopilot, Datum
@@ -72,9 +73,20 @@ class Builtin:
     descriptors: tuple[int, ...] = ()
 
     def __init__(
-        self, fleet: tuple[Vehicle, ...], models: Sequence[VehicleModel], world: WorldModel, datum: Datum | None
+        self,
+        fleet: tuple[Vehicle, ...],
+        models: Sequence[VehicleModel],
+        world: WorldModel,
+        datum: Datum | None,
+        params: Path | None = None,
     ) -> None:
-        """Make the vehicles' parameters, which outlive a restart; for the arguments see ``AutopilotsFactory``."""
+        """Make the vehicles' parameters, which outlive a restart.
+
+        Args:
+            fleet, models, world, datum: see ``AutopilotsFactory``.
+            params: folder in which changed parameters outlive the simulator, a file ``<vehicle>.params`` each; None:
+                every run starts with the defaults.
+        """
         self.served = fleet
         self._layouts = [model.rotor_layout for model in models]
         self._datum = datum
@@ -84,7 +96,8 @@ class Builtin:
                     **model.parameters,
                     "EKF2_MAG_DECL": world.declination,
                     "MAV_SYS_ID": vehicle.system_id,
-                }
+                },
+                None if params is None else params / f"{vehicle.name}.params",
             )
             for vehicle, model in zip(fleet, models, strict=True)
         ]

@@ -26,6 +26,7 @@ from xtdrone_control.lockstep.names import future_name
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
+from .autopilots import Builtin
 from .control import Control, Reset
 from .datagrams import Datagrams
 from .digests import DigestFile
@@ -66,6 +67,7 @@ class Settings:
         host: address on which lockstep and MAVLink listen; "0.0.0.0" for every network (``~host``).
         lockstep_port: the lockstep's TCP port, 0 for any free one (``~lockstep_port``).
         shared_datum: one local frame for all (``~shared_datum``).
+        params: folder in which changed parameters outlive the simulator, empty for none (``~params``).
         states_rate: /gazebo/model_states, Hz of simulated time (``~model_states_rate``).
         digest: file for digests of all that is published, see ``digests``; empty for none (``~digest``).
         digest_topics: digests of topics too, which are then published even if nobody listens; else only of the truth
@@ -87,6 +89,7 @@ class Settings:
     host: str
     lockstep_port: int
     shared_datum: bool
+    params: str
     states_rate: float
     digest: str
     digest_topics: bool
@@ -114,6 +117,7 @@ class Settings:
             host=str(rospy.get_param("~host", "127.0.0.1")),
             lockstep_port=_integer("~lockstep_port", 0, 0, 65535),
             shared_datum=_flag("~shared_datum", True),
+            params=str(rospy.get_param("~params", "")),
             states_rate=_number("~model_states_rate", 50.0, 0.1, 250.0),
             digest=str(rospy.get_param("~digest", "")),
             digest_topics=_flag("~digest_topics", True),
@@ -210,6 +214,7 @@ class SimulatorNode:
             world=settings.world,
             seed=settings.seed,
             shared_datum=settings.shared_datum,
+            autopilots=partial(Builtin, params=Path(settings.params).expanduser() if settings.params else None),
         )
         self._mavlink = MavlinkServer(
             settings.fleet, self._simulation.autopilot, self._simulation.commanders, settings.host

@@ -12,10 +12,13 @@ import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from struct import pack
 from typing import Any
 
 import numpy as np
+
+from . import parameter_file
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
 FLOAT = 9  # MAV_PARAM_TYPE_REAL32
@@ -24,6 +27,7 @@ _log = logging.getLogger(__name__)
 _INT32_RANGE = (-(1 << 31), (1 << 31) - 1)
 _FLOAT_MAX = 3.4028234663852886e38
 _CRC_FLIP = 0xFFFFFFFF
+_FIXED = ("MAV_SYS_ID", "MAV_COMP_ID")  # the fleet says who is who, not a file
 
 
 class ParameterError(ValueError):
@@ -188,7 +192,8 @@ def _parameter(row: tuple[str, float, float, float, str, str]) -> Parameter:
 _TABLE: dict[str, Parameter] = {row[0]: _parameter(row) for row in sorted(_KERNEL_ROWS + _SLOW_ROWS)}
 _FIELDS: dict[str, str] = {row[0]: row[0].lower() for row in _KERNEL_ROWS}
 
-NAMES: tuple[str, ...] = tuple(_TABLE)  # sorted; a parameter's place is its MAVLink index
+NAMES: tuple[str, ...] = tuple(_TABLE)  # sorted
+INDEX: dict[str, int] = {name: index for index, name in enumerate(NAMES)}  # as PARAM_VALUE.param_index
 PARAMS = np.dtype([(field, "f8") for field in _FIELDS.values()], align=True)
 
 
@@ -227,18 +232,24 @@ class Parameters:
     A value out of its sensible range is stored, with a warning, as PX4 does.
     """
 
-    def __init__(self, overrides: Mapping[str, float] | None = None) -> None:
+    def __init__(self, overrides: Mapping[str, float] | None = None, file: Path | None = None) -> None:
         """Take the defaults, changed by ``overrides`` (name -> value), which become this vehicle's defaults.
 
+        Args:
+            overrides: what the airframe and the world change.
+            file: where changed values are kept between runs: loaded now, written at every ``save``; None for nowhere.
+
         Raises:
-            ParameterError: an unknown name or a value that the parameter cannot hold.
+            ParameterError: an unknown name or a value that the parameter cannot hold, in ``overrides``.
         """
         self._record: Any = None
+        self._file = file
         self._defaults = {name: entry.default for name, entry in _TABLE.items()}
         self._values: dict[str, int | float] = dict(self._defaults)
         for name, value in (overrides or {}).items():
             self.set(name, value)
         self._defaults = dict(self._values)
+        self.load()
 
     def get(self, name: str) -> int | float:
         """Return a value: int or float, by the parameter's type.
@@ -277,6 +288,37 @@ class Parameters:
         """Go back to this vehicle's defaults."""
         for name, value in self._defaults.items():
             self.set(name, value)
+
+    def load(self) -> None:
+        """Take the file's values, and the defaults of what is not in it; without a file nothing changes.
+
+        A name that does not exist, another type or a value that cannot be held is warned of and skipped.
+        """
+        if self._file is None:
+            return
+        self.reset()
+        for name, value, kind in parameter_file.read(self._file):
+            if name in _FIXED and value != self._values[name]:
+                _log.warning("parameter file %s: %s = %s is skipped, the fleet gives it", self._file, name, value)
+                continue
+            try:
+                self.set(name, value, kind)
+            except ParameterError as error:
+                _log.warning("parameter file %s: skipped: %s", self._file, error)
+
+    def save(self) -> bool:
+        """Write what differs from the defaults into the file, if there is one; return whether nothing went wrong."""
+        if self._file is None:
+            return True
+        changed = [
+            (name, value, _TABLE[name].type) for name, value in self._values.items() if value != self._defaults[name]
+        ]
+        try:
+            parameter_file.write(self._file, changed, int(self._values["MAV_SYS_ID"]), int(self._values["MAV_COMP_ID"]))
+        except OSError as error:
+            _log.warning("parameters are not saved: %s: %s", self._file, error.strerror or error)
+            return False
+        return True
 
     def write_to(self, record: Any) -> None:
         """Write the kernel parameters into ``record``, one element of a ``PARAMS`` array, and keep it up to date."""

@@ -13,6 +13,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from .dialect import MESSAGE_ID, MESSAGES
+
 Decoder = Callable[[bytes], Any]
 
 _MAGIC_V1 = 0xFE
@@ -21,8 +23,6 @@ _FLAG_SIGNED = 0x01
 _SIGNATURE_LENGTH = 13
 _HEADER_V2 = 10
 
-MESSAGE_ID: dict[str, int] = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
-
 
 class FrameError(ValueError):
     """A MAVLink frame or datagram that cannot be used."""
@@ -30,7 +30,7 @@ class FrameError(ValueError):
 
 def message_name(number: int) -> str:
     """Return the name of a message id, or ``#id`` when the dialect does not know it."""
-    cls = mavlink.mavlink_map.get(number)
+    cls = MESSAGES.get(number)
     return f"#{number}" if cls is None else cls.msgname
 
 
@@ -105,7 +105,7 @@ def decoder(name: str) -> Decoder:
     Raises:
         KeyError: the dialect has no such message.
     """
-    cls: Any = mavlink.mavlink_map[MESSAGE_ID[name]]
+    cls: Any = MESSAGES[MESSAGE_ID[name]]
     if "char" in cls.fieldtypes:
         return _decode_general
     make = _record_maker(cls)

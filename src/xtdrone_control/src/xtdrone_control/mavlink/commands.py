@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.autopilot.commander import CRITICAL, Commander, Result
 from xtdrone_control.autopilot.parameters import ParameterError
 
+from .dialect import MESSAGE_ID
 from .link import Link
-from .packing import MESSAGE_ID
 
 _NAN = math.nan
 _INT32_UNSET = 0x7FFFFFFF  # COMMAND_INT's x and y when they are not given

@@ -13,13 +13,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from .dialect import MESSAGE_ID, MESSAGES
+
 _HEADER = struct.Struct("<BBBBBBBHB")
 _HEADER_V1 = struct.Struct("<BBBBBB")
 _MAGIC_V1 = 0xFE
 _MAGIC_V2 = 0xFD
 _LARGEST_ID_V1 = 0xFF
 COMPONENT_ID = 1  # MAV_COMP_ID_AUTOPILOT1
-MESSAGE_ID: dict[str, int] = {cls.msgname: number for number, cls in mavlink.mavlink_map.items()}
 
 
 class PackingError(ValueError):
@@ -50,7 +51,7 @@ class Format:
         Raises:
             KeyError: there is no such message.
         """
-        cls: Any = mavlink.mavlink_map[MESSAGE_ID[name]]
+        cls: Any = MESSAGES[MESSAGE_ID[name]]
         self.name = name
         self.number: int = cls.id
         self.size: int = cls.unpacker.size

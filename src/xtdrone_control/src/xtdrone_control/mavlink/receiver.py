@@ -7,13 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.mavlink.codec import FrameError, decoder, split, version
 
+from .dialect import MESSAGE_ID, MESSAGES
 from .link import Address, Link
-from .packing import COMPONENT_ID, MESSAGE_ID
+from .packing import COMPONENT_ID
 from .port import Port
 from .service import Handler, Vehicle
 from .services import all_services
@@ -42,7 +41,7 @@ class _Entry:
 
 
 def _field(name: str, *candidates: str) -> str:
-    fields = mavlink.mavlink_map[MESSAGE_ID[name]].fieldnames
+    fields = MESSAGES[MESSAGE_ID[name]].fieldnames
     return next((candidate for candidate in candidates if candidate in fields), "")
 
 

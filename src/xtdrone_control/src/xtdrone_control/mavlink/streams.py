@@ -10,7 +10,8 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterator, Mapping
 
-from .packing import MESSAGE_ID, Format
+from .dialect import MESSAGE_ID
+from .packing import Format
 from .telemetry import Telemetry, Values
 
 _NEVER_US = 1 << 62

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
-from xtdrone_control.mavlink.codec import MESSAGE_ID
+from xtdrone_control.mavlink.dialect import MESSAGE_ID
 
 # Answers and events: nobody asks for them at a rate, and to silence them would break a protocol.
 _UNMANAGED_NAMES = (

@@ -11,7 +11,8 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavlink.codec import MESSAGE_ID, Decoder, FrameError, decoder, message_name
+from xtdrone_control.mavlink.codec import Decoder, FrameError, decoder, message_name
+from xtdrone_control.mavlink.dialect import MESSAGE_ID
 from xtdrone_control.mavros.connection import Link
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic

@@ -1,18 +1,27 @@
-"""The parameter protocol: list, read, write, and the hash of all."""
+"""The parameter protocol: list, read, write, and the hash of all.
+
+As PX4's: the hash comes first, so that a ground station that knows these values can stop the list by sending it back,
+then 20 parameters each 20 ms, and the hash once more; a second request while a list is running begins it anew. Unknown
+names and other types get no answer, values out of range are taken. A written value is told to everybody.
+"""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.parameters import FLOAT, INT32, NAMES, ParameterError, describe
+from xtdrone_control.autopilot.parameters import FLOAT, INDEX, INT32, NAMES, ParameterError, describe
 from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
 
 _HASH_NAME = "_HASH_CHECK"
 _HASH_TYPE = 5  # MAV_PARAM_TYPE_UINT32
+_NO_INDEX = 0xFFFF
+_BURST = 20
+_BURST_PERIOD_US = 20_000
 
 
 class ParameterService(Service):
@@ -28,13 +37,39 @@ class ParameterService(Service):
         """Serve ``vehicle``."""
         super().__init__(vehicle)
         self._parameters = vehicle.commander.parameters
+        self._lists: dict[Link, int] = {}  # who gets a list now, and which parameter is next
 
-    def _param_request_list(self, link: Link, _m: Any) -> None:
-        for name in NAMES:
-            self._send_parameter(link, name)
-        self._send_hash(link)
+    def update(self, now_us: int) -> None:
+        """Send the next parameters of the lists that are running."""
+        for link, start in list(self._lists.items()):
+            for name in NAMES[start : start + _BURST]:
+                self._send_parameter((link,), name)
+            self._lists[link] = start + _BURST
+            if not link.open:
+                del self._lists[link]
+            elif start + _BURST >= len(NAMES):
+                del self._lists[link]
+                self._send_hash(link)
+        self._schedule(now_us)
+
+    def _schedule(self, now_us: int) -> None:
+        self.due_us = (now_us // _BURST_PERIOD_US + 1) * _BURST_PERIOD_US if self._lists else NEVER_US
+
+    def _is_for_us(self, m: Any) -> bool:
+        """Say whether ``m`` names this system: PX4 leaves parameter messages to all systems alone."""
+        return bool(m.target_system == self.vehicle.system_id)
+
+    def _param_request_list(self, link: Link, m: Any) -> None:
+        if not self._is_for_us(m):
+            return
+        if link not in self._lists:
+            self._send_hash(link)
+        self._lists[link] = 0
+        self._schedule(self.vehicle.now_us)
 
     def _param_request_read(self, link: Link, m: Any) -> None:
+        if not self._is_for_us(m):
+            return
         if m.param_index < 0:
             name = m.param_id
         elif m.param_index < len(NAMES):
@@ -43,10 +78,15 @@ class ParameterService(Service):
             return
         if name == _HASH_NAME:
             self._send_hash(link)
-        elif name in NAMES:
-            self._send_parameter(link, name)
+        elif name in INDEX:
+            self._send_parameter((link,), name)
 
     def _param_set(self, link: Link, m: Any) -> None:
+        if not self._is_for_us(m):
+            return
+        if m.param_id == _HASH_NAME:  # a ground station that has the values already
+            self._lists.pop(link, None)
+            return
         value = m.param_value
         if m.param_type == INT32:
             (value,) = struct.unpack("<i", struct.pack("<f", value))
@@ -56,20 +96,21 @@ class ParameterService(Service):
             # PX4 answers nothing; the log says why
             link.warn("parameter", f"parameter not set: {error}", self.vehicle.now_us)
             return
-        self._send_parameter(link, m.param_id)
+        self._parameters.save()
+        self._send_parameter(dict.fromkeys((link, *self.vehicle.clients())), m.param_id)
 
-    def _send_parameter(self, link: Link, name: str) -> None:
+    def _send_parameter(self, links: Iterable[Link], name: str) -> None:
         value: float = self._parameters.get(name)
         kind = FLOAT
         if describe(name).type == INT32:
             kind = INT32
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
-        link.send_message(
-            mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(NAMES), NAMES.index(name))
-        )
+        message = mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(NAMES), INDEX[name])
+        for link in links:
+            link.send_message(message)
 
     def _send_hash(self, link: Link) -> None:
         (value,) = struct.unpack("<f", struct.pack("<I", self._parameters.hash()))
         link.send_message(
-            mavlink.MAVLink_param_value_message(_HASH_NAME.encode(), value, _HASH_TYPE, len(NAMES), 0xFFFF)
+            mavlink.MAVLink_param_value_message(_HASH_NAME.encode(), value, _HASH_TYPE, len(NAMES), _NO_INDEX)
         )

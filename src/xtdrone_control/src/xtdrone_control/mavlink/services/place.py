@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander import WARNING
 from xtdrone_control.mavlink.commands import Command
+from xtdrone_control.mavlink.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.packing import MESSAGE_ID
 from xtdrone_control.mavlink.service import Service, Vehicle
 
 from .command import CommandService

@@ -1,0 +1,111 @@
+"""MAVLink's message types: pymavlink's common dialect, and those of ``common.xml`` that pymavlink leaves out.
+
+A message type says how a message lies on the wire, with the attributes of pymavlink's message classes: ``id``,
+``msgname``, ``fieldnames``, ``ordered_fieldnames``, ``fieldtypes``, ``lengths``, ``crc_extra``, ``unpacker``.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+_CODES = {
+    "char": "s",
+    "uint8_t": "B",
+    "int8_t": "b",
+    "uint16_t": "H",
+    "int16_t": "h",
+    "uint32_t": "I",
+    "int32_t": "i",
+    "uint64_t": "Q",
+    "int64_t": "q",
+    "float": "f",
+    "double": "d",
+}
+_FIELD = re.compile(r"(\w+?)(?:\[(\d+)\])? (\w+)")
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """One message type; see the module's text."""
+
+    id: int
+    msgname: str
+    fieldnames: tuple[str, ...]
+    ordered_fieldnames: tuple[str, ...]
+    fieldtypes: tuple[str, ...]
+    lengths: tuple[int, ...]
+    crc_extra: int
+    unpacker: struct.Struct
+
+
+def message_type(number: int, name: str, fields: str) -> MessageType:
+    """Describe a message as ``common.xml`` does.
+
+    Args:
+        number: message id.
+        name: message name.
+        fields: ``type name`` or ``type[count] name`` of each field in the order of the XML, commas between; no
+            extension fields.
+
+    Returns:
+        The type, with fields sorted by size as they lie on the wire, and the checksum's seed computed from them
+        (https://mavlink.io/en/guide/serialization.html).
+    """
+    parsed = []
+    for field in fields.split(","):
+        match = _FIELD.fullmatch(field.strip())
+        if match is None:
+            raise ValueError(f"{name}: field {field!r} is not of the form 'type name' or 'type[count] name'")
+        kind, count, label = match.groups()
+        parsed.append((kind, int(count or 0), label))
+    wire = sorted(parsed, key=lambda entry: -struct.calcsize(_CODES[entry[0]]))
+    signature = f"{name} ".encode()
+    for kind, count, label in wire:
+        signature += f"{kind} {label} ".encode() + (bytes([count]) if count else b"")
+    checksum = int(mavlink.x25crc(signature).crc)
+    return MessageType(
+        id=number,
+        msgname=name,
+        fieldnames=tuple(label for _, _, label in parsed),
+        ordered_fieldnames=tuple(label for _, _, label in wire),
+        fieldtypes=tuple(kind for kind, _, _ in parsed),
+        lengths=tuple(1 if kind == "char" else count or 1 for kind, count, _ in wire),
+        crc_extra=checksum & 0xFF ^ checksum >> 8,
+        unpacker=struct.Struct("<" + "".join(f"{count or ''}{_CODES[kind]}" for kind, count, _ in wire)),
+    )
+
+
+_MISSING = (
+    message_type(
+        300,
+        "PROTOCOL_VERSION",
+        "uint16_t version, uint16_t min_version, uint16_t max_version,"
+        "uint8_t[8] spec_version_hash, uint8_t[8] library_version_hash",
+    ),
+    message_type(
+        410,
+        "EVENT",
+        "uint8_t destination_component, uint8_t destination_system, uint32_t id, uint32_t event_time_boot_ms,"
+        "uint16_t sequence, uint8_t log_levels, uint8_t[40] arguments",
+    ),
+    message_type(411, "CURRENT_EVENT_SEQUENCE", "uint16_t sequence, uint8_t flags"),
+    message_type(
+        412,
+        "REQUEST_EVENT",
+        "uint8_t target_system, uint8_t target_component, uint16_t first_sequence, uint16_t last_sequence",
+    ),
+    message_type(
+        413,
+        "RESPONSE_EVENT_ERROR",
+        "uint8_t target_system, uint8_t target_component, uint16_t sequence, uint16_t sequence_oldest_available,"
+        "uint8_t reason",
+    ),
+)
+
+MESSAGES: dict[int, Any] = {**{entry.id: entry for entry in _MISSING}, **mavlink.mavlink_map}
+MESSAGE_ID: dict[str, int] = {entry.msgname: number for number, entry in MESSAGES.items()}

@@ -1,0 +1,170 @@
+"""The parameter protocol as PX4 speaks it, and parameter files."""
+
+from __future__ import annotations
+
+import logging
+import struct
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+from service_fakes import SYSTEM, Served
+
+from xtdrone_control.autopilot.parameters import FLOAT, INT32, NAMES, Parameters
+from xtdrone_control.mavlink import dialect
+
+
+@pytest.fixture
+def served():
+    return Served()
+
+
+def request_list(system=SYSTEM):
+    return mavlink.MAVLink_param_request_list_message(system, 1)
+
+
+def write(name, value, kind=FLOAT, system=SYSTEM):
+    return mavlink.MAVLink_param_set_message(system, 1, name.encode(), value, kind)
+
+
+def test_list_begins_and_ends_with_the_hash_and_comes_in_bursts(served):
+    first = served.ask(request_list())
+    assert [m.param_id for m in first] == ["_HASH_CHECK"]
+    found = served.run(1.0)
+    assert [m.param_id for _, _, m in found] == [*NAMES, "_HASH_CHECK"]
+    assert [m.param_index for _, _, m in found] == [*range(len(NAMES)), 0xFFFF]
+    per_step = [sum(1 for t, _, _ in found if t == when) for when in {t for t, _, _ in found}]
+    assert max(per_step) <= 21, "a burst must not overrun a client's socket"
+    assert found[-1][0] <= served.autopilot.time_us - 1_000_000 + len(NAMES) * 1000 + 40_000
+
+
+def test_a_known_hash_stops_the_list(served):
+    served.ask(request_list())
+    served.run(0.024)
+    served.ask(write("_HASH_CHECK", 0.0, 5))
+    assert served.run(1.0) == []
+
+
+def test_a_second_request_begins_anew_without_the_hash(served):
+    served.ask(request_list())
+    served.run(0.044)
+    assert served.ask(request_list()) == []
+    assert served.run(1.0)[0][2].param_id == NAMES[0]
+
+
+def test_lists_of_two_clients_do_not_mix(served):
+    served.ask(request_list())
+    served.run(0.024)
+    served.ask(request_list(), served.other)
+    served.other.sent.clear()
+    assert len(served.run(1.0)) == len(NAMES) - 20 + 1, "the hash ends it"
+    assert [m.param_id for _, m in served.other.sent] == [*NAMES, "_HASH_CHECK"]
+
+
+def test_messages_to_all_systems_are_left_alone_as_px4_does(served):
+    assert not served.ask(request_list(0))
+    assert not served.ask(mavlink.MAVLink_param_request_read_message(0, 0, b"MPC_XY_P", -1))
+    assert not served.ask(write("MPC_XY_P", 1.0, system=0))
+    assert served.parameters.get("MPC_XY_P") == 0.95
+    assert not served.run(1.0)
+
+
+def test_everybody_hears_of_a_written_value(served):
+    for value in (1.0, 50.0):  # out of range is taken too
+        answers = served.ask(write("MPC_XY_P", value))
+        assert [(m.param_id, m.param_value) for m in answers] == [("MPC_XY_P", value)]
+        assert served.other.sent[-1][1].param_value == value
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "kind"),
+    [("NO_SUCH", 1.0, FLOAT), ("MPC_XY_P", 1.0, INT32), ("NAV_DLL_ACT", 1.0, FLOAT), ("MPC_XY_P", float("nan"), FLOAT)],
+)
+def test_silence_for_what_cannot_be_written(served, name, value, kind):
+    before = served.parameters.hash()
+    assert not served.ask(write(name, value, kind))
+    assert not served.other.sent
+    assert served.parameters.hash() == before
+    assert served.link.warnings
+
+
+# files
+
+
+def test_written_values_outlive_the_vehicle(tmp_path):
+    file = tmp_path / "params" / "iris_0.params"
+    defaults = {"MAV_SYS_ID": SYSTEM, "MC_ROLL_P": 6.0}
+    served = Served(Parameters(defaults, file))
+    served.ask(write("MPC_XY_P", 0.7))
+    served.ask(write("NAV_DLL_ACT", struct.unpack("<f", struct.pack("<i", 2))[0], INT32))
+    lines = [line.split("\t") for line in file.read_text().splitlines() if not line.startswith("#")]
+    assert [(row[:3], row[4]) for row in lines] == [
+        ([str(SYSTEM), "1", "MPC_XY_P"], "9"),
+        ([str(SYSTEM), "1", "NAV_DLL_ACT"], "6"),
+    ]
+    assert [entry.name for entry in file.parent.iterdir()] == [file.name], "no draft is left"
+    again = Parameters(defaults, file)
+    assert again.hash() == served.parameters.hash()
+    assert again.get("MPC_XY_P") == served.parameters.get("MPC_XY_P")
+
+
+def test_a_file_of_qgroundcontrol_is_read(tmp_path):
+    file = tmp_path / "iris_0.params"
+    file.write_text(
+        "# Onboard parameters for Vehicle 1\n#\n# Vehicle-Id Component-Id Name Value Type\n"
+        "1\t1\tMPC_XY_CRUISE\t7.500000000000000000\t9\n1\t1\tNAV_DLL_ACT\t3\t6\n"
+    )
+    parameters = Parameters(file=file)
+    assert (parameters.get("MPC_XY_CRUISE"), parameters.get("NAV_DLL_ACT")) == (7.5, 3)
+
+
+def test_what_cannot_be_used_is_named_and_skipped(tmp_path, caplog):
+    file = tmp_path / "iris_0.params"
+    file.write_text(
+        "1\t1\tNO_SUCH\t1.0\t9\n1\t1\tMPC_XY_P\tmuch\t9\n1\t1\tMPC_XY_P\t1\t6\nMPC_XY_P 1\n1\t1\tMAV_SYS_ID\t9\t6\n"
+        "1\t1\tMPC_XY_VEL_MAX\tnan\t9\n1\t1\tMPC_Z_P\t0.8\t9\n"
+    )
+    with caplog.at_level(logging.WARNING):
+        parameters = Parameters({"MAV_SYS_ID": 3}, file)
+    warnings = [record.getMessage() for record in caplog.records]
+    assert len(warnings) == 6
+    assert all(str(file) in text for text in warnings)
+    for word in ("NO_SUCH", "line 2", "type 6", "line 4", "MAV_SYS_ID", "finite"):
+        assert any(word in text for text in warnings), word
+    assert (parameters.get("MAV_SYS_ID"), parameters.get("MPC_XY_P"), parameters.get("MPC_Z_P")) == (3, 0.95, 0.8)
+
+
+def test_an_unreadable_file_leaves_the_defaults(tmp_path, caplog):
+    file = tmp_path / "iris_0.params"
+    file.write_bytes(b"\xff\xfe\x00broken")
+    with caplog.at_level(logging.WARNING):
+        assert Parameters(file=file).hash() == Parameters().hash()
+    assert str(file) in caplog.text
+
+
+def test_a_file_that_cannot_be_written_is_warned_of(tmp_path, caplog):
+    (tmp_path / "taken").write_text("")
+    parameters = Parameters(file=tmp_path / "taken" / "iris_0.params")
+    with caplog.at_level(logging.WARNING):
+        assert not parameters.save()
+    assert "taken" in caplog.text
+    assert Parameters().save(), "nothing to keep, nothing goes wrong"
+
+
+# message types that pymavlink does not have
+
+
+def test_message_types_are_described_as_pymavlink_does():
+    for name, fields in {
+        "PING": "uint64_t time_usec, uint32_t seq, uint8_t target_system, uint8_t target_component",
+        "PARAM_VALUE": "char[16] param_id, float param_value, uint8_t param_type, uint16_t param_count,"
+        "uint16_t param_index",
+        "TUNNEL": "uint8_t target_system, uint8_t target_component, uint16_t payload_type, uint8_t payload_length,"
+        "uint8_t[128] payload",
+    }.items():
+        theirs = dialect.MESSAGES[dialect.MESSAGE_ID[name]]
+        ours = dialect.message_type(theirs.id, name, fields)
+        assert ours.crc_extra == theirs.crc_extra, name
+        assert list(ours.ordered_fieldnames) == theirs.ordered_fieldnames
+        assert list(ours.fieldtypes) == theirs.fieldtypes
+        assert ours.unpacker.format == theirs.unpacker.format
+        assert list(ours.lengths) == theirs.lengths
