@@ -26,11 +26,12 @@ from xtdrone_control.lockstep.names import future_name
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
-from .autopilots import Builtin
+from .autopilots import AutopilotsFactory, Builtin
 from .control import Control, Reset
 from .datagrams import Datagrams
 from .digests import DigestFile
 from .gazebo_names import model_states
+from .hil import Hil
 from .mailbox import Mailbox
 from .pacing import Pacer
 from .services import Services
@@ -52,6 +53,7 @@ class Settings:
     Attributes:
         fleet: vehicles (``/xtdrone/fleet`` or ``~fleet``).
         rows: spawn grid (``~rows``).
+        autopilot: "builtin" is ours; "hil" has PX4s connect to the vehicles' simulator links (``~autopilot``).
         world: name or file (``~world``).
         seed: of the sensor noise (``~seed``).
         speed: target real-time factor, 0 for unlimited (``~speed``).
@@ -76,6 +78,7 @@ class Settings:
 
     fleet: tuple[Vehicle, ...]
     rows: int
+    autopilot: str
     world: str
     seed: int
     speed: float
@@ -104,6 +107,7 @@ class Settings:
         return cls(
             fleet=parse_fleet(str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))),
             rows=_integer("~rows", 3, 1),
+            autopilot=_choice("~autopilot", ("builtin", "hil")),
             world=str(rospy.get_param("~world", "empty")),
             seed=_integer("~seed", 0, 0),
             speed=_number("~speed", 1.0, 0.0, 1e6),
@@ -178,6 +182,14 @@ def _flag(name: str, default: bool) -> bool:
     return value
 
 
+def _choice(name: str, allowed: tuple[str, ...]) -> str:
+    """Return one of ``allowed``, the first if the parameter is not set."""
+    value = rospy.get_param(name, allowed[0])
+    if value not in allowed:
+        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, {' or '.join(allowed)}")
+    return str(value)
+
+
 def _digest_file(settings: Settings, host: lockstep.Host) -> DigestFile | None:
     """Open the digest file, if one is asked for.
 
@@ -214,10 +226,11 @@ class SimulatorNode:
             world=settings.world,
             seed=settings.seed,
             shared_datum=settings.shared_datum,
-            autopilots=partial(Builtin, params=Path(settings.params).expanduser() if settings.params else None),
+            autopilots=self._factory(settings),
         )
+        self._autopilots = self._simulation.autopilots
         self._mavlink = MavlinkServer(
-            settings.fleet, self._simulation.autopilot, self._simulation.commanders, settings.host
+            self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
         )
         host = lockstep.host()
         self._digests = _digest_file(settings, host)
@@ -260,6 +273,8 @@ class SimulatorNode:
         self._poll.register(self._mailbox.fileno(), select.EPOLLIN)
         self._poll.register(self._server.fileno(), select.EPOLLIN)
         self._poll.register(self._mavlink.fileno(), select.EPOLLIN)
+        for descriptor in self._autopilots.descriptors:
+            self._poll.register(descriptor, select.EPOLLIN)
         self._uri = reachable_uri(self._server.uri, settings.host)
         if settings.lockstep:
             rospy.set_param("/lockstep/uri", self._uri)
@@ -273,6 +288,7 @@ class SimulatorNode:
         """Step until the node is to end."""
         try:
             self._publish_clock()
+            self._wait_for_autopilots()
             self._wait_for_participants()
             self._control.start()
             while not self._over():
@@ -297,6 +313,27 @@ class SimulatorNode:
             self._mavlink.close,
             self._simulation.close,
         )
+
+    def _factory(self, settings: Settings) -> AutopilotsFactory:
+        """Return what makes the autopilots that the settings ask for."""
+        factories: dict[str, AutopilotsFactory] = {
+            "builtin": partial(Builtin, params=Path(settings.params).expanduser() if settings.params else None),
+            "hil": partial(Hil, host=settings.host, hang_limit=settings.hang_limit, idle=self._serve, log=_log),
+        }
+        return factories[settings.autopilot]
+
+    def _wait_for_autopilots(self) -> None:
+        begun = word = time.monotonic()
+        while missing := self._autopilots.missing():
+            now = time.monotonic()
+            if now - begun >= self._settings.start_limit:
+                rospy.logwarn("simulator: time starts after %.0f s: %s", self._settings.start_limit, missing)
+                return
+            if now >= word:
+                word += _JOIN_REPORT
+                rospy.loginfo("simulator: holding time at 0: %s", missing)
+            self._serve(_SLICE)
+            self._server.poll(0.0)
 
     def _wait_for_participants(self) -> None:
         expected = self._control.held = self._settings.participants if self._settings.lockstep else 0
@@ -386,6 +423,8 @@ class SimulatorNode:
             self._mavlink.receive(0.0)
         if self._mailbox.fileno() in ready:
             self._mailbox.serve()
+        if not ready.isdisjoint(self._autopilots.descriptors):
+            self._autopilots.serve()
         self._mavlink.keep_alive(self._datagrams.counted_ports)
         self._services.tend()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import selectors
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from xtdrone_control.autopilot.commander import Commander
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
 
 _MAX_DATAGRAMS = 4096  # read from one port in a round: more than a socket's buffer holds, and a flood must not hold us
+_NEVER = 1 << 62  # microseconds: no vehicle is served here
 _LOOK_PERIOD = 0.1  # s of wall time between two looks at whether ground stations hear enough
 
 
@@ -132,8 +134,9 @@ class MavlinkServer:
     @property
     def next_due_us(self) -> int:
         """Simulated time, microseconds, at which ``send_streams`` has something to do next."""
-        streams = min(port.next_due_us for port in self._ports)
-        return min(streams, min(served.receiver.next_due_us for served in self._vehicles))
+        streams = (port.next_due_us for port in self._ports)
+        services = (served.receiver.next_due_us for served in self._vehicles)
+        return min(chain(streams, services), default=_NEVER)
 
     @property
     def ports(self) -> list[Port]:
