@@ -97,3 +97,20 @@ def test_rotor_drag_brakes_and_leans_against_the_wind(iris):
     still["rotor_speed"][0, :4] = 600.0
     plant.rotor_wrench(still[0], iris[0])
     assert still["force"][0, 0] == pytest.approx(0.0)
+
+
+def test_linear_drag_slows_a_body_exponentially():
+    """m v' = -c v, against the air: v - w = (v0 - w) exp(-c t / m)."""
+    models = np.array([load_vehicle("px4_reference").record])
+    state = body(position=(0.0, 0.0, 100.0), velocity=(5.0, 0.0, 0.0), wind=(1.0, 0.0, 0.0))
+    fly(state, models, 500)
+    assert state["velocity"][0, 0] - 1.0 == pytest.approx(4.0 * math.exp(-0.1 * 2.0 / 1.5), rel=1e-3)
+
+
+def test_assumed_rotor_layout_is_the_allocator_s_and_not_the_plant_s():
+    model = load_vehicle("px4_reference")
+    np.testing.assert_allclose(np.abs(model.rotor_layout.positions[:, :2]), 0.15)
+    np.testing.assert_allclose(np.abs(model.rotor_layout.moment_ratios), 0.05)
+    np.testing.assert_allclose(model.record["rotor_position"][0], (0.13, -0.22, 0.023))
+    own = load_vehicle("iris")
+    np.testing.assert_allclose(own.rotor_layout.positions[0], (0.13, 0.22, -0.023))

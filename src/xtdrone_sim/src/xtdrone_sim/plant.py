@@ -50,7 +50,7 @@ def advance_rotors(v, m, actuators, armed, dt):
 
 @kernel
 def rotor_wrench(v, m):
-    """Fill v.force (world) and v.torque (body) with what the rotors do at the present speed and attitude."""
+    """Fill v.force (world) and v.torque (body) with what rotors and body drag do at the present speed and attitude."""
     ax, ay, _ = rotate_inverse(
         v.q, v.velocity[0] - v.wind[0], v.velocity[1] - v.wind[1], v.velocity[2] - v.wind[2]
     )  # fmt: skip
@@ -72,6 +72,8 @@ def rotor_wrench(v, m):
         ty += pz * dx - px * thrust - m.rolling_moment_coefficient * speed * hy
         tz += px * dy - py * dx - m.rotor_direction[i] * m.moment_constant * thrust
     v.force[0], v.force[1], v.force[2] = rotate(v.q, fx, fy, fz)
+    for i in range(3):
+        v.force[i] -= m.linear_drag * (v.velocity[i] - v.wind[i])
     v.torque[0], v.torque[1], v.torque[2] = tx, ty, tz
 
 

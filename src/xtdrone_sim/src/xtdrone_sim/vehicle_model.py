@@ -43,6 +43,7 @@ MODEL = np.dtype(
         ("idle_speed", "f8"),
         ("drag_coefficient", "f8"),
         ("rolling_moment_coefficient", "f8"),
+        ("linear_drag", "f8"),  # N s/m, of the body
         # sensors; densities per sqrt(Hz)
         ("gyro_noise_density", "f8"),
         ("gyro_random_walk", "f8"),
@@ -90,15 +91,19 @@ class VehicleModel:
         name: type name, as ``iris``.
         record: ``MODEL`` record.
         parameters: PX4 parameters that this airframe sets.
+        assumed_layout: what the autopilot takes the rotors' places for; None where it knows them.
     """
 
     name: str
     record: np.void
     parameters: dict[str, float]
+    assumed_layout: RotorLayout | None = None
 
     @property
     def rotor_layout(self) -> RotorLayout:
         """Rotor places and moment ratios as the autopilot's allocator takes them (body FRD)."""
+        if self.assumed_layout is not None:
+            return self.assumed_layout
         count = int(self.record["rotor_count"])
         frd = self.record["rotor_position"][:count] * np.array([1.0, -1.0, -1.0])
         return RotorLayout(frd, self.record["rotor_direction"][:count] * self.record["moment_constant"])
@@ -139,10 +144,11 @@ def load_vehicle(name: str) -> VehicleModel:
         _fill_body(record, description)
         _fill_rotors(record, description)
         _fill_sensors(record, description["sensors"])
+        assumed = _assumed_layout(record, description.get("control_allocation"))
     except (KeyError, TypeError) as error:
         raise ModelError(f"vehicle {name!r}: field {error} is missing or of the wrong kind") from error
     parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
-    return VehicleModel(Path(name).stem, record, parameters)
+    return VehicleModel(Path(name).stem, record, parameters, assumed)
 
 
 def _positive(description: dict[str, Any], field: str) -> float:
@@ -160,6 +166,10 @@ def _fill_body(record: np.void, description: dict[str, Any]) -> None:
             raise ModelError(f"{source}: {description[source]} is not allowed, three positive numbers")
         record[field] = values
     record["radius"] = 0.5 * float(np.linalg.norm(record["box"]))
+    drag = float(description.get("linear_drag", 0.0))
+    if not (np.isfinite(drag) and drag >= 0.0):
+        raise ModelError(f"linear_drag: {drag} is not allowed, a number of at least 0")
+    record["linear_drag"] = drag
 
 
 def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
@@ -176,6 +186,22 @@ def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
             raise ModelError(f"rotor {i}: direction {rotor['direction']!r} is not allowed, ccw or cw")
         record["rotor_position"][i] = rotor["position"]
         record["rotor_direction"][i] = _DIRECTIONS[rotor["direction"]]
+
+
+def _assumed_layout(record: np.void, description: dict[str, Any] | None) -> RotorLayout | None:
+    """Return the layout of ``control_allocation``: ``positions`` (x, y a rotor, m, FLU) and ``moment_ratio`` (m).
+
+    Raises:
+        ModelError: not one position a rotor.
+    """
+    if description is None:
+        return None
+    count = int(record["rotor_count"])
+    positions = np.asarray(description["positions"], float)
+    if positions.shape != (count, 2):
+        raise ModelError(f"control_allocation: positions of shape {positions.shape} are not allowed, ({count}, 2)")
+    frd = np.column_stack([positions[:, 0], -positions[:, 1], np.zeros(count)])
+    return RotorLayout(frd, record["rotor_direction"][:count] * _positive(description, "moment_ratio"))
 
 
 def _fill_sensors(record: np.void, sensors: dict[str, Any]) -> None:
