@@ -58,7 +58,6 @@ def test_heartbeat_words_are_px4s(flight):
         (2 << 16, Result.UNSUPPORTED, "ALTCTL is not supported"),
         (5 << 16, Result.UNSUPPORTED, "ACRO is not supported"),
         (7 << 16, Result.UNSUPPORTED, "STABILIZED is not supported"),
-        (4 << 16 | 4 << 24, Result.TEMPORARILY_REJECTED, "no valid mission"),
     ],
 )
 def test_modes_that_are_refused(flight, custom_mode, result, text):

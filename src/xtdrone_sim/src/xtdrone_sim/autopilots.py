@@ -9,6 +9,7 @@ from typing import Protocol
 from xtdrone_control.autopilot.autopilot import Autopilot, Datum
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.plan import Plans
 from xtdrone_control.fleet import Vehicle
 
 from .vehicle_model import VehicleModel
@@ -80,7 +81,7 @@ class Builtin:
         datum: Datum | None,
         params: Path | None = None,
     ) -> None:
-        """Make the vehicles' parameters, which outlive a restart.
+        """Make the vehicles' parameters and plans, which outlive a restart.
 
         Args:
             fleet, models, world, datum: see ``AutopilotsFactory``.
@@ -101,17 +102,20 @@ class Builtin:
             )
             for vehicle, model in zip(fleet, models, strict=True)
         ]
+        self._plans = [Plans() for _ in fleet]
         self.autopilot = Autopilot(self._layouts, datum)
         self.commanders: list[Commander] = []
 
     def begin(self, world: World, time_us: int) -> None:
-        """Boot all autopilots; parameters that were changed stay changed."""
+        """Boot all autopilots; parameters that were changed stay changed, missions, geofences and rally points stay."""
         self.autopilot = Autopilot(self._layouts, self._datum)
         self.autopilot.time_us = time_us
         self.commanders = []
-        for vehicle, parameters in zip(self.served, self._parameters, strict=True):
+        for vehicle, parameters, plans in zip(self.served, self._parameters, self._plans, strict=True):
             parameters.write_to(self.autopilot.params[vehicle.id])
-            self.commanders.append(Commander(vehicle, self.autopilot, parameters, vehicle.id))
+            commander = Commander(vehicle, self.autopilot, parameters, vehicle.id)
+            commander.navigator.restore(plans)
+            self.commanders.append(commander)
         self.autopilot.start_control()
 
     def step(self) -> None:

@@ -200,7 +200,7 @@ class Autopilot:
             self.estimator["origin_lon"] = datum.longitude
             self.estimator["origin_alt"] = datum.altitude
             self.estimator["origin_set"] = 1
-        for field in ("position", "velocity", "acceleration", "goal_position"):
+        for field in ("position", "velocity", "acceleration", "goal_position", "onward_position"):
             self.setpoint[field] = np.nan
         for field in ("yaw", "yaw_rate", "goal_yaw", "cruise_speed", "climb_speed", "descend_speed"):
             self.setpoint[field] = np.nan

@@ -220,9 +220,6 @@ class Commander:
             auto = custom_mode >> 16 & 0xFF == modes.MAIN_AUTO
             self.say(CRITICAL, "Unsupported auto mode" if auto else "Unsupported mode")
             return Result.TEMPORARILY_REJECTED
-        if mode is modes.AUTO_MISSION:
-            self.say(CRITICAL, "AUTO.MISSION: no valid mission available")
-            return Result.TEMPORARILY_REJECTED
         if mode not in modes.SUPPORTED:
             allowed = ", ".join(m.name for m in modes.SUPPORTED)
             self.say(CRITICAL, f"{mode.name} is not supported; allowed: {allowed}")
@@ -255,7 +252,7 @@ class Commander:
             return "no valid position estimate"
         if mode is modes.AUTO_RTL and self.home is None:
             return "no home position"
-        return ""
+        return self.navigator.mission_obstacle() if mode is modes.AUTO_MISSION else ""
 
     def _needs_position(self, mode: Mode) -> bool:
         return mode.needs_position and (mode is not modes.OFFBOARD or self._offboard.needs_position)

@@ -61,10 +61,37 @@ def _advance_axis(c, i, target, accel_limit, jerk, dt):
 
 
 @kernel
-def _approach_speed(distance, accel, jerk, limit):
-    """Return the speed from which ``distance`` suffices to stop (PX4 trajectory::computeMaxSpeedFromDistance)."""
+def _approach_speed(distance, accel, jerk, limit, final):
+    """Return the speed from which ``distance`` suffices to slow down to ``final`` (m/s).
+
+    PX4 trajectory::computeMaxSpeedFromDistance.
+    """
     b = 4.0 * accel * accel / jerk
-    return min(0.5 * (-b + math.sqrt(b * b + 8.0 * accel * distance)), limit)
+    speed = 0.5 * (-b + math.sqrt(b * b + 4.0 * (2.0 * accel * distance + final * final)))
+    return min(max(speed, final), limit)
+
+
+@kernel
+def _speed_through(c, s, e, p):
+    """Return the horizontal speed (m/s) at the goal, from where it goes on to onward_position; 0 to stop there.
+
+    A circle of the acceptance radius joins the two legs, flown with a share of MPC_ACC_HOR (PX4
+    trajectory::computeStartXYSpeedFromWaypoints). Where the height changes the vehicle stops.
+    """
+    ox, oy = s.onward_position[0] - s.goal_position[0], s.onward_position[1] - s.goal_position[1]
+    gx, gy = s.goal_position[0] - c.smooth_position[0], s.goal_position[1] - c.smooth_position[1]
+    onward, distance = math.hypot(ox, oy), math.hypot(gx, gy)
+    # written so that NaN, no onward position, stops
+    if not (onward >= s.goal_radius and onward > 1e-3 and distance > 1e-3):
+        return 0.0
+    if abs(s.goal_position[2] - e.position[2]) >= p.nav_mc_alt_rad:
+        return 0.0
+    if abs(s.onward_position[2] - s.goal_position[2]) >= p.nav_mc_alt_rad:
+        return 0.0
+    # tangent of half the angle between the legs, 1 for a right angle, infinite straight on
+    cos = constrain((ox * gx + oy * gy) / (onward * distance), -1.0, 1.0)
+    tan_half = math.sqrt((1.0 + cos) / max(1.0 - cos, 1e-9))
+    return math.sqrt(p.mpc_xy_traj_p * p.mpc_acc_hor * s.goal_radius * tan_half)
 
 
 @kernel
@@ -73,7 +100,8 @@ def _smooth_horizontal(c, s, e, p, dt):
     dy = s.goal_position[1] - c.smooth_position[1]
     distance = math.hypot(dx, dy)
     cruise = min(_or_default(s.cruise_speed, p.mpc_xy_cruise), p.mpc_xy_vel_max)
-    speed = _approach_speed(distance, p.mpc_acc_hor, p.mpc_jerk_auto, cruise)
+    through = _speed_through(c, s, e, p) if s.task == TASK_GOTO else 0.0
+    speed = _approach_speed(distance, p.mpc_acc_hor, p.mpc_jerk_auto, cruise, through)
     lag = math.hypot(c.smooth_position[0] - e.position[0], c.smooth_position[1] - e.position[1])
     speed *= constrain(1.0 - lag / p.mpc_xy_err_max, 0.0, 1.0)  # wait for a vehicle that cannot follow
     scale = speed / distance if distance > 1e-6 else 0.0
@@ -88,7 +116,7 @@ def _smooth_vertical(c, s, e, p, dt):
     down = min(_or_default(s.descend_speed, p.mpc_z_v_auto_dn), p.mpc_z_vel_max_dn)
     limit = up if dz < 0.0 else down
     accel = p.mpc_acc_up_max if dz < 0.0 else p.mpc_acc_down_max
-    speed = _approach_speed(abs(dz), accel, p.mpc_jerk_auto, limit)
+    speed = _approach_speed(abs(dz), accel, p.mpc_jerk_auto, limit, 0.0)
     lag = abs(c.smooth_position[2] - e.position[2])
     speed *= constrain(1.0 - lag / p.mpc_xy_err_max, 0.0, 1.0)
     _advance_axis(c, 2, math.copysign(speed, dz), accel, p.mpc_jerk_auto, dt)

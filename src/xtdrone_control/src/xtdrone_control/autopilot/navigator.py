@@ -3,54 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-from . import modes
+from . import feasibility, geofence, modes, plan
+from .course import CRITICAL, INFO, NAN, Course, Home, Say
+from .geofence import Fence
+from .mission import Mission
 from .modes import Mode
 from .parameters import Parameters
-from .state import TASK_GOTO, TASK_IDLE, TASK_LAND
+from .payload import Payload
+from .plan import PlanItem, Plans
+from .precision_landing import PrecisionLanding, from_angles
+from .rtl import Return
+from .state import TASK_IDLE
 from .vehicle_view import Vector, VehicleView
 
-_NAN = math.nan
-_INFO, _CRITICAL = 6, 2  # MAV_SEVERITY
+__all__ = ["Home", "Navigator"]
 
-# phases of a return
-_CLIMB, _RETURN, _DESCEND, _WAIT, _LAND = range(5)
-
-
-@dataclass(frozen=True)
-class Home:
-    """Where a return goes to.
-
-    Attributes:
-        latitude: degrees.
-        longitude: degrees.
-        altitude: m AMSL.
-        position: m, local NED.
-        yaw: rad.
-        time_us: when it was set.
-    """
-
-    latitude: float
-    longitude: float
-    altitude: float
-    position: Vector
-    yaw: float
-    time_us: int
+_NO_MISSION = "No valid mission available"
+_GPS = 1  # GF_SOURCE
 
 
 class Navigator:
     """The AUTO modes of one vehicle.
 
     Attributes:
-        home: set by the commander; None until the first valid position.
         takeoff_altitude: m AMSL that a take-off was asked for; NaN for MIS_TAKEOFF_ALT over home.
         takeoff_yaw: rad, NaN keeps the heading.
-        landing: the vehicle is on its way to the ground.
+        mission: what flies the mission.
+        payload: camera, gimbal and actuators that a mission commands.
+        precision_landing: takes the landing target that somebody sees.
     """
 
-    def __init__(self, view: VehicleView, parameters: Parameters, say: Callable[[int, str], None]) -> None:
+    def __init__(self, view: VehicleView, parameters: Parameters, say: Say) -> None:
         """Prepare; nothing is asked of the cascade until ``activate``.
 
         Args:
@@ -61,172 +46,293 @@ class Navigator:
         self._view = view
         self._parameters = parameters
         self._say = say
+        self._course = Course(view, parameters, say)
         self._mode: Mode | None = None
-        self._goal: Vector = (0.0, 0.0, 0.0)
-        self._phase = _CLIMB
-        self._wait_until_us = 0
-        self.home: Home | None = None
-        self.takeoff_altitude = _NAN
-        self.takeoff_yaw = _NAN
-        self.landing = False
+        self.payload = Payload(view)
+        self.precision_landing = PrecisionLanding(self._course)
+        self.mission = Mission(self._course, self.payload, self.precision_landing)
+        self.mission.set_home = self._set_home
+        self._return = Return(self._course, self.mission, self.precision_landing)
+        self._mission_ended = False
+        self._checked: tuple[object, ...] = ()
+        self._valid = False
+        self._fence = Fence()
+        self._fence_for: tuple[object, ...] = ()
+        self.takeoff_altitude = NAN
+        self.takeoff_yaw = NAN
+
+    @property
+    def home(self) -> Home | None:
+        """Where a return goes to; set by the commander, None until the first valid position."""
+        return self._course.home
+
+    @home.setter
+    def home(self, home: Home | None) -> None:
+        self._course.home = home
+
+    @property
+    def landing(self) -> bool:
+        """Whether the vehicle is on its way to the ground."""
+        return self._course.landing
+
+    @property
+    def plans(self) -> Plans:
+        """Mission, geofence and rally points."""
+        return self.mission.plans
+
+    # modes
 
     def activate(self, mode: Mode) -> None:
         """Begin ``mode``, one of the AUTO modes, for an armed vehicle."""
+        self._stop()
         self._mode = mode
-        self.landing = False
         for field in ("cruise_speed", "climb_speed", "descend_speed"):
-            self._view.setpoint[field] = _NAN
+            self._view.setpoint[field] = NAN
         if mode is modes.AUTO_TAKEOFF:
             self._start_takeoff()
+        elif mode is modes.AUTO_MISSION:
+            self._mission_ended = self.mission.activate()
         elif self._view.landed:
             self._view.start_task(TASK_IDLE)  # these modes do not leave the ground
         elif mode is modes.AUTO_LAND:
-            self._land(self._stopping_place())
+            self._course.land(self._course.stopping_place())
+        elif mode is modes.AUTO_PRECLAND:
+            self.precision_landing.start(self._course.stopping_place())
         elif mode is modes.AUTO_RTL:
-            self._start_return()
+            self._return.start()
         else:
             self.hold()
 
     def deactivate(self) -> None:
         """Leave the AUTO modes."""
+        self._stop()
         self._mode = None
-        self.landing = False
+        if not self._view.setpoint["armed"]:
+            self.mission.reset()
+
+    def _stop(self) -> None:
+        self.mission.deactivate()
+        self.precision_landing.stop()
+        self._course.landing = False
 
     def update(self) -> Mode | None:
-        """Go on to the mode's next phase when the present one is done.
+        """Go on to the mode's next phase when the present one is done; call at 10 Hz.
 
         Returns:
             The mode to go on with, when the present one has come to its end: a take-off that has reached its height
-            goes on in AUTO.LOITER.
+            goes on in AUTO.LOITER, as does a mission that is done.
         """
-        if self._mode is modes.AUTO_TAKEOFF and not self._view.landed and self._at_goal_height():
+        self.payload.update()
+        mode = self._mode
+        if mode is modes.AUTO_MISSION:
+            return self._update_mission()
+        if self._view.landed:
+            return None
+        if mode is modes.AUTO_TAKEOFF and self._course.at_height(self._course.goal[2]):
             return modes.AUTO_LOITER
-        if self._mode is modes.AUTO_RTL and not self._view.landed:
-            self._update_return()
+        if mode is modes.AUTO_RTL:
+            self._return.update()
+        elif mode is modes.AUTO_PRECLAND:
+            self.precision_landing.update()
         return None
+
+    def _update_mission(self) -> Mode | None:
+        if self._mission_ended or self.mission.update():
+            return modes.AUTO_LOITER
+        if self.mission.returning:
+            self._say(INFO, "RTL HOME activated")
+            self._say(INFO, "Returning to launch")
+            return modes.AUTO_RTL
+        return None
+
+    # plans
+
+    def restore(self, plans: Plans) -> None:
+        """Take the plans of before a reboot; what is changed from now on is changed in them."""
+        self.mission.plans = plans
+
+    def set_plan(self, kind: int, items: Sequence[PlanItem], current: int = -1) -> None:
+        """Replace the mission, the geofence or the rally points.
+
+        A mission that is being flown goes on with the new items, from the same index as far as there is one.
+
+        Args:
+            kind: ``plan.MISSION``, ``FENCE`` or ``RALLY``.
+            items: in order.
+            current: index of the mission item to begin with; -1 for none in particular.
+
+        Raises:
+            ValueError: too many items.
+        """
+        self.plans.replace(kind, items)
+        if kind == plan.MISSION:
+            self.mission.forget_jumps()
+            self._begin_at(current)
+        else:
+            self._checked = ()
+
+    def set_current(self, index: int) -> bool:
+        """Fly mission item ``index`` next; return whether there is such an item."""
+        if not 0 <= index < len(self.plans.mission):
+            return False
+        self._begin_at(index)
+        return True
+
+    def _begin_at(self, current: int) -> None:
+        self.mission.load(current)
+        self._checked = ()
+        self._check()
+        if self._mode is modes.AUTO_MISSION:
+            self._mission_ended = self.mission.restart_item() if self._valid else self._end_mission()
+
+    def _end_mission(self) -> bool:
+        self._say(INFO, "Mission finished, loitering")
+        return True
 
     def mission_obstacle(self) -> str:
         """Return why AUTO.MISSION cannot be flown, or an empty text."""
-        return "No valid mission available"
+        self._check()
+        return "" if self._valid else _NO_MISSION
+
+    def _check(self) -> None:
+        """Look once at every new mission whether it can be flown; not before there is a home, as PX4."""
+        home = self.home
+        wanted = (id(self.plans), *self.plans.changes, home is None)
+        if wanted == self._checked:
+            return
+        self._checked = wanted
+        self._valid = False
+        if home is None or not self.plans.mission:
+            return
+        get = self._parameters.get
+        latitude, longitude, _ = self._view.to_global(self._view.position)
+        now = feasibility.Situation(
+            home.altitude,
+            (latitude, longitude),
+            self._view.landed,
+            float(get("MIS_DIST_1WP")),
+            int(get("MIS_TKO_LAND_REQ")),
+            self._fence_allows,
+        )
+        self._valid = feasibility.check(self.plans.mission, now, self._say)
+
+    def _set_home(self, place: Vector | None) -> None:
+        """Set home as an item of the mission says: to latitude, longitude, m AMSL, or to where the vehicle is."""
+        position = self._view.position if place is None else self._view.to_local(*place)
+        where = self._view.to_global(position)
+        if all(map(math.isfinite, where)):
+            self.home = Home(*where, position, self._view.yaw, self._view.time_us)
+
+    # geofence
+
+    def geofence_breach(self) -> str:
+        """Return by what the vehicle breaks its geofence, or an empty text."""
+        get = self._parameters.get
+        if not get("GF_ACTION"):
+            return ""
+        fence = self._present_fence()
+        horizontal, vertical = get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST")
+        if not fence.areas and horizontal <= 0.0 and vertical <= 0.0:
+            return ""
+        return self._breach(self._fence_position(), fence, horizontal, vertical)
+
+    def _breach(self, position: Vector, fence: Fence, horizontal: float, vertical: float) -> str:
+        home = self.home
+        if home is not None:
+            away = math.hypot(position[0] - home.position[0], position[1] - home.position[1])
+            up = home.position[2] - position[2]
+            if vertical > 0.0 and up > vertical:
+                return f"Maximum altitude above home exceeded by {up - vertical:.1f} m"
+            if horizontal > 0.0 and away > horizontal:
+                return f"Maximum distance from home exceeded by {away - horizontal:.1f} m"
+        return "" if fence.allows(position[:2]) else "Geofence violation"
+
+    def _fence_position(self) -> Vector:
+        """Return the place that GF_SOURCE and GF_PREDICT want to be inside: m, local NED."""
+        get = self._parameters.get
+        position = self._view.position
+        if get("GF_SOURCE") == _GPS:
+            s = self._view.sensors
+            position = self._view.to_local(float(s["gps_lat"]), float(s["gps_lon"]), float(s["gps_alt"]))
+        if not get("GF_PREDICT"):
+            return position
+        vx, vy, vz = self._view.velocity
+        ahead = 0.5 * math.hypot(vx, vy) / get("MPC_ACC_HOR")  # s, times v: where it stops when it brakes now
+        up = 0.5 * abs(vz) / get("MPC_ACC_DOWN_MAX" if vz < 0.0 else "MPC_ACC_UP_MAX")
+        return position[0] + vx * ahead, position[1] + vy * ahead, position[2] + vz * up
+
+    def _present_fence(self) -> Fence:
+        items = self.plans.items[plan.FENCE]
+        if not items and not self._fence.areas:
+            return self._fence
+        wanted = (id(self.plans), self.plans.changes[plan.FENCE], self._view.origin)
+        if wanted != self._fence_for:
+            self._fence_for = wanted
+            self._fence = geofence.build(items, self._to_plane)
+        return self._fence
+
+    def _to_plane(self, latitude: float, longitude: float) -> tuple[float, float]:
+        if not (math.isfinite(latitude) and math.isfinite(longitude)):
+            return NAN, NAN
+        return self._view.to_local(latitude, longitude, 0.0)[:2]
+
+    def _fence_allows(self, latitude: float, longitude: float, altitude: float) -> bool:
+        """Return whether a place (degrees, m AMSL) is inside the geofence."""
+        get = self._parameters.get
+        x, y = self._to_plane(latitude, longitude)
+        position = (x, y, self._view.origin[2] - altitude)
+        return not self._breach(position, self._present_fence(), get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST"))
+
+    # precision landing
+
+    def see_landing_target(self, position: Vector) -> None:
+        """Note where the landing target was seen, m, local NED; what is not finite is not noted."""
+        if all(map(math.isfinite, position)):
+            self.precision_landing.see(position)
+
+    def see_landing_target_at(self, x: float, y: float, distance: float) -> None:
+        """Note at which angles the landing target was seen from above.
+
+        Args:
+            x: rad, forwards from straight down.
+            y: rad, to the right.
+            distance: m to the target; not positive: the ground is as high as home.
+        """
+        place = self._view.position
+        height = distance if distance > 0.0 else self._course.ground - place[2]
+        self.see_landing_target(from_angles(x, y, height, place, self._view.yaw))
+
+    # what commands ask for
 
     def hold(self) -> None:
         """Stop, and stay there."""
-        x, y, z = self._stopping_place()
-        self._fly_to((x, y, z), _NAN)
+        self._course.hold()
 
     def reposition(self, position: Vector, yaw: float) -> None:
         """Fly to ``position`` (m, local NED) with heading ``yaw`` (rad; NaN: look where it goes)."""
-        if math.isnan(yaw) and self._distance_to(position) > self._parameters.get("NAV_ACC_RAD"):
-            yaw = self._bearing_to(position)
-        self._fly_to(position, yaw)
+        if math.isnan(yaw) and self._course.distance_to(position) > self._parameters.get("NAV_ACC_RAD"):
+            yaw = self._course.bearing_to(position)
+        self._course.fly_to(position, yaw)
 
     def change_altitude(self, z: float) -> None:
         """Climb or sink to ``z`` (m, local NED) over the present goal."""
-        self._fly_to((self._goal[0], self._goal[1], z), _NAN)
+        x, y, _ = self._course.goal
+        self._course.fly_to((x, y, z))
 
     def set_speed(self, field: str, speed: float) -> None:
         """Set cruise_speed, climb_speed or descend_speed (m/s) until the next mode; NaN for the parameter's."""
         self._view.setpoint[field] = speed
 
-    # goals
-
-    def _fly_to(self, position: Vector, yaw: float) -> None:
-        self._goal = position
-        self._view.setpoint["goal_position"] = position
-        self._view.setpoint["goal_yaw"] = yaw
-        self._view.start_task(TASK_GOTO)
-
-    def _land(self, place: Vector) -> None:
-        ground = place[2] if self.home is None else self.home.position[2]
-        self._goal = (place[0], place[1], ground)
-        self.landing = True
-        self._view.setpoint["goal_position"] = self._goal
-        self._view.setpoint["goal_yaw"] = _NAN
-        self._view.start_task(TASK_LAND)
-
-    def _stopping_place(self) -> Vector:
-        """Return the place where the vehicle comes to rest when it brakes now: v^2 / 2a ahead, at its height."""
-        x, y, z = self._view.position
-        vx, vy, _ = self._view.velocity
-        ahead = 0.5 * math.hypot(vx, vy) / self._parameters.get("MPC_ACC_HOR")  # s, times v
-        return x + vx * ahead, y + vy * ahead, z
-
-    def _distance_to(self, position: Vector) -> float:
-        x, y, _ = self._view.position
-        return math.hypot(position[0] - x, position[1] - y)
-
-    def _bearing_to(self, position: Vector) -> float:
-        x, y, _ = self._view.position
-        return math.atan2(position[1] - y, position[0] - x)
-
-    def _at_goal_height(self) -> bool:
-        return abs(self._view.position[2] - self._goal[2]) < self._parameters.get("NAV_MC_ALT_RAD")
-
-    # take-off
-
     def _start_takeoff(self) -> None:
         x, y, z = self._view.position
-        ground = z if self.home is None else self.home.position[2]
+        ground = self._course.ground
         least = self._parameters.get("MIS_TAKEOFF_ALT")
         wanted = self._view.origin[2] - self.takeoff_altitude
         goal = ground - least if math.isnan(wanted) else min(wanted, ground - least)
         if z < goal and not self._view.landed:
-            self._say(_CRITICAL, "Already higher than takeoff altitude")
+            self._say(CRITICAL, "Already higher than takeoff altitude")
             goal = z
         elif goal != wanted:
-            self._say(_INFO, f"Using minimum takeoff altitude: {least:.2f} m")
-        self._fly_to((x, y, goal), self.takeoff_yaw)
-        self.takeoff_altitude = self.takeoff_yaw = _NAN
-
-    # return
-
-    def _start_return(self) -> None:
-        assert self.home is not None, "the commander checks that there is a home"
-        self._say(_INFO, "RTL: landing at home position.")
-        x, y, z = self._view.position
-        goal = self.home.position[2] - self._return_height(self.home)
-        self._phase = _CLIMB
-        self._announce("climb to", min(goal, z))
-        self._fly_to((x, y, min(goal, z)), _NAN)
-
-    def _return_height(self, home: Home) -> float:
-        """Return the height over home (m) at which to fly back: RTL_RETURN_ALT, lower inside the cone over home."""
-        full = self._parameters.get("RTL_RETURN_ALT")
-        distance = self._distance_to(home.position)
-        radius = self._parameters.get("NAV_ACC_RAD")
-        if distance <= radius:
-            return min(2.0 * distance, full)
-        cone = self._parameters.get("RTL_CONE_ANG")
-        if cone <= 0 or distance > self._parameters.get("RTL_MIN_DIST"):
-            return full
-        inside = distance / math.tan(math.radians(min(max(cone, 1), 89)))
-        return max(min(inside, full), 2.0 * radius)
-
-    def _announce(self, what: str, z: float) -> None:
-        assert self.home is not None
-        height = self.home.position[2] - z
-        self._say(_INFO, f"RTL: {what} {self.home.altitude + height:.0f} m ({height:.0f} m above destination)")
-
-    def _update_return(self) -> None:
-        assert self.home is not None
-        home = self.home.position
-        if self._phase == _CLIMB and self._at_goal_height():
-            self._phase = _RETURN
-            self._announce("return at", self._goal[2])
-            far = self._distance_to(home) > self._parameters.get("NAV_ACC_RAD")
-            self._fly_to((home[0], home[1], self._goal[2]), self._bearing_to(home) if far else _NAN)
-        elif self._phase == _RETURN and self._distance_to(home) < self._parameters.get("NAV_ACC_RAD"):
-            self._phase = _DESCEND
-            goal = max(home[2] - self._parameters.get("RTL_DESCEND_ALT"), self._goal[2])
-            self._announce("descend to", goal)
-            self._fly_to((home[0], home[1], goal), _NAN)
-        elif self._phase == _DESCEND and self._at_goal_height():
-            self._phase = _WAIT
-            delay = self._parameters.get("RTL_LAND_DELAY")
-            self._wait_until_us = self._view.time_us + int(delay * 1e6)
-            if delay < 0:
-                self._wait_until_us = 1 << 62
-        if self._phase == _WAIT and self._view.time_us >= self._wait_until_us:
-            self._phase = _LAND
-            self._say(_INFO, "RTL: land at destination")
-            self._land(home)
+            self._say(INFO, f"Using minimum takeoff altitude: {least:.2f} m")
+        self._course.fly_to((x, y, goal), self.takeoff_yaw)
+        self.takeoff_altitude = self.takeoff_yaw = NAN

@@ -149,6 +149,9 @@ SETPOINT = np.dtype(
         ("stick_y", "f8"),
         ("stick_z", "f8"),
         ("stick_yaw", "f8"),
+        # TASK_GOTO
+        ("onward_position", "f8", 3),  # m, local; where it goes on to from the goal without a stop, NaN to stop there
+        ("goal_radius", "f8"),  # m from the goal at which the way onward begins
     ],
     align=True,
 )

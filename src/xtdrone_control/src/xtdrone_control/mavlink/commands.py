@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander import CRITICAL, Commander, Result
 from xtdrone_control.autopilot.parameters import ParameterError
 
@@ -147,9 +148,18 @@ class CommandHandler:
             return self._commander.set_home(None)
         return self._commander.set_home((command.params[4], command.params[5], self._altitude(command)))
 
-    def _start_mission(self, _command: Command, _link: Link, _now_us: int) -> Result:
-        self._commander.say(CRITICAL, "No valid mission available")
-        return Result.DENIED
+    def _start_mission(self, command: Command, _link: Link, _now_us: int) -> Result:
+        obstacle = self._commander.navigator.mission_obstacle()
+        if obstacle:
+            self._commander.say(CRITICAL, obstacle)
+            return Result.DENIED
+        first = command.params[0]  # the last item, param2, means nothing to PX4
+        if not -1.0 <= first < len(self._commander.navigator.plans.mission):
+            return Result.DENIED
+        if first >= 0.0:
+            self._commander.navigator.set_current(int(first))
+        result = self._commander.request(modes.AUTO_MISSION)
+        return result if result is not Result.ACCEPTED else self._commander.arm_disarm(True)
 
     # housekeeping
 

@@ -1,0 +1,168 @@
+"""The goal that the cascade flies to, and where the vehicle is seen from it: what all AUTO modes are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .parameters import Parameters
+from .state import TASK_GOTO, TASK_LAND
+from .vehicle_view import Vector, VehicleView
+
+NAN = math.nan
+UNSET: Vector = (NAN, NAN, NAN)
+INFO, CRITICAL = 6, 2  # MAV_SEVERITY
+
+Say = Callable[[int, str], None]
+
+# MPC_YAW_MODE
+_TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
+_LEAST_SPEED = 0.3  # m/s, below which a velocity tells no heading
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where a return goes to.
+
+    Attributes:
+        latitude: degrees.
+        longitude: degrees.
+        altitude: m AMSL.
+        position: m, local NED.
+        yaw: rad.
+        time_us: when it was set.
+    """
+
+    latitude: float
+    longitude: float
+    altitude: float
+    position: Vector
+    yaw: float
+    time_us: int
+
+
+class Course:
+    """The goals of one vehicle's AUTO modes.
+
+    Attributes:
+        view: the vehicle.
+        parameters: its parameters.
+        say: takes a MAV_SEVERITY and a text for the operator.
+        home: None until the first valid position.
+        goal: m, local NED.
+        landing: the vehicle is on its way to the ground.
+    """
+
+    def __init__(self, view: VehicleView, parameters: Parameters, say: Say) -> None:
+        """Prepare; nothing is asked of the cascade."""
+        self.view = view
+        self.parameters = parameters
+        self.say = say
+        self.home: Home | None = None
+        self.goal: Vector = (0.0, 0.0, 0.0)
+        self.landing = False
+        self._heading_free = False
+
+    # goals
+
+    def fly_to(
+        self,
+        position: Vector,
+        yaw: float = NAN,
+        *,
+        onward: Vector = UNSET,
+        radius: float = NAN,
+    ) -> None:
+        """Fly to ``position``.
+
+        Args:
+            position: m, local NED.
+            yaw: rad; NaN keeps the heading, see ``free_heading``.
+            onward: where it goes from there without a stop, m, local NED; NaN to stop there.
+            radius: m from ``position`` at which the way onward begins.
+        """
+        self.goal = position
+        self.landing = False
+        self._heading_free = False
+        setpoint = self.view.setpoint
+        setpoint["goal_position"] = position
+        setpoint["goal_yaw"] = yaw
+        setpoint["onward_position"] = onward
+        setpoint["goal_radius"] = radius
+        self.view.start_task(TASK_GOTO)
+
+    def land(self, place: Vector) -> None:
+        """Land at ``place`` (m, local NED), whose height is that of home when there is one."""
+        ground = place[2] if self.home is None else self.home.position[2]
+        self.goal = (place[0], place[1], ground)
+        self.landing = True
+        self._heading_free = False
+        setpoint = self.view.setpoint
+        setpoint["goal_position"] = self.goal
+        setpoint["goal_yaw"] = NAN
+        setpoint["onward_position"] = UNSET
+        self.view.start_task(TASK_LAND)
+
+    def hold(self) -> None:
+        """Stop, and stay there."""
+        self.fly_to(self.stopping_place())
+
+    def shift(self, north: float, east: float) -> None:
+        """Move the present goal to ``north``, ``east`` (m, local), at its height."""
+        self.goal = (north, east, self.goal[2])
+        self.view.setpoint["goal_position"] = self.goal
+
+    def look(self, yaw: float) -> None:
+        """Have heading ``yaw`` (rad) on the way to the present goal."""
+        self.view.setpoint["goal_yaw"] = yaw
+
+    def free_heading(self) -> None:
+        """Let MPC_YAW_MODE say where the vehicle looks on the way to the present goal."""
+        self._heading_free = True
+        self.update_heading()
+
+    def update_heading(self) -> None:
+        """Look where MPC_YAW_MODE says; within the acceptance radius the heading stays."""
+        if not self._heading_free or self.distance_to(self.goal) <= self.parameters.get("NAV_ACC_RAD"):
+            return
+        mode = self.parameters.get("MPC_YAW_MODE")
+        if mode in (_TOWARDS_HOME, _AWAY_FROM_HOME) and self.home is not None:
+            if self.distance_to(self.home.position) > self.parameters.get("NAV_ACC_RAD"):
+                towards = self.bearing_to(self.home.position)
+                self.look(towards if mode == _TOWARDS_HOME else towards + math.pi)
+            return
+        if mode == _ALONG_TRAJECTORY:
+            north, east, _ = self.view.velocity
+            if math.hypot(north, east) > _LEAST_SPEED:
+                self.look(math.atan2(east, north))
+            return
+        self.look(self.bearing_to(self.goal))
+
+    # where the vehicle is
+
+    def stopping_place(self) -> Vector:
+        """Return the place where the vehicle comes to rest when it brakes now: v^2 / 2a ahead, at its height."""
+        x, y, z = self.view.position
+        vx, vy, _ = self.view.velocity
+        ahead = 0.5 * math.hypot(vx, vy) / self.parameters.get("MPC_ACC_HOR")  # s, times v
+        return x + vx * ahead, y + vy * ahead, z
+
+    def distance_to(self, position: Vector) -> float:
+        """Return the horizontal distance to ``position``, m."""
+        x, y, _ = self.view.position
+        return math.hypot(position[0] - x, position[1] - y)
+
+    def bearing_to(self, position: Vector) -> float:
+        """Return the bearing of ``position``, rad from north to east."""
+        x, y, _ = self.view.position
+        return math.atan2(position[1] - y, position[0] - x)
+
+    def at_height(self, z: float) -> bool:
+        """Return whether the vehicle is within NAV_MC_ALT_RAD of ``z`` (m, local NED)."""
+        return abs(self.view.position[2] - z) < self.parameters.get("NAV_MC_ALT_RAD")
+
+    @property
+    def ground(self) -> float:
+        """Height of home, m, local NED; the vehicle's own while there is no home."""
+        return self.view.position[2] if self.home is None else self.home.position[2]

@@ -1,0 +1,124 @@
+"""What a ground station lays down for a vehicle: a mission, a geofence and rally points, and where they are kept.
+
+Items are kept as they came by MAVLink, their content unjudged: PX4 stores what it can parse and looks at a mission's
+sense before it starts. https://mavlink.io/en/services/mission.html
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+# MAV_MISSION_TYPE
+MISSION, FENCE, RALLY = 0, 1, 2
+KINDS = (MISSION, FENCE, RALLY)
+ALL_KINDS = 255
+
+# how many items PX4 v1.14's simulator build takes, by kind
+CAPACITY = (0xFFFF - 1, 63, 31)
+
+# MAV_CMD of mission items
+WAYPOINT, LOITER_UNLIM, LOITER_TIME, RETURN, LAND, TAKEOFF, LOITER_TO_ALT = 16, 17, 19, 20, 21, 22, 31
+ROI, VTOL_TAKEOFF, VTOL_LAND, DELAY = 80, 84, 85, 93
+CONDITION_DELAY, CONDITION_DISTANCE, CONDITION_GATE = 112, 114, 4501
+JUMP, CHANGE_SPEED, SET_HOME, SET_ACTUATOR, LAND_START = 177, 178, 179, 187, 189
+SET_ROI_LOCATION, SET_ROI_NEXT, SET_ROI_NONE, SET_ROI = 195, 196, 197, 201
+CONTROL_VIDEO, DIGICAM_CONTROL, MOUNT_CONFIGURE, MOUNT_CONTROL = 200, 203, 204, 205
+TRIGGER_DISTANCE, GRIPPER, TRIGGER_INTERVAL, OBLIQUE_SURVEY = 206, 211, 214, 260
+CAMERA_MODE, CAMERA_ZOOM, CAMERA_FOCUS = 530, 531, 532
+GIMBAL_PITCHYAW, GIMBAL_CONFIGURE = 1000, 1001
+START_IMAGES, STOP_IMAGES, TRIGGER_CONTROL = 2000, 2001, 2003
+START_VIDEO, STOP_VIDEO, VTOL_TRANSITION, WINCH = 2500, 2501, 3000, 42600
+FENCE_RETURN_POINT, FENCE_INCLUSION, FENCE_EXCLUSION = 5000, 5001, 5002
+FENCE_CIRCLE_INCLUSION, FENCE_CIRCLE_EXCLUSION, RALLY_POINT = 5003, 5004, 5100
+
+POSITION_COMMANDS = frozenset(
+    (WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, LOITER_TO_ALT, VTOL_TAKEOFF, VTOL_LAND)
+)
+_RELATIVE_FRAMES = (3, 6)  # MAV_FRAME_GLOBAL_RELATIVE_ALT(_INT)
+FRAME_MISSION = 2
+_YAW_COMMANDS = frozenset((WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND))
+
+
+@dataclass(frozen=True, slots=True)
+class PlanItem:
+    """One item of a mission, a geofence or the rally points.
+
+    Attributes:
+        command: MAV_CMD.
+        frame: MAV_FRAME it came in: 0, 3, 5, 6, or 2 for an item without a place.
+        params: param1..param4, NaN where they mean nothing.
+        x: latitude, degrees; param5 in frame 2.
+        y: longitude, degrees; param6 in frame 2.
+        z: altitude, m AMSL or over home, see ``relative``; param7 in frame 2.
+        autocontinue: go on with the next item when this one is done.
+    """
+
+    command: int
+    frame: int
+    params: tuple[float, float, float, float]
+    x: float
+    y: float
+    z: float
+    autocontinue: bool = True
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the vehicle flies to its place."""
+        return self.command in POSITION_COMMANDS
+
+    @property
+    def relative(self) -> bool:
+        """Whether the altitude is over home."""
+        return self.frame in _RELATIVE_FRAMES
+
+    def altitude(self, home: float) -> float:
+        """Return the altitude in m AMSL, with a home at ``home`` m AMSL."""
+        return self.z + home if self.relative else self.z
+
+    @property
+    def yaw(self) -> float:
+        """Heading to have there, rad from north; NaN for none."""
+        return math.radians(self.params[3]) if self.command in _YAW_COMMANDS else math.nan
+
+    @property
+    def time_inside(self) -> float:
+        """Seconds to stay."""
+        if self.command not in (WAYPOINT, LOITER_TIME, DELAY) or math.isnan(self.params[0]):
+            return 0.0
+        return max(self.params[0], 0.0)
+
+
+Items = tuple[PlanItem, ...]
+
+
+@dataclass
+class Plans:
+    """The three lists of one vehicle, which outlive a reboot of its autopilot.
+
+    Attributes:
+        items: one list a kind, ``items[MISSION]`` and so on.
+        changes: how often each was changed.
+        current: index of the mission item that is flown or comes next.
+    """
+
+    items: list[Items] = field(default_factory=lambda: [(), (), ()])
+    changes: list[int] = field(default_factory=lambda: [0, 0, 0])
+    current: int = 0
+
+    @property
+    def mission(self) -> Items:
+        """The mission."""
+        return self.items[MISSION]
+
+    def replace(self, kind: int, items: Sequence[PlanItem]) -> None:
+        """Put ``items`` in place of the list ``kind``.
+
+        Raises:
+            ValueError: more items than ``CAPACITY`` allows.
+        """
+        if len(items) > CAPACITY[kind]:
+            raise ValueError(f"plan {kind}: {len(items)} items are not allowed, at most {CAPACITY[kind]}")
+        self.items[kind] = tuple(items)
+        self.changes[kind] += 1
