@@ -35,6 +35,9 @@ class FakeAutopilot:
             self.estimator[field] = value
         self.sensors["gps_fix"] = 3
 
+    def rotor_count(self, _index: int) -> int:
+        return 4
+
     def place(self, index: int, x: float, y: float, z: float, yaw: float = 0.0) -> None:
         """Put a vehicle somewhere (m, NED), in the air when it is above 0.1 m."""
         self.estimator[index]["position"] = (x, y, z)

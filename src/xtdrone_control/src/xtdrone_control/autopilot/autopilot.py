@@ -212,6 +212,10 @@ class Autopilot:
             self._rotors[i] = rotors
         self._work = np.zeros((2, N_STATES))
 
+    def rotor_count(self, index: int) -> int:
+        """Return how many rotors vehicle ``index`` has."""
+        return int(self._rotors[index])
+
     def start_control(self) -> None:
         """Take over what the parameters fix at start: the hover thrust."""
         self.control["hover_thrust"] = self.params["mpc_thr_hover"]

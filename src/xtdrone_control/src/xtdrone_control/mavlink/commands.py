@@ -1,7 +1,8 @@
 """MAV_CMD: what COMMAND_LONG and COMMAND_INT ask for, and the answer.
 
-The results are those of a PX4 v1.14 for what is done here; a command that PX4 accepts and that nothing here would obey
-(regions of interest, gimbals, cameras, orbit) is answered UNSUPPORTED.
+The results are those of a PX4 v1.14: also where it says nothing, since what would answer does not run in its simulator
+(camera and gimbal drivers, say). A command that PX4 accepts and that nothing here would obey is answered UNSUPPORTED;
+``tests/test_command_acks.py`` lists them.
 """
 
 from __future__ import annotations
@@ -13,29 +14,52 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander import CRITICAL, Commander, Result
-from xtdrone_control.autopilot.parameters import ParameterError
+from xtdrone_control.autopilot.commander import CRITICAL, Result
 
+from . import failures
 from .dialect import MESSAGE_ID
 from .link import Link
+from .service import Vehicle
 
 _NAN = math.nan
 _INT32_UNSET = 0x7FFFFFFF  # COMMAND_INT's x and y when they are not given
-_FORCE = 21196.0
-_FORCE_ARM = 2989.0
+_NAN_AS_INT = 0x7FF80000  # what they are when somebody has put a NaN into an integer
+_LEAST_UNSET, _MOST_UNSET = 2147483520.0, 2147483904.0  # floats next to INT32_UNSET
+_FORCE = 21196
 _CHANGE_MODE_FLAG = 1  # MAV_DO_REPOSITION_FLAGS
 _RELATIVE_FRAMES = (3, 6)  # MAV_FRAME_GLOBAL_RELATIVE_ALT(_INT)
-_GLOBAL_FRAMES = (0, 5, *_RELATIVE_FRAMES)
-_PX4_VERSION = 0x010E03FF  # 1.14.3 release: whose behaviour, names and parameters these are
-_CAPABILITIES = (
-    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+_LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
+_LARGEST_ID = 0xFFFF  # of messages, in GET_MESSAGE_INTERVAL
+
+# Left to parts that PX4's simulator does not run: it acknowledges nothing
+_SILENT = frozenset(
+    {
+        mavlink.MAV_CMD_NAV_DELAY,
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
+        mavlink.MAV_CMD_DO_MOUNT_CONFIGURE,
+        mavlink.MAV_CMD_DO_MOUNT_CONTROL,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
+        mavlink.MAV_CMD_DO_GRIPPER,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL,
+        mavlink.MAV_CMD_DO_MOUNT_CONTROL_QUAT,
+        mavlink.MAV_CMD_PREFLIGHT_SET_SENSOR_OFFSETS,
+        mavlink.MAV_CMD_PREFLIGHT_UAVCAN,
+        mavlink.MAV_CMD_OBLIQUE_SURVEY,
+        mavlink.MAV_CMD_CONFIGURE_ACTUATOR,
+        mavlink.MAV_CMD_START_RX_PAIR,
+        mavlink.MAV_CMD_SET_CAMERA_MODE,
+        mavlink.MAV_CMD_SET_CAMERA_ZOOM,
+        mavlink.MAV_CMD_SET_CAMERA_FOCUS,
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
+        mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
+        mavlink.MAV_CMD_LOGGING_STOP,
+        mavlink.MAV_CMD_CONTROL_HIGH_LATENCY,
+        mavlink.MAV_CMD_DO_VTOL_TRANSITION,
+        mavlink.MAV_CMD_PAYLOAD_PREPARE_DEPLOY,
+        mavlink.MAV_CMD_PAYLOAD_CONTROL_DEPLOY,
+        mavlink.MAV_CMD_DO_WINCH,
+    }
 )
 
 
@@ -54,9 +78,30 @@ class Command:
     frame: int = 0
 
 
+class CommandError(ValueError):
+    """A command whose place is none: its sender has mixed up COMMAND_LONG's floats and COMMAND_INT's integers."""
+
+
+def from_command_long(number: int, params: tuple[float, float, float, float, float, float, float]) -> Command:
+    """Return COMMAND_LONG's command.
+
+    Raises:
+        CommandError: param5 and param6 are what COMMAND_INT has for "not given".
+    """
+    if all(_LEAST_UNSET <= value <= _MOST_UNSET for value in params[4:6]):
+        raise CommandError(f"command {number}: param5 and param6 are {params[4]:.0f}, NaN is what leaves them out")
+    return Command(number, params)
+
+
 def from_command_int(number: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float) -> Command:
-    """Return COMMAND_INT's command; x and y are 1e-7 degrees in global frames."""
-    scale = 1e-7 if frame in _GLOBAL_FRAMES else 1.0
+    """Return COMMAND_INT's command; x and y are 1e-7 degrees, but metres in local frames.
+
+    Raises:
+        CommandError: x and y are a NaN's bits.
+    """
+    if x == y == _NAN_AS_INT:
+        raise CommandError(f"command {number}: x and y are a NaN's bits, {_INT32_UNSET} is what leaves them out")
+    scale = 1.0 if frame in _LOCAL_FRAMES else 1e-7
     place = [_NAN if value == _INT32_UNSET else value * scale for value in (x, y)]
     return Command(number, (params[0], params[1], params[2], params[3], place[0], place[1], z), frame)
 
@@ -66,13 +111,19 @@ def _whole(value: float) -> int:
     return int(value) if 0.0 <= value < 2147483648.0 and value == int(value) else -1
 
 
+def _rounded(value: float) -> int:
+    """Return ``value`` rounded to an integer, -1 when it is not finite."""
+    return math.floor(value + 0.5) if math.isfinite(value) else -1
+
+
 class CommandHandler:
     """Obeys the commands of one vehicle."""
 
-    def __init__(self, commander: Commander) -> None:
-        """Take the vehicle's commander."""
-        self._commander = commander
-        self._handlers: dict[int, Callable[[Command, Link, int], Result]] = {
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        self._vehicle = vehicle
+        self._commander = commander = vehicle.commander
+        self._handlers: dict[int, Callable[[Command, Link], Result | None]] = {
             mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda *_: commander.return_to_launch(),
             mavlink.MAV_CMD_NAV_LAND: lambda *_: commander.land(),
             mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
@@ -81,32 +132,50 @@ class CommandHandler:
             mavlink.MAV_CMD_DO_SET_HOME: self._set_home,
             mavlink.MAV_CMD_DO_CHANGE_ALTITUDE: self._change_altitude,
             mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
-            mavlink.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
-            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
             mavlink.MAV_CMD_MISSION_START: self._start_mission,
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
+            mavlink.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
+            mavlink.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
+            mavlink.MAV_CMD_ACTUATOR_TEST: self._test_actuator,
             mavlink.MAV_CMD_RUN_PREARM_CHECKS: lambda *_: Result.ACCEPTED,  # they run all the time
-            mavlink.MAV_CMD_GET_HOME_POSITION: self._get_home,
+            mavlink.MAV_CMD_INJECT_FAILURE: self._inject_failure,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
-            mavlink.MAV_CMD_REQUEST_MESSAGE: self._request_message,
-            mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
+            mavlink.MAV_CMD_REQUEST_MESSAGE: lambda command, link: self._send(link, _rounded(command.params[0])),
+            **{
+                number: self._sender_of(name)
+                for number, name in (
+                    (mavlink.MAV_CMD_GET_HOME_POSITION, "HOME_POSITION"),
+                    (mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, "PROTOCOL_VERSION"),
+                    (mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, "AUTOPILOT_VERSION"),
+                    (mavlink.MAV_CMD_REQUEST_STORAGE_INFORMATION, "STORAGE_INFORMATION"),
+                    (mavlink.MAV_CMD_REQUEST_FLIGHT_INFORMATION, "FLIGHT_INFORMATION"),
+                )
+            },
         }
 
-    def run(self, command: Command, link: Link, now_us: int) -> Result:
-        """Obey ``command`` that came over ``link``; answers other than the acknowledgement are queued there."""
+    def run(self, command: Command, link: Link) -> Result | None:
+        """Obey ``command`` that came over ``link``; answers other than the acknowledgement are queued there.
+
+        Returns:
+            What the acknowledgement says; None for none.
+        """
         handler = self._handlers.get(command.number)
-        return Result.UNSUPPORTED if handler is None else handler(command, link, now_us)
+        if handler is not None:
+            return handler(command, link)
+        return None if command.number in _SILENT else Result.UNSUPPORTED
 
     # flight
 
-    def _arm_disarm(self, command: Command, _link: Link, _now_us: int) -> Result:
-        arm = command.params[0]
-        if arm not in (0.0, 1.0):
-            return Result.DENIED
-        return self._commander.arm_disarm(arm == 1.0, command.params[1] in (_FORCE, _FORCE_ARM))
+    def _arm_disarm(self, command: Command, _link: Link) -> Result | None:
+        arm = _rounded(command.params[0])
+        if arm not in (0, 1):
+            self._commander.say(CRITICAL, f"Unsupported ARM_DISARM param: {command.params[0]:.3f}")
+            return None
+        return self._commander.arm_disarm(arm == 1, _rounded(command.params[1]) == _FORCE)
 
-    def _set_mode(self, command: Command, _link: Link, _now_us: int) -> Result:
+    def _set_mode(self, command: Command, _link: Link) -> Result:
         base, main, sub = (_whole(value) for value in command.params[:3])
         if base < 0 or not 0 <= main <= 255 or not 0 <= sub <= 255:
             return Result.DENIED
@@ -120,35 +189,36 @@ class CommandHandler:
         home = self._commander.home
         return _NAN if home is None else home.altitude + altitude
 
-    def _takeoff(self, command: Command, _link: Link, _now_us: int) -> Result:
-        # without a place PX4 takes the altitude for not given either: COMMAND_LONG of zeros means "just take off"
+    def _takeoff(self, command: Command, _link: Link) -> Result:
+        # without a place the altitude is taken for not given either: COMMAND_LONG of zeros means "just take off"
         given = any(command.params[4:7])
         if not given:
             return self._commander.takeoff(_NAN, _NAN)
         return self._commander.takeoff(self._altitude(command), math.radians(command.params[3]))
 
-    def _change_speed(self, command: Command, _link: Link, _now_us: int) -> Result:
-        return self._commander.change_speed(_whole(command.params[0]), command.params[1])
+    def _change_speed(self, command: Command, _link: Link) -> Result:
+        speed = command.params[1]
+        return self._commander.change_speed(_whole(command.params[0]), 0.0 if math.isnan(speed) else speed)
 
-    def _change_altitude(self, command: Command, _link: Link, _now_us: int) -> Result:
+    def _change_altitude(self, command: Command, _link: Link) -> Result:
         altitude, frame = command.params[0], _whole(command.params[1])
         home = self._commander.home
         if frame in _RELATIVE_FRAMES:
             altitude += _NAN if home is None else home.altitude
         return self._commander.change_altitude(altitude)
 
-    def _reposition(self, command: Command, _link: Link, _now_us: int) -> Result:
-        if not _whole(command.params[1]) & _CHANGE_MODE_FLAG or command.params[1] < 0:
+    def _reposition(self, command: Command, _link: Link) -> Result:
+        if _whole(command.params[1]) != _CHANGE_MODE_FLAG:
             return Result.UNSUPPORTED
         place = (command.params[4], command.params[5], self._altitude(command))
-        return self._commander.reposition(place, math.radians(command.params[3]), command.params[0])
+        return self._commander.reposition(place, command.params[3], command.params[0])
 
-    def _set_home(self, command: Command, _link: Link, _now_us: int) -> Result:
-        if command.params[0] == 1.0:
+    def _set_home(self, command: Command, _link: Link) -> Result:
+        if command.params[0] > 0.5:
             return self._commander.set_home(None)
         return self._commander.set_home((command.params[4], command.params[5], self._altitude(command)))
 
-    def _start_mission(self, command: Command, _link: Link, _now_us: int) -> Result:
+    def _start_mission(self, command: Command, _link: Link) -> Result:
         obstacle = self._commander.navigator.mission_obstacle()
         if obstacle:
             self._commander.say(CRITICAL, obstacle)
@@ -161,27 +231,56 @@ class CommandHandler:
         result = self._commander.request(modes.AUTO_MISSION)
         return result if result is not Result.ACCEPTED else self._commander.arm_disarm(True)
 
-    # housekeeping
+    # before flight
 
-    def _storage(self, command: Command, _link: Link, _now_us: int) -> Result:
-        action = _whole(command.params[0])
-        if action in (0, 1):
-            return Result.ACCEPTED  # parameters need no saving: they live as long as the simulator
-        if action != 2:
+    def _calibrate(self, command: Command, _link: Link) -> Result:
+        """The sensors here need no calibration and have none; what only ends one is accepted, as in PX4."""
+        if self._commander.armed:
+            return Result.TEMPORARILY_REJECTED
+        return Result.UNSUPPORTED if any(_rounded(value) for value in command.params) else Result.ACCEPTED
+
+    def _storage(self, command: Command, _link: Link) -> Result:
+        if self._commander.armed:
+            return Result.TEMPORARILY_REJECTED
+        parameters = self._commander.parameters
+        action = _rounded(command.params[0])
+        if action == 0:
+            parameters.load()
+            return Result.ACCEPTED
+        if action in (2, 4):
+            parameters.reset()
+        elif action != 1:
             return Result.DENIED
-        try:
-            self._commander.parameters.reset()
-        except ParameterError:
-            return Result.FAILED
-        return Result.ACCEPTED
+        return Result.ACCEPTED if parameters.save() else Result.FAILED
 
-    def _reboot(self, _command: Command, _link: Link, _now_us: int) -> Result:
-        self._commander.say(CRITICAL, "Reboot denied: restart the simulator")
+    def _reboot(self, command: Command, _link: Link) -> Result:
+        action = _rounded(command.params[0])
+        if action == 0:  # nothing for the autopilot
+            return Result.ACCEPTED
+        if action == 1:
+            self._commander.say(CRITICAL, "Reboot denied: restart the simulator")
         return Result.DENIED
+
+    def _test_actuator(self, command: Command, _link: Link) -> Result | None:
+        return None if _rounded(command.params[4]) == 0 else Result.UNSUPPORTED
+
+    def _inject_failure(self, command: Command, _link: Link) -> Result:
+        unit, kind, instance = (_rounded(value) for value in command.params[:3])
+        return failures.inject(self._vehicle, unit, kind, instance)
 
     # messages
 
-    def _send(self, link: Link, number: int, now_us: int) -> Result:
+    def _sender_of(self, name: str) -> Callable[[Command, Link], Result]:
+        number = MESSAGE_ID[name]
+        return lambda _, link: self._send(link, number)
+
+    def _send(self, link: Link, number: int) -> Result:
+        """Send message ``number`` once; DENIED when there is none or nothing to tell, as in PX4."""
+        answer = self._vehicle.on_request.get(number)
+        if answer is not None:
+            answer(link)
+            return Result.ACCEPTED
+        now_us = self._vehicle.now_us
         link.telemetry.refresh(now_us)
         found = link.streams.values(number, lambda text: link.warn("packing", text, now_us))
         if found is None:
@@ -189,35 +288,19 @@ class CommandHandler:
         link.send_values(*found, now_us)
         return Result.ACCEPTED
 
-    def _get_home(self, _command: Command, link: Link, now_us: int) -> Result:
-        return self._send(link, MESSAGE_ID["HOME_POSITION"], now_us)
-
-    def _request_message(self, command: Command, link: Link, now_us: int) -> Result:
-        number = _whole(command.params[0])
-        if number == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-            return self._capabilities(command, link, now_us)
-        return self._send(link, number, now_us)
-
-    def _get_interval(self, command: Command, link: Link, _now_us: int) -> Result:
-        number = _whole(command.params[0])
-        if not 0 <= number <= 0xFFFF:
+    def _get_interval(self, command: Command, link: Link) -> Result:
+        number = _rounded(command.params[0])
+        if not 0 <= number <= _LARGEST_ID:
             return Result.DENIED
         interval = link.streams.interval(number)
         # 0: not available
         link.send_message(mavlink.MAVLink_message_interval_message(number, 0 if interval is None else interval))
         return Result.ACCEPTED
 
-    def _set_interval(self, command: Command, link: Link, now_us: int) -> Result:
-        number, interval = _whole(command.params[0]), command.params[1]
-        if not math.isfinite(interval):
-            return Result.DENIED
-        return Result.ACCEPTED if link.streams.set_interval(number, interval, now_us) else Result.FAILED
-
-    def _capabilities(self, _command: Command, link: Link, _now_us: int) -> Result:
-        nothing = [0] * 8
-        link.send_message(
-            mavlink.MAVLink_autopilot_version_message(
-                _CAPABILITIES, _PX4_VERSION, _PX4_VERSION, 0, 0, nothing, nothing, nothing, 0, 0, link.system_id
-            )
-        )
-        return Result.ACCEPTED
+    def _set_interval(self, command: Command, link: Link) -> Result:
+        number, interval = _rounded(command.params[0]), command.params[1]
+        if math.isnan(interval):
+            interval = 0.0  # the default rate
+        elif math.isinf(interval):
+            interval = -1.0  # once in eternity
+        return Result.ACCEPTED if link.streams.set_interval(number, interval, self._vehicle.now_us) else Result.FAILED

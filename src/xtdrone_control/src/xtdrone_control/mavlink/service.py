@@ -31,6 +31,8 @@ class Vehicle:
         system_id: MAVLink system id.
         now_us: simulated time, microseconds, of the message that is handled.
         clients: returns the links to everybody who listens, for what is for all.
+        on_request: message id to what answers a request for a message that is no stream; services fill it.
+        capabilities: MAV_PROTOCOL_CAPABILITY bits of all services.
     """
 
     def __init__(
@@ -47,6 +49,8 @@ class Vehicle:
         self.system_id = commander.vehicle.system_id
         self.now_us = 0
         self.clients = clients
+        self.on_request: dict[int, Callable[[Link], None]] = {}
+        self.capabilities = 0
         self._held: list[Callable[[], None]] | None = None
 
     def hold(self) -> None:
@@ -74,17 +78,21 @@ class Service:
     ``target_system`` (or ``target``) reaches the handler only when it is for this vehicle or for all, one with a
     ``target_component`` only when it is for the autopilot or for all.
 
+    ``CAPABILITIES`` has the MAV_PROTOCOL_CAPABILITY bits that hold because of the service.
+
     Attributes:
         vehicle: the vehicle served.
         due_us: simulated time, microseconds, at which ``update`` wants to be called; ``NEVER_US`` for never.
     """
 
     MESSAGES: ClassVar[dict[str, str]] = {}
+    CAPABILITIES: ClassVar[int] = 0
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Serve ``vehicle``."""
         self.vehicle = vehicle
         self.due_us = NEVER_US
+        vehicle.capabilities |= self.CAPABILITIES
 
     @property
     def handlers(self) -> dict[str, Handler]:

@@ -10,6 +10,7 @@ from .parameter import ParameterService
 from .place import PlaceService
 from .presence import PresenceService
 from .setpoint import SetpointService
+from .version import VersionService
 
 
 def all_services(vehicle: Vehicle) -> list[Service]:
@@ -22,4 +23,5 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         ParameterService(vehicle),
         MissionService(vehicle),
         PlaceService(vehicle, commands),
+        VersionService(vehicle),
     ]

@@ -32,6 +32,7 @@ class ParameterService(Service):
         "PARAM_REQUEST_READ": "_param_request_read",
         "PARAM_SET": "_param_set",
     }
+    CAPABILITIES = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Serve ``vehicle``."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+from pymavlink.dialects.v20 import common as mavlink
+
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.inputs import SetpointError
 from xtdrone_control.mavlink import setpoints
@@ -21,6 +23,10 @@ class SetpointService(Service):
         "SET_ATTITUDE_TARGET": "_attitude_target",
         "MANUAL_CONTROL": "_manual_control",
     }
+    CAPABILITIES = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    )
 
     def _local_target(self, link: Link, m: Any) -> None:
         self._steer(link, setpoints.local_target, m)
