@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, FAILURES, SENSORS, SETPOINT, TASK_GOTO, records
@@ -26,6 +28,7 @@ class FakeAutopilot:
         self.control = records(CONTROL, count)
         self.failures = records(FAILURES, count)
         self.params = records(PARAMS, count)
+        self.rotors = np.full(count, 4)
         self.estimator["q"][:, 0] = 1.0
         self.control["sp_q"][:, 0] = 1.0
         self.control["landed"] = 1

@@ -13,8 +13,8 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.codec import decoder, split
 from xtdrone_control.mavlink.dialect import MESSAGES
 from xtdrone_control.mavlink.receiver import Receiver
+from xtdrone_control.mavlink.reports import Reports
 from xtdrone_control.mavlink.streams import GCS_RATES, Streams
-from xtdrone_control.mavlink.telemetry import Telemetry
 
 SYSTEM = FIRST_ID + 1
 
@@ -22,7 +22,7 @@ SYSTEM = FIRST_ID + 1
 class FakeLink:
     """A client's link, and its port, that keeps what it is given, decoded."""
 
-    def __init__(self, telemetry: Telemetry, system_id: int) -> None:
+    def __init__(self, telemetry: Reports, system_id: int) -> None:
         self.telemetry = telemetry
         self.streams = Streams(telemetry, GCS_RATES)
         self.system_id = system_id
@@ -66,7 +66,7 @@ class Served:
         self.vehicle = Vehicle("iris", 0, FIRST_ID)
         self.parameters = parameters or Parameters({"MAV_SYS_ID": SYSTEM})
         self.commander = Commander(self.vehicle, self.autopilot, self.parameters, 0)
-        telemetry = Telemetry(self.commander, self.autopilot, 0)
+        telemetry = Reports(self.commander, self.autopilot, 0)
         self.link, self.other = (FakeLink(telemetry, SYSTEM) for _ in range(2))
         self.receiver = Receiver(self.commander, self.autopilot, 0, lambda: [self.link, self.other])
         self.commander.update()

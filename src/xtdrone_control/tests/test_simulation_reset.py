@@ -283,5 +283,7 @@ def test_void_messages_are_dropped_but_latched_ones():
 
 def test_the_heartbeat_of_a_station_is_noted(world, station):
     """The ground station's link serves commands while time stands still."""
-    answers = world.ask(heartbeat(6), mavlink.MAVLink_param_request_read_message(0, 1, b"MPC_XY_P", -1), client=station)
+    answers = world.ask(
+        heartbeat(6), mavlink.MAVLink_param_request_read_message(FIRST_ID + 1, 1, b"MPC_XY_P", -1), client=station
+    )
     assert [m.param_id for m in answers if m.get_type() == "PARAM_VALUE"] == ["MPC_XY_P"]

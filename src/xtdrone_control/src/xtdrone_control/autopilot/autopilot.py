@@ -40,6 +40,7 @@ from .state import (
     records,
 )
 from .takeoff import update_takeoff, wants_takeoff
+from .vibration import update_vibration
 
 STEP_US = 4000  # PX4's SITL lockstep period
 
@@ -161,6 +162,7 @@ def step_all(sensors, estimator, setpoint, control, params, mix, rotors, dt, wor
         work: (2, N_STATES) scratch.
     """
     for i in range(sensors.shape[0]):
+        update_vibration(estimator[i], sensors[i], dt)
         update_estimator(estimator[i], sensors[i], params[i], dt, work)
         if estimator[i].initialised:
             _control_vehicle(
@@ -174,6 +176,7 @@ class Autopilot:
     Attributes:
         sensors, estimator, setpoint, control, failures, params: record arrays of ``state`` and ``parameters``, shape
             (count,).
+        rotors: how many motors each vehicle has, shape (count,).
         time_us: simulated time, microseconds, of the last step.
     """
 
@@ -205,16 +208,16 @@ class Autopilot:
         for field in ("yaw", "yaw_rate", "goal_yaw", "cruise_speed", "climb_speed", "descend_speed"):
             self.setpoint[field] = np.nan
         self._mix = np.zeros((self.count, 4, MAX_ROTORS))
-        self._rotors = np.zeros(self.count, np.int64)
+        self.rotors = np.zeros(self.count, np.int64)
         for i, layout in enumerate(layouts):
             rotors = len(layout.positions)
             self._mix[i, :, :rotors] = mixing_matrix(layout.positions, layout.moment_ratios).T
-            self._rotors[i] = rotors
+            self.rotors[i] = rotors
         self._work = np.zeros((2, N_STATES))
 
     def rotor_count(self, index: int) -> int:
         """Return how many rotors vehicle ``index`` has."""
-        return int(self._rotors[index])
+        return int(self.rotors[index])
 
     def start_control(self) -> None:
         """Take over what the parameters fix at start: the hover thrust."""
@@ -230,7 +233,7 @@ class Autopilot:
             self.control,
             self.params,
             self._mix,
-            self._rotors,
+            self.rotors,
             STEP_US * 1e-6,
             self._work,
         )

@@ -200,6 +200,8 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("RTL_LAND_DELAY", 0.0, -1.0, _INF, "s", "wait at RTL_DESCEND_ALT; negative: stay there"),
     ("RTL_MIN_DIST", 10.0, 0.5, _INF, "m", "distance from home within which the cone counts"),
     ("RTL_RETURN_ALT", 30.0, 0.0, _INF, "m", "least height over home of the return flight"),
+    ("RTL_TIME_FACTOR", 1.1, 1.0, 2.0, "", "by which the estimated time of a return is multiplied"),
+    ("RTL_TIME_MARGIN", 100, 0, 3600, "s", "that is added to it"),
     ("SYS_FAILURE_EN", 1, 0, 1, "", "1: failures can be injected, as PX4's simulator has it"),
     ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "number of the airframe"),
 )  # fmt: skip

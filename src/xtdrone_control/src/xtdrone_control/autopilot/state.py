@@ -119,6 +119,10 @@ ESTIMATOR = np.dtype(
         ("origin_lon", "f8"),
         ("origin_alt", "f8"),  # m AMSL
         ("reset_counter", "i4"),
+        # Vibration, see ``vibration``
+        ("vibration", "f8", 3),  # coning of the gyroscope (rad^2), its and the accelerometer's jitter (rad/s, m/s^2)
+        ("vibration_gyro", "f8", 3),  # rad/s, the sample before
+        ("vibration_accel", "f8", 3),  # m/s^2, likewise
     ],
     align=True,
 )

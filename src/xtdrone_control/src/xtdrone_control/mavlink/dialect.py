@@ -82,10 +82,31 @@ def message_type(number: int, name: str, fields: str) -> MessageType:
 
 _MISSING = (
     message_type(
+        8,
+        "LINK_NODE_STATUS",
+        "uint64_t timestamp, uint8_t tx_buf, uint8_t rx_buf, uint32_t tx_rate, uint32_t rx_rate,"
+        "uint16_t rx_parse_err, uint16_t tx_overflows, uint16_t rx_overflows, uint32_t messages_sent,"
+        "uint32_t messages_received, uint32_t messages_lost",
+    ),
+    message_type(
+        290,
+        "ESC_INFO",
+        "uint8_t index, uint64_t time_usec, uint16_t counter, uint8_t count, uint8_t connection_type, uint8_t info,"
+        "uint16_t[4] failure_flags, uint32_t[4] error_count, int16_t[4] temperature",
+    ),
+    message_type(
+        291, "ESC_STATUS", "uint8_t index, uint64_t time_usec, int32_t[4] rpm, float[4] voltage, float[4] current"
+    ),
+    message_type(
         300,
         "PROTOCOL_VERSION",
         "uint16_t version, uint16_t min_version, uint16_t max_version,"
         "uint8_t[8] spec_version_hash, uint8_t[8] library_version_hash",
+    ),
+    message_type(
+        380,
+        "TIME_ESTIMATE_TO_TARGET",
+        "int32_t safe_return, int32_t land, int32_t mission_next_item, int32_t mission_end, int32_t commanded_action",
     ),
     message_type(
         410,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from .packing import COMPONENT_ID, Format, PackingError, as_version_1
-from .streams import HEARTBEAT, Streams
+from .streams import HEARTBEAT, Payloads, Streams
 from .telemetry import Telemetry, Values
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ class Link:
         telemetry: what the vehicle tells.
         received: messages of this client that were acted on.
         sent: messages sent to it.
+        received_bytes: of its datagrams.
+        sent_bytes: of the frames sent to it.
         open: whether the client is still one of the port's; what is sent over a link that is not goes nowhere.
         credit: what the client may still ask for, see ``Port``.
     """
@@ -54,9 +56,11 @@ class Link:
         self.sender = (0, 0)
         self.version = port.first_version
         self.telemetry: Telemetry = port.telemetry
-        self.streams = Streams(port.telemetry, port.rates)
+        self.streams = self._new_streams()
         self.received = 0
         self.sent = 0
+        self.received_bytes = 0
+        self.sent_bytes = 0
         self.open = True
         self.credit = 0
         self._mav = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=COMPONENT_ID)
@@ -65,6 +69,12 @@ class Link:
         self._heard_wall = 0.0
         self._beat_wall = 0.0
         self._text_id = 0
+        self._pings = 0
+        self._measured = (0, 0, 0)  # time, sent and received bytes at the last LINK_NODE_STATUS
+
+    def _new_streams(self) -> Streams:
+        own = {"PING": self._ping, "LINK_NODE_STATUS": self._node_status}
+        return Streams(self.telemetry, self._port.rates, own, self._port.streams_changed)
 
     @property
     def has_spoken(self) -> bool:
@@ -85,8 +95,9 @@ class Link:
         """
         self._heard_us = min(self._heard_us, now_us)
         self._text_id = 0
+        self._measured = (now_us, self.sent_bytes, self.received_bytes)
         self.telemetry = telemetry
-        self.streams = Streams(telemetry, self._port.rates)
+        self.streams = self._new_streams()
         self._frames.clear()
 
     def close(self) -> None:
@@ -112,13 +123,15 @@ class Link:
         """Queue a pymavlink message object; ``flush`` sends it."""
         self._queue(message.pack(self._mav))
 
-    def send_values(self, message: Format, values: Values, now_us: int) -> None:
-        """Queue a message given by its values in wire order; ``flush`` sends it."""
+    def send_values(self, message: Format, values: Values | list[Values], now_us: int) -> None:
+        """Queue a message given by its values in wire order, or several; ``flush`` sends them."""
         try:
-            payload = message.payload(values)
+            for one in values if isinstance(values, list) else [values]:
+                self._queue_payload(message, message.payload(one))
         except PackingError as error:
             self.warn("packing", f"not sent: {error}", now_us)
-            return
+
+    def _queue_payload(self, message: Format, payload: bytes) -> None:
         self._queue(message.frame(payload, self._mav.seq, self.system_id, COMPONENT_ID))
 
     def _queue(self, frame: bytes) -> None:
@@ -132,6 +145,7 @@ class Link:
             self._frames.append(frame)
             self._mav.seq = self._mav.seq + 1 & 0xFF
             self.sent += 1
+            self.sent_bytes += len(frame)
 
     def send_text(self, severity: int, text: str) -> None:
         """Queue a STATUSTEXT, in numbered pieces when it is longer than one holds."""
@@ -143,19 +157,46 @@ class Link:
         for i, piece in enumerate(pieces):
             self.send_message(mavlink.MAVLink_statustext_message(severity, piece, number, i))
 
-    def send_due(self, now_us: int) -> None:
-        """Send the telemetry that is due, and what is queued."""
+    def send_due(self, now_us: int, shared: Payloads) -> None:
+        """Send the telemetry that is due, and what is queued; for ``shared`` see ``Streams.due``."""
         if now_us >= self.streams.next_due_us:
-            self._queue_due(now_us)
+            self._queue_due(now_us, shared)
         if self._frames:
             self.flush(now_us)
 
-    def _queue_due(self, now_us: int) -> None:
+    def _queue_due(self, now_us: int, shared: Payloads) -> None:
         self.telemetry.refresh(now_us)
-        for message, values in self.streams.due(now_us, lambda text: self.warn("packing", text, now_us)):
+        for message, payloads in self.streams.due(now_us, shared, lambda text: self.warn("packing", text, now_us)):
             if message is HEARTBEAT:
                 self._beat_wall = time.monotonic()
-            self.send_values(message, values, now_us)
+            for payload in payloads:
+                self._queue_payload(message, payload)
+
+    def _ping(self) -> Values:
+        """PING as PX4 sends it to find out how long the way is; the answer is not used."""
+        self._pings += 1
+        return self.telemetry.time_us, self._pings & 0xFFFFFFFF, 0, 0
+
+    def _node_status(self) -> Values:
+        """What has gone over this link; rates since the last time, bytes a second."""
+        now_us = self.telemetry.time_us
+        since, sent, received = self._measured
+        self._measured = (now_us, self.sent_bytes, self.received_bytes)
+        span = max(now_us - since, 1) * 1e-6
+        rates = [round((now - then) / span) & 0xFFFFFFFF
+                 for now, then in ((self.sent_bytes, sent), (self.received_bytes, received))]  # fmt: skip
+        return (
+            now_us,
+            *rates,
+            self.sent & 0xFFFFFFFF,
+            self.received & 0xFFFFFFFF,
+            0,
+            self._port.malformed & 0xFFFF,
+            self._port.lost & 0xFFFF,
+            self._port.dropped & 0xFFFF,
+            0,
+            0,
+        )
 
     def keep_alive(self, now_us: int) -> None:
         """Send a HEARTBEAT when the last one is older than a second of wall time.

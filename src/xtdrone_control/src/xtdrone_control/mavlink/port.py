@@ -20,6 +20,7 @@ from collections.abc import Collection, Mapping
 from xtdrone_control.fleet import Vehicle
 
 from .link import Address, Link
+from .streams import Payloads
 from .telemetry import Telemetry
 
 LOOPBACK = "127.0.0.1"
@@ -102,6 +103,7 @@ class Port:
         self.refused = 0
         self._warned_us: dict[str, int] = {}
         self._strangers_credit = 0
+        self._next_due_us: int | None = None
         self.default = Link(self, (LOOPBACK, remote_port), self.name)
         self._links: dict[Address, Link] = {self.default.peer: self.default}
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -173,6 +175,7 @@ class Port:
         self.default = known or Link(self, peer, self.name)
         self.default.name = self.name
         self._links = {peer: self.default, **{link.peer: link for link in others}}
+        self._next_due_us = None
 
     # what comes
 
@@ -211,6 +214,7 @@ class Port:
         if link is None:
             self._strangers_credit -= cost
         else:
+            link.received_bytes += size
             link.credit -= cost + link.waiting
 
     def link_of(self, sender: Address, now_us: int) -> Link | None:
@@ -227,20 +231,33 @@ class Port:
             return None
         link = Link(self, sender, f"{self.name} to {sender[0]}:{sender[1]}")
         self._links[sender] = link
+        self._next_due_us = None
         return link
 
     # what goes out
 
+    def streams_changed(self) -> None:
+        """Note that some link's streams are due at other times than before."""
+        self._next_due_us = None
+
     @property
     def next_due_us(self) -> int:
         """Simulated time, microseconds, at which ``send_due`` has something to do next."""
-        return min(link.streams.next_due_us for link in self._links.values())
+        if self._next_due_us is None:
+            self._next_due_us = min(link.streams.next_due_us for link in self._links.values())
+        return self._next_due_us
 
-    def send_due(self, now_us: int) -> None:
-        """Send the telemetry that is due, and what is queued, and forget clients that are gone."""
+    def send_due(self, now_us: int, shared: Payloads) -> None:
+        """Send the telemetry that is due, and what is queued, and forget clients that are gone.
+
+        Args:
+            now_us: simulated time, microseconds.
+            shared: see ``Streams.due``.
+        """
         self._forget_silent(now_us)
         for link in self._links.values():
-            link.send_due(now_us)
+            link.send_due(now_us, shared)
+        self._next_due_us = None
 
     def _forget_silent(self, now_us: int) -> None:
         """Forget silent clients; the first one goes on to hear heartbeats."""
@@ -250,6 +267,7 @@ class Port:
             else:
                 link.close()
                 del self._links[link.peer]
+                self._next_due_us = None
 
     def keep_alive(self, now_us: int, counted: Collection[int]) -> None:
         """Send a HEARTBEAT to whom the last one was sent more than a wall second ago, save to ``counted`` ports."""

@@ -18,8 +18,8 @@ from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
 from .link import Link
 from .port import LOOPBACK, Port
 from .receiver import Receiver
-from .streams import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES
-from .telemetry import Telemetry
+from .reports import Reports
+from .streams import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
@@ -35,7 +35,7 @@ class _Vehicle:
     def __init__(self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str) -> None:
         self.index = index
         self.commander = commander
-        telemetry = Telemetry(commander, autopilot, index)
+        telemetry = Reports(commander, autopilot, index)
         ends = (
             ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, False),
             ("ground-station", vehicle.gcs_local_port, GCS_REMOTE_PORT, GCS_RATES, True),
@@ -57,21 +57,25 @@ class _Vehicle:
     def reboot(self, autopilot: Autopilot, commander: Commander) -> None:
         self.commander = commander
         self.receiver = Receiver(commander, autopilot, self.index, self.clients)
-        telemetry = Telemetry(commander, autopilot, self.index)
+        telemetry = Reports(commander, autopilot, self.index)
         for port in self.ports:
             port.reboot(telemetry, autopilot.time_us)
 
     def send(self, now_us: int) -> None:
         """Send texts, telemetry, and what services have to say by ``now_us``."""
+        texts = self.commander.texts
+        wanted = bool(texts)
         if self.receiver.next_due_us <= now_us:
             self.receiver.update(now_us)
-        texts = self.commander.texts
+            wanted = True
         while texts:
             text = texts.popleft()
             for link in self.clients():
                 link.send_text(*text)
+        shared: Payloads = {}
         for port in self.ports:
-            port.send_due(now_us)
+            if wanted or port.next_due_us <= now_us:
+                port.send_due(now_us, shared)
 
     def close(self) -> None:
         for port in self.ports:

@@ -1,17 +1,18 @@
 """When each telemetry message is due on a link.
 
 Due times are multiples of a stream's interval, so that the vehicles' telemetry falls on the same ticks and a flight is
-the same in every run. Default rates are those of PX4's onboard and ground-station modes, as far as the messages can be
-filled with what is known; the ground station's have upstream XTDrone's 50 Hz set.
+the same in every run. Default rates are those of PX4 v1.14's onboard and normal (ground-station) modes; the ground
+station's have upstream XTDrone's 50 Hz set. GPS_GLOBAL_ORIGIN, which PX4 sends when it changes, comes every 10 s here,
+for whoever comes later.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable, Iterator, Mapping
 
 from .dialect import MESSAGE_ID
-from .packing import Format
+from .packing import Format, PackingError
+from .reports import SILENT, silent, source
 from .telemetry import Telemetry, Values
 
 _NEVER_US = 1 << 62
@@ -19,13 +20,19 @@ _LEAST_INTERVAL_US = 4000  # the autopilot's step
 _LARGEST_INTERVAL_US = (1 << 31) - 1  # what MESSAGE_INTERVAL can tell
 _FALLBACK_RATE = 1.0  # Hz, for a message without a default rate when its default is asked for
 
+Source = Callable[[], Values | list[Values] | None]
+Payloads = dict[int, tuple[bytes, ...]]
+
 ONBOARD_RATES: dict[str, float] = {
     "HEARTBEAT": 1.0,
+    "TIMESYNC": 10.0,
     "ALTITUDE": 10.0,
     "ATTITUDE": 100.0,
     "ATTITUDE_QUATERNION": 50.0,
     "ATTITUDE_TARGET": 10.0,
     "BATTERY_STATUS": 0.5,
+    "ESC_INFO": 10.0,
+    "ESC_STATUS": 10.0,
     "ESTIMATOR_STATUS": 1.0,
     "EXTENDED_SYS_STATE": 5.0,
     "GLOBAL_POSITION_INT": 50.0,
@@ -33,14 +40,22 @@ ONBOARD_RATES: dict[str, float] = {
     "GPS_RAW_INT": 5.0,
     "HIGHRES_IMU": 50.0,
     "HOME_POSITION": 0.5,
+    "LINK_NODE_STATUS": 1.0,
     "LOCAL_POSITION_NED": 30.0,
     "ODOMETRY": 30.0,
+    "OPEN_DRONE_ID_LOCATION": 1.0,
+    "OPEN_DRONE_ID_SYSTEM": 1.0,
+    "PING": 1.0,
+    "POSITION_TARGET_GLOBAL_INT": 10.0,
     "POSITION_TARGET_LOCAL_NED": 10.0,
     "SCALED_PRESSURE": 1.0,
     "SERVO_OUTPUT_RAW": 10.0,
     "SYSTEM_TIME": 1.0,
     "SYS_STATUS": 5.0,
+    "TIME_ESTIMATE_TO_TARGET": 1.0,
+    "UTM_GLOBAL_POSITION": 1.0,
     "VFR_HUD": 10.0,
+    "VIBRATION": 0.5,
 }
 
 GCS_RATES: dict[str, float] = {
@@ -50,24 +65,36 @@ GCS_RATES: dict[str, float] = {
     "ATTITUDE_QUATERNION": 50.0,
     "ATTITUDE_TARGET": 50.0,
     "BATTERY_STATUS": 0.5,
+    "ESC_INFO": 1.0,
+    "ESC_STATUS": 1.0,
     "ESTIMATOR_STATUS": 0.5,
     "EXTENDED_SYS_STATE": 1.0,
     "GLOBAL_POSITION_INT": 50.0,
     "GPS_GLOBAL_ORIGIN": 0.1,
     "GPS_RAW_INT": 1.0,
     "HOME_POSITION": 0.5,
+    "LINK_NODE_STATUS": 1.0,
     "LOCAL_POSITION_NED": 50.0,
+    "OPEN_DRONE_ID_LOCATION": 1.0,
+    "OPEN_DRONE_ID_SYSTEM": 1.0,
+    "PING": 0.1,
+    "POSITION_TARGET_GLOBAL_INT": 1.0,
     "POSITION_TARGET_LOCAL_NED": 50.0,
     "SCALED_PRESSURE": 1.0,
     "SERVO_OUTPUT_RAW": 50.0,
     "SYS_STATUS": 1.0,
+    "TIME_ESTIMATE_TO_TARGET": 1.0,
+    "UTM_GLOBAL_POSITION": 0.5,
     "VFR_HUD": 4.0,
+    "VIBRATION": 0.1,
 }
 
-_OTHERS = ("SCALED_IMU",)  # can be asked for, without a default rate
+# can be asked for, without a default rate
+_OTHERS = ("SCALED_IMU", "ACTUATOR_CONTROL_TARGET", "ACTUATOR_OUTPUT_STATUS", *SILENT)
 FORMATS: dict[int, Format] = {
     f.number: f for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_OTHERS]))
 }
+LINK_MESSAGES = ("PING", "LINK_NODE_STATUS")  # these tell of a link, all others of the vehicle
 HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
 _PAYLOAD_BYTES = 4000.0  # a second: "mavlink start -r 4000" of PX4's payload link
 _FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame besides its payload
@@ -89,26 +116,50 @@ def _allowed(interval_us: float) -> int:
 
 
 class _Stream:
-    __slots__ = ("due_us", "format", "interval_us", "values")
+    """One message of a link."""
 
-    def __init__(self, message: Format, values: Callable[[], Values | None]) -> None:
+    __slots__ = ("format", "interval_us", "shared", "values")
+
+    def __init__(self, message: Format, values: Source, shared: bool) -> None:
         self.format = message
         self.values = values
+        self.shared = shared  # the same for every client
         self.interval_us = _NEVER_US
-        self.due_us = _NEVER_US
+
+    def read(self, report: Callable[[str], None]) -> Values | list[Values] | None:
+        """Return what is to be sent now; ``report`` is told when it cannot be made."""
+        try:
+            return self.values()
+        except (ValueError, OverflowError) as error:  # an estimate that is not finite
+            report(f"not sent: {self.format.name}: {error}")
+            return None
+
+    def payloads(self, report: Callable[[str], None]) -> tuple[bytes, ...]:
+        """Return the payloads of what is to be sent now; ``report`` is told when it cannot be made."""
+        values = self.read(report)
+        if values is None:
+            return ()
+        pack = self.format.payload
+        try:
+            return tuple(map(pack, values)) if isinstance(values, list) else (pack(values),)
+        except PackingError as error:
+            report(f"not sent: {error}")
+            return ()
+
+
+class _Group:
+    """Streams with one interval, which are due together."""
+
+    __slots__ = ("due_us", "interval_us", "streams")
+
+    def __init__(self, interval_us: int, now_us: int) -> None:
+        self.interval_us = interval_us
+        self.streams: list[_Stream] = []
+        self.schedule(now_us)
 
     def schedule(self, now_us: int) -> None:
         """Set the first due time after ``now_us``."""
-        interval = self.interval_us
-        self.due_us = _NEVER_US if interval == _NEVER_US else (now_us // interval + 1) * interval
-
-
-def _read(stream: _Stream, report: Callable[[str], None]) -> Values | None:
-    try:
-        return stream.values()
-    except (ValueError, OverflowError) as error:  # an estimate that is not finite
-        report(f"not sent: {stream.format.name}: {error}")
-        return None
+        self.due_us = (now_us // self.interval_us + 1) * self.interval_us
 
 
 class Streams:
@@ -119,35 +170,49 @@ class Streams:
         active: whether more than the heartbeat is sent.
     """
 
-    def __init__(self, telemetry: Telemetry, rates: Mapping[str, float]) -> None:
-        """Take the default ``rates`` (message name to Hz). Nothing but the heartbeat is due before ``start``."""
+    def __init__(
+        self,
+        telemetry: Telemetry,
+        rates: Mapping[str, float],
+        own: Mapping[str, Source] | None = None,
+        changed: Callable[[], None] = silent,
+    ) -> None:
+        """Take the default ``rates`` (message name to Hz). Nothing but the heartbeat is due before ``start``.
+
+        Args:
+            telemetry: gives the messages' values.
+            rates: default rates, message name to Hz.
+            own: gives the values of messages that tell of the link itself; without it they are not sent.
+            changed: called when ``next_due_us`` has changed but by ``due``.
+        """
         self._defaults = rates
+        self._changed = changed
         self.active = False
+        own = own or {}
         self._streams = {
-            number: _Stream(f, getattr(telemetry, f.name.lower())) for number, f in FORMATS.items()
+            number: _Stream(f, own.get(f.name, silent) if f.name in LINK_MESSAGES else source(telemetry, f.name),
+                            f.name not in LINK_MESSAGES)
+            for number, f in FORMATS.items()
         }  # fmt: skip
-        self._heap: list[tuple[int, int]] = []
-        self.next_due_us = 0
         for name, rate in rates.items():
             self._streams[MESSAGE_ID[name]].interval_us = round(1e6 / rate)
-        self._streams[HEARTBEAT.number].schedule(-1)
-        self._rebuild()
+        beat = self._streams[HEARTBEAT.number]
+        self._beat = _Group(beat.interval_us, -1)
+        self._beat.streams.append(beat)
+        self._groups = [self._beat]
+        self.next_due_us = self._beat.due_us
 
     def start(self, now_us: int) -> None:
         """Begin with all streams: somebody listens."""
-        if self.active:
-            return
-        self.active = True
-        for number, stream in self._streams.items():
-            if number != HEARTBEAT.number:
-                stream.schedule(now_us)
-        self._rebuild()
+        if not self.active:
+            self.active = True
+            self._rebuild(now_us)
 
     def stop(self) -> None:
         """Go back to the heartbeat alone: nobody listens."""
         if self.active:
             self.active = False
-            self._rebuild()
+            self._rebuild(0)
 
     def interval(self, number: int) -> int | None:
         """Return the interval of message ``number`` in us; -1 when it is off, None when there is no such stream."""
@@ -173,35 +238,61 @@ class Streams:
         if interval_us == 0:
             interval_us = round(1e6 / self._defaults.get(stream.format.name, _FALLBACK_RATE))
         stream.interval_us = _NEVER_US if interval_us < 0 else _allowed(interval_us)
-        stream.schedule(now_us)
-        self._rebuild()
+        self._rebuild(now_us)
         return True
 
-    def _rebuild(self) -> None:
-        numbers = self._streams if self.active else (HEARTBEAT.number,)
-        due = ((self._streams[number].due_us, number) for number in numbers)
-        self._heap = [entry for entry in due if entry[0] != _NEVER_US]
-        heapq.heapify(self._heap)
-        self.next_due_us = self._heap[0][0] if self._heap else _NEVER_US
+    def _rebuild(self, now_us: int) -> None:
+        """Group the streams by interval; what was due stays due."""
+        groups: dict[int, _Group] = {}
+        if self.active:
+            known = {group.interval_us: group.due_us for group in self._groups if group is not self._beat}
+            for stream in self._streams.values():
+                interval = stream.interval_us
+                if interval == _NEVER_US or stream.format is HEARTBEAT:
+                    continue
+                group = groups.get(interval)
+                if group is None:
+                    group = groups[interval] = _Group(interval, now_us)
+                    group.due_us = min(known.get(interval, _NEVER_US), group.due_us)
+                group.streams.append(stream)
+        self._groups = [self._beat, *(groups[interval] for interval in sorted(groups))]
+        self.next_due_us = min(group.due_us for group in self._groups)
+        self._changed()
 
-    def due(self, now_us: int, report: Callable[[str], None]) -> Iterator[tuple[Format, Values]]:
+    def due(
+        self, now_us: int, shared: Payloads, report: Callable[[str], None]
+    ) -> Iterator[tuple[Format, tuple[bytes, ...]]]:
         """Yield what is due by ``now_us``, and set when it is due again. A stream that is late is not made up for.
 
-        ``report`` is told of a message that cannot be made of the present estimate.
-        """
-        heap = self._heap
-        while heap and heap[0][0] <= now_us:
-            number = heap[0][1]
-            stream = self._streams[number]
-            stream.schedule(now_us)
-            heapq.heapreplace(heap, (stream.due_us, number))
-            values = _read(stream, report)
-            if values is not None:
-                yield stream.format, values
-        self.next_due_us = heap[0][0] if heap else _NEVER_US
+        Args:
+            now_us: simulated time, microseconds.
+            shared: payloads that were made at this time for other clients of the vehicle, by message id; those that
+                are made here are added.
+            report: told of a message that cannot be made of the present estimate.
 
-    def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Values] | None:
-        """Return message ``number`` as it is now, or None when it cannot be given; ``report`` as in ``due``."""
+        Yields:
+            Message and payloads, mostly one.
+        """
+        for group in self._groups:
+            if group.due_us > now_us:
+                continue
+            group.schedule(now_us)
+            for stream in group.streams:
+                if not stream.shared:
+                    yield stream.format, stream.payloads(report)
+                    continue
+                number = stream.format.number
+                payloads = shared.get(number)
+                if payloads is None:
+                    payloads = shared[number] = stream.payloads(report)
+                yield stream.format, payloads
+        self.next_due_us = min(group.due_us for group in self._groups)
+
+    def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Values | list[Values]] | None:
+        """Return message ``number`` as it is now, or None when it cannot be given; ``report`` as in ``due``.
+
+        Several values are several messages.
+        """
         stream = self._streams.get(number)
-        values = None if stream is None else _read(stream, report)
+        values = None if stream is None else stream.read(report)
         return None if stream is None or values is None else (stream.format, values)
