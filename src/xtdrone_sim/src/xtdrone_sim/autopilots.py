@@ -8,6 +8,7 @@ from typing import Protocol
 
 from xtdrone_control.autopilot.autopilot import Autopilot, Datum
 from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.logger.logger import Logger
 from xtdrone_control.autopilot.parameters import Parameters
 from xtdrone_control.autopilot.plan import Plans
 from xtdrone_control.fleet import Vehicle
@@ -80,6 +81,7 @@ class Builtin:
         world: WorldModel,
         datum: Datum | None,
         params: Path | None = None,
+        logs: Path | None = None,
     ) -> None:
         """Make the vehicles' parameters and plans, which outlive a restart.
 
@@ -87,8 +89,11 @@ class Builtin:
             fleet, models, world, datum: see ``AutopilotsFactory``.
             params: folder in which changed parameters outlive the simulator, a file ``<vehicle>.params`` each; None:
                 every run starts with the defaults.
+            logs: folder for the vehicles' logs; None writes none.
         """
         self.served = fleet
+        self._logs = logs
+        self._logger: Logger | None = None
         self._layouts = [model.rotor_layout for model in models]
         self._datum = datum
         self._parameters = [
@@ -108,6 +113,7 @@ class Builtin:
 
     def begin(self, world: World, time_us: int) -> None:
         """Boot all autopilots; parameters that were changed stay changed, missions, geofences and rally points stay."""
+        self.close()
         self.autopilot = Autopilot(self._layouts, self._datum)
         self.autopilot.time_us = time_us
         self.commanders = []
@@ -117,13 +123,22 @@ class Builtin:
             commander.navigator.restore(plans)
             self.commanders.append(commander)
         self.autopilot.start_control()
+        if self._logs is not None:
+            self._logger = Logger(self.autopilot, self.commanders, self._logs)
+            self.autopilot.logs = self._logger.folders
+            self._logger.update()
 
     def step(self) -> None:
         """Run the kernels, and the mode logic when it is due."""
         self.autopilot.step()
-        if self.autopilot.time_us % COMMANDER_PERIOD_US == 0:
+        beat = self.autopilot.time_us % COMMANDER_PERIOD_US == 0
+        if beat:
             for commander in self.commanders:
                 commander.update()
+        if self._logger is not None:
+            self._logger.step()
+            if beat:
+                self._logger.update()
 
     def missing(self) -> str:
         """Nobody is waited for."""
@@ -133,4 +148,7 @@ class Builtin:
         """Nothing comes from outside."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """End the logs."""
+        if self._logger is not None:
+            self._logger.close()
+            self._logger = None

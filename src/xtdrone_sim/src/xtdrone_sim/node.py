@@ -74,6 +74,7 @@ class Settings:
         digest: file for digests of all that is published, see ``digests``; empty for none (``~digest``).
         digest_topics: digests of topics too, which are then published even if nobody listens; else only of the truth
             (``~digest_topics``).
+        log_dir: folder for the vehicles' ULogs; empty for none (``~log_dir``).
     """
 
     fleet: tuple[Vehicle, ...]
@@ -96,6 +97,7 @@ class Settings:
     states_rate: float
     digest: str
     digest_topics: bool
+    log_dir: str
 
     @classmethod
     def from_parameters(cls) -> Settings:
@@ -125,6 +127,7 @@ class Settings:
             states_rate=_number("~model_states_rate", 50.0, 0.1, 250.0),
             digest=str(rospy.get_param("~digest", "")),
             digest_topics=_flag("~digest_topics", True),
+            log_dir=str(rospy.get_param("~log_dir", "")),
         )
 
 
@@ -317,7 +320,11 @@ class SimulatorNode:
     def _factory(self, settings: Settings) -> AutopilotsFactory:
         """Return what makes the autopilots that the settings ask for."""
         factories: dict[str, AutopilotsFactory] = {
-            "builtin": partial(Builtin, params=Path(settings.params).expanduser() if settings.params else None),
+            "builtin": partial(
+                Builtin,
+                params=Path(settings.params).expanduser() if settings.params else None,
+                logs=Path(settings.log_dir).expanduser() if settings.log_dir else None,
+            ),
             "hil": partial(Hil, host=settings.host, hang_limit=settings.hang_limit, idle=self._serve, log=_log),
         }
         return factories[settings.autopilot]

@@ -19,6 +19,7 @@ from .estimator import update as update_estimator
 from .flight_tasks import generate_setpoint
 from .kernel import kernel
 from .land_detector import detect_landing
+from .logger.folder import LogFolder
 from .parameters import PARAMS
 from .position_control import position_loop, thrust_to_attitude, update_hover_thrust, velocity_loop
 from .rate_control import rate_control
@@ -178,6 +179,7 @@ class Autopilot:
             (count,).
         rotors: how many motors each vehicle has, shape (count,).
         time_us: simulated time, microseconds, of the last step.
+        logs: where each vehicle's logs lie; empty when none are written.
     """
 
     def __init__(self, layouts: Sequence[RotorLayout], datum: Datum | None) -> None:
@@ -189,6 +191,7 @@ class Autopilot:
         """
         self.count = len(layouts)
         self.time_us = 0
+        self.logs: Sequence[LogFolder] = ()
         self.sensors = records(SENSORS, self.count)
         self.estimator = records(ESTIMATOR, self.count)
         self.setpoint = records(SETPOINT, self.count)

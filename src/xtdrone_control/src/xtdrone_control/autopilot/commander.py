@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from xtdrone_control.fleet import Vehicle
@@ -66,6 +66,7 @@ class Commander:
         armed: whether motors run.
         failsafe: what has taken the vehicle out of its mode, ``Failsafe.NONE`` when nothing has.
         texts: (MAV_SEVERITY, text) that no link has taken yet; the oldest are dropped beyond 64.
+        on_text: called with every such text, when it is not None: the logger.
     """
 
     def __init__(self, vehicle: Vehicle, autopilot: Autopilot, parameters: Parameters, index: int) -> None:
@@ -81,6 +82,7 @@ class Commander:
         self.parameters = parameters
         self.view = VehicleView(autopilot, index)
         self.texts: deque[tuple[int, str]] = deque(maxlen=_MAX_TEXTS)
+        self.on_text: Callable[[int, str], None] | None = None
         self.navigator = Navigator(self.view, parameters, self.say)
         self.armed = False
         self.failsafe = Failsafe.NONE
@@ -104,6 +106,11 @@ class Commander:
     def mode(self) -> Mode:
         """The mode that is flown: the failsafe's while there is one."""
         return self._failsafe_mode or self._mode
+
+    @property
+    def requested_mode(self) -> Mode:
+        """The mode that was asked for, whatever a failsafe has made of it."""
+        return self._mode
 
     @property
     def base_mode(self) -> int:
@@ -146,6 +153,8 @@ class Commander:
     def say(self, severity: int, text: str) -> None:
         """Queue a text for the operator (``severity``: MAV_SEVERITY)."""
         self.texts.append((severity, text))
+        if self.on_text is not None:
+            self.on_text(severity, text)
 
     def warn(self, text: str) -> None:
         """Queue a warning, at most one a second."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from struct import pack
@@ -202,6 +202,8 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("RTL_RETURN_ALT", 30.0, 0.0, _INF, "m", "least height over home of the return flight"),
     ("RTL_TIME_FACTOR", 1.1, 1.0, 2.0, "", "by which the estimated time of a return is multiplied"),
     ("RTL_TIME_MARGIN", 100, 0, 3600, "s", "that is added to it"),
+    ("SDLOG_MODE", 1, -1, 4, "", "log: -1 never, 0 while armed, 1 from boot to disarming, 2 from boot, 4 from arming"),
+    ("SDLOG_UTC_OFFSET", 0, -1000, 1000, "min", "local time less UTC, in the names of logs"),
     ("SYS_FAILURE_EN", 1, 0, 1, "", "1: failures can be injected, as PX4's simulator has it"),
     ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "number of the airframe"),
 )  # fmt: skip
@@ -254,6 +256,10 @@ class Parameters:
     """The parameters of one vehicle.
 
     A value out of its sensible range is stored, with a warning, as PX4 does.
+
+    Attributes:
+        on_change: called with name and value of a parameter that has got another value, when it is not None: the
+            logger.
     """
 
     def __init__(self, overrides: Mapping[str, float] | None = None, file: Path | None = None) -> None:
@@ -268,6 +274,7 @@ class Parameters:
         """
         self._record: Any = None
         self._file = file
+        self.on_change: Callable[[str, int | float], None] | None = None
         self._defaults = {name: entry.default for name, entry in _TABLE.items()}
         self._values: dict[str, int | float] = dict(self._defaults)
         for name, value in (overrides or {}).items():
@@ -282,6 +289,17 @@ class Parameters:
             ParameterError: there is no such parameter.
         """
         value = self._values.get(name)
+        if value is None:
+            raise ParameterError(f"parameter {name!r} does not exist")
+        return value
+
+    def default(self, name: str) -> int | float:
+        """Return this vehicle's default: the airframe's where it has one, else PX4's.
+
+        Raises:
+            ParameterError: there is no such parameter.
+        """
+        value = self._defaults.get(name)
         if value is None:
             raise ParameterError(f"parameter {name!r} does not exist")
         return value
@@ -303,9 +321,12 @@ class Parameters:
         stored = _checked(entry, value)
         if not entry.minimum <= stored <= entry.maximum:
             _log.warning("%s: %s is outside %s..%s %s", name, stored, entry.minimum, entry.maximum, entry.unit)
+        changed = stored != self._values[name]
         self._values[name] = stored
         if self._record is not None and name in _FIELDS:
             self._record[_FIELDS[name]] = stored
+        if changed and self.on_change is not None:
+            self.on_change(name, stored)
         return stored
 
     def reset(self) -> None:

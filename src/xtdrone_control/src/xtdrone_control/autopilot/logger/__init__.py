@@ -1,0 +1,1 @@
+"""PX4's logger: flights written as ULog files."""

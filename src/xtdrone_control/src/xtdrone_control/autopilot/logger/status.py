@@ -1,0 +1,258 @@
+"""The topics of one vehicle that are published at changes: status, modes, home, set-points of the AUTO modes."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.modes import Mode
+from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_GOTO, TASK_LAND, TASK_RATES
+
+from .messages import message_format
+from .ulog import Format, data_template
+
+if TYPE_CHECKING:
+    from xtdrone_control.autopilot.commander import Commander
+
+STATUS_PERIOD_US = 500_000  # PX4's commander publishes its state this often without a change
+_BATTERY_PERIOD_US = 200_000
+
+_DISARMED, _ARMED = 1, 2  # vehicle_status.arming_state
+_ROTARY_WING = 1
+_BY_COMMAND = 4  # ARM_DISARM_REASON_COMMAND_EXTERNAL
+_SETPOINT_POSITION, _SETPOINT_LOITER, _SETPOINT_TAKEOFF, _SETPOINT_LAND, _SETPOINT_IDLE = 0, 2, 3, 4, 5
+
+# vehicle_status.nav_state by HEARTBEAT's custom mode
+_NAV_STATES = {
+    modes.MANUAL.custom_mode: 0,
+    modes.ALTCTL.custom_mode: 1,
+    modes.POSCTL.custom_mode: 2,
+    modes.AUTO_MISSION.custom_mode: 3,
+    modes.AUTO_LOITER.custom_mode: 4,
+    modes.AUTO_RTL.custom_mode: 5,
+    modes.ACRO.custom_mode: 10,
+    modes.OFFBOARD.custom_mode: 14,
+    modes.STABILIZED.custom_mode: 15,
+    modes.AUTO_TAKEOFF.custom_mode: 17,
+    modes.AUTO_LAND.custom_mode: 18,
+    modes.AUTO_PRECLAND.custom_mode: 20,
+}
+_NAV_STATE_DESCEND = 12
+
+NAMES = (
+    "vehicle_status",
+    "vehicle_control_mode",
+    "actuator_armed",
+    "battery_status",
+    "home_position",
+    "position_setpoint_triplet",
+    "parameter_update",
+    "logger_status",
+    "vehicle_command",
+    "vehicle_command_ack",
+)
+FORMATS: dict[str, Format] = {name: message_format(name) for name in NAMES}
+
+
+def nav_state(mode: Mode) -> int:
+    """Return PX4's navigation state of ``mode``."""
+    return _NAV_STATE_DESCEND if mode is modes.DESCEND else _NAV_STATES[mode.custom_mode]
+
+
+class StatusTopics:
+    """Makes the messages of one vehicle, as bytes for its log."""
+
+    def __init__(self, commander: Commander, ids: dict[str, int]) -> None:
+        """Look at ``commander``'s vehicle; ``ids`` has the topics' message ids."""
+        self._commander = commander
+        self._messages = {name: data_template(FORMATS[name], ids[name]) for name in NAMES}
+        self._records: dict[str, Any] = {name: message["record"] for name, message in self._messages.items()}
+        self._out: list[bytes] = []
+        self._state: tuple[Any, ...] = ()
+        self._home: Any = None
+        self._goal: tuple[Any, ...] = ()
+        self._home_count = 0
+        self._parameter_count = 0
+        self._status_due_us = self._battery_due_us = 0
+        self._armed_us = self._took_off_us = self._nav_state_us = 0
+
+    def take(self) -> bytes:
+        """Return the messages made since the last call."""
+        data = b"".join(self._out)
+        self._out.clear()
+        return data
+
+    def _emit(self, name: str, now_us: int) -> None:
+        self._records[name]["timestamp"] = now_us
+        self._out.append(self._messages[name].tobytes())
+
+    def restart(self) -> None:
+        """Begin with everything, for a new log."""
+        self._out.clear()
+        self._state = self._goal = ()
+        self._home = None
+        self._status_due_us = self._battery_due_us = 0
+
+    def update(self, now_us: int) -> None:
+        """Make what is due or has changed; called at 10 Hz."""
+        c = self._commander
+        state = (c.armed, c.mode, c.failsafe, c.view.landed)
+        if state != self._state:
+            self._note(state, now_us)
+            self._publish_state(now_us)
+        elif now_us >= self._status_due_us:
+            self._publish_state(now_us)
+        if now_us >= self._battery_due_us:
+            self._publish_battery(now_us)
+        if c.home is not self._home:
+            self._publish_home(now_us)
+        goal = self._present_goal()
+        if goal != self._goal:
+            self._goal = goal
+            self._publish_goal(now_us)
+
+    def _note(self, state: tuple[Any, ...], now_us: int) -> None:
+        armed, mode, _, landed = state
+        before = self._state or (False, None, None, True)
+        if armed and not before[0]:
+            self._armed_us, self._took_off_us = now_us, 0
+        if not armed:
+            self._armed_us = self._took_off_us = 0
+        if before[3] and not landed:
+            self._took_off_us = now_us
+        if mode is not before[1]:
+            self._nav_state_us = now_us
+        self._state = state
+
+    def _publish_state(self, now_us: int) -> None:
+        self._status_due_us = now_us + STATUS_PERIOD_US
+        c = self._commander
+        mode = c.mode
+        status = self._records["vehicle_status"]
+        status["armed_time"] = self._armed_us
+        status["takeoff_time"] = self._took_off_us
+        status["arming_state"] = _ARMED if c.armed else _DISARMED
+        status["latest_arming_reason"] = _BY_COMMAND if c.armed else 0
+        status["nav_state_timestamp"] = self._nav_state_us
+        status["nav_state"] = nav_state(mode)
+        status["nav_state_user_intention"] = nav_state(c.requested_mode)
+        status["vehicle_type"] = _ROTARY_WING
+        status["failsafe"] = bool(c.failsafe.value)
+        status["system_type"] = int(c.parameters.get("MAV_TYPE")) & 0xFF
+        status["system_id"] = c.vehicle.system_id
+        status["component_id"] = 1
+        status["power_input_valid"] = True
+        status["pre_flight_checks_pass"] = c.armed or c.ready_to_arm
+        self._emit("vehicle_status", now_us)
+        self._publish_control_mode(mode, now_us)
+        armed = self._records["actuator_armed"]
+        armed["armed"] = c.armed
+        armed["ready_to_arm"] = status["pre_flight_checks_pass"]
+        self._emit("actuator_armed", now_us)
+
+    def _publish_control_mode(self, mode: Mode, now_us: int) -> None:
+        c = self._commander
+        task = int(c.view.setpoint["task"])
+        position = mode.needs_position and task not in (TASK_ATTITUDE, TASK_RATES)
+        altitude = position or mode in (modes.ALTCTL, modes.DESCEND)
+        r = self._records["vehicle_control_mode"]
+        r["flag_armed"] = c.armed
+        r["flag_control_manual_enabled"] = bool(mode.flags & modes.MANUAL.flags & ~1)
+        r["flag_control_auto_enabled"] = mode.main == modes.MAIN_AUTO
+        r["flag_control_offboard_enabled"] = mode is modes.OFFBOARD
+        r["flag_control_rates_enabled"] = True
+        r["flag_control_attitude_enabled"] = mode is not modes.ACRO and task != TASK_RATES
+        r["flag_control_velocity_enabled"] = r["flag_control_position_enabled"] = position
+        r["flag_multicopter_position_control_enabled"] = altitude
+        r["flag_control_altitude_enabled"] = r["flag_control_climb_rate_enabled"] = altitude
+        self._emit("vehicle_control_mode", now_us)
+
+    def _publish_battery(self, now_us: int) -> None:
+        self._battery_due_us = now_us + _BATTERY_PERIOD_US
+        get = self._commander.parameters.get
+        cells = int(get("BAT1_N_CELLS"))
+        voltage = cells * get("BAT1_V_CHARGED")
+        r = self._records["battery_status"]
+        r["connected"] = True
+        r["voltage_v"] = r["voltage_filtered_v"] = voltage
+        r["current_a"] = r["current_average_a"] = r["discharged_mah"] = -1.0
+        r["remaining"] = 1.0
+        r["scale"] = 1.0
+        r["time_remaining_s"] = r["temperature"] = math.nan
+        r["cell_count"] = cells
+        r["id"] = 1
+        self._emit("battery_status", now_us)
+
+    def _publish_home(self, now_us: int) -> None:
+        home = self._home = self._commander.home
+        if home is None:
+            return
+        self._home_count += 1
+        r = self._records["home_position"]
+        r["lat"], r["lon"], r["alt"] = home.latitude, home.longitude, home.altitude
+        r["x"], r["y"], r["z"] = home.position
+        r["yaw"] = home.yaw
+        r["valid_alt"] = r["valid_hpos"] = r["valid_lpos"] = True
+        r["update_count"] = self._home_count
+        self._emit("home_position", now_us)
+
+    # set-points of the AUTO modes
+
+    def _present_goal(self) -> tuple[Any, ...]:
+        c = self._commander
+        task = int(c.view.setpoint["task"])
+        if not c.armed or task not in (TASK_GOTO, TASK_LAND):
+            return (c.armed and task,)
+        s = c.view.setpoint
+        return (task, c.mode, s["goal_position"].tobytes(), s["goal_yaw"].tobytes(), s["cruise_speed"].tobytes())
+
+    def _publish_goal(self, now_us: int) -> None:
+        c = self._commander
+        r = self._records["position_setpoint_triplet"]
+        r["previous"] = r["current"]
+        current = r["current"]
+        current["timestamp"] = now_us
+        s = c.view.setpoint
+        if len(self._goal) == 1:
+            current["valid"] = False
+            current["type"] = _SETPOINT_IDLE
+        else:
+            goal = s["goal_position"].tolist()
+            here = c.view.position
+            place = tuple(h if math.isnan(g) else g for g, h in zip(goal, here, strict=True))
+            current["lat"], current["lon"], current["alt"] = c.view.to_global((place[0], place[1], place[2]))
+            current["valid"] = True
+            current["type"] = self._goal_type(int(s["task"]))
+            current["yaw"] = s["goal_yaw"]
+            current["yaw_valid"] = bool(np.isfinite(s["goal_yaw"]))
+            current["cruising_speed"] = -1.0 if np.isnan(s["cruise_speed"]) else s["cruise_speed"]
+            current["acceptance_radius"] = c.parameters.get("NAV_ACC_RAD")
+        self._emit("position_setpoint_triplet", now_us)
+
+    def _goal_type(self, task: int) -> int:
+        if task == TASK_LAND:
+            return _SETPOINT_LAND
+        mode = self._commander.mode
+        if mode is modes.AUTO_TAKEOFF:
+            return _SETPOINT_TAKEOFF
+        return _SETPOINT_LOITER if mode is modes.AUTO_LOITER else _SETPOINT_POSITION
+
+    # what others tell
+
+    def parameter_changed(self, now_us: int) -> None:
+        """Note that a parameter has another value."""
+        self._parameter_count += 1
+        r = self._records["parameter_update"]
+        r["instance"] = r["set_count"] = self._parameter_count
+        self._emit("parameter_update", now_us)
+
+    def written(self, kilobytes: float, rate: float, now_us: int) -> None:
+        """Note how much has been written: kB in all, and kB/s of late."""
+        r = self._records["logger_status"]
+        r["backend"] = 1  # a file
+        r["total_written_kb"], r["write_rate_kb_s"] = kilobytes, rate
+        r["num_messages"] = len(NAMES)
+        self._emit("logger_status", now_us)

@@ -1,0 +1,401 @@
+"""The topics that are sampled at a rate: how each is filled from the autopilot's records, for all vehicles at once.
+
+The logger keeps copies of the records as they were at many times; a topic's ``fill`` turns those into columns of the
+topic's message by a few operations of numpy over all vehicles and times. Local NED, body FRD, quaternions (w, x, y, z),
+SI units, as PX4 has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.autopilot import geo
+from xtdrone_control.autopilot.state import MAX_ROTORS
+
+EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0, as the telemetry has it
+
+_NAN = np.nan
+_PI = np.pi
+_GAS_CONSTANT = 287.1  # J/(kg K), dry air
+_KELVIN = 273.15
+_DISARMED_PULSE, _LEAST_PULSE, _PULSE_RANGE = 900.0, 1000.0, 1000.0  # us, as SERVO_OUTPUT_RAW has them
+
+# one device of each kind; PX4's ids are not zero, for zero is "none"
+_IMU_DEVICE, _MAG_DEVICE, _BARO_DEVICE, _GPS_DEVICE = 1310988, 197388, 6620172, 11469044
+
+# estimator_status.control_mode_flags
+_CS_TILT_ALIGN, _CS_YAW_ALIGN, _CS_GPS, _CS_MAG_HDG, _CS_IN_AIR, _CS_BARO_HGT = (1 << n for n in (0, 1, 2, 4, 7, 9))
+# estimator_status.solution_status_flags
+_SOLUTION_ATTITUDE, _SOLUTION_HORIZONTAL, _SOLUTION_VERTICAL = 1, 2 | 8 | 16, 4 | 32
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Records of all vehicles at several times, arrays of shape (times, vehicles) but for ``time_us``.
+
+    Attributes:
+        time_us: (times,) simulated time, microseconds.
+        sensors: ``state.SENSORS``.
+        estimator: ``state.ESTIMATOR``.
+        setpoint: ``state.SETPOINT``.
+        control: ``state.CONTROL``.
+        rotors: (vehicles,) how many rotors each has.
+    """
+
+    time_us: NDArray[np.int64]
+    sensors: np.ndarray
+    estimator: np.ndarray
+    setpoint: np.ndarray
+    control: np.ndarray
+    rotors: NDArray[np.int64]
+
+    def at(self, rows: NDArray[np.int64]) -> Samples:
+        """Return the samples of some of the times."""
+        return Samples(
+            self.time_us[rows],
+            self.sensors[rows],
+            self.estimator[rows],
+            self.setpoint[rows],
+            self.control[rows],
+            self.rotors,
+        )
+
+    @cached_property
+    def variances(self) -> Array:
+        """The diagonal of the estimator's covariance, shape (times, vehicles, states)."""
+        return np.maximum(np.diagonal(self.estimator["P"], axis1=2, axis2=3), 0.0)
+
+    @cached_property
+    def heading(self) -> Array:
+        """Estimated heading, rad, -pi..pi."""
+        return euler(self.estimator["q"])[2]
+
+    @cached_property
+    def horizontal_accuracy(self) -> Array:
+        """One standard deviation of the horizontal position, m."""
+        return np.sqrt(self.variances[..., 6] + self.variances[..., 7])
+
+    @cached_property
+    def vertical_accuracy(self) -> Array:
+        """One standard deviation of the height, m."""
+        return np.sqrt(self.variances[..., 8])
+
+    @cached_property
+    def places(self) -> tuple[Array, Array]:
+        """Estimated latitude and longitude, degrees."""
+        e = self.estimator
+        return reproject(e["position"][..., 0], e["position"][..., 1], e["origin_lat"], e["origin_lon"])
+
+
+def euler(q: Array) -> tuple[Array, Array, Array]:
+    """Return roll, pitch and yaw, rad, of quaternions of shape (..., 4)."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return roll, pitch, yaw
+
+
+def reproject(north: Array, east: Array, latitude: Array, longitude: Array) -> tuple[Array, Array]:
+    """Return latitude and longitude, degrees, of places ``north``, ``east`` m of an origin: ``geo.reproject``."""
+    x, y = north / geo.EARTH_RADIUS, east / geo.EARTH_RADIUS
+    angle = np.hypot(x, y)
+    share = np.sinc(angle / _PI)  # sin(angle) / angle, 1 at the origin itself
+    phi0 = np.radians(latitude)
+    phi = np.arcsin(np.clip(np.cos(angle) * np.sin(phi0) + x * share * np.cos(phi0), -1.0, 1.0))
+    turn = np.arctan2(y * share, np.cos(phi0) * np.cos(angle) - x * share * np.sin(phi0))
+    return np.degrees(phi), longitude + np.degrees(turn)
+
+
+Fill = Callable[[np.ndarray, Samples], None]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that is sampled.
+
+    Attributes:
+        name: PX4's.
+        period_us: least time between two messages, microseconds; 0: every step.
+        fill: writes the message's fields that vary. It gets records of shape (times, vehicles), zero but for the
+            timestamps and ``constants``, and the samples.
+        constants: fields that are the same in every message.
+        fresh: field of ``SENSORS`` that says whether there is a new sample; empty: there always is.
+    """
+
+    name: str
+    period_us: int
+    fill: Fill
+    constants: tuple[tuple[str, object], ...] = ()
+    fresh: str = ""
+
+
+TOPICS: list[Topic] = []
+
+
+def _topic(name: str, period_ms: int, fresh: str = "", **constants: object) -> Callable[[Fill], Fill]:
+    def add(fill: Fill) -> Fill:
+        TOPICS.append(Topic(name, period_ms * 1000, fill, tuple(constants.items()), fresh))
+        return fill
+
+    return add
+
+
+# sensors
+
+
+@_topic("sensor_combined", 0, gyro_integral_dt=4000, accelerometer_integral_dt=4000)
+def _sensor_combined(m: np.ndarray, s: Samples) -> None:
+    m["gyro_rad"] = s.sensors["gyro"]
+    m["accelerometer_m_s2"] = s.sensors["accel"]
+
+
+@_topic("vehicle_magnetometer", 200, fresh="mag_fresh", device_id=_MAG_DEVICE)
+def _magnetometer(m: np.ndarray, s: Samples) -> None:
+    m["magnetometer_ga"] = s.sensors["mag"]
+
+
+@_topic("vehicle_air_data", 200, fresh="baro_fresh", baro_device_id=_BARO_DEVICE)
+def _air_data(m: np.ndarray, s: Samples) -> None:
+    temperature = s.sensors["baro_temperature"]
+    m["baro_alt_meter"] = s.sensors["baro_alt"]
+    m["baro_temp_celcius"] = temperature
+    m["baro_pressure_pa"] = s.sensors["baro_pressure"]
+    m["rho"] = s.sensors["baro_pressure"] / (_GAS_CONSTANT * (temperature + _KELVIN))
+
+
+def _gps(m: np.ndarray, s: Samples) -> None:
+    gps = s.sensors
+    velocity = gps["gps_vel"]
+    m["lat"] = np.rint(gps["gps_lat"] * 1e7)
+    m["lon"] = np.rint(gps["gps_lon"] * 1e7)
+    m["alt"] = m["alt_ellipsoid"] = np.rint(gps["gps_alt"] * 1e3)
+    m["s_variance_m_s"] = gps["gps_speed_accuracy"]
+    m["fix_type"] = gps["gps_fix"]
+    m["eph"] = gps["gps_eph"]
+    m["epv"] = gps["gps_epv"]
+    m["vel_m_s"] = np.hypot(velocity[..., 0], velocity[..., 1])
+    m["vel_n_m_s"], m["vel_e_m_s"], m["vel_d_m_s"] = np.moveaxis(velocity, -1, 0)
+    m["cog_rad"] = np.arctan2(velocity[..., 1], velocity[..., 0])
+    m["vel_ned_valid"] = gps["gps_fix"] >= 3
+    m["time_utc_usec"] = EPOCH_US + s.time_us[:, None]
+    m["satellites_used"] = gps["gps_satellites"]
+
+
+_GPS_CONSTANTS = {"device_id": _GPS_DEVICE, "heading": _NAN, "heading_offset": _NAN, "hdop": 0.7, "vdop": 1.1}
+_topic("vehicle_gps_position", 100, fresh="gps_fresh", **_GPS_CONSTANTS)(_gps)
+_topic("sensor_gps", 1000, fresh="gps_fresh", **_GPS_CONSTANTS)(_gps)
+
+
+# estimates
+
+
+@_topic("vehicle_attitude", 40, delta_q_reset=(1.0, 0.0, 0.0, 0.0))
+def _attitude(m: np.ndarray, s: Samples) -> None:
+    m["q"] = s.estimator["q"]
+    m["quat_reset_counter"] = s.estimator["reset_counter"] & 0xFF
+
+
+@_topic("vehicle_angular_velocity", 20)
+def _angular_velocity(m: np.ndarray, s: Samples) -> None:
+    m["xyz"] = s.estimator["rates"]
+    m["xyz_derivative"] = s.estimator["angular_acceleration"]
+
+
+@_topic("vehicle_acceleration", 40)
+def _acceleration(m: np.ndarray, s: Samples) -> None:
+    m["xyz"] = s.sensors["accel"] - s.estimator["accel_bias"]
+
+
+@_topic("vehicle_local_position", 100, dist_bottom=_NAN, vxy_max=_NAN, vz_max=_NAN, hagl_min=_NAN, hagl_max=_NAN)
+def _local_position(m: np.ndarray, s: Samples) -> None:
+    e = s.estimator
+    m["xy_valid"] = m["v_xy_valid"] = e["position_valid"]
+    m["z_valid"] = m["v_z_valid"] = e["altitude_valid"]
+    m["x"], m["y"], m["z"] = np.moveaxis(e["position"], -1, 0)
+    m["vx"], m["vy"], m["vz"] = np.moveaxis(e["velocity"], -1, 0)
+    m["z_deriv"] = e["velocity"][..., 2]
+    m["ax"], m["ay"], m["az"] = np.moveaxis(e["velocity_dot"], -1, 0)
+    m["heading"] = s.heading
+    m["heading_good_for_control"] = e["initialised"]
+    m["xy_reset_counter"] = m["z_reset_counter"] = e["reset_counter"] & 0xFF
+    m["vxy_reset_counter"] = m["vz_reset_counter"] = m["heading_reset_counter"] = e["reset_counter"] & 0xFF
+    m["xy_global"] = m["z_global"] = e["origin_set"]
+    m["ref_lat"], m["ref_lon"], m["ref_alt"] = e["origin_lat"], e["origin_lon"], e["origin_alt"]
+    m["eph"], m["epv"] = s.horizontal_accuracy, s.vertical_accuracy
+    m["evh"] = np.sqrt(s.variances[..., 3] + s.variances[..., 4])
+    m["evv"] = np.sqrt(s.variances[..., 5])
+
+
+@_topic("vehicle_global_position", 200, terrain_alt=_NAN)
+def _global_position(m: np.ndarray, s: Samples) -> None:
+    e = s.estimator
+    m["lat"], m["lon"] = s.places
+    m["alt"] = m["alt_ellipsoid"] = e["origin_alt"] - e["position"][..., 2]
+    m["lat_lon_reset_counter"] = m["alt_reset_counter"] = e["reset_counter"] & 0xFF
+    m["eph"], m["epv"] = s.horizontal_accuracy, s.vertical_accuracy
+
+
+def _control_flags(s: Samples) -> NDArray[np.int64]:
+    e = s.estimator
+    return (
+        e["initialised"] * np.int64(_CS_TILT_ALIGN | _CS_YAW_ALIGN | _CS_MAG_HDG)
+        + e["position_valid"] * np.int64(_CS_GPS)
+        + e["altitude_valid"] * np.int64(_CS_BARO_HGT)
+        + (s.control["landed"] == 0) * np.int64(_CS_IN_AIR)
+    )
+
+
+@_topic(
+    "estimator_status",
+    200,
+    accel_device_id=_IMU_DEVICE,
+    gyro_device_id=_IMU_DEVICE,
+    baro_device_id=_BARO_DEVICE,
+    mag_device_id=_MAG_DEVICE,
+)
+def _estimator_status(m: np.ndarray, s: Samples) -> None:
+    e = s.estimator
+    m["control_mode_flags"] = _control_flags(s)
+    m["pos_horiz_accuracy"], m["pos_vert_accuracy"] = s.horizontal_accuracy, s.vertical_accuracy
+    for name in ("vel", "pos", "hgt", "mag"):
+        m[f"{name}_test_ratio"] = e[f"test_ratio_{name}"]
+    failed = [(e[f"test_ratio_{name}"] > 1.0) << bit for name, bit in (("vel", 0), ("pos", 1), ("hgt", 2), ("mag", 6))]
+    m["innovation_check_flags"] = sum(failed)
+    m["solution_status_flags"] = (
+        e["initialised"] * _SOLUTION_ATTITUDE
+        + e["position_valid"] * _SOLUTION_HORIZONTAL
+        + e["altitude_valid"] * _SOLUTION_VERTICAL
+    )
+    for name in ("vel_ne", "vel_d", "pos_ne", "pod_d", "quat"):
+        m[f"reset_count_{name}"] = e["reset_counter"] & 0xFF
+    m["mag_strength_gs"] = np.linalg.norm(s.sensors["mag"], axis=-1)
+
+
+@_topic("estimator_status_flags", 1000)
+def _estimator_status_flags(m: np.ndarray, s: Samples) -> None:
+    flags = _control_flags(s)
+    for bit, name in enumerate(name for name in m.dtype.names or () if name.startswith("cs_")):
+        m[name] = flags >> bit & 1
+    m["reject_hor_vel"] = m["reject_ver_vel"] = s.estimator["test_ratio_vel"] > 1.0
+    m["reject_hor_pos"] = s.estimator["test_ratio_pos"] > 1.0
+    m["reject_ver_pos"] = s.estimator["test_ratio_hgt"] > 1.0
+    m["reject_yaw"] = s.estimator["test_ratio_mag"] > 1.0
+
+
+@_topic("estimator_innovations", 200)
+def _innovations(m: np.ndarray, s: Samples) -> None:
+    e = s.estimator
+    m["gps_hvel"], m["gps_vvel"] = e["innov_vel"][..., :2], e["innov_vel"][..., 2]
+    m["gps_hpos"], m["gps_vpos"] = e["innov_pos"][..., :2], e["innov_pos"][..., 2]
+    m["baro_vpos"] = e["innov_hgt"]
+    m["heading"] = e["innov_yaw"]
+
+
+@_topic("estimator_innovation_test_ratios", 200)
+def _test_ratios(m: np.ndarray, s: Samples) -> None:
+    e = s.estimator
+    m["gps_hvel"][..., 0] = e["test_ratio_vel"]  # a vector's ratio stands in its first element
+    m["gps_hpos"][..., 0] = e["test_ratio_pos"]
+    m["baro_vpos"] = e["test_ratio_hgt"]
+    m["heading"] = e["test_ratio_mag"]
+
+
+@_topic("estimator_states", 500, n_states=24)
+def _states(m: np.ndarray, s: Samples) -> None:
+    e = s.estimator
+    parts = ("q", "velocity", "position", "gyro_bias", "accel_bias")
+    first = 0
+    for part in parts:
+        size = e[part].shape[-1]
+        m["states"][..., first : first + size] = e[part]
+        first += size
+    m["covariances"][..., :15] = s.variances[..., :15]
+
+
+@_topic("hover_thrust_estimate", 100)
+def _hover_thrust(m: np.ndarray, s: Samples) -> None:
+    m["hover_thrust"] = s.control["hover_thrust"]
+    m["valid"] = s.control["landed"] == 0
+
+
+@_topic("vehicle_land_detected", 100)
+def _land_detected(m: np.ndarray, s: Samples) -> None:
+    for name in ("freefall", "ground_contact", "maybe_landed", "landed"):
+        m[name] = s.control[name]
+
+
+# what the controllers follow
+
+
+@_topic("trajectory_setpoint", 200, jerk=_NAN)
+def _trajectory_setpoint(m: np.ndarray, s: Samples) -> None:
+    for name in ("position", "velocity", "acceleration"):
+        m[name] = s.control[f"sp_{name}"]
+    m["yaw"], m["yawspeed"] = s.control["sp_yaw"], s.control["sp_yaw_rate"]
+
+
+@_topic("vehicle_local_position_setpoint", 100, jerk=_NAN)
+def _local_position_setpoint(m: np.ndarray, s: Samples) -> None:
+    c = s.control
+    m["x"], m["y"], m["z"] = np.moveaxis(c["sp_position"], -1, 0)
+    m["vx"], m["vy"], m["vz"] = np.moveaxis(c["sp_velocity"], -1, 0)
+    m["acceleration"] = c["sp_acceleration"]
+    m["thrust"] = c["sp_thrust_vector"]
+    m["yaw"], m["yawspeed"] = c["sp_yaw"], c["sp_yaw_rate"]
+
+
+@_topic("vehicle_attitude_setpoint", 40)
+def _attitude_setpoint(m: np.ndarray, s: Samples) -> None:
+    m["roll_body"], m["pitch_body"], m["yaw_body"] = euler(s.control["sp_q"])
+    m["yaw_sp_move_rate"] = np.nan_to_num(s.control["sp_yaw_rate"])
+    m["q_d"] = s.control["sp_q"]
+    m["thrust_body"][..., 2] = -s.control["sp_thrust"]
+
+
+@_topic("vehicle_rates_setpoint", 20)
+def _rates_setpoint(m: np.ndarray, s: Samples) -> None:
+    m["roll"], m["pitch"], m["yaw"] = np.moveaxis(s.control["sp_rates"], -1, 0)
+    m["thrust_body"][..., 2] = -s.control["sp_thrust"]
+
+
+@_topic("rate_ctrl_status", 200)
+def _rate_control_status(m: np.ndarray, s: Samples) -> None:
+    integral = np.moveaxis(s.control["rate_integral"], -1, 0)
+    m["rollspeed_integ"], m["pitchspeed_integ"], m["yawspeed_integ"] = integral
+
+
+@_topic("vehicle_thrust_setpoint", 20)
+def _thrust_setpoint(m: np.ndarray, s: Samples) -> None:
+    m["xyz"][..., 2] = -s.control["sp_thrust"]
+
+
+@_topic("vehicle_torque_setpoint", 20)
+def _torque_setpoint(m: np.ndarray, s: Samples) -> None:
+    m["xyz"] = s.control["sp_torque"]
+
+
+@_topic("actuator_motors", 100, control=_NAN)
+def _motors(m: np.ndarray, s: Samples) -> None:
+    there = (np.arange(MAX_ROTORS) < s.rotors[:, None]) & (s.setpoint["armed"] != 0)[..., None]
+    m["control"][..., :MAX_ROTORS] = np.where(there, s.control["actuators"], _NAN)
+
+
+@_topic("actuator_outputs", 100)
+def _outputs(m: np.ndarray, s: Samples) -> None:
+    armed = (s.setpoint["armed"] != 0)[..., None]
+    pulses = np.where(armed, _LEAST_PULSE + _PULSE_RANGE * s.control["actuators"], _DISARMED_PULSE)
+    m["noutputs"] = s.rotors
+    m["output"][..., :MAX_ROTORS] = np.where(np.arange(MAX_ROTORS) < s.rotors[:, None], pulses, 0.0)
+
+
+@_topic("takeoff_status", 1000)
+def _takeoff_status(m: np.ndarray, s: Samples) -> None:
+    m["takeoff_state"] = s.control["takeoff_state"] + 1  # PX4 counts from 1, 0 is "not initialised"
