@@ -169,6 +169,7 @@ class MissionService(Service):
                 tell(mavlink.MAVLink_mission_item_reached_message(reached))
         if current != self._told_current:
             self._told_current = current
+            self._repeat_us = now_us + _REPEAT_US
             tell(mavlink.MAVLink_mission_current_message(current))
         elif now_us >= self._repeat_us:
             self._repeat_us = now_us + _REPEAT_US

@@ -1,0 +1,190 @@
+"""Where a return goes to, geofence breaches, and landing on a target."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from mission_fakes import MissionFlight, at
+
+from xtdrone_control.autopilot import modes, plan
+from xtdrone_control.autopilot.precision_landing import from_angles
+from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
+
+
+def flying(north=0.0, east=0.0, **parameters):
+    flight = MissionFlight(**parameters)
+    flight.hover()
+    flight.place(north, east, -10)
+    return flight
+
+
+RALLY = (at(100, 0, 0, plan.RALLY_POINT), at(0, 100, 20, plan.RALLY_POINT))
+LANDING = (at(0, 0, command=plan.TAKEOFF), at(-50, 0), at(-100, 0, 0, plan.LAND))
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "name", "goal"),
+    [
+        (0, (10, 10), "home position", (0, 0)),
+        (0, (80, 10), "safe landing point", (100, 0)),
+        (0, (-80, 0), "home position", (0, 0)),
+        (1, (-40, 0), "mission landing", (-100, 0)),
+        (2, (95, 0), "mission landing", (-100, 0)),
+        (3, (-80, 0), "mission landing", (-100, 0)),
+        (3, (-10, 0), "home position", (0, 0)),
+        (3, (0, 80), "safe landing point", (0, 100)),
+    ],
+)
+def test_destinations(kind, place, name, goal):
+    flight = flying(*place, RTL_TYPE=kind)
+    flight.load(*RALLY, kind=plan.RALLY)
+    flight.load(*LANDING)
+    flight.texts()
+    flight.commander.request(modes.AUTO_RTL)
+    assert f"RTL: landing at {name}." in flight.texts()
+    flight.run(0.2)
+    flight.follow()
+    flight.run(0.1)
+    assert flight.goal()[:2] == list(goal)
+
+
+def test_heights_are_over_the_destination():
+    flight = flying(0.0, 70.0)
+    flight.load(*RALLY, kind=plan.RALLY)
+    flight.commander.request(modes.AUTO_RTL)
+    assert flight.goal() == [0, 70, -50]
+    assert "RTL: climb to 538 m (30 m above destination)" in flight.texts()
+    for _ in range(4):
+        flight.tick()
+    assert flight.goal()[:2] == [0, 100]
+    assert flight.setpoint["task"] == TASK_LAND
+
+
+def test_waiting_at_the_end():
+    flight = flying(40.0, RTL_LAND_DELAY=2.0)
+    flight.commander.request(modes.AUTO_RTL)
+    for _ in range(4):
+        flight.tick()
+    assert "RTL: loiter 2.0s" in flight.texts()
+    assert flight.setpoint["task"] == TASK_GOTO
+    flight.run(2.1)
+    assert flight.setpoint["task"] == TASK_LAND
+
+
+# geofence
+
+
+def test_no_fence_no_breach():
+    assert flying(5000).commander.navigator.geofence_breach() == ""
+
+
+@pytest.mark.parametrize(
+    ("parameters", "place", "breach"),
+    [
+        ({"GF_MAX_HOR_DIST": 50}, (49, 0, -10), ""),
+        ({"GF_MAX_HOR_DIST": 50}, (40, 40, -10), "Maximum distance from home exceeded by 6.6 m"),
+        ({"GF_MAX_VER_DIST": 30}, (0, 0, -31), "Maximum altitude above home exceeded by 1.0 m"),
+        ({"GF_MAX_VER_DIST": 30, "GF_ACTION": 0}, (0, 0, -31), ""),
+    ],
+)
+def test_distances_from_home(parameters, place, breach):
+    flight = flying(**parameters)
+    flight.place(*place)
+    assert flight.commander.navigator.geofence_breach() == breach
+
+
+def test_areas():
+    flight = flying()
+    navigator = flight.commander.navigator
+    corners = [(-20, -20), (20, -20), (20, 20), (-20, 20)]
+    square = [at(n, e, 0, plan.FENCE_INCLUSION, 4.0) for n, e in corners]
+    flight.load(*square, at(0, 10, 0, plan.FENCE_CIRCLE_EXCLUSION, 5.0), kind=plan.FENCE)
+    for place, allowed in [
+        ((0, 0), True),
+        ((19.9, -19.9), True),
+        ((20.1, 0), False),
+        ((0, 10), False),
+        ((0, 4.9), True),
+    ]:
+        flight.place(*place, -10)
+        assert (navigator.geofence_breach() == "") is allowed, place
+    flight.load(kind=plan.FENCE)
+    flight.place(50, 0, -10)
+    assert navigator.geofence_breach() == ""
+
+
+def test_prediction_looks_where_the_vehicle_stops():
+    flight = flying(GF_MAX_HOR_DIST=50, GF_PREDICT=1)
+    flight.place(45, 0, -10)
+    assert flight.commander.navigator.geofence_breach() == ""
+    flight.autopilot.estimator[0]["velocity"] = (6.0, 0.0, 0.0)  # stops after 6 m
+    assert flight.commander.navigator.geofence_breach() == "Maximum distance from home exceeded by 1.0 m"
+
+
+def test_the_source_can_be_the_gps():
+    flight = flying(GF_MAX_HOR_DIST=50, GF_SOURCE=1)
+    latitude, longitude, altitude = flight.commander.view.to_global((60.0, 0.0, -10.0))
+    for field, value in (("gps_lat", latitude), ("gps_lon", longitude), ("gps_alt", altitude)):
+        flight.autopilot.sensors[0][field] = value
+    assert "10.0 m" in flight.commander.navigator.geofence_breach()
+
+
+# precision landing
+
+
+def see(flight, north, east):
+    flight.commander.navigator.see_landing_target((north, east, 0.0))
+
+
+def test_a_target_is_approached_and_landed_on():
+    flight = flying()
+    see(flight, 2.0, 1.0)
+    assert flight.commander.request(modes.AUTO_PRECLAND) == 0
+    assert (flight.setpoint["task"], flight.goal()) == (TASK_GOTO, [2, 1, -10])
+    flight.follow()
+    flight.run(1.3, lambda: see(flight, 2.0, 1.0))
+    assert flight.setpoint["task"] == TASK_LAND
+    flight.run(0.2, lambda: see(flight, 2.2, 1.1))  # the nearer, the better it is seen
+    assert flight.goal() == [2.2, 1.1, 0]
+    flight.place(2.2, 1.1, -0.05)
+    flight.run(0.1, lambda: see(flight, 9.0, 9.0))
+    assert flight.goal() == [2.2, 1.1, 0]
+
+
+def test_a_target_that_is_lost_is_searched_for():
+    flight = flying()
+    see(flight, 2.0, 1.0)
+    flight.commander.request(modes.AUTO_PRECLAND)
+    flight.run(5.2)
+    assert "Lost landing target while landing" in flight.texts()
+    assert (flight.setpoint["task"], flight.goal()) == (TASK_GOTO, [0, 0, -10])
+    flight.run(3.0)
+    see(flight, -1.0, 0.0)
+    flight.run(0.1)
+    assert flight.goal()[:2] == [-1, 0]
+
+
+def test_without_a_target_it_lands_after_a_search():
+    flight = flying()
+    flight.commander.request(modes.AUTO_PRECLAND)
+    flight.run(0.3)
+    assert flight.setpoint["task"] == TASK_GOTO
+    flight.run(10.0)
+    assert flight.setpoint["task"] == TASK_LAND
+    assert "Search timed out, landing normally" in flight.texts()
+
+
+@pytest.mark.parametrize(("mode", "task"), [(0.0, TASK_LAND), (1.0, TASK_LAND), (2.0, TASK_GOTO)])
+def test_a_mission_lands_precisely_as_its_item_says(mode, task):
+    flight = flying()
+    flight.load(at(0, 0), at(0, 0, 0, plan.LAND, 0, mode))
+    flight.commander.request(modes.AUTO_MISSION)
+    flight.tick()
+    assert flight.setpoint["task"] == task
+
+
+def test_angles_to_a_place():
+    place = from_angles(math.atan(0.5), math.atan(0.25), 8.0, (10.0, 20.0, -8.0), math.pi / 2)
+    assert place == pytest.approx((8.0, 24.0, 0.0))
+    assert math.isnan(from_angles(2.0, 0.0, 8.0, (0.0, 0.0, -8.0), 0.0)[0])
