@@ -32,8 +32,13 @@ class FakeAutopilot:
         self.estimator["q"][:, 0] = 1.0
         self.control["sp_q"][:, 0] = 1.0
         self.control["landed"] = 1
-        for field in ("initialised", "position_valid", "altitude_valid", "origin_set"):
+        for field in ("initialised", "attitude_valid", "velocity_valid", "position_valid", "altitude_valid"):
             self.estimator[field] = 1
+        for field in ("global_valid", "heading_good", "gps_good", "baro_good", "mag_good", "origin_set", "located"):
+            self.estimator[field] = 1
+        for field in ("heading_aligned", "mag_used", "gps_used"):
+            self.estimator[field] = 1
+        self.estimator["flags"] = 831  # as PX4 on the ground with GPS
         for field, value in zip(("origin_lat", "origin_lon", "origin_alt"), ORIGIN, strict=True):
             self.estimator[field] = value
         self.sensors["gps_fix"] = 3

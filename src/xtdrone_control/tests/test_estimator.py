@@ -10,7 +10,7 @@ import pytest
 from xtdrone_control.autopilot import estimator, geo
 from xtdrone_control.autopilot.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.rotation import from_euler, integrate, rotate_inverse
-from xtdrone_control.autopilot.state import ESTIMATOR, SENSORS
+from xtdrone_control.autopilot.state import ESTIMATOR, N_STATES, SENSORS
 
 DT = 0.004
 DATUM = (47.397742, 8.545594, 488.0)
@@ -44,7 +44,7 @@ class Flight:
         self.gps = True
         self.gps_offset = np.zeros(3)
         self.k = 0
-        self.work = np.zeros((2, 15))
+        self.work = np.zeros((2, N_STATES))
 
     def truth(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity, acceleration (NED); at rest for 2 s, then a circle that starts from rest."""
@@ -86,6 +86,7 @@ class Flight:
         s["gps_lat"], s["gps_lon"] = geo.reproject(noisy[0], noisy[1], DATUM[0], DATUM[1])
         s["gps_alt"] = DATUM[2] - noisy[2]
         s["gps_vel"] = velocity + 0.05 * self.rng.standard_normal(3)
+        s["gps_satellites"] = 12
         s["gps_fix"], s["gps_eph"], s["gps_epv"], s["gps_speed_accuracy"] = 3, 0.05, 0.05, 0.05
         estimator.update(self.e[0], s, self.p[0], DT, self.work)
 
@@ -133,13 +134,14 @@ def test_covariance_prediction_equals_the_dense_product():
     def cross(v):
         return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
-    phi = np.eye(15)
+    phi = np.eye(N_STATES)
     phi[0:3, 0:3] -= cross(e["delta_angle"][0])
     phi[0:3, 9:12] = -dt * np.eye(3)
     phi[3:6, 0:3] = -rotation @ cross(e["delta_velocity"][0])
     phi[3:6, 12:15] = -dt * rotation
     phi[6:9, 3:6] = dt * np.eye(3)
-    noise = np.repeat([p["ekf2_gyr_noise"], p["ekf2_acc_noise"], 0.0, p["ekf2_gyr_b_noise"], p["ekf2_acc_b_noise"]], 3)
+    names = ("ekf2_gyr_noise", "ekf2_acc_noise", None, "ekf2_gyr_b_noise", "ekf2_acc_b_noise", "ekf2_mag_b_noise")
+    noise = np.repeat([p[name] if name else 0.0 for name in names], 3)
     estimator.predict_covariance(e[0], p)
     np.testing.assert_allclose(e["P"][0], phi @ before @ phi.T + np.diag((noise * dt) ** 2), rtol=1e-9, atol=1e-12)
 

@@ -297,7 +297,8 @@ def test_content(world):
     a.place(0, 10.0, -20.0, -30.0, yaw=math.radians(-90.0))
     a.estimator[0]["velocity"] = (1.0, 2.0, -0.5)
     a.estimator[0]["rates"] = (0.1, 0.2, 0.3)
-    a.estimator[0]["P"] = 0.04 * np.eye(15)
+    a.estimator[0]["P"] = 0.04 * np.eye(len(a.estimator[0]["P"]))
+    a.estimator[0]["epv"] = 0.2
     a.sensors[0]["gps_vel"] = (0.0, -2.0, 0.0)
     a.sensors[0]["gps_eph"] = 0.9
     a.sensors[0]["baro_pressure"] = 95598.0

@@ -91,7 +91,10 @@ class Simulation:
     def step(self) -> None:
         """Advance everything by one step."""
         autopilot = self.autopilots.autopilot
-        self.world.step(autopilot.control["actuators"], autopilot.setpoint["armed"])
+        commands = autopilot.control["actuators"]
+        if self.sensors.failing.any:
+            commands = self.sensors.failing.motors(commands)
+        self.world.step(commands, autopilot.setpoint["armed"])
         self.time_us += STEP_US
         self.sensors.sample(self._steps, self.time_us)
         self.autopilots.step()

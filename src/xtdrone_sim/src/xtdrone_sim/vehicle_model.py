@@ -61,10 +61,23 @@ MODEL = np.dtype(
         ("gps_wander", "f8"),
         ("gps_wander_time", "f8"),
         ("gps_satellites", "i8"),
+        ("gps_hdop", "f8"),
+        ("gps_vdop", "f8"),
+        ("flow_fitted", "i8"),  # 1: it has such a sensor
+        ("flow_noise", "f8"),  # rad/s
+        ("flow_gyro_noise", "f8"),  # rad/s
+        ("flow_least", "f8"),  # m, range within which it sees the ground's texture
+        ("flow_largest", "f8"),
+        ("range_fitted", "i8"),
+        ("range_noise", "f8"),  # m
+        ("range_least", "f8"),
+        ("range_largest", "f8"),
     ],
     align=True,
 )
 
+# sensors that a vehicle may lack: section, prefix of the record's fields
+_OPTIONAL_SENSORS = (("optical_flow", "flow"), ("range_finder", "range"))
 _DIRECTIONS = {"ccw": 1.0, "cw": -1.0}
 _ROTOR_FIELDS = (
     "thrust_constant",
@@ -210,3 +223,7 @@ def _fill_sensors(record: np.void, sensors: dict[str, Any]) -> None:
     for prefix, sensor in (("mag", "magnetometer"), ("baro", "barometer"), ("gps", "gps")):
         for field, value in sensors[sensor].items():
             record[f"{prefix}_{field}"] = value
+    for section, prefix in _OPTIONAL_SENSORS:
+        for field, value in (sensors.get(section) or {}).items():
+            record[f"{prefix}_{field}"] = float(value)
+            record[f"{prefix}_fitted"] = 1

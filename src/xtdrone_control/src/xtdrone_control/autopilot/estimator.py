@@ -1,31 +1,34 @@
-"""Error-state extended Kalman filter over IMU, GPS, barometer and magnetometer; one vehicle a call.
+"""Error-state extended Kalman filter over the IMU and whatever else measures the vehicle's state; one vehicle a call.
 
-The nominal state is attitude, velocity, position and the two IMU biases; the error state is the 15-vector
-``(dtheta, dv, dp, dbg, dba)`` with dtheta a rotation vector in the body frame, so that q_true = q * exp(dtheta)
-(J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, chapters 5 and 6). The nominal state is
-propagated with every IMU sample, the covariance every ``COVARIANCE_PERIOD`` with the increments summed in between, as
-PX4's EKF2 does at its own rate; measurements are fused as scalars in sequence, each with an innovation gate. Noise
-parameters have the names and meaning of PX4's EKF2.
+The nominal state is attitude, velocity, position and the biases of gyroscope, accelerometer and magnetometer; the error
+state is the 18-vector ``(dtheta, dv, dp, dbg, dba, dbm)`` with dtheta a rotation vector in the body frame, so that
+q_true = q * exp(dtheta) (J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, chapters 5 and 6).
+The nominal state is propagated with every IMU sample, the covariance every ``COVARIANCE_PERIOD`` with the increments
+summed in between, as PX4's EKF2 does at its own rate; measurements are fused as scalars in sequence, each with an
+innovation gate: the updates are in ``estimator_fusion``, which sensor is used when is in ``estimator_sources``.
+
+Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused when they come, so the
+EKF2_*_DELAY have no counterpart; there is one filter, not one an IMU; no wind, drag, side-slip or air-speed; the
+magnetometer's heading is fused, its bias estimated with it, never its three axes; GPS drift on the ground is not
+checked (EKF2_GPS_CHECK bits 32 to 256).
 """
 
 from __future__ import annotations
 
 import math
 
-from . import geo
+from .estimator_fusion import BA, BG, BM, POS, THETA, VEL, set_yaw_variance
+from .estimator_sources import fuse_sources, note_imu, update_status
 from .kernel import kernel
-from .rotation import constrain, from_euler, integrate, rotate, wrap_pi
+from .rotation import constrain, from_euler, integrate, rotate
 from .state import N_STATES
 
 GRAVITY = 9.80665  # m/s^2
 COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whole IMU samples
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
+_LONGEST_ALIGNMENT = 500  # IMU samples after which it goes on without a magnetometer
 _MIN_MAG_SAMPLES = 5
-_THETA, _VEL, _POS, _BG, _BA = 0, 3, 6, 9, 12
-_YAW_INIT_STD = 0.1  # rad, from the averaged magnetometer
-_TILT_INIT_STD = 0.05  # rad, from the averaged accelerometer
-
-_project = kernel(geo.project)
+_YAW_UNKNOWN_STD = 1.0  # rad, before the magnetometer has been fused
 
 
 @kernel
@@ -38,29 +41,54 @@ def align(e, s, p):
         for i in range(3):
             e.mag_mean[i] += s.mag[i]
         e.mag_samples += 1
-    if e.samples < ALIGNMENT_SAMPLES or e.mag_samples < _MIN_MAG_SAMPLES:
+    wants_mag = int(p.ekf2_mag_type) != 5
+    no_mag = not wants_mag or e.samples >= _LONGEST_ALIGNMENT
+    if e.samples < ALIGNMENT_SAMPLES or (e.mag_samples < _MIN_MAG_SAMPLES and not no_mag):
         return
     ax, ay, az = e.accel_mean[0], e.accel_mean[1], e.accel_mean[2]
     roll = math.atan2(-ay, -az)
     pitch = math.atan2(ax, math.sqrt(ay * ay + az * az))
-    level = from_euler(roll, pitch, 0.0)
-    mx, my, _ = rotate(level, e.mag_mean[0], e.mag_mean[1], e.mag_mean[2])
-    yaw = math.radians(p.ekf2_mag_decl) - math.atan2(my, mx)
+    yaw = 0.0
+    if wants_mag and e.mag_samples >= _MIN_MAG_SAMPLES:
+        level = from_euler(roll, pitch, 0.0)
+        mx, my, _ = rotate(level, e.mag_mean[0], e.mag_mean[1], e.mag_mean[2])
+        yaw = math.radians(p.ekf2_mag_decl) - math.atan2(my, mx)
+        e.heading_aligned = 1
+        e.time_heading_fuse_us = s.time_us
     q = from_euler(roll, pitch, yaw)
     for i in range(4):
         e.q[i] = q[i]
+    _first_covariance(e, p)
+    e.initialised = e.attitude_valid = 1
+    e.time_aligned_us = s.time_us
+
+
+@kernel
+def _first_covariance(e, p):
+    """Set the covariance after the alignment.
+
+    An accelerometer bias b tilts the aligned attitude by (d x b) / g^2, d the specific force at rest in the body frame:
+    both are one error seen twice, and must be correlated from the start.
+    """
     for i in range(N_STATES):
         for j in range(N_STATES):
             e.P[i, j] = 0.0
-    for i in range(2):
-        e.P[_THETA + i, _THETA + i] = _TILT_INIT_STD**2
-    e.P[2, 2] = _YAW_INIT_STD**2
     for i in range(3):
-        e.P[_VEL + i, _VEL + i] = p.ekf2_gps_v_noise**2
-        e.P[_POS + i, _POS + i] = p.ekf2_gps_p_noise**2
-        e.P[_BG + i, _BG + i] = p.ekf2_gbias_init**2
-        e.P[_BA + i, _BA + i] = p.ekf2_abias_init**2
-    e.initialised = 1
+        e.P[VEL + i, VEL + i] = p.ekf2_gps_v_noise**2
+        e.P[POS + i, POS + i] = p.ekf2_gps_p_noise**2
+        e.P[BG + i, BG + i] = p.ekf2_gbias_init**2
+        e.P[BA + i, BA + i] = p.ekf2_abias_init**2
+        e.P[BM + i, BM + i] = p.ekf2_mag_noise**2
+        e.P[THETA + i, THETA + i] = p.ekf2_angerr_init**2
+    set_yaw_variance(e, _YAW_UNKNOWN_STD**2)
+    dx, dy, dz = rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), 0.0, 0.0, -1.0)
+    g = ((0.0, -dz, dy), (dz, 0.0, -dx), (-dy, dx, 0.0))  # [d]x, d of length 1
+    variance = p.ekf2_abias_init**2
+    for i in range(3):
+        for j in range(3):
+            e.P[THETA + i, BA + j] = e.P[BA + j, THETA + i] = g[i][j] / GRAVITY * variance
+            along = g[i][0] * g[j][0] + g[i][1] * g[j][1] + g[i][2] * g[j][2]
+            e.P[THETA + i, THETA + j] += along * variance / GRAVITY**2
 
 
 @kernel
@@ -144,7 +172,7 @@ def predict_covariance(e, p):
         P[0, j] = t0 + daz * t1 - day * t2 - dt * P[9, j]
         P[1, j] = t1 - daz * t0 + dax * t2 - dt * P[10, j]
         P[2, j] = t2 + day * t0 - dax * t1 - dt * P[11, j]
-    # columns: P <- P Phi'
+    # columns: P <- P Phi'; the biases' own block is what it was
     for i in range(N_STATES):
         t0, t1, t2 = P[i, 0], P[i, 1], P[i, 2]
         P[i, 6] += dt * P[i, 3]
@@ -162,11 +190,13 @@ def predict_covariance(e, p):
     velocity_variance = (p.ekf2_acc_noise * dt) ** 2
     gyro_bias_variance = (p.ekf2_gyr_b_noise * dt) ** 2
     accel_bias_variance = (p.ekf2_acc_b_noise * dt) ** 2
+    mag_bias_variance = (p.ekf2_mag_b_noise * dt) ** 2
     for i in range(3):
-        P[_THETA + i, _THETA + i] += angle_variance
-        P[_VEL + i, _VEL + i] += velocity_variance
-        P[_BG + i, _BG + i] += gyro_bias_variance
-        P[_BA + i, _BA + i] += accel_bias_variance
+        P[THETA + i, THETA + i] += angle_variance
+        P[VEL + i, VEL + i] += velocity_variance
+        P[BG + i, BG + i] += gyro_bias_variance
+        P[BA + i, BA + i] += accel_bias_variance
+        P[BM + i, BM + i] += mag_bias_variance
     for i in range(3):
         e.delta_angle[i] = 0.0
         e.delta_velocity[i] = 0.0
@@ -174,133 +204,10 @@ def predict_covariance(e, p):
 
 
 @kernel
-def _correct(e, gain, row, innovation, variance):
-    """Kalman update by a scalar: ``row`` = H P (15,), ``variance`` = H P H' + R; ``gain`` (15,) is scratch."""
-    for i in range(N_STATES):
-        gain[i] = row[i] / variance
-    for i in range(N_STATES):
-        for j in range(i + 1):
-            value = e.P[i, j] - gain[i] * row[j]
-            e.P[i, j] = value
-            e.P[j, i] = value
-    for i in range(N_STATES):
-        gain[i] *= innovation
-    integrate(e.q, gain[0], gain[1], gain[2])
+def _limit_biases(e, p):
     for i in range(3):
-        e.velocity[i] += gain[_VEL + i]
-        e.position[i] += gain[_POS + i]
-        e.gyro_bias[i] += gain[_BG + i]
-        e.accel_bias[i] += gain[_BA + i]
-
-
-@kernel
-def fuse_state(e, index, innovation, noise_variance, gate, work):
-    """Fuse a direct measurement of error state ``index``; return its innovation test ratio (fused when <= 1)."""
-    variance = e.P[index, index] + noise_variance
-    ratio = innovation * innovation / (gate * gate * variance)
-    if ratio > 1.0:
-        return ratio
-    for i in range(N_STATES):
-        work[1, i] = e.P[index, i]
-    _correct(e, work[0], work[1], innovation, variance)
-    return ratio
-
-
-@kernel
-def fuse_heading(e, s, p, work):
-    """Fuse the heading that the magnetometer shows once it is turned level with the present tilt."""
-    q = e.q
-    r00 = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
-    r10 = 2.0 * (q[1] * q[2] + q[0] * q[3])
-    r01 = 2.0 * (q[1] * q[2] - q[0] * q[3])
-    r11 = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
-    r02 = 2.0 * (q[1] * q[3] + q[0] * q[2])
-    r12 = 2.0 * (q[2] * q[3] - q[0] * q[1])
-    horizontal = r00 * r00 + r10 * r10
-    if horizontal < 1e-4:
-        return  # nose straight up or down: no heading
-    # the field in the local frame by the present attitude points to the declination when the heading is right
-    mx, my, _ = rotate(q, s.mag[0], s.mag[1], s.mag[2])
-    innovation = wrap_pi(math.radians(p.ekf2_mag_decl) - math.atan2(my, mx))
-    hy = -(r00 * r12 - r10 * r02) / horizontal
-    hz = (r00 * r11 - r10 * r01) / horizontal
-    for i in range(N_STATES):
-        work[1, i] = hy * e.P[1, i] + hz * e.P[2, i]
-    variance = hy * work[1, 1] + hz * work[1, 2] + p.ekf2_head_noise**2
-    e.innov_yaw = innovation
-    e.test_ratio_mag = innovation * innovation / (p.ekf2_hdg_gate**2 * variance)
-    if e.test_ratio_mag <= 1.0:
-        _correct(e, work[0], work[1], innovation, variance)
-
-
-@kernel
-def fuse_gps(e, s, p, work):
-    """Fuse a GPS fix: position and velocity; the first one sets them, and the origin if none is given."""
-    e.time_last_gps_us = s.time_us
-    if s.gps_fix < 3 or s.gps_eph > p.ekf2_req_eph or s.gps_epv > p.ekf2_req_epv:
-        return
-    if not e.origin_set:
-        e.origin_lat, e.origin_lon, e.origin_alt = s.gps_lat, s.gps_lon, s.gps_alt
-        e.origin_set = 1
-    north, east = _project(s.gps_lat, s.gps_lon, e.origin_lat, e.origin_lon)
-    measured = (north, east, e.origin_alt - s.gps_alt)
-    timed_out = s.time_us - e.time_last_pos_fuse_us > p.ekf2_noaid_tout
-    if not e.position_valid or timed_out:
-        _reset_to(e, measured, s, p)
-        return
-    horizontal = max(p.ekf2_gps_p_noise, s.gps_eph) ** 2
-    vertical = max(1.5 * p.ekf2_gps_p_noise, s.gps_epv) ** 2
-    speed = max(p.ekf2_gps_v_noise, s.gps_speed_accuracy) ** 2
-    e.test_ratio_vel = 0.0
-    e.test_ratio_pos = 0.0
-    for i in range(3):
-        e.innov_vel[i] = s.gps_vel[i] - e.velocity[i]
-        ratio = fuse_state(e, _VEL + i, e.innov_vel[i], speed, p.ekf2_gps_v_gate, work)
-        e.test_ratio_vel = max(e.test_ratio_vel, ratio)
-    for i in range(2):
-        e.innov_pos[i] = measured[i] - e.position[i]
-        ratio = fuse_state(e, _POS + i, e.innov_pos[i], horizontal, p.ekf2_gps_p_gate, work)
-        e.test_ratio_pos = max(e.test_ratio_pos, ratio)
-    e.innov_pos[2] = measured[2] - e.position[2]
-    fuse_state(e, _POS + 2, e.innov_pos[2], vertical, p.ekf2_gps_p_gate, work)
-    if e.test_ratio_pos <= 1.0:
-        e.time_last_pos_fuse_us = s.time_us
-
-
-@kernel
-def _reset_to(e, measured, s, p):
-    """Set position and velocity to a GPS fix and forget their correlations with the rest."""
-    first = not e.position_valid
-    for i in range(3):
-        e.position[i] = measured[i]
-        e.velocity[i] = s.gps_vel[i]
-        for j in range(N_STATES):
-            e.P[_VEL + i, j] = 0.0
-            e.P[j, _VEL + i] = 0.0
-            e.P[_POS + i, j] = 0.0
-            e.P[j, _POS + i] = 0.0
-    for i in range(3):
-        e.P[_VEL + i, _VEL + i] = max(p.ekf2_gps_v_noise, s.gps_speed_accuracy) ** 2
-        e.P[_POS + i, _POS + i] = max(p.ekf2_gps_p_noise, s.gps_eph) ** 2
-    e.position_valid = 1
-    e.altitude_valid = 1
-    e.time_last_pos_fuse_us = s.time_us
-    e.baro_offset = s.baro_alt - s.gps_alt
-    if not first:
-        e.reset_counter += 1
-
-
-@kernel
-def fuse_barometer(e, s, p, work):
-    """Fuse the pressure altitude, its offset against GPS altitude followed slowly while GPS is there (EKF2_HGT_REF)."""
-    if not e.altitude_valid:
-        return
-    measured = e.origin_alt - (s.baro_alt - e.baro_offset)
-    e.innov_hgt = measured - e.position[2]
-    gate = p.ekf2_baro_gate
-    e.test_ratio_hgt = fuse_state(e, _POS + 2, e.innov_hgt, p.ekf2_baro_noise**2, gate, work)
-    if s.time_us - e.time_last_gps_us < 1_000_000:
-        e.baro_offset += 0.01 * constrain(-e.innov_hgt, -1.0, 1.0)
+        e.accel_bias[i] = constrain(e.accel_bias[i], -p.ekf2_abl_lim, p.ekf2_abl_lim)
+        e.gyro_bias[i] = constrain(e.gyro_bias[i], -p.ekf2_gyr_b_lim, p.ekf2_gyr_b_lim)
 
 
 @kernel
@@ -309,25 +216,20 @@ def update(e, s, p, dt, work):
 
     Args:
         e: ``ESTIMATOR`` record.
-        s: ``SENSORS`` record with this step's samples.
+        s: ``SENSORS`` record with this step's samples; the flags of flow, range and vision are cleared.
         p: ``PARAMS`` record.
         dt: s since the last sample.
-        work: (2, 15) scratch.
+        work: (2, N_STATES) scratch.
     """
-    if not e.initialised:
-        align(e, s, p)
-        return
-    propagate(e, s, p, dt)
-    if e.since_predict >= COVARIANCE_PERIOD - 1e-9:
-        predict_covariance(e, p)
-    if s.mag_fresh:
-        fuse_heading(e, s, p, work)
-    if s.gps_fresh:
-        fuse_gps(e, s, p, work)
-    if s.baro_fresh:
-        fuse_barometer(e, s, p, work)
-    if e.position_valid and s.time_us - e.time_last_pos_fuse_us > p.ekf2_noaid_tout:
-        e.position_valid = 0
-    limit = p.ekf2_abl_lim
-    for i in range(3):
-        e.accel_bias[i] = constrain(e.accel_bias[i], -limit, limit)
+    if note_imu(e, s):
+        if e.initialised:
+            propagate(e, s, p, dt)
+            if e.since_predict >= COVARIANCE_PERIOD - 1e-9:
+                predict_covariance(e, p)
+        else:
+            align(e, s, p)
+    if e.initialised:
+        fuse_sources(e, s, p, work)
+        _limit_biases(e, p)
+        update_status(e, s, p, work)
+    s.flow_fresh = s.range_fresh = s.vision_fresh = 0

@@ -32,6 +32,11 @@ TAKEOFF_READY = 2
 TAKEOFF_RAMPUP = 3
 TAKEOFF_FLIGHT = 4
 
+# Frames of external vision (SENSORS.vision_frame, vision_velocity_frame)
+VISION_NED = 0  # x to the north
+VISION_FRD = 1  # level, x to wherever the vision system looked at its start
+VISION_BODY = 2  # body FRD, velocity only
+
 SENSORS = np.dtype(
     [
         ("time_us", "i8"),
@@ -53,6 +58,31 @@ SENSORS = np.dtype(
         ("gps_eph", "f8"),  # m, 1 sigma horizontal
         ("gps_epv", "f8"),  # m, 1 sigma vertical
         ("gps_speed_accuracy", "f8"),  # m/s, 1 sigma
+        ("gps_hdop", "f8"),  # dilution of precision, horizontal
+        ("gps_vdop", "f8"),
+        ("imu_missing", "i4"),  # 1 when gyro or accel brought no sample in this step
+        # The samples below come from the vehicle's own sensors or by MAVLink, at any time between two steps: whoever
+        # brings one sets its flag, the estimator clears it.
+        ("flow_fresh", "i4"),
+        ("flow_quality", "i4"),  # 0..255
+        ("flow_rate", "f8", 2),  # rad/s about body x and y, signs as in OPTICAL_FLOW_RAD, rotation included
+        ("flow_gyro", "f8", 2),  # rad/s, the sensor's own rotation about body x and y over the same time; NaN: none
+        ("range_fresh", "i4"),
+        ("range_quality", "i4"),  # 0 bad .. 100 good, -1 unknown
+        ("range_distance", "f8"),  # m along body z
+        ("range_least", "f8"),  # m, what the sensor can measure
+        ("range_largest", "f8"),
+        ("vision_fresh", "i4"),
+        ("vision_frame", "i4"),  # VISION_NED or VISION_FRD: what position and attitude are given in
+        ("vision_velocity_frame", "i4"),  # VISION_NED, VISION_FRD or VISION_BODY
+        ("vision_quality", "i4"),  # 0..100, -1 unknown
+        ("vision_reset_counter", "i4"),
+        ("vision_position", "f8", 3),  # m; NaN: none, as in the following
+        ("vision_position_variance", "f8", 3),  # m^2
+        ("vision_velocity", "f8", 3),  # m/s
+        ("vision_velocity_variance", "f8", 3),
+        ("vision_q", "f8", 4),  # (w, x, y, z) body FRD to the frame
+        ("vision_yaw_variance", "f8"),  # rad^2
     ],
     align=True,
 )
@@ -79,7 +109,11 @@ FAILURES = np.dtype(
     align=True,
 )
 
-N_STATES = 15  # error state: attitude 3, velocity 3, position 3, gyro bias 3, accelerometer bias 3
+# error state: attitude 3, velocity 3, position 3, gyro bias 3, accelerometer bias 3, magnetometer bias 3
+N_STATES = 18
+
+# Sources of height, by EKF2_HGT_REF's numbers
+HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION = range(4)
 
 ESTIMATOR = np.dtype(
     [
@@ -113,12 +147,88 @@ ESTIMATOR = np.dtype(
         ("innov_yaw", "f8"),
         ("time_last_gps_us", "i8"),
         ("time_last_pos_fuse_us", "i8"),
-        ("baro_offset", "f8"),  # m, pressure altitude less GPS altitude
         ("origin_set", "i4"),
         ("origin_lat", "f8"),  # deg; the local frame's origin
         ("origin_lon", "f8"),
         ("origin_alt", "f8"),  # m AMSL
-        ("reset_counter", "i4"),
+        ("reset_counter", "i4"),  # all resets of the state after the first fix
+        # What can be relied on, 0 or 1; written 25 times a second.
+        ("attitude_valid", "i4"),
+        ("velocity_valid", "i4"),  # horizontal velocity
+        ("global_valid", "i4"),  # position_valid, and the origin is known
+        ("heading_good", "i4"),  # from north, and accurate
+        ("dead_reckoning", "i4"),  # nothing has aided the horizontal state for a second
+        ("terrain_valid", "i4"),  # height over ground known
+        ("gps_good", "i4"),  # fixes come and have passed EKF2_GPS_CHECK for EKF2_REQ_GPS_H
+        ("vision_good", "i4"),  # samples come, of sufficient quality
+        ("flow_good", "i4"),
+        ("range_good", "i4"),
+        ("baro_good", "i4"),
+        ("mag_good", "i4"),  # samples come and have the strength of the Earth's field
+        ("eph", "f8"),  # m, 1 sigma of the horizontal position
+        ("epv", "f8"),  # m, of the vertical position
+        ("evh", "f8"),  # m/s, of the horizontal velocity
+        ("evv", "f8"),  # m/s, of the vertical velocity
+        # What is fused now
+        ("heading_aligned", "i4"),  # the local frame's x points north
+        ("mag_used", "i4"),
+        ("gps_used", "i4"),
+        ("flow_used", "i4"),
+        ("vision_position_used", "i4"),
+        ("vision_velocity_used", "i4"),
+        ("vision_yaw_used", "i4"),
+        ("height_used", "i4", 4),  # by HEIGHT_*
+        ("flags", "i4"),  # ESTIMATOR_STATUS_FLAGS
+        ("fault_flags", "i4"),  # 1: the state is not finite, 2: no IMU samples, 4: magnetic disturbance
+        # The last reset of each part and what it changed (new less old)
+        ("reset_counter_xy", "i4"),
+        ("reset_counter_vxy", "i4"),
+        ("reset_counter_z", "i4"),
+        ("reset_counter_vz", "i4"),
+        ("reset_counter_heading", "i4"),
+        ("delta_xy", "f8", 2),  # m
+        ("delta_vxy", "f8", 2),  # m/s
+        ("delta_z", "f8"),
+        ("delta_vz", "f8"),
+        ("delta_heading", "f8"),  # rad
+        ("mag_bias", "f8", 3),  # gauss, body
+        ("height_offset", "f8", 4),  # m, added to the down coordinate that each HEIGHT_* source measures
+        ("vision_offset", "f8", 2),  # m, horizontal vision position less the local one while GPS sets the frame
+        ("terrain", "f8"),  # m, down coordinate of the ground below
+        ("terrain_variance", "f8"),
+        ("last_position", "f8", 2),  # m, where the vehicle is taken to stay while nothing aids
+        ("located", "i4"),  # position and velocity have been set
+        ("vision_reset_counter", "i4"),
+        ("test_ratio_gps_hgt", "f8"),
+        ("test_ratio_baro", "f8"),
+        ("test_ratio_flow", "f8"),
+        ("test_ratio_range", "f8"),
+        ("test_ratio_terrain", "f8"),
+        ("test_ratio_vision_pos", "f8"),
+        ("test_ratio_vision_vel", "f8"),
+        ("test_ratio_vision_hgt", "f8"),
+        ("test_ratio_vision_yaw", "f8"),
+        ("innov_flow", "f8", 2),  # rad/s
+        ("innov_range", "f8"),
+        ("innov_vision_pos", "f8", 3),
+        ("innov_vision_vel", "f8", 3),
+        ("innov_vision_yaw", "f8"),
+        ("time_aligned_us", "i8"),  # first attitude
+        ("time_gps_fail_us", "i8"),
+        ("time_imu_us", "i8"),  # last sample
+        ("time_mag_us", "i8"),
+        ("time_baro_us", "i8"),
+        ("time_flow_us", "i8"),
+        ("time_range_us", "i8"),
+        ("time_vision_us", "i8"),
+        ("time_last_vel_fuse_us", "i8"),
+        ("time_last_hgt_fuse_us", "i8"),
+        ("time_height_fuse_us", "i8", 4),
+        ("time_heading_fuse_us", "i8"),
+        ("time_gps_fuse_us", "i8"),
+        ("time_flow_fuse_us", "i8"),
+        ("time_terrain_fuse_us", "i8"),
+        ("time_vision_fuse_us", "i8", 3),  # position, velocity, yaw
         # Vibration, see ``vibration``
         ("vibration", "f8", 3),  # coning of the gyroscope (rad^2), its and the accelerometer's jitter (rad/s, m/s^2)
         ("vibration_gyro", "f8", 3),  # rad/s, the sample before

@@ -36,11 +36,6 @@ _PRESENT = (
     _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATES | _ATTITUDE | _YAW | _Z | _XY | _MOTORS | _AHRS | _BATTERY | _PREARM
 )
 
-# ESTIMATOR_STATUS_FLAGS
-_EST_ATTITUDE_AND_VELOCITY = 1 | 2 | 4
-_EST_HORIZONTAL = 8 | 16 | 256 | 512
-_EST_VERTICAL = 32
-
 _DISARMED_PWM, _LEAST_PWM = 900, 1000
 _FRAME_LOCAL_NED, _FRAME_BODY_FRD, _ESTIMATOR_AUTOPILOT = 1, 12, 8
 _GRAVITY_UNITS = 1000.0 / 9.80665
@@ -192,8 +187,8 @@ class Telemetry:
         return None if not self.located else (self.time_ms, *self.position, *self.velocity)
 
     def global_position_int(self) -> Values | None:
-        """Latitude, longitude, altitude, velocity, heading, once there has been a fix."""
-        if not self.located:
+        """Latitude, longitude, altitude, velocity, heading, once there has been a fix and the origin is known."""
+        if not self.located or not self._estimator["origin_set"]:
             return None
         lat, lon = self._latitude_longitude()
         vx, vy, vz = self.velocity
@@ -256,21 +251,22 @@ class Telemetry:
     def estimator_status(self) -> Values:
         """Innovation test ratios and accuracies of the estimator."""
         e = self._estimator
-        flags = _EST_ATTITUDE_AND_VELOCITY if e["initialised"] else 0
-        flags |= _EST_HORIZONTAL if e["position_valid"] else 0
-        flags |= _EST_VERTICAL if e["altitude_valid"] else 0
-        p = self._variances.tolist()
+        velocity, position, heading = e["test_ratio_vel"], e["test_ratio_pos"], e["test_ratio_mag"]
+        if not e["gps_used"]:
+            velocity = max(
+                e["test_ratio_vision_vel"] * e["vision_velocity_used"], e["test_ratio_flow"] * e["flow_used"]
+            )
+            position = e["test_ratio_vision_pos"]
+        if e["vision_yaw_used"]:
+            heading = e["test_ratio_vision_yaw"]
+        ratios = (velocity, position, e["test_ratio_hgt"], heading, e["test_ratio_terrain"])
         return (
             self.time_us,
-            float(e["test_ratio_vel"]),
-            float(e["test_ratio_pos"]),
-            float(e["test_ratio_hgt"]),
-            float(e["test_ratio_mag"]),
+            *(math.sqrt(ratio) for ratio in ratios),
             0.0,
-            0.0,
-            math.sqrt(max(p[6] + p[7], 0.0)),
-            math.sqrt(max(p[8], 0.0)),
-            flags,
+            float(e["eph"]),
+            float(e["epv"]),
+            int(e["flags"]),
         )
 
     def home_position(self) -> Values | None:
