@@ -25,6 +25,7 @@ log = logging.getLogger("rosout.mavros")
 
 _RECEIVE_BUFFER = 1 << 20  # bytes; a tick's telemetry of one vehicle is some hundred
 _LARGEST_DATAGRAM = 65535
+_HIGHEST_PORT = 65535
 _PROBE_PORT = 9  # any: nothing is sent to it
 
 
@@ -40,6 +41,17 @@ class FcuUrl(NamedTuple):
     remote_host: str
     remote_port: int
 
+    def shifted(self, number: int) -> FcuUrl:
+        """Return the same ends with both ports ``number`` higher.
+
+        Raises:
+            LinkError: there is no such port.
+        """
+        highest = max(self.bind_port, self.remote_port) + number
+        if highest > _HIGHEST_PORT:
+            raise LinkError(f"fleet_url: vehicle {number} would get port {highest}, at most {_HIGHEST_PORT}")
+        return self._replace(bind_port=self.bind_port + number, remote_port=self.remote_port + number)
+
 
 def parse_fcu_url(url: str) -> FcuUrl:
     """Return the ends of ``udp://[bind_host][:bind_port]@[remote_host][:remote_port]``.
@@ -54,8 +66,8 @@ def parse_fcu_url(url: str) -> FcuUrl:
         raise LinkError(f"fcu_url: {url!r} is not of the form udp://[host][:port]@[host][:port]")
     parts = FcuUrl(match[1] or "0.0.0.0", int(match[2] or 14555), match[3] or "127.0.0.1", int(match[4] or 14550))
     for port in (parts.bind_port, parts.remote_port):
-        if not 1 <= port <= 65535:
-            raise LinkError(f"fcu_url: port {port} in {url!r} is not in 1..65535")
+        if not 1 <= port <= _HIGHEST_PORT:
+            raise LinkError(f"fcu_url: port {port} in {url!r} is not in 1..{_HIGHEST_PORT}")
     return parts
 
 
@@ -288,6 +300,10 @@ class Receiver:
     def counted(self) -> dict[int, int]:
         """Return how many of the datagrams that the simulator counts have been read, by port."""
         return {link.port: link.received - self._uncounted.get(link.port, 0) for link in self._links}
+
+    def is_counted(self, port: int) -> bool:
+        """Whether the simulator has ever said how many datagrams it has sent to ``port``."""
+        return port in self._uncounted
 
     def wait_any(self, limit: float) -> None:
         """Wait until something has been read, at most ``limit`` seconds of wall time."""

@@ -6,6 +6,9 @@ Private parameters, besides those of ``config/px4_config.yaml``:
   as upstream numbers them.
 - ``~fcu_host`` (127.0.0.1): the machine with the fleet's autopilots, by name or IPv4 address.
 - ``~bind_host`` (127.0.0.1 if the autopilots are on this machine, else 0.0.0.0): where MAVLink from them is received.
+- ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``, in place of upstream's ports
+  and of the two above; every further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` for PX4s that are
+  started as PX4's own scripts start them.
 - ``~fcu_url``, with ``~tgt_system`` and ``~tgt_component``: a single vehicle as real MAVROS has it; topics are in the
   node's own namespace.
 - ``~system_id``, ``~component_id``: what the node sends as (1, 240).
@@ -22,7 +25,7 @@ import rosgraph
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
 from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plugin import Publisher
@@ -82,7 +85,7 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list
 
     Raises:
         FleetError: no fleet, or one that cannot be flown.
-        LinkError: a malformed ``fcu_url``, or an ``fcu_host`` that cannot be reached.
+        LinkError: a malformed ``fcu_url`` or ``fleet_url``, or an ``fcu_host`` that cannot be reached.
         ParamError: a setting of the wrong type.
     """
     params = Params(settings)
@@ -95,17 +98,20 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list
     if not text:
         raise FleetError("vehicles: none are named; set /xtdrone/fleet, as iris:9, or fcu_url for a single one")
     vehicles = parse_fleet(text)
+    fleet_url = params.get("fleet_url", "")
+    if fleet_url:
+        first = parse_fcu_url(fleet_url)
+        return [_connection(vehicle, first.shifted(vehicle.id)) for vehicle in vehicles]
     fcu_host = params.get("fcu_host", "127.0.0.1")
     bind_host = bind_host_for(fcu_host, params.get("bind_host", ""))
     return [
-        Connection(
-            vehicle.name,
-            f"/{vehicle.name}/mavros",
-            FcuUrl(bind_host, vehicle.offboard_remote_port, fcu_host, vehicle.offboard_local_port),
-            (vehicle.system_id, 1),
-        )
+        _connection(vehicle, FcuUrl(bind_host, vehicle.offboard_remote_port, fcu_host, vehicle.offboard_local_port))
         for vehicle in vehicles
     ]
+
+
+def _connection(vehicle: Vehicle, url: FcuUrl) -> Connection:
+    return Connection(vehicle.name, f"/{vehicle.name}/mavros", url, (vehicle.system_id, 1))
 
 
 class MavrosNode:
@@ -146,6 +152,8 @@ class MavrosNode:
 
     def step(self) -> None:
         """Publish the swarm, run the timers and tell the simulator what was sent; once a turn."""
+        if lockstep.is_active():
+            self._receive_uncounted()
         self._swarm.publish()
         now_ns = self._ros.now_ns()
         for uas in self._uas:
@@ -173,6 +181,12 @@ class MavrosNode:
                 if link.port in targets:
                     self._receive(uas, targets[link.port])
         return self._receiver.counted()
+
+    def _receive_uncounted(self) -> None:
+        """Take what has come from autopilots that are not the simulator's: nobody counts it."""
+        for uas, link in zip(self._uas, self._links, strict=True):
+            if not self._receiver.is_counted(link.port):
+                self._receive(uas)
 
     def _receive(self, uas: Uas, datagrams: int | None = None) -> None:
         try:
