@@ -270,13 +270,14 @@ class Stack:
     def run(self, name: str, package: str, program: str, *arguments: str) -> Program:
         """Start a node; ``name`` is its node name."""
         path = REPOSITORY / "src" / package / "nodes" / program
-        return self._start(name, [sys.executable, str(path), *arguments, f"__name:={name}"])
+        return self.start(name, [sys.executable, str(path), *arguments, f"__name:={name}"])
 
     def launch(self, file: str, *arguments: str) -> Program:
         """Start roslaunch with a file of launch/."""
-        return self._start("roslaunch", ["roslaunch", str(REPOSITORY / "launch" / file), *arguments])
+        return self.start("roslaunch", ["roslaunch", str(REPOSITORY / "launch" / file), *arguments])
 
-    def _start(self, name: str, command: list[str]) -> Program:
+    def start(self, name: str, command: list[str]) -> Program:
+        """Start any program."""
         program = self.programs[name] = Program(self, name, command)
         return program
 

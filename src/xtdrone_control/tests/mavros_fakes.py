@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import socket
 from collections.abc import Callable, Sequence
@@ -59,6 +60,10 @@ class FakeRos:
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Keep the handler."""
         self.services[name] = handler
+
+    def needs_time(self) -> contextlib.nullcontext[None]:
+        """Time flows in any case."""
+        return contextlib.nullcontext()
 
 
 class Bench:

@@ -436,6 +436,27 @@ def own(pid: int) -> dict:
     return {"pid": pid, "host": protocol.process_namespace()}
 
 
+def test_who_waits_for_time_to_go_on_says_so_while_the_barrier_waits(server):
+    a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
+    joined(server, a, b)
+    assert not server.needs_time
+    seen = []
+    with Running(server, 10 * STEP, idle=lambda timeout: seen.append(server.needs_time) or time.sleep(0.001)):
+        tick = a.tick()
+        b.done(b.tick())
+        for frame, needs in ((protocol.NEEDS_TIME_FRAME, True), (protocol.ALIVE_FRAME, False)):
+            a.sock.sendall(frame)
+            end = time.monotonic() + 5.0
+            while not seen or seen[-1] is not needs:
+                assert time.monotonic() < end, seen
+        a.sock.sendall(protocol.NEEDS_TIME_FRAME)
+        a.done(tick)
+    assert server.needs_time
+    a.sock.close()
+    server.poll(0.1)
+    assert not server.needs_time
+
+
 def test_a_dead_process_is_noticed_though_another_holds_its_connection(log):
     server = LockstepServer(hang_limit=60.0, log=log)
     process = subprocess.Popen(["sleep", "60"])

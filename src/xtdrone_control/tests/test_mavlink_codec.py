@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 
 import pytest
@@ -282,6 +283,19 @@ class TestCommands:
         self.results = [[5]]
         assert self.commands.call(400, lambda attempt: attempt, limit=0.04, resends=3) is None
         assert self.sent == [0]
+
+    def test_what_goes_on_while_an_ack_is_waited_for_ends_with_it(self):
+        course = []
+
+        @contextlib.contextmanager
+        def meanwhile():
+            course.append("waits")
+            yield
+            course.append("waits no more")
+
+        commands = Commands(lambda message: course.append("sends"), meanwhile)
+        assert commands.call(400, lambda attempt: attempt, limit=0.02, resends=1) is None
+        assert course == ["sends", "waits", "waits no more"] * 2
 
     def test_ack_of_another_command_does_not_count(self):
         self.ack(21, 0)

@@ -61,6 +61,19 @@ def test_the_fleets_links_are_local_by_default():
     assert link.url == FcuUrl("127.0.0.1", 24540, "127.0.0.1", 34580)
 
 
+def test_the_fleets_links_may_have_ports_of_their_own():
+    settings = {"fleet_url": "udp://:14540@px4.example:14580", "fcu_host": "sim.example"}
+    first, second = connections(settings, "iris:2", "/mavros")
+    assert (first.name, first.url) == ("iris_0", FcuUrl("0.0.0.0", 14540, "px4.example", 14580))
+    assert (second.name, second.url) == ("iris_1", FcuUrl("0.0.0.0", 14541, "px4.example", 14581))
+    assert second.target == (2, 1)
+
+
+def test_a_fleet_has_no_ports_beyond_the_highest():
+    with pytest.raises(connection.LinkError, match="fleet_url: vehicle 1 would get port 65536, at most 65535"):
+        connections({"fleet_url": "udp://:65535@:14580"}, "iris:2", "/mavros")
+
+
 class _NoTelemetry:
     """Stands for a vehicle that has nothing to tell."""
 

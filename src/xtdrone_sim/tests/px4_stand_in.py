@@ -3,12 +3,15 @@
 It connects to the simulator, sends a heartbeat and asks for HIL_STATE_QUATERNION, takes its time from HIL_SENSOR (it
 starts at 0 with the first one), knows of the world only what HIL_SENSOR and HIL_GPS say, and answers every HIL_SENSOR
 with HIL_ACTUATOR_CONTROLS. pymavlink's own parser and packer do the talking. The firmware is our autopilot's.
+
+As a program, ``px4_stand_in.py TYPE INSTANCE``, it is PX4 as ``px4 -i INSTANCE`` starts it: with MAVLink on PX4's stock
+ports, until the simulator ends.
 """
 
 from __future__ import annotations
 
-import math
 import socket
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -20,6 +23,7 @@ from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_sim.vehicle_model import load_vehicle
 
 WALL_LIMIT = 60.0  # s; only a broken run takes so long
@@ -34,7 +38,7 @@ class Firmware:
         parameters = Parameters({**model.parameters, "EKF2_MAG_DECL": 3.0})
         self.autopilot = Autopilot([model.rotor_layout], None)
         parameters.write_to(self.autopilot.params[0])
-        self.commander = Commander(Vehicle(vehicle.type, 0, 0), self.autopilot, parameters, 0)
+        self.commander = Commander(vehicle, self.autopilot, parameters, 0)
         self.autopilot.start_control()
         self._sensors = self.autopilot.sensors[0]
 
@@ -64,6 +68,18 @@ class Firmware:
         return outputs, bool(self.autopilot.setpoint[0]["armed"])
 
 
+class StockVehicle(Vehicle):
+    """A vehicle with the ports of PX4's own start scripts (px4-rc.mavlink)."""
+
+    @property
+    def offboard_local_port(self) -> int:
+        return 14580 + self.id
+
+    @property
+    def offboard_remote_port(self) -> int:
+        return 14540 + self.id
+
+
 class StandIn:
     """PX4 in a thread of its own.
 
@@ -80,6 +96,7 @@ class StandIn:
         *,
         keep: int = 1000,
         lockstep: bool = True,
+        mavlink_ports: bool = False,
     ) -> None:
         """Connect and run.
 
@@ -88,8 +105,11 @@ class StandIn:
             script: what is done at which of PX4's times, microseconds.
             keep: steps of which all messages are kept.
             lockstep: built with the lockstep scheduler.
+            mavlink_ports: serve MAVLink at the vehicle's ports.
         """
         self.firmware = Firmware(vehicle)
+        firmware = self.firmware
+        self._door = MavlinkServer([vehicle], firmware.autopilot, [firmware.commander]) if mavlink_ports else None
         self.silent = False
         self.received: list[Any] = []
         self.sent: list[tuple[int, tuple[float, ...]]] = []
@@ -161,13 +181,22 @@ class StandIn:
         if now in self._script:
             self._script.pop(now)(self)
         outputs, armed = self.firmware.step(message, now)
-        self.sent.append((message.time_usec, tuple(outputs)))
+        if self._door is not None:
+            self._door.receive(0.0)
+            self._door.send_streams(now)
+        if self._keep:
+            self.sent.append((message.time_usec, tuple(outputs)))
         if self.silent:
             return
         mode = 1 | (128 if armed else 0)
         controls = [value if armed else 0.0 for value in outputs] + [0.0] * (16 - len(outputs))
         self._send(mavlink.MAVLink_hil_actuator_controls_message(now, controls, mode, self._flags))
 
+    def wait(self) -> None:
+        """Wait until the simulator ends."""
+        self._thread.join()
+        self.check()
 
-def wrap(angle: float) -> float:
-    return math.remainder(angle, 2.0 * math.pi)
+
+if __name__ == "__main__":
+    StandIn(StockVehicle(sys.argv[1], int(sys.argv[2]), int(sys.argv[2])), keep=0, mavlink_ports=True).wait()

@@ -29,12 +29,14 @@ class Autopilots(Protocol):
         autopilot: records of all vehicles; a new object after each ``begin``.
         commanders: modes and arming of ``served``, one a vehicle; new objects after each ``begin``.
         served: the vehicles whose MAVLink the simulator serves.
+        need_time: they answer their clients only while time goes on.
         descriptors: file descriptors on which something may come while time stands still; see ``serve``.
     """
 
     autopilot: Autopilot
     commanders: list[Commander]
     served: tuple[Vehicle, ...]
+    need_time: bool
     descriptors: tuple[int, ...]
 
     def begin(self, world: World, time_us: int) -> None:
@@ -72,6 +74,7 @@ class AutopilotsFactory(Protocol):
 class Builtin:
     """Our own autopilot: kernels at every step, mode logic at 10 Hz. See ``Autopilots``."""
 
+    need_time = False
     descriptors: tuple[int, ...] = ()
 
     def __init__(

@@ -52,6 +52,7 @@ class Hil:
 
     commanders: list[Commander]
     served: tuple[Vehicle, ...] = ()  # PX4 serves its MAVLink itself
+    need_time = True  # PX4's clock is the simulator's
 
     def __init__(
         self,

@@ -42,6 +42,7 @@ from .stopping import Stop
 _CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
 _SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
 _JOIN_REPORT = 5.0  # s between two words on who has not joined
+_HOLD_WARNING = 20.0  # s of waiting for autopilots after which such words are warnings, which are on screen
 _LEAST_HANG_LIMIT = 2.0  # s; participants send a keep-alive each second
 _CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
 
@@ -338,7 +339,8 @@ class SimulatorNode:
                 return
             if now >= word:
                 word += _JOIN_REPORT
-                rospy.loginfo("simulator: holding time at 0: %s", missing)
+                write = rospy.loginfo if now - begun < _HOLD_WARNING else rospy.logwarn
+                write("simulator: holding time at 0: %s", missing)
             self._serve(_SLICE)
             self._server.poll(0.0)
 
@@ -404,7 +406,7 @@ class SimulatorNode:
         if self._digests is not None:
             self._digests.tick(now, simulation.world)
         mavlink.hold_setpoints()
-        self._server.tick(now, mavlink.sent, self._serve)
+        self._server.tick(now, mavlink.sent, self._serve_in_tick)
         self._datagrams.wait()
         mavlink.release_setpoints()
         self._report_collisions()
@@ -434,6 +436,20 @@ class SimulatorNode:
             self._autopilots.serve()
         self._mavlink.keep_alive(self._datagrams.counted_ports)
         self._services.tend()
+
+    def _serve_in_tick(self, timeout: float) -> None:
+        """As ``_serve``, while participants are waited for.
+
+        When one of them waits for an autopilot that needs simulated time to answer, time flows meanwhile, for else it
+        would stand still. The turn then lasts, as it does on a real vehicle.
+        """
+        if not (self._autopilots.need_time and self._server.needs_time and not self._control.paused):
+            self._serve(timeout)
+            return
+        simulation = self._simulation
+        simulation.step()
+        self._publish_clock()
+        self._serve(min(max(0.0, self._control.pacer.delay(simulation.time_us, time.monotonic())), timeout))
 
     def _wait_for_pace(self) -> None:
         while self._control.flowing:

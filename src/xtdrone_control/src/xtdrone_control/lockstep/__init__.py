@@ -41,6 +41,7 @@ __all__ = [
     "host",
     "init_node",
     "is_active",
+    "needs_time",
     "sleep",
     "spin",
     "start",

@@ -19,7 +19,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 from urllib.parse import urlparse
 
@@ -36,6 +36,7 @@ from .names import future_name
 from .protocol import (
     ALIVE_FRAME,
     DIGEST_PERIOD_US,
+    NEEDS_TIME_FRAME,
     VERSION,
     Barrier,
     Digest,
@@ -384,6 +385,24 @@ def datagrams_sent(port: int, count: int) -> None:
     _node.datagrams[port] = count
 
 
+@contextlib.contextmanager
+def needs_time() -> Iterator[None]:
+    """Tells the simulator, for as long as it lasts, that this node waits for what comes only when time goes on.
+
+    An autopilot that is not the simulator's answers only then. The simulator, which else holds time for a participant
+    whose turn waits for this node, lets it flow. For any thread; without lockstep it does nothing.
+    """
+    client = _node.client
+    if client is None:
+        yield
+        return
+    client.wait_for_time(1)
+    try:
+        yield
+    finally:
+        client.wait_for_time(-1)
+
+
 def start() -> None:
     """Joins the simulator, when there is one, and waits for the first tick; all topics should be declared by now.
 
@@ -616,6 +635,8 @@ class Client:
         self._frame_reader = FrameReader()
         self._frames: deque[tuple[int, bytes]] = deque()
         self._send_lock = threading.Lock()
+        self._waiters = 0  # how many threads wait for what comes only when time goes on
+        self._waiters_lock = threading.Lock()
         self._joined = False
         self._numbers = 0
         self._outlets: dict[int, Outlet] = {}
@@ -732,11 +753,23 @@ class Client:
         self._ended.set()
         self._reader.wake()
 
+    def wait_for_time(self, waiters: int) -> None:
+        """Tells the server when the first begins to wait for what comes only when time goes on, and the last has it.
+
+        Args:
+            waiters: 1 for one more, -1 for one less.
+        """
+        with self._waiters_lock:
+            before, self._waiters = self._waiters, self._waiters + waiters
+            if bool(before) != bool(self._waiters):
+                with contextlib.suppress(OSError):
+                    self._send(NEEDS_TIME_FRAME if self._waiters else ALIVE_FRAME)
+
     def _keep_alive(self) -> None:
         """Tells the server that the process lives, also while the main thread stands at a breakpoint."""
         while not self._ended.wait(ALIVE_PERIOD):
             try:
-                self._send(ALIVE_FRAME)
+                self._send(NEEDS_TIME_FRAME if self._waiters else ALIVE_FRAME)
             except OSError:
                 return
 

@@ -7,7 +7,7 @@ frame      direction           payload
 =========  ==================  =========================================================================
 TICK       server to client    u64 tick, i64 time_us, u32 n, u32 m, n + m pairs (u32 id, u64 count)
 DONE       client to server    the same; time_us repeats that of the TICK
-ALIVE      client to server    empty
+ALIVE      client to server    empty; or u8 1: the node waits for what comes only when time goes on
 =========  ==================  =========================================================================
 
 The first n pairs are channels: a *channel* is one topic connection from one publisher to one subscriber, its count the
@@ -170,6 +170,8 @@ def unpack_object(payload: bytes) -> dict[str, Any]:
 
 
 ALIVE_FRAME = _HEAD.pack(1, Kind.ALIVE)
+NEEDS_TIME = b"\x01"
+NEEDS_TIME_FRAME = _HEAD.pack(2, Kind.ALIVE) + NEEDS_TIME
 
 
 class FrameReader:

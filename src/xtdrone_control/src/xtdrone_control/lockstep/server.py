@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from .protocol import (
     BASE_STEP_US,
+    NEEDS_TIME,
     VERSION,
     FrameReader,
     Kind,
@@ -113,6 +114,7 @@ class Participant:
         rate: In Hz; 0 for the simulator itself.
         due_us: When its next turn is.
         waiting: True from TICK to DONE.
+        needs_time: True while it waits for what comes only when time goes on.
         tick: Number of its last TICK.
         heard: Monotonic wall time at which something was last received from it, s.
         asked: Monotonic wall time of its last TICK, s.
@@ -133,6 +135,7 @@ class Participant:
         self.schedule: Schedule | None = None
         self.due_us = 0
         self.waiting = False
+        self.needs_time = False
         self.tick = 0
         self.heard = now
         self.asked = now
@@ -398,6 +401,11 @@ class LockstepServer:
         self._epoll.close()
         self._listener.close()
 
+    @property
+    def needs_time(self) -> bool:
+        """Whether some participant waits for what comes only when time goes on."""
+        return any(participant.needs_time for participant in self.participants.values())
+
     def remote_sender(self, port: int) -> bool:
         """Says whether whoever sends to one of the simulator's UDP ports is, or was, on another machine."""
         return port in self._remote_ports
@@ -612,7 +620,7 @@ class LockstepServer:
         if kind == Kind.DONE:
             self._done(participant, payload)
         elif kind == Kind.ALIVE:
-            return
+            participant.needs_time = payload == NEEDS_TIME
         elif kind == Kind.JOIN:
             self._join(participant, unpack_object(payload))
         elif kind == Kind.RESERVE:

@@ -6,9 +6,9 @@ Private parameters, besides those of ``config/px4_config.yaml``:
   as upstream numbers them.
 - ``~fcu_host`` (127.0.0.1): the machine with the fleet's autopilots, by name or IPv4 address.
 - ``~bind_host`` (127.0.0.1 if the autopilots are on this machine, else 0.0.0.0): where MAVLink from them is received.
-- ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``, in place of upstream's ports
-  and of the two above; every further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` for PX4s that are
-  started as PX4's own scripts start them.
+- ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``, in place of upstream's
+  ports and of the two above; every further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` for PX4s
+  that are started as PX4's own scripts start them.
 - ``~fcu_url``, with ``~tgt_system`` and ``~tgt_component``: a single vehicle as real MAVROS has it; topics are in the
   node's own namespace.
 - ``~system_id``, ``~component_id``: what the node sends as (1, 240).
@@ -19,6 +19,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import rosgraph
@@ -73,6 +74,10 @@ class LockstepRos:
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Offer a service; its handler runs in a thread of rospy's."""
         rospy.Service(name, kind, handler)
+
+    def needs_time(self) -> AbstractContextManager[None]:
+        """Return what is to be entered while an autopilot's answer is waited for."""
+        return lockstep.needs_time()
 
 
 def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list[Connection]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -39,6 +40,9 @@ class Ros(Protocol):
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Offer a service; handlers run in threads of their own."""
+
+    def needs_time(self) -> AbstractContextManager[None]:
+        """Return what is to be entered while an autopilot's answer is waited for, which may take simulated time."""
 
 
 class Topic:

@@ -6,10 +6,12 @@ give up on an autopilot that does not answer, whatever the simulated time does m
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -35,9 +37,19 @@ class _Waiting:
 class Commands:
     """The commands under way to one autopilot; acks carry no sequence number and go to the oldest of their kind."""
 
-    def __init__(self, send: Callable[[Any], None]) -> None:
-        """Take the function that sends a message."""
+    def __init__(
+        self,
+        send: Callable[[Any], None],
+        meanwhile: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
+    ) -> None:
+        """Take what sends a message.
+
+        Args:
+            send: sends a message.
+            meanwhile: returns what is to be entered while an ack is waited for.
+        """
         self._send = send
+        self._meanwhile = meanwhile
         self._lock = threading.Lock()
         self._turns: defaultdict[int, threading.Lock] = defaultdict(threading.Lock)
         self._waiting: defaultdict[int, deque[_Waiting]] = defaultdict(deque)
@@ -61,7 +73,9 @@ class Commands:
                 for attempt in range(1 + resends):
                     if not waiting.in_progress:
                         self._send(build(attempt))
-                    if waiting.done.wait(limit / (1 + resends)):
+                    with self._meanwhile():
+                        done = waiting.done.wait(limit / (1 + resends))
+                    if done:
                         break
                 return waiting.result
             finally:

@@ -85,7 +85,7 @@ class Uas:
         self.params = params
         self.ros = ros
         self.target = link.target
-        self.commands = Commands(link.send)
+        self.commands = Commands(link.send, ros.needs_time)
         self.connected = False
         self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
         self.now_ns = 0
