@@ -119,7 +119,8 @@ def _follow_attitude(c, s, e, p):
     c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
     if s.task == TASK_RATES:
         for i in range(3):
-            c.sp_rates[i] = s.rates[i]
+            # a rate that is not controlled is let go on as it is
+            c.sp_rates[i] = e.rates[i] if math.isnan(s.rates[i]) else s.rates[i]
     else:
         for i in range(4):
             c.sp_q[i] = s.attitude_q[i]

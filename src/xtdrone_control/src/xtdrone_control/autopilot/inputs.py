@@ -9,7 +9,8 @@ from .state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from .vehicle_view import VehicleView
 
 _NAN = math.nan
-_AXES = ("x", "y", "z")
+_UNSET = (_NAN, _NAN, _NAN)
+_STOP = (0.0, 0.0, 0.0)
 _NEVER_US = -(1 << 60)
 
 
@@ -17,9 +18,22 @@ class SetpointError(ValueError):
     """A set-point that cannot be flown; it is not stored and does not count for the stream's watchdog."""
 
 
-def _reject_infinite(name: str, values: Sequence[float]) -> None:
-    if math.inf in values or -math.inf in values:
-        raise SetpointError(f"{name} is {list(values)}, not finite")
+def _finite(value: float) -> float:
+    """Return ``value``, NaN in place of an infinite one."""
+    return value if math.isfinite(value) else _NAN
+
+
+def _can_be_flown(parts: Sequence[Sequence[float]]) -> bool:
+    """Say whether position, velocity and acceleration control every axis, and x and y only in pairs.
+
+    Source: PX4 ``PositionControl::_inputValid``.
+    """
+    pairs = all(math.isnan(x) == math.isnan(y) for x, y, _ in parts)
+    return pairs and all(not all(map(math.isnan, axis)) for axis in zip(*parts, strict=True))
+
+
+def _collective(thrust: float) -> float:
+    return min(max(thrust, 0.0), 1.0) if math.isfinite(thrust) else 0.0
 
 
 class OffboardInput:
@@ -54,7 +68,9 @@ class OffboardInput:
         yaw: float,
         yaw_rate: float,
     ) -> None:
-        """Store a trajectory set-point; NaN means not controlled.
+        """Store a trajectory set-point; what is not finite is not controlled.
+
+        One that cannot be flown, since an axis is left without control, lets the vehicle stop and wait, as in PX4.
 
         Args:
             position: m, local NED, 3 values.
@@ -64,26 +80,22 @@ class OffboardInput:
             yaw_rate: rad/s.
 
         Raises:
-            SetpointError: an infinite value, or an axis of which nothing is controlled.
+            SetpointError: nothing is given but NaN.
         """
-        for name, values in (
-            ("position", position),
-            ("velocity", velocity),
-            ("acceleration", acceleration),
-            ("yaw", (yaw,)),
-            ("yaw rate", (yaw_rate,)),
-        ):
-            _reject_infinite(name, values)
-        for axis, *values in zip(_AXES, position, velocity, acceleration, strict=True):
-            if all(map(math.isnan, values)):
-                raise SetpointError(f"nothing is set for axis {axis}")
+        given = (position, velocity, acceleration)
+        if all(math.isnan(value) for part in given for value in part):
+            raise SetpointError("neither position nor velocity nor acceleration is given")
+        parts = [tuple(map(_finite, part)) for part in given]
+        if not _can_be_flown(parts):
+            parts = [_UNSET, _STOP, _UNSET]
+            yaw = yaw_rate = _NAN
         self._store(
             TASK_TRAJECTORY,
-            position=position,
-            velocity=velocity,
-            acceleration=acceleration,
-            yaw=yaw,
-            yaw_rate=yaw_rate,
+            position=parts[0],
+            velocity=parts[1],
+            acceleration=parts[2],
+            yaw=_finite(yaw),
+            yaw_rate=_finite(yaw_rate),
         )
 
     def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
@@ -92,35 +104,23 @@ class OffboardInput:
         Args:
             attitude: quaternion (w, x, y, z), body to local; it is normalised.
             yaw_rate: rad/s, NaN for none.
-            thrust: collective, cut to 0..1.
+            thrust: collective, cut to 0..1; none when it is not finite.
 
         Raises:
-            SetpointError: a value that is not finite, or a quaternion near zero.
+            SetpointError: a quaternion that is not finite, or near zero.
         """
         norm = math.sqrt(sum(c * c for c in attitude))
         if not 1e-3 < norm < 1e6:
             raise SetpointError(f"attitude has norm {norm:.3g}, not 1")
-        _reject_infinite("yaw rate", (yaw_rate,))
-        rates = (0.0, 0.0, 0.0 if math.isnan(yaw_rate) else yaw_rate)
-        self._store(
-            TASK_ATTITUDE, attitude_q=[c / norm for c in attitude], rates=rates, thrust=self._checked_thrust(thrust)
-        )
+        rates = (0.0, 0.0, yaw_rate if math.isfinite(yaw_rate) else 0.0)
+        self._store(TASK_ATTITUDE, attitude_q=[c / norm for c in attitude], rates=rates, thrust=_collective(thrust))
 
     def set_rates(self, rates: Sequence[float], thrust: float) -> None:
-        """Store a set-point of body rates (rad/s, FRD) and collective thrust (cut to 0..1).
+        """Store a set-point of body rates (rad/s, FRD; what is not finite is not controlled) and collective thrust.
 
-        Raises:
-            SetpointError: a value that is not finite.
+        Thrust is cut to 0..1, and none when it is not finite.
         """
-        if not all(map(math.isfinite, rates)):
-            raise SetpointError(f"rates are {rates}, not finite numbers")
-        self._store(TASK_RATES, rates=rates, thrust=self._checked_thrust(thrust))
-
-    @staticmethod
-    def _checked_thrust(thrust: float) -> float:
-        if not math.isfinite(thrust):
-            raise SetpointError(f"thrust is {thrust}, not in 0..1")
-        return min(max(thrust, 0.0), 1.0)
+        self._store(TASK_RATES, rates=tuple(map(_finite, rates)), thrust=_collective(thrust))
 
     def _store(self, task: int, **fields: Sequence[float] | float) -> None:
         self._task = task

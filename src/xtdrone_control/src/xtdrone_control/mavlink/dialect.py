@@ -1,4 +1,4 @@
-"""MAVLink's message types: pymavlink's common dialect, and those of ``common.xml`` that pymavlink leaves out.
+"""MAVLink's message types: pymavlink's common dialect, and what it leaves out of ``common.xml``.
 
 A message type says how a message lies on the wire, with the attributes of pymavlink's message classes: ``id``,
 ``msgname``, ``fieldnames``, ``ordered_fieldnames``, ``fieldtypes``, ``lengths``, ``crc_extra``, ``unpacker``.
@@ -43,31 +43,43 @@ class MessageType:
     unpacker: struct.Struct
 
 
-def message_type(number: int, name: str, fields: str) -> MessageType:
+def _fields(name: str, text: str) -> list[tuple[str, int, str]]:
+    """Return type, count (0 for no array) and name of each field.
+
+    Raises:
+        ValueError: a field that is written otherwise.
+    """
+    parsed = []
+    for field in filter(None, map(str.strip, text.split(","))):
+        match = _FIELD.fullmatch(field)
+        if match is None:
+            raise ValueError(f"{name}: field {field!r} is not of the form 'type name' or 'type[count] name'")
+        kind, count, label = match.groups()
+        parsed.append((kind, int(count or 0), label))
+    return parsed
+
+
+def message_type(number: int, name: str, fields: str, extensions: str = "") -> MessageType:
     """Describe a message as ``common.xml`` does.
 
     Args:
         number: message id.
         name: message name.
-        fields: ``type name`` or ``type[count] name`` of each field in the order of the XML, commas between; no
-            extension fields.
+        fields: ``type name`` or ``type[count] name`` of each field in the order of the XML, commas between.
+        extensions: the same of its extension fields.
 
     Returns:
         The type, with fields sorted by size as they lie on the wire, and the checksum's seed computed from them
         (https://mavlink.io/en/guide/serialization.html).
     """
-    parsed = []
-    for field in fields.split(","):
-        match = _FIELD.fullmatch(field.strip())
-        if match is None:
-            raise ValueError(f"{name}: field {field!r} is not of the form 'type name' or 'type[count] name'")
-        kind, count, label = match.groups()
-        parsed.append((kind, int(count or 0), label))
+    parsed, added = _fields(name, fields), _fields(name, extensions)
     wire = sorted(parsed, key=lambda entry: -struct.calcsize(_CODES[entry[0]]))
     signature = f"{name} ".encode()
     for kind, count, label in wire:
         signature += f"{kind} {label} ".encode() + (bytes([count]) if count else b"")
     checksum = int(mavlink.x25crc(signature).crc)
+    parsed += added
+    wire += added
     return MessageType(
         id=number,
         msgname=name,
@@ -128,5 +140,16 @@ _MISSING = (
     ),
 )
 
-MESSAGES: dict[int, Any] = {**{entry.id: entry for entry in _MISSING}, **mavlink.mavlink_map}
+# those that pymavlink knows without their extension fields
+_EXTENDED = (
+    message_type(
+        82,
+        "SET_ATTITUDE_TARGET",
+        "uint32_t time_boot_ms, uint8_t target_system, uint8_t target_component, uint8_t type_mask, float[4] q,"
+        "float body_roll_rate, float body_pitch_rate, float body_yaw_rate, float thrust",
+        "float[3] thrust_body",
+    ),
+)
+
+MESSAGES: dict[int, Any] = {**mavlink.mavlink_map, **{entry.id: entry for entry in _MISSING + _EXTENDED}}
 MESSAGE_ID: dict[str, int] = {entry.msgname: number for number, entry in MESSAGES.items()}

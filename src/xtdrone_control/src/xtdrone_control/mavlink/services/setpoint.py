@@ -7,11 +7,13 @@ from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.commander import CRITICAL, Commander
 from xtdrone_control.autopilot.inputs import SetpointError
 from xtdrone_control.mavlink import setpoints
 from xtdrone_control.mavlink.link import Link
-from xtdrone_control.mavlink.service import Service
+from xtdrone_control.mavlink.service import Service, Vehicle
+
+_TEXT_INTERVAL_US = 1_000_000
 
 
 class SetpointService(Service):
@@ -27,6 +29,11 @@ class SetpointService(Service):
         mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
         | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     )
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._tell_again_us = 0
 
     def _local_target(self, link: Link, m: Any) -> None:
         self._steer(link, setpoints.local_target, m)
@@ -47,5 +54,12 @@ class SetpointService(Service):
         try:
             take(self.vehicle.commander, m)
         except SetpointError as error:
-            self.vehicle.commander.warn(f"Set-point rejected: {error}")
+            if isinstance(error, setpoints.RefusedSetpointError):
+                self._tell(str(error))
             link.warn("set-point", f"set-point rejected: {error}", self.vehicle.now_us)
+
+    def _tell(self, text: str) -> None:
+        """Tell the operator, at most once a second."""
+        if self.vehicle.now_us >= self._tell_again_us:
+            self._tell_again_us = self.vehicle.now_us + _TEXT_INTERVAL_US
+            self.vehicle.commander.say(CRITICAL, text)
