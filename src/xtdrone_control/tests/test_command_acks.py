@@ -10,7 +10,9 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
+from xtdrone_control.autopilot import modes, plan
 from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.plan import PlanItem
 
 _REFERENCE = Path(__file__).parent / "data" / "px4_command_acks.csv"
 
@@ -24,7 +26,7 @@ _OTHERWISE: dict[int, tuple[int, list[str], str]] = {
     2510: (_UNSUPPORTED, [], "logs are not streamed; they are downloaded"),
 }
 # What is yet to come: the modes and the navigator do not do it.
-_MISSING = {20, 23, 80, 186, 187, 189, 195, 196, 197, 201, 528}
+_MISSING = {20, 23, 186, 528}
 
 
 def _reference() -> list[tuple[int, str, int | None, list[str]]]:
@@ -114,6 +116,34 @@ def test_reposition_takes_its_heading_in_radians(served):
     assert served.autopilot.setpoint[0]["goal_yaw"] == pytest.approx(1.5)
     for flags in (0.0, 3.0, math.nan):  # no change of mode, or more than that
         assert served.command(192, -1, flags)[0] == 3
+
+
+def test_a_region_of_interest_is_looked_at(served):
+    latitude, longitude, _ = served.commander.view.to_global((0.0, 100.0, 0.0))
+    message = command_int(195, round(latitude * 1e7), round(longitude * 1e7), 10.0, frame=6)
+    assert served.ask(message)[0].result == 0
+    assert served.commander.navigator.mission._roi == pytest.approx((0.0, 100.0, -10.0), abs=0.02)
+    assert served.command(197)[0] == 0
+
+
+def test_actuators_are_set(served):
+    assert served.command(187, 0.5, math.nan, -2.0)[0] == 0
+    assert served.commander.navigator.payload.actuators[:3] == [0.5, 0.0, -1.0]
+
+
+def test_landing_starts_where_the_mission_says(served):
+    home = served.commander.home
+    items = [
+        PlanItem(number, 6, (0.0, 0.0, 0.0, math.nan), home.latitude, home.longitude, 10.0)
+        for number in (22, 16, 189, 16)
+    ]
+    land = PlanItem(21, 6, (0.0, 0.0, 0.0, math.nan), home.latitude, home.longitude, 0.0)
+    served.commander.navigator.set_plan(plan.MISSION, [*items, land])
+    served.autopilot.place(0, 0.0, 0.0, -10.0)
+    served.commander.armed = True
+    assert served.command(189)[0] == 0
+    assert served.commander.mode is modes.AUTO_MISSION
+    assert served.commander.navigator.plans.current >= 2
 
 
 # versions

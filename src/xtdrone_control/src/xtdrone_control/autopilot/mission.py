@@ -416,7 +416,7 @@ class Mission:
         elif item.command == plan.RETURN:
             self.returning = True
         elif not self._payload.obey(item.command, params):
-            self._set_roi(item)
+            self.set_roi(item)
 
     def _change_speed(self, kind: float, speed: float) -> None:
         field = _SPEED_FIELDS.get(int(kind)) if math.isfinite(kind) else None
@@ -426,7 +426,8 @@ class Mission:
         if field == "climb_speed":
             self._climb_speed = float(self._view.setpoint[field])
 
-    def _set_roi(self, item: PlanItem) -> None:
+    def set_roi(self, item: PlanItem) -> None:
+        """Look at the place or the next waypoint that a DO_SET_ROI* item names while a mission is flown, or no more."""
         if item.command == plan.SET_ROI_LOCATION or (item.command == plan.SET_ROI and item.params[0] == _ROI_LOCATION):
             self._roi_kind, self._roi = _ROI_LOCATION, self._locate(item)
         elif item.command == plan.SET_ROI_NEXT:

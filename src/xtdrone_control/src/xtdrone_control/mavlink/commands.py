@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander import CRITICAL, Result
+from xtdrone_control.autopilot.plan import PlanItem
 
 from . import failures
 from .dialect import MESSAGE_ID
@@ -29,6 +30,13 @@ _FORCE = 21196
 _CHANGE_MODE_FLAG = 1  # MAV_DO_REPOSITION_FLAGS
 _RELATIVE_FRAMES = (3, 6)  # MAV_FRAME_GLOBAL_RELATIVE_ALT(_INT)
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
+_ROI = (
+    mavlink.MAV_CMD_NAV_ROI,
+    mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
+    mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET,
+    mavlink.MAV_CMD_DO_SET_ROI_NONE,
+    mavlink.MAV_CMD_DO_SET_ROI,
+)
 _LARGEST_ID = 0xFFFF  # of messages, in GET_MESSAGE_INTERVAL
 
 # Left to parts that PX4's simulator does not run: it acknowledges nothing
@@ -131,7 +139,10 @@ class CommandHandler:
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._change_speed,
             mavlink.MAV_CMD_DO_SET_HOME: self._set_home,
             mavlink.MAV_CMD_DO_CHANGE_ALTITUDE: self._change_altitude,
+            mavlink.MAV_CMD_DO_SET_ACTUATOR: self._set_actuators,
+            mavlink.MAV_CMD_DO_LAND_START: self._start_landing,
             mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
+            **dict.fromkeys(_ROI, self._set_roi),
             mavlink.MAV_CMD_MISSION_START: self._start_mission,
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
             mavlink.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
@@ -230,6 +241,23 @@ class CommandHandler:
             self._commander.navigator.set_current(int(first))
         result = self._commander.request(modes.AUTO_MISSION)
         return result if result is not Result.ACCEPTED else self._commander.arm_disarm(True)
+
+    def _start_landing(self, command: Command, link: Link) -> Result:
+        """Fly the mission from where its landing begins; accepted without one too, as in PX4."""
+        landing = self._commander.navigator.mission.landing_place()
+        if landing is not None:
+            self._start_mission(replace(command, params=(float(landing[1]), *command.params[1:])), link)
+        return Result.ACCEPTED
+
+    def _set_roi(self, command: Command, _link: Link) -> Result:
+        number = mavlink.MAV_CMD_DO_SET_ROI if command.number == mavlink.MAV_CMD_NAV_ROI else command.number
+        p = command.params
+        self._commander.navigator.mission.set_roi(PlanItem(number, command.frame, p[:4], p[4], p[5], p[6]))
+        return Result.ACCEPTED
+
+    def _set_actuators(self, command: Command, _link: Link) -> Result:
+        self._commander.navigator.payload.obey(command.number, command.params)
+        return Result.ACCEPTED
 
     # before flight
 
