@@ -38,6 +38,9 @@ class FakeLink:
     def link_of(self, *_: object) -> FakeLink:
         return self
 
+    def note_malformed(self, _sender: object) -> None:
+        self.malformed += 1
+
     def heard(self, *_: object) -> None:
         self.streams.start(0)
 

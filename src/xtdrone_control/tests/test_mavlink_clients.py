@@ -237,3 +237,11 @@ def test_no_socket_stays_open(world):
     for number in ports:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", number))
+
+
+def test_a_key_for_signing_is_refused_with_one_text(world):
+    setup = mavlink.MAVLink_setup_signing_message(_SYSTEM, 1, list(range(32)), 7)
+    world.ask(setup)
+    world.ask(setup)
+    texts = [m.text for m in named(world.run(0.1), "STATUSTEXT")]
+    assert texts == ["MAVLink signing is not supported"]

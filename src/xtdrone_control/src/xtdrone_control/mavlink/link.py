@@ -43,8 +43,12 @@ class Link:
         sent: messages sent to it.
         received_bytes: of its datagrams.
         sent_bytes: of the frames sent to it.
+        malformed: datagrams of this client that were not, or not wholly, MAVLink.
+        dropped: datagrams of this client that were not looked at, see ``Port``.
+        lost: datagrams to it that the operating system did not take.
         open: whether the client is still one of the port's; what is sent over a link that is not goes nowhere.
         credit: what the client may still ask for, see ``Port``.
+        paid: how many of the messages sent to it are settled.
     """
 
     def __init__(self, port: Port, peer: Address, name: str) -> None:
@@ -61,8 +65,10 @@ class Link:
         self.sent = 0
         self.received_bytes = 0
         self.sent_bytes = 0
+        self.malformed = self.dropped = self.lost = 0
         self.open = True
         self.credit = 0
+        self.paid = 0
         self._mav = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=COMPONENT_ID)
         self._frames: deque[bytes] = deque()
         self._heard_us = _NEVER_US
@@ -191,9 +197,9 @@ class Link:
             self.sent & 0xFFFFFFFF,
             self.received & 0xFFFFFFFF,
             0,
-            self._port.malformed & 0xFFFF,
-            self._port.lost & 0xFFFF,
-            self._port.dropped & 0xFFFF,
+            self.malformed & 0xFFFF,
+            self.lost & 0xFFFF,
+            self.dropped & 0xFFFF,
             0,
             0,
         )
@@ -222,7 +228,8 @@ class Link:
             while frames and size + len(frames[0]) <= _MAX_DATAGRAM:
                 size += len(frames[0])
                 parts.append(frames.popleft())
-            self._port.send(b"".join(parts), self.peer, now_us)
+            if not self._port.send(b"".join(parts), self.peer, now_us):
+                self.lost += 1
 
     def warn(self, kind: str, text: str, now_us: int) -> None:
         """Log a warning, at most one of each ``kind`` a simulated second and port."""

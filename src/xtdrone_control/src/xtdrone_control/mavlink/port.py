@@ -183,6 +183,7 @@ class Port:
         """Give everybody new credit."""
         for link in self._links.values():
             link.credit = min(link.credit + _CREDIT, _CREDIT)
+            link.paid = link.sent
         self._strangers_credit = min(self._strangers_credit + _CREDIT, _CREDIT)
 
     def read(self) -> tuple[bytes, Address] | None:
@@ -203,6 +204,8 @@ class Port:
         if link is self.default or (self._strangers_credit if link is None else link.credit) > 0:
             return True
         self.dropped += 1
+        if link is not None:
+            link.dropped += 1
         who = "strangers send" if link is None else f"{sender[0]}:{sender[1]} sends"
         self.warn("flood", f"{who} more than can be served; {self.dropped} datagrams were dropped so far", now_us)
         return False
@@ -215,7 +218,15 @@ class Port:
             self._strangers_credit -= cost
         else:
             link.received_bytes += size
-            link.credit -= cost + link.waiting
+            link.credit -= cost + link.sent - link.paid
+            link.paid = link.sent
+
+    def note_malformed(self, sender: Address) -> None:
+        """Count a datagram of ``sender`` that was not, or not wholly, MAVLink."""
+        self.malformed += 1
+        link = self._links.get(sender)
+        if link is not None:
+            link.malformed += 1
 
     def link_of(self, sender: Address, now_us: int) -> Link | None:
         """Return the link to ``sender``, who has sent a valid message; None when there is no room for him."""
@@ -230,6 +241,7 @@ class Port:
             self.warn("room", text, now_us)
             return None
         link = Link(self, sender, f"{self.name} to {sender[0]}:{sender[1]}")
+        link.credit = _CREDIT
         self._links[sender] = link
         self._next_due_us = None
         return link
@@ -280,15 +292,16 @@ class Port:
         for link in self._links.values():
             link.flush(now_us)
 
-    def send(self, datagram: bytes, peer: Address, now_us: int) -> None:
-        """Send a datagram; one that the operating system does not take is counted."""
+    def send(self, datagram: bytes, peer: Address, now_us: int) -> bool:
+        """Send a datagram; say whether the operating system took it, and count it."""
         try:
             self.socket.sendto(datagram, peer)
         except OSError as error:
             self.lost += 1
             self.warn("send", f"cannot send to {peer[0]}:{peer[1]}: {error.strerror}", now_us)
-            return
+            return False
         self.sent[peer[1]] = self.sent.get(peer[1], 0) + 1
+        return True
 
     def warn(self, kind: str, text: str, now_us: int, name: str = "") -> None:
         """Log a warning, at most one of each ``kind`` a simulated second."""

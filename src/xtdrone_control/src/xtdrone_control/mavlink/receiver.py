@@ -82,14 +82,14 @@ class Receiver:
                 if entry is not None:
                     self._dispatch(port, frame, sender, (system, component), entry)
         except FrameError as error:
-            self._malformed(port, error)
+            self._malformed(port, sender, error)
 
     def _dispatch(self, port: Port, frame: bytes, sender: Address, origin: tuple[int, int], entry: _Entry) -> None:
         now_us = self._vehicle.now_us
         try:
             message = entry.decode(frame)
         except (ValueError, struct.error, TypeError) as error:  # FrameError is a ValueError, as is bad text
-            self._malformed(port, error)
+            self._malformed(port, sender, error)
             return
         system = self._vehicle.system_id
         if entry.system_field and getattr(message, entry.system_field) not in (_BROADCAST, system):
@@ -106,8 +106,8 @@ class Receiver:
             return
         entry.handle(link, message)
 
-    def _malformed(self, port: Port, error: Exception) -> None:
-        port.malformed += 1
+    def _malformed(self, port: Port, sender: Address, error: Exception) -> None:
+        port.note_malformed(sender)
         port.warn("malformed", f"bad MAVLink ignored: {error}", self._vehicle.now_us)
 
     @property

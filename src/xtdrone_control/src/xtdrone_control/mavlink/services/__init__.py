@@ -10,6 +10,7 @@ from .parameter import ParameterService
 from .place import PlaceService
 from .presence import PresenceService
 from .setpoint import SetpointService
+from .signing import SigningService
 from .version import VersionService
 
 
@@ -20,6 +21,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         PresenceService(vehicle),
         commands,
         SetpointService(vehicle),
+        SigningService(vehicle),
         ParameterService(vehicle),
         MissionService(vehicle),
         PlaceService(vehicle, commands),
