@@ -8,11 +8,13 @@ from itertools import pairwise
 
 import pytest
 from autopilot_fakes import FIRST_ID
+from pymavlink.dialects.v10 import common as version_1_dialect
 from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat, named
 
 from xtdrone_control.fleet import GCS_REMOTE_PORT
-from xtdrone_control.mavlink.codec import split
+from xtdrone_control.mavlink.codec import decoder, split
+from xtdrone_control.mavlink.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.packing import Format, as_version_1
 from xtdrone_control.mavlink.port import MAX_CLIENTS
 
@@ -160,6 +162,12 @@ def test_the_payload_link_keeps_to_its_bandwidth(world):
     payload.socket.close()
 
 
+# of the messages below
+_EXTENSIONS = {
+    "thrust_body", "buttons2", "enabled_extensions", "s", "t", "aux1", "aux2", "aux3", "aux4", "aux5", "aux6",
+}  # fmt: skip
+
+
 class TestVersion1:
     def client(self, world):
         client = Client(0, world.fleet[0].gcs_local_port)
@@ -206,6 +214,16 @@ class TestVersion1:
         world.run(1.0)
         assert {datagram[0] for datagram in world.client.datagrams} == {answer}
         world.close()
+
+    @pytest.mark.parametrize("name", ["SET_ATTITUDE_TARGET", "MANUAL_CONTROL"])
+    def test_extension_fields_are_zero_in_what_comes(self, name):
+        cls = MESSAGES[MESSAGE_ID[name]]
+        size = version_1_dialect.mavlink_map[cls.id].unpacker.size
+        frame = as_version_1(Format(name).frame(bytes(range(1, size + 1)), 0, 7, 8))
+        message = decoder(name)(frame)
+        for field in cls.fieldnames:
+            value = getattr(message, field)
+            assert (value in (0, 0.0, [0.0] * 3, (0.0,) * 3)) == (field in _EXTENSIONS), field
 
     def test_extension_fields_and_large_ids_stay_away(self):
         parser = mavlink.MAVLink(None)

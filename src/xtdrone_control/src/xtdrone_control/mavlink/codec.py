@@ -2,7 +2,7 @@
 
 pymavlink's own ``MAVLink.decode`` costs 3.1 us a message (LOCAL_POSITION_NED) and ``parse_char`` 4.4 us. Its unpacker
 and CRC function on an exact frame cost 0.5 us, so messages are decoded with those, into a named tuple with the fields'
-MAVLink names. Messages with text and MAVLink 1 frames are rare; they go through ``MAVLink.decode``.
+MAVLink names. Messages with text are rare; they go through ``MAVLink.decode``.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ _MAGIC_V1 = 0xFE
 _MAGIC_V2 = 0xFD
 _FLAG_SIGNED = 0x01
 _SIGNATURE_LENGTH = 13
+_HEADER_V1 = 6
 _HEADER_V2 = 10
 
 
@@ -58,7 +59,7 @@ def split(datagram: bytes) -> Iterator[tuple[int, int, int, bytes]]:
                 raise FrameError(f"incompatibility flags 0x{flags:02x} are not known")
             number = datagram[start + 7] | datagram[start + 8] << 8 | datagram[start + 9] << 16
             system, component = datagram[start + 5], datagram[start + 6]
-        elif magic == _MAGIC_V1 and start + 6 <= size:
+        elif magic == _MAGIC_V1 and start + _HEADER_V1 <= size:
             end = start + datagram[start + 1] + 8
             number, system, component = datagram[start + 5], datagram[start + 3], datagram[start + 4]
         else:
@@ -113,13 +114,14 @@ def decoder(name: str) -> Decoder:
     crc = mavlink.mcrf4xx or (lambda buffer: mavlink.x25crc(buffer).crc)
 
     def decode(frame: bytes) -> Any:
-        if frame[0] != _MAGIC_V2:
-            return _decode_general(frame)
-        end = _HEADER_V2 + frame[1]
+        start = _HEADER_V2 if frame[0] == _MAGIC_V2 else _HEADER_V1
+        end = start + frame[1]
         if crc(frame[1:end] + crc_extra) != frame[end] | frame[end + 1] << 8:
             raise FrameError(f"{name}: CRC is wrong")
-        payload = frame[_HEADER_V2:end]
-        if len(payload) != size:  # trailing zeros are cut in MAVLink 2; a newer dialect may send more
+        payload = frame[start:end]
+        if (
+            len(payload) != size
+        ):  # MAVLink 2 cuts trailing zeros, MAVLink 1 knows no extensions, a newer dialect has more
             payload = payload[:size].ljust(size, b"\0")
         return make(unpack(payload))
 
