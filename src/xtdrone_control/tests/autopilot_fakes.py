@@ -42,6 +42,8 @@ class FakeAutopilot:
         for field, value in zip(("origin_lat", "origin_lon", "origin_alt"), ORIGIN, strict=True):
             self.estimator[field] = value
         self.sensors["gps_fix"] = 3
+        self.sensors["battery_voltage"] = 16.2
+        self.sensors["battery_current"] = -1.0
 
     def rotor_count(self, _index: int) -> int:
         return 4
@@ -87,7 +89,7 @@ class Flight:
         self.commander.offboard_trajectory((1.0, 2.0, -3.0), nan, nan, 0.0, math.nan)
 
     def texts(self) -> list[str]:
-        """Take the texts that wait."""
-        found = [text for _, text in self.commander.texts]
+        """Take the texts that wait, without the tab that says that there is an event, too."""
+        found = [text.rstrip("\t") for _, text in self.commander.texts]
         self.commander.texts.clear()
         return found

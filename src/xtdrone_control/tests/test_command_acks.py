@@ -26,7 +26,7 @@ _OTHERWISE: dict[int, tuple[int, list[str], str]] = {
     2510: (_UNSUPPORTED, [], "logs are not streamed; they are downloaded"),
 }
 # What is yet to come: the modes and the navigator do not do it.
-_MISSING = {20, 23, 186, 528}
+_MISSING = {528}
 
 
 def _reference() -> list[tuple[int, str, int | None, list[str]]]:
@@ -50,7 +50,8 @@ def test_zero_parameters_disarmed(number, name, result, texts):
         pytest.xfail("not done")
     served = Served()
     found_result, found_texts = served.command(number)
-    assert (found_result, found_texts) == (result, texts), name
+    # with a tab where PX4 sends an event, too; the reference was written down without
+    assert (found_result, [text.rstrip("\t") for text in found_texts]) == (result, texts), name
 
 
 def test_what_is_answered_otherwise_is_in_the_reference():

@@ -8,7 +8,8 @@ import pytest
 from autopilot_fakes import ORIGIN, Flight
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander import Failsafe, Result
+from xtdrone_control.autopilot.commander import Result
+from xtdrone_control.autopilot.failsafe import Action
 from xtdrone_control.autopilot.inputs import SetpointError
 from xtdrone_control.autopilot.state import (
     TASK_ATTITUDE,
@@ -49,33 +50,68 @@ def test_heartbeat_words_are_px4s(flight):
     assert (c.base_mode, c.custom_mode) == (145, 393216)
 
 
+def test_disarmed_every_mode_can_be_chosen(flight):
+    for mode in modes.SUPPORTED:
+        assert flight.commander.set_mode(1, mode.custom_mode) is Result.ACCEPTED, mode.name
+        assert flight.commander.custom_mode == mode.custom_mode
+
+
 @pytest.mark.parametrize(
-    ("custom_mode", "result", "text"),
+    ("custom_mode", "texts"),
     [
-        (4 << 16 | 1 << 24, Result.TEMPORARILY_REJECTED, "Unsupported auto mode"),
-        (99 << 16, Result.TEMPORARILY_REJECTED, "Unsupported mode"),
-        (1 << 16, Result.UNSUPPORTED, "MANUAL is not supported"),
-        (2 << 16, Result.UNSUPPORTED, "ALTCTL is not supported"),
-        (5 << 16, Result.UNSUPPORTED, "ACRO is not supported"),
-        (7 << 16, Result.UNSUPPORTED, "STABILIZED is not supported"),
+        (4 << 16 | 1 << 24, ["Unsupported auto mode"]),  # AUTO.READY
+        (4 << 16 | 8 << 24, ["Unsupported auto mode"]),  # AUTO.FOLLOW_TARGET: nobody is followed
+        (99 << 16, []),
+        (3 << 16 | 1 << 24, []),  # orbit
     ],
 )
-def test_modes_that_are_refused(flight, custom_mode, result, text):
-    assert flight.commander.set_mode(1, custom_mode) is result
-    assert any(text in t for t in flight.texts())
+def test_modes_that_are_refused(flight, custom_mode, texts):
+    assert flight.commander.set_mode(1, custom_mode) is Result.TEMPORARILY_REJECTED
+    assert flight.texts() == texts
     assert flight.commander.mode is modes.AUTO_LOITER
 
 
-def test_mode_without_the_custom_flag_is_refused(flight):
-    assert flight.commander.set_mode(0, modes.OFFBOARD.custom_mode) is Result.TEMPORARILY_REJECTED
+@pytest.mark.parametrize(
+    ("base_mode", "mode"),
+    [(4, modes.AUTO_MISSION), (64, modes.MANUAL), (64 | 16, modes.STABILIZED), (64 | 16 | 8, modes.POSCTL)],
+)
+def test_mode_by_base_mode_alone(flight, base_mode, mode):
+    assert flight.commander.set_mode(base_mode, 0) is Result.ACCEPTED
+    assert flight.commander.mode is mode
 
 
-@pytest.mark.parametrize("mode", [modes.AUTO_LAND, modes.AUTO_RTL, modes.POSCTL, modes.OFFBOARD])
+@pytest.mark.parametrize(
+    "mode",
+    [
+        modes.MANUAL,
+        modes.ALTCTL,
+        modes.POSCTL,
+        modes.ACRO,
+        modes.STABILIZED,
+        modes.OFFBOARD,
+        modes.AUTO_RTL,
+        modes.AUTO_LAND,
+        modes.AUTO_MISSION,
+    ],
+)
 def test_modes_not_for_arming(flight, mode):
+    """What a real PX4 refused without a pilot, set-points and mission; it told why by events alone."""
     assert flight.commander.request(mode) is Result.ACCEPTED
+    flight.run(0.1)
+    flight.texts()
+    flight.commander.events.clear()
     assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
     assert not flight.commander.armed
-    assert flight.texts()[-1].startswith("Arming denied")
+    assert flight.texts() == []
+    reason = {
+        modes.OFFBOARD: "check_modes_offboard_signal",
+        modes.AUTO_RTL: "check_modes_cannot_takeoff",
+        modes.AUTO_LAND: "check_modes_cannot_takeoff",
+        modes.AUTO_MISSION: "check_modes_mission",
+    }.get(mode, "check_modes_manual_control")
+    names = [event.name for event in flight.commander.events]
+    assert names[0] == "commander_arming_check_summary"
+    assert reason in names
 
 
 @pytest.mark.parametrize("mode", [modes.AUTO_LOITER, modes.AUTO_TAKEOFF])
@@ -91,11 +127,14 @@ def test_arming_twice_is_accepted(flight):
     assert flight.commander.arm_disarm(True) is Result.ACCEPTED
 
 
-def test_arming_in_the_air_is_refused(flight):
-    flight.place(0.0, 0.0, -5.0)
+def test_arming_again_in_the_air_asks_for_no_checks_for_five_seconds(flight):
+    fly_offboard(flight)
+    flight.commander.arm_disarm(False, force=True)
+    flight.run(1.5)  # the set-points are too old for OFFBOARD
+    assert flight.commander.arm_disarm(True) is Result.ACCEPTED
+    flight.commander.arm_disarm(False, force=True)
+    flight.run(5.1)
     assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
-    assert "Arming denied: vehicle is in the air" in flight.texts()
-    assert flight.setpoint["armed"] == 0
 
 
 @pytest.mark.parametrize("field", ["initialised", "position_valid", "altitude_valid"])
@@ -144,8 +183,20 @@ def test_disarms_two_seconds_after_landing(flight):
     assert flight.commander.armed
     flight.run(0.3)
     assert not flight.commander.armed
-    assert flight.commander.mode is modes.AUTO_LOITER
+    assert flight.commander.mode is modes.OFFBOARD, "the last mode that can be armed in"
     assert flight.texts() == ["Landing detected", "Disarmed by landing"]
+
+
+def test_landing_and_returning_end_in_the_mode_before(flight):
+    flight.commander.arm_disarm(True)
+    flight.place(0.0, 0.0, -5.0)
+    flight.run(0.2)
+    for mode in (modes.AUTO_RTL, modes.AUTO_LAND):
+        flight.commander.request(mode)
+    flight.place(0.0, 0.0, 0.0)
+    flight.run(2.3)
+    assert not flight.commander.armed
+    assert flight.commander.mode is modes.AUTO_LOITER
 
 
 def test_offboard_needs_a_stream_in_flight(flight):
@@ -202,13 +253,13 @@ def test_bad_set_points_neither_act_nor_feed_the_watchdog(flight, give):
     flight.run(0.9, offend)
     assert str(flight.setpoint) == before
     flight.run(0.3, offend)
-    assert flight.commander.failsafe is Failsafe.OFFBOARD_LOST
+    assert flight.commander.failsafe
 
 
 def test_offboard_loss_sinks_as_px4_does_and_disarms(flight):
     fly_offboard(flight)
     flight.run(0.9)
-    assert flight.commander.failsafe is Failsafe.NONE
+    assert not flight.commander.failsafe
     flight.run(0.2)
     c = flight.commander
     assert flight.texts()[0] == "Failsafe activated"
@@ -220,14 +271,14 @@ def test_offboard_loss_sinks_as_px4_does_and_disarms(flight):
     flight.place(1.0, 2.0, 0.0)
     flight.run(2.3)
     assert not c.armed
-    assert (c.mode, c.system_status) == (modes.AUTO_LOITER, 3)
+    assert (c.mode, c.system_status) == (modes.OFFBOARD, 3)
 
 
 def test_offboard_comes_back_with_its_stream(flight):
     fly_offboard(flight)
     flight.run(1.2)
     flight.run(0.1, flight.hover)
-    assert flight.commander.failsafe is Failsafe.OFFBOARD_LOST, "one set-point is no stream"
+    assert flight.commander.failsafe, "one set-point is no stream"
     flight.run(0.1, flight.hover)
     assert flight.commander.mode is modes.OFFBOARD
     assert flight.setpoint["position"].tolist() == [1.0, 2.0, -3.0]
@@ -239,14 +290,14 @@ def test_a_stream_does_not_lift_a_vehicle_that_the_failsafe_has_landed(flight):
     flight.run(1.2)
     flight.place(1.0, 2.0, 0.0)
     flight.run(1.0, flight.hover)
-    assert flight.commander.failsafe is Failsafe.OFFBOARD_LOST
+    assert flight.commander.failsafe
 
 
 def test_a_command_ends_the_failsafe(flight):
     fly_offboard(flight)
     flight.run(1.2)
     assert flight.commander.request(modes.AUTO_LOITER) is Result.ACCEPTED
-    assert (flight.commander.failsafe, flight.commander.system_status) == (Failsafe.NONE, 4)
+    assert (flight.commander.failsafe, flight.commander.system_status) == (False, 4)
     assert flight.setpoint["task"] == TASK_GOTO
 
 
@@ -262,14 +313,14 @@ def test_offboard_loss_actions(action, mode, task):
     assert flight.setpoint["task"] == task
 
 
-def test_position_loss_descends_and_recovers(flight):
+def test_offboard_without_a_position_falls_back_to_altitude_control_and_recovers(flight):
     fly_offboard(flight)
     flight.autopilot.estimator["position_valid"] = 0
     flight.run(0.9, flight.hover)
-    assert flight.commander.failsafe is Failsafe.NONE
+    assert not flight.commander.failsafe
     flight.run(0.3, flight.hover)
-    assert flight.setpoint["task"] == TASK_DESCEND
-    assert flight.commander.landed_state == 4
+    assert flight.commander.mode is modes.ALTCTL
+    assert flight.setpoint["task"] == TASK_DESCEND, "nobody steers"
     assert flight.commander.request(modes.AUTO_LOITER) is Result.TEMPORARILY_REJECTED
     assert flight.setpoint["task"] == TASK_DESCEND
     flight.autopilot.estimator["position_valid"] = 1
@@ -278,11 +329,28 @@ def test_position_loss_descends_and_recovers(flight):
     assert flight.setpoint["task"] == TASK_TRAJECTORY
 
 
+def test_auto_modes_without_a_position_descend(flight):
+    flight.commander.arm_disarm(True)
+    flight.place(0.0, 0.0, -5.0)
+    flight.run(0.5)
+    flight.autopilot.estimator["position_valid"] = 0
+    flight.run(0.9)
+    assert not flight.commander.failsafe
+    flight.run(0.3)
+    assert flight.commander.mode is modes.DESCEND
+    assert flight.commander.custom_mode == modes.AUTO_LAND.custom_mode
+    assert flight.setpoint["task"] == TASK_DESCEND
+    assert flight.commander.landed_state == 4
+    flight.autopilot.estimator["position_valid"] = 1
+    flight.run(0.2)
+    assert flight.commander.mode is modes.AUTO_LOITER
+
+
 def test_attitude_flight_needs_no_position(flight):
     fly_offboard(flight)
     flight.autopilot.estimator["position_valid"] = 0
     flight.run(3.0, lambda: flight.commander.offboard_attitude((1.0, 0.0, 0.0, 0.0), math.nan, 0.5))
-    assert flight.commander.failsafe is Failsafe.NONE
+    assert not flight.commander.failsafe
 
 
 def test_ground_station_loss_is_told(flight):
@@ -293,16 +361,23 @@ def test_ground_station_loss_is_told(flight):
     assert flight.commander.mode is modes.OFFBOARD
     flight.commander.gcs_heartbeat()
     flight.run(0.1, flight.hover)
-    assert flight.texts() == ["Connection to ground station regained"]
+    assert flight.texts() == ["GCS connection regained"]
 
 
 def test_ground_station_loss_returns_when_told_to():
     flight = Flight(NAV_DLL_ACT=2)
+    assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED, "without a ground station"
+    flight.commander.gcs_heartbeat()
     fly_offboard(flight)
     flight.commander.gcs_heartbeat()
-    flight.run(10.2, flight.hover)
+    flight.run(10.1, flight.hover)
+    assert flight.commander.mode is modes.AUTO_LOITER, "COM_FAIL_ACT_T for the pilot"
+    assert "Failsafe activated, entering Hold for 5 seconds" in flight.texts()
+    flight.run(4.8, flight.hover)
+    assert flight.commander.mode is modes.AUTO_LOITER
+    flight.run(0.3, flight.hover)
     assert flight.commander.mode is modes.AUTO_RTL
-    assert flight.commander.failsafe is Failsafe.GCS_LOST
+    assert flight.commander.failsafe_outcome.action is Action.RETURN
 
 
 def test_home_is_where_it_was_armed(flight):
@@ -320,8 +395,11 @@ def test_bad_home_is_denied(flight, place):
     assert flight.commander.home is home
 
 
-def test_sticks_fly_posctl_and_centre_when_silent(flight):
+def test_sticks_fly_posctl_and_the_vehicle_returns_when_they_fall_silent(flight):
     fly_offboard(flight)
+    assert flight.commander.request(modes.POSCTL) is Result.TEMPORARILY_REJECTED, "without a pilot"
+    flight.commander.manual_control(0.0, 0.0, 0.0, 0.0)
+    flight.run(0.1, flight.hover)
     assert flight.commander.request(modes.POSCTL) is Result.ACCEPTED
     s = flight.setpoint
     assert (s["task"], s["stick_x"]) == (TASK_STICKS, 0.0)
@@ -329,12 +407,15 @@ def test_sticks_fly_posctl_and_centre_when_silent(flight):
     assert (s["stick_x"], s["stick_y"], s["stick_z"]) == (1.0, -1.0, 0.0)
     assert s["stick_yaw"] == pytest.approx(0.4 * 0.5 + 0.6 * 0.125)
     flight.run(0.7)
-    assert (s["stick_x"], s["stick_y"], s["stick_yaw"]) == (0.0, 0.0, 0.0)
+    assert flight.commander.mode is modes.AUTO_LOITER, "waits for the pilot before it returns"
+    flight.run(5.0)
+    assert flight.commander.mode is modes.AUTO_RTL
 
 
 def test_sticks_allow_arming_in_posctl(flight):
     flight.commander.request(modes.POSCTL)
     flight.commander.manual_control(0.0, 0.0, 0.0, 0.0)
+    flight.run(0.1)
     assert flight.commander.arm_disarm(True) is Result.ACCEPTED
     assert flight.setpoint["task"] == TASK_STICKS
 

@@ -85,7 +85,7 @@ def test_answers_go_to_whoever_asked_and_texts_to_all(world, clients):
     assert not any(named(client.receive(), "COMMAND_ACK") for client in others)
     world.run(0.1)
     for client in clients:
-        assert [m.text for m in named(client.receive(), "STATUSTEXT")] == ["Armed by external command"]
+        assert [m.text for m in named(client.receive(), "STATUSTEXT")] == ["Armed by external command\t"]
 
 
 def test_a_client_that_is_silent_is_forgotten_and_may_come_back(world, clients, monkeypatch):

@@ -328,8 +328,8 @@ def test_content(world):
     assert got["ESTIMATOR_STATUS"].flags == 831
     assert got["ESTIMATOR_STATUS"].pos_vert_accuracy == pytest.approx(0.2)
     assert got["SERVO_OUTPUT_RAW"].servo1_raw == 900
-    assert got["BATTERY_STATUS"].voltages[0] == 12150
-    assert got["SYS_STATUS"].voltage_battery == 12150
+    assert got["BATTERY_STATUS"].voltages[0] == 16200
+    assert got["SYS_STATUS"].voltage_battery == 16200
     assert got["HOME_POSITION"].altitude == 488000
     assert got["GPS_GLOBAL_ORIGIN"].latitude == 473977420
     assert got["EXTENDED_SYS_STATE"].landed_state == 2
@@ -372,10 +372,10 @@ def test_a_diverged_estimate_does_not_stop_the_rest(world, caplog, field, value,
 def test_arm_disarm_and_texts(world):
     world.hear()
     assert world.command(400, 1)[0] == 0
-    assert world.texts() == ["Armed by external command"]
+    assert world.texts() == ["Armed by external command\t"]
     world.autopilot.place(0, 0.0, 0.0, -5.0)
     assert world.command(400, 0)[0] == 1
-    assert world.texts() == ["Disarming denied! Not landed"]
+    assert world.texts() == ["Disarming denied! Not landed\t"]
     assert world.command(400, 0, 21196)[0] == 0
     assert not world.ask(mavlink.MAVLink_command_long_message(_SYSTEM, 1, 400, 0, 2, 0, 0, 0, 0, 0, 0))
     assert world.texts()[-1] == "Unsupported ARM_DISARM param: 2.000"
@@ -394,7 +394,9 @@ def test_mode_commands(world):
     assert world.command(176, 1, 4, 5)[0] == 0
     assert world.commander.mode is modes.AUTO_RTL
     assert world.command(176, 1, 4, 1)[0] == 1
-    assert world.command(176, 1, 1)[0] == 3
+    assert world.command(176, 1, 99)[0] == 1
+    assert world.command(176, 1, 1)[0] == 0
+    assert world.commander.mode is modes.MANUAL
     assert world.command(176, math.nan, 4, 5)[0] == 2
     assert world.command(176, 1, 300)[0] == 2
 
@@ -580,6 +582,8 @@ def test_attitude_target(world):
 
 def test_manual_control(world):
     world.fly_offboard()
+    world.ask(mavlink.MAVLink_manual_control_message(_SYSTEM, 0, 0, 500, 0, 0))
+    world.commander.update()
     world.command(176, 1, 3)
     world.ask(mavlink.MAVLink_manual_control_message(_SYSTEM, 1000, -1000, 500, 0, 0))
     s = world.setpoint
@@ -670,7 +674,7 @@ def test_ground_station_is_noted(world):
     world.ask(heartbeat(6))
     world.autopilot.time_us += 10_100_000
     world.commander.update()
-    assert "Connection to ground station lost" in [text for _, text in world.commander.texts]
+    assert "Connection to ground station lost\t" in [text for _, text in world.commander.texts]
 
 
 # bad input

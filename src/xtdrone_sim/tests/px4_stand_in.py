@@ -35,7 +35,7 @@ class Firmware:
 
     def __init__(self, vehicle: Vehicle) -> None:
         model = load_vehicle(vehicle.type)
-        parameters = Parameters({**model.parameters, "EKF2_MAG_DECL": 3.0})
+        parameters = Parameters({**model.parameters, "EKF2_MAG_DECL": 3.0, "CBRK_SUPPLY_CHK": 894281})
         self.autopilot = Autopilot([model.rotor_layout], None)
         parameters.write_to(self.autopilot.params[0])
         self.commander = Commander(vehicle, self.autopilot, parameters, 0)

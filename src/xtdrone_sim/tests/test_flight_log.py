@@ -90,7 +90,7 @@ class Flight:
         self.disarmed_us = self.simulation.time_us
         self.run_until(self.simulation.time_us + 2_000_000)
         self.simulation.close()
-        self.texts = [text for _, text in self.commander.texts]
+        self.texts = [text.rstrip("\t") for _, text in self.commander.texts]
 
     def log(self, vehicle: str = "iris_0") -> Path:
         (path,) = (self.folder / vehicle).rglob("*.ulg")

@@ -54,7 +54,7 @@ class Recorder:
         if current != self._last[1]:
             self.note(f"current {current}")
         while self.commander.texts:
-            self.note(self.commander.texts.popleft()[1])
+            self.note(self.commander.texts.popleft()[1].rstrip("\t"))
         if mode is not self._last[2]:
             self.note(mode.name)
         self._last = (reached, current, mode)

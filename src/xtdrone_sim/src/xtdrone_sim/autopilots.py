@@ -13,6 +13,7 @@ from xtdrone_control.autopilot.parameters import Parameters
 from xtdrone_control.autopilot.plan import Plans
 from xtdrone_control.fleet import Vehicle
 
+from .battery import Batteries
 from .vehicle_model import VehicleModel
 from .world import World, WorldModel
 
@@ -98,6 +99,7 @@ class Builtin:
         self._logs = logs
         self._logger: Logger | None = None
         self._layouts = [model.rotor_layout for model in models]
+        self._battery_models = [model.battery for model in models]
         self._datum = datum
         self._parameters = [
             Parameters(
@@ -126,6 +128,7 @@ class Builtin:
             commander.navigator.restore(plans)
             self.commanders.append(commander)
         self.autopilot.start_control()
+        self._batteries = Batteries(world, self.autopilot, self._battery_models, self._parameters)
         if self._logs is not None:
             self._logger = Logger(self.autopilot, self.commanders, self._logs)
             self.autopilot.logs = self._logger.folders
@@ -136,6 +139,7 @@ class Builtin:
         self.autopilot.step()
         beat = self.autopilot.time_us % COMMANDER_PERIOD_US == 0
         if beat:
+            self._batteries.update(self.autopilot.time_us)
             for commander in self.commanders:
                 commander.update()
         if self._logger is not None:

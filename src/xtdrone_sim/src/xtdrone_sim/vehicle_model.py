@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import yaml
 
 from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
+
+from .battery import BatteryModel
 
 
 def _config_folder() -> Path:
@@ -78,6 +81,7 @@ MODEL = np.dtype(
 
 # sensors that a vehicle may lack: section, prefix of the record's fields
 _OPTIONAL_SENSORS = (("optical_flow", "flow"), ("range_finder", "range"))
+_BATTERY_KINDS = ("drain", "cell")
 _DIRECTIONS = {"ccw": 1.0, "cw": -1.0}
 _ROTOR_FIELDS = (
     "thrust_constant",
@@ -105,11 +109,13 @@ class VehicleModel:
         record: ``MODEL`` record.
         parameters: PX4 parameters that this airframe sets.
         assumed_layout: what the autopilot takes the rotors' places for; None where it knows them.
+        battery: its battery.
     """
 
     name: str
     record: np.void
     parameters: dict[str, float]
+    battery: BatteryModel
     assumed_layout: RotorLayout | None = None
 
     @property
@@ -161,7 +167,20 @@ def load_vehicle(name: str) -> VehicleModel:
     except (KeyError, TypeError) as error:
         raise ModelError(f"vehicle {name!r}: field {error} is missing or of the wrong kind") from error
     parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
-    return VehicleModel(Path(name).stem, record, parameters, assumed)
+    return VehicleModel(Path(name).stem, record, parameters, _battery(description.get("battery", {})), assumed)
+
+
+def _battery(description: dict[str, Any]) -> BatteryModel:
+    fields = dict(description)
+    kind = fields.pop("model", "drain")
+    if kind not in _BATTERY_KINDS:
+        raise ModelError(f"battery model {kind!r} is not allowed, {' or '.join(_BATTERY_KINDS)}")
+    allowed = [field.name for field in dataclass_fields(BatteryModel) if field.name != "cells"]
+    for name in fields:
+        if name not in allowed:
+            raise ModelError(f"battery: field {name!r} is not known; there are {', '.join(allowed)}")
+    values = {name: _positive(fields, name) for name in fields}
+    return BatteryModel(cells=kind == "cell", **values)
 
 
 def _positive(description: dict[str, Any], field: str) -> float:

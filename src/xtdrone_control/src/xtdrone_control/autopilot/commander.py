@@ -1,7 +1,7 @@
 """Arming, flight modes, failsafes and home of one vehicle, as PX4 v1.14's commander.
 
-All times are simulated. ``update`` is called at about 10 Hz; commands and set-points act at once. Texts for the
-operator wait in ``texts`` until a link takes them.
+All times are simulated. ``update`` is called at about 10 Hz; commands and set-points act at once. What the operator is
+told waits in ``texts`` and ``events`` until a link takes it.
 """
 
 from __future__ import annotations
@@ -14,27 +14,54 @@ from typing import TYPE_CHECKING
 
 from xtdrone_control.fleet import Vehicle
 
-from . import modes
-from .inputs import OffboardInput, StickInput
+from . import events, modes
+from .announcements import CRITICAL, INFO, WARNING, Announcements
+from .arming_checks import ArmingChecks, Report
+from .battery import BatteryEstimate
+from .events import Event
+from .failsafe import Action, Failsafe, Flags, Outcome, can_run
+from .health import Health
+from .inputs import OffboardInput, shaped
+from .manual_control import CENTRED, ManualControl, Request, Sticks
 from .modes import Mode
 from .navigator import Home, Navigator
 from .parameters import Parameters
-from .state import TASK_DESCEND, TASK_IDLE, TASK_STICKS, TASK_TRAJECTORY
+from .state import (
+    TASK_ACRO,
+    TASK_ALTITUDE,
+    TASK_DESCEND,
+    TASK_IDLE,
+    TASK_MANUAL,
+    TASK_STICKS,
+    TASK_TRAJECTORY,
+)
 from .vehicle_view import Vector, VehicleView
 
 if TYPE_CHECKING:
     from .autopilot import Autopilot
 
-CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
+__all__ = ["CRITICAL", "INFO", "WARNING", "ArmReason", "Commander", "Result"]
+
 _NAN = math.nan
 _UNSET = (_NAN, _NAN, _NAN)
 _NEVER_US = -(1 << 60)
-_MAX_TEXTS = 64
-_WARNING_INTERVAL_US = 1_000_000
-
-_CUSTOM_MODE_FLAG = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-_STANDBY, _ACTIVE, _CRITICAL_STATE, _UNINIT = 3, 4, 5, 0  # MAV_STATE
+_REFUSAL_INTERVAL_US = 1_000_000
+_GRACE_US = 5_000_000  # after disarming, in which arming asks for no checks
+_CHECK_INTERVAL_US = 1_000_000
+_OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
+_THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # of the stick, above and below which arming looks at it
+_HOME_ALWAYS = 1  # COM_HOME_EN
+_STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 3, 4, 5, 8, 0  # MAV_STATE
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
+
+_STICK_TASKS = {
+    modes.POSCTL: TASK_STICKS,
+    modes.ALTCTL: TASK_ALTITUDE,
+    modes.STABILIZED: TASK_MANUAL,
+    modes.MANUAL: TASK_MANUAL,
+    modes.ACRO: TASK_ACRO,
+}
+_MANUAL_THRUST = (modes.STABILIZED, modes.MANUAL, modes.ACRO)
 
 
 class Result(enum.IntEnum):
@@ -47,13 +74,22 @@ class Result(enum.IntEnum):
     FAILED = 4
 
 
-class Failsafe(enum.Enum):
-    """Why the vehicle does not fly the mode that it was told to."""
+class ArmReason(enum.Enum):
+    """Why a vehicle is armed or disarmed: PX4's number (arm_disarm_reason_t) and its words."""
 
-    NONE = ""
-    POSITION_LOST = "no valid position"
-    OFFBOARD_LOST = "no offboard set-points"
-    GCS_LOST = "no ground station"
+    STICK = (1, "RC")
+    SWITCH = (2, "RC (switch)")
+    COMMAND = (4, "external command")
+    LANDING = (6, "landing")
+    UNUSED = (7, "auto preflight disarming")
+    KILLED = (8, "kill switch")
+    LOCKDOWN = (9, "lockdown")
+    BUTTON = (13, "RC (button)")
+    FAILSAFE = (14, "failsafe")
+
+
+_BY_PILOT = (ArmReason.STICK, ArmReason.SWITCH, ArmReason.BUTTON)
+_REASONS = {"stick": ArmReason.STICK, "switch": ArmReason.SWITCH, "button": ArmReason.BUTTON}
 
 
 class Commander:
@@ -62,11 +98,11 @@ class Commander:
     Attributes:
         vehicle: which vehicle.
         parameters: its parameters.
+        view: its records.
         navigator: its AUTO modes.
-        armed: whether motors run.
-        failsafe: what has taken the vehicle out of its mode, ``Failsafe.NONE`` when nothing has.
-        texts: (MAV_SEVERITY, text) that no link has taken yet; the oldest are dropped beyond 64.
-        on_text: called with every such text, when it is not None: the logger.
+        health: what is wrong with it.
+        manual: its pilot.
+        armed: whether it is armed; motors run unless it has been killed or terminated.
     """
 
     def __init__(self, vehicle: Vehicle, autopilot: Autopilot, parameters: Parameters, index: int) -> None:
@@ -81,31 +117,74 @@ class Commander:
         self.vehicle = vehicle
         self.parameters = parameters
         self.view = VehicleView(autopilot, index)
-        self.texts: deque[tuple[int, str]] = deque(maxlen=_MAX_TEXTS)
-        self.on_text: Callable[[int, str], None] | None = None
+        get = parameters.get
+        self._announcements = Announcements(self.view)
         self.navigator = Navigator(self.view, parameters, self.say)
-        self.armed = False
-        self.failsafe = Failsafe.NONE
-        self._mode = modes.AUTO_LOITER  # what was asked for
-        self._failsafe_mode: Mode | None = None
+        self.manual = ManualControl(get)
         self._offboard = OffboardInput(self.view)
-        self._sticks = StickInput(self.view)
+        self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
+        self._failsafe = Failsafe(get, modes.AUTO_LOITER)
+        self._checks = ArmingChecks(self.view, get)
+        self._report: Report | None = None
+        self._reported: tuple[Flags, Mode, bool] | None = None
+        self._checked_us = _NEVER_US
+        self.armed = False
+        self._mode = modes.AUTO_LOITER  # what was asked for
+        self._mode_after_disarming = modes.AUTO_LOITER
+        self._mode_chosen = False  # somebody has asked for a mode
+        self._flown = modes.AUTO_LOITER
+        self._killed = False
+        self._locked = False  # by MAV_CMD_DO_FLIGHTTERMINATION's test
+        self._terminated = False
+        self._killed_us: int | None = None
         self._armed_us = 0
+        self._disarmed_us = _NEVER_US
         self._took_off = False
         self._was_landed = True
         self._landed_us = 0
-        self._position_lost_us: int | None = None
-        self._gcs_us: int | None = None
-        self._gcs_lost = False
-        self._last_warning_us = _NEVER_US
+        self._last_refusal_us = _NEVER_US
         parameters.write_to(autopilot.params[index])
 
     # what the heartbeat and its like say
 
     @property
+    def texts(self) -> deque[tuple[int, str]]:
+        """(MAV_SEVERITY, text) that no link has taken yet; the oldest are dropped beyond 64."""
+        return self._announcements.texts
+
+    @property
+    def on_text(self) -> Callable[[int, str], None] | None:
+        """What is called with every text, besides: the logger."""
+        return self._announcements.on_text
+
+    @on_text.setter
+    def on_text(self, listener: Callable[[int, str], None] | None) -> None:
+        self._announcements.on_text = listener
+
+    @property
+    def events(self) -> deque[Event]:
+        """Events that no link has taken yet; the oldest are dropped beyond 64."""
+        return self._announcements.events
+
+    @property
     def mode(self) -> Mode:
-        """The mode that is flown: the failsafe's while there is one."""
-        return self._failsafe_mode or self._mode
+        """The mode that is flown: the failsafe's while one acts."""
+        return self._flown
+
+    @property
+    def failsafe(self) -> bool:
+        """Whether a failsafe has taken the vehicle out of its mode."""
+        return self._failsafe.outcome.active
+
+    @property
+    def failsafe_outcome(self) -> Outcome:
+        """What the failsafes do, and why."""
+        return self._failsafe.outcome
+
+    @property
+    def battery(self) -> BatteryEstimate:
+        """What is known of the battery."""
+        return self.health.battery
 
     @property
     def requested_mode(self) -> Mode:
@@ -115,35 +194,37 @@ class Commander:
     @property
     def base_mode(self) -> int:
         """HEARTBEAT.base_mode."""
-        return self.mode.flags | (modes.ARMED_FLAG if self.armed else 0)
+        return self._flown.flags | (modes.ARMED_FLAG if self.armed else 0)
 
     @property
     def custom_mode(self) -> int:
         """HEARTBEAT.custom_mode."""
-        return self.mode.custom_mode
+        return self._flown.custom_mode
 
     @property
     def system_status(self) -> int:
         """HEARTBEAT.system_status: a MAV_STATE."""
         if not self.view.initialised:
             return _UNINIT
+        if self._motors_stopped or self._flown is modes.TERMINATION:
+            return _TERMINATED
         if not self.armed:
             return _STANDBY
-        return _ACTIVE if self.failsafe is Failsafe.NONE else _CRITICAL_STATE
+        return _CRITICAL_STATE if self.failsafe else _ACTIVE
 
     @property
     def landed_state(self) -> int:
         """EXTENDED_SYS_STATE.landed_state: a MAV_LANDED_STATE."""
         if self.view.landed:
             return _ON_GROUND
-        if self.navigator.landing or self.mode is modes.DESCEND:
+        if self.navigator.landing or self._flown is modes.DESCEND:
             return _LANDING
-        return _TAKEOFF if self.mode is modes.AUTO_TAKEOFF else _IN_AIR
+        return _TAKEOFF if self._flown is modes.AUTO_TAKEOFF else _IN_AIR
 
     @property
     def ready_to_arm(self) -> bool:
         """Whether arming would be accepted in the present mode."""
-        return not self.armed and not self._arming_obstacle()
+        return not self.armed and not self.arming_obstacle()
 
     @property
     def home(self) -> Home | None:
@@ -152,133 +233,345 @@ class Commander:
 
     def say(self, severity: int, text: str) -> None:
         """Queue a text for the operator (``severity``: MAV_SEVERITY)."""
-        self.texts.append((severity, text))
-        if self.on_text is not None:
-            self.on_text(severity, text)
+        self._announcements.say(severity, text)
 
     def warn(self, text: str) -> None:
         """Queue a warning, at most one a second."""
-        if self.view.time_us - self._last_warning_us >= _WARNING_INTERVAL_US:
-            self._last_warning_us = self.view.time_us
-            self.say(WARNING, text)
+        self._announcements.warn(text)
 
     # arming
 
     def arm_disarm(self, arm: bool, force: bool = False) -> Result:
-        """Arm or disarm; ``force`` passes over the checks, even in the air."""
-        if not arm:
-            return self._disarm_by_command(force)
+        """Arm or disarm by command; ``force`` passes over the checks, even in the air."""
+        done = self._arm(ArmReason.COMMAND, force) if arm else self._disarm_unless_flying(ArmReason.COMMAND, force)
+        return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
+
+    def arming_obstacle(self) -> str:
+        """Return why the vehicle may not be armed now in the present mode, or an empty text."""
+        flags = self.health.look(self._mode, self.armed)
+        return self._checks.report(flags, self._mode, self.armed).reason(self._mode)
+
+    def _arm(self, reason: ArmReason, force: bool = False) -> bool:
+        """Arm, unless something stands against it; return whether the vehicle is armed."""
         if self.armed:
-            return Result.ACCEPTED
-        obstacle = self._arming_obstacle()
-        if obstacle and not (force and self.view.initialised):
-            self.say(CRITICAL, f"Arming denied: {obstacle}")
-            return Result.TEMPORARILY_REJECTED
-        self._arm()
-        return Result.ACCEPTED
-
-    def _arming_obstacle(self) -> str:
-        """Return why the vehicle may not be armed now, or an empty text."""
+            return True
         if not self.view.initialised:
-            return "estimator is not ready"
-        if not self.view.landed:
-            return "vehicle is in the air"
-        if self._mode in (modes.AUTO_LAND, modes.AUTO_RTL):
-            return f"{self._mode.name} is not for arming"
-        if self._mode is modes.POSCTL and not self._sticks.fresh(self.parameters.get("COM_RC_LOSS_T")):
-            return "no manual control input"
-        return self._mode_obstacle(self._mode)
-
-    def _arm(self) -> None:
+            self._refuse_arming()
+            return False
+        in_grace = self.view.time_us - self._disarmed_us < _GRACE_US and not self.view.landed
+        if not force and not in_grace and self._arming_refused(reason):
+            return False
         self.armed = True
         self._armed_us = self.view.time_us
-        self._took_off = False
+        self._took_off = not self.view.landed
         self._was_landed = self.view.landed
-        if self.view.position_valid:
+        if self.view.position_valid and int(self.parameters.get("COM_HOME_EN")) and self.view.landed:
             self._set_home_here()
-        self.view.setpoint["armed"] = 1
-        self.say(INFO, "Armed by external command")
-        self._fly(self._mode)
+        self._switch_motors()
+        number, words = reason.value
+        self._announcements.tell(INFO, f"Armed by {words}", "commander_armed_by", "B", number)
+        self._decide(changed=True)
+        return True
 
-    def _disarm_by_command(self, force: bool) -> Result:
+    def _arming_refused(self, reason: ArmReason) -> bool:
+        sticks = self.manual.sticks
+        if self._mode.sticks and sticks is not None:
+            if self._mode in _MANUAL_THRUST:
+                if sticks.z > _THROTTLE_LOW:
+                    self._announcements.tell(
+                        CRITICAL, "Arming denied: high throttle", "commander_arm_denied_throttle_high"
+                    )
+                    return True
+            elif sticks.z > _THROTTLE_HIGH:
+                text = "Arming denied: throttle above center"
+                self._announcements.tell(CRITICAL, text, "commander_arm_denied_throttle_center")
+                return True
+        elif reason in _BY_PILOT:
+            text = "Arming denied: switch to manual mode first"
+            self._announcements.tell(CRITICAL, text, "commander_arm_denied_not_manual")
+            return True
+        if self.arming_obstacle():
+            self._refuse_arming()
+            return True
+        return False
+
+    def _refuse_arming(self) -> None:
+        """Tell why arming is refused: PX4 does so by events alone."""
+        flags = self.health.look(self._mode, self.armed)
+        report = self._checks.report(flags, self._mode, self.armed)
+        self._announcements.emit(self._checks.events(report, self.view.time_us, force=True))
+
+    def _disarm_unless_flying(self, reason: ArmReason, force: bool = False) -> bool:
         if not self.armed:
-            return Result.ACCEPTED
-        if not self.view.landed and not force:
-            self.say(CRITICAL, "Disarming denied! Not landed")
-            return Result.TEMPORARILY_REJECTED
-        self._disarm("Disarmed by external command")
-        return Result.ACCEPTED
+            return True
+        on_ground = self.view.landed or bool(self.view.control["maybe_landed"])
+        by_pilot = self._flown in _MANUAL_THRUST and reason in _BY_PILOT
+        if not on_ground and not by_pilot and not force:
+            if reason is not ArmReason.STICK:
+                text = "Disarming denied! Not landed"
+                self._announcements.tell(CRITICAL, text, "commander_disarming_denied_not_landed")
+            return False
+        self._disarm(reason)
+        return True
 
-    def _disarm(self, text: str) -> None:
+    def _disarm(self, reason: ArmReason) -> None:
         self.armed = False
-        self.view.setpoint["armed"] = 0
+        self._disarmed_us = self.view.time_us
+        self._switch_motors()
         self.navigator.deactivate()
         self.view.start_task(TASK_IDLE)
-        if self._mode.main == modes.MAIN_AUTO or self.failsafe is not Failsafe.NONE:
-            self._mode = modes.AUTO_LOITER  # so that the next arming does not land or return
-        self.failsafe = Failsafe.NONE
-        self._failsafe_mode = None
-        self.say(INFO, text)
+        number, words = reason.value
+        self._announcements.tell(INFO, f"Disarmed by {words}", "commander_disarmed_by", "B", number)
+        self._mode = self._mode_after_disarming
+        self._decide()
+
+    # kill and termination
+
+    @property
+    def _motors_stopped(self) -> bool:
+        return self._killed or self._locked or self._terminated
+
+    def _switch_motors(self) -> None:
+        self.view.setpoint["armed"] = int(self.armed and not self._motors_stopped)
+        if self._killed or self._locked:
+            self._killed_us = self.view.time_us if self._killed_us is None else self._killed_us
+        else:
+            self._killed_us = None
+
+    def kill(self, stop: bool) -> None:
+        """Stop the motors at once, as a kill switch does, or let them run again; it disarms after COM_KILL_DISARM."""
+        if stop is self._killed:
+            return
+        self._killed = stop
+        if stop:
+            severity = INFO if self.view.landed else CRITICAL
+            self._announcements.tell(severity, "Kill engaged", "commander_kill_sw_engaged")
+        else:
+            self._announcements.tell(INFO, "Kill disengaged", "commander_kill_sw_disengaged")
+        self._switch_motors()
+
+    def flight_termination(self, level: float) -> Result:
+        """Obey MAV_CMD_DO_FLIGHTTERMINATION: stop the motors for good (1) or as a test (2), or let them run (0)."""
+        if math.isnan(level):
+            return Result.DENIED
+        if level > 1.5:
+            self._locked = True
+        elif level > 0.5:
+            self._terminated = True
+        else:
+            self._locked = self._terminated = False
+        self._switch_motors()
+        return Result.ACCEPTED
+
+    def _disarm_killed(self) -> bool:
+        """Disarm a vehicle whose motors have stood still for COM_KILL_DISARM; return whether it was."""
+        delay = self.parameters.get("COM_KILL_DISARM")
+        if self._killed_us is None or delay <= 0.0 or self.view.time_us - self._killed_us < delay * 1e6:
+            return False
+        self._disarm(ArmReason.KILLED if self._killed else ArmReason.LOCKDOWN)
+        return True
 
     # modes
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
-        """Go to the mode of PX4's ``custom_mode``, if ``base_mode`` says that it is one."""
-        mode = modes.from_custom_mode(custom_mode) if base_mode & _CUSTOM_MODE_FLAG else None
-        if mode is None:
-            auto = custom_mode >> 16 & 0xFF == modes.MAIN_AUTO
-            self.say(CRITICAL, "Unsupported auto mode" if auto else "Unsupported mode")
-            return Result.TEMPORARILY_REJECTED
-        if mode not in modes.SUPPORTED:
-            allowed = ", ".join(m.name for m in modes.SUPPORTED)
-            self.say(CRITICAL, f"{mode.name} is not supported; allowed: {allowed}")
-            return Result.UNSUPPORTED
-        return self.request(mode)
+        """Go to the mode of PX4's ``custom_mode``, or, when ``base_mode`` does not say that it is one, to its own."""
+        if not base_mode & modes.CUSTOM_FLAG:
+            return self.request(modes.from_base_mode(base_mode))
+        mode = modes.from_custom_mode(custom_mode)
+        if mode is not None:
+            return self.request(mode)
+        if custom_mode >> 16 & 0xFF == modes.MAIN_AUTO:
+            text, name = "Unsupported auto mode", "commander_unsupported_auto_mode"
+            self._announcements.tell(CRITICAL, text, name, level=events.ERROR)
+        return Result.TEMPORARILY_REJECTED
 
     def request(self, mode: Mode) -> Result:
-        """Go to a supported mode, unless it cannot be flown now."""
-        if mode is self._mode and self.failsafe is Failsafe.NONE:
-            return Result.ACCEPTED
-        obstacle = self._mode_obstacle(mode) if self.armed else ""
-        if obstacle:
-            self.say(CRITICAL, f"Switching to {mode.name} is currently not available")
-            self.say(INFO, f"{mode.name}: {obstacle}")
+        """Go to a mode. A disarmed vehicle goes to any; an armed one only to one that it can fly."""
+        if self.armed and not self._can_choose(mode):
+            if self.view.time_us - self._last_refusal_us > _REFUSAL_INTERVAL_US:
+                self._last_refusal_us = self.view.time_us
+                self._announcements.mode_refused(mode)
             return Result.TEMPORARILY_REJECTED
-        self._mode = mode
-        self.failsafe = Failsafe.NONE
-        self._failsafe_mode = None
-        if self.armed:
-            if mode is modes.AUTO_RTL:
-                self.say(INFO, "RTL HOME activated")
-            self._fly(mode)
+        self._mode_chosen = True
+        self._intend(mode)
+        self._decide(changed=True)
         return Result.ACCEPTED
 
-    def _mode_obstacle(self, mode: Mode) -> str:
-        """Return why ``mode`` cannot be flown now, or an empty text."""
-        if mode is modes.OFFBOARD and not self._offboard.fresh(self.parameters.get("COM_OF_LOSS_T")):
-            return "no offboard signal, send set-points first"
-        if self._needs_position(mode) and not self.view.position_valid:
-            return "no valid position estimate"
-        if mode is modes.AUTO_RTL and self.home is None:
-            return "no home position"
-        return self.navigator.mission_obstacle() if mode is modes.AUTO_MISSION else ""
+    def _can_choose(self, mode: Mode) -> bool:
+        if self._flown is modes.TERMINATION:
+            return False
+        flags = self.health.look(mode, self.armed)
+        if mode.sticks and flags.manual_lost:
+            return False
+        if can_run(mode, flags):
+            return True
+        falls_back = mode is modes.POSCTL and int(self.parameters.get("COM_POSCTL_NAVL")) == 0
+        return falls_back and can_run(modes.ALTCTL, flags)
 
-    def _needs_position(self, mode: Mode) -> bool:
-        return mode.needs_position and (mode is not modes.OFFBOARD or self._offboard.needs_position)
+    def _intend(self, mode: Mode) -> None:
+        self._mode = mode
+        if not mode.prevents_arming:
+            self._mode_after_disarming = mode
+
+    def _decide(self, *, changed: bool = False, sticks: bool = False, flags: Flags | None = None) -> None:
+        """Let the failsafes look at what was asked for, and fly what comes of it.
+
+        Args:
+            changed: a mode was asked for.
+            sticks: the pilot wants to take over.
+            flags: what is wrong, when it is known.
+        """
+        if flags is None:
+            flags = self.health.look(self._mode, self.armed)
+        before, flown_before = self._failsafe.outcome, self._flown
+        outcome = self._failsafe.update(
+            self.view.time_us, self.armed, self._mode, flags, changed=changed, sticks=sticks
+        )
+        if outcome is before:
+            return
+        if outcome.intended is not self._mode:
+            self._intend(outcome.intended)
+        if outcome.notify:
+            self._announcements.failsafe(outcome)
+        if outcome.takeover and not before.takeover:
+            self._announcements.tell(INFO, "Pilot took over using sticks", "failsafe_rc_override")
+        self._flown = outcome.mode
+        self._act(outcome, before)
+        if self._flown is not flown_before and self._flown is modes.AUTO_RTL:
+            self._announcements.tell(INFO, "RTL HOME activated", "rtl_home_activated")
+        anew = changed and not outcome.active
+        if self.armed and (anew or self._flown is not flown_before):
+            self._fly(self._flown)
+
+    def _act(self, outcome: Outcome, before: Outcome) -> None:
+        """Do what is no mode: stop the motors."""
+        if outcome.action is before.action:
+            return
+        if outcome.action is Action.TERMINATE:
+            self._terminated = True
+            self._switch_motors()
+        elif outcome.action is Action.DISARM and self.armed:
+            self._disarm(ArmReason.FAILSAFE)
 
     def _fly(self, mode: Mode) -> None:
         """Let the cascade follow ``mode``; the vehicle is armed."""
-        if mode.main == modes.MAIN_AUTO and mode is not modes.DESCEND:
+        if mode.auto:
             self.navigator.activate(mode)
-            return
-        self.navigator.deactivate()
+        else:
+            self.navigator.deactivate()
+            self._fly_by_hand(mode)
+
+    def _fly_by_hand(self, mode: Mode) -> None:
         if mode is modes.OFFBOARD:
             self._offboard.write()
-        elif mode is modes.POSCTL:
-            self._write_sticks()
-            self.view.start_task(TASK_STICKS)
+        elif mode is modes.TERMINATION:
+            self.view.start_task(TASK_IDLE)
+        elif mode.sticks:
+            self._steer(restart=True)
         else:
             self.view.start_task(TASK_DESCEND)
+
+    # the pilot
+
+    def manual_control(self, x: float, y: float, z: float, yaw: float) -> None:
+        """Take a joystick's sticks, each -1..1: forward, right, up (0 is the middle), clockwise.
+
+        Raises:
+            SetpointError: a value that is not finite.
+        """
+        self.manual.joystick(Sticks(x, y, z, yaw), self.view.time_us)
+        self._follow_pilot()
+
+    def radio_control(self, channels: Sequence[int]) -> None:
+        """Take the pulse widths (us) of a radio's channels, see ``ManualControl.radio``."""
+        self.manual.radio(channels, self.view.time_us)
+        self._follow_pilot()
+
+    def _follow_pilot(self) -> None:
+        if self.armed and self._flown.sticks:
+            self._steer()
+
+    def _steer(self, *, restart: bool = False) -> None:
+        """Let the cascade follow the sticks, centred ones where there are none.
+
+        In POSCTL and ALTCTL without a pilot the vehicle stops and sinks, as PX4's flight tasks fail then.
+        """
+        sticks = self.manual.sticks
+        task = _STICK_TASKS[self._flown]
+        if sticks is None and task in (TASK_STICKS, TASK_ALTITUDE):
+            self._sink(restart=restart)
+            return
+        self._write_sticks(sticks or CENTRED, task)
+        if restart or self.view.setpoint["task"] != task:
+            self.view.start_task(task)
+
+    def _write_sticks(self, sticks: Sticks, task: int) -> None:
+        x, y, z, yaw = sticks
+        if task in (TASK_STICKS, TASK_ALTITUDE):
+            get = self.parameters.get
+            dead_zone, expo = get("MPC_HOLD_DZ"), get("MPC_XY_MAN_EXPO")
+            x, y = shaped(x, dead_zone, expo), shaped(y, dead_zone, expo)
+            z = shaped(z, dead_zone, get("MPC_Z_MAN_EXPO"))
+            yaw = shaped(yaw, dead_zone, get("MPC_YAW_EXPO"))
+        fields = self.view.setpoint_fields
+        for name, value in (("stick_x", x), ("stick_y", y), ("stick_z", z), ("stick_yaw", yaw)):
+            fields[name][0] = value
+
+    def _sink(self, *, restart: bool) -> None:
+        """Stop and sink at MPC_LAND_SPEED, keeping the heading; level where the horizontal estimate is lost."""
+        setpoint = self.view.setpoint
+        blind = self.health.flags.place_invalid
+        task = TASK_DESCEND if blind else TASK_TRAJECTORY
+        if not restart and setpoint["task"] == task:
+            return
+        if not blind:
+            setpoint["position"] = _UNSET
+            setpoint["velocity"] = (0.0, 0.0, self.parameters.get("MPC_LAND_SPEED"))
+            setpoint["acceleration"] = _UNSET
+            setpoint["yaw"] = setpoint["yaw_rate"] = _NAN
+        self.view.start_task(task)
+
+    def _obey_pilot(self) -> None:
+        """Do what the pilot asks for by gesture or switch."""
+        for request in self.manual.update(self.view.time_us):
+            self._obey(request)
+
+    def _obey(self, request: Request) -> None:
+        if request.what in ("kill", "unkill"):
+            self.kill(request.what == "kill")
+            return
+        if request.what == "mode":
+            mode = modes.from_number(request.mode)
+            if mode is not None:
+                self.request(mode)
+            return
+        reason = _REASONS[request.origin]
+        if request.what == "arm" or (request.what == "toggle" and not self.armed):
+            self._arm(reason)
+        else:
+            self._disarm_unless_flying(reason)
+
+    def _look_at_sticks(self) -> bool:
+        """Let moved sticks end AUTO and OFFBOARD flight; return whether they are to end a failsafe."""
+        if self.manual.sticks is None:
+            return False
+        if not self.armed:
+            # a pilot who comes first, with nobody having asked for a mode, gets the one he can fly
+            if not self._mode_chosen and not (self.manual.by_radio and int(self.parameters.get("RC_MAP_FLTMODE"))):
+                self._mode_chosen = True
+                self._intend(modes.POSCTL)
+            return False
+        if self.view.landed or self._flown.sticks or self._flown is modes.TERMINATION or not self.manual.moving:
+            return False
+        bit = _OVERRIDE_OFFBOARD if self._flown is modes.OFFBOARD else _OVERRIDE_AUTO
+        if not int(self.parameters.get("COM_RC_OVERRIDE")) & bit:
+            return False
+        if self.failsafe:
+            return True
+        if self._can_choose(modes.POSCTL):
+            self._intend(modes.POSCTL)
+            self._announcements.tell(INFO, "Pilot took over using sticks", "commander_rc_override")
+        return False
 
     # steering from outside
 
@@ -314,27 +607,12 @@ class Commander:
         self._follow_offboard()
 
     def _follow_offboard(self) -> None:
-        if self.armed and self.mode is modes.OFFBOARD:
+        if self.armed and self._flown is modes.OFFBOARD:
             self._offboard.write()
-
-    def manual_control(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Take sticks, each -1..1: forward, right, up (0 holds), clockwise; they are flown in POSCTL.
-
-        Raises:
-            SetpointError: a value that is not finite.
-        """
-        self._sticks.set(x, y, z, yaw)
-        if self.view.setpoint["task"] == TASK_STICKS:
-            self._write_sticks()
-
-    def _write_sticks(self) -> None:
-        get = self.parameters.get
-        expos = (get("MPC_XY_MAN_EXPO"), get("MPC_Z_MAN_EXPO"), get("MPC_YAW_EXPO"))
-        self._sticks.write(get("COM_RC_LOSS_T"), get("MPC_HOLD_DZ"), expos)
 
     def gcs_heartbeat(self) -> None:
         """Note that a ground station is there."""
-        self._gcs_us = self.view.time_us
+        self.health.gcs_heartbeat()
 
     # commands
 
@@ -353,16 +631,20 @@ class Commander:
 
     def land(self) -> Result:
         """Go to AUTO.LAND."""
-        result = self.request(modes.AUTO_LAND)
-        if result is Result.ACCEPTED:
-            self.say(INFO, "Landing at current position")
-        return result
+        return self._go(modes.AUTO_LAND, "Landing at current position", "commander_landing_current_pos")
+
+    def precision_land(self) -> Result:
+        """Go to AUTO.PRECLAND."""
+        return self._go(modes.AUTO_PRECLAND, "Precision landing", "commander_landing_prec_land")
 
     def return_to_launch(self) -> Result:
         """Go to AUTO.RTL."""
-        result = self.request(modes.AUTO_RTL)
+        return self._go(modes.AUTO_RTL, "Returning to launch", "commander_rtl")
+
+    def _go(self, mode: Mode, text: str, name: str) -> Result:
+        result = self.request(mode)
         if result is Result.ACCEPTED:
-            self.say(INFO, "Returning to launch")
+            self._announcements.tell(INFO, text, name)
         return result
 
     def set_home(self, place: Vector | None) -> Result:
@@ -398,7 +680,7 @@ class Commander:
         if not _is_place(*target) or math.isinf(yaw) or math.isinf(speed):
             return Result.DENIED
         if not self.armed or self.view.landed or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
-            self.say(CRITICAL, "Reposition command rejected")
+            self._announcements.tell(CRITICAL, "Reposition command rejected", "commander_reposition_rejected")
             return Result.TEMPORARILY_REJECTED
         if speed > 0.0:
             self.navigator.set_speed("cruise_speed", speed)
@@ -409,9 +691,10 @@ class Commander:
         """Climb or sink to ``altitude`` (m AMSL) in AUTO.LOITER."""
         if not math.isfinite(altitude):
             return Result.DENIED
-        if not self.armed or self.view.landed or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
+        if self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
             return Result.TEMPORARILY_REJECTED
-        self.navigator.change_altitude(self.view.origin[2] - altitude)
+        if self.armed and not self.view.landed:
+            self.navigator.change_altitude(self.view.origin[2] - altitude)
         return Result.ACCEPTED
 
     def change_speed(self, kind: int, speed: float) -> Result:
@@ -431,124 +714,72 @@ class Commander:
     # what goes on by itself
 
     def update(self) -> None:
-        """Look at landing, failsafes and the AUTO modes' progress; call at about 10 Hz."""
+        """Look at pilot, landing, failsafes and the AUTO modes' progress; call at about 10 Hz."""
         view = self.view
-        if not self.armed:
-            if self.home is None and view.position_valid:
-                self._set_home_here()
-            return
-        landed = view.landed
-        if landed != self._was_landed:
-            self._note_landing(landed)
-        if landed and self._auto_disarm():
-            return
-        self._update_failsafe()
-        if view.setpoint["task"] == TASK_STICKS:
-            self._write_sticks()
+        self._obey_pilot()
+        flags = self.health.update(self._mode, self._flown, self.armed)
+        if self.home is None and view.position_valid:
+            self._set_home_here()
+        if self.armed:
+            landed = view.landed
+            if landed != self._was_landed:
+                self._note_landing(landed)
+            if (landed and self._auto_disarm()) or self._disarm_killed():
+                return
+        else:
+            self._checks.follow_innovations()
+        take_over = self._look_at_sticks()
+        self._decide(sticks=take_over, flags=flags)
+        self._tell_checks(flags)
+        if self.armed:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Let pilot and navigator go on with the mode that is flown."""
+        if self._flown.sticks:
+            self._steer()
         following = self.navigator.update()
-        if following is not None:
-            self._mode = following
-            self.navigator.activate(following)
+        if following is None:
+            return
+        if self.failsafe:
+            self.navigator.activate(following)  # what was asked for comes again when the failsafe ends
+        else:
+            self._intend(following)
+            self._decide(changed=True)
+
+    def _tell_checks(self, flags: Flags) -> None:
+        """Tell by events what stands against arming, when that has changed."""
+        key = (flags, self._mode, self.armed)
+        now_us = self.view.time_us
+        due = not self.armed and now_us - self._checked_us >= _CHECK_INTERVAL_US
+        if key == self._reported and not due:
+            return
+        self._reported, self._checked_us = key, now_us
+        report = self._checks.report(flags, self._mode, self.armed)
+        self._announcements.emit(self._checks.events(report, now_us))
 
     def _note_landing(self, landed: bool) -> None:
         self._was_landed = landed
         self._took_off = True
         self._landed_us = self.view.time_us
-        self.say(INFO, "Landing detected" if landed else "Takeoff detected")
+        if landed:
+            self._announcements.tell(INFO, "Landing detected", "commander_landing_detected")
+        else:
+            self._announcements.tell(INFO, "Takeoff detected", "commander_takeoff_detected")
 
     def _auto_disarm(self) -> bool:
         now = self.view.time_us
         if self._took_off:
             delay = self.parameters.get("COM_DISARM_LAND")
             if delay > 0.0 and now - self._landed_us >= delay * 1e6:
-                self._disarm("Disarmed by landing")
+                self._disarm(ArmReason.LANDING)
                 return True
             return False
         delay = self.parameters.get("COM_DISARM_PRFLT")
         if delay > 0.0 and now - self._armed_us >= delay * 1e6:
-            self._disarm("Disarmed by auto preflight disarming")
+            self._disarm(ArmReason.UNUSED)
             return True
         return False
-
-    # failsafes
-
-    def _update_failsafe(self) -> None:
-        self._watch_gcs()
-        reason = self._present_failsafe()
-        if reason is self.failsafe:
-            return
-        if reason is Failsafe.NONE:
-            self.failsafe = reason
-            self._failsafe_mode = None
-            self.say(INFO, f"Failsafe ended, back to {self._mode.name}")
-            self._fly(self._mode)
-            return
-        self.failsafe = reason
-        self.say(CRITICAL, "Failsafe activated")
-        self.say(INFO, f"{self._mode.name}: {reason.value}")
-        self._act(reason)
-
-    def _present_failsafe(self) -> Failsafe:
-        # in PX4 a failsafe that acts because the mode cannot be flown ends when it can, but not on the ground
-        if self._position_lost():
-            return Failsafe.POSITION_LOST
-        get = self.parameters.get
-        if self._mode is modes.OFFBOARD:
-            if self.failsafe is Failsafe.OFFBOARD_LOST:
-                back = self._offboard.steady(get("COM_OF_LOSS_T")) and not self.view.landed
-                return Failsafe.NONE if back else self.failsafe
-            if not self._offboard.fresh(get("COM_OF_LOSS_T")):
-                return Failsafe.OFFBOARD_LOST
-        on_its_way_down = self.view.landed or self._mode in (modes.AUTO_LAND, modes.AUTO_RTL)
-        if self.failsafe is Failsafe.GCS_LOST or (self._gcs_lost and self._gcs_action() and not on_its_way_down):
-            return Failsafe.GCS_LOST
-        return Failsafe.NONE
-
-    def _position_lost(self) -> bool:
-        if self.view.position_valid or not self._needs_position(self._mode):
-            self._position_lost_us = None
-            return False
-        if self._position_lost_us is None:
-            self._position_lost_us = self.view.time_us
-        return self.view.time_us - self._position_lost_us >= self.parameters.get("COM_POS_FS_DELAY") * 1e6
-
-    def _act(self, reason: Failsafe) -> None:
-        if reason is Failsafe.POSITION_LOST:
-            mode = modes.DESCEND
-        elif reason is Failsafe.OFFBOARD_LOST:
-            actions = {3: modes.AUTO_RTL, 4: modes.AUTO_LAND, 5: modes.AUTO_LOITER}
-            mode = actions.get(int(self.parameters.get("COM_OBL_RC_ACT")), modes.POSCTL)
-        else:
-            mode = self._gcs_action() or modes.AUTO_LOITER
-        if mode is modes.AUTO_RTL and self.home is None:
-            mode = modes.AUTO_LAND
-        self._failsafe_mode = mode
-        if mode is modes.POSCTL and not self._sticks.fresh(self.parameters.get("COM_RC_LOSS_T")):
-            self._sink()
-        else:
-            self._fly(mode)
-
-    def _sink(self) -> None:
-        """Stop and sink at MPC_LAND_SPEED, keeping the heading: what PX4's POSCTL does when nobody steers."""
-        self.navigator.deactivate()
-        setpoint = self.view.setpoint
-        setpoint["position"] = _UNSET
-        setpoint["velocity"] = (0.0, 0.0, self.parameters.get("MPC_LAND_SPEED"))
-        setpoint["acceleration"] = _UNSET
-        setpoint["yaw"] = setpoint["yaw_rate"] = _NAN
-        self.view.start_task(TASK_TRAJECTORY)
-
-    def _watch_gcs(self) -> None:
-        if self._gcs_us is None:
-            return
-        lost = self.view.time_us - self._gcs_us > self.parameters.get("COM_DL_LOSS_T") * 1e6
-        if lost != self._gcs_lost:
-            self._gcs_lost = lost
-            self.say(WARNING if lost else INFO, f"Connection to ground station {'lost' if lost else 'regained'}")
-
-    def _gcs_action(self) -> Mode | None:
-        actions = {1: modes.AUTO_LOITER, 2: modes.AUTO_RTL, 3: modes.AUTO_LAND}
-        return actions.get(int(self.parameters.get("NAV_DLL_ACT")))
 
 
 def _is_place(latitude: float, longitude: float, altitude: float) -> bool:

@@ -1,4 +1,4 @@
-"""What comes from outside to steer by: the OFFBOARD set-point stream and the sticks."""
+"""What comes from outside to steer by: the OFFBOARD set-point stream, and the shape of sticks."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class OffboardInput:
             self._view.start_task(self._task)
 
 
-def _shaped(value: float, dead_zone: float, expo: float) -> float:
+def shaped(value: float, dead_zone: float, expo: float) -> float:
     """Return a stick's value (-1..1) past its dead zone, on a curve between straight (expo 0) and cubic (1)."""
     value = min(max(value, -1.0), 1.0)
     size = abs(value) - dead_zone
@@ -145,44 +145,3 @@ def _shaped(value: float, dead_zone: float, expo: float) -> float:
         return 0.0
     size /= 1.0 - dead_zone
     return math.copysign((1.0 - expo) * size + expo * size**3, value)
-
-
-class StickInput:
-    """The sticks of the last MANUAL_CONTROL; centred when they fall silent."""
-
-    def __init__(self, view: VehicleView) -> None:
-        """Start with centred sticks that nobody holds."""
-        self._view = view
-        self._last_us = _NEVER_US
-        self._values = (0.0, 0.0, 0.0, 0.0)
-
-    def set(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Store the sticks, each -1..1: forward, right, up (0 holds), clockwise.
-
-        Raises:
-            SetpointError: a value that is not finite.
-        """
-        values = (x, y, z, yaw)
-        if not all(map(math.isfinite, values)):
-            raise SetpointError(f"sticks are {values}, not finite numbers")
-        self._values = values
-        self._last_us = self._view.time_us
-
-    def fresh(self, limit: float) -> bool:
-        """Return whether sticks came within the last ``limit`` seconds."""
-        return self._view.time_us - self._last_us <= limit * 1e6
-
-    def write(self, limit: float, dead_zone: float, expos: tuple[float, float, float]) -> None:
-        """Hand the sticks to the cascade; centred ones when the last are older than ``limit`` seconds.
-
-        Args:
-            limit: seconds.
-            dead_zone: share of the travel that counts as centred.
-            expos: curves of the horizontal, throttle and yaw sticks.
-        """
-        x, y, z, yaw = self._values if self.fresh(limit) else (0.0, 0.0, 0.0, 0.0)
-        setpoint = self._view.setpoint
-        setpoint["stick_x"] = _shaped(x, dead_zone, expos[0])
-        setpoint["stick_y"] = _shaped(y, dead_zone, expos[0])
-        setpoint["stick_z"] = _shaped(z, dead_zone, expos[1])
-        setpoint["stick_yaw"] = _shaped(yaw, dead_zone, expos[2])

@@ -1,4 +1,5 @@
-"""Flight modes: PX4's custom modes by MAVROS's names (PX4 ``px4_custom_mode.h``)."""
+"""Flight modes: PX4's custom modes by MAVROS's names, and what each needs (PX4 ``px4_custom_mode.h``, v1.14's
+``mode_requirements.cpp`` for a multirotor)."""
 
 from __future__ import annotations
 
@@ -8,56 +9,125 @@ MAIN_AUTO = 4
 
 # MAV_MODE_FLAG bits of base_mode
 ARMED_FLAG = 128
-_MANUAL, _STABILISED, _GUIDED, _AUTO, _CUSTOM = 64, 16, 8, 4, 1
+CUSTOM_FLAG = 1
+_MANUAL, _STABILISED, _GUIDED, _AUTO, _CUSTOM = 64, 16, 8, 4, CUSTOM_FLAG
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mode:
-    """A flight mode.
+    """A flight mode; every mode is one object.
 
     Attributes:
         name: MAVROS's name, as AUTO.LOITER.
+        label: PX4's name in its texts, as AUTO_LOITER.
+        state: PX4's navigation state.
         main: PX4 main mode.
         sub: PX4 sub mode, 0 outside the AUTO modes.
         flags: base_mode without the armed bit.
-        needs_position: whether it flies by the horizontal estimate.
+        needs: what it cannot be flown without, of "attitude", "altitude", "position" (the exact horizontal estimate),
+            "place" (any horizontal estimate), "home", "mission", "offboard".
+        sticks: a pilot steers it; cannot be chosen without manual control.
+        prevents_arming: it is left by disarming and cannot be armed in.
+        attitude_control: whether the attitude is controlled, and a limit on it makes sense.
     """
 
     name: str
+    label: str
+    state: int
     main: int
     sub: int
     flags: int
-    needs_position: bool
+    needs: frozenset[str]
+    sticks: bool = False
+    prevents_arming: bool = False
+    attitude_control: bool = True
 
     @property
     def custom_mode(self) -> int:
         """Number in the heartbeat's custom_mode."""
         return self.main << 16 | self.sub << 24
 
+    @property
+    def needs_position(self) -> bool:
+        """Whether it flies by the horizontal estimate, OFFBOARD by most set-points."""
+        return not self.needs.isdisjoint(("position", "place", "offboard"))
+
+    @property
+    def auto(self) -> bool:
+        """Whether it is one of the modes that the navigator flies."""
+        return self.main == MAIN_AUTO and self is not DESCEND
+
 
 _STICKS = _CUSTOM | _STABILISED | _MANUAL
 _PILOT = _CUSTOM | _STABILISED | _GUIDED | _AUTO
+_ATTITUDE = frozenset({"attitude"})
+_HEIGHT = _ATTITUDE | {"altitude"}
+_ABOUT = _HEIGHT | {"place"}
+_EXACT = _HEIGHT | {"position"}
 
-MANUAL = Mode("MANUAL", 1, 0, _CUSTOM | _MANUAL, False)
-ALTCTL = Mode("ALTCTL", 2, 0, _STICKS, False)
-POSCTL = Mode("POSCTL", 3, 0, _STICKS, True)
-ACRO = Mode("ACRO", 5, 0, _CUSTOM | _MANUAL, False)
-OFFBOARD = Mode("OFFBOARD", 6, 0, _CUSTOM | _STABILISED, True)
-STABILIZED = Mode("STABILIZED", 7, 0, _STICKS, False)
-AUTO_TAKEOFF = Mode("AUTO.TAKEOFF", MAIN_AUTO, 2, _PILOT, True)
-AUTO_LOITER = Mode("AUTO.LOITER", MAIN_AUTO, 3, _PILOT, True)
-AUTO_MISSION = Mode("AUTO.MISSION", MAIN_AUTO, 4, _PILOT, True)
-AUTO_RTL = Mode("AUTO.RTL", MAIN_AUTO, 5, _PILOT, True)
-AUTO_LAND = Mode("AUTO.LAND", MAIN_AUTO, 6, _PILOT, True)
-AUTO_PRECLAND = Mode("AUTO.PRECLAND", MAIN_AUTO, 9, _PILOT, True)
-DESCEND = Mode("AUTO.LAND", MAIN_AUTO, 6, _PILOT, False)  # PX4 reports its DESCEND state as AUTO.LAND
+MANUAL = Mode("MANUAL", "MANUAL", 0, 1, 0, _CUSTOM | _MANUAL, _ATTITUDE, sticks=True)
+ALTCTL = Mode("ALTCTL", "ALTCTL", 1, 2, 0, _STICKS, _HEIGHT, sticks=True)
+POSCTL = Mode("POSCTL", "POSCTL", 2, 3, 0, _STICKS, _ABOUT, sticks=True)
+AUTO_MISSION = Mode("AUTO.MISSION", "AUTO_MISSION", 3, MAIN_AUTO, 4, _PILOT, _EXACT | {"mission"})
+AUTO_LOITER = Mode("AUTO.LOITER", "AUTO_LOITER", 4, MAIN_AUTO, 3, _PILOT, _EXACT)
+AUTO_RTL = Mode("AUTO.RTL", "AUTO_RTL", 5, MAIN_AUTO, 5, _PILOT, _EXACT | {"home"}, prevents_arming=True)
+ACRO = Mode("ACRO", "ACRO", 10, 5, 0, _CUSTOM | _MANUAL, frozenset(), sticks=True, attitude_control=False)
+# PX4 reports its DESCEND state as AUTO.LAND, and TERMINATION as MANUAL
+DESCEND = Mode("AUTO.LAND", "DESCEND", 12, MAIN_AUTO, 6, _PILOT, _ATTITUDE, prevents_arming=True)
+TERMINATION = Mode(
+    "MANUAL", "TERMINATION", 13, 1, 0, _CUSTOM | _MANUAL, frozenset(), prevents_arming=True, attitude_control=False
+)
+OFFBOARD = Mode("OFFBOARD", "OFFBOARD", 14, 6, 0, _CUSTOM | _STABILISED, _ATTITUDE | {"offboard"})
+STABILIZED = Mode("STABILIZED", "STAB", 15, 7, 0, _STICKS, _ATTITUDE, sticks=True)
+AUTO_TAKEOFF = Mode("AUTO.TAKEOFF", "AUTO_TAKEOFF", 17, MAIN_AUTO, 2, _PILOT, _EXACT)
+AUTO_LAND = Mode("AUTO.LAND", "AUTO_LAND", 18, MAIN_AUTO, 6, _PILOT, _ABOUT, prevents_arming=True)
+AUTO_PRECLAND = Mode("AUTO.PRECLAND", "AUTO_PRECLAND", 20, MAIN_AUTO, 9, _PILOT, _EXACT, prevents_arming=True)
 
 # modes that a client may ask for and that are flown
-SUPPORTED = (POSCTL, OFFBOARD, AUTO_TAKEOFF, AUTO_LOITER, AUTO_MISSION, AUTO_RTL, AUTO_LAND, AUTO_PRECLAND)
-_KNOWN = (*SUPPORTED, MANUAL, ALTCTL, ACRO, STABILIZED)
-_BY_CUSTOM_MODE = {mode.custom_mode: mode for mode in _KNOWN}
+SUPPORTED = (
+    MANUAL,
+    ALTCTL,
+    POSCTL,
+    ACRO,
+    OFFBOARD,
+    STABILIZED,
+    AUTO_TAKEOFF,
+    AUTO_LOITER,
+    AUTO_MISSION,
+    AUTO_RTL,
+    AUTO_LAND,
+    AUTO_PRECLAND,
+)
+ALL = (*SUPPORTED, DESCEND, TERMINATION)
+_BY_CUSTOM_MODE = {mode.custom_mode: mode for mode in SUPPORTED}
+_BY_STATE = {mode.state: mode for mode in SUPPORTED}
+# PX4's numbers of a flight mode in COM_FLTMODE1..6 and in events (navigation_mode_t), by navigation state
+_NUMBERS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 10: 6, 14: 7, 15: 8, 17: 10, 18: 11, 20: 13}
+_BY_NUMBER = {number: _BY_STATE[state] for state, number in _NUMBERS.items()}
+UNKNOWN_NUMBER = 255
 
 
 def from_custom_mode(custom_mode: int) -> Mode | None:
-    """Return the mode with that number, or None."""
+    """Return the mode with that number, or None; AUTO without a sub mode is AUTO.MISSION, as in PX4."""
+    if custom_mode == MAIN_AUTO << 16:
+        return AUTO_MISSION
     return _BY_CUSTOM_MODE.get(custom_mode)
+
+
+def from_base_mode(base_mode: int) -> Mode:
+    """Return the mode that MAV_MODE_FLAG bits without the custom one stand for in PX4."""
+    if base_mode & _AUTO:
+        return AUTO_MISSION
+    if base_mode & _GUIDED:
+        return POSCTL
+    return STABILIZED if base_mode & _STABILISED else MANUAL
+
+
+def from_number(number: int) -> Mode | None:
+    """Return the mode that a COM_FLTMODE parameter names, or None."""
+    return _BY_NUMBER.get(number)
+
+
+def number_of(mode: Mode) -> int:
+    """Return PX4's navigation_mode_t of ``mode`` for an event's argument."""
+    return _NUMBERS.get(mode.state, UNKNOWN_NUMBER)

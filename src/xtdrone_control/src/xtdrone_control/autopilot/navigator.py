@@ -140,7 +140,6 @@ class Navigator:
         if self._mission_ended or self.mission.update():
             return modes.AUTO_LOITER
         if self.mission.returning:
-            self._say(INFO, "RTL HOME activated")
             self._say(INFO, "Returning to launch")
             return modes.AUTO_RTL
         return None

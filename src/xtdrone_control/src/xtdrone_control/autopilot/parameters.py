@@ -192,20 +192,66 @@ _KERNEL_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
 )
 
 _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
+    ("BAT1_CAPACITY", -1.0, -1.0, 100_000.0, "mAh", "capacity of the battery; -1: not known"),
     ("BAT1_N_CELLS", 4, 1, 16, "", "cells of the battery"),
+    ("BAT1_R_INTERNAL", 0.005, -1.0, 0.2, "Ohm", "internal resistance of a cell; negative: not known"),
     ("BAT1_V_CHARGED", 4.05, 3.0, 4.5, "V", "voltage of a full cell"),
+    ("BAT1_V_EMPTY", 3.6, 2.0, 4.2, "V", "voltage of an empty cell"),
+    ("BAT1_V_LOAD_DROP", 0.1, 0.07, 0.5, "V", "drop of a cell's voltage at full throttle"),
+    ("BAT_AVRG_CURRENT", 15.0, 0.0, 500.0, "A", "current that is expected, for the time that remains"),
+    ("BAT_CRIT_THR", 0.07, 0.05, 0.5, "", "charge below which the battery is critical"),
+    ("BAT_EMERGEN_THR", 0.05, 0.03, 0.5, "", "charge below which it is an emergency"),
+    ("BAT_LOW_THR", 0.15, 0.12, 0.5, "", "charge below which the battery is low"),
+    ("CBRK_FLIGHTTERM", 121212, 0, 121_212, "", "121212: the attitude limit warns, otherwise it terminates the flight"),
+    ("CBRK_SUPPLY_CHK", 0, 0, 894_281, "", "894281: the battery is not looked at (PX4's simulation has it so)"),
+    ("COM_ACT_FAIL_ACT", 0, 0, 4, "", "on motor failure: 0 warning, 1 hold, 2 land, 3 return, 4 terminate"),
+    ("COM_ARM_EKF_HGT", 1.0, 0.1, 1.0, "", "largest height innovation, over its gate, for arming"),
+    ("COM_ARM_EKF_POS", 0.5, 0.1, 1.0, "", "largest position innovation, over its gate, for arming"),
+    ("COM_ARM_EKF_VEL", 0.5, 0.1, 1.0, "", "largest velocity innovation, over its gate, for arming"),
+    ("COM_ARM_EKF_YAW", 0.5, 0.1, 1.0, "", "largest heading innovation, over its gate, for arming"),
+    ("COM_ARM_MIS_REQ", 0, 0, 1, "", "1: arming needs a mission"),
+    ("COM_ARM_SWISBTN", 0, 0, 1, "", "1: the arming switch is a button"),
+    ("COM_ARM_WO_GPS", 1, 0, 1, "", "1: arming without a GPS fix is allowed"),
     ("COM_DISARM_LAND", 2.0, -1.0, _INF, "s", "time from landing to disarming; not positive: never"),
     ("COM_DISARM_PRFLT", 10.0, -1.0, _INF, "s", "time from arming to disarming without take-off; not positive: never"),
     ("COM_DL_LOSS_T", 10, 5, 300, "s", "silence after which the ground station is lost"),
-    ("COM_OBL_RC_ACT", 0, 0, 5, "", "on offboard loss: 0 to 2 position, 3 return, 4 land, 5 hold"),
+    ("COM_FAIL_ACT_T", 5.0, 0.0, 25.0, "s", "time in hold before a failsafe that the pilot may prevent"),
+    ("COM_FLTMODE1", -1, -1, 13, "", "mode of the first position of the mode switch"),
+    ("COM_FLTMODE2", -1, -1, 13, "", "mode of the second position"),
+    ("COM_FLTMODE3", -1, -1, 13, "", "mode of the third position"),
+    ("COM_FLTMODE4", -1, -1, 13, "", "mode of the fourth position"),
+    ("COM_FLTMODE5", -1, -1, 13, "", "mode of the fifth position"),
+    ("COM_FLTMODE6", -1, -1, 13, "", "mode of the sixth position"),
+    ("COM_FLT_TIME_MAX", -1, -1, 10_000, "s", "flight time after which the vehicle returns; -1: none"),
+    ("COM_HOME_EN", 1, 0, 1, "", "1: home is set where the vehicle is armed"),
+    ("COM_KILL_DISARM", 5.0, 0.0, 30.0, "s", "time from killing the motors to disarming"),
+    ("COM_LKDOWN_TKO", 3.0, -1.0, 5.0, "s", "time after spool-up in which a failure disarms"),
+    ("COM_LOW_BAT_ACT", 2, 0, 3, "", "on a critical battery: 0 warning, 1 return, 2 land, 3 return, in the end land"),
+    ("COM_OBL_RC_ACT", 0, 0, 7, "", "on offboard loss: 0 to 2 manual, 3 RTL, 4 land, 5 hold, 6 terminate, 7 disarm"),
     ("COM_OF_LOSS_T", 1.0, 0.0, 60.0, "s", "silence after which the set-point stream is lost"),
+    ("COM_POSCTL_NAVL", 0, 0, 1, "", "position lost in POSCTL: 0 go on by altitude or hand, 1 land or descend"),
     ("COM_POS_FS_DELAY", 1, 1, 100, "s", "time without a position until the failsafe acts"),
+    ("COM_POS_FS_EPH", 5.0, -1.0, 400.0, "m", "horizontal error without a position; not positive: none"),
+    ("COM_RCL_EXCEPT", 0, 0, 31, "", "modes that need no manual control: 1 mission, 2 hold, 4 offboard"),
+    ("COM_RC_ARM_HYST", 1000, 100, 1500, "ms", "time that the arming gesture must be held"),
+    ("COM_RC_IN_MODE", 1, 0, 4, "", "manual control: 0 radio, 1 joystick, 2 either, 3 the first of them, 4 none"),
     ("COM_RC_LOSS_T", 0.5, 0.0, 35.0, "s", "silence after which manual control is lost"),
+    ("COM_RC_OVERRIDE", 1, 0, 3, "", "moved sticks end 1 AUTO modes, 2 OFFBOARD"),
+    ("COM_RC_STICK_OV", 30.0, 5.0, 80.0, "%", "movement of a stick that counts as taking over"),
+    ("FD_ACT_EN", 1, 0, 1, "", "1: motors are watched by their current"),
+    ("FD_ACT_MOT_C2T", 2.0, 0.0, 50.0, "A", "current of a motor at full throttle below which it has failed"),
+    ("FD_ACT_MOT_THR", 0.2, 0.0, 1.0, "", "throttle from which a motor is watched"),
+    ("FD_ACT_MOT_TOUT", 100, 10, 10_000, "ms", "time after which it has failed"),
+    ("FD_FAIL_P", 60, 0, 180, "deg", "pitch that is a failure; 0: none"),
+    ("FD_FAIL_P_TTRI", 0.3, 0.02, 5.0, "s", "time after which it is"),
+    ("FD_FAIL_R", 60, 0, 180, "deg", "roll that is a failure; 0: none"),
+    ("FD_FAIL_R_TTRI", 0.3, 0.02, 5.0, "s", "time after which it is"),
+    ("GF_ACTION", 2, 0, 5, "", "on a breached geofence: 0 nothing, 1 warning, 2 hold, 3 return, 4 terminate, 5 land"),
+    ("MAN_ARM_GESTURE", 1, 0, 1, "", "1: sticks arm and disarm, throttle down and yaw to the side"),
     ("MAV_COMP_ID", 1, 1, 250, "", "MAVLink component id (read at start)"),
     ("MAV_PROTO_VER", 2, 0, 2, "", "MAVLink: 0 begin with version 1, 1 always version 1, 2 begin with version 2"),
     ("MAV_SYS_ID", 1, 1, 250, "", "MAVLink system id (read at start)"),
     ("MAV_TYPE", 2, 0, 22, "", "MAV_TYPE in the heartbeat"),
-    ("GF_ACTION", 2, 0, 5, "", "on a geofence breach: 0 nothing, 1 warn, 2 hold, 3 return, 4 end the flight, 5 land"),
     ("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0, "m", "largest horizontal distance from home; 0: any"),
     ("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0, "m", "largest height over home; 0: any"),
     ("GF_PREDICT", 0, 0, 1, "", "1: a breach is where the vehicle would come to rest, not where it is"),
@@ -230,7 +276,23 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("MPC_YAW_EXPO", 0.6, 0.0, 1.0, "", "curve of the yaw stick"),
     ("MPC_Z_MAN_EXPO", 0.6, 0.0, 1.0, "", "curve of the throttle stick"),
     ("NAV_ACC_RAD", 2.0, 0.05, 200.0, "m", "horizontal distance at which a place is reached"),
-    ("NAV_DLL_ACT", 0, 0, 3, "", "on loss of the ground station: 0 nothing, 1 hold, 2 return, 3 land"),
+    ("NAV_DLL_ACT", 0, 0, 6, "", "no ground station: 0 nothing, 1 hold, 2 return, 3 land, 5 terminate, 6 disarm"),
+    ("NAV_RCL_ACT", 2, 1, 6, "", "on loss of manual control: 1 hold, 2 return, 3 land, 5 terminate, 6 disarm"),
+    ("RC_ARMSWITCH_TH", 0.75, -1.0, 1.0, "", "threshold of the arming switch; negative: reversed"),
+    ("RC_KILLSWITCH_TH", 0.75, -1.0, 1.0, "", "threshold of the kill switch"),
+    ("RC_LOITER_TH", 0.75, -1.0, 1.0, "", "threshold of the hold switch"),
+    ("RC_MAP_ARM_SW", 0, 0, 18, "", "channel of the arming switch; 0: none"),
+    ("RC_MAP_FLTMODE", 0, 0, 18, "", "channel of the mode switch"),
+    ("RC_MAP_KILL_SW", 0, 0, 18, "", "channel of the kill switch"),
+    ("RC_MAP_LOITER_SW", 0, 0, 18, "", "channel of the hold switch"),
+    ("RC_MAP_OFFB_SW", 0, 0, 18, "", "channel of the offboard switch"),
+    ("RC_MAP_PITCH", 0, 0, 18, "", "channel of the pitch stick"),
+    ("RC_MAP_RETURN_SW", 0, 0, 18, "", "channel of the return switch"),
+    ("RC_MAP_ROLL", 0, 0, 18, "", "channel of the roll stick"),
+    ("RC_MAP_THROTTLE", 0, 0, 18, "", "channel of the throttle stick"),
+    ("RC_MAP_YAW", 0, 0, 18, "", "channel of the yaw stick"),
+    ("RC_OFFB_TH", 0.75, -1.0, 1.0, "", "threshold of the offboard switch"),
+    ("RC_RETURN_TH", 0.75, -1.0, 1.0, "", "threshold of the return switch"),
     ("RTL_CONE_ANG", 45, 0, 90, "deg", "half angle of the cone over home in which a return stays low; 0: none"),
     ("RTL_DESCEND_ALT", 10.0, 0.0, _INF, "m", "height over home to which a return descends before it lands"),
     ("RTL_LAND_DELAY", 0.0, -1.0, _INF, "s", "wait at RTL_DESCEND_ALT; negative: stay there"),
@@ -241,6 +303,8 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("SDLOG_MODE", 1, -1, 4, "", "log: -1 never, 0 while armed, 1 from boot to disarming, 2 from boot, 4 from arming"),
     ("SDLOG_UTC_OFFSET", 0, -1000, 1000, "min", "local time less UTC, in the names of logs"),
     ("SYS_FAILURE_EN", 1, 0, 1, "", "1: failures can be injected, as PX4's simulator has it"),
+    ("SIM_BAT_DRAIN", 60.0, 1.0, 86_400.0, "s", "time in which the simulated battery drains"),
+    ("SIM_BAT_MIN_PCT", 50.0, 0.0, 100.0, "%", "charge at which the simulated battery stops draining"),
     ("SYS_AUTOSTART", 10015, 0, 9_999_999, "", "number of the airframe"),
 )  # fmt: skip
 
@@ -251,7 +315,22 @@ def _parameter(row: tuple[str, float, float, float, str, str]) -> Parameter:
     return Parameter(name, kind, default, minimum, maximum, unit, text)
 
 
-_TABLE: dict[str, Parameter] = {row[0]: _parameter(row) for row in sorted(_KERNEL_ROWS + _SLOW_ROWS)}
+def _channel_rows() -> tuple[tuple[str, float, float, float, str, str], ...]:
+    """Return the calibration of the 18 radio channels."""
+    rows: list[tuple[str, float, float, float, str, str]] = []
+    for number in range(1, 19):
+        dead_zone = 10.0 if number <= 8 else 0.0
+        rows += [
+            (f"RC{number}_DZ", dead_zone, 0.0, 100.0, "us", f"dead zone of channel {number} around its middle"),
+            (f"RC{number}_MAX", 2000.0, 1500.0, 2200.0, "us", f"largest pulse of channel {number}"),
+            (f"RC{number}_MIN", 1000.0, 800.0, 1500.0, "us", f"least pulse of channel {number}"),
+            (f"RC{number}_REV", 1.0, -1.0, 1.0, "", f"-1: channel {number} is reversed"),
+            (f"RC{number}_TRIM", 1500.0, 800.0, 2200.0, "us", f"middle of channel {number}"),
+        ]
+    return tuple(rows)
+
+
+_TABLE: dict[str, Parameter] = {row[0]: _parameter(row) for row in sorted(_KERNEL_ROWS + _SLOW_ROWS + _channel_rows())}
 _FIELDS: dict[str, str] = {row[0]: row[0].lower() for row in _KERNEL_ROWS}
 
 NAMES: tuple[str, ...] = tuple(_TABLE)  # sorted

@@ -24,6 +24,9 @@ TASK_DESCEND = 4  # level attitude, descend at land speed: no horizontal estimat
 TASK_STICKS = 5  # POSCTL: velocity from sticks, position hold when they are centred
 TASK_ATTITUDE = 6  # attitude_q and thrust, yaw rate optional
 TASK_RATES = 7  # body rates and thrust
+TASK_ALTITUDE = 8  # ALTCTL: tilt and climb rate from sticks, height held when the throttle is centred
+TASK_MANUAL = 9  # STABILIZED and MANUAL: tilt, yaw rate and thrust from raw sticks
+TASK_ACRO = 10  # ACRO: body rates and thrust from raw sticks
 
 # Take-off state machine (CONTROL.takeoff_state), after PX4's mc_pos_control/Takeoff.
 TAKEOFF_DISARMED = 0
@@ -83,6 +86,11 @@ SENSORS = np.dtype(
         ("vision_velocity_variance", "f8", 3),
         ("vision_q", "f8", 4),  # (w, x, y, z) body FRD to the frame
         ("vision_yaw_variance", "f8"),  # rad^2
+        # battery and motor controllers, 10 Hz
+        ("battery_voltage", "f8"),  # V; 0: no battery
+        ("battery_current", "f8"),  # A; -1: not measured
+        ("esc_rpm", "f8", MAX_ROTORS),  # revolutions a minute
+        ("esc_current", "f8", MAX_ROTORS),  # A
     ],
     align=True,
 )

@@ -20,7 +20,7 @@ class VehicleView:
     """One vehicle's records of an ``Autopilot``; the attributes write through.
 
     Attributes:
-        sensors, estimator, setpoint, control: the vehicle's elements of the record arrays.
+        sensors, estimator, setpoint, control, failures: the vehicle's elements of the record arrays.
         setpoint_fields: set-point field to an array over it, for what is written often.
     """
 
@@ -31,6 +31,7 @@ class VehicleView:
         self.estimator: Any = autopilot.estimator[index]
         self.setpoint: Any = autopilot.setpoint[index]
         self.control: Any = autopilot.control[index]
+        self.failures: Any = autopilot.failures[index]
         element = autopilot.setpoint[index : index + 1]
         self.setpoint_fields = {name: element[name].reshape(-1) for name in SETPOINT.names or ()}
         assert all(np.shares_memory(field, element) for field in self.setpoint_fields.values())

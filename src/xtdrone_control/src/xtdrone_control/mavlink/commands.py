@@ -134,8 +134,10 @@ class CommandHandler:
         self._handlers: dict[int, Callable[[Command, Link], Result | None]] = {
             mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda *_: commander.return_to_launch(),
             mavlink.MAV_CMD_NAV_LAND: lambda *_: commander.land(),
+            mavlink.MAV_CMD_NAV_LAND_LOCAL: lambda *_: commander.precision_land(),  # PX4's number for it
             mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+            mavlink.MAV_CMD_DO_FLIGHTTERMINATION: lambda command, *_: commander.flight_termination(command.params[0]),
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._change_speed,
             mavlink.MAV_CMD_DO_SET_HOME: self._set_home,
             mavlink.MAV_CMD_DO_CHANGE_ALTITUDE: self._change_altitude,

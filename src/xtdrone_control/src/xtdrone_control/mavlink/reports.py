@@ -153,7 +153,7 @@ class Reports(Telemetry):
     def esc_status(self) -> list[Values]:
         """Speed, voltage and current as PX4's SITL makes them up from the motors' commands: no ESC measures any."""
         armed = float(self._commander.armed)
-        voltage = 1e-3 * self._voltage()
+        voltage = self._commander.battery.voltage
         return [
             (
                 self.time_us,

@@ -28,9 +28,6 @@ _FORCE_BIT, _YAW_BIT, _YAW_RATE_BIT = 9, 10, 11
 # ATTITUDE_TARGET_TYPEMASK
 _RATE_BITS, _YAW_RATE_IGNORED, _THRUST_BODY, _NO_THRUST, _NO_ATTITUDE = 0b011, 0b100, 0x20, 0x40, 0x80
 
-_STICK_RANGE = 1000.0
-_STICK_UNUSED = 32767
-
 # MAV_FRAME
 _LOCAL_NED, _BODY_NED, _BODY_OFFSET_NED = 1, 8, 9
 _GLOBAL, _RELATIVE, _TERRAIN = 5, 6, 11
@@ -176,10 +173,3 @@ def attitude_target(commander: Commander, m: Any) -> None:
         commander.offboard_attitude(m.q, yaw_rate, -m.thrust_body[2] if mask & _THRUST_BODY else thrust)
     elif not mask & _RATE_BITS:
         commander.offboard_rates((m.body_roll_rate, m.body_pitch_rate, yaw_rate), thrust)
-
-
-def sticks(commander: Commander, m: Any) -> None:
-    """Take MANUAL_CONTROL: x, y, r of -1000..1000, z of 0..1000 with 500 in the middle."""
-    x, y, yaw = (0.0 if v == _STICK_UNUSED else v / _STICK_RANGE for v in (m.x, m.y, m.r))
-    z = 0.0 if m.z == _STICK_UNUSED else 2.0 * m.z / _STICK_RANGE - 1.0
-    commander.manual_control(x, y, z, yaw)

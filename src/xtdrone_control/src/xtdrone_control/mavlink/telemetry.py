@@ -156,17 +156,35 @@ class Telemetry:
             health |= _Z
         if estimator["initialised"]:
             health |= _AHRS
-        return _PRESENT, _PRESENT, health, 0, self._voltage(), -1, 0, 0, 0, 0, 0, 0, 100, 0, 0, 0
-
-    def _voltage(self) -> int:
-        """Return the voltage of the battery, which stays full, in mV."""
-        get = self._commander.parameters.get
-        return _unsigned(1000.0 * get("BAT1_N_CELLS") * get("BAT1_V_CHARGED"), _UNKNOWN_U16 - 1)
+        battery = self._commander.battery
+        return (
+            _PRESENT,
+            _PRESENT,
+            health,
+            0,
+            _unsigned(battery.voltage * 1e3, _UNKNOWN_U16 - 1),
+            _clamped(battery.current * 100.0, _INT16),
+            0,
+            0,
+            0,
+            0,
+            0,
+            0,
+            _unsigned(math.ceil(battery.remaining * 100.0), 100),
+            0,
+            0,
+            0,
+        )
 
     def battery_status(self) -> Values:
-        """A battery that stays full: lithium polymer, for all systems; its current is not known."""
-        voltages = (self._voltage(), *[_UNKNOWN_U16] * 9)
-        return (-1, -1, _INT16, *voltages, -1, 0, 1, 1, 100, 0, 1, 0, 0, 0, 0, 0, 0)
+        """The battery: lithium polymer, for all systems; a current of -1 A is not known."""
+        battery = self._commander.battery
+        voltages = (_unsigned(battery.voltage * 1e3, _UNKNOWN_U16 - 1), *[_UNKNOWN_U16] * 9)
+        current = _clamped(battery.current * 100.0, _INT16)
+        remaining = _unsigned(math.ceil(battery.remaining * 100.0), 100)
+        left = 0 if math.isnan(battery.time_remaining) else _clamped(battery.time_remaining, 1 << 30)
+        used = _clamped(battery.discharged, 1 << 30)
+        return (used, -1, _INT16, *voltages, current, 0, 1, 1, remaining, left, battery.warning + 1, 0, 0, 0, 0, 0, 0)
 
     def system_time(self) -> Values:
         """Simulated time, counted from a fixed date."""

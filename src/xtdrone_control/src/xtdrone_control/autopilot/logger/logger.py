@@ -190,7 +190,8 @@ class Logger:
 
     def _text_taker(self, index: int) -> Callable[[int, str], None]:
         def take(severity: int, text: str) -> None:
-            self._texts[index].append((severity, self._autopilot.time_us, text))
+            # a text with a tab has an event, for which readers of a log leave it out; the log has no events
+            self._texts[index].append((severity, self._autopilot.time_us, text.rstrip("\t")))
 
         return take
 

@@ -140,7 +140,7 @@ class StatusTopics:
         status["nav_state"] = nav_state(mode)
         status["nav_state_user_intention"] = nav_state(c.requested_mode)
         status["vehicle_type"] = _ROTARY_WING
-        status["failsafe"] = bool(c.failsafe.value)
+        status["failsafe"] = c.failsafe
         status["system_type"] = int(c.parameters.get("MAV_TYPE")) & 0xFF
         status["system_id"] = c.vehicle.system_id
         status["component_id"] = 1
@@ -172,18 +172,19 @@ class StatusTopics:
 
     def _publish_battery(self, now_us: int) -> None:
         self._battery_due_us = now_us + _BATTERY_PERIOD_US
-        get = self._commander.parameters.get
-        cells = int(get("BAT1_N_CELLS"))
-        voltage = cells * get("BAT1_V_CHARGED")
+        battery = self._commander.battery
         r = self._records["battery_status"]
-        r["connected"] = True
-        r["voltage_v"] = r["voltage_filtered_v"] = voltage
-        r["current_a"] = r["current_average_a"] = r["discharged_mah"] = -1.0
-        r["remaining"] = 1.0
+        r["connected"] = battery.connected
+        r["voltage_v"] = r["voltage_filtered_v"] = battery.voltage
+        r["current_a"] = r["current_average_a"] = battery.current
+        r["discharged_mah"] = battery.discharged
+        r["remaining"] = battery.remaining
         r["scale"] = 1.0
-        r["time_remaining_s"] = r["temperature"] = math.nan
-        r["cell_count"] = cells
+        r["time_remaining_s"] = battery.time_remaining
+        r["temperature"] = math.nan
+        r["cell_count"] = int(self._commander.parameters.get("BAT1_N_CELLS"))
         r["id"] = 1
+        r["warning"] = battery.warning
         self._emit("battery_status", now_us)
 
     def _publish_home(self, now_us: int) -> None:

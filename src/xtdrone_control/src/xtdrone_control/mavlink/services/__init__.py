@@ -5,6 +5,7 @@ from __future__ import annotations
 from xtdrone_control.mavlink.service import Service, Vehicle
 
 from .command import CommandService
+from .manual import ManualService
 from .mission import MissionService
 from .parameter import ParameterService
 from .place import PlaceService
@@ -22,6 +23,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         commands,
         SetpointService(vehicle),
         SigningService(vehicle),
+        ManualService(vehicle),
         ParameterService(vehicle),
         MissionService(vehicle),
         PlaceService(vehicle, commands),

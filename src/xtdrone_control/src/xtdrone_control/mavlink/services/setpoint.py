@@ -1,4 +1,4 @@
-"""Set-point messages of OFFBOARD, and MANUAL_CONTROL."""
+"""Set-point messages of OFFBOARD."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ _TEXT_INTERVAL_US = 1_000_000
 
 
 class SetpointService(Service):
-    """Hands set-points and sticks to the commander."""
+    """Hands set-points to the commander."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "SET_POSITION_TARGET_LOCAL_NED": "_local_target",
         "SET_POSITION_TARGET_GLOBAL_INT": "_global_target",
         "SET_ATTITUDE_TARGET": "_attitude_target",
-        "MANUAL_CONTROL": "_manual_control",
     }
     CAPABILITIES = (
         mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
@@ -43,9 +42,6 @@ class SetpointService(Service):
 
     def _attitude_target(self, link: Link, m: Any) -> None:
         self._steer(link, setpoints.attitude_target, m)
-
-    def _manual_control(self, link: Link, m: Any) -> None:
-        self._steer(link, setpoints.sticks, m)
 
     def _steer(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
         self.vehicle.in_turn(lambda: self._take_setpoint(link, take, m))
