@@ -43,6 +43,7 @@ class FakeRos:
         self.publishers: dict[str, FakePublisher] = {}
         self.subscribers: dict[str, Callable[[Any], None]] = {}
         self.services: dict[str, Callable[[Any], Any]] = {}
+        self.params: dict[str, Any] = {}
 
     def now_ns(self) -> int:
         """Return what the test set."""
@@ -60,6 +61,14 @@ class FakeRos:
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Keep the handler."""
         self.services[name] = handler
+
+    def set_param(self, name: str, value: Any) -> None:
+        """Keep a parameter, or a tree of them."""
+        self.params[name] = value
+
+    def get_param(self, name: str, default: Any) -> Any:
+        """Return what was set by that name."""
+        return self.params.get(name, default)
 
     def needs_time(self) -> contextlib.nullcontext[None]:
         """Time flows in any case."""

@@ -28,6 +28,7 @@ class FakeLink:
         self.system_id = system_id
         self.sender = (0, 0)
         self.sent: list[Any] = []
+        self.frames: list[bytes] = []
         self.texts: list[tuple[int, str]] = []
         self.warnings: list[str] = []
         self.foreign = self.malformed = 0
@@ -51,6 +52,7 @@ class FakeLink:
         self._take(message.frame(message.payload(values), 0, self.system_id, 1))
 
     def _take(self, frame: bytes) -> None:
+        self.frames.append(bytes(frame))
         ((number, _, _, frame),) = split(bytes(frame))
         self.sent.append((MESSAGES[number].msgname, decoder(MESSAGES[number].msgname)(frame)))
 
@@ -64,13 +66,13 @@ class FakeLink:
 class Served:
     """A vehicle with its services, and two clients' links."""
 
-    def __init__(self, parameters: Parameters | None = None) -> None:
+    def __init__(self, parameters: Parameters | None = None, system: int = SYSTEM) -> None:
         self.autopilot = FakeAutopilot(1)
-        self.vehicle = Vehicle("iris", 0, FIRST_ID)
-        self.parameters = parameters or Parameters({"MAV_SYS_ID": SYSTEM})
+        self.vehicle = Vehicle("iris", 0, system - 1)
+        self.parameters = parameters or Parameters({"MAV_SYS_ID": system})
         self.commander = Commander(self.vehicle, self.autopilot, self.parameters, 0)
         telemetry = Reports(self.commander, self.autopilot, 0)
-        self.link, self.other = (FakeLink(telemetry, SYSTEM) for _ in range(2))
+        self.link, self.other = (FakeLink(telemetry, system) for _ in range(2))
         self.receiver = Receiver(self.commander, self.autopilot, 0, lambda: [self.link, self.other])
         self.commander.update()
         self.commander.texts.clear()

@@ -210,12 +210,13 @@ class Link:
             for number, system, component, frame in split(datagram):
                 if system != target[0]:
                     continue
-                if number in self.replies:
-                    self.replies[number](frame)
-                elif number in wanted:
+                reply = self.replies.get(number)
+                if reply is not None:
+                    reply(frame)
+                if number in wanted:
                     if component == target[1]:
                         self._queue.append((index, number, frame))
-                else:
+                elif reply is None:
                     self.seen[number] = self.seen.get(number, 0) + 1
         except FrameError as error:
             self.malformed += 1

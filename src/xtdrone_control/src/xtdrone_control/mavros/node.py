@@ -75,6 +75,14 @@ class LockstepRos:
         """Offer a service; its handler runs in a thread of rospy's."""
         rospy.Service(name, kind, handler)
 
+    def set_param(self, name: str, value: Any) -> None:
+        """Set a parameter of ROS's, or a tree of them."""
+        rospy.set_param(name, value)
+
+    def get_param(self, name: str, default: Any) -> Any:
+        """Return a parameter of ROS's, or a tree of them."""
+        return rospy.get_param(name, default)
+
     def needs_time(self) -> AbstractContextManager[None]:
         """Return what is to be entered while an autopilot's answer is waited for."""
         return lockstep.needs_time()

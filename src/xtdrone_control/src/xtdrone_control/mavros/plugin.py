@@ -41,6 +41,12 @@ class Ros(Protocol):
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Offer a service; handlers run in threads of their own."""
 
+    def set_param(self, name: str, value: Any) -> None:
+        """Set a parameter of ROS's, or a tree of them."""
+
+    def get_param(self, name: str, default: Any) -> Any:
+        """Return a parameter of ROS's, or a tree of them."""
+
     def needs_time(self) -> AbstractContextManager[None]:
         """Return what is to be entered while an autopilot's answer is waited for, which may take simulated time."""
 

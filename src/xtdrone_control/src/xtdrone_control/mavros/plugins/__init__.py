@@ -9,6 +9,7 @@ from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
 from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
 from xtdrone_control.mavros.plugins.imu import ImuPlugin
 from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
+from xtdrone_control.mavros.plugins.param import ParamPlugin
 from xtdrone_control.mavros.plugins.rc_io import RcIoPlugin
 from xtdrone_control.mavros.plugins.setpoint_position import SetpointPositionPlugin
 from xtdrone_control.mavros.plugins.setpoint_raw import SetpointRawPlugin
@@ -21,6 +22,7 @@ PLUGINS: tuple[type[Plugin], ...] = (
     SysStatusPlugin,
     SysTimePlugin,
     CommandPlugin,
+    ParamPlugin,
     ImuPlugin,
     LocalPositionPlugin,
     GlobalPositionPlugin,

@@ -1,0 +1,223 @@
+"""Parameters: services that list, read and write the autopilot's, and mirror them in ROS's parameter server."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mavros_msgs.msg import Param, ParamValue
+from mavros_msgs.srv import (
+    ParamGet,
+    ParamGetResponse,
+    ParamPull,
+    ParamPullResponse,
+    ParamPush,
+    ParamPushResponse,
+    ParamSet,
+    ParamSetResponse,
+)
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavlink.codec import FrameError, decoder
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.uas import Uas
+
+_INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE to struct's letter
+_REAL = 9
+_TRY_LIMIT = 1.0  # s of wall time, MAVROS's PARAM_TIMEOUT
+_RETRIES = 3
+_LIST_LIMIT = 30  # tries of which something has come
+_NO_INDEX = 0xFFFF
+
+_decode = decoder("PARAM_VALUE")
+
+
+@dataclass(frozen=True)
+class _Value:
+    kind: int
+    number: int | float
+    index: int
+    count: int
+
+    def message(self) -> ParamValue:
+        """Return MAVROS's pair, of which the one that does not apply is 0."""
+        if self.kind == _REAL:
+            return ParamValue(0, float(self.number))
+        return ParamValue(int(self.number), 0.0)
+
+
+def _number(kind: int, value: float) -> int | float | None:
+    """Return what lies in PARAM_VALUE.param_value; None for a type that does not fit into it."""
+    if kind == _REAL:
+        return value
+    letter = _INTEGERS.get(kind)
+    if letter is None:
+        return None
+    size = struct.calcsize(letter)
+    return int(struct.unpack(f"<{letter}", struct.pack("<f", value)[:size])[0])
+
+
+def _wire(kind: int, number: float) -> float:
+    """Return ``number`` as it lies in PARAM_SET.param_value.
+
+    Raises:
+        struct.error: it does not fit into the type.
+    """
+    if kind == _REAL:
+        return number
+    return float(struct.unpack("<f", struct.pack(f"<{_INTEGERS[kind]}", int(number)).ljust(4, b"\0"))[0])
+
+
+class ParamPlugin(Plugin):
+    """MAVROS's param. Values are asked for when a service needs them; ``set`` takes the parameter's type.
+
+    Answers come in the receiver thread, services wait in threads of their own.
+    """
+
+    name = "param"
+
+    def __init__(self, uas: Uas) -> None:
+        """Offer the services and the topic."""
+        super().__init__(uas)
+        self._values: dict[str, _Value] = {}
+        self._changed = threading.Condition()
+        self._turn = threading.Lock()  # one list or write at a time
+        self._complete = False
+        self._topic = uas.topic("param/param_value", Param())
+        self.messages = {"PARAM_VALUE": Feed(self._publish, self._topic)}
+        self.replies = {"PARAM_VALUE": self._on_value}
+        uas.service("param/get", ParamGet, self._get)
+        uas.service("param/set", ParamSet, self._set)
+        uas.service("param/pull", ParamPull, self._pull)
+        uas.service("param/push", ParamPush, self._push)
+
+    def connected(self, connected: bool) -> None:
+        """Forget what another autopilot, or this one before a reboot, has told."""
+        with self._changed:
+            self._values.clear()
+            self._complete = False
+
+    def _publish(self, m: Any) -> None:
+        number = _number(m.param_type, m.param_value)
+        if number is None:
+            return
+        message = self._topic.message
+        self.uas.stamp_now(message.header)
+        message.param_id, message.param_index, message.param_count = m.param_id, m.param_index, m.param_count
+        message.value = _Value(m.param_type, number, m.param_index, m.param_count).message()
+        self._topic.publish(message)
+
+    def _on_value(self, frame: bytes) -> None:
+        try:
+            m = _decode(frame)
+        except FrameError:
+            return  # the main thread warns of it
+        number = _number(m.param_type, m.param_value)
+        if number is not None and m.param_index != _NO_INDEX:
+            with self._changed:
+                self._values[m.param_id] = _Value(m.param_type, number, m.param_index, m.param_count)
+                self._changed.notify_all()
+
+    def _ask(self, build: Callable[[], Any], answered: Callable[[], bool]) -> bool:
+        """Send until ``answered``, at most 1 + 3 times; return whether it is."""
+        for _ in range(1 + _RETRIES):
+            self.uas.link.send(build())
+            with self.uas.ros.needs_time(), self._changed:
+                if self._changed.wait_for(answered, _TRY_LIMIT):
+                    return True
+        return False
+
+    def _known(self, name: str) -> _Value | None:
+        """Return a parameter's value, asking for it when it has not been told yet; None when there is none."""
+        target = self.uas.target
+        encoded = name.encode()
+        if not 0 < len(encoded) <= 16:
+            return None
+        with self._turn:
+            if name not in self._values and not self._complete:
+                self._ask(
+                    lambda: mavlink.MAVLink_param_request_read_message(*target, encoded, -1),
+                    lambda: name in self._values,
+                )
+        return self._values.get(name)
+
+    def _write(self, name: str, known: _Value, number: float) -> bool:
+        """Write a parameter; return whether the autopilot has answered with a value."""
+        try:
+            value = _wire(known.kind, number)
+        except (struct.error, ValueError, OverflowError) as error:
+            self.uas.warn(f"param {name}", "parameter %s cannot be %s: %s", name, number, error)
+            return False
+        target = self.uas.target
+        with self._turn:
+            with self._changed:
+                self._values.pop(name, None)
+            written = self._ask(
+                lambda: mavlink.MAVLink_param_set_message(*target, name.encode(), value, known.kind),
+                lambda: name in self._values,
+            )
+            with self._changed:
+                self._values.setdefault(name, known)
+        return written
+
+    def _get(self, request: Any) -> ParamGetResponse:
+        value = self._known(request.param_id)
+        if value is None:
+            self.uas.warn(f"param {request.param_id}", "there is no parameter %s to get", request.param_id)
+            return ParamGetResponse(False, ParamValue())
+        return ParamGetResponse(True, value.message())
+
+    def _set(self, request: Any) -> ParamSetResponse:
+        name, asked = request.param_id, request.value
+        known = self._known(name)
+        if known is None:
+            self.uas.warn(f"param {name}", "there is no parameter %s to set", name)
+            return ParamSetResponse(False, ParamValue())
+        number = asked.integer if asked.integer else asked.real
+        success = self._write(name, known, number)
+        value = self._values.get(name, known)
+        self.uas.ros.set_param(f"{self.uas.prefix}/param/{name}", value.number)
+        return ParamSetResponse(success, value.message())
+
+    def _pull(self, request: Any) -> ParamPullResponse:
+        with self._turn:
+            if request.force_pull or not self._complete:
+                with self._changed:
+                    self._values.clear()
+                    self._complete = False
+                self._complete = self._fetch()
+            values = {name: value.number for name, value in sorted(self._values.items())}
+        self.uas.ros.set_param(f"{self.uas.prefix}/param", values)
+        return ParamPullResponse(self._complete, len(values))
+
+    def _fetch(self) -> bool:
+        """Ask for the list, and then for what of it has not come; return whether all has."""
+        target = self.uas.target
+        if not self._ask(lambda: mavlink.MAVLink_param_request_list_message(*target), lambda: bool(self._values)):
+            return False
+        count = next(iter(self._values.values())).count
+        tries = 0
+        while len(self._values) < count and tries < _RETRIES + 1:
+            before = len(self._values)
+            with self.uas.ros.needs_time(), self._changed:
+                self._changed.wait_for(lambda: len(self._values) >= count, _TRY_LIMIT)
+            if len(self._values) == before:
+                tries += 1
+                present = {value.index for value in self._values.values()}
+                for index in [i for i in range(count) if i not in present][:_LIST_LIMIT]:
+                    self.uas.link.send(mavlink.MAVLink_param_request_read_message(*target, b"", index))
+        return len(self._values) >= count
+
+    def _push(self, _request: Any) -> ParamPushResponse:
+        mirrored = self.uas.ros.get_param(f"{self.uas.prefix}/param", {})
+        sent = 0
+        for name, number in sorted(mirrored.items()) if isinstance(mirrored, dict) else ():
+            known = self._known(name)
+            if known is None or isinstance(number, bool) or not isinstance(number, (int, float)):
+                self.uas.warn(f"param {name}", "ROS parameter %s is none of the autopilot's", name)
+            elif number != known.number:
+                sent += self._write(name, known, number)
+        return ParamPushResponse(True, sent)
