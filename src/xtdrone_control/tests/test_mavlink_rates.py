@@ -86,6 +86,11 @@ ONBOARD = {
 # PX4 forwards to its other link (there is no forwarding here); CURRENT_EVENT_SEQUENCE, which goes with the events.
 NO_STREAMS = {"CURRENT_EVENT_SEQUENCE"}
 # Ours besides: PX4 sends the origin when it changes; here it also comes every 10 s, for whoever asks later.
+ONLY_WITH_A_SOURCE = {  # on by default in PX4 too; there was nothing to send
+    "DISTANCE_SENSOR",
+    "OPTICAL_FLOW_RAD",
+    "POSITION_TARGET_GLOBAL_INT",
+}
 OURS = {"GPS_GLOBAL_ORIGIN": 2}
 
 
@@ -137,9 +142,9 @@ def test_the_default_streams_have_px4s_rates(world, station):
             assert found[name] == pytest.approx(count, rel=0.02, abs=0.5), name
 
 
-def test_no_stream_is_on_by_default_that_px4_does_not_have():
+def test_no_stream_is_on_by_default_that_the_recorded_px4_does_not_have():
     for rates, recorded in ((GCS_RATES, GROUND_STATION), (ONBOARD_RATES, ONBOARD)):
-        assert set(rates) - set(recorded) == {"GPS_GLOBAL_ORIGIN", "POSITION_TARGET_GLOBAL_INT"}
+        assert set(rates) - set(recorded) == {"GPS_GLOBAL_ORIGIN", *ONLY_WITH_A_SOURCE}
 
 
 def test_the_seldom_messages_content(world):
@@ -194,6 +199,28 @@ def test_more_than_four_escs_take_two_messages():
     indices = [decoder(name)(frame).index for name, frame in frames(world.client) if name == "ESC_STATUS"]
     assert indices == [0, 4]
     world.close()
+
+
+def test_downward_sensors(world):
+    world.hear()
+    a = world.autopilot
+    a.sensors[0]["range_distance"], a.sensors[0]["range_largest"], a.sensors[0]["range_quality"] = 4.2, 30.0, 80
+    a.sensors[0]["flow_rate"], a.sensors[0]["flow_gyro"], a.sensors[0]["flow_quality"] = (0.5, -1.0), (0.1, 0.2), 200
+    a.estimator[0]["terrain_valid"], a.estimator[0]["terrain"] = 1, 1.0
+    a.sensors[0]["gps_hdop"] = 0.7
+    names = ("DISTANCE_SENSOR", "OPTICAL_FLOW_RAD")
+    assert not any(named(world.run(0.3), name) for name in names)
+    a.estimator[0]["time_range_us"] = a.estimator[0]["time_flow_us"] = a.time_us
+    got = {m.get_type(): m for m in world.run(0.3)}
+    distance, flow = (got[name] for name in names)
+    assert (distance.current_distance, distance.max_distance, distance.orientation) == (420, 3000, 25)
+    assert distance.signal_quality == 80
+    assert (flow.integrated_x, flow.integrated_y) == pytest.approx((0.01, -0.02))
+    assert (flow.integrated_ygyro, flow.distance, flow.quality) == pytest.approx((0.004, 4.2, 200))
+    assert got["ALTITUDE"].bottom_clearance == pytest.approx(1.0)
+    assert got["ALTITUDE"].altitude_terrain == pytest.approx(487.0)
+    assert got["GPS_RAW_INT"].eph == 70
+    assert not any(named(world.run(0.6)[-50:], name) for name in names), "samples do not come any more"
 
 
 def test_the_place_that_an_automatic_mode_flies_to(world):

@@ -41,6 +41,10 @@ _CRITICAL_STATUS = 5  # MAV_STATE_CRITICAL: a failsafe is on
 _INT16 = 32767
 _UINT16 = 65535
 _UNKNOWN_TIME = -1
+_NAN = math.nan
+_LASER, _DOWNWARD = 0, 25  # MAV_DISTANCE_SENSOR, MAV_SENSOR_ORIENTATION
+_FLOW_SPAN_US = 20_000
+_SENSOR_TIMEOUT_US = 500_000
 
 # Streams that PX4 v1.14 has for sensors, devices and modes that are not here: intervals may be set, nothing is sent.
 SILENT = (
@@ -180,6 +184,50 @@ class Reports(Telemetry):
     def vibration(self) -> Values:
         """PX4's vibration metrics; nothing clips."""
         return self.time_us, *self._estimator["vibration"].tolist(), 0, 0, 0
+
+    def distance_sensor(self) -> Values | None:
+        """The downward range finder, cm, while samples come."""
+        s, quality = self._sensors, int(self._sensors["range_quality"])
+        if not self._lately("time_range_us"):
+            return None
+        return (
+            self.time_ms,
+            *[_whole(100.0 * float(s[field]), 0, _UINT16) for field in ("range_least", "range_largest")],
+            _whole(100.0 * float(s["range_distance"]), 0, _UINT16),
+            _LASER,
+            0,
+            _DOWNWARD,
+            0,
+            0.0,
+            0.0,
+            *[0.0] * 4,
+            0 if quality < 0 else max(quality, 1),  # 0 means unknown, 1 invalid
+        )
+
+    def optical_flow_rad(self) -> Values | None:
+        """Optical flow, while samples come: angles over ``_FLOW_SPAN_US`` at the rates of the last one."""
+        if not self._lately("time_flow_us"):
+            return None
+        s, span = self._sensors, _FLOW_SPAN_US * 1e-6
+        gyro = [rate * span for rate in s["flow_gyro"].tolist()]
+        distance = float(s["range_distance"]) if self._lately("time_range_us") else -1.0
+        return (
+            self.time_us,
+            _FLOW_SPAN_US,
+            *[rate * span for rate in s["flow_rate"].tolist()],
+            *gyro,
+            _NAN,
+            0,
+            distance,
+            0,
+            0,
+            _whole(int(s["flow_quality"]), 0, 255),
+        )
+
+    def _lately(self, field: str) -> bool:
+        """Say whether a sensor's sample, whose time the estimator keeps in ``field``, is less than 0.5 s old."""
+        last = int(self._estimator[field])
+        return last > 0 and self.time_us - last < _SENSOR_TIMEOUT_US
 
     # where it flies to
 

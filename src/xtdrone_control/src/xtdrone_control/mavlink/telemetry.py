@@ -54,6 +54,11 @@ def _unsigned(value: float, limit: int) -> int:
     return max(_clamped(value, limit), 0)
 
 
+def _dilution(value: float) -> int:
+    """Return a dilution of precision in hundredths; unknown when there is none."""
+    return _unsigned(100.0 * value, _UNKNOWN_U16 - 1) if value > 0.0 else _UNKNOWN_U16
+
+
 def _diagonal(values: list[float]) -> list[float]:
     matrix = [0.0] * 21
     for place, value in zip(_DIAGONAL, values, strict=True):
@@ -227,9 +232,13 @@ class Telemetry:
         return geo.reproject(self.position[0], self.position[1], float(e["origin_lat"]), float(e["origin_lon"]))
 
     def altitude(self) -> Values:
-        """Heights over sea, home and the local frame's origin; no terrain is known."""
-        amsl = self._altitude()
-        return self.time_us, amsl, amsl, -self.position[2], self._height_over_home(), _NAN, _NAN
+        """Heights over sea, home and the local frame's origin, and over the ground where that is known."""
+        amsl, e = self._altitude(), self._estimator
+        ground = clearance = _NAN
+        if e["terrain_valid"]:
+            clearance = float(e["terrain"]) - self.position[2]
+            ground = amsl - clearance
+        return self.time_us, amsl, amsl, -self.position[2], self._height_over_home(), ground, clearance
 
     def vfr_hud(self) -> Values:
         """What a head-up display shows."""
@@ -329,8 +338,7 @@ class Telemetry:
             round(float(s["gps_lat"]) * 1e7),
             round(float(s["gps_lon"]) * 1e7),
             alt,
-            _UNKNOWN_U16,
-            _UNKNOWN_U16,
+            *[_dilution(float(s[field])) for field in ("gps_hdop", "gps_vdop")],
             _unsigned(math.hypot(vn, ve) * 100.0, _UNKNOWN_U16 - 1),
             int(course * 100.0),
             int(s["gps_fix"]) & 0xFF,
