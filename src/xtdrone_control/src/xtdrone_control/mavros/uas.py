@@ -15,6 +15,7 @@ from xtdrone_control.mavlink.codec import Decoder, FrameError, decoder, message_
 from xtdrone_control.mavlink.dialect import MESSAGE_ID
 from xtdrone_control.mavros.connection import Link
 from xtdrone_control.mavros.params import Params
+from xtdrone_control.mavros.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic
 from xtdrone_control.mavros.streams import Streams
 from xtdrone_control.mavros.throttle import Throttle
@@ -59,6 +60,7 @@ class Uas:
         params: its settings.
         ros: topics, services and time.
         commands: commands with acks.
+        plans: transfers of missions, geofences and rally points.
         target: system and component id of the autopilot.
         connected: heartbeats come.
         time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while it is unknown.
@@ -86,6 +88,7 @@ class Uas:
         self.ros = ros
         self.target = link.target
         self.commands = Commands(link.send, ros.needs_time)
+        self.plans = PlanTransfers(link.send, link.target, ros.needs_time)
         self.connected = False
         self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
         self.now_ns = 0

@@ -390,7 +390,9 @@ class MissionService(Service):
         elif not self._navigator.set_current(m.seq):
             self._say(CRITICAL, "WPM: WP CURR CMD: Not in list")
         else:
-            self._told_current = -1  # told again even if it is the same
+            # at once for who asked, since he may hold the time, and in its turn for the others
+            link.send_message(mavlink.MAVLink_mission_current_message(m.seq))
+            self._told_current = -1
             self._wake(self.vehicle.now_us)
 
     def _acknowledge(self, link: Link, kind: int, result: int) -> None:

@@ -17,6 +17,7 @@ from xtdrone_control.mavros.plugins.setpoint_velocity import SetpointVelocityPlu
 from xtdrone_control.mavros.plugins.sys_status import SysStatusPlugin
 from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
 from xtdrone_control.mavros.plugins.vfr_hud import VfrHudPlugin
+from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
 
 PLUGINS: tuple[type[Plugin], ...] = (
     SysStatusPlugin,
@@ -33,4 +34,7 @@ PLUGINS: tuple[type[Plugin], ...] = (
     SetpointRawPlugin,
     SetpointPositionPlugin,
     SetpointVelocityPlugin,
+    WaypointPlugin,
+    GeofencePlugin,
+    RallypointPlugin,
 )
