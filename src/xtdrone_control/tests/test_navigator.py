@@ -36,7 +36,7 @@ def test_takeoff_goes_to_loiter_within_the_altitude_radius():
     assert flight.setpoint["task"] == TASK_IDLE
     flight.commander.arm_disarm(True)
     assert (flight.setpoint["task"], goal(flight)) == (TASK_GOTO, [1.0, 2.0, -5.0])
-    assert math.isnan(flight.setpoint["climb_speed"])
+    assert flight.setpoint["climb_speed"] == flight.parameters.get("MPC_TKO_SPEED")
     assert "Using minimum takeoff altitude: 5.00 m" in flight.texts()
     flight.place(1.0, 2.0, -4.1)
     flight.run(0.2)

@@ -333,5 +333,6 @@ class Navigator:
             goal = z
         elif goal != wanted:
             self._say(INFO, f"Using minimum takeoff altitude: {least:.2f} m")
+        self._view.setpoint["climb_speed"] = self._parameters.get("MPC_TKO_SPEED")
         self._course.fly_to((x, y, goal), self.takeoff_yaw)
         self.takeoff_altitude = self.takeoff_yaw = NAN
