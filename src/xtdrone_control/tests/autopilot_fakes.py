@@ -21,6 +21,7 @@ class FakeAutopilot:
 
     def __init__(self, count: int = 1) -> None:
         self.count = count
+        self.logs: list[Any] = []
         self.time_us = 1_000_000
         self.sensors = records(SENSORS, count)
         self.estimator = records(ESTIMATOR, count)

@@ -68,7 +68,7 @@ class LogFolder:
         found: list[LogEntry] = []
         for path in self.root.glob("*/*.ulg"):
             match = _FILE.fullmatch(path.relative_to(self.root).as_posix())
-            if match is None or path.is_symlink() or not path.is_file():
+            if match is None or path.is_symlink() or path.parent.is_symlink() or not path.is_file():
                 continue
             try:
                 begun = calendar.timegm(time.strptime(match[1] + match[2], "%Y-%m-%d%H_%M_%S"))

@@ -25,23 +25,6 @@ _ROTARY_WING = 1
 _BY_COMMAND = 4  # ARM_DISARM_REASON_COMMAND_EXTERNAL
 _SETPOINT_POSITION, _SETPOINT_LOITER, _SETPOINT_TAKEOFF, _SETPOINT_LAND, _SETPOINT_IDLE = 0, 2, 3, 4, 5
 
-# vehicle_status.nav_state by HEARTBEAT's custom mode
-_NAV_STATES = {
-    modes.MANUAL.custom_mode: 0,
-    modes.ALTCTL.custom_mode: 1,
-    modes.POSCTL.custom_mode: 2,
-    modes.AUTO_MISSION.custom_mode: 3,
-    modes.AUTO_LOITER.custom_mode: 4,
-    modes.AUTO_RTL.custom_mode: 5,
-    modes.ACRO.custom_mode: 10,
-    modes.OFFBOARD.custom_mode: 14,
-    modes.STABILIZED.custom_mode: 15,
-    modes.AUTO_TAKEOFF.custom_mode: 17,
-    modes.AUTO_LAND.custom_mode: 18,
-    modes.AUTO_PRECLAND.custom_mode: 20,
-}
-_NAV_STATE_DESCEND = 12
-
 NAMES = (
     "vehicle_status",
     "vehicle_control_mode",
@@ -55,11 +38,6 @@ NAMES = (
     "vehicle_command_ack",
 )
 FORMATS: dict[str, Format] = {name: message_format(name) for name in NAMES}
-
-
-def nav_state(mode: Mode) -> int:
-    """Return PX4's navigation state of ``mode``."""
-    return _NAV_STATE_DESCEND if mode is modes.DESCEND else _NAV_STATES[mode.custom_mode]
 
 
 class StatusTopics:
@@ -137,8 +115,8 @@ class StatusTopics:
         status["arming_state"] = _ARMED if c.armed else _DISARMED
         status["latest_arming_reason"] = _BY_COMMAND if c.armed else 0
         status["nav_state_timestamp"] = self._nav_state_us
-        status["nav_state"] = nav_state(mode)
-        status["nav_state_user_intention"] = nav_state(c.requested_mode)
+        status["nav_state"] = mode.state
+        status["nav_state_user_intention"] = c.requested_mode.state
         status["vehicle_type"] = _ROTARY_WING
         status["failsafe"] = c.failsafe
         status["system_type"] = int(c.parameters.get("MAV_TYPE")) & 0xFF

@@ -5,6 +5,8 @@ from __future__ import annotations
 from xtdrone_control.mavlink.service import Service, Vehicle
 
 from .command import CommandService
+from .ftp import FtpService
+from .log import LogService
 from .manual import ManualService
 from .mission import MissionService
 from .parameter import ParameterService
@@ -27,5 +29,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         ParameterService(vehicle),
         MissionService(vehicle),
         PlaceService(vehicle, commands),
+        LogService(vehicle),
+        FtpService(vehicle),
         VersionService(vehicle),
     ]

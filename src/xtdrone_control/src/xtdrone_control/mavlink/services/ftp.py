@@ -1,0 +1,297 @@
+"""MAVLink FTP, read only: the vehicle's logs, at the places where PX4 has them.
+
+Source: mavlink.io, "File Transfer Protocol (FTP)"; sessions and answers as PX4's mavlink_ftp has them: each client has
+one session, number 0; a request that comes again (its answer was lost) gets the same answer again.
+
+The tree is made up: ``/fs/microsd/log/<date>/<time>.ulg``, as on a flight controller, and ``/log/...``, as in PX4's
+SITL. A path is looked up in the list of the logs and never handed to the operating system, so no path leads out of it.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.logger.folder import LogEntry, LogFolder
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
+
+_HEADER = struct.Struct("<HBBBBBBI")  # sequence, session, opcode, size, requested opcode, burst complete, -, offset
+_LARGEST = 239  # bytes of data in a message
+_PAYLOAD = _HEADER.size + _LARGEST
+
+_NONE, _TERMINATE, _RESET, _LIST, _OPEN_RO, _READ, _CREATE, _WRITE, _REMOVE, _MAKE_FOLDER = range(10)
+_REMOVE_FOLDER, _OPEN_WO, _TRUNCATE, _RENAME, _CRC32, _BURST_READ = range(10, 16)
+_ACK, _NAK = 128, 129
+_INVALID_SIZE, _INVALID_SESSION, _NO_SESSION, _EOF, _UNKNOWN, _PROTECTED, _NOT_FOUND = 3, 4, 5, 6, 7, 9, 10
+
+BURST = 24  # messages a period of a burst: 574 kB of a file in a simulated second
+PERIOD_US = 10_000
+_CRC_FLIP = 0xFFFFFFFF
+_CRC_BLOCK = 1 << 20
+
+Folder = dict[str, Any]  # name to LogEntry or Folder
+
+
+class _RefusedError(Exception):
+    """A request that is answered by NAK; ``code`` says why."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class _Request:
+    """A request as it came."""
+
+    sequence: int
+    session: int
+    opcode: int
+    size: int
+    offset: int
+    data: bytes
+
+    @property
+    def path(self) -> str:
+        """The path that the data hold, up to the first zero byte."""
+        return self.data[: self.size].split(b"\0", 1)[0].decode("utf-8", "replace")
+
+
+@dataclass
+class _Client:
+    """A client's session.
+
+    Attributes:
+        file: the open file, None without a session.
+        size: of the file as it was opened; a log that is being written may have more by now.
+        last: the last request, and the answer to it.
+        burst: where a burst goes on, -1 for none.
+        burst_size: bytes in each of its messages.
+        sequence: of the burst's next message.
+        sender: system and component that burst messages are for.
+    """
+
+    file: BinaryIO | None = None
+    size: int = 0
+    last: tuple[bytes, bytes] | None = None
+    burst: int = -1
+    burst_size: int = _LARGEST
+    sequence: int = 0
+    sender: tuple[int, int] = field(default=(0, 0))
+
+    def close(self) -> None:
+        if self.file is not None:
+            self.file.close()
+        self.file = None
+        self.burst = -1
+
+
+class FtpService(Service):
+    """Lets clients list and read the vehicle's logs."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {"FILE_TRANSFER_PROTOCOL": "_request"}
+    CAPABILITIES = mavlink.MAV_PROTOCOL_CAPABILITY_FTP
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._clients: dict[Link, _Client] = {}
+        self._actions: dict[int, Callable[[_Client, _Request], bytes]] = {
+            _NONE: lambda _client, _request: b"",
+            _TERMINATE: self._terminate,
+            _RESET: self._reset,
+            _LIST: self._list,
+            _OPEN_RO: self._open,
+            _READ: self._read,
+            _CRC32: self._crc32,
+        }
+        for opcode in (
+            _CREATE, _WRITE, _REMOVE, _MAKE_FOLDER, _REMOVE_FOLDER, _OPEN_WO, _TRUNCATE, _RENAME
+        ):  # fmt: skip
+            self._actions[opcode] = self._refuse_writing
+
+    @property
+    def _folder(self) -> LogFolder | None:
+        logs = self.vehicle.autopilot.logs
+        return logs[self.vehicle.index] if logs else None
+
+    # requests and answers
+
+    def _request(self, link: Link, m: Any) -> None:
+        payload = bytes(m.payload).ljust(_PAYLOAD, b"\0")
+        sequence, session, opcode, size, _, _, _, offset = _HEADER.unpack_from(payload)
+        client = self._clients.get(link)
+        if client is None:
+            self._drop_closed()
+            client = self._clients[link] = _Client()
+        if client.last is not None and client.last[0] == payload:
+            self._send(link, link.sender, client.last[1])
+            return
+        request = _Request(sequence, session, opcode, size, offset, payload[_HEADER.size : _PAYLOAD])
+        client.last = None
+        try:
+            if size > _LARGEST:
+                raise _RefusedError(_INVALID_SIZE)
+            if opcode == _BURST_READ:
+                self._start_burst(client, request, link)
+                return
+            if opcode not in self._actions:
+                raise _RefusedError(_UNKNOWN)
+            answer = _answer(request, _ACK, self._actions[opcode](client, request))
+        except _RefusedError as refused:
+            answer = _answer(request, _NAK, bytes([refused.code]))
+        client.last = (payload, answer)
+        self._send(link, link.sender, answer)
+
+    def _send(self, link: Link, receiver: tuple[int, int], payload: bytes) -> None:
+        link.send_message(mavlink.MAVLink_file_transfer_protocol_message(0, *receiver, list(payload)))
+
+    def _drop_closed(self) -> None:
+        for link in [link for link in self._clients if not link.open]:
+            self._clients.pop(link).close()
+
+    # the tree
+
+    def _tree(self) -> Folder:
+        logs: Folder = {}
+        for entry in [] if self._folder is None else self._folder.entries():
+            logs.setdefault(entry.path.parent.name, {})[entry.path.name] = entry
+        return {"fs": {"microsd": {"log": logs}}, "log": logs}
+
+    def _find(self, path: str) -> LogEntry | Folder:
+        """Return what lies at ``path``.
+
+        Raises:
+            _RefusedError: nothing does.
+        """
+        here: LogEntry | Folder = self._tree()
+        for part in path.split("/"):
+            if part in ("", "."):
+                continue
+            if not isinstance(here, dict) or part not in here:
+                raise _RefusedError(_NOT_FOUND)
+            here = here[part]
+        return here
+
+    def _log_at(self, path: str) -> LogEntry:
+        found = self._find(path)
+        if isinstance(found, dict):
+            raise _RefusedError(_NOT_FOUND)
+        return found
+
+    def _list(self, _client: _Client, request: _Request) -> bytes:
+        """Name what a folder holds, from entry number ``offset`` on, as much as a message takes."""
+        found = self._find(request.path)
+        if not isinstance(found, dict):
+            raise _RefusedError(_NOT_FOUND)
+        entries = [
+            f"D{name}\0" if isinstance(entry, dict) else f"F{name}\t{entry.size}\0"
+            for name, entry in sorted(found.items())
+        ][request.offset :]
+        if not entries:
+            raise _RefusedError(_EOF)
+        data = b""
+        for entry in entries:
+            if len(data) + len(entry) > _LARGEST:
+                break
+            data += entry.encode()
+        return data
+
+    # files
+
+    def _open(self, client: _Client, request: _Request) -> bytes:
+        if client.file is not None:
+            raise _RefusedError(_NO_SESSION)
+        entry = self._log_at(request.path)
+        try:
+            client.file = entry.path.open("rb")
+        except OSError as error:
+            raise _RefusedError(_NOT_FOUND) from error
+        client.size = min(entry.size, 0xFFFFFFFF)
+        return struct.pack("<I", client.size)
+
+    def _file(self, client: _Client, request: _Request) -> BinaryIO:
+        if client.file is None or request.session != 0:
+            raise _RefusedError(_INVALID_SESSION)
+        return client.file
+
+    def _read(self, client: _Client, request: _Request) -> bytes:
+        file = self._file(client, request)
+        if request.offset >= client.size:
+            raise _RefusedError(_EOF)
+        return _part(client, file, request.offset, request.size or _LARGEST)
+
+    def _terminate(self, client: _Client, request: _Request) -> bytes:
+        self._file(client, request)
+        client.close()
+        return b""
+
+    def _reset(self, client: _Client, _request: _Request) -> bytes:
+        client.close()
+        return b""
+
+    def _crc32(self, _client: _Client, request: _Request) -> bytes:
+        """Return PX4's checksum of a file: it starts from 0 and does not invert; zlib inverts before and after."""
+        crc = 0
+        try:
+            with self._log_at(request.path).path.open("rb") as file:
+                while block := file.read(_CRC_BLOCK):
+                    crc = zlib.crc32(block, crc ^ _CRC_FLIP) ^ _CRC_FLIP
+        except OSError as error:
+            raise _RefusedError(_NOT_FOUND) from error
+        return struct.pack("<I", crc)
+
+    def _refuse_writing(self, _client: _Client, _request: _Request) -> bytes:
+        raise _RefusedError(_PROTECTED)
+
+    # bursts
+
+    def _start_burst(self, client: _Client, request: _Request, link: Link) -> None:
+        self._file(client, request)
+        client.burst, client.burst_size = request.offset, request.size or _LARGEST
+        client.sequence = request.sequence + 1
+        client.sender = link.sender
+        if self.due_us == NEVER_US:
+            self.due_us = self.vehicle.now_us
+
+    def update(self, now_us: int) -> None:
+        """Send the next messages of the bursts that are running."""
+        self._drop_closed()
+        for link, client in self._clients.items():
+            if client.burst >= 0:
+                self._go_on(link, client)
+        busy = any(client.burst >= 0 for client in self._clients.values())
+        self.due_us = (now_us // PERIOD_US + 1) * PERIOD_US if busy else NEVER_US
+
+    def _go_on(self, link: Link, client: _Client) -> None:
+        assert client.file is not None
+        for _ in range(BURST):
+            data = _part(client, client.file, client.burst, client.burst_size)
+            kind, content = (_ACK, data) if data else (_NAK, bytes([_EOF]))
+            head = _HEADER.pack(client.sequence & 0xFFFF, 0, kind, len(content), _BURST_READ, 0, 0, client.burst)
+            self._send(link, client.sender, (head + content).ljust(_PAYLOAD, b"\0"))
+            client.sequence += 1
+            client.burst += len(data)
+            if not data:
+                client.burst = -1
+                return
+
+
+def _part(client: _Client, file: BinaryIO, offset: int, size: int) -> bytes:
+    """Return up to ``size`` bytes of the session's file from ``offset``; none at its end."""
+    wanted = min(size, client.size - offset)
+    if wanted <= 0:
+        return b""
+    file.seek(offset)
+    return file.read(wanted)
+
+
+def _answer(request: _Request, kind: int, data: bytes) -> bytes:
+    head = _HEADER.pack(request.sequence + 1 & 0xFFFF, 0, kind, len(data), request.opcode, 0, 0, request.offset)
+    return (head + data).ljust(_PAYLOAD, b"\0")

@@ -1,0 +1,144 @@
+"""The log protocol: which logs there are, and their bytes, as PX4's mavlink_log_handler gives them.
+
+What a client has asked for is sent by simulated time, a few messages every 10 ms, so that its socket is not overrun; a
+client asks again for what was lost on the way. Each client has its own list and its own transfer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.logger.folder import LogEntry, LogFolder
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
+
+BURST = 32  # messages a period: 288 kB of a log in a simulated second
+PERIOD_US = 10_000
+_CHUNK = 90  # bytes of LOG_DATA
+_NOTHING = bytes(_CHUNK)
+
+
+@dataclass
+class _Client:
+    """What one client has been told and is waiting for.
+
+    Attributes:
+        logs: the list as it was told last; a log's place in it is its id.
+        listing: ids still to be told.
+        log: id of the log that is sent.
+        offset: where in it to go on.
+        remaining: bytes still to be sent.
+        sending: whether data are sent.
+    """
+
+    logs: list[LogEntry]
+    listing: range = field(default_factory=lambda: range(0))
+    log: int = 0
+    offset: int = 0
+    remaining: int = 0
+    sending: bool = False
+
+    @property
+    def waits(self) -> bool:
+        return self.sending or bool(self.listing)
+
+
+class LogService(Service):
+    """Lists, sends and erases the vehicle's logs."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "LOG_REQUEST_LIST": "_list",
+        "LOG_REQUEST_DATA": "_data",
+        "LOG_REQUEST_END": "_end",
+        "LOG_ERASE": "_erase",
+    }
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._clients: dict[Link, _Client] = {}
+
+    @property
+    def _folder(self) -> LogFolder | None:
+        logs = self.vehicle.autopilot.logs
+        return logs[self.vehicle.index] if logs else None
+
+    def _entries(self) -> list[LogEntry]:
+        return [] if self._folder is None else self._folder.entries()
+
+    def _list(self, link: Link, m: Any) -> None:
+        client = self._clients[link] = _Client(self._entries())
+        last = max(len(client.logs) - 1, 0)
+        client.listing = range(min(m.start, last), min(m.end, last) + 1)
+        self._schedule()
+
+    def _data(self, link: Link, m: Any) -> None:
+        client = self._clients.get(link)
+        if client is None:  # PX4 leaves this unanswered; there are clients that remember an older list
+            client = self._clients[link] = _Client(self._entries())
+        if m.id >= len(client.logs):
+            return
+        size = client.logs[m.id].size
+        client.listing = range(0)
+        client.log, client.offset, client.sending = m.id, m.ofs, True
+        client.remaining = min(max(size - m.ofs, 0), m.count)
+        self._schedule()
+
+    def _end(self, link: Link, _m: Any) -> None:
+        self._clients.pop(link, None)
+
+    def _erase(self, link: Link, _m: Any) -> None:
+        self._clients.pop(link, None)
+        if self._folder is None:
+            return
+        try:
+            self._folder.erase()
+        except OSError as error:
+            link.warn("log", f"logs not erased: {error}", self.vehicle.now_us)
+
+    def _schedule(self) -> None:
+        if self.due_us == NEVER_US:
+            self.due_us = self.vehicle.now_us
+
+    def update(self, now_us: int) -> None:
+        """Send the next messages of every transfer."""
+        for link, client in list(self._clients.items()):
+            if not link.open:
+                del self._clients[link]
+                continue
+            self._send_entries(link, client)
+            if client.sending:
+                self._send_data(link, client, now_us)
+        busy = any(client.waits for client in self._clients.values())
+        self.due_us = (now_us // PERIOD_US + 1) * PERIOD_US if busy else NEVER_US
+
+    def _send_entries(self, link: Link, client: _Client) -> None:
+        told, client.listing = client.listing[:BURST], client.listing[BURST:]
+        for number in told:
+            found = client.logs[number] if client.logs else None
+            time_utc, size = (found.time_utc, found.size) if found is not None else (0, 0)
+            last = client.listing[-1] if client.listing else told[-1]
+            link.send_message(
+                mavlink.MAVLink_log_entry_message(number, len(client.logs), last, time_utc, min(size, 0xFFFFFFFF))
+            )
+
+    def _send_data(self, link: Link, client: _Client, now_us: int) -> None:
+        path = client.logs[client.log].path
+        wanted = min(client.remaining, BURST * _CHUNK)
+        try:
+            with path.open("rb") as file:
+                file.seek(client.offset)
+                data = file.read(wanted)
+        except OSError as error:  # erased in the meantime
+            link.warn("log", f"log {client.log} cannot be read: {error}", now_us)
+            data = b""
+        for start in range(0, max(len(data), 1), _CHUNK):
+            chunk = data[start : start + _CHUNK]
+            padded = chunk + _NOTHING[len(chunk) :]
+            link.send_message(mavlink.MAVLink_log_data_message(client.log, client.offset, len(chunk), list(padded)))
+            client.offset += len(chunk)
+        client.remaining -= len(data)
+        client.sending = len(data) == wanted and client.remaining > 0
