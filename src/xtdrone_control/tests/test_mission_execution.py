@@ -46,6 +46,9 @@ def test_a_square_in_order(flight):
     assert "Takeoff to 10.0 meters above home" in flight.texts()
     assert (flight.setpoint["task"], flight.goal()) == (TASK_GOTO, [0, 0, -10])
     assert flight.setpoint["climb_speed"] == 1.5
+    flight.place(0, 0, -5)
+    assert flight.commander.landed_state == 3
+    flight.place(0, 0, 0)
     seen = [(flight.reached, flight.current)]
     for _ in ticks(flight):
         seen.append((flight.reached, flight.current))

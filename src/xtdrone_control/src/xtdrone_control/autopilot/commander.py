@@ -219,7 +219,7 @@ class Commander:
             return _ON_GROUND
         if self.navigator.landing or self._flown is modes.DESCEND:
             return _LANDING
-        return _TAKEOFF if self._flown is modes.AUTO_TAKEOFF else _IN_AIR
+        return _TAKEOFF if self.navigator.taking_off else _IN_AIR
 
     @property
     def ready_to_arm(self) -> bool:

@@ -52,6 +52,7 @@ class Course:
         home: None until the first valid position.
         goal: m, local NED.
         landing: the vehicle is on its way to the ground.
+        taking_off: it climbs to where a take-off ends.
     """
 
     def __init__(self, view: VehicleView, parameters: Parameters, say: Say) -> None:
@@ -62,6 +63,7 @@ class Course:
         self.home: Home | None = None
         self.goal: Vector = (0.0, 0.0, 0.0)
         self.landing = False
+        self.taking_off = False
         self._heading_free = False
 
     # goals
@@ -83,7 +85,7 @@ class Course:
             radius: m from ``position`` at which the way onward begins.
         """
         self.goal = position
-        self.landing = False
+        self.landing = self.taking_off = False
         self._heading_free = False
         setpoint = self.view.setpoint
         setpoint["goal_position"] = position
@@ -92,12 +94,18 @@ class Course:
         setpoint["goal_radius"] = radius
         self.view.start_task(TASK_GOTO)
 
+    def take_off(self, position: Vector, yaw: float) -> None:
+        """Climb to ``position`` (m, local NED) at MPC_TKO_SPEED, with heading ``yaw`` (rad, NaN keeps it)."""
+        self.view.setpoint["climb_speed"] = self.parameters.get("MPC_TKO_SPEED")
+        self.fly_to(position, yaw)
+        self.taking_off = True
+
     def land(self, place: Vector) -> None:
         """Land at ``place`` (m, local NED), whose height is that of home when there is one."""
         ground = place[2] if self.home is None else self.home.position[2]
         self.goal = (place[0], place[1], ground)
         self.landing = True
-        self._heading_free = False
+        self.taking_off = self._heading_free = False
         setpoint = self.view.setpoint
         setpoint["goal_position"] = self.goal
         setpoint["goal_yaw"] = NAN

@@ -294,8 +294,7 @@ class Mission:
         self._say(INFO, f"Takeoff to {self._course.ground - height:.1f} meters above home")
         self._place = (x, y, height)
         self._yaw = self._view.yaw
-        self._view.setpoint["climb_speed"] = self._get("MPC_TKO_SPEED")
-        self._course.fly_to(self._place, self._yaw)
+        self._course.take_off(self._place, self._yaw)
 
     def _fly_landing(self, item: PlanItem, place: Vector, moved: bool) -> None:
         self._yaw = NAN

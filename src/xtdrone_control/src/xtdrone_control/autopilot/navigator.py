@@ -76,6 +76,11 @@ class Navigator:
         return self._course.landing
 
     @property
+    def taking_off(self) -> bool:
+        """Whether the vehicle climbs to where a take-off ends."""
+        return self._course.taking_off
+
+    @property
     def plans(self) -> Plans:
         """Mission, geofence and rally points."""
         return self.mission.plans
@@ -113,7 +118,7 @@ class Navigator:
     def _stop(self) -> None:
         self.mission.deactivate()
         self.precision_landing.stop()
-        self._course.landing = False
+        self._course.landing = self._course.taking_off = False
 
     def update(self) -> Mode | None:
         """Go on to the mode's next phase when the present one is done; call at 10 Hz.
@@ -333,6 +338,5 @@ class Navigator:
             goal = z
         elif goal != wanted:
             self._say(INFO, f"Using minimum takeoff altitude: {least:.2f} m")
-        self._view.setpoint["climb_speed"] = self._parameters.get("MPC_TKO_SPEED")
-        self._course.fly_to((x, y, goal), self.takeoff_yaw)
+        self._course.take_off((x, y, goal), self.takeoff_yaw)
         self.takeoff_altitude = self.takeoff_yaw = NAN

@@ -84,6 +84,7 @@ class Pilot:
         self._heading = 0.0
         self._rows: list[list[float]] = []
         self._events: list[Event] = []
+        self._reached = -1
         self._mission: list[Any] = []
         self.setpoint: Setpoint | None = None
         self._say(self._beat())
@@ -160,6 +161,7 @@ class Pilot:
             PilotError: no ACK within 5 s.
         """
         self._mission = []
+        self._reached = -1
         for seq, (command, forward, right, height) in enumerate(items):
             latitude, longitude, _ = self._global(forward, right, 0.0)
             self._mission.append(
@@ -274,7 +276,9 @@ class Pilot:
                 self._note("landed_state", state)
             self._landed = state
         elif kind == "MISSION_ITEM_REACHED":
-            self._note("reached", str(message.seq))
+            if message.seq != self._reached:  # it is told several times
+                self._note("reached", str(message.seq))
+            self._reached = message.seq
         elif kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
             self._say(self._mission[message.seq])
 
