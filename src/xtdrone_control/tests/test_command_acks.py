@@ -156,7 +156,12 @@ def test_versions(served):
     assert version.flight_sw_version == 17695743
     assert version.uid == SYSTEM
     assert version.capabilities & ~60671 == 0, "no bit that the reference does not have"
-    for bit in ("PARAM_ENCODE_BYTEWISE", "COMMAND_INT", "SET_ATTITUDE_TARGET", "MAVLINK2"):
+    plans = (
+        "MISSION_INT",
+        "MISSION_FENCE",
+        "MISSION_RALLY",
+    )  # without, MAVSDK sends none and QGroundControl shows none
+    for bit in ("PARAM_ENCODE_BYTEWISE", "COMMAND_INT", "SET_ATTITUDE_TARGET", "MAVLINK2", *plans):
         assert version.capabilities & getattr(mavlink, f"MAV_PROTOCOL_CAPABILITY_{bit}"), bit
     served.ask(command_long(512, 300))
     version = served.link.sent[0][1]

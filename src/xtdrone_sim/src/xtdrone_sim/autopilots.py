@@ -122,9 +122,10 @@ class Builtin:
         self.autopilot = Autopilot(self._layouts, self._datum)
         self.autopilot.time_us = time_us
         self.commanders = []
-        for vehicle, parameters, plans in zip(self.served, self._parameters, self._plans, strict=True):
-            parameters.write_to(self.autopilot.params[vehicle.id])
-            commander = Commander(vehicle, self.autopilot, parameters, vehicle.id)
+        vehicles = zip(self.served, self._parameters, self._plans, strict=True)
+        for index, (vehicle, parameters, plans) in enumerate(vehicles):
+            parameters.write_to(self.autopilot.params[index])
+            commander = Commander(vehicle, self.autopilot, parameters, index)
             commander.navigator.restore(plans)
             self.commanders.append(commander)
         self.autopilot.start_control()

@@ -80,6 +80,12 @@ class _Transfer:
 class MissionService(Service):
     """Takes and tells plans, and tells of the mission's progress."""
 
+    CAPABILITIES = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+    )
     MESSAGES: ClassVar[dict[str, str]] = {
         "MISSION_REQUEST_LIST": "_request_list",
         "MISSION_REQUEST": "_request",

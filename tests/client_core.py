@@ -1,0 +1,48 @@
+"""The simulation core with its MAVLink door, without ROS: what the tests with real clients connect to.
+
+``client_core.py COUNT FIRST SPEED [LOGS]``: COUNT iris from global index FIRST on (which fixes system ids and ports),
+at SPEED times real time (0: as fast as it goes), flight logs below the folder LOGS. Writes ``ready`` when it runs, and
+ends when its standard input does.
+"""
+
+from __future__ import annotations
+
+import select
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_sim.autopilots import Builtin
+from xtdrone_sim.pacing import Pacer
+from xtdrone_sim.simulation import Simulation
+
+CHUNK_US = 8000  # simulated time between two looks at the sockets
+
+
+def main(count: int, first: int, speed: float, logs: str = "") -> None:
+    """Run until standard input ends."""
+    fleet = tuple(Vehicle("iris", i, first + i) for i in range(count))
+    simulation = Simulation(fleet, seed=1, autopilots=partial(Builtin, logs=Path(logs) if logs else None))
+    server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
+    pacer = Pacer(speed)
+    simulation.step()  # compiles what is not compiled yet
+    print("ready", flush=True)
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        until = simulation.time_us + CHUNK_US
+        while simulation.time_us < until:
+            simulation.step()
+            if simulation.time_us >= server.next_due_us:
+                server.send_streams(simulation.time_us)
+        server.keep_alive()
+        server.receive(0.0)
+        while (delay := pacer.delay(simulation.time_us, time.monotonic())) > 0.0:
+            server.receive(delay)
+    server.close()
+    simulation.close()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), *sys.argv[4:])
