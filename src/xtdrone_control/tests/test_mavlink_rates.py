@@ -90,6 +90,7 @@ ONLY_WITH_A_SOURCE = {  # on by default in PX4 too; there was nothing to send
     "DISTANCE_SENSOR",
     "OPTICAL_FLOW_RAD",
     "POSITION_TARGET_GLOBAL_INT",
+    "RC_CHANNELS",
 }
 OURS = {"GPS_GLOBAL_ORIGIN": 2}
 
@@ -177,16 +178,59 @@ def test_the_seldom_messages_content(world):
     assert got["TIME_ESTIMATE_TO_TARGET"].land == -1
 
 
-def test_escs_follow_the_motors(world):
+def test_escs(world):
     world.hear()
-    world.command(400, 1)
     world.autopilot.control[0]["actuators"][:4] = (0.0, 0.5, 1.0, math.nan)
+    world.autopilot.sensors[0]["esc_rpm"] = (1000.4, 2000.0, 3000.0, 4000.0, 9.0, 9.0, 9.0, 9.0)
+    world.autopilot.sensors[0]["esc_current"][:4] = (1.0, 2.0, 3.0, 4.0)
     world.run(0.2)
     got = latest(world.client)
     status, info = got["ESC_STATUS"], got["ESC_INFO"]
-    assert tuple(status.rpm) == (0, 3000, 6000, 0)
-    assert tuple(status.current) == (1.0, 8.5, 16.0, 1.0)
+    assert tuple(status.rpm) == (1000, 2000, 3000, 4000)
+    assert tuple(status.current) == (1.0, 2.0, 3.0, 4.0)
     assert (info.count, info.info, tuple(info.temperature)) == (4, 15, (2000, 4000, 6000, 2000))
+
+
+# SYS_STATUS of the recorded PX4: present, enabled, health; disarmed, ready, without a radio
+RECORDED_SENSORS = (35684397, 35749933, 840990783)
+
+
+def test_sensors_as_px4_reports_them(world):
+    world.hear()
+    a = world.autopilot
+    a.estimator[0]["mag_good"] = a.estimator[0]["baro_good"] = 1
+    world.commander.update()
+
+    def sensors():
+        m = named(world.run(0.3), "SYS_STATUS")[-1]
+        names = ("present", "enabled", "health")
+        return tuple(getattr(m, f"onboard_control_sensors_{name}") for name in names)
+
+    assert sensors() == RECORDED_SENSORS
+    a.sensors[0]["gps_fix"] = 0
+    a.estimator[0]["mag_good"] = 0
+    assert sensors()[2] == RECORDED_SENSORS[2] & ~0b100100
+
+
+def test_the_pilots_input(world):
+    world.hear()
+    assert world.command(511, 69, 100_000)[0] == 0
+    names = ("RC_CHANNELS", "MANUAL_CONTROL")
+    assert not any(named(world.run(0.3), name) for name in names)
+    world.commander.parameters.set("COM_RC_IN_MODE", 2)
+    world.ask(mavlink.MAVLink_manual_control_message(_SYSTEM, 100, -200, 500, 300, 0))
+    world.commander.update()
+    sticks = named(world.run(0.1), "MANUAL_CONTROL")[-1]
+    assert (sticks.x, sticks.y, sticks.z, sticks.r) == (100, -200, 500, 300)
+    world.commander.parameters.set("COM_RC_IN_MODE", 0)
+    for axis, channel in (("ROLL", 1), ("PITCH", 2), ("THROTTLE", 3), ("YAW", 4)):
+        world.commander.parameters.set(f"RC_MAP_{axis}", channel)
+    pulses = [1500, 1600, 1400, 1500, 2000, 65535, 65535, 65535]
+    world.ask(mavlink.MAVLink_rc_channels_override_message(_SYSTEM, 1, *pulses))
+    world.commander.update()
+    radio = named(world.run(0.1), "RC_CHANNELS")[-1]
+    assert (radio.chan1_raw, radio.chan2_raw, radio.chan5_raw, radio.chan6_raw) == (1500, 1600, 2000, 65535)
+    assert radio.chancount == 5
 
 
 def test_more_than_four_escs_take_two_messages():

@@ -87,6 +87,7 @@ class ManualControl:
     """The pilot of one vehicle.
 
     Attributes:
+        channels: pulse widths, us, of the radio's last message, without those that it leaves out at the end.
         switches: RC switches by name ("kill", "arm", "return", "loiter", "offboard": on or off; "slot": 1..6).
     """
 
@@ -102,6 +103,7 @@ class ManualControl:
         self._arm_gesture, self._disarm_gesture = _Held(), _Held()
         self._switches_before: dict[str, int] | None = None
         self._last_slot_mode = -1
+        self.channels: tuple[int, ...] = ()
         self.switches: dict[str, int] = {}
 
     # what comes in
@@ -128,6 +130,7 @@ class ManualControl:
             now_us: simulated time, microseconds.
         """
         count = channel_count(channels)
+        self.channels = tuple(channels[:count])
         sticks = self._radio_sticks(channels, count)
         if sticks is None:
             return
@@ -140,6 +143,7 @@ class ManualControl:
     def silence_radio(self) -> None:
         """Forget the radio: its receiver has failed."""
         self._rc.time_us = _NEVER_US
+        self.channels = ()
 
     def _radio_sticks(self, channels: Sequence[int], count: int) -> Sticks | None:
         values = []

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from xtdrone_control.autopilot import geo
 from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.manual_control import CHANNELS
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
 
 from .telemetry import EPOCH_US, Telemetry, Values
@@ -22,8 +23,6 @@ _NANOSECONDS = 1000  # a microsecond
 _FRAME_GLOBAL_INT = 5
 _ESC_BATCH = 4  # ESCs in one message
 _ESC_BUS = 2  # ESC_CONNECTION_TYPE_ONESHOT
-_ESC_RPM = 6000.0  # at full command, as PX4's SITL has it
-_ESC_IDLE_CURRENT, _ESC_CURRENT = 1.0, 15.0  # A
 _ESC_COLD, _ESC_WARMING = 20.0, 40.0  # deg C
 _UTM_FLAGS = 1 | 4 | 8 | 32 | 64  # time, position, altitude, horizontal and vertical velocity
 _UTM_NEXT_WAYPOINT = 128
@@ -41,6 +40,7 @@ _CRITICAL_STATUS = 5  # MAV_STATE_CRITICAL: a failsafe is on
 _INT16 = 32767
 _UINT16 = 65535
 _UNKNOWN_TIME = -1
+_FULL_SIGNAL = 100  # % of RC_CHANNELS.rssi
 _NAN = math.nan
 _LASER, _DOWNWARD = 0, 25  # MAV_DISTANCE_SENSOR, MAV_SENSOR_ORIENTATION
 _FLOW_SPAN_US = 20_000
@@ -128,17 +128,17 @@ class Reports(Telemetry):
 
     # motors
 
-    def _escs(self) -> list[list[float]]:
-        """Return the motors' commands, 0..1, in batches of four."""
-        commands = [max(0.0, value) for value in self._control["actuators"].tolist()]  # NaN becomes 0
-        commands[self._rotor_count :] = [0.0] * (len(commands) - self._rotor_count)
-        last = max(self._rotor_count, 1)
-        return [commands[start : start + _ESC_BATCH] for start in range(0, last, _ESC_BATCH)]
+    def _batches(self, values: list[float]) -> list[list[float]]:
+        """Return one value a motor in batches of four, zeros where there is no motor."""
+        count = self._rotor_count
+        kept = [*values[:count], *[0.0] * (len(values) - count)]
+        return [kept[start : start + _ESC_BATCH] for start in range(0, max(count, 1), _ESC_BATCH)]
 
     def esc_info(self) -> list[Values]:
-        """ESCs that are all well, and as warm as PX4's SITL says."""
+        """ESCs that are all well, as warm as PX4's SITL makes them up from the motors' commands."""
         online = (1 << self._rotor_count) - 1
         counter = self.time_us // 4000 & _UINT16
+        commands = [max(0.0, command) for command in self._control["actuators"].tolist()]  # NaN becomes 0
         return [
             (
                 self.time_us,
@@ -151,22 +151,23 @@ class Reports(Telemetry):
                 _ESC_BUS,
                 online & 0xFF,
             )
-            for number, batch in enumerate(self._escs())
+            for number, batch in enumerate(self._batches(commands))
         ]
 
     def esc_status(self) -> list[Values]:
-        """Speed, voltage and current as PX4's SITL makes them up from the motors' commands: no ESC measures any."""
-        armed = float(self._commander.armed)
+        """Speed (revolutions a minute), voltage and current of each motor."""
         voltage = self._commander.battery.voltage
+        speeds = self._batches(self._sensors["esc_rpm"].tolist())
+        currents = self._batches(self._sensors["esc_current"].tolist())
         return [
             (
                 self.time_us,
-                *[round(armed * _ESC_RPM * command) for command in batch],
+                *[round(speed) for speed in speeds[number]],
                 *[voltage] * _ESC_BATCH,
-                *[armed * (_ESC_IDLE_CURRENT + _ESC_CURRENT * command) for command in batch],
+                *currents[number],
                 _ESC_BATCH * number,
             )
-            for number, batch in enumerate(self._escs())
+            for number in range(len(speeds))
         ]
 
     def actuator_control_target(self) -> Values:
@@ -228,6 +229,26 @@ class Reports(Telemetry):
         """Say whether a sensor's sample, whose time the estimator keeps in ``field``, is less than 0.5 s old."""
         last = int(self._estimator[field])
         return last > 0 and self.time_us - last < _SENSOR_TIMEOUT_US
+
+    # the pilot
+
+    def rc_channels(self) -> Values | None:
+        """The radio's channels, pulse widths in us, while there is a radio."""
+        manual = self._commander.manual
+        channels = manual.channels
+        if not channels or not manual.by_radio:
+            return None
+        pulses = [*channels, *[_UINT16] * (CHANNELS - len(channels))]
+        return self.time_ms, *pulses, len(channels), _FULL_SIGNAL
+
+    def manual_control(self) -> Values | None:
+        """The pilot's sticks as MANUAL_CONTROL takes them, -1000..1000, and 0..1000 for the throttle."""
+        sticks = self._commander.manual.sticks
+        if sticks is None:
+            return None
+        x, y, yaw = (round(1000.0 * value) for value in (sticks.x, sticks.y, sticks.yaw))
+        system = self._commander.vehicle.system_id
+        return x, y, round(500.0 * (sticks.z + 1.0)), yaw, 0, system, *[0] * 10
 
     # where it flies to
 

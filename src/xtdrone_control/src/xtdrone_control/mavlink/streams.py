@@ -50,6 +50,7 @@ ONBOARD_RATES: dict[str, float] = {
     "PING": 1.0,
     "POSITION_TARGET_GLOBAL_INT": 10.0,
     "POSITION_TARGET_LOCAL_NED": 10.0,
+    "RC_CHANNELS": 20.0,
     "SCALED_PRESSURE": 1.0,
     "SERVO_OUTPUT_RAW": 10.0,
     "SYSTEM_TIME": 1.0,
@@ -84,6 +85,7 @@ GCS_RATES: dict[str, float] = {
     "PING": 0.1,
     "POSITION_TARGET_GLOBAL_INT": 1.0,
     "POSITION_TARGET_LOCAL_NED": 50.0,
+    "RC_CHANNELS": 20.0,
     "SCALED_PRESSURE": 1.0,
     "SERVO_OUTPUT_RAW": 50.0,
     "SYS_STATUS": 1.0,
@@ -94,7 +96,7 @@ GCS_RATES: dict[str, float] = {
 }
 
 # can be asked for, without a default rate
-_OTHERS = ("SCALED_IMU", "ACTUATOR_CONTROL_TARGET", "ACTUATOR_OUTPUT_STATUS", *SILENT)
+_OTHERS = ("SCALED_IMU", "MANUAL_CONTROL", "ACTUATOR_CONTROL_TARGET", "ACTUATOR_OUTPUT_STATUS", *SILENT)
 FORMATS: dict[int, Format] = {
     f.number: f for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_OTHERS]))
 }

@@ -28,13 +28,13 @@ _NAN = math.nan
 _INT16 = 32767
 _UINT32 = (1 << 32) - 1
 
-# MAV_SYS_STATUS_SENSOR
-_GYRO, _ACCEL, _MAG, _BARO, _GPS = 1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 5
-_RATES, _ATTITUDE, _YAW, _Z, _XY, _MOTORS = 1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 14, 1 << 15
-_AHRS, _BATTERY, _PREARM = 1 << 21, 1 << 25, 1 << 28
-_PRESENT = (
-    _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATES | _ATTITUDE | _YAW | _Z | _XY | _MOTORS | _AHRS | _BATTERY | _PREARM
-)
+# MAV_SYS_STATUS_SENSOR. PX4 v1.14 reports no controllers as sensors, and takes what is not there for healthy.
+_GYRO, _ACCEL, _MAG, _BARO, _PITOT, _GPS = 1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 4, 1 << 5
+_MOTORS, _RC, _AHRS, _BATTERY, _PREARM, _AVOIDANCE = 1 << 15, 1 << 16, 1 << 21, 1 << 25, 1 << 28, 1 << 29
+_PRESENT = _GYRO | _MAG | _BARO | _GPS | _MOTORS | _AHRS | _BATTERY
+_ALWAYS_HEALTHY = _ACCEL | _PITOT | _AVOIDANCE
+_HEALTHY_EXTENDED = 1
+_FIX_3D = 3  # GPS_FIX_TYPE
 
 _DISARMED_PWM, _LEAST_PWM = 900, 1000
 _FRAME_LOCAL_NED, _FRAME_BODY_FRD, _ESTIMATOR_AUTOPILOT = 1, 12, 8
@@ -148,24 +148,12 @@ class Telemetry:
         return 0, self._commander.landed_state
 
     def sys_status(self) -> Values:
-        """Sensors and battery."""
-        estimator = self._estimator
-        health = _PRESENT & ~(_PREARM | _GPS | _XY | _Z | _AHRS)
-        if self._commander.armed or self._commander.ready_to_arm:
-            health |= _PREARM
-        if self._sensors["gps_fix"] >= 3:
-            health |= _GPS
-        if estimator["position_valid"]:
-            health |= _XY
-        if estimator["altitude_valid"]:
-            health |= _Z
-        if estimator["initialised"]:
-            health |= _AHRS
+        """Sensors and battery; radio and joystick count as one sensor that is always wanted."""
         battery = self._commander.battery
         return (
             _PRESENT,
-            _PRESENT,
-            health,
+            _PRESENT | _RC,
+            self._health(),
             0,
             _unsigned(battery.voltage * 1e3, _UNKNOWN_U16 - 1),
             _clamped(battery.current * 100.0, _INT16),
@@ -178,8 +166,24 @@ class Telemetry:
             _unsigned(math.ceil(battery.remaining * 100.0), 100),
             0,
             0,
-            0,
+            _HEALTHY_EXTENDED,
         )
+
+    def _health(self) -> int:
+        """Return MAV_SYS_STATUS_SENSOR of what works."""
+        c, e, flags = self._commander, self._estimator, self._commander.health.flags
+        conditions = (
+            (_GYRO, not self._sensors["imu_missing"]),
+            (_MAG, e["mag_good"]),
+            (_BARO, e["baro_good"]),
+            (_GPS, self._sensors["gps_fix"] >= _FIX_3D),
+            (_MOTORS, not flags.motor_failure),
+            (_RC, not flags.manual_lost),
+            (_AHRS, not flags.attitude_invalid),
+            (_BATTERY, not (flags.battery_unhealthy or flags.battery)),
+            (_PREARM, c.armed or c.ready_to_arm),
+        )
+        return _ALWAYS_HEALTHY | sum(bit for bit, well in conditions if well)
 
     def battery_status(self) -> Values:
         """The battery: lithium polymer, for all systems; a current of -1 A is not known."""
