@@ -25,8 +25,6 @@ _OTHERWISE: dict[int, tuple[int, list[str], str]] = {
     212: (_UNSUPPORTED, [], "there is no autotuning"),
     2510: (_UNSUPPORTED, [], "logs are not streamed; they are downloaded"),
 }
-# What is yet to come: the modes and the navigator do not do it.
-_MISSING = {528}
 
 
 def _reference() -> list[tuple[int, str, int | None, list[str]]]:
@@ -46,8 +44,6 @@ def _reference() -> list[tuple[int, str, int | None, list[str]]]:
 def test_zero_parameters_disarmed(number, name, result, texts):
     if number in _OTHERWISE:
         result, texts, _why = _OTHERWISE[number]
-    if number in _MISSING:
-        pytest.xfail("not done")
     served = Served()
     found_result, found_texts = served.command(number)
     # with a tab where PX4 sends an event, too; the reference was written down without
@@ -167,6 +163,17 @@ def test_versions(served):
     version = served.link.sent[0][1]
     assert (version.version, version.min_version, version.max_version) == (200, 100, 200)
     assert served.ask(command_long(512, 259))[0].result == 2, "no camera"
+
+
+def test_flights_are_told(served):
+    served.ask(command_long(528))
+    assert (served.link.sent[0][1].arming_time_utc, served.link.sent[0][1].flight_uuid) == (0, 0)
+    assert served.command(400, 1)[0] == 0
+    served.ask(command_long(528))
+    assert served.link.sent[0][1].arming_time_utc == served.autopilot.time_us
+    assert served.command(400, 0)[0] == 0
+    served.ask(command_long(512, 264))
+    assert (served.link.sent[0][1].arming_time_utc, served.link.sent[0][1].flight_uuid) == (0, 1)
 
 
 # failures

@@ -17,6 +17,7 @@ from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
+from xtdrone_control.mavlink.dialect import MESSAGES
 from xtdrone_control.mavlink.port import LinkError
 from xtdrone_control.mavlink.server import MavlinkServer
 
@@ -707,7 +708,7 @@ def test_random_payloads_with_a_right_checksum_do_no_harm(world):
     """Frames that pass the parser with any content: nothing raises, and what can be sent still is."""
     rng = random.Random(1)
     names = world.server.messages
-    classes = [c for c in mavlink.mavlink_map.values() if c.msgname in names]
+    classes = [c for c in MESSAGES.values() if c.msgname in names]
     assert len(classes) == len(names)
     specials = [struct.pack("<f", v) for v in (math.nan, math.inf, -1.0, 1e30, 400.0, 511.0, 1.0)]
     likely = {  # values that get past the first checks

@@ -103,6 +103,7 @@ class Commander:
         health: what is wrong with it.
         manual: its pilot.
         armed: whether it is armed; motors run unless it has been killed or terminated.
+        flights: how often it has been armed and disarmed.
     """
 
     def __init__(self, vehicle: Vehicle, autopilot: Autopilot, parameters: Parameters, index: int) -> None:
@@ -129,6 +130,7 @@ class Commander:
         self._reported: tuple[Flags, Mode, bool] | None = None
         self._checked_us = _NEVER_US
         self.armed = False
+        self.flights = 0
         self._mode = modes.AUTO_LOITER  # what was asked for
         self._mode_after_disarming = modes.AUTO_LOITER
         self._mode_chosen = False  # somebody has asked for a mode
@@ -220,6 +222,11 @@ class Commander:
         if self.navigator.landing or self._flown is modes.DESCEND:
             return _LANDING
         return _TAKEOFF if self.navigator.taking_off else _IN_AIR
+
+    @property
+    def armed_since_us(self) -> int:
+        """Simulated time of the arming, microseconds; 0 while disarmed."""
+        return self._armed_us if self.armed else 0
 
     @property
     def ready_to_arm(self) -> bool:
@@ -316,6 +323,7 @@ class Commander:
 
     def _disarm(self, reason: ArmReason) -> None:
         self.armed = False
+        self.flights += 1
         self._disarmed_us = self.view.time_us
         self._switch_motors()
         self.navigator.deactivate()

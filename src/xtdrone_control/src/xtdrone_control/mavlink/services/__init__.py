@@ -5,6 +5,7 @@ from __future__ import annotations
 from xtdrone_control.mavlink.service import Service, Vehicle
 
 from .command import CommandService
+from .event import EventService
 from .ftp import FtpService
 from .log import LogService
 from .manual import ManualService
@@ -32,4 +33,5 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         LogService(vehicle),
         FtpService(vehicle),
         VersionService(vehicle),
+        EventService(vehicle),
     ]

@@ -1,4 +1,4 @@
-"""What the autopilot is: AUTOPILOT_VERSION, PROTOCOL_VERSION, and STORAGE_INFORMATION."""
+"""What the autopilot is: AUTOPILOT_VERSION, PROTOCOL_VERSION, and flights and storage."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ class VersionService(Service):
             {
                 MESSAGE_ID["AUTOPILOT_VERSION"]: self._autopilot_version,
                 MESSAGE_ID["PROTOCOL_VERSION"]: self._protocol_version,
+                MESSAGE_ID["FLIGHT_INFORMATION"]: self._flight_information,
                 MESSAGE_ID["STORAGE_INFORMATION"]: self._storage_information,
             }
         )
@@ -54,6 +55,11 @@ class VersionService(Service):
     def _protocol_version(self, link: Link) -> None:
         values = (_MAVLINK_2, _MAVLINK_1, _MAVLINK_2, *_NO_HASH, *_NO_HASH)
         link.send_values(_PROTOCOL_VERSION, values, self.vehicle.now_us)
+
+    def _flight_information(self, link: Link) -> None:
+        commander = self.vehicle.commander
+        now_ms, armed_us = self.vehicle.now_us // 1000, commander.armed_since_us
+        link.send_message(mavlink.MAVLink_flight_information_message(now_ms, armed_us, armed_us, commander.flights))
 
     def _storage_information(self, link: Link) -> None:
         now_ms = self.vehicle.now_us // 1000
