@@ -34,7 +34,11 @@ class CommandService(Service):
         "COMMAND_INT": "_command_int",
         "SET_MODE": "_set_mode",
     }
-    CAPABILITIES = mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    CAPABILITIES = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    )
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Serve ``vehicle``."""
