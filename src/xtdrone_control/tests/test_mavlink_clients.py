@@ -131,6 +131,19 @@ def test_a_strangers_ports_take_no_slot_from_the_living_and_no_memory(world, cli
     assert [len(named(messages, "ATTITUDE")) for messages in heard] == [100] * 4
 
 
+def test_strangers_that_have_gone_are_not_counted_for_ever(world):
+    port = world.server.ports[0]
+    for number in range(1000, 2000):
+        link = port.link_of(("127.0.0.1", number), world.autopilot.time_us)
+        link.heard(world.autopilot.time_us, 2)
+        port.sent[number] = 1
+        world.autopilot.time_us += 5_100_000
+        port.send_due(world.autopilot.time_us, {})
+    assert len(port.sent) <= 257
+    assert {1999, world.fleet[0].offboard_remote_port} <= set(port.sent)
+    assert port.links == [port.default]
+
+
 def test_a_clients_flood_is_cut_and_the_others_are_served(world, clients, caplog):
     flooder, stranger = clients[1], Client(0, world.fleet[0].gcs_local_port)
     for client in (flooder, stranger):

@@ -25,6 +25,7 @@ from .telemetry import Telemetry
 
 LOOPBACK = "127.0.0.1"
 MAX_CLIENTS = 16  # on one port
+_MAX_COUNTS = 256  # remote ports whose datagrams are counted; lockstep participants may come back to theirs
 _LARGEST_DATAGRAM = 8192  # what is longer is cut off, as PX4 does
 _RECEIVE_BUFFER = 1 << 20
 _WARNING_INTERVAL_US = 1_000_000
@@ -280,6 +281,13 @@ class Port:
                 link.close()
                 del self._links[link.peer]
                 self._next_due_us = None
+                self._forget_counts()
+
+    def _forget_counts(self) -> None:
+        """Keep the table of what was sent small: of clients that are gone, the oldest counts go first."""
+        living = {link.peer[1] for link in self._links.values()}
+        for port in [port for port in self.sent if port not in living][: max(len(self.sent) - _MAX_COUNTS, 0)]:
+            del self.sent[port]
 
     def keep_alive(self, now_us: int, counted: Collection[int]) -> None:
         """Send a HEARTBEAT to whom the last one was sent more than a wall second ago, save to ``counted`` ports."""
