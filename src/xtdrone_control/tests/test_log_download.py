@@ -365,3 +365,12 @@ def test_version_tells_of_ftp(world):
     _, answers = world.command(520, 1)
     (version,) = named(answers, "AUTOPILOT_VERSION")
     assert version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_FTP
+
+
+def test_commands_are_told_to_the_logger(world):
+    told = []
+    world.commander.on_command = lambda *what: told.append(what)
+    world.client.receive()
+    assert world.command(511, 30, 1e6)[0] == 0
+    ((number, params, sender, result),) = told
+    assert (number, params[:2], sender, result) == (511, (30.0, 1e6), (255, 190), 0)

@@ -48,6 +48,12 @@ SHOWN = {
     "position_setpoint_triplet": ["current.lat", "current.lon", "current.alt", "current.type"],
     "home_position": ["lat", "alt"],
     "vehicle_land_detected": ["landed"],
+    "failsafe_flags": ["gcs_connection_lost", "battery_warning"],
+    "failure_detector_status": ["fd_roll", "fd_motor"],
+    "mission_result": ["seq_total", "finished"],
+    "manual_control_setpoint": ["roll", "throttle", "valid"],
+    "vehicle_command": ["command", "param1", "param7"],
+    "vehicle_command_ack": ["command", "result"],
 }
 
 
@@ -82,6 +88,9 @@ class Flight:
         assert self.commander.request(modes.AUTO_TAKEOFF) == 0
         assert self.commander.arm_disarm(True) == 0
         self.run_until(CHANGED_US)
+        self.commander.manual_control(0.25, -0.5, 0.75, 1.0)
+        self.commander.on_command(511, (30.0, 1e6, math.nan, 0.0, 47.123456789, 8.5, -1.0), (255, 190), 2)
+        self.commander.on_command(203, (0.0,) * 7, (255, 190), None)
         self.commander.parameters.set("MPC_XY_CRUISE", 4.0)
         self.run_until(LANDING_US)
         self.commander.land()
@@ -203,7 +212,7 @@ def test_parameters(flight, log):
     assert log.initial_parameters["SDLOG_MODE"] == 1
     ((time_us, name, value),) = log.changed_parameters
     assert (name, value) == ("MPC_XY_CRUISE", 4.0)
-    assert time_us == CHANGED_US
+    assert 0 <= time_us - CHANGED_US <= 1
     for name, value in log.get_default_parameters(1).items():
         assert value == pytest.approx(parameters.default(name))
         assert value != pytest.approx(log.initial_parameters[name])
@@ -211,6 +220,19 @@ def test_parameters(flight, log):
     assert second.initial_parameters["MAV_SYS_ID"] == 2
     assert second.get_default_parameters(0)["MAV_SYS_ID"] == 1
     assert "MAV_SYS_ID" not in second.get_default_parameters(1)  # the fleet's own is as it is
+
+
+def test_commands_and_sticks(log):
+    commands = log.get_dataset("vehicle_command").data
+    assert commands["command"].tolist() == [511, 203]
+    assert commands["timestamp"].tolist() == [CHANGED_US, CHANGED_US + 1]  # a topic's times rise
+    assert (commands["param1"][0], commands["param5"][0]) == (30.0, 47.123456789)
+    assert math.isnan(commands["param3"][0])
+    acks = log.get_dataset("vehicle_command_ack").data
+    assert (acks["command"].tolist(), acks["result"].tolist()) == ([511], [2])
+    assert (acks["target_system"][0], acks["target_component"][0]) == (255, 190)
+    sticks = log.get_dataset("manual_control_setpoint").data
+    assert [sticks[name][0] for name in ("pitch", "roll", "throttle", "yaw")] == [0.25, -0.5, 0.75, 1.0]
 
 
 def test_texts(flight, log):

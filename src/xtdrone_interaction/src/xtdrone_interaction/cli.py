@@ -92,6 +92,9 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
         help="least height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
     add("--world", default="empty", metavar="WORLD", help="world's name (default: %(default)s)")
     add("--headless", action="store_true", help="no live display: a line of progress every few seconds")
+    add(
+        "--logs", action="store_true", help="write the vehicles' flight logs (PX4's ULog) into the results' folder logs"
+    )
     add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
     master = parser.add_mutually_exclusive_group()
     master.add_argument("--master-port", type=_checked(options.port), metavar="PORT",
@@ -130,6 +133,7 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         out=_new_folder(arguments.out),
         master_port=_master_port(arguments),
         headless=arguments.headless,
+        logs=arguments.logs,
     )
 
 

@@ -80,6 +80,7 @@ class DemoSettings:
         out: folder of the results.
         master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
         headless: plain lines instead of the live display.
+        logs: write the vehicles' flight logs into ``out / "logs"``.
     """
 
     n: int
@@ -98,6 +99,7 @@ class DemoSettings:
     out: Path
     master_port: int
     headless: bool
+    logs: bool
 
 
 @dataclass
@@ -208,6 +210,7 @@ def _command(settings: DemoSettings) -> list[str]:
         "seed": settings.seed,
         "speed": settings.speed,
         "out": settings.out,
+        "log": settings.out / "logs" if settings.logs else "",
     }
     port = ["-p", str(settings.master_port)] if settings.master_port else ["--wait"]
     return [

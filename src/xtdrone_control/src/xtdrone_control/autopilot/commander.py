@@ -64,6 +64,9 @@ _STICK_TASKS = {
 _MANUAL_THRUST = (modes.STABILIZED, modes.MANUAL, modes.ACRO)
 
 
+CommandListener = Callable[[int, Sequence[float], tuple[int, int], int | None], None]
+
+
 class Result(enum.IntEnum):
     """MAV_RESULT: what a command's acknowledgement says."""
 
@@ -102,6 +105,8 @@ class Commander:
         navigator: its AUTO modes.
         health: what is wrong with it.
         manual: its pilot.
+        on_command: called with each MAV_CMD that has come, when it is not None: number, parameters 1 to 7, sender
+            (system, component), MAV_RESULT or None where there is no answer. The logger.
         armed: whether it is armed; motors run unless it has been killed or terminated.
         flights: how often it has been armed and disarmed.
     """
@@ -129,6 +134,7 @@ class Commander:
         self._report: Report | None = None
         self._reported: tuple[Flags, Mode, bool] | None = None
         self._checked_us = _NEVER_US
+        self.on_command: CommandListener | None = None
         self.armed = False
         self.flights = 0
         self._mode = modes.AUTO_LOITER  # what was asked for

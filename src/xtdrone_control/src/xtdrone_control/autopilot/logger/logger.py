@@ -32,7 +32,7 @@ from .ulog import Format, UlogWriter
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
-    from xtdrone_control.autopilot.commander import Commander
+    from xtdrone_control.autopilot.commander import Commander, CommandListener
 
 STEP_US = 4000
 BASE_PERIOD_US = 20_000  # shortest period of all topics but those of the sensors
@@ -176,6 +176,7 @@ class Logger:
         self._rotors = np.array([autopilot.rotor_count(i) for i in range(count)], np.int64)
         for i, commander in enumerate(self._commanders):
             commander.on_text = self._text_taker(i)
+            commander.on_command = self._command_taker(i)
             commander.parameters.on_change = self._parameter_taker(i)
 
     def close(self) -> None:
@@ -183,7 +184,7 @@ class Logger:
         self.flush()
         for i, commander in enumerate(self._commanders):
             self._end(i)
-            commander.on_text = None
+            commander.on_text = commander.on_command = None
             commander.parameters.on_change = None
 
     # what is told
@@ -203,6 +204,13 @@ class Logger:
             self.flush()  # a parameter has no time of its own in a log: it counts from the message before it
             log.writer.add_parameter(name, value)
             self._status[index].parameter_changed(self._autopilot.time_us)
+
+        return take
+
+    def _command_taker(self, index: int) -> CommandListener:
+        def take(number: int, params: Sequence[float], sender: tuple[int, int], result: int | None) -> None:
+            if self._logs[index] is not None:
+                self._status[index].command(number, params, sender, result, self._autopilot.time_us)
 
         return take
 

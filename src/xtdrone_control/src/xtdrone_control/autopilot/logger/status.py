@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,13 +17,17 @@ from .ulog import Format, data_template
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.commander import Commander
+    from xtdrone_control.autopilot.failsafe import Flags
+    from xtdrone_control.autopilot.manual_control import Sticks
 
 STATUS_PERIOD_US = 500_000  # PX4's commander publishes its state this often without a change
 _BATTERY_PERIOD_US = 200_000
+_MANUAL_PERIOD_US = 200_000
 
 _DISARMED, _ARMED = 1, 2  # vehicle_status.arming_state
 _ROTARY_WING = 1
 _BY_COMMAND = 4  # ARM_DISARM_REASON_COMMAND_EXTERNAL
+_FROM_RADIO, _FROM_MAVLINK = 1, 2  # manual_control_setpoint.data_source
 _SETPOINT_POSITION, _SETPOINT_LOITER, _SETPOINT_TAKEOFF, _SETPOINT_LAND, _SETPOINT_IDLE = 0, 2, 3, 4, 5
 
 NAMES = (
@@ -34,8 +39,22 @@ NAMES = (
     "position_setpoint_triplet",
     "parameter_update",
     "logger_status",
+    "failsafe_flags",
+    "failure_detector_status",
+    "manual_control_setpoint",
+    "mission_result",
     "vehicle_command",
     "vehicle_command_ack",
+)
+# failsafe_flags' masks of the modes that need something, by what they need
+_NEEDS = (
+    ("mode_req_attitude", "attitude"),
+    ("mode_req_local_alt", "altitude"),
+    ("mode_req_local_position", "position"),
+    ("mode_req_local_position_relaxed", "place"),
+    ("mode_req_mission", "mission"),
+    ("mode_req_offboard_signal", "offboard"),
+    ("mode_req_home_position", "home"),
 )
 FORMATS: dict[str, Format] = {name: message_format(name) for name in NAMES}
 
@@ -52,9 +71,11 @@ class StatusTopics:
         self._state: tuple[Any, ...] = ()
         self._home: Any = None
         self._goal: tuple[Any, ...] = ()
+        self._mission: tuple[Any, ...] = ()
+        self._mission_count = 0
         self._home_count = 0
         self._parameter_count = 0
-        self._status_due_us = self._battery_due_us = 0
+        self._status_due_us = self._battery_due_us = self._manual_due_us = 0
         self._armed_us = self._took_off_us = self._nav_state_us = 0
 
     def take(self) -> bytes:
@@ -64,20 +85,22 @@ class StatusTopics:
         return data
 
     def _emit(self, name: str, now_us: int) -> None:
-        self._records[name]["timestamp"] = now_us
+        record = self._records[name]
+        # a topic's times must rise; two commands may come at once
+        record["timestamp"] = max(now_us, int(record["timestamp"]) + 1)
         self._out.append(self._messages[name].tobytes())
 
     def restart(self) -> None:
         """Begin with everything, for a new log."""
         self._out.clear()
-        self._state = self._goal = ()
+        self._state = self._goal = self._mission = ()
         self._home = None
-        self._status_due_us = self._battery_due_us = 0
+        self._status_due_us = self._battery_due_us = self._manual_due_us = 0
 
     def update(self, now_us: int) -> None:
         """Make what is due or has changed; called at 10 Hz."""
         c = self._commander
-        state = (c.armed, c.mode, c.failsafe, c.view.landed)
+        state = (c.armed, c.mode, c.failsafe, c.view.landed, c.health.flags)
         if state != self._state:
             self._note(state, now_us)
             self._publish_state(now_us)
@@ -85,6 +108,11 @@ class StatusTopics:
             self._publish_state(now_us)
         if now_us >= self._battery_due_us:
             self._publish_battery(now_us)
+        if now_us >= self._manual_due_us and c.manual.sticks is not None:
+            self._publish_sticks(c.manual.sticks, now_us)
+        mission = c.navigator.mission
+        if (mission.reached, mission.plans.current, mission.plans.changes[0]) != self._mission:
+            self._publish_mission(now_us)
         if c.home is not self._home:
             self._publish_home(now_us)
         goal = self._present_goal()
@@ -93,8 +121,8 @@ class StatusTopics:
             self._publish_goal(now_us)
 
     def _note(self, state: tuple[Any, ...], now_us: int) -> None:
-        armed, mode, _, landed = state
-        before = self._state or (False, None, None, True)
+        armed, mode, _, landed, _ = state
+        before = self._state or (False, None, None, True, None)
         if armed and not before[0]:
             self._armed_us, self._took_off_us = now_us, 0
         if not armed:
@@ -130,6 +158,32 @@ class StatusTopics:
         armed["armed"] = c.armed
         armed["ready_to_arm"] = status["pre_flight_checks_pass"]
         self._emit("actuator_armed", now_us)
+        self._publish_failsafe_flags(c.health.flags, now_us)
+        detector, r = c.health.detector, self._records["failure_detector_status"]
+        r["fd_roll"], r["fd_pitch"], r["fd_motor"] = detector.roll, detector.pitch, bool(detector.motors)
+        r["motor_failure_mask"] = sum(1 << motor for motor in detector.motors)
+        self._emit("failure_detector_status", now_us)
+
+    def _publish_failsafe_flags(self, flags: Flags, now_us: int) -> None:
+        r = self._records["failsafe_flags"]
+        r["attitude_invalid"] = r["angular_velocity_invalid"] = flags.attitude_invalid
+        r["local_altitude_invalid"] = flags.altitude_invalid
+        r["local_position_invalid"] = r["global_position_invalid"] = flags.position_invalid
+        r["local_position_invalid_relaxed"] = r["local_velocity_invalid"] = flags.place_invalid
+        r["home_position_invalid"] = flags.home_missing
+        r["auto_mission_missing"] = flags.mission_missing
+        r["offboard_control_signal_lost"] = flags.offboard_lost
+        r["manual_control_signal_lost"] = flags.manual_lost
+        r["gcs_connection_lost"] = flags.gcs_lost
+        r["primary_geofence_breached"] = flags.geofence
+        r["battery_warning"] = flags.battery
+        r["battery_unhealthy"] = flags.battery_unhealthy
+        r["fd_critical_failure"] = flags.attitude_failure
+        r["fd_motor_failure"] = flags.motor_failure
+        r["flight_time_limit_exceeded"] = flags.flight_time_exceeded
+        for bit_field, need in _NEEDS:
+            r[bit_field] = sum(1 << mode.state for mode in modes.ALL if need in mode.needs)
+        self._emit("failsafe_flags", now_us)
 
     def _publish_control_mode(self, mode: Mode, now_us: int) -> None:
         c = self._commander
@@ -164,6 +218,29 @@ class StatusTopics:
         r["id"] = 1
         r["warning"] = battery.warning
         self._emit("battery_status", now_us)
+
+    def _publish_sticks(self, sticks: Sticks, now_us: int) -> None:
+        self._manual_due_us = now_us + _MANUAL_PERIOD_US
+        c = self._commander
+        r = self._records["manual_control_setpoint"]
+        r["timestamp_sample"] = now_us
+        r["valid"] = True
+        r["data_source"] = _FROM_RADIO if c.manual.by_radio else _FROM_MAVLINK
+        r["pitch"], r["roll"], r["throttle"], r["yaw"] = sticks
+        r["sticks_moving"] = c.manual.moving
+        self._emit("manual_control_setpoint", now_us)
+
+    def _publish_mission(self, now_us: int) -> None:
+        mission = self._commander.navigator.mission
+        plans = mission.plans
+        self._mission = (mission.reached, plans.current, plans.changes[0])
+        self._mission_count += 1
+        r = self._records["mission_result"]
+        r["instance_count"] = self._mission_count
+        r["seq_reached"], r["seq_current"], r["seq_total"] = mission.reached, plans.current, len(plans.mission)
+        r["valid"] = bool(plans.mission)
+        r["finished"] = bool(plans.mission) and mission.reached == len(plans.mission) - 1
+        self._emit("mission_result", now_us)
 
     def _publish_home(self, now_us: int) -> None:
         home = self._home = self._commander.home
@@ -227,6 +304,26 @@ class StatusTopics:
         r = self._records["parameter_update"]
         r["instance"] = r["set_count"] = self._parameter_count
         self._emit("parameter_update", now_us)
+
+    def command(
+        self, number: int, params: Sequence[float], sender: tuple[int, int], result: int | None, now_us: int
+    ) -> None:
+        """Note a MAV_CMD that has come from ``sender`` (system, component), and what it was answered."""
+        system = self._commander.vehicle.system_id
+        r = self._records["vehicle_command"]
+        for i, value in enumerate(params, 1):
+            r[f"param{i}"] = value
+        r["command"], r["target_system"], r["target_component"] = number, system, 1
+        r["source_system"], r["source_component"] = sender
+        r["from_external"] = True
+        self._emit("vehicle_command", now_us)
+        if result is None:
+            return
+        r = self._records["vehicle_command_ack"]
+        r["command"], r["result"] = number, int(result)
+        r["target_system"], r["target_component"] = sender
+        r["from_external"] = True
+        self._emit("vehicle_command_ack", now_us)
 
     def written(self, kilobytes: float, rate: float, now_us: int) -> None:
         """Note how much has been written: kB in all, and kB/s of late."""

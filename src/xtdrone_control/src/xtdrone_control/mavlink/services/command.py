@@ -47,7 +47,11 @@ class CommandService(Service):
 
     def run(self, command: Command, link: Link) -> Result | None:
         """Obey ``command``; return its result, None for no acknowledgement. Other answers are queued on ``link``."""
-        return self._commands.run(command, link)
+        result = self._commands.run(command, link)
+        note = self.vehicle.commander.on_command
+        if note is not None:
+            note(command.number, command.params, link.sender, result)
+        return result
 
     def _is_for_us(self, link: Link, m: Any) -> bool:
         if link.sender == (self.vehicle.system_id, COMPONENT_ID):
