@@ -15,7 +15,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,27 +49,36 @@ _NO_HASH = "0" * 40  # of the sources: not one of PX4's
 _log = logging.getLogger("rosout.logger")
 
 
+class _Schedule:
+    """Which of the copies topics take that are sampled alike: the first in each period."""
+
+    def __init__(self, period_us: int, fresh: str) -> None:
+        """Take a sample each ``period_us`` (0: each), of those in which the field ``fresh`` of SENSORS is set."""
+        self.fast = period_us == 0 or bool(fresh)
+        self.fresh = fresh
+        self._period_us = period_us
+        self._last_slot = -1
+
+    def rows(self, time_us: NDArray[np.int64], fresh: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+        """Return the rows taken of ``time_us``; ``fresh`` says where there are samples, None: everywhere."""
+        rows = np.arange(len(time_us)) if fresh is None else np.flatnonzero(fresh)
+        if self._period_us and len(rows):
+            slots = time_us[rows] // self._period_us
+            rows = rows[np.diff(slots, prepend=self._last_slot) > 0]
+            self._last_slot = int(slots[-1])
+        return rows
+
+
 class _Sampled:
-    """A sampled topic in the making: which rows it takes, and its messages."""
+    """A sampled topic in the making."""
 
     def __init__(self, topic: Topic, message_id: int) -> None:
         self.topic = topic
         self.format = message_format(topic.name)
-        self.fast = topic.period_us == 0 or bool(topic.fresh)
         self._template = ulog.data_template(self.format, message_id)
         for name, value in topic.constants:
             self._template["record"][name] = value
         self._has_sample_time = "timestamp_sample" in (self.format.dtype.names or ())
-        self._last_slot = -1
-
-    def rows(self, time_us: NDArray[np.int64], fresh: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-        """Return which of the times are taken: the first in each period."""
-        rows = np.arange(len(time_us)) if fresh is None else np.flatnonzero(fresh)
-        if self.topic.period_us and len(rows):
-            slots, first = np.unique(time_us[rows] // self.topic.period_us, return_index=True)
-            rows = rows[first[slots > self._last_slot]]
-            self._last_slot = max(self._last_slot, int(slots[-1]))
-        return rows
 
     def messages(self, samples: Samples) -> np.ndarray:
         """Return the messages of all vehicles, shape (vehicles, times)."""
@@ -110,15 +119,49 @@ def _write_parameter(writer: UlogWriter, parameters: Parameters, name: str) -> N
 
 
 class _Ring:
-    """Copies of one record array at successive times."""
+    """Copies of one array at successive times."""
 
     def __init__(self, source: np.ndarray, rows: int) -> None:
-        self.copies = np.zeros((rows, len(source)), source.dtype)
-        self._rows = self.copies.view(np.uint8).reshape(rows, -1)
-        self._source = source.view(np.uint8).reshape(-1)
+        self.copies: Any = np.zeros((rows, *source.shape), source.dtype)
+        if source.dtype.names is None:
+            self._rows, self._source = self.copies, source
+        else:  # as bytes: numpy copies records field by field
+            self._rows = self.copies.view(np.uint8).reshape(rows, -1)
+            self._source = source.view(np.uint8).reshape(-1)
 
     def keep(self, row: int) -> None:
         self._rows[row] = self._source
+
+
+class _PartRing:
+    """Copies of a record array without one of its fields, which is large."""
+
+    def __init__(self, source: np.ndarray, left_out: str, rows: int) -> None:
+        dtype = source.dtype
+        assert dtype.fields is not None
+        start = dtype.fields[left_out][1]
+        end = start + dtype.fields[left_out][0].itemsize
+        size = dtype.itemsize - (end - start)
+        names = [name for name in dtype.fields if name != left_out]
+        places = [dtype.fields[name][1] for name in names]
+        self.copies: Any = np.zeros(
+            (rows, len(source)),
+            np.dtype(
+                {
+                    "names": names,
+                    "formats": [dtype.fields[name][0] for name in names],
+                    "offsets": [place if place < start else place - (end - start) for place in places],
+                    "itemsize": size,
+                }
+            ),
+        )
+        copied = self.copies.view(np.uint8).reshape(rows, len(source), size)
+        whole = source.view(np.uint8).reshape(len(source), -1)
+        self._halves = ((copied[:, :, :start], whole[:, :start]), (copied[:, :, start:], whole[:, end:]))
+
+    def keep(self, row: int) -> None:
+        for copied, source in self._halves:
+            copied[row] = source
 
 
 class _VehicleLog:
@@ -158,6 +201,10 @@ class Logger:
         count = len(self._commanders)
         self.folders = [LogFolder(folder / c.vehicle.name) for c in self._commanders]
         self._sampled = [_Sampled(topic, i) for i, topic in enumerate(TOPICS)]
+        schedules: dict[tuple[int, str], list[_Sampled]] = {}
+        for sampled in self._sampled:
+            schedules.setdefault((sampled.topic.period_us, sampled.topic.fresh), []).append(sampled)
+        self._schedules = [(_Schedule(*key), topics) for key, topics in schedules.items()]
         self._ids = {name: len(TOPICS) + i for i, name in enumerate(status.NAMES)}
         self._status = [StatusTopics(commander, self._ids) for commander in self._commanders]
         self._logs: list[_VehicleLog | None] = [None] * count
@@ -169,9 +216,12 @@ class Logger:
         self._fast_us = np.zeros(_FAST_ROWS, np.int64)
         self._base_us = np.zeros(_BASE_ROWS, np.int64)
         self._fast = _Ring(autopilot.sensors, _FAST_ROWS)
-        self._base = [
-            _Ring(source, _BASE_ROWS)
-            for source in (autopilot.sensors, autopilot.estimator, autopilot.setpoint, autopilot.control)
+        self._base: list[_Ring | _PartRing] = [
+            _Ring(autopilot.sensors, _BASE_ROWS),
+            _PartRing(autopilot.estimator, "P", _BASE_ROWS),
+            _Ring(np.diagonal(autopilot.estimator["P"], axis1=1, axis2=2), _BASE_ROWS),
+            _Ring(autopilot.setpoint, _BASE_ROWS),
+            _Ring(autopilot.control, _BASE_ROWS),
         ]
         self._rotors = np.array([autopilot.rotor_count(i) for i in range(count)], np.int64)
         for i, commander in enumerate(self._commanders):
@@ -347,26 +397,33 @@ class Logger:
         fast_us, base_us = self._fast_us[: self._fast_count], self._base_us[: self._base_count]
         sensors = self._fast.copies[: self._fast_count]
         base = [ring.copies[: self._base_count] for ring in self._base]
-        views: dict[str, Samples] = {}
         logs = [(i, log.writer) for i, log in enumerate(self._logs) if log is not None]
-        for sampled in self._sampled:
-            fresh = sensors[sampled.topic.fresh] != 0 if sampled.topic.fresh else None
-            time_us = fast_us if sampled.fast else base_us
-            rows = sampled.rows(time_us, None if fresh is None else fresh.any(axis=1))
+        for schedule, topics in self._schedules:
+            fresh = sensors[schedule.fresh] != 0 if schedule.fresh else None
+            time_us, sources = (fast_us, [sensors] * 5) if schedule.fast else (base_us, base)
+            rows = schedule.rows(time_us, None if fresh is None else fresh.any(axis=1))
             if not len(rows):
                 continue
             chosen = _as_slice(rows)
-            key = f"{sampled.fast}{chosen}"
-            if key not in views:
-                sources = [sensors] * 4 if sampled.fast else base
-                parts = [source[chosen] for source in sources]
-                views[key] = Samples(time_us[chosen], parts[0], parts[1], parts[2], parts[3], self._rotors)
-            messages = sampled.messages(views[key])
+            parts = [source[chosen] for source in sources]
+            samples = Samples(time_us[chosen], parts[0], parts[1], parts[2], parts[3], parts[4], self._rotors)
+            there = None if fresh is None or fresh[chosen].all() else fresh[chosen]
+            for sampled in topics:
+                self._add_messages(sampled.messages(samples), there, logs)
+
+    @staticmethod
+    def _add_messages(
+        messages: np.ndarray, there: NDArray[np.bool_] | None, logs: list[tuple[int, UlogWriter]]
+    ) -> None:
+        """Give each log its vehicle's messages, those that are ``there`` (times, vehicles), None: all."""
+        if there is not None:
             for i, writer in logs:
-                mine = messages[i]
-                if fresh is not None:
-                    mine = mine[fresh[chosen, i]]
-                writer.add_messages(mine.tobytes())
+                writer.add_messages(messages[i][there[:, i]].tobytes())
+            return
+        data = memoryview(messages.tobytes())
+        size = messages.shape[1] * messages.itemsize
+        for i, writer in logs:
+            writer.add_messages(data[i * size : (i + 1) * size])
 
     def _write(self, index: int) -> None:
         log = self._logs[index]

@@ -67,7 +67,10 @@ class StatusTopics:
         self._commander = commander
         self._messages = {name: data_template(FORMATS[name], ids[name]) for name in NAMES}
         self._records: dict[str, Any] = {name: message["record"] for name, message in self._messages.items()}
+        for mask, need in _NEEDS:
+            self._records["failsafe_flags"][mask] = sum(1 << mode.state for mode in modes.ALL if need in mode.needs)
         self._out: list[bytes] = []
+        self._turn = False
         self._state: tuple[Any, ...] = ()
         self._home: Any = None
         self._goal: tuple[Any, ...] = ()
@@ -93,12 +96,13 @@ class StatusTopics:
     def restart(self) -> None:
         """Begin with everything, for a new log."""
         self._out.clear()
+        self._turn = False
         self._state = self._goal = self._mission = ()
         self._home = None
         self._status_due_us = self._battery_due_us = self._manual_due_us = 0
 
     def update(self, now_us: int) -> None:
-        """Make what is due or has changed; called at 10 Hz."""
+        """Make what is due or has changed; called at 10 Hz. What changes slowly has every other turn."""
         c = self._commander
         state = (c.armed, c.mode, c.failsafe, c.view.landed, c.health.flags)
         if state != self._state:
@@ -106,6 +110,12 @@ class StatusTopics:
             self._publish_state(now_us)
         elif now_us >= self._status_due_us:
             self._publish_state(now_us)
+        self._turn = not self._turn
+        if self._turn:
+            self._update_slowly(now_us)
+
+    def _update_slowly(self, now_us: int) -> None:
+        c = self._commander
         if now_us >= self._battery_due_us:
             self._publish_battery(now_us)
         if now_us >= self._manual_due_us and c.manual.sticks is not None:
@@ -181,8 +191,6 @@ class StatusTopics:
         r["fd_critical_failure"] = flags.attitude_failure
         r["fd_motor_failure"] = flags.motor_failure
         r["flight_time_limit_exceeded"] = flags.flight_time_exceeded
-        for bit_field, need in _NEEDS:
-            r[bit_field] = sum(1 << mode.state for mode in modes.ALL if need in mode.needs)
         self._emit("failsafe_flags", now_us)
 
     def _publish_control_mode(self, mode: Mode, now_us: int) -> None:

@@ -43,7 +43,8 @@ class Samples:
     Attributes:
         time_us: (times,) simulated time, microseconds.
         sensors: ``state.SENSORS``.
-        estimator: ``state.ESTIMATOR``.
+        estimator: ``state.ESTIMATOR`` but for its covariance.
+        variances: (times, vehicles, states), the covariance's diagonal.
         setpoint: ``state.SETPOINT``.
         control: ``state.CONTROL``.
         rotors: (vehicles,) how many rotors each has.
@@ -52,25 +53,10 @@ class Samples:
     time_us: NDArray[np.int64]
     sensors: np.ndarray
     estimator: np.ndarray
+    variances: NDArray[np.float64]
     setpoint: np.ndarray
     control: np.ndarray
     rotors: NDArray[np.int64]
-
-    def at(self, rows: NDArray[np.int64]) -> Samples:
-        """Return the samples of some of the times."""
-        return Samples(
-            self.time_us[rows],
-            self.sensors[rows],
-            self.estimator[rows],
-            self.setpoint[rows],
-            self.control[rows],
-            self.rotors,
-        )
-
-    @cached_property
-    def variances(self) -> Array:
-        """The diagonal of the estimator's covariance, shape (times, vehicles, states)."""
-        return np.maximum(np.diagonal(self.estimator["P"], axis1=2, axis2=3), 0.0)
 
     @cached_property
     def heading(self) -> Array:
@@ -80,18 +66,22 @@ class Samples:
     @cached_property
     def horizontal_accuracy(self) -> Array:
         """One standard deviation of the horizontal position, m."""
-        return np.sqrt(self.variances[..., 6] + self.variances[..., 7])
+        return _root(self.variances[..., 6] + self.variances[..., 7])
 
     @cached_property
     def vertical_accuracy(self) -> Array:
         """One standard deviation of the height, m."""
-        return np.sqrt(self.variances[..., 8])
+        return _root(self.variances[..., 8])
 
     @cached_property
     def places(self) -> tuple[Array, Array]:
         """Estimated latitude and longitude, degrees."""
         e = self.estimator
         return reproject(e["position"][..., 0], e["position"][..., 1], e["origin_lat"], e["origin_lon"])
+
+
+def _root(variance: Array) -> Array:
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def euler(q: Array) -> tuple[Array, Array, Array]:
@@ -230,8 +220,8 @@ def _local_position(m: np.ndarray, s: Samples) -> None:
     m["xy_global"] = m["z_global"] = e["origin_set"]
     m["ref_lat"], m["ref_lon"], m["ref_alt"] = e["origin_lat"], e["origin_lon"], e["origin_alt"]
     m["eph"], m["epv"] = s.horizontal_accuracy, s.vertical_accuracy
-    m["evh"] = np.sqrt(s.variances[..., 3] + s.variances[..., 4])
-    m["evv"] = np.sqrt(s.variances[..., 5])
+    m["evh"] = _root(s.variances[..., 3] + s.variances[..., 4])
+    m["evv"] = _root(s.variances[..., 5])
 
 
 @_topic("vehicle_global_position", 200, terrain_alt=_NAN)

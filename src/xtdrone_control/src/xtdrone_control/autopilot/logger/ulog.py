@@ -341,7 +341,7 @@ class UlogWriter:
     def __init__(self, sink: _Sink, start_us: int) -> None:
         """Begin the definitions; ``start_us`` is the time at which logging begins, microseconds."""
         self._sink = sink
-        self._parts: list[bytes] = [header(start_us), flag_bits()]
+        self._parts: list[bytes | memoryview] = [header(start_us), flag_bits()]
         self._formats: dict[str, Format] = {}
         self._subscribed: dict[int, str] = {}
         self.written = 0
@@ -400,7 +400,7 @@ class UlogWriter:
         self._parts.append(subscription(message_id, layout.name, instance))
         self._subscribed[message_id] = layout.name
 
-    def add_messages(self, messages: bytes) -> None:
+    def add_messages(self, messages: bytes | memoryview) -> None:
         """Add whole messages: data (arrays of ``data_dtype``), logged strings, parameters."""
         self._parts.append(messages)
 
