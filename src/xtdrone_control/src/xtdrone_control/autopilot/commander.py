@@ -27,6 +27,7 @@ from .modes import Mode
 from .navigator import Home, Navigator
 from .parameters import Parameters
 from .state import (
+    FAILURE_OFF,
     TASK_ACRO,
     TASK_ALTITUDE,
     TASK_DESCEND,
@@ -547,6 +548,7 @@ class Commander:
 
     def _obey_pilot(self) -> None:
         """Do what the pilot asks for by gesture or switch."""
+        self.manual.receiver_works = self.view.failures["rc_signal"] != FAILURE_OFF
         for request in self.manual.update(self.view.time_us):
             self._obey(request)
 

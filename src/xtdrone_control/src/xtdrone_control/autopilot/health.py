@@ -13,7 +13,6 @@ from .inputs import OffboardInput
 from .manual_control import ManualControl
 from .modes import Mode
 from .navigator import Navigator
-from .state import FAILURE_OFF
 from .vehicle_view import VehicleView
 
 Get = Callable[[str], float]
@@ -87,8 +86,6 @@ class Health:
         warning = self.battery.warning if self.battery.connected else 0
         self._warning = max(warning, self._warning) if armed else warning  # in flight it never gets better
         self.detector.update(now_us, flown.attitude_control, armed)
-        if view.failures["rc_signal"] == FAILURE_OFF:
-            self._manual.silence_radio()
         self._watch_gcs(now_us)
         self._watch_manual(now_us)
         self.breach = self._navigator.geofence_breach()

@@ -89,6 +89,7 @@ class ManualControl:
     Attributes:
         channels: pulse widths, us, of the radio's last message, without those that it leaves out at the end.
         switches: RC switches by name ("kill", "arm", "return", "loiter", "offboard": on or off; "slot": 1..6).
+        receiver_works: whether the radio's receiver has not failed.
     """
 
     def __init__(self, get: Get) -> None:
@@ -105,6 +106,7 @@ class ManualControl:
         self._last_slot_mode = -1
         self.channels: tuple[int, ...] = ()
         self.switches: dict[str, int] = {}
+        self.receiver_works = True
 
     # what comes in
 
@@ -139,11 +141,6 @@ class ManualControl:
         self.switches = self._radio_switches(channels, count)
         self._choose(now_us)
         self._watch_movement(self._rc, now_us)
-
-    def silence_radio(self) -> None:
-        """Forget the radio: its receiver has failed."""
-        self._rc.time_us = _NEVER_US
-        self.channels = ()
 
     def _radio_sticks(self, channels: Sequence[int], count: int) -> Sticks | None:
         values = []
@@ -195,7 +192,8 @@ class ManualControl:
 
     def _choose(self, now_us: int) -> None:
         limit_us = self._get("COM_RC_LOSS_T") * 1e6
-        fresh = [source for source in (self._rc, self._joystick) if source.fresh(now_us, limit_us)]
+        sources = (self._rc, self._joystick) if self.receiver_works else (self._joystick,)
+        fresh = [source for source in sources if source.fresh(now_us, limit_us)]
         kind = int(self._get("COM_RC_IN_MODE"))
         if kind == _RC_ONLY:
             fresh = [source for source in fresh if source is self._rc]
