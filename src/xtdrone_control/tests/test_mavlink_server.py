@@ -653,13 +653,31 @@ def test_time_and_ping(world):
     assert (answer.time_usec, answer.seq, answer.target_system) == (123, 4, 255)
 
 
-def test_origin_is_set_once(world):
-    world.autopilot.estimator["origin_set"] = 0
+def test_origin_is_set_on_the_ground(world):
+    """Where there was none it gives the local position a place; then the place stays and the local position moves."""
+    estimator = world.autopilot.estimator[0]
+    estimator["origin_set"] = 0
+    estimator["position"] = (3.0, 4.0, -1.0)
     origin = mavlink.MAVLink_set_gps_global_origin_message(_SYSTEM, 475000000, 86000000, 500000)
     assert world.ask(origin)[0].latitude == 475000000
-    assert world.autopilot.estimator[0]["origin_alt"] == 500.0
-    other = mavlink.MAVLink_set_gps_global_origin_message(_SYSTEM, 10, 20, 30)
-    assert world.ask(other)[0].latitude == 475000000
+    assert estimator["origin_alt"] == 500.0
+    assert estimator["position"].tolist() == [3.0, 4.0, -1.0]
+    before = world.commander.view.to_global(world.commander.view.position)
+    moved = mavlink.MAVLink_set_gps_global_origin_message(_SYSTEM, 475010000, 86000000, 510000)
+    assert world.ask(moved)[0].latitude == 475010000
+    assert estimator["position"] == pytest.approx((3.0 - 6371000.0 * math.radians(1e-3), 4.0, 9.0), abs=1e-3)
+    assert world.commander.view.to_global(world.commander.view.position) == pytest.approx(before, abs=1e-9)
+    assert (estimator["reset_counter_xy"], estimator["reset_counter_z"]) == (1, 1)
+    assert estimator["delta_z"] == pytest.approx(10.0)
+
+
+def test_origin_is_not_moved_in_the_air_nor_to_no_place(world):
+    world.autopilot.place(0, 0.0, 0.0, -5.0)
+    elsewhere = mavlink.MAVLink_set_gps_global_origin_message(_SYSTEM, 10, 20, 30)
+    assert world.ask(elsewhere)[0].latitude == round(ORIGIN[0] * 1e7)
+    world.autopilot.place(0, 0.0, 0.0, 0.0)
+    beyond = mavlink.MAVLink_set_gps_global_origin_message(_SYSTEM, 910000000, 20, 30)
+    assert world.ask(beyond)[0].latitude == round(ORIGIN[0] * 1e7)
 
 
 def test_answers_go_to_whoever_asked(world):

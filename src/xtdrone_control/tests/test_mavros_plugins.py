@@ -6,10 +6,11 @@ import math
 import threading
 
 import pytest
-from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from mavros_fakes import Bench
 from mavros_msgs.msg import AttitudeTarget, HomePosition, PositionTarget, StatusText
 from mavros_msgs.srv import CommandBoolRequest, CommandTOLRequest, SetMavFrameRequest, SetModeRequest
+from nav_msgs.msg import Odometry
 from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix
 
@@ -607,3 +608,75 @@ class TestDemand:
         assert "setpoint_raw" not in names
         assert "local_position" in names
         bench.close()
+
+
+class TestExternalPoses:
+    """vision_pose, mocap and odometry: ENU in ROS, NED to the autopilot."""
+
+    POSE = ((1.0, 2.0, 3.0), Q_ENU)
+    # variances and one covariance, x with y; of the turns yaw's
+    COVARIANCE = (0.1, 0.01, 0, 0, 0, 0, 0.01, 0.2, 0, 0, 0, 0, 0, 0, 0.3, *[0] * 20, 0.6)
+
+    def fill(self, pose):
+        (pose.position.x, pose.position.y, pose.position.z), q = self.POSE
+        o = pose.orientation
+        o.w, o.x, o.y, o.z = q
+
+    def test_vision_pose(self, bench):
+        pose = PoseStamped()
+        self.fill(pose.pose)
+        pose.header.stamp.secs = 7
+        bench.call("vision_pose/pose", pose)
+        [sent] = bench.received()
+        assert sent.get_type() == "VISION_POSITION_ESTIMATE"
+        assert (sent.usec, sent.x, sent.y, sent.z) == (7_000_000, 2.0, 1.0, -3.0)
+        assert (sent.roll, sent.pitch, sent.yaw) == approx((ROLL, PITCH, HEADING))
+        assert sent.covariance == [0.0] * 21
+
+    def test_vision_pose_with_covariance(self, bench):
+        pose = PoseWithCovarianceStamped()
+        self.fill(pose.pose.pose)
+        pose.pose.covariance = self.COVARIANCE
+        bench.call("vision_pose/pose_cov", pose)
+        [sent] = bench.received()
+        variances = [sent.covariance[i] for i in (0, 6, 11, 20)]
+        assert variances == approx((0.2, 0.1, 0.3, 0.6))
+        assert sent.covariance[1] == pytest.approx(0.01)
+
+    def test_mocap(self, bench):
+        pose = PoseStamped()
+        self.fill(pose.pose)
+        bench.call("mocap/pose", pose)
+        [sent] = bench.received()
+        assert sent.get_type() == "ATT_POS_MOCAP"
+        assert (sent.x, sent.y, sent.z) == (2.0, 1.0, -3.0)
+        assert same_rotation(sent.q, Q_NED)
+
+    def test_odometry_out(self, bench):
+        odometry = Odometry()
+        self.fill(odometry.pose.pose)
+        v = odometry.twist.twist.linear
+        v.x, v.y, v.z = 0.5, 0.25, 0.125
+        odometry.pose.covariance = self.COVARIANCE
+        bench.call("odometry/out", odometry)
+        [sent] = bench.received()
+        assert (sent.frame_id, sent.child_frame_id) == (20, 12)
+        assert (sent.x, sent.y, sent.z, sent.vx, sent.vy, sent.vz) == (2.0, 1.0, -3.0, 0.5, -0.25, -0.125)
+        assert same_rotation(sent.q, Q_NED)
+        assert [sent.pose_covariance[i] for i in (0, 6, 11)] == approx((0.2, 0.1, 0.3))
+
+    def test_odometry_in(self, bench):
+        bench.take("odometry/in")
+        pose = [0.0] * 21
+        pose[0], pose[1], pose[6] = 0.1, 0.01, 0.2
+        bench.send(
+            mavlink.MAVLink_odometry_message(
+                2_000_000, 1, 12, 1.0, 2.0, -3.0, Q_NED, 0.5, 0.25, -0.125, *RATES_FRD, pose, [0.0] * 21, 0, 8, 0
+            )
+        )
+        [got] = bench.published("odometry/in")
+        assert xyz(got.pose.pose.position) == (2.0, 1.0, 3.0)
+        assert same_rotation(wxyz(got.pose.pose.orientation), Q_ENU)
+        assert xyz(got.twist.twist.linear) == (0.5, -0.25, 0.125)
+        assert [got.pose.covariance[i] for i in (0, 1, 6, 7)] == approx((0.2, 0.01, 0.01, 0.1))
+        assert got.header.frame_id == "map"

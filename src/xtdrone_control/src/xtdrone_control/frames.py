@@ -10,6 +10,7 @@ Nothing here uses numpy: on three floats plain Python is ten times faster.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import asin, atan2, copysign, cos, fmod, pi, radians, sin, sqrt
 
 Vector = tuple[float, float, float]
@@ -39,6 +40,33 @@ def flu_to_frd(x: float, y: float, z: float) -> Vector:
 def frd_to_flu(x: float, y: float, z: float) -> Vector:
     """Return a FRD vector in FLU."""
     return x, -y, -z
+
+
+def _permuted(covariance: Sequence[float], order: Sequence[int], signs: Sequence[float]) -> list[float]:
+    return [
+        signs[i] * signs[j] * covariance[6 * order[i] + order[j]] for i in range(6) for j in range(6)
+    ]  # fmt: skip
+
+
+def covariance_enu_to_ned(covariance: Sequence[float]) -> list[float]:
+    """Return a 6x6 covariance (x, y, z, turns about x, y, z; row by row) of ENU in NED, or of NED in ENU."""
+    return _permuted(covariance, (1, 0, 2, 4, 3, 5), (1.0, 1.0, -1.0, 1.0, 1.0, -1.0))
+
+
+def covariance_flu_to_frd(covariance: Sequence[float]) -> list[float]:
+    """Return a 6x6 covariance (x, y, z, turns about x, y, z; row by row) of FLU in FRD, or of FRD in FLU."""
+    return _permuted(covariance, range(6), (1.0, -1.0, -1.0, 1.0, -1.0, -1.0))
+
+
+def upper_triangle(covariance: Sequence[float]) -> list[float]:
+    """Return the upper triangle of a 6x6 matrix, both row by row, as MAVLink has it (21 values)."""
+    return [covariance[6 * i + j] for i in range(6) for j in range(i, 6)]
+
+
+def from_upper_triangle(values: Sequence[float]) -> list[float]:
+    """Return the symmetric 6x6 matrix, row by row, of the upper triangle ``values`` (21)."""
+    starts = (0, 6, 11, 15, 18, 20)
+    return [values[starts[min(i, j)] + abs(i - j)] for i in range(6) for j in range(6)]
 
 
 def wrap_pi(angle: float) -> float:

@@ -16,6 +16,7 @@ from .presence import PresenceService
 from .setpoint import SetpointService
 from .signing import SigningService
 from .version import VersionService
+from .vision import VisionService
 
 
 def all_services(vehicle: Vehicle) -> list[Service]:
@@ -34,4 +35,5 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         FtpService(vehicle),
         VersionService(vehicle),
         EventService(vehicle),
+        VisionService(vehicle),
     ]

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander import WARNING
+from xtdrone_control.autopilot.origin import move_origin
 from xtdrone_control.mavlink.commands import Command
 from xtdrone_control.mavlink.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.link import Link
@@ -27,16 +28,12 @@ class PlaceService(Service):
         self._estimator = vehicle.autopilot.estimator[vehicle.index]
 
     def _set_origin(self, link: Link, m: Any) -> None:
-        e = self._estimator
-        place = (m.latitude * 1e-7, m.longitude * 1e-7)
-        if e["origin_set"]:
-            self.vehicle.commander.say(WARNING, "GPS origin is already set")
-        elif abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
-            self.vehicle.commander.say(WARNING, f"GPS origin {place[0]:.4f}, {place[1]:.4f} is no place")
-        else:
-            e["origin_lat"], e["origin_lon"] = place
-            e["origin_alt"] = m.altitude * 1e-3
-            e["origin_set"] = 1
+        # as in PX4, an origin that comes in the air is passed over without a word
+        if self.vehicle.commander.view.landed:
+            try:
+                move_origin(self._estimator, m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
+            except ValueError as error:
+                self.vehicle.commander.say(WARNING, str(error))
         self._commands.run(
             Command(mavlink.MAV_CMD_REQUEST_MESSAGE, (MESSAGE_ID["GPS_GLOBAL_ORIGIN"], 0, 0, 0, 0, 0, 0)),
             link,

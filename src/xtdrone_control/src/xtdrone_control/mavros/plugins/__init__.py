@@ -9,6 +9,8 @@ from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
 from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
 from xtdrone_control.mavros.plugins.imu import ImuPlugin
 from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
+from xtdrone_control.mavros.plugins.mocap_pose_estimate import MocapPlugin
+from xtdrone_control.mavros.plugins.odom import OdometryPlugin
 from xtdrone_control.mavros.plugins.param import ParamPlugin
 from xtdrone_control.mavros.plugins.rc_io import RcIoPlugin
 from xtdrone_control.mavros.plugins.setpoint_position import SetpointPositionPlugin
@@ -17,6 +19,7 @@ from xtdrone_control.mavros.plugins.setpoint_velocity import SetpointVelocityPlu
 from xtdrone_control.mavros.plugins.sys_status import SysStatusPlugin
 from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
 from xtdrone_control.mavros.plugins.vfr_hud import VfrHudPlugin
+from xtdrone_control.mavros.plugins.vision_pose_estimate import VisionPosePlugin
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
 
 PLUGINS: tuple[type[Plugin], ...] = (
@@ -37,4 +40,7 @@ PLUGINS: tuple[type[Plugin], ...] = (
     WaypointPlugin,
     GeofencePlugin,
     RallypointPlugin,
+    VisionPosePlugin,
+    MocapPlugin,
+    OdometryPlugin,
 )
