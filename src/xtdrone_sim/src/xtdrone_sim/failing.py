@@ -44,7 +44,7 @@ _GARBAGE_SPEED = 30.0  # m/s
 MEMORY = np.dtype(
     [
         ("counter", "i8"),  # state of the random numbers
-        ("steps", "i8"),
+        ("samples", "i8", _UNITS),  # of each unit while it fails
         ("held", "i4", _UNITS),  # 1: ``value`` holds the unit's sample
         ("value", "f8", (_UNITS, _WIDTH)),
         ("motor_held", "i4", MAX_ROTORS),
@@ -67,7 +67,7 @@ def _spoil(b, unit, kind, values):
     if kind == FAILURE_OFF:
         return 0
     if kind in (FAILURE_STUCK, FAILURE_SLOW):
-        renew = kind == FAILURE_SLOW and b.steps % _SLOW_SHARE == 0
+        renew = kind == FAILURE_SLOW and b.samples[unit] % _SLOW_SHARE == 0
         if not b.held[unit] or renew:
             b.held[unit] = 1
             for i in range(_WIDTH):
@@ -96,9 +96,10 @@ def _vector(b, unit, kind, vector, work):
 
 
 @kernel
-def _lets_pass(b, kind):
-    """Return whether a slow sensor gives this sample."""
-    return kind != FAILURE_SLOW or b.steps % _SLOW_SHARE == 0
+def _comes(b, unit, kind):
+    """Count a sample of a unit that fails; return whether it comes: all but those that a slow one leaves out."""
+    b.samples[unit] += 1
+    return kind != FAILURE_SLOW or b.samples[unit] % _SLOW_SHARE == 0
 
 
 @kernel
@@ -148,29 +149,30 @@ def spoil_sensors(sensors, failures, memory, work):
     """
     for i in range(sensors.shape[0]):
         s, f, b = sensors[i], failures[i], memory[i]
-        b.steps += 1
         s.imu_missing = f.gyro == FAILURE_OFF or f.accel == FAILURE_OFF
         if f.gyro:
+            _comes(b, _GYRO, f.gyro)
             _vector(b, _GYRO, f.gyro, s.gyro, work)
         if f.accel:
+            _comes(b, _ACCEL, f.accel)
             _vector(b, _ACCEL, f.accel, s.accel, work)
         if f.mag and s.mag_fresh:
-            s.mag_fresh = _vector(b, _MAG, f.mag, s.mag, work) if _lets_pass(b, f.mag) else 0
+            s.mag_fresh = _comes(b, _MAG, f.mag) and _vector(b, _MAG, f.mag, s.mag, work)
         if f.baro and s.baro_fresh:
             _spoil_baro(b, s, f.baro, work)
-            s.baro_fresh = f.baro != FAILURE_OFF and _lets_pass(b, f.baro)
+            s.baro_fresh = f.baro != FAILURE_OFF and _comes(b, _BARO, f.baro)
         if f.gps and s.gps_fresh:
             _spoil_gps(b, s, f.gps, work)
-            s.gps_fresh = f.gps != FAILURE_OFF and _lets_pass(b, f.gps)
+            s.gps_fresh = f.gps != FAILURE_OFF and _comes(b, _GPS, f.gps)
         if f.optical_flow and s.flow_fresh:
-            s.flow_fresh = _vector(b, _FLOW, f.optical_flow, s.flow_rate, work) if _lets_pass(b, f.optical_flow) else 0
+            s.flow_fresh = _comes(b, _FLOW, f.optical_flow) and _vector(b, _FLOW, f.optical_flow, s.flow_rate, work)
         if f.distance_sensor and s.range_fresh:
             work[0] = s.range_distance
             fresh = _spoil(b, _RANGE, f.distance_sensor, work)
             s.range_distance = work[0]
-            s.range_fresh = fresh and _lets_pass(b, f.distance_sensor)
+            s.range_fresh = fresh and _comes(b, _RANGE, f.distance_sensor)
         if f.vio and s.vision_fresh:
-            s.vision_fresh = _vector(b, _VISION, f.vio, s.vision_position, work) if _lets_pass(b, f.vio) else 0
+            s.vision_fresh = _comes(b, _VISION, f.vio) and _vector(b, _VISION, f.vio, s.vision_position, work)
         _release(b, f)
 
 
@@ -181,6 +183,7 @@ def _release(b, f):
     for unit in range(_UNITS):
         if kinds[unit] == FAILURE_OK:
             b.held[unit] = 0
+            b.samples[unit] = 0
 
 
 @kernel

@@ -136,6 +136,8 @@ def available(folder: str) -> list[str]:
 def read_description(folder: str, name: str) -> dict[str, Any]:
     """Return the YAML of ``config/<folder>/<name>.yaml``, or of the file ``name`` if it is a path.
 
+    ``extends: NAME`` in it takes everything from another description and says only what differs.
+
     Raises:
         ModelError: no such description, or not a YAML mapping.
     """
@@ -148,7 +150,17 @@ def read_description(folder: str, name: str) -> dict[str, Any]:
         raise ModelError(f"{path}: not a YAML file: {error}") from error
     if not isinstance(description, dict):
         raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")
-    return description
+    base = description.pop("extends", None)
+    return description if base is None else _merged(read_description(folder, str(base)), description)
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with the values of ``changes``; mappings are merged in turn."""
+    merged = dict(base)
+    for key, value in changes.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
 
 
 def load_vehicle(name: str) -> VehicleModel:

@@ -232,7 +232,7 @@ def reset_vertical_velocity(e, down, variance):
     e.delta_vz = down - e.velocity[2]
     e.velocity[2] = down
     _forget(e, VEL + 2, 1, variance)
-    if e.altitude_valid:
+    if e.located:
         e.reset_counter_vz += 1
         e.reset_counter += 1
 
