@@ -113,6 +113,7 @@ def _take_mag(e, s, p, work):
     first_only = kind == _MAG_INIT and e.heading_aligned
     if kind == _MAG_NONE or refused or first_only or e.vision_yaw_used:
         e.mag_used = 0
+        e.test_ratio_mag = 0.0
         return
     if not e.heading_aligned:
         _head_north(e, s, p)
@@ -673,6 +674,31 @@ def _stop_silent(e, now):
         e.height_used[HEIGHT_BARO] = 0
     if not _within(now, e.time_mag_us, _SENSOR_STOP_US):
         e.mag_good = e.mag_used = 0
+        e.test_ratio_mag = 0.0
+    _clear_ratios(e)
+
+
+@kernel
+def _clear_ratios(e):
+    """What is not fused has no test ratio."""
+    if not e.gps_used:
+        e.test_ratio_vel = e.test_ratio_pos = 0.0
+    if not e.height_used[HEIGHT_GPS]:
+        e.test_ratio_gps_hgt = 0.0
+    if not e.height_used[HEIGHT_BARO]:
+        e.test_ratio_baro = 0.0
+    if not e.height_used[HEIGHT_RANGE]:
+        e.test_ratio_range = 0.0
+    if not e.flow_used:
+        e.test_ratio_flow = 0.0
+    if not e.vision_position_used:
+        e.test_ratio_vision_pos = 0.0
+    if not e.vision_velocity_used:
+        e.test_ratio_vision_vel = 0.0
+    if not e.height_used[HEIGHT_VISION]:
+        e.test_ratio_vision_hgt = 0.0
+    if not e.vision_yaw_used:
+        e.test_ratio_vision_yaw = 0.0
 
 
 @kernel
