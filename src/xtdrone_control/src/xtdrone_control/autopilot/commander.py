@@ -6,7 +6,6 @@ told waits in ``texts`` and ``events`` until a link takes it.
 
 from __future__ import annotations
 
-import enum
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -16,26 +15,20 @@ from xtdrone_control.fleet import Vehicle
 
 from . import events, modes
 from .announcements import CRITICAL, INFO, WARNING, Announcements
-from .arming_checks import ArmingChecks, Report
+from .arming_checks import ArmingChecks
 from .battery import BatteryEstimate
 from .events import Event
 from .failsafe import Action, Failsafe, Flags, Outcome, can_run
+from .flight_commands import FlightCommands, Result
+from .hand_flight import MANUAL_THRUST, HandFlight
 from .health import Health
-from .inputs import OffboardInput, shaped
-from .manual_control import CENTRED, ManualControl, Request, Sticks
+from .inputs import OffboardInput
+from .manual_control import ManualControl, Request, Sticks
 from .modes import Mode
-from .navigator import Home, Navigator
+from .motors import ArmReason, MotorSwitch
+from .navigator import Navigator
 from .parameters import Parameters
-from .state import (
-    FAILURE_OFF,
-    TASK_ACRO,
-    TASK_ALTITUDE,
-    TASK_DESCEND,
-    TASK_IDLE,
-    TASK_MANUAL,
-    TASK_STICKS,
-    TASK_TRAJECTORY,
-)
+from .state import FAILURE_OFF, TASK_DESCEND, TASK_IDLE
 from .vehicle_view import Vector, VehicleView
 
 if TYPE_CHECKING:
@@ -43,60 +36,23 @@ if TYPE_CHECKING:
 
 __all__ = ["CRITICAL", "INFO", "WARNING", "ArmReason", "Commander", "Result"]
 
-_NAN = math.nan
-_UNSET = (_NAN, _NAN, _NAN)
 _NEVER_US = -(1 << 60)
 _REFUSAL_INTERVAL_US = 1_000_000
 _GRACE_US = 5_000_000  # after disarming, in which arming asks for no checks
 _CHECK_INTERVAL_US = 1_000_000
 _OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
 _THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # of the stick, above and below which arming looks at it
-_HOME_ALWAYS = 1  # COM_HOME_EN
 _STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 3, 4, 5, 8, 0  # MAV_STATE
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
-_STICK_TASKS = {
-    modes.POSCTL: TASK_STICKS,
-    modes.ALTCTL: TASK_ALTITUDE,
-    modes.STABILIZED: TASK_MANUAL,
-    modes.MANUAL: TASK_MANUAL,
-    modes.ACRO: TASK_ACRO,
-}
-_MANUAL_THRUST = (modes.STABILIZED, modes.MANUAL, modes.ACRO)
-
-
 CommandListener = Callable[[int, Sequence[float], tuple[int, int], int | None], None]
-
-
-class Result(enum.IntEnum):
-    """MAV_RESULT: what a command's acknowledgement says."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-
-
-class ArmReason(enum.Enum):
-    """Why a vehicle is armed or disarmed: PX4's number (arm_disarm_reason_t) and its words."""
-
-    STICK = (1, "RC")
-    SWITCH = (2, "RC (switch)")
-    COMMAND = (4, "external command")
-    LANDING = (6, "landing")
-    UNUSED = (7, "auto preflight disarming")
-    KILLED = (8, "kill switch")
-    LOCKDOWN = (9, "lockdown")
-    BUTTON = (13, "RC (button)")
-    FAILSAFE = (14, "failsafe")
 
 
 _BY_PILOT = (ArmReason.STICK, ArmReason.SWITCH, ArmReason.BUTTON)
 _REASONS = {"stick": ArmReason.STICK, "switch": ArmReason.SWITCH, "button": ArmReason.BUTTON}
 
 
-class Commander:
+class Commander(FlightCommands):
     """The state machine of one vehicle.
 
     Attributes:
@@ -130,9 +86,9 @@ class Commander:
         self.manual = ManualControl(get)
         self._offboard = OffboardInput(self.view)
         self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
+        self._hand_flight = HandFlight(self.view, get)
         self._failsafe = Failsafe(get, modes.AUTO_LOITER)
         self._checks = ArmingChecks(self.view, get)
-        self._report: Report | None = None
         self._reported: tuple[Flags, Mode, bool] | None = None
         self._checked_us = _NEVER_US
         self.on_command: CommandListener | None = None
@@ -142,10 +98,7 @@ class Commander:
         self._mode_after_disarming = modes.AUTO_LOITER
         self._mode_chosen = False  # somebody has asked for a mode
         self._flown = modes.AUTO_LOITER
-        self._killed = False
-        self._locked = False  # by MAV_CMD_DO_FLIGHTTERMINATION's test
-        self._terminated = False
-        self._killed_us: int | None = None
+        self._motors = MotorSwitch(self.view)
         self._armed_us = 0
         self._disarmed_us = _NEVER_US
         self._took_off = False
@@ -215,7 +168,7 @@ class Commander:
         """HEARTBEAT.system_status: a MAV_STATE."""
         if not self.view.initialised:
             return _UNINIT
-        if self._motors_stopped or self._flown is modes.TERMINATION:
+        if self._motors.stopped or self._flown is modes.TERMINATION:
             return _TERMINATED
         if not self.armed:
             return _STANDBY
@@ -239,11 +192,6 @@ class Commander:
     def ready_to_arm(self) -> bool:
         """Whether arming would be accepted in the present mode."""
         return not self.armed and not self.arming_obstacle()
-
-    @property
-    def home(self) -> Home | None:
-        """Where AUTO.RTL goes to."""
-        return self.navigator.home
 
     def say(self, severity: int, text: str) -> None:
         """Queue a text for the operator (``severity``: MAV_SEVERITY)."""
@@ -281,7 +229,7 @@ class Commander:
         self._was_landed = self.view.landed
         if self.view.position_valid and int(self.parameters.get("COM_HOME_EN")) and self.view.landed:
             self._set_home_here()
-        self._switch_motors()
+        self._motors.apply(self.armed)
         number, words = reason.value
         self._announcements.tell(INFO, f"Armed by {words}", "commander_armed_by", "B", number)
         self._decide(changed=True)
@@ -290,7 +238,7 @@ class Commander:
     def _arming_refused(self, reason: ArmReason) -> bool:
         sticks = self.manual.sticks
         if self._mode.sticks and sticks is not None:
-            if self._mode in _MANUAL_THRUST:
+            if self._mode in MANUAL_THRUST:
                 if sticks.z > _THROTTLE_LOW:
                     self._announcements.tell(
                         CRITICAL, "Arming denied: high throttle", "commander_arm_denied_throttle_high"
@@ -319,7 +267,7 @@ class Commander:
         if not self.armed:
             return True
         on_ground = self.view.landed or bool(self.view.control["maybe_landed"])
-        by_pilot = self._flown in _MANUAL_THRUST and reason in _BY_PILOT
+        by_pilot = self._flown in MANUAL_THRUST and reason in _BY_PILOT
         if not on_ground and not by_pilot and not force:
             if reason is not ArmReason.STICK:
                 text = "Disarming denied! Not landed"
@@ -332,7 +280,7 @@ class Commander:
         self.armed = False
         self.flights += 1
         self._disarmed_us = self.view.time_us
-        self._switch_motors()
+        self._motors.apply(self.armed)
         self.navigator.deactivate()
         self.view.start_task(TASK_IDLE)
         number, words = reason.value
@@ -342,49 +290,37 @@ class Commander:
 
     # kill and termination
 
-    @property
-    def _motors_stopped(self) -> bool:
-        return self._killed or self._locked or self._terminated
-
-    def _switch_motors(self) -> None:
-        self.view.setpoint["armed"] = int(self.armed and not self._motors_stopped)
-        if self._killed or self._locked:
-            self._killed_us = self.view.time_us if self._killed_us is None else self._killed_us
-        else:
-            self._killed_us = None
-
     def kill(self, stop: bool) -> None:
         """Stop the motors at once, as a kill switch does, or let them run again; it disarms after COM_KILL_DISARM."""
-        if stop is self._killed:
+        if stop is self._motors.killed:
             return
-        self._killed = stop
+        self._motors.killed = stop
         if stop:
             severity = INFO if self.view.landed else CRITICAL
             self._announcements.tell(severity, "Kill engaged", "commander_kill_sw_engaged")
         else:
             self._announcements.tell(INFO, "Kill disengaged", "commander_kill_sw_disengaged")
-        self._switch_motors()
+        self._motors.apply(self.armed)
 
     def flight_termination(self, level: float) -> Result:
         """Obey MAV_CMD_DO_FLIGHTTERMINATION: stop the motors for good (1) or as a test (2), or let them run (0)."""
         if math.isnan(level):
             return Result.DENIED
         if level > 1.5:
-            self._locked = True
+            self._motors.locked = True
         elif level > 0.5:
-            self._terminated = True
+            self._motors.terminated = True
         else:
-            self._locked = self._terminated = False
-        self._switch_motors()
+            self._motors.locked = self._motors.terminated = False
+        self._motors.apply(self.armed)
         return Result.ACCEPTED
 
     def _disarm_killed(self) -> bool:
         """Disarm a vehicle whose motors have stood still for COM_KILL_DISARM; return whether it was."""
-        delay = self.parameters.get("COM_KILL_DISARM")
-        if self._killed_us is None or delay <= 0.0 or self.view.time_us - self._killed_us < delay * 1e6:
-            return False
-        self._disarm(ArmReason.KILLED if self._killed else ArmReason.LOCKDOWN)
-        return True
+        reason = self._motors.disarming(self.parameters.get("COM_KILL_DISARM"))
+        if reason is not None:
+            self._disarm(reason)
+        return reason is not None
 
     # modes
 
@@ -463,8 +399,8 @@ class Commander:
         if outcome.action is before.action:
             return
         if outcome.action is Action.TERMINATE:
-            self._terminated = True
-            self._switch_motors()
+            self._motors.terminated = True
+            self._motors.apply(self.armed)
         elif outcome.action is Action.DISARM and self.armed:
             self._disarm(ArmReason.FAILSAFE)
 
@@ -507,44 +443,7 @@ class Commander:
             self._steer()
 
     def _steer(self, *, restart: bool = False) -> None:
-        """Let the cascade follow the sticks, centred ones where there are none.
-
-        In POSCTL and ALTCTL without a pilot the vehicle stops and sinks, as PX4's flight tasks fail then.
-        """
-        sticks = self.manual.sticks
-        task = _STICK_TASKS[self._flown]
-        if sticks is None and task in (TASK_STICKS, TASK_ALTITUDE):
-            self._sink(restart=restart)
-            return
-        self._write_sticks(sticks or CENTRED, task)
-        if restart or self.view.setpoint["task"] != task:
-            self.view.start_task(task)
-
-    def _write_sticks(self, sticks: Sticks, task: int) -> None:
-        x, y, z, yaw = sticks
-        if task in (TASK_STICKS, TASK_ALTITUDE):
-            get = self.parameters.get
-            dead_zone, expo = get("MPC_HOLD_DZ"), get("MPC_XY_MAN_EXPO")
-            x, y = shaped(x, dead_zone, expo), shaped(y, dead_zone, expo)
-            z = shaped(z, dead_zone, get("MPC_Z_MAN_EXPO"))
-            yaw = shaped(yaw, dead_zone, get("MPC_YAW_EXPO"))
-        fields = self.view.setpoint_fields
-        for name, value in (("stick_x", x), ("stick_y", y), ("stick_z", z), ("stick_yaw", yaw)):
-            fields[name][0] = value
-
-    def _sink(self, *, restart: bool) -> None:
-        """Stop and sink at MPC_LAND_SPEED, keeping the heading; level where the horizontal estimate is lost."""
-        setpoint = self.view.setpoint
-        blind = self.health.flags.place_invalid
-        task = TASK_DESCEND if blind else TASK_TRAJECTORY
-        if not restart and setpoint["task"] == task:
-            return
-        if not blind:
-            setpoint["position"] = _UNSET
-            setpoint["velocity"] = (0.0, 0.0, self.parameters.get("MPC_LAND_SPEED"))
-            setpoint["acceleration"] = _UNSET
-            setpoint["yaw"] = setpoint["yaw_rate"] = _NAN
-        self.view.start_task(task)
+        self._hand_flight.steer(self._flown, self.manual.sticks, self.health.flags.place_invalid, restart=restart)
 
     def _obey_pilot(self) -> None:
         """Do what the pilot asks for by gesture or switch."""
@@ -630,103 +529,6 @@ class Commander:
         """Note that a ground station is there."""
         self.health.gcs_heartbeat()
 
-    # commands
-
-    def takeoff(self, altitude: float, yaw: float) -> Result:
-        """Go to AUTO.TAKEOFF.
-
-        Args:
-            altitude: m AMSL; NaN for MIS_TAKEOFF_ALT over home.
-            yaw: rad; NaN keeps the heading.
-        """
-        if math.isinf(altitude) or math.isinf(yaw):
-            return Result.DENIED
-        self.navigator.takeoff_altitude = altitude
-        self.navigator.takeoff_yaw = yaw
-        return self.request(modes.AUTO_TAKEOFF)
-
-    def land(self) -> Result:
-        """Go to AUTO.LAND."""
-        return self._go(modes.AUTO_LAND, "Landing at current position", "commander_landing_current_pos")
-
-    def precision_land(self) -> Result:
-        """Go to AUTO.PRECLAND."""
-        return self._go(modes.AUTO_PRECLAND, "Precision landing", "commander_landing_prec_land")
-
-    def return_to_launch(self) -> Result:
-        """Go to AUTO.RTL."""
-        return self._go(modes.AUTO_RTL, "Returning to launch", "commander_rtl")
-
-    def _go(self, mode: Mode, text: str, name: str) -> Result:
-        result = self.request(mode)
-        if result is Result.ACCEPTED:
-            self._announcements.tell(INFO, text, name)
-        return result
-
-    def set_home(self, place: Vector | None) -> Result:
-        """Set home to (latitude, longitude, altitude), degrees and m AMSL, or to where the vehicle is (None)."""
-        if place is None:
-            if not self.view.position_valid:
-                return Result.TEMPORARILY_REJECTED
-            self._set_home_here()
-            return Result.ACCEPTED
-        if not _is_place(*place):
-            return Result.DENIED
-        if not self.view.position_valid:
-            return Result.TEMPORARILY_REJECTED
-        position = self.view.to_local(*place)
-        self.navigator.home = Home(*place, position, self.view.yaw, self.view.time_us)
-        return Result.ACCEPTED
-
-    def _set_home_here(self) -> None:
-        position = self.view.position
-        place = self.view.to_global(position)
-        self.navigator.home = Home(*place, position, self.view.yaw, self.view.time_us)
-
-    def reposition(self, place: Vector, yaw: float, speed: float) -> Result:
-        """Fly to a place in AUTO.LOITER.
-
-        Args:
-            place: latitude and longitude in degrees, m AMSL; NaN keeps the present one.
-            yaw: rad; NaN looks where it flies.
-            speed: m/s; NaN or not positive: MPC_XY_CRUISE.
-        """
-        here = self.view.to_global(self.view.position)
-        target = tuple(h if math.isnan(p) else p for p, h in zip(place, here, strict=True))
-        if not _is_place(*target) or math.isinf(yaw) or math.isinf(speed):
-            return Result.DENIED
-        if not self.armed or self.view.landed or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
-            self._announcements.tell(CRITICAL, "Reposition command rejected", "commander_reposition_rejected")
-            return Result.TEMPORARILY_REJECTED
-        if speed > 0.0:
-            self.navigator.set_speed("cruise_speed", speed)
-        self.navigator.reposition(self.view.to_local(*target), yaw)
-        return Result.ACCEPTED
-
-    def change_altitude(self, altitude: float) -> Result:
-        """Climb or sink to ``altitude`` (m AMSL) in AUTO.LOITER."""
-        if not math.isfinite(altitude):
-            return Result.DENIED
-        if self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
-            return Result.TEMPORARILY_REJECTED
-        if self.armed and not self.view.landed:
-            self.navigator.change_altitude(self.view.origin[2] - altitude)
-        return Result.ACCEPTED
-
-    def change_speed(self, kind: int, speed: float) -> Result:
-        """Set the speed of AUTO modes until the next mode.
-
-        Args:
-            kind: SPEED_TYPE: 0 and 1 horizontal, 2 climbing, 3 sinking.
-            speed: m/s; -1 leaves it, other negative values go back to the parameter's.
-        """
-        field = {0: "cruise_speed", 1: "cruise_speed", 2: "climb_speed", 3: "descend_speed"}.get(kind)
-        if field is None or not math.isfinite(speed):
-            return Result.DENIED
-        if speed != -1.0:
-            self.navigator.set_speed(field, speed if speed > 0.0 else _NAN)
-        return Result.ACCEPTED
-
     # what goes on by itself
 
     def update(self) -> None:
@@ -796,7 +598,3 @@ class Commander:
             self._disarm(ArmReason.UNUSED)
             return True
         return False
-
-
-def _is_place(latitude: float, longitude: float, altitude: float) -> bool:
-    return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)

@@ -1,0 +1,146 @@
+"""What commands ask a vehicle to do: take off, land, return, fly somewhere, set home (PX4's ``handle_command``)."""
+
+from __future__ import annotations
+
+import enum
+import math
+from abc import ABC, abstractmethod
+
+from . import modes
+from .announcements import CRITICAL, INFO, Announcements
+from .modes import Mode
+from .navigator import Home, Navigator
+from .vehicle_view import Vector, VehicleView
+
+
+class Result(enum.IntEnum):
+    """MAV_RESULT: what a command's acknowledgement says."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+
+
+class FlightCommands(ABC):
+    """The commands of one vehicle, in terms of its modes.
+
+    Attributes:
+        view: its records.
+        navigator: its AUTO modes.
+        armed: whether it is armed.
+    """
+
+    view: VehicleView
+    navigator: Navigator
+    armed: bool
+    _announcements: Announcements
+
+    @abstractmethod
+    def request(self, mode: Mode) -> Result:
+        """Go to a mode, if that is possible."""
+
+    @property
+    def home(self) -> Home | None:
+        """Where AUTO.RTL goes to."""
+        return self.navigator.home
+
+    def takeoff(self, altitude: float, yaw: float) -> Result:
+        """Go to AUTO.TAKEOFF.
+
+        Args:
+            altitude: m AMSL; NaN for MIS_TAKEOFF_ALT over home.
+            yaw: rad; NaN keeps the heading.
+        """
+        if math.isinf(altitude) or math.isinf(yaw):
+            return Result.DENIED
+        self.navigator.takeoff_altitude = altitude
+        self.navigator.takeoff_yaw = yaw
+        return self.request(modes.AUTO_TAKEOFF)
+
+    def land(self) -> Result:
+        """Go to AUTO.LAND."""
+        return self._go(modes.AUTO_LAND, "Landing at current position", "commander_landing_current_pos")
+
+    def precision_land(self) -> Result:
+        """Go to AUTO.PRECLAND."""
+        return self._go(modes.AUTO_PRECLAND, "Precision landing", "commander_landing_prec_land")
+
+    def return_to_launch(self) -> Result:
+        """Go to AUTO.RTL."""
+        return self._go(modes.AUTO_RTL, "Returning to launch", "commander_rtl")
+
+    def _go(self, mode: Mode, text: str, name: str) -> Result:
+        result = self.request(mode)
+        if result is Result.ACCEPTED:
+            self._announcements.tell(INFO, text, name)
+        return result
+
+    def set_home(self, place: Vector | None) -> Result:
+        """Set home to (latitude, longitude, altitude), degrees and m AMSL, or to where the vehicle is (None)."""
+        if place is None:
+            if not self.view.position_valid:
+                return Result.TEMPORARILY_REJECTED
+            self._set_home_here()
+            return Result.ACCEPTED
+        if not _is_place(*place):
+            return Result.DENIED
+        if not self.view.position_valid:
+            return Result.TEMPORARILY_REJECTED
+        position = self.view.to_local(*place)
+        self.navigator.home = Home(*place, position, self.view.yaw, self.view.time_us)
+        return Result.ACCEPTED
+
+    def _set_home_here(self) -> None:
+        position = self.view.position
+        place = self.view.to_global(position)
+        self.navigator.home = Home(*place, position, self.view.yaw, self.view.time_us)
+
+    def reposition(self, place: Vector, yaw: float, speed: float) -> Result:
+        """Fly to a place in AUTO.LOITER.
+
+        Args:
+            place: latitude and longitude in degrees, m AMSL; NaN keeps the present one.
+            yaw: rad; NaN looks where it flies.
+            speed: m/s; NaN or not positive: MPC_XY_CRUISE.
+        """
+        here = self.view.to_global(self.view.position)
+        target = tuple(h if math.isnan(p) else p for p, h in zip(place, here, strict=True))
+        if not _is_place(*target) or math.isinf(yaw) or math.isinf(speed):
+            return Result.DENIED
+        if not self.armed or self.view.landed or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
+            self._announcements.tell(CRITICAL, "Reposition command rejected", "commander_reposition_rejected")
+            return Result.TEMPORARILY_REJECTED
+        if speed > 0.0:
+            self.navigator.set_speed("cruise_speed", speed)
+        self.navigator.reposition(self.view.to_local(*target), yaw)
+        return Result.ACCEPTED
+
+    def change_altitude(self, altitude: float) -> Result:
+        """Climb or sink to ``altitude`` (m AMSL) in AUTO.LOITER."""
+        if not math.isfinite(altitude):
+            return Result.DENIED
+        if self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
+            return Result.TEMPORARILY_REJECTED
+        if self.armed and not self.view.landed:
+            self.navigator.change_altitude(self.view.origin[2] - altitude)
+        return Result.ACCEPTED
+
+    def change_speed(self, kind: int, speed: float) -> Result:
+        """Set the speed of AUTO modes until the next mode.
+
+        Args:
+            kind: SPEED_TYPE: 0 and 1 horizontal, 2 climbing, 3 sinking.
+            speed: m/s; -1 leaves it, other negative values go back to the parameter's.
+        """
+        field = {0: "cruise_speed", 1: "cruise_speed", 2: "climb_speed", 3: "descend_speed"}.get(kind)
+        if field is None or not math.isfinite(speed):
+            return Result.DENIED
+        if speed != -1.0:
+            self.navigator.set_speed(field, speed if speed > 0.0 else math.nan)
+        return Result.ACCEPTED
+
+
+def _is_place(latitude: float, longitude: float, altitude: float) -> bool:
+    return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)
