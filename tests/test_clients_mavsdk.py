@@ -248,5 +248,25 @@ def test_return_and_land(client):
     near(client, 3.0, 0.0, 0.0, 0.7)
 
 
+def test_the_flights_log_comes_down(client, core, tmp_path):
+    pyulog = pytest.importorskip("pyulog")
+    logs = client.drone.log_files
+    entries = client.run(logs.get_entries())
+    assert entries
+    path = tmp_path / "flight.ulg"
+
+    async def download() -> None:
+        async for _ in logs.download_log_file(entries[-1], str(path)):
+            pass
+
+    client.run(download())
+    assert path.stat().st_size == entries[-1].size_bytes
+    downloaded = path.read_bytes()
+    written = [file.read_bytes() for file in core.logs.rglob("*.ulg")]  # it may go on after the list was made
+    assert [content.startswith(downloaded) for content in written] == [True]
+    names = {data.name for data in pyulog.ULog(str(path)).data_list}
+    assert {"vehicle_local_position", "vehicle_attitude", "vehicle_status"} <= names
+
+
 def test_the_core_lives(core):
     assert core.alive
