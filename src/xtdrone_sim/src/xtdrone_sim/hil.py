@@ -161,25 +161,33 @@ class Hil:
     def _collect(self) -> None:
         """Wait for everybody's answer, each within its limit."""
         self.serve()
-        began = looked = time.monotonic()
+        began = end = looked = time.monotonic()
         word = _FIRST_WORD
-        while waiting := [link for link in self.links if link.awaited]:
+        waiting = self.links
+        while waiting := [link for link in waiting if link.awaited]:
             now = time.monotonic()
-            waited = now - began
-            left = min(self._limit(link) for link in waiting) - waited
-            if left <= 0.0:
-                for link in waiting:
-                    if waited >= self._limit(link):
-                        link.missed()
+            if now >= end:
+                end = self._give_up(waiting, began, now)
                 continue
-            self._read(min(left, _SLICE))
+            self._read(min(end - now, _SLICE))
             if now - looked >= _SLICE:
                 looked = now
                 self._idle(0.0)
-            if waited >= word:
+            if now - began >= word:
                 word += _NEXT_WORD
                 names = ", ".join(link.vehicle.name for link in waiting)
-                self._log(logging.WARNING, f"the world waits for PX4's controls of {names} since {waited:.0f} s")
+                self._log(logging.WARNING, f"the world waits for PX4's controls of {names} since {now - began:.0f} s")
+
+    def _give_up(self, waiting: list[HilLink], began: float, now: float) -> float:
+        """Wait no longer for those whose time is over; return when somebody's next is."""
+        end = math.inf
+        for link in waiting:
+            until = began + self._limit(link)
+            if now >= until:
+                link.missed()
+            else:
+                end = min(end, until)
+        return end
 
     def _limit(self, link: HilLink) -> float:
         """Return for how long this step's answer is waited for, wall s."""
