@@ -424,3 +424,23 @@ def test_the_same_failure_gives_the_same_flight():
         flight.run(2.0)
         finals.append(flight.simulation.world.plant[0].tobytes())
     assert finals[0] == finals[1]
+
+
+def test_a_loiter_goes_on_smoothly_over_a_reset():
+    """The goal is a place: the vehicle flies there from where it now knows that it is, without a jerk."""
+    resets = [0]
+    offset = np.zeros(3)
+    flight = Flight(parameters=VISION_ONLY)
+    flight.vision = camera(offset=offset, resets=lambda: resets[0])
+    flight.take_off(5.0)
+    flight.run(3.0)
+    goal = flight.e["position"].copy()
+    offset[:2] = (3.0, 0.0)
+    resets[0] = 1
+    tilts = []
+    for _ in range(500):
+        flight.run(0.02)
+        down = frames.rotate(flight.attitude, (0.0, 0.0, 1.0))
+        tilts.append(math.degrees(math.acos(min(down[2], 1.0))))
+    assert max(tilts) < 17.0  # 20 degrees when the smoothed path does not follow the reset
+    np.testing.assert_allclose(flight.e["position"], goal, atol=0.4)

@@ -23,6 +23,7 @@ from .logger.folder import LogFolder
 from .parameters import PARAMS
 from .position_control import position_loop, thrust_to_attitude, update_hover_thrust, velocity_loop
 from .rate_control import rate_control
+from .reset_follower import follow_resets
 from .state import (
     CONTROL,
     ESTIMATOR,
@@ -134,6 +135,7 @@ def _follow_attitude(c, s, e, p):
 @kernel
 def _control_vehicle(sensors, e, s, c, p, mix, rotors, dt):
     by_attitude = s.task == TASK_ATTITUDE or s.task == TASK_RATES
+    follow_resets(c, e)
     generate_setpoint(c, s, e, p, dt)
     wants = s.thrust > p.mpc_thr_min if by_attitude else wants_takeoff(c, e)
     update_takeoff(c, s, e, p, dt, wants)

@@ -20,7 +20,7 @@ import math
 from .estimator_fusion import BA, BG, BM, POS, THETA, VEL, set_yaw_variance
 from .estimator_sources import fuse_sources, note_imu, update_status
 from .kernel import kernel
-from .rotation import constrain, from_euler, integrate, rotate
+from .rotation import assign_unit, constrain, exponential, from_euler, multiply, rotate
 from .state import N_STATES
 
 GRAVITY = 9.80665  # m/s^2
@@ -101,9 +101,10 @@ def propagate(e, s, p, dt):
     ay = s.accel[1] - e.accel_bias[1]
     az = s.accel[2] - e.accel_bias[2]
     # specific force turned at the middle of the step, so that a constant rate brings no bias
-    integrate(e.q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
-    fx, fy, fz = rotate(e.q, ax, ay, az)
-    integrate(e.q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
+    half = exponential(0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
+    middle = multiply(e.q, half)
+    fx, fy, fz = rotate(middle, ax, ay, az)
+    assign_unit(e.q, multiply(middle, half))
     fz += GRAVITY
     e.acceleration[0], e.acceleration[1], e.acceleration[2] = fx, fy, fz
     for i in range(3):
@@ -172,8 +173,8 @@ def predict_covariance(e, p):
         P[0, j] = t0 + daz * t1 - day * t2 - dt * P[9, j]
         P[1, j] = t1 - daz * t0 + dax * t2 - dt * P[10, j]
         P[2, j] = t2 + day * t0 - dax * t1 - dt * P[11, j]
-    # columns: P <- P Phi'; the biases' own block is what it was
-    for i in range(N_STATES):
+    # columns: P <- P Phi'. Phi leaves the biases as they are, so their rows are the columns that the rows have left
+    for i in range(BG):
         t0, t1, t2 = P[i, 0], P[i, 1], P[i, 2]
         P[i, 6] += dt * P[i, 3]
         P[i, 7] += dt * P[i, 4]
@@ -185,6 +186,9 @@ def predict_covariance(e, p):
         P[i, 0] = t0 + daz * t1 - day * t2 - dt * P[i, 9]
         P[i, 1] = t1 - daz * t0 + dax * t2 - dt * P[i, 10]
         P[i, 2] = t2 + day * t0 - dax * t1 - dt * P[i, 11]
+    for i in range(BG, N_STATES):
+        for j in range(BG):
+            P[i, j] = P[j, i]
 
     angle_variance = (p.ekf2_gyr_noise * dt) ** 2
     velocity_variance = (p.ekf2_acc_noise * dt) ** 2

@@ -21,13 +21,16 @@ _LEVEL_LIMIT = 1e-4  # squared sine of the angle to the vertical under which the
 @kernel
 def correct(e, gain, row, innovation, variance):
     """Kalman update by a scalar: ``row`` = H P (N_STATES,), ``variance`` = H P H' + R; ``gain`` is scratch."""
+    P = e.P
+    inverse = 1.0 / variance
     for i in range(N_STATES):
-        gain[i] = row[i] / variance
+        gain[i] = row[i] * inverse
     for i in range(N_STATES):
         for j in range(i + 1):
-            value = e.P[i, j] - gain[i] * row[j]
-            e.P[i, j] = value
-            e.P[j, i] = value
+            P[i, j] -= gain[i] * row[j]
+    for i in range(N_STATES):
+        for j in range(i):
+            P[j, i] = P[i, j]
     for i in range(N_STATES):
         gain[i] *= innovation
     integrate(e.q, gain[0], gain[1], gain[2])

@@ -38,10 +38,11 @@ _VISION_STOP_US = 400_000  # PX4: twice EV_MAX_INTERVAL
 _SENSOR_STOP_US = 1_000_000
 _IMU_STOP_US = 200_000
 _MAG_PERIOD_US = 60_000  # PX4: SENS_MAG_RATE 15 Hz, rounded to the magnetometer's 50 Hz
+_BARO_PERIOD_US = 50_000  # PX4: SENS_BARO_RATE 20 Hz
 _BARO_START_US = 1_000_000  # the barometer waits so long for the height that counts
 _HOLD_PERIOD_US = 200_000  # PX4: fake position at 5 Hz
 _FIELD_STRENGTH, _FIELD_TOLERANCE = 0.45, 0.25  # gauss; PX4's average over the Earth
-_OFFSET_GAIN = 0.01  # share of an innovation by which a height's offset follows
+_OFFSET_GAIN = 0.02  # share of an innovation by which a height's offset follows
 _LEAST_TERRAIN_VARIANCE = 1e-4  # m^2
 _TERRAIN_RATE = 0.01  # s; EKF2_TERR_NOISE holds for PX4's filter period
 _LEVEL_COSINE = 0.7  # of the tilt up to which the range finder's height is used (PX4: EKF2_RNG_CTRL's 45 deg)
@@ -89,7 +90,7 @@ def fuse_sources(e, s, p, work):
         _take_mag(e, s, p, work)
     if s.gps_fresh:
         _take_gps(e, s, p, work)
-    if s.baro_fresh:
+    if s.baro_fresh and s.time_us - e.time_baro_us >= _BARO_PERIOD_US:
         _take_baro(e, s, p, work)
     if s.vision_fresh:
         _take_vision(e, s, p, work)

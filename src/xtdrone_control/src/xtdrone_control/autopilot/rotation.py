@@ -62,13 +62,25 @@ def rotate_inverse(q, x, y, z):
 
 
 @kernel
-def integrate(q, x, y, z):
-    """Turn the record field ``q`` in place by the body rotation vector (x, y, z) in radians, and normalise it."""
+def exponential(x, y, z):
+    """Return the quaternion of the rotation vector (x, y, z) in radians, as a tuple."""
     angle = math.sqrt(x * x + y * y + z * z)
     half = 0.5 * angle
     # sin(half)/angle, by its series where the quotient loses digits
     scale = math.sin(half) / angle if angle > 1e-4 else 0.5 - angle * angle / 48.0
-    w, i, j, k = multiply(q, (math.cos(half), x * scale, y * scale, z * scale))
+    return math.cos(half), x * scale, y * scale, z * scale
+
+
+@kernel
+def integrate(q, x, y, z):
+    """Turn the record field ``q`` in place by the body rotation vector (x, y, z) in radians, and normalise it."""
+    assign_unit(q, multiply(q, exponential(x, y, z)))
+
+
+@kernel
+def assign_unit(q, value):
+    """Write the quaternion ``value`` (tuple), made of length 1, into the record field ``q``."""
+    w, i, j, k = value
     norm = 1.0 / math.sqrt(w * w + i * i + j * j + k * k)
     q[0] = w * norm
     q[1] = i * norm

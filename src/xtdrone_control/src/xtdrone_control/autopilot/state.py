@@ -315,6 +315,13 @@ CONTROL = np.dtype(
         ("sp_thrust", "f8"),  # 0..1 collective
         ("sp_torque", "f8", 3),  # normalised
         ("actuators", "f8", MAX_ROTORS),  # 0..1 motor commands; 0 when disarmed
+        # the estimator's resets that the smoothed path has followed, see ``reset_follower``
+        ("resets_seen", "i4"),
+        ("resets_seen_xy", "i4"),
+        ("resets_seen_vxy", "i4"),
+        ("resets_seen_z", "i4"),
+        ("resets_seen_vz", "i4"),
+        ("resets_seen_heading", "i4"),
     ],
     align=True,
 )
