@@ -34,9 +34,9 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         stack.run(
             "followers", "xtdrone_coordination", "follower_consensus.py", "iris", "all", "3", "vel", "_avoid:=topic"
         )
-        stack._start("avoid", ["rosrun", "xtdrone_coordination", "avoid_cpp", "iris", "3", "vel"])
+        stack.start("avoid", ["rosrun", "xtdrone_coordination", "avoid_cpp", "iris", "3", "vel"])
         pilot = str(Path(__file__).with_name("formation_pilot.py"))
-        stack._start("pilot", [sys.executable, pilot, "__name:=pilot"])
+        stack.start("pilot", [sys.executable, pilot, "__name:=pilot"])
         yield stack
     finally:
         stack.stop()

@@ -74,7 +74,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         poll(lambda: _has_simulator(graph), "roslaunch starts a simulator")
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
         meddler = str(Path(__file__).with_name("meddler.py"))
-        stack._start("meddler", [sys.executable, meddler, "__name:=meddler", "_fly:=true"])
+        stack.start("meddler", [sys.executable, meddler, "__name:=meddler", "_fly:=true"])
         yield stack
     finally:
         stack.stop()
@@ -330,7 +330,7 @@ def test_who_holds_the_world_still_is_named(stack: Stack) -> None:
 
 def test_a_ground_station_that_hangs_is_no_matter(stack: Stack) -> None:
     stack.fly(0, HEIGHT)
-    station = stack._start("station", [sys.executable, "-c", STATION])
+    station = stack.start("station", [sys.executable, "-c", STATION])
     stack.log_has("station", "heard")
     station.process.send_signal(signal.SIGSTOP)
     passes(stack, 20.0)
@@ -344,7 +344,7 @@ def test_a_ground_station_that_hangs_is_no_matter(stack: Stack) -> None:
 def _second(stack: Stack, name: str) -> Program:
     """Start another simulator, whose log does not take the place of the node that has this name."""
     program = str(REPOSITORY / "src" / "xtdrone_sim" / "nodes" / "simulator.py")
-    return stack._start(f"second_{name}", [sys.executable, program, f"__name:={name}"])
+    return stack.start(f"second_{name}", [sys.executable, program, f"__name:={name}"])
 
 
 @pytest.mark.parametrize("name", ["simulator", "another"])
