@@ -144,6 +144,38 @@ def test_arming_needs_an_estimate(flight, field):
     assert not flight.commander.armed
 
 
+@pytest.mark.parametrize(
+    ("field", "least", "name"),
+    [
+        ("test_ratio_vel", 0.51, "check_estimator_vel_not_stable"),
+        ("test_ratio_pos", 0.51, "check_estimator_pos_not_stable"),
+        ("test_ratio_hgt", 1.01, "check_estimator_hgt_not_stable"),
+        ("innov_yaw", 0.56, "check_estimator_heading_not_stable"),  # rad: COM_ARM_EKF_YAW 0.5, gate 2.6, noise 0.3
+    ],
+)
+def test_arming_needs_small_innovations(flight, field, least, name):
+    for value, result in ((0.98 * least, Result.ACCEPTED), (1.02 * least, Result.TEMPORARILY_REJECTED)):
+        flight.autopilot.estimator[field] = value
+        flight.run(6.0)
+        flight.commander.events.clear()
+        assert flight.commander.arm_disarm(True) is result
+        flight.commander.arm_disarm(False)
+    assert name in [event.name for event in flight.commander.events]
+
+
+@pytest.mark.parametrize(("needed", "result"), [(1, Result.ACCEPTED), (0, Result.TEMPORARILY_REJECTED)])
+def test_arming_without_a_gps_fix(needed, result):
+    flight = Flight(COM_ARM_WO_GPS=needed)
+    flight.autopilot.sensors["gps_fix"] = 0
+    assert flight.commander.arm_disarm(True) is result
+
+
+def test_arming_may_need_a_mission():
+    flight = Flight(COM_ARM_MIS_REQ=1)
+    assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
+    assert flight.commander.arming_obstacle() == "No valid mission available"
+
+
 def test_force_does_not_arm_without_an_attitude(flight):
     flight.autopilot.estimator["initialised"] = 0
     assert flight.commander.arm_disarm(True, force=True) is Result.TEMPORARILY_REJECTED

@@ -23,6 +23,7 @@ _STICKS_DISABLED = 4  # COM_RC_IN_MODE
 _REPORT_INTERVAL_US = 2_000_000
 _SMOOTHING = 0.2  # of the innovation test ratios, at 10 Hz
 _FIX_3D = 3
+_HEADING_NOISE = 0.3  # rad, PX4's default EKF2_HEAD_NOISE
 
 
 class Check(NamedTuple):
@@ -202,11 +203,17 @@ class ArmingChecks:
         self._reported_us = -_REPORT_INTERVAL_US
 
     def follow_innovations(self) -> None:
-        """Take the innovation test ratios; call it at 10 Hz while the vehicle is disarmed."""
+        """Take the innovation test ratios; call it at 10 Hz while the vehicle is disarmed.
+
+        The heading is judged by PX4's default noise where the vehicle's is less: an accurate magnetometer would
+        otherwise keep it on the ground for a few degrees that harm nothing.
+        """
         e = self._view.estimator
-        fields = ("test_ratio_vel", "test_ratio_pos", "test_ratio_hgt", "test_ratio_mag")
-        for place, field in enumerate(fields):
-            self._ratios[place] += _SMOOTHING * (float(e[field]) - self._ratios[place])
+        noise = max(self._get("EKF2_HEAD_NOISE"), _HEADING_NOISE)
+        heading = (float(e["innov_yaw"]) / (self._get("EKF2_HDG_GATE") * noise)) ** 2
+        now = (float(e["test_ratio_vel"]), float(e["test_ratio_pos"]), float(e["test_ratio_hgt"]), heading)
+        for place, ratio in enumerate(now):
+            self._ratios[place] += _SMOOTHING * (ratio - self._ratios[place])
 
     def report(self, flags: Flags, mode: Mode, armed: bool) -> Report:
         """Return what stands against arming.

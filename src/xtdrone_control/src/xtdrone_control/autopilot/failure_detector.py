@@ -9,6 +9,10 @@ from .vehicle_view import VehicleView
 
 Get = Callable[[str], float]
 
+_SMALL_TILT = 20.0  # deg; below it there is no need to look at roll and pitch, unless the limits are so narrow
+_COS_SMALL_TILT = math.cos(math.radians(_SMALL_TILT))
+_LARGEST = 180.0  # deg: 0 for a limit means none
+
 
 class _Hysteresis:
     """True when a condition has held for a while, false as soon as it does not."""
@@ -36,8 +40,10 @@ class FailureDetector:
 
     def __init__(self, view: VehicleView, get: Get) -> None:
         """Watch ``view``; ``get`` returns a parameter by name."""
-        self._view = view
         self._get = get
+        # views of the record fields, which are read at every update
+        self._q = view.estimator["q"]
+        self._currents, self._commands = view.sensors["esc_current"], view.control["actuators"]
         self._roll, self._pitch = _Hysteresis(), _Hysteresis()
         self._starved: dict[int, int] = {}  # motor -> when its current was first too low
         self._measured: set[int] = set()
@@ -69,7 +75,13 @@ class FailureDetector:
 
     def _look_at_attitude(self, now_us: int) -> None:
         get = self._get
-        w, x, y, z = self._view.estimator["q"].tolist()
+        w, x, y, z = self._q.tolist()
+        least = min(get("FD_FAIL_R") or _LARGEST, get("FD_FAIL_P") or _LARGEST)
+        if least > _SMALL_TILT and 1.0 - 2.0 * (x * x + y * y) > _COS_SMALL_TILT:
+            # the tilt is never less than roll or pitch
+            self.roll = self._roll.update(False, now_us, 0.0)
+            self.pitch = self._pitch.update(False, now_us, 0.0)
+            return
         roll = abs(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
         pitch = abs(math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))))
         limits = math.radians(get("FD_FAIL_R")), math.radians(get("FD_FAIL_P"))
@@ -81,8 +93,8 @@ class FailureDetector:
         get = self._get
         least, slope = get("FD_ACT_MOT_THR"), get("FD_ACT_MOT_C2T")
         timeout_us = get("FD_ACT_MOT_TOUT") * 1e3
-        currents = self._view.sensors["esc_current"].tolist()
-        for motor, command in enumerate(self._view.control["actuators"].tolist()):
+        currents = self._currents.tolist()
+        for motor, command in enumerate(self._commands.tolist()):
             current = currents[motor]
             if current > 0.0:
                 self._measured.add(motor)

@@ -52,6 +52,7 @@ class Health:
         self.battery = BatteryEstimate(get)
         self.detector = FailureDetector(view, get)
         self.breach = ""
+        self._covariance = view.estimator["P"]
         self._position_us = self._place_us = self._altitude_us = _NEVER_US  # when each was last good
         self._exact = False
         self._gcs_us: int | None = None
@@ -148,7 +149,7 @@ class Health:
         )
 
     def _horizontal_error(self) -> float:
-        covariance = self._view.estimator["P"]
+        covariance = self._covariance
         return float(covariance[6, 6] + covariance[7, 7]) ** 0.5
 
     def _offboard_lost(self, limit: float, place_invalid: bool) -> bool:
