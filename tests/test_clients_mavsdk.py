@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
@@ -15,6 +16,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # the package says that its next one is another
     mavsdk = pytest.importorskip("mavsdk")
     from mavsdk.action import ActionError
+    from mavsdk.component_metadata import MetadataType
     from mavsdk.geofence import FenceType, GeofenceData, Point, Polygon
     from mavsdk.mission import MissionItem, MissionPlan
     from mavsdk.offboard import OffboardError, PositionNedYaw, VelocityNedYaw
@@ -137,6 +139,51 @@ def test_parameters(client):
     assert "COM_RC_IN_MODE" in {p.name for p in everything.int_params}
     with pytest.raises(ParamError):
         client.run(param.get_param_int("NO_SUCH_NAME"))
+
+
+def test_metadata_of_events_and_parameters(client):
+    plugin = client.drone.component_metadata
+
+    async def load() -> dict[Any, str]:
+        found: dict[Any, str] = {}
+        await plugin.request_autopilot_component()
+        async for update in plugin.metadata_available():
+            if update.type is MetadataType.ALL_COMPLETED:
+                return found
+            found[update.type] = update.json_metadata
+        raise AssertionError("the stream has ended")
+
+    found = client.run(load())
+    assert set(found) == {MetadataType.PARAMETER, MetadataType.EVENTS}
+    parameters = {entry["name"]: entry for entry in json.loads(found[MetadataType.PARAMETER])["parameters"]}
+    assert parameters["MAV_SYS_ID"]["default"] == FIRST + 1
+    assert parameters["MPC_XY_VEL_MAX"]["units"] == "m/s"
+
+
+def test_events_in_words(client):
+    """MAVSDK reads the definitions itself and puts our events into words by them."""
+    events = client.drone.events
+
+    async def listen(stream: AsyncIterator[T], condition: Callable[[T], bool], cause: Awaitable[Any]) -> T:
+        found = asyncio.ensure_future(first(stream, condition))
+        await cause
+        return await found
+
+    async def refused() -> None:
+        for _ in range(3):  # the definitions are loaded beside this
+            with pytest.raises(ActionError):
+                await client.drone.action.arm()
+            await asyncio.sleep(0.3)
+
+    client.run(client.drone.param.set_param_int("COM_ARM_MIS_REQ", 1))
+    report = client.run(listen(events.health_and_arming_checks(), lambda report: True, refused()))
+    assert not report.current_mode_intention.can_arm_or_run
+    assert [problem.message for problem in report.current_mode_intention.problems] == ["No valid mission available"]
+    assert {part.name for part in report.health_components} >= {"gps", "battery", "attitude_estimate"}
+    client.run(client.drone.param.set_param_int("COM_ARM_MIS_REQ", 0))
+    armed = client.run(listen(events.events(), lambda e: "armed_by" in e.event_name, client.drone.action.arm()))
+    assert (armed.event_name, armed.message) == ("commander_armed_by", "Armed by external command")
+    client.run(client.drone.action.disarm())
 
 
 def test_refusals_on_the_ground(client):

@@ -86,14 +86,14 @@ class Served:
         return [answer for _, answer in link.sent]
 
     def command(self, number: int, *params: float, link: FakeLink | None = None) -> tuple[int | None, list[str]]:
-        """Return a COMMAND_LONG's result, None without an acknowledgement, and the texts that it causes."""
+        """Return a COMMAND_LONG's result, None without an acknowledgement, and the texts that it causes, less tabs."""
         self.commander.texts.clear()
         values = [*params, *[0.0] * (7 - len(params))]
         answers = self.ask(mavlink.MAVLink_command_long_message(SYSTEM, 1, number, 0, *values), link)
         acks = [m for m in answers if type(m).__name__ == "COMMAND_ACK"]
         assert all(m.command == number for m in acks)
         assert len(acks) <= 1
-        return (acks[0].result if acks else None), [text for _, text in self.commander.texts]
+        return (acks[0].result if acks else None), [text.rstrip("\t") for _, text in self.commander.texts]
 
     def run(self, seconds: float, step_us: int = 4000) -> list[tuple[int, str, Any]]:
         """Let time pass; return (time, name, message) of what the services send on the first link."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot.events import CRITICAL, INFO, event
+from xtdrone_control.autopilot.events import CRITICAL, INFO, event, event_id
 from xtdrone_control.mavlink.packing import Format
 
 _FIRST = 0xFFFF - 10 + 1
@@ -21,7 +21,7 @@ def served():
 
 def happen(served, count=1, name="commander_armed_by"):
     for i in range(count):
-        served.commander.events.append(event(name, CRITICAL, served.autopilot.time_us, "B", i, internal=INFO))
+        served.commander.events.append(event(name, CRITICAL, served.autopilot.time_us, i, internal=INFO))
 
 
 def request(served, first, last, system=SYSTEM):
@@ -88,4 +88,4 @@ def test_requests_to_others_are_not_answered(served):
 
 def test_arming_is_an_event(served):
     assert served.command(400, 1)[0] == 0
-    assert event("commander_armed_by", INFO, 0).number in [m.id for m in events(served.run(0.1))]
+    assert event_id("commander_armed_by") in [m.id for m in events(served.run(0.1))]

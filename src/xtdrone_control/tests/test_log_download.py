@@ -201,8 +201,8 @@ _LOGS = b"/fs/microsd/log"
 
 
 def test_ftp_lists_the_tree(client):
-    assert client.one(3, b"/") == (_ACK, b"Dfs\0Dlog\0")
-    assert client.one(3, b"") == (_ACK, b"Dfs\0Dlog\0")
+    assert client.one(3, b"/") == (_ACK, b"Detc\0Dfs\0Dlog\0")
+    assert client.one(3, b"") == (_ACK, b"Detc\0Dfs\0Dlog\0")
     assert client.one(3, b"/fs/microsd/") == (_ACK, b"Dlog\0")
     assert client.one(3, _LOGS) == (_ACK, b"D2020-01-01\0D2020-01-02\0")
     assert client.one(3, _LOGS + b"/2020-01-01") == (_ACK, b"F00_00_00.ulg\t5000\0F00_01_30.ulg\t63000\0")
@@ -321,7 +321,7 @@ def test_ftp_takes_anything(client, world):
         world.send(mavlink.MAVLink_file_transfer_protocol_message(0, _SYSTEM, 1, payload))
         world.run(0.004)
     client.one(2)
-    assert client.one(3, b"/") == (_ACK, b"Dfs\0Dlog\0")
+    assert client.one(3, b"/") == (_ACK, b"Detc\0Dfs\0Dlog\0")
     assert all(path.exists() for path in world.files)
 
 

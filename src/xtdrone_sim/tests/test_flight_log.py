@@ -357,7 +357,7 @@ def test_an_older_log_stays(tmp_path):
         simulation.run_until(400_000)
         (_, text), *_ = simulation.commanders[0].texts
         simulation.close()
-        assert text == "[logger] ./log/2020-01-01/00_00_00.ulg"  # the same in every run
+        assert text == "[logger] ./log/2020-01-01/00_00_00.ulg\t"  # the same in every run
     assert sorted(p.name for p in tmp_path.rglob("*.ulg")) == ["00_00_00.ulg", "00_00_00_1.ulg"]
 
 

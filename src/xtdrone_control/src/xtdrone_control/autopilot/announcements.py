@@ -62,28 +62,25 @@ class Announcements:
         """Queue events."""
         self.events.extend(found)
 
-    def tell(
-        self, severity: int, text: str, name: str, layout: str = "", *values: float, level: int | None = None
-    ) -> None:
+    def tell(self, severity: int, text: str, name: str, *values: float, level: int | None = None) -> None:
         """Queue a text and the event ``name`` that says the same.
 
         Args:
             severity: MAV_SEVERITY of the text.
             text: the text without the tab.
             name: PX4's name of the event.
-            layout: the event's arguments, see ``events.event``.
             values: the event's arguments.
             level: the event's log level; the text's severity when it is not given.
         """
         self.say(severity, text + "\t")
         level = severity if level is None else level
-        self.events.append(event(name, level, self._view.time_us, layout, *values))
+        self.events.append(event(name, level, self._view.time_us, *values))
 
     def mode_refused(self, mode: Mode) -> None:
         """Tell that ``mode`` cannot be flown now."""
         text = f"Switching to {mode.label} is currently not available"
         number = modes.number_of(mode)
-        self.tell(CRITICAL, text, "commander_modeswitch_not_avail", "IB", mode.custom_mode, number)
+        self.tell(CRITICAL, text, "commander_modeswitch_not_avail", mode.custom_mode, number)
 
     def failsafe(self, outcome: Outcome) -> None:
         """Tell that a failsafe acts, or warns."""
@@ -99,15 +96,15 @@ class Announcements:
                 name, level = _BATTERY_WARNINGS[outcome.cause]
                 found = event(name, level, now_us, internal=events.INFO)
             elif outcome.cause is Cause.GENERIC:
-                found = event("commander_failsafe_enter_generic_warn", events.WARNING, now_us, "I", mode)
+                found = event("commander_failsafe_enter_generic_warn", events.WARNING, now_us, mode)
             else:
-                found = event("commander_failsafe_enter_warn", events.WARNING, now_us, "IB", mode, outcome.cause)
+                found = event("commander_failsafe_enter_warn", events.WARNING, now_us, mode, outcome.cause)
         elif outcome.cause is Cause.GENERIC:
             name = "commander_failsafe_enter_generic"
-            found = event(name, events.CRITICAL, now_us, "IB", mode, outcome.action, internal=inside)
+            found = event(name, events.CRITICAL, now_us, mode, outcome.action, internal=inside)
         else:
             found = event(
-                "commander_failsafe_enter", events.CRITICAL, now_us, "IBB", mode, outcome.action, outcome.cause,
+                "commander_failsafe_enter", events.CRITICAL, now_us, mode, outcome.action, outcome.cause,
                 internal=inside,
             )  # fmt: skip
         self.events.append(found)
@@ -115,7 +112,8 @@ class Announcements:
     def _delayed_failsafe(self, outcome: Outcome, mode: int) -> None:
         seconds = int(outcome.delay + 0.5)
         self.say(CRITICAL, f"Failsafe activated, entering Hold for {seconds} seconds\t")
-        name, layout, values = "commander_failsafe_enter_generic_hold", "IBH", (mode, outcome.delayed, seconds)
+        name, values = "commander_failsafe_enter_generic_hold", [mode, outcome.delayed, seconds]
         if outcome.cause is not Cause.GENERIC:
-            name, layout, values = "commander_failsafe_enter_hold", "IBHB", (*values, outcome.cause)  # type: ignore[assignment]
-        self.events.append(event(name, events.CRITICAL, self._view.time_us, layout, *values, internal=events.WARNING))
+            name = "commander_failsafe_enter_hold"
+            values.append(outcome.cause)
+        self.events.append(event(name, events.CRITICAL, self._view.time_us, *values, internal=events.WARNING))

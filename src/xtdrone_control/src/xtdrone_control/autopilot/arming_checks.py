@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 from . import events, modes
 from .events import Event, event
-from .failsafe import BATTERY_CRITICAL, BATTERY_EMERGENCY, BATTERY_LOW, Flags
+from .failsafe import BATTERY_CRITICAL, BATTERY_EMERGENCY, BATTERY_LOW, Flags, can_run
 from .modes import Mode
 from .vehicle_view import VehicleView
 
@@ -51,10 +52,12 @@ class Report:
     Attributes:
         failures: failing checks.
         can_arm: navigation states, a bit each, in which arming is possible.
+        can_run: navigation states, a bit each, that can be flown.
     """
 
     failures: tuple[Check, ...]
     can_arm: int
+    can_run: int
 
     def allows(self, mode: Mode) -> bool:
         """Return whether arming is possible in ``mode``."""
@@ -88,6 +91,12 @@ _BY_NEED = {what: _needing(what) for what in ("attitude", "altitude", "position"
 _POSITIONED = _BY_NEED["position"] | _needing("place")
 _BY_STICKS = _mask(mode for mode in modes.ALL if mode.sticks)
 _UNARMABLE = _mask(mode for mode in modes.ALL if mode.prevents_arming)
+
+
+@lru_cache(maxsize=256)
+def _flyable(flags: Flags) -> int:
+    """Return the modes that can be flown, a bit each."""
+    return _mask(mode for mode in modes.ALL if can_run(mode, flags) and not (mode.sticks and flags.manual_lost))
 
 
 def _mode_checks(flags: Flags, get: Get) -> list[Check]:
@@ -199,7 +208,7 @@ class ArmingChecks:
         self._view = view
         self._get = get
         self._ratios = [0.0, 0.0, 0.0, 0.0]
-        self._reported: tuple[tuple[Check, ...], int] | None = None
+        self._reported: tuple[tuple[Check, ...], int, int] | None = None
         self._reported_us = -_REPORT_INTERVAL_US
 
     def follow_innovations(self) -> None:
@@ -237,7 +246,7 @@ class ArmingChecks:
         can_arm = _ALL_MODES & ~_UNARMABLE
         for check in found:
             can_arm &= ~check.modes
-        return Report(tuple(found), can_arm)
+        return Report(tuple(found), can_arm, _flyable(flags))
 
     def _estimator_checks(self) -> list[Check]:
         get = self._get
@@ -276,18 +285,17 @@ class ArmingChecks:
             now_us: simulated time, microseconds.
             force: tell it again: somebody has been refused.
         """
-        key = (report.failures, report.can_arm)
+        key = (report.failures, report.can_arm, report.can_run)
         if not force and (key == self._reported or now_us - self._reported_us < _REPORT_INTERVAL_US):
             return []
         self._reported, self._reported_us = key, now_us
-        errors, warnings = report.component_bits(warnings=False), report.component_bits(warnings=True)
-        summary = event(
-            "commander_arming_check_summary", events.PROTOCOL, now_us, "BIII", 0, errors, warnings, report.can_arm
-        )
+        failing = report.component_bits(warnings=False), report.component_bits(warnings=True)
+        possible = report.can_arm, report.can_run
+        summary = event("commander_arming_check_summary", events.PROTOCOL, now_us, 0, *failing, *possible)
         details = [
-            event(check.name, check.level, now_us, "IB", check.modes or _ALL_MODES, check.component)
+            event(check.name, check.level, now_us, check.modes or _ALL_MODES, check.component)
             for check in report.failures
         ]
         present = 1 << events.GPS | 1 << events.BATTERY | 1 << events.MOTORS | 1 << events.ATTITUDE_ESTIMATE
-        health = event("commander_health_summary", events.PROTOCOL, now_us, "BIII", 0, present, 0, 0)
+        health = event("commander_health_summary", events.PROTOCOL, now_us, 0, present, 0, 0)
         return [summary, *details, health]

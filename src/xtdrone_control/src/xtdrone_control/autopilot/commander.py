@@ -82,7 +82,7 @@ class Commander(FlightCommands):
         self.view = VehicleView(autopilot, index)
         get = parameters.get
         self._announcements = Announcements(self.view)
-        self.navigator = Navigator(self.view, parameters, self.say)
+        self.navigator = Navigator(self.view, parameters, self._announcements)
         self.manual = ManualControl(get)
         self._offboard = OffboardInput(self.view)
         self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
@@ -197,6 +197,10 @@ class Commander(FlightCommands):
         """Queue a text for the operator (``severity``: MAV_SEVERITY)."""
         self._announcements.say(severity, text)
 
+    def tell(self, severity: int, text: str, name: str, *values: float, level: int | None = None) -> None:
+        """Queue a text for the operator, and the event that says the same; see ``Announcements.tell``."""
+        self._announcements.tell(severity, text, name, *values, level=level)
+
     def warn(self, text: str) -> None:
         """Queue a warning, at most one a second."""
         self._announcements.warn(text)
@@ -231,7 +235,7 @@ class Commander(FlightCommands):
             self._set_home_here()
         self._motors.apply(self.armed)
         number, words = reason.value
-        self._announcements.tell(INFO, f"Armed by {words}", "commander_armed_by", "B", number)
+        self._announcements.tell(INFO, f"Armed by {words}", "commander_armed_by", number)
         self._decide(changed=True)
         return True
 
@@ -284,7 +288,7 @@ class Commander(FlightCommands):
         self.navigator.deactivate()
         self.view.start_task(TASK_IDLE)
         number, words = reason.value
-        self._announcements.tell(INFO, f"Disarmed by {words}", "commander_disarmed_by", "B", number)
+        self._announcements.tell(INFO, f"Disarmed by {words}", "commander_disarmed_by", number)
         self._mode = self._mode_after_disarming
         self._decide()
 
@@ -389,7 +393,7 @@ class Commander(FlightCommands):
         self._flown = outcome.mode
         self._act(outcome, before)
         if self._flown is not flown_before and self._flown is modes.AUTO_RTL:
-            self._announcements.tell(INFO, "RTL HOME activated", "rtl_home_activated")
+            self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
         anew = changed and not outcome.active
         if self.armed and (anew or self._flown is not flown_before):
             self._fly(self._flown)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
+from .announcements import Announcements
 from .parameters import Parameters
 from .state import TASK_GOTO, TASK_LAND
 from .vehicle_view import Vector, VehicleView
@@ -13,8 +13,6 @@ from .vehicle_view import Vector, VehicleView
 NAN = math.nan
 UNSET: Vector = (NAN, NAN, NAN)
 INFO, CRITICAL = 6, 2  # MAV_SEVERITY
-
-Say = Callable[[int, str], None]
 
 # MPC_YAW_MODE
 _TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
@@ -48,18 +46,18 @@ class Course:
     Attributes:
         view: the vehicle.
         parameters: its parameters.
-        say: takes a MAV_SEVERITY and a text for the operator.
+        announcements: what the operator is told.
         home: None until the first valid position.
         goal: m, local NED.
         landing: the vehicle is on its way to the ground.
         taking_off: it climbs to where a take-off ends.
     """
 
-    def __init__(self, view: VehicleView, parameters: Parameters, say: Say) -> None:
+    def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
         """Prepare; nothing is asked of the cascade."""
         self.view = view
         self.parameters = parameters
-        self.say = say
+        self.announcements = announcements
         self.home: Home | None = None
         self.goal: Vector = (0.0, 0.0, 0.0)
         self.landing = False

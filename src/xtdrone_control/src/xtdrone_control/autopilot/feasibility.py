@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from . import geo, plan
-from .course import CRITICAL, Say
+from .course import CRITICAL
+from .events import ERROR, WARNING
 from .plan import Items, PlanItem
 
 _FLOWN = plan.POSITION_COMMANDS | {
@@ -73,25 +74,41 @@ class Situation:
     fence_allows: Callable[[float, float, float], bool]
 
 
+class Problem:
+    """What speaks against a mission: PX4's text, and the event that says the same with its arguments."""
+
+    def __init__(self, text: str, name: str, *values: float) -> None:
+        """Keep what is to be told."""
+        self._text = text
+        self._name = name
+        self._values = values
+
+    def tell(self, tell: Callable[..., None]) -> None:
+        """Tell it, see ``check``."""
+        tell(CRITICAL, self._text, self._name, *self._values, level=ERROR)
+
+
 def _distance(a: PlanItem, place: tuple[float, float]) -> float:
     if not (math.isfinite(a.x) and math.isfinite(a.y)):
         return math.inf
     return math.hypot(*geo.project(a.x, a.y, *place))
 
 
-def _invalid(items: Items, now: Situation) -> str:
-    """Return what makes an item of ``items`` no item at all, or an empty text."""
+def _invalid(items: Items, now: Situation) -> Problem | None:
+    """Return what makes an item of ``items`` no item at all."""
     for i, item in enumerate(items):
         if item.has_position and item.relative and math.isnan(now.home_altitude):
-            return f"Mission rejected: No home pos, WP {i + 1} uses rel alt"
+            text = f"Mission rejected: No home pos, WP {i + 1} uses rel alt"
+            return Problem(text, "navigator_mis_no_home_rel_alt", i + 1)
         if item.command not in _FLOWN:
-            return f"Mission rejected: item {i + 1}: unsupported cmd: {item.command}"
+            text = f"Mission rejected: item {i + 1}: unsupported cmd: {item.command}"
+            return Problem(text, "navigator_mis_unsup_cmd", i + 1, item.command)
     if items[0].command == plan.LAND and now.landed:
-        return "Mission rejected: starts with landing"
-    return ""
+        return Problem("Mission rejected: starts with landing", "navigator_mis_starts_w_landing")
+    return None
 
 
-def _gate(items: Items, _now: Situation) -> str:
+def _gate(items: Items, _now: Situation) -> Problem | None:
     before: PlanItem | None = None
     for item in items:
         if not item.has_position and item.command != plan.CONDITION_GATE:
@@ -99,76 +116,92 @@ def _gate(items: Items, _now: Situation) -> str:
         if before is not None and plan.CONDITION_GATE in (item.command, before.command):
             distance = _distance(item, (before.x, before.y))
             if distance < _LEAST_GATE_DISTANCE:
-                return f"Distance between waypoint and gate too close: {int(distance)} meters"
+                text = f"Distance between waypoint and gate too close: {int(distance)} meters"
+                return Problem(text, "navigator_mis_wp_gate_too_close", distance, _LEAST_GATE_DISTANCE)
         before = item
-    return ""
+    return None
 
 
-def _first(items: Items, now: Situation) -> str:
+def _first(items: Items, now: Situation) -> Problem | None:
     item = next((item for item in items if item.has_position), None)
     if item is None or now.first_distance <= _EPSILON:
-        return ""
+        return None
     distance = _distance(item, now.place)
     if distance < now.first_distance:
-        return ""
-    return f"First waypoint too far away: {math.floor(min(distance, 2e9))}m, {int(now.first_distance)} max"
+        return None
+    text = f"First waypoint too far away: {math.floor(min(distance, 2e9))}m, {int(now.first_distance)} max"
+    return Problem(text, "navigator_mis_first_wp_too_far", distance, now.first_distance)
 
 
-def _takeoff(items: Items, now: Situation) -> str:
+def _takeoff(items: Items, now: Situation) -> Problem | None:
     late = False
     for item in items:
         if item.command in _TAKEOFFS:
             if item.altitude(now.home_altitude) - now.home_altitude < _EPSILON:
-                return "Mission rejected: Takeoff altitude below home altitude!"
+                text = "Mission rejected: Takeoff altitude below home altitude!"
+                return Problem(text, "navigator_mis_takeoff_too_low", 0.0)
             if late:
-                return "Mission rejected: takeoff not first waypoint item"
+                text = "Mission rejected: takeoff not first waypoint item"
+                return Problem(text, "navigator_mis_takeoff_not_first")
         late = late or item.command not in _BEFORE_TAKEOFF
-    return ""
+    return None
 
 
-def _vtol(items: Items, _now: Situation) -> str:
+def _vtol(items: Items, _now: Situation) -> Problem | None:
     if any(item.command in _VTOL for item in items):
-        return "Mission rejected: Mission contains VTOL items but vehicle is not a VTOL"
-    return ""
+        text = "Mission rejected: Mission contains VTOL items but vehicle is not a VTOL"
+        return Problem(text, "navigator_mis_vtol")
+    return None
 
 
-def _required(items: Items, now: Situation) -> str:
+def _required(items: Items, now: Situation) -> Problem | None:
     takeoff = any(item.command in _TAKEOFFS for item in items)
     landing = any(item.command == plan.LAND for item in items)
     if now.required == 1 and not takeoff:
-        return "Mission rejected: Takeoff waypoint required."
+        return Problem("Mission rejected: Takeoff waypoint required.", "navigator_mis_takeoff_missing")
     if now.required == 2 and not landing:
-        return "Mission rejected: Landing waypoint/pattern required."
+        return Problem("Mission rejected: Landing waypoint/pattern required.", "navigator_mis_land_missing")
     if now.required == 3 and not (takeoff and landing):
-        return "Mission rejected: Takeoff or Landing item missing."
-    if now.required == 4 and takeoff != landing:
-        what = "Add Landing item or remove Takeoff" if takeoff else "Add Takeoff item or remove Landing"
-        return f"Mission rejected: {what}."
-    return ""
+        text = "Mission rejected: Takeoff or Landing item missing."
+        return Problem(text, "navigator_mis_takeoff_or_land_missing")
+    if now.required == 4 and takeoff and not landing:
+        text = "Mission rejected: Add Landing item or remove Takeoff."
+        return Problem(text, "navigator_mis_add_land_or_rm_to")
+    if now.required == 4 and landing and not takeoff:
+        text = "Mission rejected: Add Takeoff item or remove Landing."
+        return Problem(text, "navigator_mis_add_to_or_rm_land")
+    return None
 
 
-def _fence(items: Items, now: Situation) -> str:
+def _fence(items: Items, now: Situation) -> Problem | None:
     for i, item in enumerate(items):
         if item.has_position and not now.fence_allows(item.x, item.y, item.altitude(now.home_altitude)):
-            return f"Geofence violation for waypoint {i + 1}"
-    return ""
+            return Problem(f"Geofence violation for waypoint {i + 1}", "navigator_mis_geofence_violation", i + 1)
+    return None
 
 
 _CHECKS = (_gate, _first, _takeoff, _vtol, _required, _fence)
 
 
-def check(items: Items, now: Situation, say: Say) -> bool:
-    """Return whether the mission ``items`` can be flown; ``say`` is told what speaks against it."""
+def check(items: Items, now: Situation, tell: Callable[..., None]) -> bool:
+    """Return whether the mission ``items`` can be flown.
+
+    Args:
+        items: the mission.
+        now: what the vehicle is about.
+        tell: takes what speaks against it, as ``Announcements.tell``.
+    """
     if not items:
         return False
     invalid = _invalid(items, now)
-    if invalid:
-        say(CRITICAL, invalid)
+    if invalid is not None:
+        invalid.tell(tell)
         return False
     for i, item in enumerate(items):
         if item.has_position and item.altitude(now.home_altitude) < now.home_altitude:
-            say(CRITICAL, f"Warning: Waypoint {i + 1} below home")
-    found = [text for text in (one(items, now) for one in _CHECKS) if text]
-    for text in found:
-        say(CRITICAL, text)
+            text = f"Warning: Waypoint {i + 1} below home"
+            tell(CRITICAL, text, "navigator_mis_wp_below_home", i + 1, level=WARNING)
+    found = [problem for problem in (one(items, now) for one in _CHECKS) if problem is not None]
+    for problem in found:
+        problem.tell(tell)
     return not found

@@ -178,7 +178,7 @@ class Health:
         elif not lost and self._manual_lost and self._manual_us is not None:
             elapsed = (now_us - self._manual_us) * 1e-6
             self._announcements.tell(
-                INFO, f"Manual control regained after {elapsed:.1f} s", "commander_rc_regained", "f", elapsed
+                INFO, f"Manual control regained after {elapsed:.1f} s", "commander_rc_regained", elapsed
             )
         self._manual_lost = lost
         if not lost:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from . import plan
 from .course import CRITICAL, INFO, NAN, UNSET, Course
+from .events import ERROR
 from .payload import Payload
 from .plan import PlanItem, Plans
 from .precision_landing import PrecisionLanding
@@ -45,7 +46,7 @@ class Mission:
         self._course = course
         self._view = course.view
         self._get = course.parameters.get
-        self._say = course.say
+        self._tell = course.announcements.tell
         self._payload = payload
         self._landing = landing
         self.plans = Plans()
@@ -159,13 +160,20 @@ class Mission:
         for _ in range(_MAX_JUMPS):
             if not 0 <= index < len(items):
                 if items and index not in (len(items), -1):
-                    self._say(CRITICAL, f"Mission item index out of bound, index: {index}, max: {len(items)}.")
+                    self._tell(
+                        CRITICAL,
+                        f"Mission item index out of bound, index: {index}, max: {len(items)}.",
+                        "mission_index_out_of_bound",
+                        index & 0xFFFF,
+                        len(items),
+                        level=ERROR,
+                    )
                 return None
             item = items[index]
             if item.command != plan.JUMP:
                 return index, item
             index = self._jump(index, item, count_jumps)
-        self._say(CRITICAL, "DO JUMP is cycling, giving up.")
+        self._tell(CRITICAL, "DO JUMP is cycling, giving up.", "mission_do_jump_cycle", level=ERROR)
         return None
 
     def _jump(self, index: int, item: PlanItem, count: bool) -> int:
@@ -177,7 +185,7 @@ class Mission:
             target = item.params[0]
             return int(target) if abs(target) < plan.CAPACITY[plan.MISSION] else -2
         if count:
-            self._say(INFO, "DO JUMP repetitions completed.")
+            self._tell(INFO, "DO JUMP repetitions completed.", "mission_do_jump_rep_completed")
         return index + 1
 
     def _next_position(self) -> PlanItem | None:
@@ -220,10 +228,13 @@ class Mission:
         self._item = None
         landed = self._view.landed
         if flown:
-            self._say(INFO, f"Mission finished, {'landed' if landed else 'loitering'}")
+            what, name = ("landed", "mission_finished") if landed else ("loitering", "mission_finished_loiter")
+            self._tell(INFO, f"Mission finished, {what}", name)
         else:
-            what = "refusing takeoff" if landed else "loitering"
-            self._say(CRITICAL, f"No valid mission available, {what}")
+            what, name = "loitering", "mission_not_valid_loiter"
+            if landed:
+                what, name = "refusing takeoff", "mission_not_valid_refuse"
+            self._tell(CRITICAL, f"No valid mission available, {what}", name, level=ERROR)
 
     def _locate(self, item: PlanItem) -> Vector:
         """Return an item's place, m, local NED; where it names none, the vehicle's."""
@@ -291,7 +302,8 @@ class Mission:
         self._work = _Work.TAKEOFF
         x, y, _ = self._view.position
         height = self._takeoff_height(place)
-        self._say(INFO, f"Takeoff to {self._course.ground - height:.1f} meters above home")
+        over = self._course.ground - height
+        self._tell(INFO, f"Takeoff to {over:.1f} meters above home", "mission_takeoff_to", over)
         self._place = (x, y, height)
         self._yaw = self._view.yaw
         self._course.take_off(self._place, self._yaw)

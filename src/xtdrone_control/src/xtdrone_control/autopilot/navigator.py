@@ -6,7 +6,9 @@ import math
 from collections.abc import Sequence
 
 from . import feasibility, geofence, modes, plan
-from .course import CRITICAL, INFO, NAN, Course, Home, Say
+from .announcements import Announcements
+from .course import CRITICAL, INFO, NAN, Course, Home
+from .events import ERROR
 from .geofence import Fence
 from .mission import Mission
 from .modes import Mode
@@ -35,18 +37,18 @@ class Navigator:
         precision_landing: takes the landing target that somebody sees.
     """
 
-    def __init__(self, view: VehicleView, parameters: Parameters, say: Say) -> None:
+    def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
         """Prepare; nothing is asked of the cascade until ``activate``.
 
         Args:
             view: the vehicle.
             parameters: its parameters.
-            say: takes a MAV_SEVERITY and a text for the operator.
+            announcements: takes what the operator is told.
         """
         self._view = view
         self._parameters = parameters
-        self._say = say
-        self._course = Course(view, parameters, say)
+        self._tell = announcements.tell
+        self._course = Course(view, parameters, announcements)
         self._mode: Mode | None = None
         self.payload = Payload(view)
         self.precision_landing = PrecisionLanding(self._course)
@@ -145,7 +147,7 @@ class Navigator:
         if self._mission_ended or self.mission.update():
             return modes.AUTO_LOITER
         if self.mission.returning:
-            self._say(INFO, "Returning to launch")
+            self._tell(INFO, "Returning to launch", "commander_rtl")
             return modes.AUTO_RTL
         return None
 
@@ -190,7 +192,7 @@ class Navigator:
             self._mission_ended = self.mission.restart_item() if self._valid else self._end_mission()
 
     def _end_mission(self) -> bool:
-        self._say(INFO, "Mission finished, loitering")
+        self._tell(INFO, "Mission finished, loitering", "mission_finished_loiter")
         return True
 
     def mission_obstacle(self) -> str:
@@ -218,7 +220,7 @@ class Navigator:
             int(get("MIS_TKO_LAND_REQ")),
             self._fence_allows,
         )
-        self._valid = feasibility.check(self.plans.mission, now, self._say)
+        self._valid = feasibility.check(self.plans.mission, now, self._tell)
 
     def _set_home(self, place: Vector | None) -> None:
         """Set home as an item of the mission says: to latitude, longitude, m AMSL, or to where the vehicle is."""
@@ -334,9 +336,11 @@ class Navigator:
         wanted = self._view.origin[2] - self.takeoff_altitude
         goal = ground - least if math.isnan(wanted) else min(wanted, ground - least)
         if z < goal and not self._view.landed:
-            self._say(CRITICAL, "Already higher than takeoff altitude")
+            self._tell(
+                CRITICAL, "Already higher than takeoff altitude", "navigator_takeoff_already_higher", level=ERROR
+            )
             goal = z
         elif goal != wanted:
-            self._say(INFO, f"Using minimum takeoff altitude: {least:.2f} m")
+            self._tell(INFO, f"Using minimum takeoff altitude: {least:.2f} m", "navigator_takeoff_min_alt", least)
         self._course.take_off((x, y, goal), self.takeoff_yaw)
         self.takeoff_altitude = self.takeoff_yaw = NAN

@@ -153,7 +153,7 @@ class PrecisionLanding:
             self._lose()
 
     def _lose(self) -> None:
-        self._course.say(CRITICAL, "Lost landing target while landing")
+        self._course.announcements.say(CRITICAL, "Lost landing target while landing")
         self._search_or_land()
 
     def _search_or_land(self) -> None:
@@ -162,7 +162,7 @@ class PrecisionLanding:
             return
         self._searches += 1
         self._enter(_State.SEARCH)
-        self._course.say(INFO, "Precision land: searching for the target")
+        self._course.announcements.say(INFO, "Precision land: searching for the target")
         height = self._course.ground - self._get("PLD_SRCH_ALT")
         self._course.fly_to((self._place[0], self._place[1], min(height, self._course.view.position[2])))
 
@@ -174,7 +174,7 @@ class PrecisionLanding:
 
     def _fall_back(self, text: str) -> None:
         self._enter(_State.FALLBACK)
-        self._course.say(CRITICAL, text)
+        self._course.announcements.say(CRITICAL, text)
         self._course.land((*self._course.stopping_place()[:2], self._place[2]))
 
 

@@ -27,10 +27,11 @@ class _Phase(enum.Enum):
 
 @dataclass(frozen=True)
 class _Destination:
-    """Where to land: m, local NED, and how the text calls it."""
+    """Where to land: m, local NED, how the text calls it, and the event that says so."""
 
     position: Vector
     name: str
+    event: str
 
 
 class Return:
@@ -40,20 +41,21 @@ class Return:
         """Prepare; nothing happens until ``start``."""
         self._course = course
         self._get = course.parameters.get
+        self._tell = course.announcements.tell
         self._mission = mission
         self._landing = landing
         self._phase = _Phase.CLIMB
-        self._to = _Destination((0.0, 0.0, 0.0), "")
+        self._to = _Destination((0.0, 0.0, 0.0), "", "")
         self._until_us = 0
 
     def start(self) -> None:
         """Begin from where the vehicle is; there must be a home."""
         self._to = self._choose()
-        self._course.say(INFO, f"RTL: landing at {self._to.name}.")
+        self._tell(INFO, f"RTL: landing at {self._to.name}.", self._to.event)
         x, y, z = self._course.view.position
         height = min(self._to.position[2] - self._height(), z)
         self._phase = _Phase.CLIMB
-        self._announce("climb to", height)
+        self._announce("climb to", "rtl_climb_to", height)
         self._course.fly_to((x, y, height))
 
     def update(self) -> None:
@@ -62,13 +64,13 @@ class Return:
         goal = self._course.goal[2]
         if self._phase is _Phase.CLIMB and self._course.at_height(goal):
             self._phase = _Phase.RETURN
-            self._announce("return at", goal)
+            self._announce("return at", "rtl_return_at", goal)
             self._course.fly_to((to[0], to[1], goal))
             self._course.free_heading()
         elif self._phase is _Phase.RETURN and self._course.distance_to(to) < self._get("NAV_ACC_RAD"):
             self._phase = _Phase.DESCEND
             height = max(to[2] - self._get("RTL_DESCEND_ALT"), goal)
-            self._announce("descend to", height)
+            self._announce("descend to", "rtl_descend_to", height)
             self._course.fly_to((to[0], to[1], height))
         elif self._phase is _Phase.DESCEND and self._course.at_height(goal):
             self._wait()
@@ -83,13 +85,13 @@ class Return:
         delay = self._get("RTL_LAND_DELAY")
         self._until_us = _NEVER_US if delay < 0.0 else self._course.view.time_us + int(delay * 1e6)
         if delay < 0.0:
-            self._course.say(INFO, "RTL: completed, loitering")
+            self._tell(INFO, "RTL: completed, loitering", "rtl_completed_loiter")
         elif delay > 0.0:
-            self._course.say(INFO, f"RTL: loiter {delay:.1f}s")
+            self._tell(INFO, f"RTL: loiter {delay:.1f}s", "rtl_loiter", delay)
 
     def _land(self) -> None:
         self._phase = _Phase.LAND
-        self._course.say(INFO, "RTL: land at destination")
+        self._tell(INFO, "RTL: land at destination", "rtl_land_at_destination")
         precise = int(self._get("RTL_PLD_MD"))
         if precise in (1, 2):
             self._landing.start(self._to.position, precise)
@@ -101,10 +103,10 @@ class Return:
         home = self._course.home
         assert home is not None, "the commander checks that there is a home"
         kind = self._get("RTL_TYPE")
-        best = _Destination(home.position, "home position")
+        best = _Destination(home.position, "home position", "rtl_land_at_home")
         landing = self._mission.landing_place()
         if landing is not None and kind in (_MISSION_LANDING, _MISSION_REVERSED, _CLOSEST):
-            place = _Destination(self._local(landing[0], home.altitude), "mission landing")
+            place = _Destination(self._local(landing[0], home.altitude), "mission landing", "rtl_land_at_mission")
             if kind != _CLOSEST or self._distance(place) < self._distance(best):
                 best = place
         if kind == _MISSION_REVERSED:
@@ -112,7 +114,7 @@ class Return:
         for item in self._mission.plans.items[plan.RALLY]:
             if item.command != plan.RALLY_POINT or not all(map(math.isfinite, (item.x, item.y, item.z))):
                 continue
-            place = _Destination(self._local(item, home.altitude), "safe landing point")
+            place = _Destination(self._local(item, home.altitude), "safe landing point", "rtl_land_at_safe_point")
             if self._distance(place) < self._distance(best):
                 best = place
         return best
@@ -136,7 +138,8 @@ class Return:
         inside = distance / math.tan(math.radians(min(max(cone, 1), 89)))
         return float(max(min(inside, full), 2.0 * radius))
 
-    def _announce(self, what: str, z: float) -> None:
+    def _announce(self, what: str, name: str, z: float) -> None:
         over = self._to.position[2] - z
         altitude = self._course.view.origin[2] - z
-        self._course.say(INFO, f"RTL: {what} {altitude:.0f} m ({over:.0f} m above destination)")
+        text = f"RTL: {what} {altitude:.0f} m ({over:.0f} m above destination)"
+        self._tell(INFO, text, name, round(altitude), round(over))

@@ -121,6 +121,13 @@ _MISSING = (
         "int32_t safe_return, int32_t land, int32_t mission_next_item, int32_t mission_end, int32_t commanded_action",
     ),
     message_type(
+        395,
+        "COMPONENT_INFORMATION",
+        "uint32_t time_boot_ms, uint32_t general_metadata_file_crc, char[100] general_metadata_uri,"
+        "uint32_t peripherals_metadata_file_crc, char[100] peripherals_metadata_uri",
+    ),
+    message_type(397, "COMPONENT_METADATA", "uint32_t time_boot_ms, uint32_t file_crc, char[100] uri"),
+    message_type(
         410,
         "EVENT",
         "uint8_t destination_component, uint8_t destination_system, uint32_t id, uint32_t event_time_boot_ms,"

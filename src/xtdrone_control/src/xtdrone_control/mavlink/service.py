@@ -33,6 +33,7 @@ class Vehicle:
         clients: returns the links to everybody who listens, for what is for all.
         on_request: message id to what answers a request for a message that is no stream; services fill it.
         capabilities: MAV_PROTOCOL_CAPABILITY bits of all services.
+        files: path to the content of files that MAVLink FTP lets clients read beside the logs; services fill it.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class Vehicle:
         self.clients = clients
         self.on_request: dict[int, Callable[[Link], None]] = {}
         self.capabilities = 0
+        self.files: dict[str, Callable[[], bytes]] = {}
         self._held: list[Callable[[], None]] | None = None
 
     def hold(self) -> None:

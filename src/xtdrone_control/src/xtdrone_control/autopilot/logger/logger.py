@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -320,7 +321,8 @@ class Logger:
         self._write_definitions(log.writer, commander, offset_s)
         self._write(index)
         # the name as it is without an older log in its way: what goes out must not depend on what lies on the disk
-        commander.say(_INFO, f"[logger] ./log/{name}")
+        begun = (int(part) for part in re.findall(r"\d+", name))
+        commander.tell(_INFO, f"[logger] ./log/{name}", "logger_open_file_time", *begun)
 
     def _end(self, index: int) -> None:
         log = self._logs[index]

@@ -9,6 +9,7 @@ from .event import EventService
 from .ftp import FtpService
 from .log import LogService
 from .manual import ManualService
+from .metadata import MetadataService
 from .mission import MissionService
 from .parameter import ParameterService
 from .place import PlaceService
@@ -33,6 +34,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         PlaceService(vehicle, commands),
         LogService(vehicle),
         FtpService(vehicle),
+        MetadataService(vehicle),
         VersionService(vehicle),
         EventService(vehicle),
         VisionService(vehicle),

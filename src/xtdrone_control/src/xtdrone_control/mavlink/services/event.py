@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, ClassVar
 
-from xtdrone_control.autopilot.events import MAX_ARGUMENTS, Event
+from xtdrone_control.autopilot.event_catalogue import MAX_ARGUMENTS
+from xtdrone_control.autopilot.events import Event
 from xtdrone_control.mavlink.link import Link
 from xtdrone_control.mavlink.packing import Format
 from xtdrone_control.mavlink.service import Service, Vehicle

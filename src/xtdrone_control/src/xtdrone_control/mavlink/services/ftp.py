@@ -1,10 +1,11 @@
-"""MAVLink FTP, read only: the vehicle's logs, at the places where PX4 has them.
+"""MAVLink FTP, read only: the vehicle's logs and other services' files, at the places where PX4 has them.
 
 Source: mavlink.io, "File Transfer Protocol (FTP)"; sessions and answers as PX4's mavlink_ftp has them: each client has
 one session, number 0; a request that comes again (its answer was lost) gets the same answer again.
 
 The tree is made up: ``/fs/microsd/log/<date>/<time>.ulg``, as on a flight controller, and ``/log/...``, as in PX4's
-SITL. A path is looked up in the list of the logs and never handed to the operating system, so no path leads out of it.
+SITL; beside them lie the files of ``Vehicle.files``. A path is looked up in this tree and never handed to the operating
+system, so no path leads out of it.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from io import BytesIO
 from typing import Any, BinaryIO, ClassVar
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -35,7 +38,15 @@ PERIOD_US = 10_000
 _CRC_FLIP = 0xFFFFFFFF
 _CRC_BLOCK = 1 << 20
 
-Folder = dict[str, Any]  # name to LogEntry or Folder
+Folder = dict[str, Any]  # name to _File or Folder
+
+
+@dataclass(frozen=True)
+class _File:
+    """A file of the tree: its size in bytes, and what opens it for reading."""
+
+    size: int
+    open: Callable[[], BinaryIO]
 
 
 class _RefusedError(Exception):
@@ -93,7 +104,7 @@ class _Client:
 
 
 class FtpService(Service):
-    """Lets clients list and read the vehicle's logs."""
+    """Lets clients list and read the vehicle's logs, and what other services have to show."""
 
     MESSAGES: ClassVar[dict[str, str]] = {"FILE_TRANSFER_PROTOCOL": "_request"}
     CAPABILITIES = mavlink.MAV_PROTOCOL_CAPABILITY_FTP
@@ -161,16 +172,24 @@ class FtpService(Service):
     def _tree(self) -> Folder:
         logs: Folder = {}
         for entry in [] if self._folder is None else self._folder.entries():
-            logs.setdefault(entry.path.parent.name, {})[entry.path.name] = entry
-        return {"fs": {"microsd": {"log": logs}}, "log": logs}
+            logs.setdefault(entry.path.parent.name, {})[entry.path.name] = _log_file(entry)
+        tree: Folder = {"fs": {"microsd": {"log": logs}}, "log": logs}
+        for path, read in self.vehicle.files.items():
+            *folders, name = path.strip("/").split("/")
+            here = tree
+            for folder in folders:
+                here = here.setdefault(folder, {})
+            content = read()
+            here[name] = _File(len(content), partial(BytesIO, content))
+        return tree
 
-    def _find(self, path: str) -> LogEntry | Folder:
+    def _find(self, path: str) -> _File | Folder:
         """Return what lies at ``path``.
 
         Raises:
             _RefusedError: nothing does.
         """
-        here: LogEntry | Folder = self._tree()
+        here: _File | Folder = self._tree()
         for part in path.split("/"):
             if part in ("", "."):
                 continue
@@ -179,7 +198,7 @@ class FtpService(Service):
             here = here[part]
         return here
 
-    def _log_at(self, path: str) -> LogEntry:
+    def _file_at(self, path: str) -> _File:
         found = self._find(path)
         if isinstance(found, dict):
             raise _RefusedError(_NOT_FOUND)
@@ -208,9 +227,9 @@ class FtpService(Service):
     def _open(self, client: _Client, request: _Request) -> bytes:
         if client.file is not None:
             raise _RefusedError(_NO_SESSION)
-        entry = self._log_at(request.path)
+        entry = self._file_at(request.path)
         try:
-            client.file = entry.path.open("rb")
+            client.file = entry.open()
         except OSError as error:
             raise _RefusedError(_NOT_FOUND) from error
         client.size = min(entry.size, 0xFFFFFFFF)
@@ -240,7 +259,7 @@ class FtpService(Service):
         """Return PX4's checksum of a file: it starts from 0 and does not invert; zlib inverts before and after."""
         crc = 0
         try:
-            with self._log_at(request.path).path.open("rb") as file:
+            with self._file_at(request.path).open() as file:
                 while block := file.read(_CRC_BLOCK):
                     crc = zlib.crc32(block, crc ^ _CRC_FLIP) ^ _CRC_FLIP
         except OSError as error:
@@ -281,6 +300,10 @@ class FtpService(Service):
             if not data:
                 client.burst = -1
                 return
+
+
+def _log_file(entry: LogEntry) -> _File:
+    return _File(entry.size, lambda: entry.path.open("rb"))
 
 
 def _part(client: _Client, file: BinaryIO, offset: int, size: int) -> bytes:

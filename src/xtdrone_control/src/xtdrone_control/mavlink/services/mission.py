@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import geofence, plan
 from xtdrone_control.autopilot.commander import CRITICAL, INFO
+from xtdrone_control.autopilot.events import ERROR, WARNING
 from xtdrone_control.autopilot.plan import PlanItem
 from xtdrone_control.mavlink import mission_items
 from xtdrone_control.mavlink.link import Link
@@ -137,7 +138,7 @@ class MissionService(Service):
         if transfer.state is _State.UPLOAD and now_us - transfer.sent_us > _RETRY_US:
             self._ask(link, transfer)
         elif now_us - transfer.heard_us > _TIMEOUT_US:
-            self._say(CRITICAL, "Operation timeout")
+            self._refuse("Operation timeout", "mavlink_mission_op_timeout")
             self._end(transfer)
 
     def _end(self, transfer: _Transfer) -> None:
@@ -145,8 +146,8 @@ class MissionService(Service):
         if self._uploading is transfer:
             self._uploading = None
 
-    def _say(self, severity: int, text: str) -> None:
-        self.vehicle.commander.say(severity, text)
+    def _refuse(self, text: str, name: str) -> None:
+        self.vehicle.commander.tell(CRITICAL, text, name, level=ERROR)
 
     def _transfer(self, link: Link) -> _Transfer:
         transfer = self._transfers.get(link)
@@ -202,7 +203,8 @@ class MissionService(Service):
         if transfer.state is _State.DOWNLOAD and transfer.seq == transfer.count:
             self._end(transfer)  # its closing acknowledgement was lost
         if transfer.state is _State.UPLOAD or (transfer.state is _State.DOWNLOAD and transfer.kind != kind):
-            self._say(INFO, "Mission download request ignored, already active")
+            text = "Mission download request ignored, already active"
+            self.vehicle.commander.tell(INFO, text, "mavlink_mission_req_ignored", level=WARNING)
             return
         transfer.state = _State.DOWNLOAD
         transfer.kind = kind
@@ -228,10 +230,10 @@ class MissionService(Service):
         if transfer.state is _State.IDLE:
             return  # PX4 says nothing: some displays ask for no reason
         if link.sender != transfer.partner:
-            self._say(CRITICAL, "WPM: REJ. CMD: partner id mismatch")
+            self._refuse("WPM: REJ. CMD: partner id mismatch", "mavlink_mission_partner_id_mismatch2")
             return
         if transfer.state is _State.UPLOAD:
-            self._say(CRITICAL, "WPM: REJ. CMD: Busy")
+            self._refuse("WPM: REJ. CMD: Busy", "mavlink_mission_mis_req_ignored_busy")
             return
         if m.mission_type != transfer.kind:
             return
@@ -241,7 +243,7 @@ class MissionService(Service):
         if not (expected or m.seq == transfer.seq - 1) or m.seq >= len(items):
             self._end(transfer)
             self._acknowledge(link, transfer.kind, _ERROR)
-            self._say(CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected")
+            self._refuse("WPM: REJ. CMD: Req. WP was unexpected", "mavlink_mission_wp_unexpected")
             return
         transfer.seq = m.seq + 1
         current = transfer.kind == plan.MISSION and m.seq == self._navigator.plans.current
@@ -252,7 +254,7 @@ class MissionService(Service):
         if transfer.state is _State.IDLE and transfer.partner == (0, 0):
             return
         if link.sender != transfer.partner:
-            self._say(CRITICAL, "REJ. WP CMD: partner id mismatch")
+            self._refuse("REJ. WP CMD: partner id mismatch", "mavlink_mission_partner_id_mismatch")
         elif transfer.state is _State.DOWNLOAD and m.mission_type == transfer.kind:
             self._end(transfer)
         elif transfer.state is _State.UPLOAD and m.type == _UNSUPPORTED:
@@ -269,7 +271,7 @@ class MissionService(Service):
             self._count_again(link, transfer)
             return
         if transfer.state is _State.DOWNLOAD:
-            self._say(CRITICAL, "WPM: IGN MISSION_COUNT: Busy")
+            self._refuse("WPM: IGN MISSION_COUNT: Busy", "mavlink_mission_ignore_mis_count")
             self._acknowledge(link, m.mission_type, _ERROR)
             return
         if self._uploading is not None:
@@ -303,7 +305,7 @@ class MissionService(Service):
             self._heard(transfer)
             self._ask(link, transfer)
             return
-        self._say(CRITICAL, "WPM: REJ. CMD: Busy")
+        self._refuse("WPM: REJ. CMD: Busy", "mavlink_mission_getlist_busy")
         self._acknowledge(link, transfer.kind, _ERROR)
 
     def _ask(self, link: Link, transfer: _Transfer) -> None:
@@ -331,8 +333,10 @@ class MissionService(Service):
         elif transfer.state is _State.IDLE and transfer.seq and transfer.seq == m.seq + 1:
             self._acknowledge(link, transfer.kind, _ACCEPTED)  # the last one again: the acknowledgement was lost
         else:
-            what = "No transfer" if transfer.state is _State.IDLE else "Busy"
-            self._say(CRITICAL, f"IGN MISSION_ITEM: {what}")
+            what, name = "Busy", "mavlink_mission_mis_item_busy"
+            if transfer.state is _State.IDLE:
+                what, name = "No transfer", "mavlink_mission_no_transfer"
+            self._refuse(f"IGN MISSION_ITEM: {what}", name)
             self._acknowledge(link, transfer.kind, _ERROR)
 
     def _keep_item(self, link: Link, transfer: _Transfer, m: Any) -> None:
@@ -340,7 +344,7 @@ class MissionService(Service):
             item = mission_items.parse(m, transfer.integers)
         except mission_items.ItemError as error:
             link.warn("mission", f"plan refused: item {m.seq}: {error}", self.vehicle.now_us)
-            self._say(CRITICAL, "IGN MISSION_ITEM: Invalid item")
+            self._refuse("IGN MISSION_ITEM: Invalid item", "mavlink_mission_mis_item_invalid")
             self._acknowledge(link, transfer.kind, error.result)
             self._end(transfer)
             return
@@ -383,7 +387,7 @@ class MissionService(Service):
     def _clear_all(self, link: Link, m: Any) -> None:
         transfer = self._transfer(link)
         if transfer.state is not _State.IDLE:
-            self._say(CRITICAL, "WPM: IGN CLEAR CMD: Busy")
+            self._refuse("WPM: IGN CLEAR CMD: Busy", "mavlink_mission_ignore_clear")
             return
         transfer.kind = m.mission_type
         for kind in plan.KINDS if m.mission_type == plan.ALL_KINDS else (m.mission_type,):
@@ -392,9 +396,9 @@ class MissionService(Service):
 
     def _set_current(self, link: Link, m: Any) -> None:
         if self._transfer(link).state is not _State.IDLE:
-            self._say(CRITICAL, "WPM: IGN WP CURR CMD: Busy")
+            self._refuse("WPM: IGN WP CURR CMD: Busy", "mavlink_mission_state_busy")
         elif not self._navigator.set_current(m.seq):
-            self._say(CRITICAL, "WPM: WP CURR CMD: Not in list")
+            self._refuse("WPM: WP CURR CMD: Not in list", "mavlink_mission_seq_out_of_bounds")
         else:
             # at once for who asked, since he may hold the time, and in its turn for the others
             link.send_message(mavlink.MAVLink_mission_current_message(m.seq))
@@ -411,7 +415,7 @@ class MissionService(Service):
 
     def _take_landing_target(self, m: Any) -> None:
         if m.position_valid and m.frame != _LOCAL_NED:
-            self._say(CRITICAL, f"landing target: coordinate frame {m.frame} unsupported")
+            self.vehicle.commander.say(CRITICAL, f"landing target: coordinate frame {m.frame} unsupported")
         elif m.position_valid:
             self._navigator.see_landing_target((m.x, m.y, m.z))
         else:

@@ -1,0 +1,296 @@
+"""Every event that the autopilot can emit: its arguments, and its words for a ground station.
+
+Names are PX4 v1.14's, by which an event gets its number, and so are types and order of the arguments. The words are
+ours, in libevents' notation: ``{2}`` is the second argument, ``{1:.1m_v}`` the first with one decimal as a height.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+CODES = {
+    "uint8_t": "B",
+    "int8_t": "b",
+    "uint16_t": "H",
+    "int16_t": "h",
+    "uint32_t": "I",
+    "int32_t": "i",
+    "float": "f",
+}
+ENUM_TYPES = {
+    "navigation_mode_group_t": "uint32_t",
+    "health_component_t": "uint32_t",
+    "navigation_mode_t": "uint8_t",
+    "failsafe_action_t": "uint8_t",
+    "failsafe_cause_t": "uint8_t",
+    "arm_disarm_reason_t": "uint8_t",
+}
+DEFAULT, ARMING_CHECK, HEALTH = "default", "arming_check", "health"
+MAX_ARGUMENTS = 25  # bytes, PX4's event.msg
+
+_SUMMARY = "summary"
+_WITH_CHECKS = "append_health_and_arming_messages"  # the ground station adds what stands against the mode
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What is known of one event.
+
+    Attributes:
+        name: PX4's name.
+        message: its words.
+        arguments: name and type of each.
+        group: libevents' group: "default", "arming_check" or "health".
+        kind: libevents' type within the group, empty for none.
+        description: more words, empty for none.
+        layout: how the arguments lie on the wire.
+    """
+
+    name: str
+    message: str
+    arguments: tuple[tuple[str, str], ...]
+    group: str
+    kind: str
+    description: str
+    layout: struct.Struct
+
+
+def _define(
+    name: str, message: str, arguments: str = "", group: str = DEFAULT, kind: str = "", description: str = ""
+) -> Definition:
+    """Make a definition; ``arguments`` are ``name:type`` with spaces between.
+
+    Raises:
+        ValueError: more arguments than an event holds.
+    """
+    fields = [part.split(":") for part in arguments.split()]
+    parsed = tuple((label, of_type) for label, of_type in fields)
+    layout = struct.Struct("<" + "".join(CODES[ENUM_TYPES.get(of_type, of_type)] for _, of_type in parsed))
+    if layout.size > MAX_ARGUMENTS:
+        raise ValueError(f"event {name}: {layout.size} bytes of arguments, at most {MAX_ARGUMENTS} are allowed")
+    return Definition(name, message, parsed, group, kind, description, layout)
+
+
+def _check(name: str, message: str, description: str = "") -> Definition:
+    arguments = "modes:navigation_mode_group_t health_component_index:uint8_t"
+    return _define(name, message, arguments, ARMING_CHECK, description=description)
+
+
+_COMMANDER = (
+    _define("commander_armed_by", "Armed by {1}", "reason:arm_disarm_reason_t"),
+    _define("commander_disarmed_by", "Disarmed by {1}", "reason:arm_disarm_reason_t"),
+    _define(
+        "commander_arm_denied_throttle_high",
+        "Arming denied: high throttle",
+        description="In a mode in which the stick sets the thrust, the throttle must be down.",
+    ),
+    _define(
+        "commander_arm_denied_throttle_center",
+        "Arming denied: throttle above centre",
+        description="The vehicle would climb at once.",
+    ),
+    _define(
+        "commander_arm_denied_not_manual",
+        "Arming denied: choose a manual mode first",
+        description="By stick, switch or button the vehicle is armed only in a mode that is flown by hand.",
+    ),
+    _define("commander_disarming_denied_not_landed", "Disarming denied, the vehicle has not landed"),
+    _define("commander_kill_sw_engaged", "Kill engaged: the motors are stopped"),
+    _define("commander_kill_sw_disengaged", "Kill disengaged"),
+    _define("commander_unsupported_auto_mode", "There is no such AUTO mode"),
+    _define(
+        "commander_modeswitch_not_avail",
+        "Switching to {2} is not possible now",
+        "mode:uint32_t requested:navigation_mode_t",
+        kind=_WITH_CHECKS,
+    ),
+    _define("commander_rc_override", "Pilot took over with the sticks"),
+    _define("failsafe_rc_override", "Pilot took over with the sticks, the failsafe has ended"),
+    _define("commander_landing_current_pos", "Landing at the current position"),
+    _define("commander_landing_prec_land", "Landing on a target"),
+    _define("commander_rtl", "Returning to launch"),
+    _define("commander_reposition_rejected", "Reposition command rejected"),
+    _define("commander_takeoff_detected", "Take-off detected"),
+    _define("commander_landing_detected", "Landing detected"),
+    _define("commander_gcs_lost", "Connection to the ground station lost"),
+    _define("commander_dl_regained", "Connection to the ground station regained"),
+    _define("commander_rc_lost", "Manual control lost"),
+    _define("commander_rc_regained", "Manual control regained after {1:.1} s", "lost_for:float"),
+    _define(
+        "commander_failsafe_enter",
+        "Failsafe because of {3}: {2}",
+        "mode:uint32_t action:failsafe_action_t cause:failsafe_cause_t",
+    ),
+    _define(
+        "commander_failsafe_enter_generic",
+        "Failsafe: {2}",
+        "mode:uint32_t action:failsafe_action_t",
+        kind=_WITH_CHECKS,
+    ),
+    _define(
+        "commander_failsafe_enter_hold",
+        "Failsafe because of {4}: {2} in {3} s",
+        "mode:uint32_t action:failsafe_action_t delay:uint16_t cause:failsafe_cause_t",
+        description="The vehicle holds its position until then; the pilot can take over.",
+    ),
+    _define(
+        "commander_failsafe_enter_generic_hold",
+        "Failsafe: {2} in {3} s",
+        "mode:uint32_t action:failsafe_action_t delay:uint16_t",
+        kind=_WITH_CHECKS,
+        description="The vehicle holds its position until then; the pilot can take over.",
+    ),
+    _define(
+        "commander_failsafe_enter_warn",
+        "Failsafe warning: {2}",
+        "mode:uint32_t cause:failsafe_cause_t",
+        description="The vehicle goes on.",
+    ),
+    _define(
+        "commander_failsafe_enter_generic_warn",
+        "Failsafe warning",
+        "mode:uint32_t",
+        kind=_WITH_CHECKS,
+        description="The vehicle goes on.",
+    ),
+    _define("commander_failsafe_enter_low_bat", "Low battery, return is advised"),
+    _define("commander_failsafe_enter_crit_bat_warn", "Critical battery, landing is advised"),
+    _define("commander_failsafe_enter_crit_low_bat_warn", "Battery almost empty, land at once"),
+)
+
+_CHECKS = (
+    _define(
+        "commander_arming_check_summary",
+        "Summary of the arming checks",
+        "chunk_idx:uint8_t error:health_component_t warning:health_component_t"
+        " can_arm:navigation_mode_group_t can_run:navigation_mode_group_t",
+        ARMING_CHECK,
+        _SUMMARY,
+    ),
+    _define(
+        "commander_health_summary",
+        "Summary of the vehicle's health",
+        "chunk_idx:uint8_t is_present:health_component_t error:health_component_t warning:health_component_t",
+        HEALTH,
+        _SUMMARY,
+    ),
+    _check("check_modes_cannot_takeoff", "The mode is none to arm in", "Choose another one before arming."),
+    _check("check_modes_attitude", "No valid attitude estimate", "Wait until the estimator has started."),
+    _check("check_modes_local_pos", "No valid local position estimate"),
+    _check("check_modes_local_alt", "No valid height estimate"),
+    _check("check_modes_mission", "No valid mission available", "Upload one that can be flown."),
+    _check(
+        "check_modes_offboard_signal",
+        "No offboard signal",
+        "Set-points must come for as long as the mode is flown; <param>COM_OF_LOSS_T</param> is the longest pause.",
+    ),
+    _check("check_modes_home_position", "Home position not set"),
+    _check("check_modes_manual_control", "No manual control input", "Connect a joystick or a radio."),
+    _check("check_battery_unhealthy", "No battery is seen"),
+    _check("check_battery_low", "Low battery"),
+    _check("check_battery_critical", "Critical battery"),
+    _check("check_battery_emergency", "Battery almost empty"),
+    _check("check_rc_dl_no_dllink", "No connection to the ground station", "<param>NAV_DLL_ACT</param> asks for one."),
+    _check("check_failure_detector_attitude", "Attitude beyond its limit", "The limits: <param>FD_FAIL_R</param>."),
+    _check("check_failure_detector_motor", "Motor failure detected"),
+    _check("check_gf_violation", "Geofence breached"),
+    _check(
+        "check_estimator_vel_not_stable",
+        "Velocity estimate not stable",
+        "Its innovations are larger than <param>COM_ARM_EKF_VEL</param> allows.",
+    ),
+    _check(
+        "check_estimator_pos_not_stable",
+        "Position estimate not stable",
+        "Its innovations are larger than <param>COM_ARM_EKF_POS</param> allows.",
+    ),
+    _check(
+        "check_estimator_hgt_not_stable",
+        "Height estimate not stable",
+        "Its innovations are larger than <param>COM_ARM_EKF_HGT</param> allows.",
+    ),
+    _check(
+        "check_estimator_heading_not_stable",
+        "Heading estimate not stable",
+        "Its innovations are larger than <param>COM_ARM_EKF_YAW</param> allows.",
+    ),
+    _check("check_estimator_gps_fix_too_low", "GPS fix too low"),
+)
+
+_NAVIGATOR = (
+    _define("navigator_rtl_home_activated", "Return activated"),
+    _define("navigator_takeoff_min_alt", "Taking off to the least height, {1:.2m_v}", "height:float"),
+    _define("navigator_takeoff_already_higher", "Higher than the take-off height already, not descending"),
+    _define("rtl_land_at_home", "Return: landing at home"),
+    _define("rtl_land_at_mission", "Return: landing where the mission lands"),
+    _define("rtl_land_at_safe_point", "Return: landing at a rally point"),
+    _define("rtl_climb_to", "Return: climbing to {1m_v}, {2m_v} over its end", "altitude:int32_t height:int32_t"),
+    _define("rtl_return_at", "Return: flying at {1m_v}, {2m_v} over its end", "altitude:int32_t height:int32_t"),
+    _define("rtl_descend_to", "Return: sinking to {1m_v}, {2m_v} over its end", "altitude:int32_t height:int32_t"),
+    _define("rtl_loiter", "Return: waiting for {1:.1} s", "time:float"),
+    _define("rtl_completed_loiter", "Return completed, holding"),
+    _define("rtl_land_at_destination", "Return: landing"),
+    _define("mission_finished", "Mission finished, landed"),
+    _define("mission_finished_loiter", "Mission finished, holding"),
+    _define("mission_not_valid_refuse", "No valid mission available, no take-off"),
+    _define("mission_not_valid_loiter", "No valid mission available, holding"),
+    _define("mission_takeoff_to", "Take-off to {1:.1m_v} over home", "height:float"),
+    _define("mission_do_jump_cycle", "The mission's jumps go round in circles"),
+    _define("mission_do_jump_rep_completed", "A jump's repetitions are done"),
+    _define(
+        "mission_index_out_of_bound",
+        "Mission item {1} does not exist, there are {2}",
+        "index:uint16_t count:uint16_t",
+    ),
+    _define("navigator_mis_no_home_rel_alt", "Mission refused: waypoint {1} needs a home", "item:int16_t"),
+    _define("navigator_mis_unsup_cmd", "Mission refused: item {1} has command {2}", "item:uint16_t command:uint16_t"),
+    _define("navigator_mis_starts_w_landing", "Mission refused: it begins with a landing"),
+    _define("navigator_mis_wp_below_home", "Waypoint {1} is below home", "item:int16_t"),
+    _define(
+        "navigator_mis_wp_gate_too_close",
+        "Mission refused: {1:.3m} between waypoint and gate, at least {2:.3m}",
+        "distance:float least:float",
+    ),
+    _define(
+        "navigator_mis_first_wp_too_far",
+        "Mission refused: first waypoint {1m} away, at most {2m}",
+        "distance:uint32_t most:uint32_t",
+        description="<param>MIS_DIST_1WP</param> is the limit.",
+    ),
+    _define("navigator_mis_takeoff_too_low", "Mission refused: take-off below {1:.1m_v}", "least:float"),
+    _define("navigator_mis_takeoff_not_first", "Mission refused: the take-off is not its first waypoint"),
+    _define("navigator_mis_vtol", "Mission refused: it has VTOL items, and the vehicle is none"),
+    _define("navigator_mis_takeoff_missing", "Mission refused: it has no take-off"),
+    _define("navigator_mis_land_missing", "Mission refused: it has no landing"),
+    _define("navigator_mis_takeoff_or_land_missing", "Mission refused: take-off or landing is missing"),
+    _define("navigator_mis_add_land_or_rm_to", "Mission refused: a take-off, and no landing"),
+    _define("navigator_mis_add_to_or_rm_land", "Mission refused: a landing, and no take-off"),
+    _define("navigator_mis_geofence_violation", "Mission refused: waypoint {1} is out of bounds", "item:int16_t"),
+)
+
+_TRANSFER = (
+    _define("mavlink_mission_op_timeout", "Mission transfer ended: no answer"),
+    _define("mavlink_mission_req_ignored", "Mission download refused: one is running"),
+    _define("mavlink_mission_partner_id_mismatch", "Mission: acknowledgement from somebody else"),
+    _define("mavlink_mission_partner_id_mismatch2", "Mission: request from somebody else"),
+    _define("mavlink_mission_mis_req_ignored_busy", "Mission request ignored: busy"),
+    _define("mavlink_mission_wp_unexpected", "Mission transfer ended: that item was not next"),
+    _define("mavlink_mission_ignore_mis_count", "Mission upload ignored: busy"),
+    _define("mavlink_mission_getlist_busy", "Mission upload ignored: one is running"),
+    _define("mavlink_mission_no_transfer", "Mission item ignored: no transfer is running"),
+    _define("mavlink_mission_mis_item_busy", "Mission item ignored: busy"),
+    _define("mavlink_mission_mis_item_invalid", "Mission item is not valid, transfer ended"),
+    _define("mavlink_mission_ignore_clear", "Mission is not cleared: busy"),
+    _define("mavlink_mission_state_busy", "Mission item is not set: busy"),
+    _define("mavlink_mission_seq_out_of_bounds", "There is no such mission item"),
+    _define(
+        "logger_open_file_time",
+        "Log {1}-{2}-{3}/{4}_{5}_{6}.ulg begun",
+        "year:uint16_t month:uint8_t day:uint8_t hour:uint8_t minute:uint8_t second:uint8_t",
+    ),
+)
+
+CATALOGUE: dict[str, Definition] = {
+    definition.name: definition for definition in _COMMANDER + _CHECKS + _NAVIGATOR + _TRANSFER
+}

@@ -1,0 +1,219 @@
+"""What a ground station can be told of our events and parameters, as JSON.
+
+Formats: mavlink.io, "Component Metadata Protocol" (parameters: mavlink's ``parameter.schema.json``; the file that names
+the others: ``general.schema.json``) and libevents' definitions. The bytes depend on the code and the vehicle's defaults
+alone, so that a ground station may keep them by their checksum.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from enum import Enum
+from functools import cache
+from typing import Any
+
+from . import events, modes
+from .commander import ArmReason
+from .event_catalogue import CATALOGUE, ENUM_TYPES, Definition
+from .events import event_id
+from .failsafe import Action, Cause
+from .parameter_choices import AT_START, BITS, CHOICES
+from .parameters import INT32, NAMES, Parameter, Parameters, describe
+
+GENERAL, PARAMETER, EVENTS = 0, 1, 4  # COMP_METADATA_TYPE
+
+_AUTOPILOT = "1"  # component in an event's number
+_SUB_ID = 0xFFFFFF
+_MODE_WORDS = {
+    modes.MANUAL: ("manual", "manual"),
+    modes.ALTCTL: ("altctl", "altitude"),
+    modes.POSCTL: ("posctl", "position"),
+    modes.AUTO_MISSION: ("mission", "mission"),
+    modes.AUTO_LOITER: ("loiter", "hold"),
+    modes.AUTO_RTL: ("rtl", "return"),
+    modes.ACRO: ("acro", "acro"),
+    modes.OFFBOARD: ("offboard", "offboard"),
+    modes.STABILIZED: ("stab", "stabilized"),
+    modes.AUTO_TAKEOFF: ("takeoff", "take-off"),
+    modes.AUTO_LAND: ("land", "land"),
+    modes.AUTO_PRECLAND: ("precland", "precision landing"),
+}
+_COMPONENT_WORDS = {
+    events.GPS: ("gps", "GPS"),
+    events.REMOTE_CONTROL: ("remote_control", "manual control"),
+    events.MOTORS: ("motors_escs", "motors"),
+    events.BATTERY: ("battery", "battery"),
+    events.LINKS: ("communication_links", "links"),
+    events.ATTITUDE_ESTIMATE: ("attitude_estimate", "attitude estimate"),
+    events.LOCAL_POSITION: ("local_position_estimate", "local position estimate"),
+    events.SYSTEM: ("system", "system"),
+    events.GLOBAL_POSITION: ("global_position_estimate", "global position estimate"),
+}
+_ACTION_WORDS = {
+    Action.NONE: "nothing",
+    Action.WARN: "warning",
+    Action.POSCTL: "position control",
+    Action.ALTCTL: "altitude control",
+    Action.STABILIZED: "stabilized by hand",
+    Action.HOLD: "hold",
+    Action.RETURN: "return",
+    Action.LAND: "land",
+    Action.DESCEND: "descend",
+    Action.DISARM: "disarm",
+    Action.TERMINATE: "terminate",
+}
+_CAUSE_WORDS = {
+    Cause.GENERIC: "a failed check",
+    Cause.MANUAL_CONTROL_LOSS: "loss of manual control",
+    Cause.GCS_CONNECTION_LOSS: "loss of the ground station",
+    Cause.BATTERY_LOW: "low battery",
+    Cause.BATTERY_CRITICAL: "critical battery",
+    Cause.BATTERY_EMERGENCY: "an almost empty battery",
+}
+_GROUPS = {
+    "BAT": "Battery",
+    "BAT1": "Battery",
+    "CBRK": "Circuit breakers",
+    "COM": "Commander",
+    "EKF2": "Estimator",
+    "FD": "Failure detector",
+    "GF": "Geofence",
+    "IMU": "Sensors",
+    "LNDMC": "Land detector",
+    "MAN": "Manual control",
+    "MAV": "MAVLink",
+    "MC": "Attitude and rate control",
+    "MIS": "Mission",
+    "MPC": "Position control",
+    "NAV": "Mission",
+    "PLD": "Precision landing",
+    "RTL": "Return",
+    "SDLOG": "Logging",
+    "SIM": "Simulation",
+    "SYS": "System",
+}
+_RADIO = "Radio"
+_MOST_DECIMALS = 7
+
+
+def _dumped(content: Mapping[str, Any]) -> bytes:
+    return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def general(files: Mapping[int, tuple[str, int]]) -> bytes:
+    """Return the file that names the others.
+
+    Args:
+        files: COMP_METADATA_TYPE to URI and checksum.
+    """
+    types = [{"type": kind, "uri": uri, "fileCrc": crc} for kind, (uri, crc) in files.items()]
+    return _dumped({"version": 1, "vendorName": "XTDrone", "modelName": "PX4 v1.14 simulated", "metadataTypes": types})
+
+
+# events
+
+
+@cache
+def event_definitions() -> bytes:
+    """Return libevents' definitions of every event that the autopilot can emit."""
+    groups: dict[str, Any] = {}
+    for definition in CATALOGUE.values():
+        found = groups.setdefault(definition.group, {"events": {}})["events"]
+        found[str(event_id(definition.name) & _SUB_ID)] = _event(definition)
+    component = {
+        "namespace": "px4",
+        "enums": _enums(),
+        "event_groups": groups,
+        "supported_protocols": ["health_and_arming_check"],
+        # which arming checks a mode, by its number in the heartbeat, has: each its own
+        "navigation_mode_groups": {"groups": {str(mode.state): [mode.custom_mode] for mode in _MODE_WORDS}},
+    }
+    return _dumped({"version": 2, "components": {_AUTOPILOT: component}})
+
+
+def _event(definition: Definition) -> dict[str, Any]:
+    entry: dict[str, Any] = {"name": definition.name, "message": definition.message}
+    if definition.description:
+        entry["description"] = definition.description
+    if definition.kind:
+        entry["type"] = definition.kind
+    if definition.arguments:
+        entry["arguments"] = [{"name": name, "type": of_type} for name, of_type in definition.arguments]
+    return entry
+
+
+def _enums() -> dict[str, Any]:
+    groups = {1 << mode.state: words for mode, words in _MODE_WORDS.items()}
+    components = {1: ("none", "none"), **{1 << bit: words for bit, words in _COMPONENT_WORDS.items()}}
+    numbers = {modes.number_of(mode): words for mode, words in _MODE_WORDS.items()}
+    numbers[modes.UNKNOWN_NUMBER] = ("unknown", "unknown")
+    reasons = {reason.value[0]: (_lower(reason), reason.value[1]) for reason in ArmReason}
+    return {
+        "navigation_mode_group_t": _enum("navigation_mode_group_t", groups, bits=True),
+        "health_component_t": _enum("health_component_t", components, bits=True),
+        "navigation_mode_t": _enum("navigation_mode_t", numbers),
+        "failsafe_action_t": _enum("failsafe_action_t", {int(a): (_lower(a), _ACTION_WORDS[a]) for a in Action}),
+        "failsafe_cause_t": _enum("failsafe_cause_t", {int(c): (_lower(c), _CAUSE_WORDS[c]) for c in Cause}),
+        "arm_disarm_reason_t": _enum("arm_disarm_reason_t", reasons),
+    }
+
+
+def _lower(member: Enum) -> str:
+    return member.name.lower()
+
+
+def _enum(name: str, entries: Mapping[int, tuple[str, str]], *, bits: bool = False) -> dict[str, Any]:
+    found: dict[str, Any] = {"type": ENUM_TYPES[name]}
+    if bits:
+        found["is_bitfield"] = True
+    found["entries"] = {
+        str(value): {"name": label, "description": words} for value, (label, words) in sorted(entries.items())
+    }
+    return found
+
+
+# parameters
+
+
+def parameter_definitions(parameters: Parameters) -> bytes:
+    """Return what is known of every parameter, with the vehicle's defaults."""
+    entries = [_parameter(describe(name), parameters.default(name)) for name in NAMES]
+    return _dumped({"version": 1, "parameters": entries})
+
+
+def _parameter(entry: Parameter, default: float) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "name": entry.name,
+        "type": "Int32" if entry.type == INT32 else "Float",
+        "shortDesc": entry.text[:1].upper() + entry.text[1:],
+        "group": _group(entry.name),
+        "category": "Standard",
+        "default": default,
+    }
+    if entry.unit:
+        found["units"] = entry.unit
+    for key, limit in (("min", entry.minimum), ("max", entry.maximum)):
+        if math.isfinite(limit):
+            found[key] = limit
+    if entry.type != INT32:
+        found["decimalPlaces"] = max(_decimals(default), _decimals(entry.minimum), 2)
+    if entry.name in AT_START:
+        found["rebootRequired"] = True
+    if entry.name in CHOICES:
+        found["values"] = [{"value": value, "description": words} for value, words in CHOICES[entry.name].items()]
+    if entry.name in BITS:
+        found["bitmask"] = [{"index": index, "description": words} for index, words in BITS[entry.name].items()]
+    return found
+
+
+def _group(name: str) -> str:
+    return _GROUPS.get(name.split("_", 1)[0], _RADIO)
+
+
+def _decimals(value: float) -> int:
+    """Return how many decimals show ``value``, at most 7."""
+    if not math.isfinite(value):
+        return 0
+    return len(f"{value:.{_MOST_DECIMALS}f}".rstrip("0").split(".")[1])
