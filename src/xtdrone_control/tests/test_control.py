@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import attitude_control, control_allocator, flight_tasks, position_control, rotation
+from xtdrone_control.autopilot import attitude_control, control_allocator, position_control, rotation
 from xtdrone_control.autopilot.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS
 
@@ -24,14 +24,26 @@ def parts():
     return control[0], estimate[0], params[0]
 
 
-def allocate(torque, thrust):
+def allocate(torque, thrust, positions=IRIS, moments=MOMENTS, failed=0, airmode=0):
     control = np.zeros(1, CONTROL)
     control["sp_torque"] = torque
     control["sp_thrust"] = thrust
-    mix = np.zeros((4, MAX_ROTORS))
-    mix[:, :4] = control_allocator.mixing_matrix(IRIS, MOMENTS).T
-    control_allocator.allocate(control[0], mix, 4)
+    count = len(positions)
+    mix, unmix = np.zeros((4, MAX_ROTORS)), np.zeros((4, MAX_ROTORS))
+    mixer = control_allocator.mixing_matrix(positions, moments, failed)
+    mix[:, :count], unmix[:, :count] = mixer.T, np.linalg.pinv(mixer)
+    control_allocator.allocate(control[0], mix, unmix, count, airmode)
     return control[0]
+
+
+def produced(control, positions=IRIS, moments=MOMENTS):
+    """Return roll, pitch, yaw torque and thrust of the motor commands, thrust counted as its command."""
+    return control_allocator.effectiveness(positions, moments) @ control["actuators"][: len(positions)]
+
+
+def clear(c):
+    for field in ("sp_position", "sp_velocity", "sp_acceleration"):
+        c[field] = math.nan
 
 
 def test_collective_thrust_goes_to_all_motors():
@@ -77,10 +89,10 @@ def test_uncontrollable_rotors_are_refused():
 
 def test_hover_gives_level_attitude_and_hover_thrust(parts):
     c, e, p = parts
-    flight_tasks.clear_setpoints(c)
+    clear(c)
     c["sp_position"] = 0.0
     position_control.position_loop(c, e, p, 3.0, 1.5)
-    position_control.velocity_loop(c, e, p, 0.004, math.radians(45), 1.0)
+    position_control.velocity_loop(c, e, p, 0.012, math.radians(45), 0.12)
     position_control.thrust_to_attitude(c, e)
     assert c["sp_thrust"] == pytest.approx(0.5)
     np.testing.assert_allclose(c["sp_q"], (1.0, 0.0, 0.0, 0.0), atol=1e-12)
@@ -88,10 +100,10 @@ def test_hover_gives_level_attitude_and_hover_thrust(parts):
 
 def test_tilt_is_limited_and_points_at_the_acceleration(parts):
     c, e, p = parts
-    flight_tasks.clear_setpoints(c)
+    clear(c)
     c["sp_acceleration"] = (50.0, 0.0, 0.0)
     c["sp_velocity"][2] = 0.0
-    position_control.velocity_loop(c, e, p, 0.004, math.radians(30), 1.0)
+    position_control.velocity_loop(c, e, p, 0.012, math.radians(30), 0.12)
     position_control.thrust_to_attitude(c, e)
     z = rotation.rotate(c["sp_q"], 0.0, 0.0, 1.0)
     assert math.degrees(math.acos(z[2])) == pytest.approx(30.0, abs=1e-6)
@@ -124,14 +136,6 @@ def test_roll_error_gives_roll_gain_at_any_heading(parts):
     np.testing.assert_allclose(c["sp_rates"], (2.0 * math.sin(0.05) * p["mc_roll_p"], 0.0, 0.0), atol=1e-6)
 
 
-@pytest.mark.parametrize("distance", [0.1, 2.0, 50.0])
-def test_approach_speed_lets_the_vehicle_stop(distance):
-    """v^2 / 2a + v a / j does not exceed the distance: braking under acceleration and jerk limits."""
-    accel, jerk = 3.0, 4.0
-    speed = flight_tasks._approach_speed(distance, accel, jerk, 1e9)
-    assert speed**2 / (2 * accel) + 2 * speed * accel / jerk == pytest.approx(distance)
-
-
 def test_from_axes_inverts_rotation():
     rng = np.random.default_rng(3)
     for _ in range(200):
@@ -140,3 +144,86 @@ def test_from_axes_inverts_rotation():
         x, y, z = (rotation.rotate(q, *axis) for axis in np.eye(3))
         again = np.array(rotation.from_axes(x, y, z))
         assert abs(abs(np.dot(again, q)) - 1.0) < 1e-9
+
+
+def hexacopter():
+    angles = np.radians([30.0, 90.0, 150.0, 210.0, 270.0, 330.0])
+    places = 0.3 * np.stack([np.cos(angles), np.sin(angles), np.zeros(6)], axis=1)
+    return places, 0.05 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+
+
+@pytest.mark.parametrize("rotor", range(6))
+def test_five_rotors_do_the_work_of_six(rotor):
+    places, moments = hexacopter()
+    whole = produced(allocate((0.02, -0.01, 0.0), 0.4, places, moments), places, moments)
+    control = allocate((0.02, -0.01, 0.0), 0.4, places, moments, failed=1 << rotor)
+    assert control["actuators"][rotor] == 0.0
+    given = produced(control, places, moments)
+    assert given[3] > 0.75 * whole[3]
+    assert np.dot(given[:2], whole[:2]) > 0.7 * np.linalg.norm(given[:2]) * np.linalg.norm(whole[:2])
+    assert 0.4 < np.linalg.norm(given[:2]) / np.linalg.norm(whole[:2]) < 2.5
+
+
+def test_an_octocopter_keeps_all_axes_without_a_rotor():
+    angles = np.radians(22.5 + 45.0 * np.arange(8))
+    places = 0.3 * np.stack([np.cos(angles), np.sin(angles), np.zeros(8)], axis=1)
+    moments = 0.05 * np.array([1.0, 1.0, -1.0, -1.0, 1.0, 1.0, -1.0, -1.0])
+    given = produced(allocate((0.0, 0.0, 0.05), 0.4, places, moments, failed=1), places, moments)
+    assert given[2] > 0.0
+    np.testing.assert_allclose(given[:2], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("rotor", range(4))
+def test_a_quadrotor_without_a_rotor_gives_up_yaw_and_stays_level(rotor):
+    control = allocate((0.0, 0.0, 0.3), 0.4, failed=1 << rotor)
+    assert control["actuators"][rotor] == 0.0
+    roll, pitch, _, thrust = produced(control)
+    assert thrust > 0.5
+    assert abs(roll) < 0.02 * thrust  # of a lever of 0.2
+    assert abs(pitch) < 0.02 * thrust
+
+
+def test_saturation_flags_tell_what_is_missing():
+    control = allocate((0.0, 0.0, -2.0), 0.5)
+    assert control["saturation_neg"].tolist() == [0, 0, 1]
+    assert control["saturation_pos"].tolist() == [0, 0, 0]
+    assert not allocate((0.05, 0.05, 0.05), 0.5)["saturation_pos"].any()
+
+
+def test_air_mode_raises_thrust_to_keep_roll():
+    without = produced(allocate((0.3, 0.0, 0.0), 0.05))
+    airborne = produced(allocate((0.3, 0.0, 0.0), 0.05, airmode=1))
+    assert airborne[3] > 2.0 * without[3]
+    assert airborne[0] > 2.0 * without[0]
+
+
+def test_velocity_limit_of_the_take_off_ramp_holds_over_the_sink_limit(parts):
+    c, e, p = parts
+    clear(c)
+    c["sp_velocity"] = (0.0, 0.0, -1.0)
+    position_control.position_loop(c, e, p, -2.4, 1.5)
+    assert c["sp_velocity"][2] == pytest.approx(2.4)
+
+
+def test_position_error_has_priority_over_the_feed_forward(parts):
+    c, e, p = parts
+    clear(c)
+    c["sp_position"] = (20.0, 0.0, 0.0)
+    c["sp_velocity"] = (0.0, 12.0, 0.0)
+    position_control.position_loop(c, e, p, 3.0, 1.5)
+    assert c["sp_velocity"][0] == pytest.approx(p["mpc_xy_vel_max"])
+    assert c["sp_velocity"][1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_new_hover_thrust_changes_nothing_at_once(parts):
+    c, e, p = parts
+    thrusts = []
+    for estimate in (0.5, 0.7):
+        position_control.use_hover_thrust(c, estimate)
+        clear(c)
+        c["sp_velocity"] = (0.0, 0.0, -0.4)
+        before = c["velocity_integral"].copy()
+        position_control.velocity_loop(c, e, p, 1e-9, math.radians(45), 0.12)
+        c["velocity_integral"] = before
+        thrusts.append(c["sp_thrust_vector"][2])
+    assert thrusts[0] == pytest.approx(thrusts[1])

@@ -83,7 +83,7 @@ def test_loiter_brakes_ahead(flight):
     flight.commander.request(modes.POSCTL)
     flight.autopilot.estimator["velocity"] = (3.0, 4.0, 0.5)
     flight.commander.request(modes.AUTO_LOITER)
-    stop = 25.0 / (2 * 3.0)
+    stop = 25.0 / (2 * 3.0) + 0.6 * 5.0  # and while the deceleration rises
     assert goal(flight) == pytest.approx([0.6 * stop, 0.8 * stop, -10.0])
 
 

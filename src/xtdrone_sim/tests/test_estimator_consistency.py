@@ -26,8 +26,9 @@ UNSET = (math.nan, math.nan, math.nan)
 BLOCKS = {"position": slice(6, 9), "velocity": slice(3, 6), "attitude": slice(0, 3), "all": slice(0, 9)}
 # 95 % bounds of chi-square with 150 and 450 degrees of freedom, over 50 flights (tables, two-sided)
 BOUNDS = {3: (117.985 / 50.0, 185.800 / 50.0), 9: (393.118 / 50.0, 510.670 / 50.0)}
-LENGTH = 15.0  # s
-FIRST_LOOK = 6.0  # s, in the air and manoeuvring
+TAKE_OFF = 7.5  # s after the start: all are well off the ground
+LENGTH = 18.0  # s
+FIRST_LOOK = 9.0  # s, in the air and manoeuvring
 PERIOD = 0.5  # s between looks
 
 
@@ -78,7 +79,7 @@ def fly(**parameters: float) -> dict[str, np.ndarray]:
     for commander in simulation.commanders:
         assert commander.request(modes.AUTO_TAKEOFF) == 0
         assert commander.arm_disarm(True) == 0
-    simulation.run_until(4_500_000)
+    simulation.run_until(round(TAKE_OFF * 1e6))
     looks = _wander(simulation)
     assert not simulation.world.collisions
     assert {commander.mode for commander in simulation.commanders} == {modes.OFFBOARD}
@@ -90,7 +91,7 @@ def _wander(simulation: Simulation) -> list[dict[str, float]]:
     """Let everybody fly another velocity and yaw rate each second; return what is seen at each look."""
     rng = np.random.default_rng(100)
     looks = []
-    for tick in range(round((LENGTH - 4.5) * 10.0)):
+    for tick in range(round((LENGTH - TAKE_OFF) * 10.0)):
         if tick % 10 == 0:
             course, speed = rng.uniform(-math.pi, math.pi, FLIGHTS), rng.uniform(1.0, 4.0, FLIGHTS)
             climb, turn = rng.uniform(-1.0, 0.3, FLIGHTS), rng.uniform(-1.0, 1.0, FLIGHTS)

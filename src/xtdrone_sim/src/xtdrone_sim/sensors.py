@@ -104,20 +104,26 @@ def _barometer(s, v, m, b, noise, datum_altitude, dt):
 
 
 @kernel
+def _ahead(v, i, time):
+    """Return where the body will be along world axis ``i`` in ``time`` s, going on as it does, m."""
+    return v.position[i] + time * (v.velocity[i] + 0.5 * time * v.acceleration[i])
+
+
+@kernel
 def _gps(s, v, m, b, noise, latitude, longitude, altitude, dt):
     """GPS fix of position with white noise and a slow wander, velocity with white noise."""
     keep = math.exp(-dt / m.gps_wander_time)
     drive = m.gps_wander * math.sqrt(1.0 - keep * keep)
     for i in range(3):
         b.gps[i] = keep * b.gps[i] + drive * noise[11 + i]
-    north = v.position[1] + b.gps[0] + m.gps_horizontal_noise * noise[5]
-    east = v.position[0] + b.gps[1] + m.gps_horizontal_noise * noise[6]
-    down = -v.position[2] + b.gps[2] + m.gps_vertical_noise * noise[7]
+    north = _ahead(v, 1, m.gps_lead) + b.gps[0] + m.gps_horizontal_noise * noise[5]
+    east = _ahead(v, 0, m.gps_lead) + b.gps[1] + m.gps_horizontal_noise * noise[6]
+    down = -_ahead(v, 2, m.gps_lead) + b.gps[2] + m.gps_vertical_noise * noise[7]
     s.gps_lat, s.gps_lon = _reproject(north, east, latitude, longitude)
     s.gps_alt = altitude - down
-    s.gps_vel[0] = v.velocity[1] + m.gps_velocity_noise * noise[8]
-    s.gps_vel[1] = v.velocity[0] + m.gps_velocity_noise * noise[9]
-    s.gps_vel[2] = -v.velocity[2] + m.gps_velocity_noise * noise[10]
+    s.gps_vel[0] = v.velocity[1] + m.gps_lead * v.acceleration[1] + m.gps_velocity_noise * noise[8]
+    s.gps_vel[1] = v.velocity[0] + m.gps_lead * v.acceleration[0] + m.gps_velocity_noise * noise[9]
+    s.gps_vel[2] = -v.velocity[2] - m.gps_lead * v.acceleration[2] + m.gps_velocity_noise * noise[10]
     s.gps_eph = math.sqrt(m.gps_horizontal_noise**2 + m.gps_wander**2)
     s.gps_epv = math.sqrt(m.gps_vertical_noise**2 + m.gps_wander**2)
     s.gps_speed_accuracy = m.gps_velocity_noise

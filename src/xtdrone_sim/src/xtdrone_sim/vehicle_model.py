@@ -62,6 +62,7 @@ MODEL = np.dtype(
         ("gps_vertical_noise", "f8"),
         ("gps_velocity_noise", "f8"),
         ("gps_wander", "f8"),
+        ("gps_lead", "f8"),  # s, by which a fix is newer than the estimator takes it for
         ("gps_wander_time", "f8"),
         ("gps_satellites", "i8"),
         ("gps_hdop", "f8"),

@@ -17,13 +17,15 @@ from .attitude_control import attitude_control
 from .control_allocator import allocate, mixing_matrix
 from .estimator import update as update_estimator
 from .flight_tasks import generate_setpoint
+from .hover_thrust import estimate_hover_thrust, reset_hover_thrust
 from .kernel import kernel
 from .land_detector import detect_landing
 from .logger.folder import LogFolder
 from .parameters import PARAMS
-from .position_control import position_loop, thrust_to_attitude, update_hover_thrust, velocity_loop
+from .position_control import position_loop, start_loops, thrust_to_attitude, use_hover_thrust, velocity_loop
 from .rate_control import rate_control
 from .reset_follower import follow_resets
+from .rotation import rotate
 from .state import (
     CONTROL,
     ESTIMATOR,
@@ -34,17 +36,23 @@ from .state import (
     SETPOINT,
     TAKEOFF_FLIGHT,
     TAKEOFF_RAMPUP,
+    TASK_ACRO,
     TASK_ATTITUDE,
-    TASK_DESCEND,
     TASK_IDLE,
-    TASK_LAND,
+    TASK_MANUAL,
     TASK_RATES,
     records,
 )
-from .takeoff import update_takeoff, wants_takeoff
+from .stick_control import stick_attitude, stick_rates, update_throttle_limits
+from .takeoff import update_ramp, update_takeoff
 from .vibration import update_vibration
 
 STEP_US = 4000  # PX4's SITL lockstep period
+TASK_STEPS = 5  # steps between two runs of the flight task: 50 Hz
+POSITION_STEPS = 3  # of position control: 83 Hz, as PX4's estimator tells a position
+_MIXER_PERIOD_US = 20_000
+_NO_THRUST = 100.0  # m/s^2 downwards: no thrust at all
+_TILT_SLEW = 0.2  # rad/s, of the tilt limit after take-off
 
 
 @dataclass(frozen=True)
@@ -77,11 +85,13 @@ def _no_thrust(c):
 
 
 @kernel
-def _stop(c):
+def _stop(c, p):
     """Disarmed: motors off."""
     _no_thrust(c)
     for i in range(MAX_ROTORS):
         c.actuators[i] = 0.0
+    reset_hover_thrust(c, p)
+    c.hover_thrust = p.mpc_thr_hover
 
 
 @kernel
@@ -93,74 +103,118 @@ def _hold_on_ground(c, e):
 
 
 @kernel
-def _follow_trajectory(c, s, e, p, dt):
-    """Position, velocity and attitude loops."""
-    landing = s.task == TASK_LAND or s.task == TASK_DESCEND
-    speed_up, speed_down = p.mpc_z_vel_max_up, p.mpc_z_vel_max_dn
-    tilt = math.radians(p.mpc_tiltmax_air)
-    if c.takeoff_state == TAKEOFF_RAMPUP:
-        speed_up = min(speed_up, c.ramp_speed)
-        speed_down = max(speed_down, -speed_up)
-        c.sp_acceleration[2] = math.nan
-        tilt = math.radians(p.mpc_tiltmax_lnd)
-    elif landing and c.ground_contact:
-        tilt = math.radians(p.mpc_tiltmax_lnd)
-    position_loop(c, e, p, speed_up, speed_down)
-    velocity_loop(c, e, p, dt, tilt, p.mpc_thr_max)
-    thrust_to_attitude(c, e)
-    attitude_control(c, e, p)
-    in_flight = c.takeoff_state == TAKEOFF_FLIGHT and not c.ground_contact
-    if p.mpc_use_hte > 0.5 and in_flight:
-        update_hover_thrust(c, e, p, dt)
+def _ask_for_ground(c):
+    """Ask for nothing but the way down, and forget what was learnt in flight."""
+    for i in range(3):
+        c.sp_position[i] = math.nan
+        c.sp_velocity[i] = math.nan
+        c.velocity_integral[i] = 0.0
+    c.sp_acceleration[0], c.sp_acceleration[1], c.sp_acceleration[2] = 0.0, 0.0, _NO_THRUST
+    c.sp_yaw = math.nan
+    c.sp_yaw_rate = math.nan
 
 
 @kernel
-def _follow_attitude(c, s, e, p):
-    """TASK_ATTITUDE and TASK_RATES: set-points past the position control."""
-    c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
-    if s.task == TASK_RATES:
+def _control_position(c, e, p, dt):
+    """Position and velocity loops: the task's set-point to an attitude and a thrust."""
+    flying = c.takeoff_state == TAKEOFF_FLIGHT
+    if not flying:
+        c.hover_thrust = p.mpc_thr_hover
+    elif p.mpc_use_hte > 0.5 and c.hover_valid:
+        use_hover_thrust(c, c.hover_estimate)
+    start_loops(c)
+    if not flying:
+        c.sp_acceleration[2] = math.nan  # the ramp alone is to lift the vehicle
+    if c.takeoff_state < TAKEOFF_RAMPUP or (flying and c.ground_contact):
+        _ask_for_ground(c)
+    tilt = math.radians(p.mpc_tiltmax_air if flying else p.mpc_tiltmax_lnd)
+    step = _TILT_SLEW * dt
+    c.tilt_limit += min(max(tilt - c.tilt_limit, -step), step)
+    update_ramp(c, p, p.mpc_z_vel_max_up, dt)
+    position_loop(c, e, p, min(c.ramp_speed, p.mpc_z_vel_max_up), c.speed_down)
+    velocity_loop(c, e, p, dt, c.tilt_limit, p.mpc_thr_min if flying else 0.0)
+    thrust_to_attitude(c, e)
+
+
+@kernel
+def _control_attitude(c, s, e, p, dt):
+    """Fill c.sp_rates and c.sp_thrust for the tasks without a position loop, from its attitude for the others."""
+    if s.task == TASK_ACRO:
+        stick_rates(c, s, p)
+    elif s.task == TASK_RATES:
+        c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
         for i in range(3):
             # a rate that is not controlled is let go on as it is
             c.sp_rates[i] = e.rates[i] if math.isnan(s.rates[i]) else s.rates[i]
-    else:
+    elif s.task == TASK_ATTITUDE:
+        c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
         for i in range(4):
             c.sp_q[i] = s.attitude_q[i]
         c.sp_yaw_rate = s.rates[2]
         attitude_control(c, e, p)
-    for i in range(2):
-        c.sp_thrust_vector[i] = 0.0
-    c.sp_thrust_vector[2] = -c.sp_thrust
-
-
-@kernel
-def _control_vehicle(sensors, e, s, c, p, mix, rotors, dt):
-    by_attitude = s.task == TASK_ATTITUDE or s.task == TASK_RATES
-    follow_resets(c, e)
-    generate_setpoint(c, s, e, p, dt)
-    wants = s.thrust > p.mpc_thr_min if by_attitude else wants_takeoff(c, e)
-    update_takeoff(c, s, e, p, dt, wants)
-    if not s.armed:
-        _stop(c)
-    elif s.task == TASK_IDLE or c.takeoff_state < TAKEOFF_RAMPUP or (c.ground_contact and not by_attitude):
-        _hold_on_ground(c, e)
-        allocate(c, mix, rotors)
+    elif s.task == TASK_MANUAL:
+        stick_attitude(c, s, e, p, dt)
+        attitude_control(c, e, p)
     else:
-        if by_attitude:
-            _follow_attitude(c, s, e, p)
-        else:
-            _follow_trajectory(c, s, e, p, dt)
-        rate_control(c, e, p, dt, not c.maybe_landed)
-        allocate(c, mix, rotors)
-    detect_landing(c, s, e, sensors, p, dt, wants)
+        attitude_control(c, e, p)
+        return
+    x, y, z = rotate(e.q, 0.0, 0.0, -c.sp_thrust)
+    c.sp_thrust_vector[0], c.sp_thrust_vector[1], c.sp_thrust_vector[2] = x, y, z
 
 
 @kernel
-def step_all(sensors, estimator, setpoint, control, params, mix, rotors, dt, work):
+def _climb_controlled(task):
+    return task != TASK_MANUAL and task != TASK_ACRO and task != TASK_ATTITUDE and task != TASK_RATES
+
+
+@kernel
+def _run_slow_loops(c, s, e, p, dt, climb_controlled):
+    """Flight task at 50 Hz, position control at 83 Hz, as PX4 has them."""
+    if c.tick % TASK_STEPS == 0 or s.task_changed:
+        generate_setpoint(c, s, e, p, dt * TASK_STEPS)
+    if c.tick % POSITION_STEPS != 0:
+        return
+    slow = dt * POSITION_STEPS
+    wants = c.want_takeoff == 1 and s.task != TASK_IDLE
+    update_takeoff(c, s.armed, p, wants, s.task != TASK_IDLE and not climb_controlled)
+    if not s.armed:
+        return
+    if climb_controlled and s.task != TASK_IDLE:
+        _control_position(c, e, p, slow)
+    if not c.landed:
+        estimate_hover_thrust(c, e, p, -c.sp_thrust_vector[2], slow)
+
+
+@kernel
+def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
+    climb_controlled = _climb_controlled(s.task)
+    c.armed_time = c.armed_time + dt if s.armed else 0.0
+    follow_resets(c, e)
+    _run_slow_loops(c, s, e, p, dt, climb_controlled)
+    c.tick += 1
+    update_throttle_limits(c, p, s.armed, dt)
+    if not s.armed:
+        _stop(c, p)
+    elif s.task == TASK_IDLE or c.takeoff_state < TAKEOFF_RAMPUP:
+        _hold_on_ground(c, e)
+        allocate(c, mix, unmix, rotors, 0)
+    else:
+        _control_attitude(c, s, e, p, dt)
+        rate_control(c, e, p, dt, not (c.landed or c.maybe_landed))
+        allocate(c, mix, unmix, rotors, int(p.mc_airmode))
+    if c.landed:
+        c.ground_z = e.position[2]
+    detect_landing(c, s, e, sensors, p, dt, climb_controlled)
+
+
+@kernel
+def step_all(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt, work):
     """Run one step of every vehicle.
 
     Args:
         sensors, estimator, setpoint, control, params: record arrays, shape (n,).
         mix: (n, 4, MAX_ROTORS) mixers, see ``control_allocator.allocate``.
+        unmix: (n, 4, MAX_ROTORS) their pseudo-inverses.
         rotors: (n,) rotor counts.
         dt: s.
         work: (2, N_STATES) scratch.
@@ -170,7 +224,7 @@ def step_all(sensors, estimator, setpoint, control, params, mix, rotors, dt, wor
         update_estimator(estimator[i], sensors[i], params[i], dt, work)
         if estimator[i].initialised:
             _control_vehicle(
-                sensors[i], estimator[i], setpoint[i], control[i], params[i], mix[i], rotors[i], dt
+                sensors[i], estimator[i], setpoint[i], control[i], params[i], mix[i], unmix[i], rotors[i], dt
             )  # fmt: skip
 
 
@@ -213,25 +267,47 @@ class Autopilot:
             self.setpoint[field] = np.nan
         for field in ("yaw", "yaw_rate", "goal_yaw", "cruise_speed", "climb_speed", "descend_speed"):
             self.setpoint[field] = np.nan
+        self.setpoint["goal_radius"] = np.nan
+        for field in ("task_position", "task_velocity", "task_acceleration", "task_yaw", "leg_goal", "leg_onward"):
+            self.control[field] = np.nan
+        self._layouts = list(layouts)
+        self._failed = np.zeros(self.count, np.int32)
         self._mix = np.zeros((self.count, 4, MAX_ROTORS))
-        self.rotors = np.zeros(self.count, np.int64)
-        for i, layout in enumerate(layouts):
-            rotors = len(layout.positions)
-            self._mix[i, :, :rotors] = mixing_matrix(layout.positions, layout.moment_ratios).T
-            self.rotors[i] = rotors
+        self._unmix = np.zeros((self.count, 4, MAX_ROTORS))
+        self.rotors = np.array([len(layout.positions) for layout in layouts], np.int64)
+        for i in range(self.count):
+            self._set_mixer(i)
         self._work = np.zeros((2, N_STATES))
 
     def rotor_count(self, index: int) -> int:
         """Return how many rotors vehicle ``index`` has."""
         return int(self.rotors[index])
 
+    def _set_mixer(self, i: int) -> None:
+        """Make vehicle ``i``'s mixer for the rotors that work."""
+        layout, rotors = self._layouts[i], self.rotors[i]
+        mix = mixing_matrix(layout.positions, layout.moment_ratios, int(self._failed[i]))
+        self._mix[i, :, :rotors] = mix.T
+        self._unmix[i, :, :rotors] = np.linalg.pinv(mix)
+
+    def _update_mixers(self) -> None:
+        """Make the mixers of vehicles anew whose failed rotors are others than before."""
+        failed = self.setpoint["failed_rotors"]
+        for i in np.flatnonzero(failed != self._failed):
+            self._failed[i] = failed[i]
+            self._set_mixer(i)
+
     def start_control(self) -> None:
-        """Take over what the parameters fix at start: the hover thrust."""
+        """Take over what the parameters fix at start."""
         self.control["hover_thrust"] = self.params["mpc_thr_hover"]
+        self.control["hover_estimate"] = self.params["mpc_thr_hover"]
+        self.control["tilt_limit"] = np.radians(self.params["mpc_tiltmax_lnd"])
 
     def step(self) -> None:
         """Advance every vehicle by one step of ``STEP_US`` over the samples in ``sensors``."""
         self.time_us += STEP_US
+        if self.time_us % _MIXER_PERIOD_US == 0:
+            self._update_mixers()
         step_all(
             self.sensors,
             self.estimator,
@@ -239,6 +315,7 @@ class Autopilot:
             self.control,
             self.params,
             self._mix,
+            self._unmix,
             self.rotors,
             STEP_US * 1e-6,
             self._work,

@@ -16,6 +16,7 @@ INFO, CRITICAL = 6, 2  # MAV_SEVERITY
 
 # MPC_YAW_MODE
 _TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
+_BRAKING_DELAY = 0.6  # s
 _LEAST_SPEED = 0.3  # m/s, below which a velocity tells no heading
 
 
@@ -148,10 +149,13 @@ class Course:
     # where the vehicle is
 
     def stopping_place(self) -> Vector:
-        """Return the place where the vehicle comes to rest when it brakes now: v^2 / 2a ahead, at its height."""
+        """Return the place where the vehicle comes to rest when it brakes now, at its height.
+
+        That is v^2 / 2a ahead, and what it flies while its deceleration rises (PX4 computeBrakingDistanceFromVelocity).
+        """
         x, y, z = self.view.position
         vx, vy, _ = self.view.velocity
-        ahead = 0.5 * math.hypot(vx, vy) / self.parameters.get("MPC_ACC_HOR")  # s, times v
+        ahead = 0.5 * math.hypot(vx, vy) / self.parameters.get("MPC_ACC_HOR") + _BRAKING_DELAY  # s, times v
         return x + vx * ahead, y + vy * ahead, z
 
     def distance_to(self, position: Vector) -> float:

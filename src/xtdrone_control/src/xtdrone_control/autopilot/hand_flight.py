@@ -59,7 +59,8 @@ class HandFlight:
         if mode not in MANUAL_THRUST:
             get = self._get
             dead_zone, expo = get("MPC_HOLD_DZ"), get("MPC_XY_MAN_EXPO")
-            x, y = shaped(x, dead_zone, expo), shaped(y, dead_zone, expo)
+            if mode is modes.POSCTL:  # in ALTCTL the tilt goes straight with the stick
+                x, y = shaped(x, dead_zone, expo), shaped(y, dead_zone, expo)
             z = shaped(z, dead_zone, get("MPC_Z_MAN_EXPO"))
             yaw = shaped(yaw, dead_zone, get("MPC_YAW_EXPO"))
         fields = self._view.setpoint_fields

@@ -33,39 +33,55 @@ def _limit_horizontal(first_x, first_y, second_x, second_y, limit):
 
 
 @kernel
+def start_loops(c):
+    """Take over the task's set-point; the loops turn it into what is told as set-point and into thrust."""
+    for i in range(3):
+        c.sp_position[i] = c.task_position[i]
+        c.sp_velocity[i] = c.task_velocity[i]
+        c.sp_acceleration[i] = c.task_acceleration[i]
+    c.sp_yaw = c.task_yaw
+    c.sp_yaw_rate = c.task_yaw_rate
+
+
+@kernel
 def position_loop(c, e, p, speed_up, speed_down):
     """Fill c.sp_velocity from c.sp_position (P) and the velocity feed-forward that stands in c.sp_velocity.
 
-    NaN in either means "not controlled"; a velocity stays NaN only when both are.
+    NaN in either means "not controlled"; a velocity stays NaN only when both are. Horizontally the part from the
+    position error has priority over the feed-forward.
     """
     fx = (c.sp_position[0] - e.position[0]) * p.mpc_xy_p
     fy = (c.sp_position[1] - e.position[1]) * p.mpc_xy_p
     fz = (c.sp_position[2] - e.position[2]) * p.mpc_z_p
-    x_by_position, y_by_position = not math.isnan(fx), not math.isnan(fy)
     vx, vy, vz = c.sp_velocity[0], c.sp_velocity[1], c.sp_velocity[2]
-    if x_by_position or y_by_position or not (math.isnan(vx) or math.isnan(vy)):
-        px = fx if x_by_position else 0.0
-        py = fy if y_by_position else 0.0
-        wx = 0.0 if math.isnan(vx) else vx
-        wy = 0.0 if math.isnan(vy) else vy
-        vx, vy = _limit_horizontal(px, py, wx, wy, p.mpc_xy_vel_max)
-        if x_by_position or not math.isnan(c.sp_velocity[0]):
-            c.sp_velocity[0] = vx
-        if y_by_position or not math.isnan(c.sp_velocity[1]):
-            c.sp_velocity[1] = vy
+    x_controlled = not (math.isnan(fx) and math.isnan(vx))
+    y_controlled = not (math.isnan(fy) and math.isnan(vy))
+    fx, fy = 0.0 if math.isnan(fx) else fx, 0.0 if math.isnan(fy) else fy
+    vx, vy = 0.0 if math.isnan(vx) else vx, 0.0 if math.isnan(vy) else vy
+    vx, vy = _limit_horizontal(fx, fy, vx, vy, p.mpc_xy_vel_max)
+    if x_controlled:
+        c.sp_velocity[0] = vx
+    if y_controlled:
+        c.sp_velocity[1] = vy
     if not math.isnan(fz):
         vz = fz if math.isnan(vz) else fz + vz
     if not math.isnan(vz):
-        c.sp_velocity[2] = constrain(vz, -speed_up, speed_down)
+        # at the start of a take-off the upper limit lies below the lower one, and holds
+        c.sp_velocity[2] = -speed_up if vz < -speed_up else min(vz, max(speed_down, -speed_up))
 
 
 @kernel
-def velocity_loop(c, e, p, dt, tilt_max, thrust_max):
-    """Fill c.sp_acceleration and c.sp_thrust_vector from c.sp_velocity (PID) and the acceleration feed-forward."""
+def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
+    """Fill c.sp_acceleration and c.sp_thrust_vector from c.sp_velocity (PID) and the acceleration feed-forward.
+
+    Args:
+        c, e, p: records.
+        dt: s since the last call.
+        tilt_max: rad.
+        thrust_min: least collective thrust, 0..1.
+    """
     integral = c.velocity_integral
-    limit = GRAVITY * p.mpc_thr_max
-    integral[2] = constrain(integral[2], -limit, limit)
-    # axes without velocity control, on all three (z up-down has its own gains)
+    thrust_min, thrust_max = max(thrust_min, 1e-3), p.mpc_thr_max  # a vector of some length tells the attitude
     error_x = c.sp_velocity[0] - e.velocity[0]
     error_y = c.sp_velocity[1] - e.velocity[1]
     error_z = c.sp_velocity[2] - e.velocity[2]
@@ -79,11 +95,11 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_max):
     error_y = 0.0 if math.isnan(error_y) else error_y
     error_z = 0.0 if math.isnan(error_z) else error_z
 
-    _acceleration_to_thrust(c, p, tilt_max)
+    _acceleration_to_thrust(c, tilt_max, thrust_min)
     thrust = c.sp_thrust_vector
 
     # vertical anti-windup: no further up while at full thrust, no further down while at least thrust
-    if (thrust[2] >= -p.mpc_thr_min and error_z >= 0.0) or (thrust[2] <= -thrust_max and error_z <= 0.0):
+    if (thrust[2] >= -thrust_min and error_z >= 0.0) or (thrust[2] <= -thrust_max and error_z <= 0.0):
         error_z = 0.0
 
     # vertical thrust first, but a margin is kept for the horizontal axes
@@ -108,7 +124,7 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_max):
 
     integral[0] += error_x * p.mpc_xy_vel_i_acc * dt
     integral[1] += error_y * p.mpc_xy_vel_i_acc * dt
-    integral[2] += error_z * p.mpc_z_vel_i_acc * dt
+    integral[2] = constrain(integral[2] + error_z * p.mpc_z_vel_i_acc * dt, -GRAVITY, GRAVITY)
 
 
 @kernel
@@ -119,7 +135,7 @@ def _add_ignoring_nan(value, addition):
 
 
 @kernel
-def _acceleration_to_thrust(c, p, tilt_max):
+def _acceleration_to_thrust(c, tilt_max, thrust_min):
     """Turn c.sp_acceleration into the normalised thrust vector (local) by the hover thrust, under a tilt limit."""
     ax, ay, az = c.sp_acceleration[0], c.sp_acceleration[1], c.sp_acceleration[2]
     # thrust points up along -z of the body; gravity is what a level hover produces
@@ -133,7 +149,7 @@ def _acceleration_to_thrust(c, p, tilt_max):
         by *= math.sin(tilt_max) / horizontal
         bz = math.cos(tilt_max)
     vertical = az * (c.hover_thrust / GRAVITY) - c.hover_thrust
-    collective = min(vertical / bz, -p.mpc_thr_min)
+    collective = min(vertical / bz, -thrust_min)
     c.sp_thrust_vector[0] = bx * collective
     c.sp_thrust_vector[1] = by * collective
     c.sp_thrust_vector[2] = bz * collective
@@ -161,21 +177,13 @@ def thrust_to_attitude(c, e):
 
 
 @kernel
-def update_hover_thrust(c, e, p, dt):
-    """Follow the thrust that would hold the vehicle (PX4's hover thrust estimator, here a first-order one).
+def use_hover_thrust(c, estimate):
+    """Make accelerations thrust by ``estimate`` (0..1) from now on, without a step in the thrust.
 
-    Thrust / (g - a_z) * g is the hover thrust, unless the ground carries the vehicle: a descent is wanted and does not
-    happen.
+    PX4 PositionControl::updateHoverThrust: the velocity integral takes up the difference.
     """
-    if c.sp_velocity[2] > 0.0 and e.velocity[2] < 0.5 * c.sp_velocity[2]:
-        return
-    specific = GRAVITY - e.velocity_dot[2]
-    vertical = -c.sp_thrust_vector[2]
-    if specific < 0.5 * GRAVITY or vertical < 0.1:
-        return
-    measured = vertical * GRAVITY / specific
     before = c.hover_thrust
-    after = constrain(before + (measured - before) * min(dt / 2.0, 1.0), 0.1, 0.9)
-    c.hover_thrust = after
-    # keep the commanded thrust steady across the change (PX4: updateHoverThrust)
-    c.velocity_integral[2] += (c.sp_acceleration[2] - GRAVITY) * before / after + GRAVITY - c.sp_acceleration[2]
+    if estimate == before or math.isnan(c.sp_acceleration[2]):
+        return
+    c.hover_thrust = estimate
+    c.velocity_integral[2] += (c.sp_acceleration[2] - GRAVITY) * before / estimate + GRAVITY - c.sp_acceleration[2]

@@ -24,7 +24,7 @@ TASK_DESCEND = 4  # level attitude, descend at land speed: no horizontal estimat
 TASK_STICKS = 5  # POSCTL: velocity from sticks, position hold when they are centred
 TASK_ATTITUDE = 6  # attitude_q and thrust, yaw rate optional
 TASK_RATES = 7  # body rates and thrust
-TASK_ALTITUDE = 8  # ALTCTL: tilt and climb rate from sticks, height held when the throttle is centred
+TASK_ALTITUDE = 8  # ALTCTL: tilt and climb rate from sticks, height held when the throttle stick is centred
 TASK_MANUAL = 9  # STABILIZED and MANUAL: tilt, yaw rate and thrust from raw sticks
 TASK_ACRO = 10  # ACRO: body rates and thrust from raw sticks
 
@@ -266,14 +266,16 @@ SETPOINT = np.dtype(
         ("cruise_speed", "f8"),  # m/s horizontal; NaN = MPC_XY_CRUISE
         ("climb_speed", "f8"),  # m/s upwards; NaN = MPC_Z_V_AUTO_UP (take-off: MPC_TKO_SPEED)
         ("descend_speed", "f8"),  # m/s downwards; NaN = MPC_Z_V_AUTO_DN
-        # TASK_STICKS, each -1..1; body-heading frame: x forward, y right, z up (throttle, 0 = hold), yaw clockwise
+        # by stick, each -1..1; body-heading frame: x forward, y right, z up (throttle, 0 = middle), yaw clockwise.
+        # TASK_STICKS takes them past dead zone and expo, TASK_ALTITUDE z and yaw, TASK_MANUAL and TASK_ACRO none
         ("stick_x", "f8"),
         ("stick_y", "f8"),
         ("stick_z", "f8"),
         ("stick_yaw", "f8"),
         # TASK_GOTO
         ("onward_position", "f8", 3),  # m, local; where it goes on to from the goal without a stop, NaN to stop there
-        ("goal_radius", "f8"),  # m from the goal at which the way onward begins
+        ("goal_radius", "f8"),  # m from the goal at which the way onward begins; NaN = NAV_ACC_RAD
+        ("failed_rotors", "i4"),  # bit i: rotor i does not turn and gets no command
     ],
     align=True,
 )
@@ -281,8 +283,14 @@ SETPOINT = np.dtype(
 CONTROL = np.dtype(
     [
         ("takeoff_state", "i4"),
-        ("takeoff_time", "f8"),  # s since arming (spool-up) or since the ramp began
+        ("tick", "i8"),  # steps since the start, which the slower loops count
+        ("armed_time", "f8"),  # s since arming
+        ("ramp_progress", "f8"),  # 0..1, how far the take-off has ramped up
         ("ramp_speed", "f8"),  # m/s, upward speed limit while the take-off ramps up
+        ("want_takeoff", "i4"),  # the set-point asks to leave the ground
+        ("tilt_limit", "f8"),  # rad, moves slowly between MPC_TILTMAX_LND and MPC_TILTMAX_AIR
+        ("throttle_min", "f8"),  # 0..1, least thrust by stick, moves slowly to MPC_MANTHR_MIN in the air
+        ("throttle_max", "f8"),  # 0..1, largest thrust by stick, rises slowly after arming
         ("landed", "i4"),  # land detector
         ("maybe_landed", "i4"),
         ("ground_contact", "i4"),
@@ -290,7 +298,17 @@ CONTROL = np.dtype(
         ("maybe_landed_time", "f8"),
         ("landed_time", "f8"),
         ("freefall", "i4"),
-        ("hover_thrust", "f8"),  # 0..1, estimate (MPC_USE_HTE)
+        ("freefall_time", "f8"),  # s
+        ("least_thrust_time", "f8"),  # s at least thrust by stick
+        ("since_maybe_landed", "f8"),  # s
+        ("hover_thrust", "f8"),  # 0..1, by which accelerations become thrust: MPC_THR_HOVER, or the estimate in flight
+        ("hover_estimate", "f8"),  # 0..1, filter of MPC_USE_HTE, and what belongs to it:
+        ("hover_variance", "f8"),
+        ("hover_noise", "f8"),  # m^2/s^4, of the acceleration
+        ("hover_residual", "f8"),  # m/s^2, low-passed
+        ("hover_test_ratio", "f8"),  # low-passed, signed
+        ("hover_valid_time", "f8"),  # s for which the variance has been small
+        ("hover_valid", "i4"),
         ("velocity_integral", "f8", 3),  # m/s^2
         ("rate_integral", "f8", 3),  # normalised torque
         ("saturation_pos", "i4", 3),  # allocator: torque axis cannot grow
@@ -301,8 +319,32 @@ CONTROL = np.dtype(
         ("smooth_position", "f8", 3),
         ("smooth_velocity", "f8", 3),
         ("smooth_yaw", "f8"),
+        ("smooth_times", "f8", (3, 3)),  # s of rising, constant and falling acceleration in the plan of each axis
+        ("smooth_direction", "f8", 3),  # sign of the plan's first jerk
+        ("smooth_yaw_rate", "f8"),  # rad/s, filtered slope of smooth_yaw
+        ("unsmoothed_climb", "f8"),  # m/s downwards, wanted before smoothing
+        ("braking", "i4"),  # far beyond the speed limits: stop with 1 g first
+        ("turn_speed", "f8"),  # m/s, horizontal speed with which a turn was entered
+        ("goal_from_ground", "i4"),  # the goal was set on the ground: a take-off
+        ("leg_start", "f8", 3),  # m, local: the leg that is flown, and its goal and what comes then
+        ("leg_goal", "f8", 3),
+        ("leg_onward", "f8", 3),
+        ("way_start", "f8", 3),  # m, local: the same after detours back to the leg
+        ("way_goal", "f8", 3),
+        ("way_onward", "f8", 3),
+        ("leg_state", "i4"),
+        ("stick_acceleration", "f8", 2),  # m/s^2, local, under the jerk limit
+        ("brake_boost", "f8"),
         ("hold_xy", "i4"),
         ("hold_z", "i4"),
+        # what the task asks for; the position loop makes sp_* of it
+        ("task_position", "f8", 3),
+        ("task_velocity", "f8", 3),
+        ("task_acceleration", "f8", 3),
+        ("task_yaw", "f8"),
+        ("task_yaw_rate", "f8"),
+        ("speed_down", "f8"),  # m/s, largest sink rate that the task allows
+        ("ground_z", "f8"),  # m, local: height at which the vehicle stood last
         # what the cascade follows now, for telemetry and logs
         ("sp_position", "f8", 3),  # m, local (NaN where not controlled)
         ("sp_velocity", "f8", 3),  # m/s, local

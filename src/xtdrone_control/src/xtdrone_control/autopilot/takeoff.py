@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from .kernel import kernel
 from .state import (
     TAKEOFF_DISARMED,
@@ -17,40 +15,44 @@ GRAVITY = 9.80665
 
 
 @kernel
-def wants_takeoff(c, e):
-    """Return whether the trajectory set-point asks the vehicle to leave the ground."""
-    return (
-        c.sp_position[2] < e.position[2] - 0.2
-        or c.sp_velocity[2] < -0.3
-        or (math.isnan(c.sp_velocity[2]) and c.sp_acceleration[2] < -0.5)
-    )
+def update_takeoff(c, armed, p, wants, skip):
+    """Advance c.takeoff_state.
 
-
-@kernel
-def update_takeoff(c, s, e, p, dt, wants):
-    """Advance c.takeoff_state and c.ramp_speed, the upward speed limit while the ramp lasts (m/s)."""
-    c.takeoff_time += dt
-    if not s.armed:
+    Args:
+        c: ``CONTROL`` record.
+        armed: whether motors run.
+        p: ``PARAMS`` record.
+        wants: the set-point asks the vehicle to leave the ground.
+        skip: nothing controls the climb rate, so nothing is ramped up: the pilot's thrust lifts the vehicle.
+    """
+    if not armed:
         c.takeoff_state = TAKEOFF_DISARMED
+        return
+    if skip:
+        c.takeoff_state = TAKEOFF_FLIGHT
         return
     if c.takeoff_state == TAKEOFF_DISARMED:
         c.takeoff_state = TAKEOFF_SPOOLUP if c.landed else TAKEOFF_FLIGHT
-        c.takeoff_time = 0.0
-    elif c.takeoff_state == TAKEOFF_SPOOLUP:
-        if c.takeoff_time >= p.com_spoolup_time:
-            c.takeoff_state = TAKEOFF_READY
-    elif c.takeoff_state == TAKEOFF_READY:
-        if wants:
-            c.takeoff_state = TAKEOFF_RAMPUP
-            c.takeoff_time = 0.0
-    elif c.takeoff_state == TAKEOFF_RAMPUP:
-        if not wants:
-            c.takeoff_state = TAKEOFF_READY
-        elif c.takeoff_time >= p.mpc_tko_ramp_t:
-            c.takeoff_state = TAKEOFF_FLIGHT
-    elif c.landed:
+    if c.takeoff_state == TAKEOFF_SPOOLUP and c.armed_time >= p.com_spoolup_time:
         c.takeoff_state = TAKEOFF_READY
-    # the ramp starts at the downward speed whose error gives no thrust, so that thrust rises from zero
-    start = -GRAVITY / p.mpc_z_vel_p_acc
-    share = min(c.takeoff_time / max(p.mpc_tko_ramp_t, dt), 1.0)
-    c.ramp_speed = start + share * (p.mpc_tko_speed - start)
+    if c.takeoff_state == TAKEOFF_READY and wants:
+        c.takeoff_state = TAKEOFF_RAMPUP
+        c.ramp_progress = 0.0
+    if c.takeoff_state == TAKEOFF_RAMPUP and c.ramp_progress >= 1.0:
+        c.takeoff_state = TAKEOFF_FLIGHT
+    if c.takeoff_state == TAKEOFF_FLIGHT and c.landed:
+        c.takeoff_state = TAKEOFF_READY
+
+
+@kernel
+def update_ramp(c, p, speed_up, dt):
+    """Advance c.ramp_speed, the upward speed limit (m/s), which ends at ``speed_up`` after MPC_TKO_RAMP_T."""
+    # it begins with the downward speed whose error takes all thrust away, so that thrust rises from zero
+    start = -GRAVITY / max(p.mpc_z_vel_p_acc, 0.01)
+    c.ramp_speed = speed_up
+    if c.takeoff_state < TAKEOFF_RAMPUP:
+        c.ramp_speed = start
+    elif c.takeoff_state == TAKEOFF_RAMPUP:
+        c.ramp_progress = c.ramp_progress + dt / p.mpc_tko_ramp_t if p.mpc_tko_ramp_t > dt else 1.0
+        if c.ramp_progress < 1.0:
+            c.ramp_speed = start + c.ramp_progress * (speed_up - start)

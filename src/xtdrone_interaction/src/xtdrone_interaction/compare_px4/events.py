@@ -35,6 +35,7 @@ _FLOWN_TEXTS = (
     "RTL: descend",
     "RTL: land at",
 )
+_LATE_TEXT = "Landing detected"  # its order counts; its time does not, the recorded estimator sank on the ground
 _MAIN = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED"}
 _SUB = {2: "AUTO.TAKEOFF", 3: "AUTO.LOITER", 4: "AUTO.MISSION", 5: "AUTO.RTL", 6: "AUTO.LAND"}
 _LANDED = {"1": "on ground", "2": "in air", "3": "taking off", "4": "landing"}
@@ -51,7 +52,7 @@ class Match:
         ours: the same of ours.
         allowed: largest difference, s.
         uncertain: by how many seconds earlier than seen the reference's may have been.
-        reason: why it is not judged; "" when it is.
+        reason: what is said instead of a judgement; "" when it is judged.
     """
 
     flight: str
@@ -140,7 +141,8 @@ def _compare_phase(flight: str, theirs: list[Event], ours: list[Event]) -> list[
             what += " (out of order)"
             allowed = -1.0
         last = max(last, mine.time)
-        matches.append(Match(flight, what, since, mine.time - anchor[1], allowed, _SECOND if late else 0.0))
+        reason = "told" if _LATE_TEXT in what and allowed > 0.0 else ""
+        matches.append(Match(flight, what, since, mine.time - anchor[1], allowed, _SECOND if late else 0.0, reason))
         if event.kind == "ack" or flown:
             anchor = (event.time, mine.time)
     for event in left:

@@ -12,6 +12,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from xtdrone_interaction.compare_px4.reference import Flight, Track
 
@@ -111,11 +112,10 @@ def save(reference: Flight, ours: Flight, flight: str, folder: Path) -> Path:
 
 def _draw(picture: _Picture, parts: list[tuple[Track, float]]) -> Figure:
     if picture.plan:
-        figure, (left, right) = plt.subplots(1, 2, figsize=(12.0, 6.5), layout="constrained")
-        right.remove()
+        figure = plt.figure(figsize=(12.0, 6.5), layout="constrained")
         grid = figure.add_gridspec(len(picture.panels), 2)
+        _draw_plan(figure.add_subplot(grid[:, 0]), parts)
         axes = [figure.add_subplot(grid[i, 1]) for i in range(len(picture.panels))]
-        _draw_plan(left, parts)
     else:
         figure, found = plt.subplots(len(picture.panels), 1, figsize=(9.0, 7.0), sharex=True, layout="constrained")
         axes = list(np.atleast_1d(found))
@@ -127,14 +127,20 @@ def _draw(picture: _Picture, parts: list[tuple[Track, float]]) -> Figure:
     return figure
 
 
+def _values(track: Track, column: str) -> NDArray[np.float64]:
+    """Return a column, headings without jumps; speed is the horizontal one."""
+    if column == "speed":
+        return np.hypot(track["vx"], track["vy"])
+    return np.unwrap(track[column]) if column == "yaw" else track[column]
+
+
 def _draw_panel(axis: Axes, panel: _Panel, parts: list[tuple[Track, float]]) -> None:
     for (track, start), colour, name in zip(parts, ("black", "tab:red"), (_REFERENCE, _OURS), strict=True):
         time = track["t"] - start
         if panel.setpoint:
-            axis.plot(time, panel.factor * track[panel.setpoint], color=colour, linewidth=0.8, linestyle=":",
+            axis.plot(time, panel.factor * _values(track, panel.setpoint), color=colour, linewidth=0.8, linestyle=":",
                       label="set-point")  # fmt: skip
-        values = np.hypot(track["vx"], track["vy"]) if panel.column == "speed" else track[panel.column]
-        axis.plot(time, panel.factor * values, color=colour, linewidth=1.4, label=name)
+        axis.plot(time, panel.factor * _values(track, panel.column), color=colour, linewidth=1.4, label=name)
     axis.set_ylabel(panel.label)
     axis.set_xlim(-1.0, max(track["t"][-1] - start for track, start in parts))
 

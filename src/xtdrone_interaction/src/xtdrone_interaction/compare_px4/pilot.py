@@ -49,7 +49,6 @@ class Pilot:
 
     Attributes:
         time: simulated time, s.
-        setpoint: sent at 20 Hz while it is not None: position and velocity (m, m/s; NaN not controlled), heading (rad).
     """
 
     def __init__(self, vehicle: str, seed: int = 0) -> None:
@@ -86,7 +85,7 @@ class Pilot:
         self._events: list[Event] = []
         self._reached = -1
         self._mission: list[Any] = []
-        self.setpoint: Setpoint | None = None
+        self._setpoint: Setpoint | None = None
         self._say(self._beat())
         for number in _EVERY_STEP:
             self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, _SAMPLE_US)
@@ -101,6 +100,17 @@ class Pilot:
     def time(self) -> float:
         """Simulated time, s."""
         return self._simulation.time_us * 1e-6
+
+    @property
+    def setpoint(self) -> Setpoint | None:
+        """Sent at 20 Hz while it is not None: position, velocity (m, m/s; NaN not controlled), heading (rad)."""
+        return self._setpoint
+
+    @setpoint.setter
+    def setpoint(self, setpoint: Setpoint | None) -> None:
+        self._setpoint = setpoint
+        if setpoint is not None:
+            self._say(self._target(setpoint))
 
     @property
     def flight(self) -> Flight:
@@ -223,8 +233,8 @@ class Pilot:
             self._sample()
         if now % _BEAT_US == 0:
             self._say(self._beat())
-        if self.setpoint is not None and now % _SETPOINT_US < self._simulation.step_us:
-            self._say(self._target(self.setpoint))
+        if self._setpoint is not None and now % _SETPOINT_US < self._simulation.step_us:
+            self._say(self._target(self._setpoint))
 
     @staticmethod
     def _beat() -> Any:
