@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from xtdrone_control.fleet import Vehicle
 from xtdrone_interaction import cli
 from xtdrone_interaction.compare_px4 import events, metrics, pictures, reference, script
 from xtdrone_interaction.compare_px4.main import report
@@ -104,3 +105,32 @@ def test_bad_values_are_named(arguments, capsys):
         status = stop.code
     assert status == 2
     assert arguments[1] in capsys.readouterr().err
+
+
+def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the vehicle's MAVLink on ports far from those of a running simulation."""
+    for name, port in (("offboard_local_port", 34820), ("offboard_remote_port", 24820), ("gcs_local_port", 18820)):
+        monkeypatch.setattr(Vehicle, name, port)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Our autopilot in the recorded one's flights, on its plant."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        elsewhere(monkeypatch)
+        return script.fly("px4_reference", script.FLIGHTS, 0, lambda _name: None)
+
+
+@pytest.mark.parametrize("flight", script.FLIGHTS)
+def test_our_autopilot_flies_as_the_recorded_px4(flown, flight):
+    recorded = reference.load()
+    outside = [f for f in metrics.figures(recorded, flown, flight) if not f.within]
+    assert not outside
+    assert not [match for match in events.compare(recorded, flown, flight) if not match.within]
+
+
+def test_flights_are_the_same_to_the_last_bit(monkeypatch):
+    elsewhere(monkeypatch)
+    first, second = (script.fly("px4_reference", ("takeoff",), 3, lambda _name: None) for _ in range(2))
+    np.testing.assert_array_equal(first.track.rows, second.track.rows)
+    assert first.events == second.events

@@ -43,6 +43,7 @@ class FailureDetector:
         self._get = get
         # views of the record fields, which are read at every update
         self._q = view.estimator["q"]
+        self._failed_rotors = view.setpoint_fields["failed_rotors"]
         self._currents, self._commands = view.sensors["esc_current"], view.control["actuators"]
         self._roll, self._pitch = _Hysteresis(), _Hysteresis()
         self._starved: dict[int, int] = {}  # motor -> when its current was first too low
@@ -72,6 +73,9 @@ class FailureDetector:
             self.motors = ()
         elif int(self._get("FD_ACT_EN")):
             self._look_at_motors(now_us)
+        # as PX4: the allocator does without one motor, and goes on with it if more seem to be gone
+        leaves_out = len(self.motors) == 1 and int(self._get("CA_FAILURE_MODE"))
+        self._failed_rotors[0] = 1 << self.motors[0] if leaves_out else 0
 
     def _look_at_attitude(self, now_us: int) -> None:
         get = self._get

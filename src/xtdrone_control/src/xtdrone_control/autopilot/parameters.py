@@ -260,6 +260,7 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("COM_RC_LOSS_T", 0.5, 0.0, 35.0, "s", "silence after which manual control is lost"),
     ("COM_RC_OVERRIDE", 1, 0, 3, "", "moved sticks end 1 AUTO modes, 2 OFFBOARD"),
     ("COM_RC_STICK_OV", 30.0, 5.0, 80.0, "%", "movement of a stick that counts as taking over"),
+    ("CA_FAILURE_MODE", 0, 0, 1, "", "1: a motor that has failed is left out, its work is done by the others"),
     ("FD_ACT_EN", 1, 0, 1, "", "1: motors are watched by their current"),
     ("FD_ACT_MOT_C2T", 2.0, 0.0, 50.0, "A", "current of a motor at full throttle below which it has failed"),
     ("FD_ACT_MOT_THR", 0.2, 0.0, 1.0, "", "throttle from which a motor is watched"),

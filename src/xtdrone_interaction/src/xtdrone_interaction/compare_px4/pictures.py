@@ -139,7 +139,7 @@ def _draw_panel(axis: Axes, panel: _Panel, parts: list[tuple[Track, float]]) -> 
         time = track["t"] - start
         if panel.setpoint:
             axis.plot(time, panel.factor * _values(track, panel.setpoint), color=colour, linewidth=0.8, linestyle=":",
-                      label="set-point")  # fmt: skip
+                      label=f"{name}: set-point")  # fmt: skip
         axis.plot(time, panel.factor * _values(track, panel.column), color=colour, linewidth=1.4, label=name)
     axis.set_ylabel(panel.label)
     axis.set_xlim(-1.0, max(track["t"][-1] - start for track, start in parts))
