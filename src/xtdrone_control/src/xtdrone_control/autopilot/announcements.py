@@ -20,6 +20,7 @@ _MAX_TEXTS = 64
 _MAX_EVENTS = 64
 _WARNING_INTERVAL_US = 1_000_000
 _NEVER_US = -(1 << 60)
+_UINT16 = 0xFFFF
 
 # name, level and internal level of the event of a failsafe that only warns, by cause
 _BATTERY_WARNINGS = {
@@ -110,7 +111,7 @@ class Announcements:
         self.events.append(found)
 
     def _delayed_failsafe(self, outcome: Outcome, mode: int) -> None:
-        seconds = int(outcome.delay + 0.5)
+        seconds = min(int(outcome.delay + 0.5), _UINT16)
         self.say(CRITICAL, f"Failsafe activated, entering Hold for {seconds} seconds\t")
         name, values = "commander_failsafe_enter_generic_hold", [mode, outcome.delayed, seconds]
         if outcome.cause is not Cause.GENERIC:

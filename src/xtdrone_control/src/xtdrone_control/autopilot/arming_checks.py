@@ -24,6 +24,7 @@ _STICKS_DISABLED = 4  # COM_RC_IN_MODE
 _REPORT_INTERVAL_US = 2_000_000
 _SMOOTHING = 0.2  # of the innovation test ratios, at 10 Hz
 _FIX_3D = 3
+_LEAST_GATE = 1.0  # SD; parameters may be anything
 _HEADING_NOISE = 0.3  # rad, PX4's default EKF2_HEAD_NOISE
 
 
@@ -219,7 +220,7 @@ class ArmingChecks:
         """
         e = self._view.estimator
         noise = max(self._get("EKF2_HEAD_NOISE"), _HEADING_NOISE)
-        heading = (float(e["innov_yaw"]) / (self._get("EKF2_HDG_GATE") * noise)) ** 2
+        heading = (float(e["innov_yaw"]) / (max(self._get("EKF2_HDG_GATE"), _LEAST_GATE) * noise)) ** 2
         now = (float(e["test_ratio_vel"]), float(e["test_ratio_pos"]), float(e["test_ratio_hgt"]), heading)
         for place, ratio in enumerate(now):
             self._ratios[place] += _SMOOTHING * (ratio - self._ratios[place])

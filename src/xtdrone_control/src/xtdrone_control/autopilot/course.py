@@ -18,6 +18,12 @@ INFO, CRITICAL = 6, 2  # MAV_SEVERITY
 _TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
 _BRAKING_DELAY = 0.6  # s
 _LEAST_SPEED = 0.3  # m/s, below which a velocity tells no heading
+_LEAST_BRAKING = 2.0  # m/s^2, the least sensible value of PX4's MPC_ACC_*; parameters may be anything
+
+
+def braking_time(speed: float, deceleration: float) -> float:
+    """Return the seconds that it takes to brake from ``speed`` (m/s) at ``deceleration`` (m/s^2), at least 2."""
+    return speed / max(deceleration, _LEAST_BRAKING)
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,8 @@ class Course:
         """
         x, y, z = self.view.position
         vx, vy, _ = self.view.velocity
-        ahead = 0.5 * math.hypot(vx, vy) / self.parameters.get("MPC_ACC_HOR") + _BRAKING_DELAY  # s, times v
+        # times v
+        ahead = 0.5 * braking_time(math.hypot(vx, vy), self.parameters.get("MPC_ACC_HOR")) + _BRAKING_DELAY
         return x + vx * ahead, y + vy * ahead, z
 
     def distance_to(self, position: Vector) -> float:

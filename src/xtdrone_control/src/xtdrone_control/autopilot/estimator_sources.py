@@ -294,7 +294,8 @@ def _fuse_height(e, s, p, source, down, variance, gate, work):
     e.test_ratio_hgt = ratio
     e.innov_hgt = innovation
     reference = int(p.ekf2_hgt_ref)
-    if not counts and e.height_used[reference] and _within(now, e.time_height_fuse_us[reference], _AIDING_US):
+    known = 0 <= reference < len(e.height_used)  # a parameter may be anything
+    if known and not counts and e.height_used[reference] and _within(now, e.time_height_fuse_us[reference], _AIDING_US):
         e.height_offset[source] -= _OFFSET_GAIN * constrain(innovation, -1.0, 1.0)
     if ratio <= 1.0:
         e.time_height_fuse_us[source] = e.time_last_hgt_fuse_us = now

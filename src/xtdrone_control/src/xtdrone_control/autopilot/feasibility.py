@@ -129,6 +129,8 @@ def _first(items: Items, now: Situation) -> Problem | None:
     distance = _distance(item, now.place)
     if distance < now.first_distance:
         return None
+    if math.isnan(distance):  # nobody knows where the vehicle is
+        return None
     text = f"First waypoint too far away: {math.floor(min(distance, 2e9))}m, {int(now.first_distance)} max"
     return Problem(text, "navigator_mis_first_wp_too_far", distance, now.first_distance)
 

@@ -6,7 +6,7 @@ import enum
 import math
 from abc import ABC, abstractmethod
 
-from . import modes
+from . import geo, modes
 from .announcements import CRITICAL, INFO, Announcements
 from .modes import Mode
 from .navigator import Home, Navigator
@@ -36,6 +36,11 @@ class FlightCommands(ABC):
     navigator: Navigator
     armed: bool
     _announcements: Announcements
+
+    @property
+    @abstractmethod
+    def mode(self) -> Mode:
+        """The mode that is flown."""
 
     @abstractmethod
     def request(self, mode: Mode) -> Result:
@@ -84,7 +89,7 @@ class FlightCommands(ABC):
                 return Result.TEMPORARILY_REJECTED
             self._set_home_here()
             return Result.ACCEPTED
-        if not _is_place(*place):
+        if not geo.is_place(*place):
             return Result.DENIED
         if not self.view.position_valid:
             return Result.TEMPORARILY_REJECTED
@@ -107,11 +112,13 @@ class FlightCommands(ABC):
         """
         here = self.view.to_global(self.view.position)
         target = tuple(h if math.isnan(p) else p for p, h in zip(place, here, strict=True))
-        if not _is_place(*target) or math.isinf(yaw) or math.isinf(speed):
+        if not geo.is_place(*target) or math.isinf(yaw) or math.isinf(speed):
             return Result.DENIED
         if not self.armed or self.view.landed or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
             self._announcements.tell(CRITICAL, "Reposition command rejected", "commander_reposition_rejected")
             return Result.TEMPORARILY_REJECTED
+        if self.mode is not modes.AUTO_LOITER:
+            return Result.ACCEPTED  # a failsafe flies something else
         if speed > 0.0:
             self.navigator.set_speed("cruise_speed", speed)
         self.navigator.reposition(self.view.to_local(*target), yaw)
@@ -123,7 +130,7 @@ class FlightCommands(ABC):
             return Result.DENIED
         if self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
             return Result.TEMPORARILY_REJECTED
-        if self.armed and not self.view.landed:
+        if self.armed and not self.view.landed and self.mode is modes.AUTO_LOITER:
             self.navigator.change_altitude(self.view.origin[2] - altitude)
         return Result.ACCEPTED
 
@@ -140,7 +147,3 @@ class FlightCommands(ABC):
         if speed != -1.0:
             self.navigator.set_speed(field, speed if speed > 0.0 else math.nan)
         return Result.ACCEPTED
-
-
-def _is_place(latitude: float, longitude: float, altitude: float) -> bool:
-    return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)

@@ -25,7 +25,7 @@ def project(latitude: float, longitude: float, origin_latitude: float, origin_lo
     # the haversine keeps its accuracy at short distance, where the arc cosine of the textbook loses it
     half_north, half_east = math.sin(0.5 * (phi - phi0)), math.sin(0.5 * turn)
     chord = half_north * half_north + math.cos(phi0) * math.cos(phi) * half_east * half_east
-    angle = 2.0 * math.asin(math.sqrt(min(chord, 1.0)))
+    angle = 2.0 * math.asin(math.sqrt(min(max(chord, 0.0), 1.0)))  # rounding may lead beyond
     scale = EARTH_RADIUS
     if angle > 1e-12:
         scale *= angle / math.sin(angle)
@@ -43,6 +43,12 @@ def reproject(north: float, east: float, origin_latitude: float, origin_longitud
         return origin_latitude, origin_longitude
     phi0 = math.radians(origin_latitude)
     sin_angle, cos_angle = math.sin(angle), math.cos(angle)
-    phi = math.asin(cos_angle * math.sin(phi0) + x * sin_angle * math.cos(phi0) / angle)
+    sine = cos_angle * math.sin(phi0) + x * sin_angle * math.cos(phi0) / angle
+    phi = math.asin(min(max(sine, -1.0), 1.0))
     turn = math.atan2(y * sin_angle, angle * math.cos(phi0) * cos_angle - x * math.sin(phi0) * sin_angle)
     return math.degrees(phi), origin_longitude + math.degrees(turn)
+
+
+def is_place(latitude: float, longitude: float, altitude: float) -> bool:
+    """Return whether latitude and longitude (degrees) lie on the globe and the altitude is finite."""
+    return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)

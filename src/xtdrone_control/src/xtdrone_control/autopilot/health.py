@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from . import events, modes
@@ -150,7 +151,7 @@ class Health:
 
     def _horizontal_error(self) -> float:
         covariance = self._covariance
-        return float(covariance[6, 6] + covariance[7, 7]) ** 0.5
+        return math.sqrt(max(float(covariance[6, 6] + covariance[7, 7]), 0.0))
 
     def _offboard_lost(self, limit: float, place_invalid: bool) -> bool:
         """Return whether OFFBOARD has nothing to follow.

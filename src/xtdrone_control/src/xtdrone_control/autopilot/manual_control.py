@@ -157,10 +157,11 @@ class ManualControl:
         low, trim, high = (get(f"RC{number}_{end}") for end in ("MIN", "TRIM", "MAX"))
         dead = get(f"RC{number}_DZ")
         pulse = min(max(channels[number - 1], low), high)
-        if pulse > trim + dead:
-            value = (pulse - trim - dead) / (high - trim - dead)
-        elif pulse < trim - dead:
-            value = (pulse - trim + dead) / (trim - low - dead)
+        above, below = pulse - trim - dead, trim - dead - pulse
+        if above > 0.0:
+            value = above / (high - trim - dead)
+        elif below > 0.0 and low < trim - dead:  # not so in a calibration that makes no sense
+            value = -min(below / (trim - dead - low), 1.0)
         else:
             value = 0.0
         return value if get(f"RC{number}_REV") > 0 else -value

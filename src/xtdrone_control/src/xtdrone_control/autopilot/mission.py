@@ -142,13 +142,13 @@ class Mission:
         return False
 
     def landing_place(self) -> tuple[PlanItem, int] | None:
-        """Return the mission's landing item and where its landing begins, None when it has none."""
+        """Return the mission's landing item and where its landing begins, None when it has none with a place."""
         items = self.plans.mission
         start = None
         for i, item in enumerate(items):
             if item.command == plan.LAND_START and start is None:
                 start = i
-            if item.command == plan.LAND and i > 0:
+            if item.command == plan.LAND and i > 0 and all(map(math.isfinite, (item.x, item.y, item.z))):
                 return item, i if start is None else start
         return None
 

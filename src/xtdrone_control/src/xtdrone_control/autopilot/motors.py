@@ -44,7 +44,7 @@ class MotorSwitch:
     def apply(self, armed: bool) -> None:
         """Let the motors of an armed vehicle run, unless something stops them; call it when any of this changes."""
         self._view.setpoint["armed"] = int(armed and not self.stopped)
-        if not (self.killed or self.locked):
+        if not armed or not (self.killed or self.locked):
             self._since_us = None
         elif self._since_us is None:
             self._since_us = self._view.time_us

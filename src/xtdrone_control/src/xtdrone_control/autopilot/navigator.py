@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from . import feasibility, geofence, modes, plan
+from . import feasibility, geo, geofence, modes, plan
 from .announcements import Announcements
-from .course import CRITICAL, INFO, NAN, Course, Home
+from .course import CRITICAL, INFO, NAN, Course, Home, braking_time
 from .events import ERROR
 from .geofence import Fence
 from .mission import Mission
@@ -224,8 +224,10 @@ class Navigator:
 
     def _set_home(self, place: Vector | None) -> None:
         """Set home as an item of the mission says: to latitude, longitude, m AMSL, or to where the vehicle is."""
+        if place is not None and not geo.is_place(*place):
+            return
         position = self._view.position if place is None else self._view.to_local(*place)
-        where = self._view.to_global(position)
+        where = self._view.to_global(position) if place is None else place
         if all(map(math.isfinite, where)):
             self.home = Home(*where, position, self._view.yaw, self._view.time_us)
 
@@ -263,8 +265,9 @@ class Navigator:
         if not get("GF_PREDICT"):
             return position
         vx, vy, vz = self._view.velocity
-        ahead = 0.5 * math.hypot(vx, vy) / get("MPC_ACC_HOR")  # s, times v: where it stops when it brakes now
-        up = 0.5 * abs(vz) / get("MPC_ACC_DOWN_MAX" if vz < 0.0 else "MPC_ACC_UP_MAX")
+        # half of it, times v: where the vehicle stops when it brakes now
+        ahead = 0.5 * braking_time(math.hypot(vx, vy), get("MPC_ACC_HOR"))
+        up = 0.5 * braking_time(abs(vz), get("MPC_ACC_DOWN_MAX" if vz < 0.0 else "MPC_ACC_UP_MAX"))
         return position[0] + vx * ahead, position[1] + vy * ahead, position[2] + vz * up
 
     def _present_fence(self) -> Fence:

@@ -64,7 +64,7 @@ class Payload:
         self._paused = False
 
     def obey(self, command: int, params: Sequence[float]) -> bool:
-        """Obey a command for the payload; ``params`` are its seven.
+        """Obey a command for the payload; ``params`` are its seven, of which those that are not finite count as 0.
 
         Returns:
             Whether it is one.
@@ -72,7 +72,7 @@ class Payload:
         handler = _HANDLERS.get(command)
         if handler is None:
             return False
-        handler(self, [0.0 if math.isnan(p) else p for p in params])
+        handler(self, [p if math.isfinite(p) else 0.0 for p in params])
         return True
 
     def pause(self, paused: bool) -> None:

@@ -136,7 +136,7 @@ class _Stream:
         """Return what is to be sent now; ``report`` is told when it cannot be made."""
         try:
             return self.values()
-        except (ValueError, OverflowError) as error:  # an estimate that is not finite
+        except (ValueError, ArithmeticError) as error:  # an estimate that is not finite, a parameter that is 0
             report(f"not sent: {self.format.name}: {error}")
             return None
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from typing import Any, ClassVar
-from weakref import WeakKeyDictionary
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -104,7 +103,7 @@ class MissionService(Service):
         """Serve ``vehicle``."""
         super().__init__(vehicle)
         self._navigator = vehicle.commander.navigator
-        self._transfers: WeakKeyDictionary[Link, _Transfer] = WeakKeyDictionary()
+        self._transfers: dict[Link, _Transfer] = {}
         self._uploading: _Transfer | None = None
         self._told_current = -1
         self._told_reached = -1
@@ -117,10 +116,9 @@ class MissionService(Service):
     def update(self, now_us: int) -> None:
         """Ask again, give up, and tell of the mission's progress."""
         self.due_us = NEVER_US
-        for link, transfer in list(self._transfers.items()):
-            if not link.open:
-                self._end(transfer)
-            elif transfer.state is not _State.IDLE:
+        self._drop_closed()
+        for link, transfer in self._transfers.items():
+            if transfer.state is not _State.IDLE:
                 self._watch(link, transfer, now_us)
         self._tell_progress(now_us)
         self._wake(now_us)
@@ -152,8 +150,14 @@ class MissionService(Service):
     def _transfer(self, link: Link) -> _Transfer:
         transfer = self._transfers.get(link)
         if transfer is None:
+            self._drop_closed()
             transfer = self._transfers[link] = _Transfer()
         return transfer
+
+    def _drop_closed(self) -> None:
+        """Forget the clients that are gone, and what was under way with them."""
+        for link in [link for link in self._transfers if not link.open]:
+            self._end(self._transfers.pop(link))
 
     def _heard(self, transfer: _Transfer) -> None:
         transfer.heard_us = self.vehicle.now_us
