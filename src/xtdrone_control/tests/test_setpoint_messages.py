@@ -243,6 +243,10 @@ def test_what_cannot_be_flown_stops_the_vehicle_and_keeps_offboard_alive(flying,
     assert all(map(math.isnan, [*setpoint["position"], *setpoint["acceleration"], setpoint["yaw"]]))
     assert flying.commander.system_status == 4
     assert not flying.commander.texts
+    assert any("cannot be flown" in text for text in flying.link.warnings)
+    warned = len(flying.link.warnings)
+    flying.ask(local((1.0, 2.0, 3.0, *[0.0] * 6), 0b111111000))
+    assert len(flying.link.warnings) == warned
 
 
 def test_what_is_refused_is_said_once_a_second_and_does_not_keep_offboard_alive(flying):

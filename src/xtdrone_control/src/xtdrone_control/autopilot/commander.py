@@ -525,6 +525,11 @@ class Commander(FlightCommands):
         self._offboard.set_rates(rates, thrust)
         self._follow_offboard()
 
+    @property
+    def offboard_incomplete(self) -> bool:
+        """Whether the last set-point leaves an axis without control, and the vehicle stops and waits instead."""
+        return self._offboard.incomplete
+
     def _follow_offboard(self) -> None:
         if self.armed and self._flown is modes.OFFBOARD:
             self._offboard.write()

@@ -37,7 +37,11 @@ def _collective(thrust: float) -> float:
 
 
 class OffboardInput:
-    """The last set-point of the OFFBOARD stream and the watchdog over the stream."""
+    """The last set-point of the OFFBOARD stream and the watchdog over the stream.
+
+    Attributes:
+        incomplete: the last set-point leaves an axis without control, and the vehicle stops and waits instead.
+    """
 
     def __init__(self, view: VehicleView) -> None:
         """Start without a set-point."""
@@ -45,6 +49,7 @@ class OffboardInput:
         self._last_us = _NEVER_US
         self._previous_us = _NEVER_US
         self._task = TASK_TRAJECTORY
+        self.incomplete = False
         self._fields: dict[str, Sequence[float] | float] = {}
 
     @property
@@ -86,7 +91,8 @@ class OffboardInput:
         if all(math.isnan(value) for part in given for value in part):
             raise SetpointError("neither position nor velocity nor acceleration is given")
         parts = [tuple(map(_finite, part)) for part in given]
-        if not _can_be_flown(parts):
+        incomplete = not _can_be_flown(parts)
+        if incomplete:
             parts = [_UNSET, _STOP, _UNSET]
             yaw = yaw_rate = _NAN
         self._store(
@@ -97,6 +103,7 @@ class OffboardInput:
             yaw=_finite(yaw),
             yaw_rate=_finite(yaw_rate),
         )
+        self.incomplete = incomplete
 
     def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
         """Store an attitude set-point.
@@ -124,6 +131,7 @@ class OffboardInput:
 
     def _store(self, task: int, **fields: Sequence[float] | float) -> None:
         self._task = task
+        self.incomplete = False
         self._fields = fields
         self._previous_us = self._last_us
         self._last_us = self._view.time_us

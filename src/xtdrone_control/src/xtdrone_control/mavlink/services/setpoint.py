@@ -49,6 +49,9 @@ class SetpointService(Service):
     def _take_setpoint(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
         try:
             take(self.vehicle.commander, m)
+            if self.vehicle.commander.offboard_incomplete:
+                text = "set-point cannot be flown: an axis has no finite value, the vehicle stops and waits"
+                link.warn("set-point that cannot be flown", text, self.vehicle.now_us)
         except SetpointError as error:
             if isinstance(error, setpoints.RefusedSetpointError):
                 self._tell(str(error))
