@@ -382,12 +382,13 @@ def test_arm_disarm_and_texts(world):
     assert world.texts()[-1] == "Unsupported ARM_DISARM param: 2.000"
 
 
-def test_long_texts_come_in_pieces(world):
+@pytest.mark.parametrize("rest", ["rest", ""])
+def test_long_texts_come_in_pieces_of_which_the_last_is_not_full(world, rest):
     world.hear()
-    world.commander.say(2, "x" * 50 + "rest")
+    world.commander.say(2, "x" * 100 + rest)
     pieces = named(world.run(0.004), "STATUSTEXT")
-    assert [(m.text, m.chunk_seq) for m in pieces] == [("x" * 50, 0), ("rest", 1)]
-    assert pieces[0].id == pieces[1].id > 0
+    assert [(m.text, m.chunk_seq) for m in pieces] == [("x" * 50, 0), ("x" * 50, 1), (rest, 2)]
+    assert pieces[0].id == pieces[1].id == pieces[2].id > 0
 
 
 def test_mode_commands(world):

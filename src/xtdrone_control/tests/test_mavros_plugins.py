@@ -218,6 +218,13 @@ class TestSysStatus:
         assert battery.cell_voltage == approx([4.1, 4.0, 3.9])
         assert battery.power_supply_technology == battery.POWER_SUPPLY_TECHNOLOGY_LIPO
 
+    @pytest.mark.parametrize("current", [-1, -100], ids=["MAVLink's", "PX4's"])
+    def test_battery_whose_current_is_not_measured(self, bench, current):
+        bench.take("battery")
+        cells = [4100] + [65535] * 9
+        bench.send(mavlink.MAVLink_battery_status_message(0, 0, 1, 32767, cells, current, -1, -1, 87))
+        assert math.isnan(bench.published("battery")[0].current)
+
     def test_estimator_flags(self, bench):
         bench.take("estimator_status")
         flags = mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_GPS_GLITCH
@@ -562,7 +569,7 @@ class TestDemand:
     def test_nothing_is_decoded_that_nobody_takes(self, bench):
         bench.send(HEARTBEAT)
         bench.send(ATTITUDE, POSITION)
-        assert bench.link.wanted == {mavlink.MAVLINK_MSG_ID_HEARTBEAT, 253, 242, 42, 46}
+        assert bench.link.wanted == {mavlink.MAVLINK_MSG_ID_HEARTBEAT, 253, 242, 42, 46, 410}
         assert bench.link.seen == {31: 1, 32: 1}
 
     def test_streams_follow_the_subscribers(self, bench):

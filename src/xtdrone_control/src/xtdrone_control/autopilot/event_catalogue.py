@@ -30,7 +30,7 @@ DEFAULT, ARMING_CHECK, HEALTH = "default", "arming_check", "health"
 MAX_ARGUMENTS = 25  # bytes, PX4's event.msg
 
 _SUMMARY = "summary"
-_WITH_CHECKS = "append_health_and_arming_messages"  # the ground station adds what stands against the mode
+WITH_CHECKS = "append_health_and_arming_messages"  # the ground station adds what stands against the mode
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ _COMMANDER = (
         "commander_modeswitch_not_avail",
         "Switching to {2} is not possible now",
         "mode:uint32_t requested:navigation_mode_t",
-        kind=_WITH_CHECKS,
+        kind=WITH_CHECKS,
     ),
     _define("commander_rc_override", "Pilot took over with the sticks"),
     _define("failsafe_rc_override", "Pilot took over with the sticks, the failsafe has ended"),
@@ -126,7 +126,7 @@ _COMMANDER = (
         "commander_failsafe_enter_generic",
         "Failsafe: {2}",
         "mode:uint32_t action:failsafe_action_t",
-        kind=_WITH_CHECKS,
+        kind=WITH_CHECKS,
     ),
     _define(
         "commander_failsafe_enter_hold",
@@ -138,7 +138,7 @@ _COMMANDER = (
         "commander_failsafe_enter_generic_hold",
         "Failsafe: {2} in {3} s",
         "mode:uint32_t action:failsafe_action_t delay:uint16_t",
-        kind=_WITH_CHECKS,
+        kind=WITH_CHECKS,
         description="The vehicle holds its position until then; the pilot can take over.",
     ),
     _define(
@@ -151,7 +151,7 @@ _COMMANDER = (
         "commander_failsafe_enter_generic_warn",
         "Failsafe warning",
         "mode:uint32_t",
-        kind=_WITH_CHECKS,
+        kind=WITH_CHECKS,
         description="The vehicle goes on.",
     ),
     _define("commander_failsafe_enter_low_bat", "Low battery, return is advised"),

@@ -17,6 +17,7 @@ from typing import Any
 from . import events, modes
 from .commander import ArmReason
 from .event_catalogue import CATALOGUE, ENUM_TYPES, Definition
+from .event_words import ACTIONS, CAUSES, MODES
 from .events import event_id
 from .failsafe import Action, Cause
 from .parameter_choices import AT_START, BITS, CHOICES
@@ -26,20 +27,6 @@ GENERAL, PARAMETER, EVENTS = 0, 1, 4  # COMP_METADATA_TYPE
 
 _AUTOPILOT = "1"  # component in an event's number
 _SUB_ID = 0xFFFFFF
-_MODE_WORDS = {
-    modes.MANUAL: ("manual", "manual"),
-    modes.ALTCTL: ("altctl", "altitude"),
-    modes.POSCTL: ("posctl", "position"),
-    modes.AUTO_MISSION: ("mission", "mission"),
-    modes.AUTO_LOITER: ("loiter", "hold"),
-    modes.AUTO_RTL: ("rtl", "return"),
-    modes.ACRO: ("acro", "acro"),
-    modes.OFFBOARD: ("offboard", "offboard"),
-    modes.STABILIZED: ("stab", "stabilized"),
-    modes.AUTO_TAKEOFF: ("takeoff", "take-off"),
-    modes.AUTO_LAND: ("land", "land"),
-    modes.AUTO_PRECLAND: ("precland", "precision landing"),
-}
 _COMPONENT_WORDS = {
     events.GPS: ("gps", "GPS"),
     events.REMOTE_CONTROL: ("remote_control", "manual control"),
@@ -50,27 +37,6 @@ _COMPONENT_WORDS = {
     events.LOCAL_POSITION: ("local_position_estimate", "local position estimate"),
     events.SYSTEM: ("system", "system"),
     events.GLOBAL_POSITION: ("global_position_estimate", "global position estimate"),
-}
-_ACTION_WORDS = {
-    Action.NONE: "nothing",
-    Action.WARN: "warning",
-    Action.POSCTL: "position control",
-    Action.ALTCTL: "altitude control",
-    Action.STABILIZED: "stabilized by hand",
-    Action.HOLD: "hold",
-    Action.RETURN: "return",
-    Action.LAND: "land",
-    Action.DESCEND: "descend",
-    Action.DISARM: "disarm",
-    Action.TERMINATE: "terminate",
-}
-_CAUSE_WORDS = {
-    Cause.GENERIC: "a failed check",
-    Cause.MANUAL_CONTROL_LOSS: "loss of manual control",
-    Cause.GCS_CONNECTION_LOSS: "loss of the ground station",
-    Cause.BATTERY_LOW: "low battery",
-    Cause.BATTERY_CRITICAL: "critical battery",
-    Cause.BATTERY_EMERGENCY: "an almost empty battery",
 }
 _GROUPS = {
     "BAT": "Battery",
@@ -128,7 +94,7 @@ def event_definitions() -> bytes:
         "event_groups": groups,
         "supported_protocols": ["health_and_arming_check"],
         # which arming checks a mode, by its number in the heartbeat, has: each its own
-        "navigation_mode_groups": {"groups": {str(mode.state): [mode.custom_mode] for mode in _MODE_WORDS}},
+        "navigation_mode_groups": {"groups": {str(mode.state): [mode.custom_mode] for mode in MODES}},
     }
     return _dumped({"version": 2, "components": {_AUTOPILOT: component}})
 
@@ -145,17 +111,17 @@ def _event(definition: Definition) -> dict[str, Any]:
 
 
 def _enums() -> dict[str, Any]:
-    groups = {1 << mode.state: words for mode, words in _MODE_WORDS.items()}
+    groups = {1 << mode.state: words for mode, words in MODES.items()}
     components = {1: ("none", "none"), **{1 << bit: words for bit, words in _COMPONENT_WORDS.items()}}
-    numbers = {modes.number_of(mode): words for mode, words in _MODE_WORDS.items()}
+    numbers = {modes.number_of(mode): words for mode, words in MODES.items()}
     numbers[modes.UNKNOWN_NUMBER] = ("unknown", "unknown")
     reasons = {reason.value[0]: (_lower(reason), reason.value[1]) for reason in ArmReason}
     return {
         "navigation_mode_group_t": _enum("navigation_mode_group_t", groups, bits=True),
         "health_component_t": _enum("health_component_t", components, bits=True),
         "navigation_mode_t": _enum("navigation_mode_t", numbers),
-        "failsafe_action_t": _enum("failsafe_action_t", {int(a): (_lower(a), _ACTION_WORDS[a]) for a in Action}),
-        "failsafe_cause_t": _enum("failsafe_cause_t", {int(c): (_lower(c), _CAUSE_WORDS[c]) for c in Cause}),
+        "failsafe_action_t": _enum("failsafe_action_t", {int(a): (_lower(a), ACTIONS[a]) for a in Action}),
+        "failsafe_cause_t": _enum("failsafe_cause_t", {int(c): (_lower(c), CAUSES[c]) for c in Cause}),
         "arm_disarm_reason_t": _enum("arm_disarm_reason_t", reasons),
     }
 

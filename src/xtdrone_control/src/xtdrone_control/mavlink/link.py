@@ -156,9 +156,9 @@ class Link:
     def send_text(self, severity: int, text: str) -> None:
         """Queue a STATUSTEXT, in numbered pieces when it is longer than one holds."""
         data = text.encode("ascii", "replace")
-        pieces = [data[i : i + _TEXT_SIZE] for i in range(0, len(data), _TEXT_SIZE)]
-        number = 0
-        if len(pieces) > 1:
+        pieces, number = [data], 0
+        if len(data) > _TEXT_SIZE:  # the last piece is not full, by which it is known
+            pieces = [data[i : i + _TEXT_SIZE] for i in range(0, len(data) + 1, _TEXT_SIZE)]
             number = self._text_id = self._text_id % 0xFFFF + 1
         for i, piece in enumerate(pieces):
             self.send_message(mavlink.MAVLink_statustext_message(severity, piece, number, i))

@@ -17,6 +17,7 @@ from xtdrone_control.mavros.connection import Link
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic
+from xtdrone_control.mavros.refusals import Refusals
 from xtdrone_control.mavros.streams import Streams
 from xtdrone_control.mavros.throttle import Throttle
 from xtdrone_control.mavros.transactions import Commands
@@ -61,6 +62,7 @@ class Uas:
         ros: topics, services and time.
         commands: commands with acks.
         plans: transfers of missions, geofences and rally points.
+        refusals: why the autopilot refuses.
         target: system and component id of the autopilot.
         connected: heartbeats come.
         time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while it is unknown.
@@ -89,6 +91,7 @@ class Uas:
         self.target = link.target
         self.commands = Commands(link.send, ros.needs_time)
         self.plans = PlanTransfers(link.send, link.target, ros.needs_time)
+        self.refusals = Refusals()
         self.connected = False
         self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
         self.now_ns = 0
@@ -282,6 +285,7 @@ class Uas:
         for slot in self._slots.values():
             slot.frame = slot.message = None
         self._attitude_of = self._attitude = None
+        self.refusals.reset()
 
     def _connect(self, plugin: Plugin) -> None:
         for name, feeds in plugin.messages.items():

@@ -20,8 +20,11 @@ from mavros_msgs.srv import (
 )
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.mavlink.codec import decoder
 from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
+
+_decode_ack = decoder("COMMAND_ACK")
 
 
 class CommandPlugin(Plugin):
@@ -32,19 +35,30 @@ class CommandPlugin(Plugin):
     def __init__(self, uas: Uas) -> None:
         """Offer the services."""
         super().__init__(uas)
-        self.replies = {"COMMAND_ACK": uas.commands.on_ack}
+        self._arming = False  # the last command to arm or disarm asked for arming
+        self.replies = {"COMMAND_ACK": self._on_ack}
         uas.service("cmd/command", CommandLong, self._command)
         uas.service("cmd/command_int", CommandInt, self._command_int)
-        uas.service("cmd/arming", CommandBool, self._arming)
+        uas.service("cmd/arming", CommandBool, self._arm)
         uas.service("cmd/set_home", CommandHome, self._set_home)
         uas.service("cmd/takeoff", CommandTOL, self._takeoff)
         uas.service("cmd/land", CommandTOL, self._land)
         uas.service("cmd/vtol_transition", CommandVtolTransition, self._vtol_transition)
 
+    def _on_ack(self, frame: bytes) -> None:
+        """Take an ack in the receiver thread, before the events that say why arming is refused."""
+        self.uas.commands.on_ack(frame)
+        ack = _decode_ack(frame)
+        refused = ack.result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+        if refused and self._arming and ack.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            self.uas.refusals.arming_refused(self.uas.now_ns)
+
     def _call(self, command: int, *params: float) -> tuple[bool, int]:
         """Send COMMAND_LONG with up to seven parameters; return success and MAV_RESULT."""
         system, component = self.uas.target
         values = (*params, *(0.0,) * (7 - len(params)))
+        if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            self._arming = values[0] == 1.0
         result = self.uas.commands.call(
             command,
             lambda attempt: mavlink.MAVLink_command_long_message(system, component, command, attempt, *values),
@@ -88,7 +102,7 @@ class CommandPlugin(Plugin):
         success, _ = self._outcome(request.command, self.uas.commands.call(request.command, lambda _: message))
         return CommandIntResponse(success)
 
-    def _arming(self, request: Any) -> CommandBoolResponse:
+    def _arm(self, request: Any) -> CommandBoolResponse:
         arm = 1.0 if request.value else 0.0
         return CommandBoolResponse(*self._call(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, arm))
 

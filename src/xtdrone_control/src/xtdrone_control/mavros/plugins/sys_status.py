@@ -1,4 +1,7 @@
-"""State of the autopilot: heartbeat, battery, texts, estimator flags; flight mode and message rates on request."""
+"""State of the autopilot: heartbeat, battery, texts, estimator flags; flight mode and message rates on request.
+
+Beyond MAVROS's: what PX4 tells by events alone is logged, and published with the texts (``refusals``).
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,7 @@ _MODE_ACK_LIMIT = 0.5
 _UINT16_MAX = 65535
 _MAVLINK_VERSION = 3  # the heartbeat's mavlink_version field
 _TEXT_LENGTH = 50  # bytes of a STATUSTEXT
+_CURRENT_UNKNOWN = (-1, -100)  # cA; MAVLink's, and that of PX4, where it is -1 A
 
 _LOG_LEVELS = {0: log.error, 1: log.error, 2: log.error, 3: log.error, 4: log.warning, 5: log.warning, 6: log.info}
 
@@ -68,6 +72,7 @@ class SysStatusPlugin(Plugin):
         self._timeout_ns = round(uas.params.get("conn/timeout", 10.0) * _NS)
         rate = uas.params.get("conn/heartbeat_rate", 1.0)
         self._last_heartbeat_ns = 0
+        self._text_parts: list[str] = []
         self._armed = False
         self._booted = False
         self._state = uas.topic("state", State(), latch=True)
@@ -79,6 +84,7 @@ class SysStatusPlugin(Plugin):
         self.messages = {
             "HEARTBEAT": Feed(self._on_heartbeat, always=True),
             "STATUSTEXT": Feed(self._on_text, always=True),
+            "EVENT": Feed(self._on_event, always=True),
             "EXTENDED_SYS_STATE": Feed(self._on_extended, self._extended),
             "BATTERY_STATUS": Feed(self._on_battery, self._battery),
             "ESTIMATOR_STATUS": Feed(self._on_estimator, self._estimator),
@@ -131,6 +137,7 @@ class SysStatusPlugin(Plugin):
         state.manual_input = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED)
         state.mode = mode_name(heartbeat.base_mode, heartbeat.custom_mode)
         state.system_status = heartbeat.system_status
+        uas.refusals.custom_mode = heartbeat.custom_mode
         uas.set_connected(True)
         self._state.publish(state)
 
@@ -147,8 +154,9 @@ class SysStatusPlugin(Plugin):
         cells = [v / 1000.0 for v in (*battery.voltages, *battery.voltages_ext) if 0 < v < _UINT16_MAX]
         message.voltage = sum(cells) if cells else _NAN
         message.cell_voltage = cells
-        # BatteryState counts a discharging current negative, MAVLink positive; -1 says that it is not measured.
-        message.current = _NAN if battery.current_battery == -1 else -battery.current_battery / 100.0
+        # BatteryState counts a discharging current negative, MAVLink positive
+        unknown = battery.current_battery in _CURRENT_UNKNOWN
+        message.current = _NAN if unknown else -battery.current_battery / 100.0
         message.charge = message.capacity = message.design_capacity = _NAN
         message.percentage = _NAN if battery.battery_remaining < 0 else battery.battery_remaining / 100.0
         message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
@@ -187,12 +195,28 @@ class SysStatusPlugin(Plugin):
         self._sys_status.publish(message)
 
     def _on_text(self, status: Any) -> None:
+        """Take a text; a long one comes in parts with the same number, all full but the last."""
         text = _text(status.text)
-        _LOG_LEVELS.get(status.severity, log.debug)("%s: FCU: %s", self.uas.name, text)
+        if status.id:
+            if status.chunk_seq == 0:
+                self._text_parts = []
+            self._text_parts.append(text)
+            if len(text.encode()) == _TEXT_LENGTH:
+                return
+            text, self._text_parts = "".join(self._text_parts), []
+        self._tell(status.severity, text)
+
+    def _on_event(self, event: Any) -> None:
+        for severity, text in self.uas.refusals.take(event, self.uas.now_ns):
+            self._tell(severity, text)
+
+    def _tell(self, severity: int, text: str) -> None:
+        """Log and publish a text; a tab at its end says that an event says the same."""
+        _LOG_LEVELS.get(severity, log.debug)("%s: FCU: %s", self.uas.name, text.rstrip("\t"))
         if self._text.taken:
             message = self._text.message
             self.uas.stamp_now(message.header)
-            message.severity = status.severity
+            message.severity = severity
             message.text = text
             self._text.publish(message)
 
@@ -217,7 +241,9 @@ class SysStatusPlugin(Plugin):
         result = self.uas.commands.call(
             mavlink.MAV_CMD_DO_SET_MODE, lambda _: message, limit=_MODE_ACK_LIMIT, resends=0
         )
-        if result not in (None, mavlink.MAV_RESULT_ACCEPTED):
+        if result == mavlink.MAV_RESULT_ACCEPTED:
+            self.uas.refusals.custom_mode = custom_mode  # before the next heartbeat says so
+        elif result is not None:
             log.warning("%s: set_mode: the autopilot refused %s, result %d", self.uas.name, request.custom_mode, result)
         return SetModeResponse(mode_sent=True)
 
