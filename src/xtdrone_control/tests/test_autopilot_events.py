@@ -25,17 +25,20 @@ def test_numbers_are_fnv_1a(name, hashed):
 
 
 def test_arguments_are_packed():
-    found = event("name", events.CRITICAL, 5, "IBH", 0x03040000, 6, 5, internal=events.WARNING)
+    name = "commander_failsafe_enter_generic_hold"  # mode, action, delay
+    found = event(name, events.CRITICAL, 5, 0x03040000, 6, 5, internal=events.WARNING)
     assert found.arguments == bytes([0, 0, 4, 3, 6, 5, 0])
     assert found.log_levels == 0x42
     assert found.time_us == 5
 
 
-def test_arguments_that_do_not_fit():
-    with pytest.raises(ValueError, match="28 bytes of arguments, at most 25"):
-        event("name", events.INFO, 0, "7I", *range(7))
-    with pytest.raises(struct.error):
-        event("name", events.INFO, 0, "B", 300)
+def test_arguments_beyond_their_range_are_cut_and_their_number_must_be_right():
+    assert event("commander_armed_by", events.INFO, 0, 300).arguments == b"\xff"
+    assert event("commander_armed_by", events.INFO, 0, -1).arguments == b"\x00"
+    with pytest.raises(ValueError, match="shorter|longer"):
+        event("commander_armed_by", events.INFO, 0, 4, 4)
+    with pytest.raises(KeyError):
+        event("no_such_event", events.INFO, 0)
 
 
 def test_arming_and_disarming_are_told_twice():
@@ -94,8 +97,10 @@ def test_the_summary_names_the_modes_that_can_be_armed_in():
     taken(flight)
     flight.run(3.0)
     found = {e.name: e for e in taken(flight)}
-    chunk, errors, _warnings, can_arm = struct.unpack("<BIII", found["commander_arming_check_summary"].arguments)
+    summary = found["commander_arming_check_summary"]
+    chunk, errors, _warnings, can_arm, can_run = struct.unpack("<BIIII", summary.arguments)
     assert chunk == 0
+    assert not can_run >> modes.AUTO_LOITER.state & 1
     assert errors >> events.LOCAL_POSITION & 1
     assert not can_arm >> modes.AUTO_LOITER.state & 1
     concerned, component = struct.unpack("<IB", found["check_modes_local_pos"].arguments)
