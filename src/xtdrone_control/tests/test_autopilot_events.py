@@ -35,7 +35,7 @@ def test_arguments_are_packed():
 def test_arguments_beyond_their_range_are_cut_and_their_number_must_be_right():
     assert event("commander_armed_by", events.INFO, 0, 300).arguments == b"\xff"
     assert event("commander_armed_by", events.INFO, 0, -1).arguments == b"\x00"
-    with pytest.raises(ValueError, match="shorter|longer"):
+    with pytest.raises(ValueError, match=r"shorter|longer"):
         event("commander_armed_by", events.INFO, 0, 4, 4)
     with pytest.raises(KeyError):
         event("no_such_event", events.INFO, 0)
