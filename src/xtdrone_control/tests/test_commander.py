@@ -147,16 +147,16 @@ def test_arming_needs_an_estimate(flight, field):
 @pytest.mark.parametrize(
     ("field", "least", "name"),
     [
-        ("test_ratio_vel", 0.51, "check_estimator_vel_not_stable"),
-        ("test_ratio_pos", 0.51, "check_estimator_pos_not_stable"),
-        ("test_ratio_hgt", 1.01, "check_estimator_hgt_not_stable"),
-        ("innov_yaw", 0.56, "check_estimator_heading_not_stable"),  # rad: COM_ARM_EKF_YAW 0.5, gate 2.6, noise 0.3
+        ("test_ratio_vel", 0.25, "check_estimator_vel_not_stable"),  # squares of COM_ARM_EKF_*
+        ("test_ratio_pos", 0.25, "check_estimator_pos_not_stable"),
+        ("test_ratio_hgt", 1.0, "check_estimator_hgt_not_stable"),
+        ("test_ratio_mag", 0.25, "check_estimator_heading_not_stable"),
     ],
 )
 def test_arming_needs_small_innovations(flight, field, least, name):
     for value, result in ((0.98 * least, Result.ACCEPTED), (1.02 * least, Result.TEMPORARILY_REJECTED)):
         flight.autopilot.estimator[field] = value
-        flight.run(6.0)
+        flight.run(10.0)
         flight.commander.events.clear()
         assert flight.commander.arm_disarm(True) is result
         flight.commander.arm_disarm(False)

@@ -6,6 +6,7 @@ components fail and which modes are possible.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,10 +23,9 @@ Get = Callable[[str], float]
 _ALL_MODES = 0xFFFFFFFF
 _STICKS_DISABLED = 4  # COM_RC_IN_MODE
 _REPORT_INTERVAL_US = 2_000_000
-_SMOOTHING = 0.2  # of the innovation test ratios, at 10 Hz
+_SMOOTHING = 0.05  # of the innovation test ratios, at 10 Hz
+_LARGEST_RATIO = 1e4  # more, or what is no number, comes of senseless parameters
 _FIX_3D = 3
-_LEAST_GATE = 1.0  # SD; parameters may be anything
-_HEADING_NOISE = 0.3  # rad, PX4's default EKF2_HEAD_NOISE
 
 
 class Check(NamedTuple):
@@ -201,6 +201,10 @@ def _failure_checks(flags: Flags) -> list[Check]:
     return found
 
 
+def _root(ratio: float) -> float:
+    return math.sqrt(min(ratio, _LARGEST_RATIO)) if ratio > 0.0 else 0.0
+
+
 class ArmingChecks:
     """The checks of one vehicle, and when they are told."""
 
@@ -215,15 +219,12 @@ class ArmingChecks:
     def follow_innovations(self) -> None:
         """Take the innovation test ratios; call it at 10 Hz while the vehicle is disarmed.
 
-        The heading is judged by PX4's default noise where the vehicle's is less: an accurate magnetometer would
-        otherwise keep it on the ground for a few degrees that harm nothing.
+        The limits hold for innovations over their gates, of which the estimator's ratios are the squares. They are
+        smoothed: a single innovation as large as its noise comes near to the limits where the noise is known well.
         """
         e = self._view.estimator
-        noise = max(self._get("EKF2_HEAD_NOISE"), _HEADING_NOISE)
-        heading = (float(e["innov_yaw"]) / (max(self._get("EKF2_HDG_GATE"), _LEAST_GATE) * noise)) ** 2
-        now = (float(e["test_ratio_vel"]), float(e["test_ratio_pos"]), float(e["test_ratio_hgt"]), heading)
-        for place, ratio in enumerate(now):
-            self._ratios[place] += _SMOOTHING * (ratio - self._ratios[place])
+        for place, field in enumerate(("test_ratio_vel", "test_ratio_pos", "test_ratio_hgt", "test_ratio_mag")):
+            self._ratios[place] += _SMOOTHING * (_root(float(e[field])) - self._ratios[place])
 
     def report(self, flags: Flags, mode: Mode, armed: bool) -> Report:
         """Return what stands against arming.

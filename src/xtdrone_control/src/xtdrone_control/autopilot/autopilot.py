@@ -221,6 +221,7 @@ def step_all(sensors, estimator, setpoint, control, params, mix, unmix, rotors, 
     """
     for i in range(sensors.shape[0]):
         update_vibration(estimator[i], sensors[i], dt)
+        estimator[i].in_air = not control[i].landed
         update_estimator(estimator[i], sensors[i], params[i], dt, work)
         if estimator[i].initialised:
             _control_vehicle(

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 
-from .estimator_fusion import BA, BG, BM, POS, THETA, VEL, set_yaw_variance
+from .estimator_fusion import BA, BG, BM, POS, THETA, VEL, YAW_UNKNOWN_STD, set_yaw_variance
 from .estimator_sources import fuse_sources, note_imu, update_status
 from .kernel import kernel
 from .rotation import assign_unit, constrain, exponential, from_euler, multiply, rotate
@@ -28,7 +28,6 @@ COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whol
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
 _LONGEST_ALIGNMENT = 500  # IMU samples after which it goes on without a magnetometer
 _MIN_MAG_SAMPLES = 5
-_YAW_UNKNOWN_STD = 1.0  # rad, before the magnetometer has been fused
 
 
 @kernel
@@ -51,7 +50,10 @@ def align(e, s, p):
     yaw = 0.0
     if wants_mag and e.mag_samples >= _MIN_MAG_SAMPLES:
         level = from_euler(roll, pitch, 0.0)
-        mx, my, _ = rotate(level, e.mag_mean[0], e.mag_mean[1], e.mag_mean[2])
+        mx, my, mz = rotate(level, e.mag_mean[0], e.mag_mean[1], e.mag_mean[2])
+        e.field_samples = e.mag_samples
+        e.field[0] = math.sqrt(mx * mx + my * my) / e.mag_samples
+        e.field[1] = mz / e.mag_samples
         yaw = math.radians(p.ekf2_mag_decl) - math.atan2(my, mx)
         e.heading_aligned = 1
         e.time_heading_fuse_us = s.time_us
@@ -80,7 +82,7 @@ def _first_covariance(e, p):
         e.P[BA + i, BA + i] = p.ekf2_abias_init**2
         e.P[BM + i, BM + i] = p.ekf2_mag_noise**2
         e.P[THETA + i, THETA + i] = p.ekf2_angerr_init**2
-    set_yaw_variance(e, _YAW_UNKNOWN_STD**2)
+    set_yaw_variance(e, YAW_UNKNOWN_STD**2)
     dx, dy, dz = rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), 0.0, 0.0, -1.0)
     g = ((0.0, -dz, dy), (dz, 0.0, -dx), (-dy, dx, 0.0))  # [d]x, d of length 1
     variance = p.ekf2_abias_init**2

@@ -15,6 +15,8 @@ from .rotation import integrate, multiply, rotate, wrap_pi
 from .state import N_STATES
 
 THETA, VEL, POS, BG, BA, BM = 0, 3, 6, 9, 12, 15
+YAW_UNKNOWN_STD = 1.0  # rad, before the magnetometer has been fused
+_FIELD_SAMPLES = 1000  # over which the magnetic field is smoothed
 _LEVEL_LIMIT = 1e-4  # squared sine of the angle to the vertical under which there is no heading
 
 
@@ -81,7 +83,11 @@ def _fuse_two_blocks(e, first, a, second, b, innovation, noise_variance, gate, w
 def magnetic_heading(e, s, declination):
     """Return how far the magnetic field is from ``declination`` (rad), and that angle's derivatives.
 
-    The field less its bias, turned by the present attitude, points to the declination when all is right.
+    The field less its bias, turned by the present attitude, points to the declination when all is right. The
+    derivatives are those for the field that was to be expected, smoothed (``follow_field``) and at the declination, not
+    for the sample: at a constant heading yaw and bias are not told apart, and must not seem so. Derivatives with the
+    sample's noise in their direction drive both along together for ever, as the innovation has the same noise and the
+    product of both a mean; with it in their length each sample seems to see another share of the bias.
 
     Returns:
         innovation (rad); derivative by the attitude error (3-tuple); by the bias (3-tuple); 0 when the field is
@@ -92,12 +98,24 @@ def magnetic_heading(e, s, declination):
     level = mx * mx + my * my
     if level < _LEVEL_LIMIT * (level + mz * mz):
         return 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0
-    # the angle's derivative by a change of the field in the local frame is (-my, mx, 0) / level; in the body frame:
+    strength = e.field[0]
+    cos, sin = math.cos(declination), math.sin(declination)
     w, x, y, z = e.q[0], -e.q[1], -e.q[2], -e.q[3]
-    gx, gy, gz = rotate((w, x, y, z), -my / level, mx / level, 0.0)
+    bx, by, bz = rotate((w, x, y, z), strength * cos, strength * sin, e.field[1])
+    # the angle's derivative by a change of the local field is (-sin, cos, 0) / strength; in the body frame:
+    gx, gy, gz = rotate((w, x, y, z), -sin / strength, cos / strength, 0.0)
     # an attitude error changes the local field by R (dtheta x b), hence g . (dtheta x b) = (b x g) . dtheta
     attitude = (by * gz - bz * gy, bz * gx - bx * gz, bx * gy - by * gx)
     return wrap_pi(declination - math.atan2(my, mx)), attitude, (-gx, -gy, -gz), 1
+
+
+@kernel
+def follow_field(e, s):
+    """Let ``field`` follow the sample, slowly: noise in it would pass for knowledge."""
+    mx, my, mz = rotate(e.q, s.mag[0] - e.mag_bias[0], s.mag[1] - e.mag_bias[1], s.mag[2] - e.mag_bias[2])
+    e.field_samples = min(e.field_samples + 1, _FIELD_SAMPLES)
+    e.field[0] += (math.sqrt(mx * mx + my * my) - e.field[0]) / e.field_samples
+    e.field[1] += (mz - e.field[1]) / e.field_samples
 
 
 @kernel
@@ -263,6 +281,14 @@ def set_yaw_variance(e, variance):
             value = 0.5 * (e.P[i, j] + e.P[j, i])
             e.P[i, j] = value
             e.P[j, i] = value
+
+
+@kernel
+def reset_mag_bias(e, variance):
+    """Forget the magnetometer's bias; ``variance`` (gauss^2) is its uncertainty then."""
+    for i in range(3):
+        e.mag_bias[i] = 0.0
+    _forget(e, BM, 3, variance)
 
 
 @kernel

@@ -14,12 +14,15 @@ from . import geo
 from .estimator_fusion import (
     POS,
     VEL,
+    YAW_UNKNOWN_STD,
+    follow_field,
     fuse_flow,
     fuse_heading,
     fuse_state,
     fuse_yaw,
     magnetic_heading,
     reset_height,
+    reset_mag_bias,
     reset_position,
     reset_velocity,
     reset_vertical_velocity,
@@ -38,6 +41,7 @@ _VISION_STOP_US = 400_000  # PX4: twice EV_MAX_INTERVAL
 _SENSOR_STOP_US = 1_000_000
 _IMU_STOP_US = 200_000
 _MAG_PERIOD_US = 60_000  # PX4: SENS_MAG_RATE 15 Hz, rounded to the magnetometer's 50 Hz
+_MAG_START_US = 1_000_000  # the field must have been sound for as long (PX4: min_mag_health_time)
 _BARO_PERIOD_US = 50_000  # PX4: SENS_BARO_RATE 20 Hz
 _BARO_START_US = 1_000_000  # the barometer waits so long for the height that counts
 _HOLD_PERIOD_US = 200_000  # PX4: fake position at 5 Hz
@@ -106,33 +110,68 @@ def fuse_sources(e, s, p, work):
 @kernel
 def _take_mag(e, s, p, work):
     e.time_mag_us = s.time_us
-    strength = math.sqrt(s.mag[0] ** 2 + s.mag[1] ** 2 + s.mag[2] ** 2)
-    disturbed = abs(strength - _FIELD_STRENGTH) > _FIELD_TOLERANCE
-    e.mag_good = not disturbed
-    kind = int(p.ekf2_mag_type)
-    refused = disturbed and int(p.ekf2_mag_check) & 1
-    first_only = kind == _MAG_INIT and e.heading_aligned
-    if kind == _MAG_NONE or refused or first_only or e.vision_yaw_used:
+    if not e.in_air:
+        e.mag_fault = 0
+    if not _mag_usable(e, s, p):
         e.mag_used = 0
         e.test_ratio_mag = 0.0
         return
+    follow_field(e, s)
     if not e.heading_aligned:
-        _head_north(e, s, p)
+        e.mag_resets = 1
+        _head_north(e, s, p, work)
         return
+    if not e.mag_used:
+        e.mag_used = e.mag_resets = 1
+        e.time_heading_fuse_us = s.time_us
     fuse_heading(e, s, p, work)
-    e.mag_used = s.time_us - e.time_heading_fuse_us < _RESET_US
-    if not e.mag_used and not e.gps_used and not e.vision_position_used:
-        _head_north(e, s, p)  # nothing else shows the heading
+    if not _within(s.time_us, e.time_heading_fuse_us, _RESET_US):
+        _mag_refused(e, s, p, work)
 
 
 @kernel
-def _head_north(e, s, p):
-    """Turn the heading to what the magnetometer shows; what the position was counted by is void then."""
-    innovation, _, bias, found = magnetic_heading(e, s, math.radians(p.ekf2_mag_decl))
+def _mag_usable(e, s, p):
+    """Return whether the magnetometer's heading is wanted and may be believed; keep ``mag_good``."""
+    strength = math.sqrt(s.mag[0] ** 2 + s.mag[1] ** 2 + s.mag[2] ** 2)
+    disturbed = abs(strength - _FIELD_STRENGTH) > _FIELD_TOLERANCE
+    if disturbed:
+        e.time_mag_disturbed_us = s.time_us
+    e.mag_good = not disturbed and not e.mag_fault
+    kind = int(p.ekf2_mag_type)
+    refused = int(p.ekf2_mag_check) & 1 and _within(s.time_us, e.time_mag_disturbed_us, _MAG_START_US)
+    first_only = kind == _MAG_INIT and e.heading_aligned
+    return not (kind == _MAG_NONE or refused or first_only or e.mag_fault or e.vision_yaw_used)
+
+
+@kernel
+def _mag_refused(e, s, p, work):
+    """Believe a magnetometer that has been refused for long, in the air only once: it is faulty when that was no help.
+
+    As PX4's mag_heading_control. Its bias is learnt anew.
+    """
+    if e.in_air and not e.mag_resets:
+        e.mag_fault = 1
+        e.mag_used = e.mag_good = 0
+        e.test_ratio_mag = 0.0
+        return
+    reset_mag_bias(e, p.ekf2_mag_noise**2)
+    _head_north(e, s, p, work)
+    if e.in_air:
+        e.mag_resets -= 1
+
+
+@kernel
+def _head_north(e, s, p, work):
+    """Turn the heading to what the magnetometer shows; what the position was counted by is void then.
+
+    The heading is unknown and then measured, so that it has the error of that sample and of the bias, correlated with
+    what else shares them.
+    """
+    innovation, _, _, found = magnetic_heading(e, s, math.radians(p.ekf2_mag_decl))
     if not found:
         return
-    spread = (bias[0] ** 2 + bias[1] ** 2 + bias[2] ** 2) * p.ekf2_mag_noise**2
-    reset_yaw(e, innovation, p.ekf2_head_noise**2 + spread)
+    reset_yaw(e, innovation, YAW_UNKNOWN_STD**2)
+    fuse_heading(e, s, p, work)
     e.heading_aligned = e.mag_used = 1
     e.time_heading_fuse_us = s.time_us
 

@@ -172,7 +172,7 @@ ESTIMATOR = np.dtype(
         ("flow_good", "i4"),
         ("range_good", "i4"),
         ("baro_good", "i4"),
-        ("mag_good", "i4"),  # samples come and have the strength of the Earth's field
+        ("mag_good", "i4"),  # samples come, have the strength of the Earth's field and are not refused for good
         ("eph", "f8"),  # m, 1 sigma of the horizontal position
         ("epv", "f8"),  # m, of the vertical position
         ("evh", "f8"),  # m/s, of the horizontal velocity
@@ -237,6 +237,12 @@ ESTIMATOR = np.dtype(
         ("time_flow_fuse_us", "i8"),
         ("time_terrain_fuse_us", "i8"),
         ("time_vision_fuse_us", "i8", 3),  # position, velocity, yaw
+        ("in_air", "i4"),  # what the land detector said in the step before
+        ("mag_fault", "i4"),  # refused again after its reset in the air: not used until the ground
+        ("mag_resets", "i4"),  # resets of the heading that are left in the air
+        ("field", "f8", 2),  # gauss, horizontal strength and downward part of the magnetic field, smoothed
+        ("field_samples", "i4"),
+        ("time_mag_disturbed_us", "i8"),  # last sample that was not of the Earth's strength
         # Vibration, see ``vibration``
         ("vibration", "f8", 3),  # coning of the gyroscope (rad^2), its and the accelerometer's jitter (rad/s, m/s^2)
         ("vibration_gyro", "f8", 3),  # rad/s, the sample before
