@@ -248,6 +248,9 @@ def test_there_is_nothing_to_calibrate(served):
     assert served.command(241)[0] == 1
 
 
-@pytest.mark.parametrize(("action", "result"), [(0, 0), (1, 2), (2, 2), (3, 2)])
+@pytest.mark.parametrize(("action", "result"), [(0, 0), (1, 0), (2, 2), (3, 2)])
 def test_reboot(served, action, result):
     assert served.command(246, action)[0] == result
+    assert served.commander.rebooting == (action == 1)
+    served.commander.armed = True
+    assert served.command(246, action)[0] == (2 if action else 0)

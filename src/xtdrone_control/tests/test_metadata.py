@@ -207,7 +207,8 @@ def test_definitions_of_parameters(served):
         assert not {"values", "bitmask"} <= set(entry)
         if "decimalPlaces" in entry:
             assert round(entry["default"], entry["decimalPlaces"]) == entry["default"]
-    assert entries["MAV_SYS_ID"]["rebootRequired"]
+    assert entries["EKF2_GBIAS_INIT"]["rebootRequired"]
+    assert entries["MAV_SYS_ID"]["readOnly"]
     assert entries["MAV_SYS_ID"]["default"] == SYSTEM
 
 
@@ -216,10 +217,15 @@ def test_choices_are_those_that_a_parameter_can_have():
         entry = describe(name)
         assert all(entry.minimum <= value <= entry.maximum for value in choices), name
         assert entry.default in choices, name
+    small = {name for name in NAMES if describe(name).type == INT32 and describe(name).maximum <= 9
+             and not describe(name).unit}  # fmt: skip
+    assert small <= set(parameter_choices.CHOICES) | set(parameter_choices.BITS), "a new choice needs its words"
+    groups = {name.split("_")[0] for name in NAMES if not name.startswith("RC")}
+    assert groups <= set(metadata._GROUPS), "a new group of parameters needs its name"
     for name, bits in parameter_choices.BITS.items():
         assert describe(name).type == INT32
         assert all(1 << bit <= describe(name).maximum for bit in bits), name
-    assert set(parameter_choices.AT_START) <= set(NAMES)
+    assert set(NAMES) >= parameter_choices.AT_START | parameter_choices.FIXED
 
 
 @pytest.fixture

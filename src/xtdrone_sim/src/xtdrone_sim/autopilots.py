@@ -28,7 +28,8 @@ class Autopilots(Protocol):
 
     Attributes:
         autopilot: records of all vehicles; a new object after each ``begin``.
-        commanders: modes and arming of ``served``, one a vehicle; new objects after each ``begin``.
+        commanders: modes and arming of ``served``, one a vehicle; a new list after each ``begin``, and in it a new
+            object when a vehicle's autopilot alone is rebooted.
         served: the vehicles whose MAVLink the simulator serves.
         need_time: they answer their clients only while time goes on.
         descriptors: file descriptors on which something may come while time stands still; see ``serve``.
@@ -122,12 +123,9 @@ class Builtin:
         self.autopilot = Autopilot(self._layouts, self._datum)
         self.autopilot.time_us = time_us
         self.commanders = []
-        vehicles = zip(self.served, self._parameters, self._plans, strict=True)
-        for index, (vehicle, parameters, plans) in enumerate(vehicles):
+        for index, parameters in enumerate(self._parameters):
             parameters.write_to(self.autopilot.params[index])
-            commander = Commander(vehicle, self.autopilot, parameters, index)
-            commander.navigator.restore(plans)
-            self.commanders.append(commander)
+            self.commanders.append(self._boot(index))
         self.autopilot.start_control()
         self._batteries = Batteries(world, self.autopilot, self._battery_models, self._parameters)
         if self._logs is not None:
@@ -135,14 +133,31 @@ class Builtin:
             self.autopilot.logs = self._logger.folders
             self._logger.update()
 
+    def _boot(self, index: int) -> Commander:
+        commander = Commander(self.served[index], self.autopilot, self._parameters[index], index)
+        commander.navigator.restore(self._plans[index])
+        return commander
+
+    def _reboot(self, index: int) -> None:
+        """Boot one vehicle's autopilot anew, as MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN asks; the others fly on."""
+        if self.commanders[index].armed:  # somebody was quicker
+            self.commanders[index].rebooting = False
+            return
+        self.autopilot.reboot(index)
+        commander = self.commanders[index] = self._boot(index)
+        if self._logger is not None:
+            self._logger.reboot(index, commander)
+
     def step(self) -> None:
         """Run the kernels, and the mode logic when it is due."""
         self.autopilot.step()
         beat = self.autopilot.time_us % COMMANDER_PERIOD_US == 0
         if beat:
             self._batteries.update(self.autopilot.time_us)
-            for commander in self.commanders:
+            for index, commander in enumerate(self.commanders):
                 commander.update()
+                if commander.rebooting:
+                    self._reboot(index)
         if self._logger is not None:
             self._logger.step()
             if beat:

@@ -427,6 +427,8 @@ class SimulatorNode:
         """
         if self._stop.requested():
             raise rospy.ROSInterruptException("shutdown")
+        if timeout > 0.0:
+            timeout = min(timeout, self._mavlink.patience)
         ready = {descriptor for descriptor, _ in self._poll.poll(timeout)}
         if self._mavlink.fileno() in ready:
             self._mavlink.receive(0.0)

@@ -256,21 +256,8 @@ class Autopilot:
         self.control = records(CONTROL, self.count)
         self.failures = records(FAILURES, self.count)
         self.params = records(PARAMS, self.count)
-        self.estimator["q"][:, 0] = 1.0
-        self.control["landed"] = 1
-        self.control["sp_q"][:, 0] = 1.0
-        if datum is not None:
-            self.estimator["origin_lat"] = datum.latitude
-            self.estimator["origin_lon"] = datum.longitude
-            self.estimator["origin_alt"] = datum.altitude
-            self.estimator["origin_set"] = 1
-        for field in ("position", "velocity", "acceleration", "goal_position", "onward_position"):
-            self.setpoint[field] = np.nan
-        for field in ("yaw", "yaw_rate", "goal_yaw", "cruise_speed", "climb_speed", "descend_speed"):
-            self.setpoint[field] = np.nan
-        self.setpoint["goal_radius"] = np.nan
-        for field in ("task_position", "task_velocity", "task_acceleration", "task_yaw", "leg_goal", "leg_onward"):
-            self.control[field] = np.nan
+        self._datum = datum
+        self._prepare(slice(None))
         self._layouts = list(layouts)
         self._failed = np.zeros(self.count, np.int32)
         self._mix = np.zeros((self.count, 4, MAX_ROTORS))
@@ -279,6 +266,32 @@ class Autopilot:
         for i in range(self.count):
             self._set_mixer(i)
         self._work = np.zeros((2, N_STATES))
+
+    def _prepare(self, which: slice) -> None:
+        """Put what the records hold that is not 0 at the start into those of some vehicles."""
+        self.estimator["q"][which, 0] = 1.0
+        self.control["landed"][which] = 1
+        self.control["sp_q"][which, 0] = 1.0
+        if self._datum is not None:
+            self.estimator["origin_lat"][which] = self._datum.latitude
+            self.estimator["origin_lon"][which] = self._datum.longitude
+            self.estimator["origin_alt"][which] = self._datum.altitude
+            self.estimator["origin_set"][which] = 1
+        for field in ("position", "velocity", "acceleration", "goal_position", "onward_position"):
+            self.setpoint[field][which] = np.nan
+        for field in ("yaw", "yaw_rate", "goal_yaw", "cruise_speed", "climb_speed", "descend_speed"):
+            self.setpoint[field][which] = np.nan
+        self.setpoint["goal_radius"][which] = np.nan
+        for field in ("task_position", "task_velocity", "task_acceleration", "task_yaw", "leg_goal", "leg_onward"):
+            self.control[field][which] = np.nan
+
+    def reboot(self, index: int) -> None:
+        """Put the records of vehicle ``index`` back to their start; sensors and parameters stay as they are."""
+        which = slice(index, index + 1)
+        for record in (self.estimator, self.setpoint, self.control, self.failures):
+            record[which] = np.zeros(1, record.dtype)
+        self._prepare(which)
+        self.start_control(which)
 
     def rotor_count(self, index: int) -> int:
         """Return how many rotors vehicle ``index`` has."""
@@ -298,11 +311,11 @@ class Autopilot:
             self._failed[i] = failed[i]
             self._set_mixer(i)
 
-    def start_control(self) -> None:
-        """Take over what the parameters fix at start."""
-        self.control["hover_thrust"] = self.params["mpc_thr_hover"]
-        self.control["hover_estimate"] = self.params["mpc_thr_hover"]
-        self.control["tilt_limit"] = np.radians(self.params["mpc_tiltmax_lnd"])
+    def start_control(self, which: slice = slice(None)) -> None:
+        """Take over what the parameters of some vehicles fix at start."""
+        self.control["hover_thrust"][which] = self.params["mpc_thr_hover"][which]
+        self.control["hover_estimate"][which] = self.params["mpc_thr_hover"][which]
+        self.control["tilt_limit"][which] = np.radians(self.params["mpc_tiltmax_lnd"][which])
 
     def step(self) -> None:
         """Advance every vehicle by one step of ``STEP_US`` over the samples in ``sensors``."""

@@ -64,6 +64,7 @@ class Commander(FlightCommands):
         manual: its pilot.
         on_command: called with each MAV_CMD that has come, when it is not None: number, parameters 1 to 7, sender
             (system, component), MAV_RESULT or None where there is no answer. The logger.
+        rebooting: a reboot was asked for; whoever holds the commander carries it out.
         armed: whether it is armed; motors run unless it has been killed or terminated.
         flights: how often it has been armed and disarmed.
     """
@@ -92,6 +93,7 @@ class Commander(FlightCommands):
         self._reported: tuple[Flags, Mode, bool] | None = None
         self._checked_us = _NEVER_US
         self.on_command: CommandListener | None = None
+        self.rebooting = False
         self.armed = False
         self.flights = 0
         self._mode = modes.AUTO_LOITER  # what was asked for

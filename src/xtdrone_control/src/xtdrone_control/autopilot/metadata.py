@@ -20,7 +20,7 @@ from .event_catalogue import CATALOGUE, ENUM_TYPES, Definition
 from .event_words import ACTIONS, CAUSES, MODES
 from .events import event_id
 from .failsafe import Action, Cause
-from .parameter_choices import AT_START, BITS, CHOICES
+from .parameter_choices import AT_START, BITS, CHOICES, FIXED
 from .parameters import INT32, NAMES, Parameter, Parameters, describe
 
 GENERAL, PARAMETER, EVENTS = 0, 1, 4  # COMP_METADATA_TYPE
@@ -41,11 +41,13 @@ _COMPONENT_WORDS = {
 _GROUPS = {
     "BAT": "Battery",
     "BAT1": "Battery",
+    "CA": "Control allocation",
     "CBRK": "Circuit breakers",
     "COM": "Commander",
     "EKF2": "Estimator",
     "FD": "Failure detector",
     "GF": "Geofence",
+    "HTE": "Hover thrust estimator",
     "IMU": "Sensors",
     "LNDMC": "Land detector",
     "MAN": "Manual control",
@@ -167,6 +169,8 @@ def _parameter(entry: Parameter, default: float) -> dict[str, Any]:
         found["decimalPlaces"] = max(_decimals(default), _decimals(entry.minimum), 2)
     if entry.name in AT_START:
         found["rebootRequired"] = True
+    if entry.name in FIXED:
+        found["readOnly"] = True
     if entry.name in CHOICES:
         found["values"] = [{"value": value, "description": words} for value, words in CHOICES[entry.name].items()]
     if entry.name in BITS:

@@ -27,6 +27,7 @@ _CHANNEL = {0: "none", **{number: f"channel {number}" for number in range(1, 19)
 
 CHOICES: dict[str, dict[int, str]] = {
     "BAT1_N_CELLS": {number: f"{number}S" for number in range(1, 17)},
+    "CA_FAILURE_MODE": {0: "a failed motor is not known of", 1: "a failed motor is left out"},
     "CBRK_FLIGHTTERM": {0: "the attitude limit terminates the flight", 121_212: "it warns"},
     "CBRK_SUPPLY_CHK": {0: "the battery is looked at", 894_281: "it is not"},
     "COM_ACT_FAIL_ACT": {0: "warning", 1: "hold", 2: "land", 3: "return", 4: "terminate"},
@@ -67,6 +68,9 @@ CHOICES: dict[str, dict[int, str]] = {
         3: "a take-off and a landing",
         4: "both or neither",
     },
+    "MC_AIRMODE": {0: "off", 1: "roll and pitch", 2: "roll, pitch and yaw"},
+    "MPC_POS_MODE": {0: "velocity", 3: "smoothed velocity", 4: "acceleration"},
+    "MPC_THR_CURVE": {0: "the middle hovers", 1: "straight"},
     "MPC_USE_HTE": _OFF_ON,
     "MPC_YAW_MODE": {
         0: "towards the waypoint",
@@ -113,4 +117,6 @@ BITS: dict[str, dict[int, str]] = {
 }  # fmt: skip
 
 # what is looked at only when the autopilot starts
-AT_START = frozenset({"MAV_COMP_ID", "MAV_SYS_ID"})
+AT_START = frozenset({"EKF2_ABIAS_INIT", "EKF2_ANGERR_INIT", "EKF2_GBIAS_INIT"})
+# what the fleet gives, whatever the parameter says
+FIXED = frozenset({"MAV_COMP_ID", "MAV_SYS_ID"})

@@ -284,11 +284,15 @@ class CommandHandler:
         return Result.ACCEPTED if parameters.save() else Result.FAILED
 
     def _reboot(self, command: Command, _link: Link) -> Result:
+        """Reboot the autopilot (1). Shutting down (2) is refused: who did it could not start the vehicle again."""
         action = _rounded(command.params[0])
         if action == 0:  # nothing for the autopilot
             return Result.ACCEPTED
-        if action == 1:
-            self._commander.say(CRITICAL, "Reboot denied: restart the simulator")
+        if action == 1 and not self._commander.armed:
+            self._commander.rebooting = True
+            return Result.ACCEPTED
+        if action == 2 and not self._commander.armed:
+            self._commander.say(CRITICAL, "Shutdown denied: it ends with the simulator")
         return Result.DENIED
 
     def _test_actuator(self, command: Command, _link: Link) -> Result | None:

@@ -300,6 +300,12 @@ class Port:
         for link in self._links.values():
             link.flush(now_us)
 
+    def flush_others(self, now_us: int, counted: Collection[int]) -> None:
+        """Send what is queued for clients that are not at ``counted`` ports."""
+        for link in self._links.values():
+            if link.peer[1] not in counted:
+                link.flush(now_us)
+
     def send(self, datagram: bytes, peer: Address, now_us: int) -> bool:
         """Send a datagram; say whether the operating system took it, and count it."""
         try:

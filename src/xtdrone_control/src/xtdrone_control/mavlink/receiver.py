@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ from .dialect import MESSAGE_ID, MESSAGES
 from .link import Address, Link
 from .packing import COMPONENT_ID
 from .port import Port
-from .service import Handler, Vehicle
+from .service import Handler, Service, Vehicle
 from .services import all_services
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ class Receiver:
         """Take the vehicle's commander and its place in ``autopilot``; ``clients`` returns the links of all."""
         self._vehicle = Vehicle(commander, autopilot, index, clients)
         self._services = all_services(self._vehicle)
+        self._transfers = [service for service in self._services if type(service).waiting is not Service.waiting]
         self._entries = {
             MESSAGE_ID[name]: _entry(name, handle)
             for service in self._services
@@ -121,6 +122,19 @@ class Receiver:
         for service in self._services:
             if service.due_us <= now_us:
                 service.update(now_us)
+
+    @property
+    def waits(self) -> bool:
+        """Whether somebody waits for the next part of a transfer."""
+        return any(service.waiting for service in self._transfers)
+
+    def send_parts(self, now_us: int, counted: Collection[int]) -> None:
+        """Queue the next part of every transfer, save those to ``counted`` ports: while time stands still."""
+        self._vehicle.now_us = now_us
+        for service in self._transfers:
+            for link in service.waiting:
+                if link.peer[1] not in counted:
+                    service.send_part(link, now_us)
 
     def hold(self) -> None:
         """Keep set-points and home positions from now on until ``release``."""

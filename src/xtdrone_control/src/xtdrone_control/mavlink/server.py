@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _MAX_DATAGRAMS = 4096  # read from one port in a round: more than a socket's buffer holds, and a flood must not hold us
 _NEVER = 1 << 62  # microseconds: no vehicle is served here
 _LOOK_PERIOD = 0.1  # s of wall time between two looks at whether ground stations hear enough
+_STANDSTILL = 0.1  # s of wall time from which simulated time counts as standing
+_PART_PERIOD = 0.02  # s of wall time between two parts of a transfer while it stands
 
 
 class _Vehicle:
@@ -110,13 +112,14 @@ class MavlinkServer:
         Args:
             fleet: the vehicles, in the order of the autopilot's records.
             autopilot: holder of the records.
-            commanders: one a vehicle.
+            commanders: one a vehicle; when another one takes a place in it, that vehicle's autopilot was rebooted.
             host: address to listen on; "0.0.0.0" for every network.
 
         Raises:
             LinkError: a port is taken; the message names vehicle, link and port. No port stays bound then.
         """
         self._autopilot = autopilot
+        self._commanders = commanders
         self._vehicles: list[_Vehicle] = []
         self._selector = selectors.EpollSelector()
         try:
@@ -126,7 +129,8 @@ class MavlinkServer:
             self.close()
             raise
         self._ports = [port for served in self._vehicles for port in served.ports]
-        self._next_look = 0.0
+        self._next_look = self._next_part = 0.0
+        self._stood = (-1, 0.0)  # simulated time at the last look, us, and wall time since which it has been that
         for served in self._vehicles:
             for port in served.ports:
                 self._selector.register(port.socket, selectors.EVENT_READ, (served, port))
@@ -193,19 +197,24 @@ class MavlinkServer:
 
     def send_streams(self, now_us: int) -> None:
         """Send the texts that wait, the telemetry that is due by ``now_us``, and what services have to say by then."""
-        for served in self._vehicles:
+        for served, commander in zip(self._vehicles, self._commanders, strict=True):
+            if served.commander is not commander:
+                served.reboot(self._autopilot, commander)
             served.send(now_us)
 
     def keep_alive(self, counted_ports: Callable[[], Collection[int]] = tuple) -> None:
-        """Keep ground stations from taking slow or paused simulated time for a lost link; call it now and then.
+        """Keep clients that live by wall time going while simulated time is slow or stands still; call it now and then.
 
-        Only there: what the other ports carry is counted and the same in every run.
+        Ground stations hear a heartbeat each second, so that they do not take the link for lost. When time stands,
+        transfers that it paces (parameter lists, logs, files) go on, so that somebody can come to a paused simulation,
+        look around and tell it something. Nothing of it has a part in the flight.
 
         Args:
             counted_ports: returns the remote ports on which lockstep participants count what comes; what goes there
                 must not depend on wall time either.
         """
         wall = time.monotonic()
+        self._go_on(wall, counted_ports)
         if wall < self._next_look:
             return
         self._next_look = wall + _LOOK_PERIOD
@@ -213,6 +222,28 @@ class MavlinkServer:
         for port in self._ports:
             if port.by_wall:
                 port.keep_alive(self._autopilot.time_us, counted)
+
+    @property
+    def patience(self) -> float:
+        """Wall time, s, after which ``keep_alive`` is wanted again while simulated time stands."""
+        return _PART_PERIOD if any(served.receiver.waits for served in self._vehicles) else _LOOK_PERIOD
+
+    def _go_on(self, wall: float, counted_ports: Callable[[], Collection[int]]) -> None:
+        """Send the next parts of transfers if simulated time stands still."""
+        now_us = self._autopilot.time_us
+        if now_us != self._stood[0]:
+            self._stood = (now_us, wall)
+        if wall - self._stood[1] < _STANDSTILL or wall < self._next_part:
+            return
+        self._next_part = wall + _PART_PERIOD
+        waiting = [served for served in self._vehicles if served.receiver.waits]
+        if not waiting:
+            return
+        counted = counted_ports()
+        for served in waiting:
+            served.receiver.send_parts(now_us, counted)
+            for port in served.ports:
+                port.flush_others(now_us, counted)
 
     def reboot(self, autopilot: Autopilot, commanders: Sequence[Commander]) -> None:
         """Go on with autopilots that have been rebooted: streams start anew; sockets, peers and counters stay.
@@ -222,6 +253,7 @@ class MavlinkServer:
             commanders: the new ones, one a vehicle.
         """
         self._autopilot = autopilot
+        self._commanders = commanders
         for served, commander in zip(self._vehicles, commanders, strict=True):
             served.reboot(autopilot, commander)
 

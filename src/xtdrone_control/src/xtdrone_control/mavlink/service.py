@@ -101,6 +101,15 @@ class Service:
         """Message name to what handles it: a function of the client's link and the decoded message."""
         return {message: getattr(self, name) for message, name in self.MESSAGES.items()}
 
+    @property
+    def waiting(self) -> list[Link]:
+        """Links with a transfer that goes on by itself: part by part in ``update``, or by ``send_part``."""
+        return []
+
+    def send_part(self, link: Link, now_us: int) -> None:
+        """Queue the next part of the transfer to ``link``, one of ``waiting``."""
+        raise NotImplementedError
+
     def update(self, now_us: int) -> None:
         """Go on with what takes time; called once ``due_us`` is reached, and sets it anew."""
         self.due_us = NEVER_US

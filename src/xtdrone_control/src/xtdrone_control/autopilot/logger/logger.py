@@ -225,10 +225,29 @@ class Logger:
             _Ring(autopilot.control, _BASE_ROWS),
         ]
         self._rotors = np.array([autopilot.rotor_count(i) for i in range(count)], np.int64)
-        for i, commander in enumerate(self._commanders):
-            commander.on_text = self._text_taker(i)
-            commander.on_command = self._command_taker(i)
-            commander.parameters.on_change = self._parameter_taker(i)
+        for i in range(count):
+            self._listen(i)
+
+    def _listen(self, index: int) -> None:
+        commander = self._commanders[index]
+        commander.on_text = self._text_taker(index)
+        commander.on_command = self._command_taker(index)
+        commander.parameters.on_change = self._parameter_taker(index)
+
+    def reboot(self, index: int, commander: Commander) -> None:
+        """Go on with a vehicle whose autopilot was rebooted: its log ends; with SDLOG_MODE 1 or 2 another one begins.
+
+        Args:
+            index: which vehicle.
+            commander: its new one.
+        """
+        self.flush()
+        self._end(index)
+        self._commanders[index] = commander
+        self._status[index] = StatusTopics(commander, self._ids)
+        self._has_armed[index] = self._given_up[index] = False
+        self._texts[index].clear()
+        self._listen(index)
 
     def close(self) -> None:
         """Write what is left, and end all logs."""

@@ -282,13 +282,18 @@ class FtpService(Service):
     def update(self, now_us: int) -> None:
         """Send the next messages of the bursts that are running."""
         self._drop_closed()
-        for link, client in self._clients.items():
-            if client.burst >= 0:
-                self._go_on(link, client)
-        busy = any(client.burst >= 0 for client in self._clients.values())
-        self.due_us = (now_us // PERIOD_US + 1) * PERIOD_US if busy else NEVER_US
+        for link in self.waiting:
+            self.send_part(link, now_us)
+        self.due_us = (now_us // PERIOD_US + 1) * PERIOD_US if self.waiting else NEVER_US
 
-    def _go_on(self, link: Link, client: _Client) -> None:
+    @property
+    def waiting(self) -> list[Link]:
+        """Who gets a burst."""
+        return [link for link, client in self._clients.items() if client.burst >= 0]
+
+    def send_part(self, link: Link, _now_us: int) -> None:
+        """Queue the next messages of a burst."""
+        client = self._clients[link]
         assert client.file is not None
         for _ in range(BURST):
             data = _part(client, client.file, client.burst, client.burst_size)

@@ -105,15 +105,23 @@ class LogService(Service):
 
     def update(self, now_us: int) -> None:
         """Send the next messages of every transfer."""
-        for link, client in list(self._clients.items()):
-            if not link.open:
-                del self._clients[link]
-                continue
-            self._send_entries(link, client)
-            if client.sending:
-                self._send_data(link, client, now_us)
-        busy = any(client.waits for client in self._clients.values())
-        self.due_us = (now_us // PERIOD_US + 1) * PERIOD_US if busy else NEVER_US
+        for link in [link for link in self._clients if not link.open]:
+            del self._clients[link]
+        for link in self.waiting:
+            self.send_part(link, now_us)
+        self.due_us = (now_us // PERIOD_US + 1) * PERIOD_US if self.waiting else NEVER_US
+
+    @property
+    def waiting(self) -> list[Link]:
+        """Who gets a list, or a log."""
+        return [link for link, client in self._clients.items() if client.waits]
+
+    def send_part(self, link: Link, now_us: int) -> None:
+        """Queue the next messages of a transfer."""
+        client = self._clients[link]
+        self._send_entries(link, client)
+        if client.sending:
+            self._send_data(link, client, now_us)
 
     def _send_entries(self, link: Link, client: _Client) -> None:
         told, client.listing = client.listing[:BURST], client.listing[BURST:]

@@ -42,16 +42,26 @@ class ParameterService(Service):
 
     def update(self, now_us: int) -> None:
         """Send the next parameters of the lists that are running."""
-        for link, start in list(self._lists.items()):
-            for name in NAMES[start : start + _BURST]:
-                self._send_parameter((link,), name)
-            self._lists[link] = start + _BURST
-            if not link.open:
-                del self._lists[link]
-            elif start + _BURST >= len(NAMES):
-                del self._lists[link]
-                self._send_hash(link)
+        for link in self.waiting:
+            self.send_part(link, now_us)
         self._schedule(now_us)
+
+    @property
+    def waiting(self) -> list[Link]:
+        """Who gets a list now."""
+        return list(self._lists)
+
+    def send_part(self, link: Link, _now_us: int) -> None:
+        """Queue the next parameters of a list."""
+        start = self._lists[link]
+        for name in NAMES[start : start + _BURST]:
+            self._send_parameter((link,), name)
+        self._lists[link] = start + _BURST
+        if not link.open:
+            del self._lists[link]
+        elif start + _BURST >= len(NAMES):
+            del self._lists[link]
+            self._send_hash(link)
 
     def _schedule(self, now_us: int) -> None:
         self.due_us = (now_us // _BURST_PERIOD_US + 1) * _BURST_PERIOD_US if self._lists else NEVER_US
