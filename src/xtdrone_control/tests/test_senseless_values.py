@@ -16,6 +16,7 @@ from xtdrone_control.autopilot.commander import Result
 from xtdrone_control.autopilot.manual_control import ManualControl
 from xtdrone_control.autopilot.parameters import Parameters
 from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot.state import TASK_GOTO
 
 NAN = math.nan
 NOTHING = (0.0, 0.0, 0.0, 0.0)
@@ -183,3 +184,45 @@ def test_a_client_that_goes_in_the_middle_of_an_upload_leaves_the_door_open():
     served.link.open = False
     (answer,) = served.ask(mavlink.MAVLink_mission_count_message(SYSTEM, 1, 3, 0), served.other)
     assert type(answer).__name__ == "MISSION_REQUEST"
+
+
+def test_a_failsafe_that_is_asked_for_late_acts():
+    flight = Flight(COM_FAIL_ACT_T=0.0)
+    flight.commander.gcs_heartbeat()
+    flight.commander.arm_disarm(True)
+    flight.place(30.0, 0.0, -10.0)
+    flight.run(15.0)
+    assert flight.commander.mode is modes.AUTO_LOITER
+    assert flight.commander.health.flags.gcs_lost
+    flight.parameters.set("NAV_DLL_ACT", 2)
+    flight.run(0.2)
+    assert flight.commander.mode is modes.AUTO_RTL
+
+
+def test_armed_again_in_the_air_with_a_failsafe_on_the_vehicle_is_caught():
+    flight = Flight(NAV_DLL_ACT=1)
+    flight.commander.gcs_heartbeat()
+    flight.commander.arm_disarm(True)
+    flight.place(0.0, 0.0, -50.0)
+    flight.run(11.0)
+    flight.commander.arm_disarm(False, force=True)
+    flight.run(0.5)
+    flight.place(0.0, 0.0, -45.0)
+    assert flight.commander.arm_disarm(True) is Result.ACCEPTED
+    assert flight.commander.failsafe
+    assert flight.commander.mode is modes.AUTO_LOITER
+    assert flight.setpoint["task"] == TASK_GOTO
+    assert flight.setpoint["goal_position"].tolist() == pytest.approx([0.0, 0.0, -45.0])
+
+
+def test_a_killed_vehicle_forgets_no_mission_before_it_is_disarmed(flight):
+    place = (3, NOTHING, *ORIGIN[:2])
+    flight.commander.navigator.set_plan(plan.MISSION, [PlanItem(plan.WAYPOINT, *place, z) for z in (10.0, 20.0)], 1)
+    flight.commander.request(modes.AUTO_MISSION)
+    flight.commander.kill(True)
+    flight.hover()
+    assert flight.commander.request(modes.OFFBOARD) is Result.ACCEPTED
+    flight.run(0.2)
+    assert flight.commander.navigator.plans.current == 1
+    flight.commander.arm_disarm(False, force=True)
+    assert flight.commander.navigator.plans.current == 0

@@ -88,7 +88,7 @@ class Commander(FlightCommands):
         self._offboard = OffboardInput(self.view)
         self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
         self._hand_flight = HandFlight(self.view, get)
-        self._failsafe = Failsafe(get, modes.AUTO_LOITER)
+        self._failsafe = Failsafe(get, modes.AUTO_LOITER, lambda: parameters.changes)
         self._checks = ArmingChecks(self.view, get)
         self._reported: tuple[Flags, Mode, bool] | None = None
         self._checked_us = _NEVER_US
@@ -100,6 +100,7 @@ class Commander(FlightCommands):
         self._mode_after_disarming = modes.AUTO_LOITER
         self._mode_chosen = False  # somebody has asked for a mode
         self._flown = modes.AUTO_LOITER
+        self._followed: Mode | None = None  # what the cascade follows; nothing while disarmed
         self._motors = MotorSwitch(self.view)
         self._armed_us = 0
         self._disarmed_us = _NEVER_US
@@ -288,6 +289,8 @@ class Commander(FlightCommands):
         self._disarmed_us = self.view.time_us
         self._motors.apply(self.armed)
         self.navigator.deactivate()
+        self.navigator.mission.reset()
+        self._followed = None
         self.view.start_task(TASK_IDLE)
         number, words = reason.value
         self._announcements.tell(INFO, f"Disarmed by {words}", "commander_disarmed_by", number)
@@ -397,7 +400,7 @@ class Commander(FlightCommands):
         if self._flown is not flown_before and self._flown is modes.AUTO_RTL:
             self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
         anew = changed and not outcome.active
-        if self.armed and (anew or self._flown is not flown_before):
+        if self.armed and (anew or self._flown is not self._followed):
             self._fly(self._flown)
 
     def _act(self, outcome: Outcome, before: Outcome) -> None:
@@ -412,6 +415,7 @@ class Commander(FlightCommands):
 
     def _fly(self, mode: Mode) -> None:
         """Let the cascade follow ``mode``; the vehicle is armed."""
+        self._followed = mode
         if mode.auto:
             self.navigator.activate(mode)
         else:
@@ -568,11 +572,7 @@ class Commander(FlightCommands):
         if self._flown.sticks:
             self._steer()
         following = self.navigator.update()
-        if following is None:
-            return
-        if self.failsafe:
-            self.navigator.activate(following)  # what was asked for comes again when the failsafe ends
-        else:
+        if following is not None:  # never while a failsafe acts: what it flies does not end
             self._intend(following)
             self._decide(changed=True)
 

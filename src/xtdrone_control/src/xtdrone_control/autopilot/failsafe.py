@@ -354,14 +354,16 @@ class Failsafe:
         outcome: the last decision.
     """
 
-    def __init__(self, get: Get, mode: Mode) -> None:
+    def __init__(self, get: Get, mode: Mode, changes: Callable[[], int] = int) -> None:
         """Start with nothing wrong.
 
         Args:
             get: parameter by name.
             mode: the mode that was asked for.
+            changes: returns how often a parameter has changed.
         """
         self._get = get
+        self._changes = changes
         self._active: dict[str, _Active] = {}
         self._takeover = False
         self._armed = False
@@ -371,7 +373,7 @@ class Failsafe:
         self._last_mode = mode
         self._delay_us = 0.0  # until a delayed action
         self._start_delay_us = self._configured_delay_us()
-        self._quiet: tuple[bool, Mode, Flags] | None = None
+        self._quiet: tuple[bool, Mode, Flags, int] | None = None  # with this nothing is to be done
         self.outcome = Outcome(Action.NONE, Action.NONE, 0.0, Cause.GENERIC, mode, mode)
 
     def _configured_delay_us(self) -> float:
@@ -390,7 +392,7 @@ class Failsafe:
             changed: somebody has asked for a mode since the last call, be it the same one.
             sticks: a pilot moves the sticks and wants to take over.
         """
-        key = (armed, mode, flags)
+        key = (armed, mode, flags, self._changes())
         if key == self._quiet and not changed and not sticks:
             self._last_us = now_us
             return self.outcome

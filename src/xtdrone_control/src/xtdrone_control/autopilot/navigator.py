@@ -114,8 +114,6 @@ class Navigator:
         """Leave the AUTO modes."""
         self._stop()
         self._mode = None
-        if not self._view.setpoint["armed"]:
-            self.mission.reset()
 
     def _stop(self) -> None:
         self.mission.deactivate()

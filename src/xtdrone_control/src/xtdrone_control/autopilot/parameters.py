@@ -395,6 +395,7 @@ class Parameters:
     A value out of its sensible range is stored, with a warning, as PX4 does.
 
     Attributes:
+        changes: how often a parameter has got another value.
         on_change: called with name and value of a parameter that has got another value, when it is not None: the
             logger.
     """
@@ -412,6 +413,7 @@ class Parameters:
         self._record: Any = None
         self._file = file
         self.on_change: Callable[[str, int | float], None] | None = None
+        self.changes = 0
         self._defaults = {name: entry.default for name, entry in _TABLE.items()}
         self._values: dict[str, int | float] = dict(self._defaults)
         for name, value in (overrides or {}).items():
@@ -462,8 +464,10 @@ class Parameters:
         self._values[name] = stored
         if self._record is not None and name in _FIELDS:
             self._record[_FIELDS[name]] = stored
-        if changed and self.on_change is not None:
-            self.on_change(name, stored)
+        if changed:
+            self.changes += 1
+            if self.on_change is not None:
+                self.on_change(name, stored)
         return stored
 
     def reset(self) -> None:
