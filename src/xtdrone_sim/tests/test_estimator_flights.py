@@ -9,6 +9,7 @@ import pytest
 
 from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander import Result
 from xtdrone_control.autopilot.origin import move_origin
 from xtdrone_control.autopilot.state import (
     FAILURE_GARBAGE,
@@ -23,6 +24,7 @@ from xtdrone_control.autopilot.state import (
     VISION_NED,
 )
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.mavlink.telemetry import Telemetry
 from xtdrone_sim.simulation import Simulation
 
 UNSET = (math.nan, math.nan, math.nan)
@@ -239,6 +241,39 @@ def test_vision_alone_gives_position_in_its_frame():
     flight.run(0.2)
     assert flight.e["global_valid"] == 1
     np.testing.assert_allclose(flight.e["position"], flight.position + np.array([5.0, -3.0, -1.0]), atol=0.05)
+
+
+def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
+    """It flies by local position; what needs a place on Earth waits for somebody to set the origin, as with PX4."""
+    flight = Flight(parameters=VISION_ONLY, shared_datum=False)
+    commander = flight.commander
+    flight.vision = camera()
+    flight.take_off(4.0)
+    assert commander.mode is modes.AUTO_LOITER
+    assert commander.home is None
+    assert commander.set_home(None) is Result.TEMPORARILY_REJECTED
+    assert commander.set_home((47.0, 8.0, 400.0)) is Result.TEMPORARILY_REJECTED
+    assert commander.reposition((47.0, 8.0, 410.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED
+    assert commander.change_altitude(410.0) is Result.TEMPORARILY_REJECTED
+    assert commander.request(modes.AUTO_RTL) is not Result.ACCEPTED
+    telemetry = Telemetry(commander, flight.simulation.autopilot, 0)
+    telemetry.refresh(flight.simulation.time_us)
+    assert telemetry.local_position_ned() is not None
+    for report in (telemetry.global_position_int, telemetry.home_position, telemetry.gps_global_origin):
+        assert report() is None
+    assert math.isnan(telemetry.altitude()[1])
+    flight.hold()
+    flight.run(2.0)
+    assert commander.mode is modes.OFFBOARD
+    move_origin(flight.e, 47.0, 8.0, 400.0)
+    flight.run(0.3)
+    assert commander.home is not None
+    assert (commander.home.latitude, commander.home.longitude) == pytest.approx((47.0, 8.0), abs=1e-4)
+    assert commander.request(modes.AUTO_LAND) is Result.ACCEPTED
+    flight.setpoint = None
+    flight.run(12.0)
+    assert commander.view.landed
+    assert not commander.armed
 
 
 def test_vision_in_a_frame_of_its_own_brings_its_heading():

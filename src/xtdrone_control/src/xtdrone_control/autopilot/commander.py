@@ -234,7 +234,7 @@ class Commander(FlightCommands):
         self._armed_us = self.view.time_us
         self._took_off = not self.view.landed
         self._was_landed = self.view.landed
-        if self.view.position_valid and int(self.parameters.get("COM_HOME_EN")) and self.view.landed:
+        if self.view.global_valid and int(self.parameters.get("COM_HOME_EN")) and self.view.landed:
             self._set_home_here()
         self._motors.apply(self.armed)
         number, words = reason.value
@@ -551,7 +551,7 @@ class Commander(FlightCommands):
         view = self.view
         self._obey_pilot()
         flags = self.health.update(self._mode, self._flown, self.armed)
-        if self.home is None and view.position_valid:
+        if self.home is None and view.global_valid:
             self._set_home_here()
         if self.armed:
             landed = view.landed

@@ -85,13 +85,13 @@ class FlightCommands(ABC):
     def set_home(self, place: Vector | None) -> Result:
         """Set home to (latitude, longitude, altitude), degrees and m AMSL, or to where the vehicle is (None)."""
         if place is None:
-            if not self.view.position_valid:
+            if not self.view.global_valid:
                 return Result.TEMPORARILY_REJECTED
             self._set_home_here()
             return Result.ACCEPTED
         if not geo.is_place(*place):
             return Result.DENIED
-        if not self.view.position_valid:
+        if not self.view.global_valid:
             return Result.TEMPORARILY_REJECTED
         position = self.view.to_local(*place)
         self.navigator.home = Home(*place, position, self.view.yaw, self.view.time_us)
@@ -114,7 +114,8 @@ class FlightCommands(ABC):
         target = tuple(h if math.isnan(p) else p for p, h in zip(place, here, strict=True))
         if not geo.is_place(*target) or math.isinf(yaw) or math.isinf(speed):
             return Result.DENIED
-        if not self.armed or self.view.landed or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
+        able = self.armed and not self.view.landed and self.view.has_origin
+        if not able or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
             self._announcements.tell(CRITICAL, "Reposition command rejected", "commander_reposition_rejected")
             return Result.TEMPORARILY_REJECTED
         if self.mode is not modes.AUTO_LOITER:
@@ -128,7 +129,7 @@ class FlightCommands(ABC):
         """Climb or sink to ``altitude`` (m AMSL) in AUTO.LOITER."""
         if not math.isfinite(altitude):
             return Result.DENIED
-        if self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
+        if not self.view.has_origin or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
             return Result.TEMPORARILY_REJECTED
         if self.armed and not self.view.landed and self.mode is modes.AUTO_LOITER:
             self.navigator.change_altitude(self.view.origin[2] - altitude)

@@ -234,7 +234,7 @@ class Navigator:
     def geofence_breach(self) -> str:
         """Return by what the vehicle breaks its geofence, or an empty text."""
         get = self._parameters.get
-        if not get("GF_ACTION"):
+        if not get("GF_ACTION") or not self._view.has_origin:
             return ""
         fence = self._present_fence()
         horizontal, vertical = get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST")
@@ -334,7 +334,7 @@ class Navigator:
         x, y, z = self._view.position
         ground = self._course.ground
         least = self._parameters.get("MIS_TAKEOFF_ALT")
-        wanted = self._view.origin[2] - self.takeoff_altitude
+        wanted = self._view.origin[2] - self.takeoff_altitude if self._view.has_origin else NAN
         goal = ground - least if math.isnan(wanted) else min(wanted, ground - least)
         if z < goal and not self._view.landed:
             self._tell(

@@ -57,6 +57,16 @@ class VehicleView:
         return bool(self.estimator["position_valid"]) and bool(self.estimator["altitude_valid"])
 
     @property
+    def has_origin(self) -> bool:
+        """Whether the local frame's place on Earth is known; without it ``to_local`` and ``to_global`` mean nothing."""
+        return bool(self.estimator["origin_set"])
+
+    @property
+    def global_valid(self) -> bool:
+        """Whether it is known where on Earth the vehicle is, and how high."""
+        return bool(self.estimator["global_valid"]) and bool(self.estimator["altitude_valid"])
+
+    @property
     def position(self) -> Vector:
         """Estimated position, m, local NED."""
         x, y, z = self.estimator["position"].tolist()

@@ -285,8 +285,8 @@ class Reports(Telemetry):
     # air traffic
 
     def utm_global_position(self) -> Values | None:
-        """Position for unmanned traffic management, once there has been a fix; altitudes are AMSL."""
-        if not self.located:
+        """Position for unmanned traffic management, while the place on Earth is known; altitudes are AMSL."""
+        if not self._commander.view.global_valid:
             return None
         lat, lon, alt = self._place(self.position)
         goal = self._goal()

@@ -143,6 +143,8 @@ def global_target(commander: Commander, m: Any) -> None:
 
 def _global_position(commander: Commander, m: Any, name: str) -> Vector:
     frame, altitude = m.coordinate_frame, m.alt
+    if not commander.view.has_origin:
+        raise SetpointError(f"{name}: where the local frame lies on Earth is not known")
     if frame == _RELATIVE:
         if commander.home is None:
             raise SetpointError(f"{name}: altitude over home, and there is no home yet")

@@ -214,8 +214,8 @@ class Telemetry:
         return None if not self.located else (self.time_ms, *self.position, *self.velocity)
 
     def global_position_int(self) -> Values | None:
-        """Latitude, longitude, altitude, velocity, heading, once there has been a fix and the origin is known."""
-        if not self.located or not self._estimator["origin_set"]:
+        """Latitude, longitude, altitude, velocity, heading, while it is known where on Earth that is."""
+        if not self._commander.view.global_valid:
             return None
         lat, lon = self._latitude_longitude()
         vx, vy, vz = self.velocity
@@ -237,7 +237,8 @@ class Telemetry:
 
     def altitude(self) -> Values:
         """Heights over sea, home and the local frame's origin, and over the ground where that is known."""
-        amsl, e = self._altitude(), self._estimator
+        e = self._estimator
+        amsl = self._altitude() if e["origin_set"] else _NAN
         ground = clearance = _NAN
         if e["terrain_valid"]:
             clearance = float(e["terrain"]) - self.position[2]

@@ -178,7 +178,8 @@ class StatusTopics:
         r = self._records["failsafe_flags"]
         r["attitude_invalid"] = r["angular_velocity_invalid"] = flags.attitude_invalid
         r["local_altitude_invalid"] = flags.altitude_invalid
-        r["local_position_invalid"] = r["global_position_invalid"] = flags.position_invalid
+        r["local_position_invalid"] = flags.position_invalid
+        r["global_position_invalid"] = flags.position_invalid or not self._commander.view.global_valid
         r["local_position_invalid_relaxed"] = r["local_velocity_invalid"] = flags.place_invalid
         r["home_position_invalid"] = flags.home_missing
         r["auto_mission_missing"] = flags.mission_missing
@@ -287,7 +288,8 @@ class StatusTopics:
             goal = s["goal_position"].tolist()
             here = c.view.position
             place = tuple(h if math.isnan(g) else g for g, h in zip(goal, here, strict=True))
-            current["lat"], current["lon"], current["alt"] = c.view.to_global((place[0], place[1], place[2]))
+            if c.view.has_origin:
+                current["lat"], current["lon"], current["alt"] = c.view.to_global((place[0], place[1], place[2]))
             current["valid"] = True
             current["type"] = self._goal_type(int(s["task"]))
             current["yaw"] = s["goal_yaw"]

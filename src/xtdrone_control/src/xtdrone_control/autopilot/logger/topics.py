@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.autopilot import geo
-from xtdrone_control.autopilot.state import MAX_ROTORS
+from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION, MAX_ROTORS
 
 EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0, as the telemetry has it
 
@@ -28,10 +28,11 @@ _DISARMED_PULSE, _LEAST_PULSE, _PULSE_RANGE = 900.0, 1000.0, 1000.0  # us, as SE
 # one device of each kind; PX4's ids are not zero, for zero is "none"
 _IMU_DEVICE, _MAG_DEVICE, _BARO_DEVICE, _GPS_DEVICE = 1310988, 197388, 6620172, 11469044
 
-# estimator_status.control_mode_flags
-_CS_TILT_ALIGN, _CS_YAW_ALIGN, _CS_GPS, _CS_MAG_HDG, _CS_IN_AIR, _CS_BARO_HGT = (1 << n for n in (0, 1, 2, 4, 7, 9))
-# estimator_status.solution_status_flags
-_SOLUTION_ATTITUDE, _SOLUTION_HORIZONTAL, _SOLUTION_VERTICAL = 1, 2 | 8 | 16, 4 | 32
+# bits of estimator_status' control_mode_flags, in order of the cs_* of estimator_status_flags
+_CS_TILT_ALIGN, _CS_YAW_ALIGN, _CS_GPS, _CS_OPT_FLOW, _CS_MAG_HDG, _CS_IN_AIR = 0, 1, 2, 3, 4, 7
+_CS_BARO_HGT, _CS_RNG_HGT, _CS_GPS_HGT, _CS_EV_POS, _CS_EV_YAW, _CS_EV_HGT = 9, 10, 11, 12, 13, 14
+_CS_MAG_DISTURBED, _CS_MAG_FAULT, _CS_EV_VEL, _CS_DEAD_RECKONING = 16, 18, 24, 29
+_MAGNETIC_FAULT = 4  # of ESTIMATOR.fault_flags
 
 Array = NDArray[np.float64]
 
@@ -187,10 +188,12 @@ _topic("sensor_gps", 1000, fresh="gps_fresh", **_GPS_CONSTANTS)(_gps)
 # estimates
 
 
-@_topic("vehicle_attitude", 40, delta_q_reset=(1.0, 0.0, 0.0, 0.0))
+@_topic("vehicle_attitude", 40)
 def _attitude(m: np.ndarray, s: Samples) -> None:
     m["q"] = s.estimator["q"]
-    m["quat_reset_counter"] = s.estimator["reset_counter"] & 0xFF
+    half = 0.5 * s.estimator["delta_heading"]  # only the heading is ever reset
+    m["delta_q_reset"][..., 0], m["delta_q_reset"][..., 3] = np.cos(half), np.sin(half)
+    m["quat_reset_counter"] = s.estimator["reset_counter_heading"] & 0xFF
 
 
 @_topic("vehicle_angular_velocity", 20)
@@ -214,9 +217,10 @@ def _local_position(m: np.ndarray, s: Samples) -> None:
     m["z_deriv"] = e["velocity"][..., 2]
     m["ax"], m["ay"], m["az"] = np.moveaxis(e["velocity_dot"], -1, 0)
     m["heading"] = s.heading
-    m["heading_good_for_control"] = e["initialised"]
-    m["xy_reset_counter"] = m["z_reset_counter"] = e["reset_counter"] & 0xFF
-    m["vxy_reset_counter"] = m["vz_reset_counter"] = m["heading_reset_counter"] = e["reset_counter"] & 0xFF
+    m["heading_good_for_control"] = e["heading_aligned"] | e["vision_yaw_used"]
+    for part in ("xy", "z", "vxy", "vz", "heading"):
+        m[f"{part}_reset_counter"] = e[f"reset_counter_{part}"] & 0xFF
+        m[f"delta_{part}"] = e[f"delta_{part}"]
     m["xy_global"] = m["z_global"] = e["origin_set"]
     m["ref_lat"], m["ref_lon"], m["ref_alt"] = e["origin_lat"], e["origin_lon"], e["origin_alt"]
     m["eph"], m["epv"] = s.horizontal_accuracy, s.vertical_accuracy
@@ -229,18 +233,36 @@ def _global_position(m: np.ndarray, s: Samples) -> None:
     e = s.estimator
     m["lat"], m["lon"] = s.places
     m["alt"] = m["alt_ellipsoid"] = e["origin_alt"] - e["position"][..., 2]
-    m["lat_lon_reset_counter"] = m["alt_reset_counter"] = e["reset_counter"] & 0xFF
+    m["lat_lon_reset_counter"] = e["reset_counter_xy"] & 0xFF
+    m["alt_reset_counter"] = e["reset_counter_z"] & 0xFF
     m["eph"], m["epv"] = s.horizontal_accuracy, s.vertical_accuracy
 
 
 def _control_flags(s: Samples) -> NDArray[np.int64]:
     e = s.estimator
-    return (
-        e["initialised"] * np.int64(_CS_TILT_ALIGN | _CS_YAW_ALIGN | _CS_MAG_HDG)
-        + e["position_valid"] * np.int64(_CS_GPS)
-        + e["altitude_valid"] * np.int64(_CS_BARO_HGT)
-        + (s.control["landed"] == 0) * np.int64(_CS_IN_AIR)
+    heights = e["height_used"]
+    bits = (
+        (_CS_TILT_ALIGN, e["initialised"]),
+        (_CS_YAW_ALIGN, e["heading_aligned"] | e["vision_yaw_used"]),
+        (_CS_GPS, e["gps_used"]),
+        (_CS_OPT_FLOW, e["flow_used"]),
+        (_CS_MAG_HDG, e["mag_used"]),
+        (_CS_IN_AIR, s.control["landed"] == 0),
+        (_CS_BARO_HGT, heights[..., HEIGHT_BARO]),
+        (_CS_RNG_HGT, heights[..., HEIGHT_RANGE]),
+        (_CS_GPS_HGT, heights[..., HEIGHT_GPS]),
+        (_CS_EV_POS, e["vision_position_used"]),
+        (_CS_EV_YAW, e["vision_yaw_used"]),
+        (_CS_EV_HGT, heights[..., HEIGHT_VISION]),
+        (_CS_MAG_DISTURBED, (e["fault_flags"] & _MAGNETIC_FAULT != 0) & (e["mag_fault"] == 0)),
+        (_CS_MAG_FAULT, e["mag_fault"]),
+        (_CS_EV_VEL, e["vision_velocity_used"]),
+        (_CS_DEAD_RECKONING, e["dead_reckoning"]),
     )
+    flags = np.zeros(e.shape, np.int64)
+    for bit, held in bits:
+        flags |= (np.asarray(held) != 0).astype(np.int64) << bit
+    return flags
 
 
 @_topic(
@@ -256,16 +278,14 @@ def _estimator_status(m: np.ndarray, s: Samples) -> None:
     m["control_mode_flags"] = _control_flags(s)
     m["pos_horiz_accuracy"], m["pos_vert_accuracy"] = s.horizontal_accuracy, s.vertical_accuracy
     for name in ("vel", "pos", "hgt", "mag"):
-        m[f"{name}_test_ratio"] = e[f"test_ratio_{name}"]
+        m[f"{name}_test_ratio"] = _root(e[f"test_ratio_{name}"])
+    m["hagl_test_ratio"] = _root(e["test_ratio_terrain"])
     failed = [(e[f"test_ratio_{name}"] > 1.0) << bit for name, bit in (("vel", 0), ("pos", 1), ("hgt", 2), ("mag", 6))]
     m["innovation_check_flags"] = sum(failed)
-    m["solution_status_flags"] = (
-        e["initialised"] * _SOLUTION_ATTITUDE
-        + e["position_valid"] * _SOLUTION_HORIZONTAL
-        + e["altitude_valid"] * _SOLUTION_VERTICAL
-    )
-    for name in ("vel_ne", "vel_d", "pos_ne", "pod_d", "quat"):
-        m[f"reset_count_{name}"] = e["reset_counter"] & 0xFF
+    m["solution_status_flags"] = e["flags"]
+    parts = (("vel_ne", "vxy"), ("vel_d", "vz"), ("pos_ne", "xy"), ("pod_d", "z"), ("quat", "heading"))
+    for name, part in parts:
+        m[f"reset_count_{name}"] = e[f"reset_counter_{part}"] & 0xFF
     m["mag_strength_gs"] = np.linalg.norm(s.sensors["mag"], axis=-1)
 
 
@@ -278,6 +298,8 @@ def _estimator_status_flags(m: np.ndarray, s: Samples) -> None:
     m["reject_hor_pos"] = s.estimator["test_ratio_pos"] > 1.0
     m["reject_ver_pos"] = s.estimator["test_ratio_hgt"] > 1.0
     m["reject_yaw"] = s.estimator["test_ratio_mag"] > 1.0
+    m["reject_hagl"] = s.estimator["test_ratio_terrain"] > 1.0
+    m["reject_optflow_x"] = m["reject_optflow_y"] = s.estimator["test_ratio_flow"] > 1.0
 
 
 @_topic("estimator_innovations", 200)
@@ -286,7 +308,11 @@ def _innovations(m: np.ndarray, s: Samples) -> None:
     m["gps_hvel"], m["gps_vvel"] = e["innov_vel"][..., :2], e["innov_vel"][..., 2]
     m["gps_hpos"], m["gps_vpos"] = e["innov_pos"][..., :2], e["innov_pos"][..., 2]
     m["baro_vpos"] = e["innov_hgt"]
-    m["heading"] = e["innov_yaw"]
+    m["ev_hvel"], m["ev_vvel"] = e["innov_vision_vel"][..., :2], e["innov_vision_vel"][..., 2]
+    m["ev_hpos"], m["ev_vpos"] = e["innov_vision_pos"][..., :2], e["innov_vision_pos"][..., 2]
+    m["rng_vpos"] = e["innov_range"]
+    m["flow"] = e["innov_flow"]
+    m["heading"] = np.where(e["vision_yaw_used"], e["innov_vision_yaw"], e["innov_yaw"])
 
 
 @_topic("estimator_innovation_test_ratios", 200)
@@ -294,8 +320,11 @@ def _test_ratios(m: np.ndarray, s: Samples) -> None:
     e = s.estimator
     m["gps_hvel"][..., 0] = e["test_ratio_vel"]  # a vector's ratio stands in its first element
     m["gps_hpos"][..., 0] = e["test_ratio_pos"]
-    m["baro_vpos"] = e["test_ratio_hgt"]
-    m["heading"] = e["test_ratio_mag"]
+    m["gps_vpos"], m["baro_vpos"] = e["test_ratio_gps_hgt"], e["test_ratio_baro"]
+    m["ev_hvel"][..., 0], m["ev_hpos"][..., 0] = e["test_ratio_vision_vel"], e["test_ratio_vision_pos"]
+    m["ev_vpos"], m["rng_vpos"] = e["test_ratio_vision_hgt"], e["test_ratio_range"]
+    m["flow"][..., 0], m["hagl"] = e["test_ratio_flow"], e["test_ratio_terrain"]
+    m["heading"] = np.where(e["vision_yaw_used"], e["test_ratio_vision_yaw"], e["test_ratio_mag"])
 
 
 @_topic("estimator_states", 500, n_states=24)
@@ -312,8 +341,11 @@ def _states(m: np.ndarray, s: Samples) -> None:
 
 @_topic("hover_thrust_estimate", 100)
 def _hover_thrust(m: np.ndarray, s: Samples) -> None:
-    m["hover_thrust"] = s.control["hover_thrust"]
-    m["valid"] = s.control["landed"] == 0
+    c = s.control
+    m["hover_thrust"], m["hover_thrust_var"] = c["hover_estimate"], c["hover_variance"]
+    m["accel_innov"], m["accel_innov_test_ratio"] = c["hover_residual"], c["hover_test_ratio"]
+    m["accel_noise_var"] = c["hover_noise"]
+    m["valid"] = c["hover_valid"]
 
 
 @_topic("vehicle_land_detected", 100)
@@ -389,3 +421,4 @@ def _outputs(m: np.ndarray, s: Samples) -> None:
 @_topic("takeoff_status", 1000)
 def _takeoff_status(m: np.ndarray, s: Samples) -> None:
     m["takeoff_state"] = s.control["takeoff_state"] + 1  # PX4 counts from 1, 0 is "not initialised"
+    m["tilt_limit"] = s.control["tilt_limit"]
