@@ -26,7 +26,7 @@ from xtdrone_control.mavlink.services.metadata import checksum
 _SOURCES = [path for part in ("autopilot", "mavlink") for path in Path(xtdrone_control.__file__).parent.rglob("*.py")
             if part in path.parts]  # fmt: skip
 _EVENT_NAME = re.compile(
-    r"(commander|check|failsafe|rtl|logger|navigator_(rtl|takeoff|mis)|mavlink_mission)_[a-z0-9_]+|"
+    r"(commander|check|failsafe|rtl|logger|navigator_(rtl|takeoff|reposition|mis)|mavlink_mission)_[a-z0-9_]+|"
     r"mission_(finished|not_valid|takeoff|do_jump|index)[a-z_]*"
 )
 _TELLING = {"tell", "_tell", "event", "_refuse", "Problem", "Check", "_go", "_announce", "_Destination"}

@@ -227,6 +227,38 @@ def test_a_mission_into_a_fence_is_stopped(sortie):
     assert flight.until_mode(modes.AUTO_LOITER) < TOLERANCE
 
 
+def _goto(flight, north):
+    """Send the vehicle ``north`` metres away from where it is, by DO_REPOSITION."""
+    x, y, z = flight.commander.view.position
+    place = flight.commander.view.to_global((x + north, y, z))
+    return flight.commander.reposition(place, math.nan, math.nan)
+
+
+@pytest.mark.parametrize("delay", [0.0, 5.0])
+def test_a_flight_to_a_place_beyond_the_fence_is_stopped_at_the_fence(sortie, delay):
+    flight = sortie(GF_ACTION=2, COM_FAIL_ACT_T=delay)
+    start = flight.commander.view.position[0]
+    assert _goto(flight, 30.0) == 0
+    flight.commander.parameters.set("GF_MAX_HOR_DIST", 15.0)  # only now: the place would have been refused
+    flight.until(lambda: flight.commander.health.breach, 12.0)
+    flight.run(8.0)
+    assert flight.commander.mode is modes.AUTO_LOITER
+    assert flight.commander.view.position[0] - start < 22.0
+    assert math.hypot(*flight.commander.view.velocity[:2]) < 0.3
+
+
+def test_a_place_beyond_the_fence_is_refused(sortie):
+    flight = sortie(GF_ACTION=2, GF_MAX_HOR_DIST=15.0)
+    start = flight.commander.view.position[0]
+    assert _goto(flight, 30.0) == 0  # PX4's commander accepts what its navigator then refuses
+    flight.run(5.0)
+    assert "Reposition is outside geofence" in flight.said
+    assert "navigator_reposition_outside_geofence" in flight.named
+    assert flight.commander.view.position[0] - start < 1.0
+    assert _goto(flight, 10.0) == 0
+    flight.until(lambda: flight.commander.view.position[0] - start > 9.0, 12.0)
+
+
 def test_a_return_without_a_position_descends_blind(sortie):
     flight = sortie()
     flight.failures["gps"] = FAILURE_OFF
@@ -289,6 +321,15 @@ def test_flight_termination_by_command(sortie):
     assert flight.commander.system_status == 8
     assert flight.until(lambda: not flight.commander.armed, 8.0) == pytest.approx(4.9, abs=TOLERANCE)
     assert flight.said[-1] == "Disarmed by lockdown"
+
+
+def test_a_terminated_vehicle_cannot_be_armed_again(sortie):
+    flight = sortie()
+    assert flight.commander.flight_termination(1.0) == 0
+    flight.until(lambda: not flight.commander.armed, 15.0)
+    assert flight.commander.arm_disarm(True, force=True) == 1
+    flight.run(0.1)
+    assert any(text.startswith("Arming denied: flight was terminated") for text in flight.said)
 
 
 def test_flight_time_limit(sortie):

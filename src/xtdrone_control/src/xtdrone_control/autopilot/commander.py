@@ -224,6 +224,9 @@ class Commander(FlightCommands):
         """Arm, unless something stands against it; return whether the vehicle is armed."""
         if self.armed:
             return True
+        if self._motors.terminated:
+            self.say(CRITICAL, "Arming denied: flight was terminated, reboot the autopilot")
+            return False
         if not self.view.initialised:
             self._refuse_arming()
             return False
@@ -400,7 +403,8 @@ class Commander(FlightCommands):
         if self._flown is not flown_before and self._flown is modes.AUTO_RTL:
             self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
         anew = changed and not outcome.active
-        if self.armed and (anew or self._flown is not self._followed):
+        stops = outcome.active and not before.active and self._flown is modes.AUTO_LOITER  # whatever it flew to
+        if self.armed and (anew or stops or self._flown is not self._followed):
             self._fly(self._flown)
 
     def _act(self, outcome: Outcome, before: Outcome) -> None:

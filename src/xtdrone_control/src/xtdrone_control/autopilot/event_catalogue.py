@@ -220,6 +220,7 @@ _CHECKS = (
 
 _NAVIGATOR = (
     _define("navigator_rtl_home_activated", "Return activated"),
+    _define("navigator_reposition_outside_geofence", "Place refused: it is outside the geofence"),
     _define("navigator_takeoff_min_alt", "Taking off to the least height, {1:.2m_v}", "height:float"),
     _define("navigator_takeoff_already_higher", "Higher than the take-off height already, not descending"),
     _define("rtl_land_at_home", "Return: landing at home"),

@@ -6,7 +6,7 @@ import enum
 import math
 from abc import ABC, abstractmethod
 
-from . import geo, modes
+from . import events, geo, modes
 from .announcements import CRITICAL, INFO, Announcements
 from .modes import Mode
 from .navigator import Home, Navigator
@@ -120,9 +120,14 @@ class FlightCommands(ABC):
             return Result.TEMPORARILY_REJECTED
         if self.mode is not modes.AUTO_LOITER:
             return Result.ACCEPTED  # a failsafe flies something else
+        position = self.view.to_local(*target)
+        if self.navigator.fenced_off(position):  # PX4's commander has accepted by then: it stays where it is
+            text = "Reposition is outside geofence"
+            self._announcements.tell(CRITICAL, text, "navigator_reposition_outside_geofence", level=events.ERROR)
+            return Result.ACCEPTED
         if speed > 0.0:
             self.navigator.set_speed("cruise_speed", speed)
-        self.navigator.reposition(self.view.to_local(*target), yaw)
+        self.navigator.reposition(position, yaw)
         return Result.ACCEPTED
 
     def change_altitude(self, altitude: float) -> Result:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from . import feasibility, geo, geofence, modes, plan
 from .announcements import Announcements
@@ -24,6 +24,7 @@ __all__ = ["Home", "Navigator"]
 
 _NO_MISSION = "No valid mission available"
 _GPS = 1  # GF_SOURCE
+_GEOFENCE_WARNS = 1  # GF_ACTION
 
 
 class Navigator:
@@ -233,16 +234,22 @@ class Navigator:
 
     def geofence_breach(self) -> str:
         """Return by what the vehicle breaks its geofence, or an empty text."""
-        get = self._parameters.get
-        if not get("GF_ACTION") or not self._view.has_origin:
+        if not self._parameters.get("GF_ACTION") or not self._view.has_origin:
             return ""
+        return self._breach(self._fence_position)
+
+    def fenced_off(self, position: Vector) -> bool:
+        """Return whether a geofence that does more than warn keeps the vehicle from ``position`` (m, local NED)."""
+        acts = self._parameters.get("GF_ACTION") > _GEOFENCE_WARNS and self._view.has_origin
+        return acts and bool(self._breach(lambda: position))
+
+    def _breach(self, place: Callable[[], Vector]) -> str:
+        get = self._parameters.get
         fence = self._present_fence()
         horizontal, vertical = get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST")
         if not fence.areas and horizontal <= 0.0 and vertical <= 0.0:
             return ""
-        return self._breach(self._fence_position(), fence, horizontal, vertical)
-
-    def _breach(self, position: Vector, fence: Fence, horizontal: float, vertical: float) -> str:
+        position = place()
         home = self.home
         if home is not None:
             away = math.hypot(position[0] - home.position[0], position[1] - home.position[1])
@@ -285,10 +292,9 @@ class Navigator:
 
     def _fence_allows(self, latitude: float, longitude: float, altitude: float) -> bool:
         """Return whether a place (degrees, m AMSL) is inside the geofence."""
-        get = self._parameters.get
         x, y = self._to_plane(latitude, longitude)
         position = (x, y, self._view.origin[2] - altitude)
-        return not self._breach(position, self._present_fence(), get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST"))
+        return not self._breach(lambda: position)
 
     # precision landing
 
