@@ -14,7 +14,6 @@ from autopilot_fakes import Flight
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-import xtdrone_control
 from xtdrone_control.autopilot import events, metadata, modes, parameter_choices
 from xtdrone_control.autopilot.event_catalogue import CATALOGUE, CODES, ENUM_TYPES, MAX_ARGUMENTS
 from xtdrone_control.autopilot.events import event, event_id
@@ -23,8 +22,9 @@ from xtdrone_control.mavlink.codec import decoder, split
 from xtdrone_control.mavlink.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.services.metadata import checksum
 
-_SOURCES = [path for part in ("autopilot", "mavlink") for path in Path(xtdrone_control.__file__).parent.rglob("*.py")
-            if part in path.parts]  # fmt: skip
+# a module's file, not the package's: in a catkin workspace that is a stand-in in the devel space
+_PACKAGE = Path(events.__file__).parents[1]
+_SOURCES = [path for part in ("autopilot", "mavlink") for path in (_PACKAGE / part).rglob("*.py")]
 _EVENT_NAME = re.compile(
     r"(commander|check|failsafe|rtl|logger|navigator_(rtl|takeoff|reposition|mis)|mavlink_mission)_[a-z0-9_]+|"
     r"mission_(finished|not_valid|takeoff|do_jump|index)[a-z_]*"
