@@ -397,6 +397,11 @@ class Stack:
 
         self.wait(holds, f"{self.vehicles[index].name} is {mode or ''} {'' if armed is None else armed}", sim)
 
+    def wait_landed(self, index: int, sim: float = 30.0) -> None:
+        """Wait until mavros/state says disarmed, and true motion, whose topic may lag behind, has it on the ground."""
+        self.wait_state(index, armed=False, sim=sim)
+        self.wait(lambda: self.height(index) < 0.3, f"{self.vehicles[index].name} is on the ground", sim)
+
     def command(self, index: int, text: str) -> None:
         """Send an XTDrone command."""
         self.graph.say(f"/xtdrone/{self.vehicles[index].name}/cmd", _kind("std_msgs/String")(data=text))

@@ -531,8 +531,7 @@ def test_a_set_point_stream_that_stops_ends_in_a_soft_landing(
     stack.log_has("simulator", "communication_1")
     stack.wait_state(1, mode="POSCTL")
     stack.log_has("mavros", "iris_1: FCU: Failsafe activated", "Failsafe: position control: No offboard signal")
-    stack.wait_state(1, armed=False)
-    assert stack.height(1) < 0.3
+    stack.wait_landed(1)
     assert stack.settled(1, (flying[1][0], flying[1][1], 0.1), 1.0)
     check_safe(stack)
     assert stack.settled(0, flying[0])

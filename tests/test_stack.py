@@ -296,8 +296,7 @@ def test_services_fly_too(stack: Stack, flying: list[tuple[float, float, float]]
     land = call("/iris_1/mavros/cmd/land", CommandTOL)
     assert (land.success, land.result) == (True, mavlink.MAV_RESULT_ACCEPTED)
     stack.wait_state(1, mode="AUTO.LAND")
-    stack.wait_state(1, armed=False)
-    assert stack.height(1) < 0.3
+    stack.wait_landed(1)
     extended = ear(stack, "extended_state", ExtendedState)
     stack.wait(lambda: extended.last.landed_state == ExtendedState.LANDED_STATE_ON_GROUND, "it has landed")
 
@@ -314,8 +313,7 @@ def test_commands_land_both(stack: Stack) -> None:
     for i in range(2):
         stack.command(i, "AUTO.LAND")
     for i in range(2):
-        stack.wait_state(i, armed=False, sim=60.0)
-        assert stack.height(i) < 0.3
+        stack.wait_landed(i, sim=60.0)
 
 
 # ---- the end
