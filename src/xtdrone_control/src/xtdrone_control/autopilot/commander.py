@@ -220,6 +220,11 @@ class Commander(FlightCommands):
         flags = self.health.look(self._mode, self.armed)
         return self._checks.report(flags, self._mode, self.armed).reason(self._mode)
 
+    def mode_obstacle(self, mode: Mode) -> str:
+        """Return why ``mode`` cannot be flown now, or an empty text."""
+        flags = self.health.look(mode, self.armed)
+        return self._checks.report(flags, mode, self.armed).reason(mode)
+
     def _arm(self, reason: ArmReason, force: bool = False) -> bool:
         """Arm, unless something stands against it; return whether the vehicle is armed."""
         if self.armed:
