@@ -9,9 +9,9 @@ import pytest
 from test_formation import Swarm
 
 from xtdrone_control.communication.arguments import ArgumentError
+from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import Follower, StarFollower
 from xtdrone_coordination.leader import Leader
-from xtdrone_coordination.ros import load_class
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "feed_forward_follower.py"
 

@@ -22,9 +22,6 @@ leader publishes an empty pattern and topology, which mean none, in place of wha
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import inspect
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -46,6 +43,7 @@ from xtdrone_control.communication.arguments import (
     run_program,
 )
 from xtdrone_coordination import avoidance
+from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, check_number
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_coordination.swarm import SwarmState
@@ -279,42 +277,6 @@ def run_avoidance() -> int:
         lockstep.spin(node.step)
 
     return run_program(main, sys.argv, f"{Path(sys.argv[0]).name} TYPE NUM vel|accel")
-
-
-def load_class(text: str, base: type[_Base]) -> type[_Base]:
-    """Return the subclass of ``base`` that ``text`` names.
-
-    Args:
-        text: ``file.py``, ``file.py:Class`` or ``module:Class``; without a class the only one defined there.
-        base: Follower or Leader.
-
-    Raises:
-        ArgumentError: it cannot be imported, or there is no such subclass.
-    """
-    place, _, name = text.partition(":")
-    try:
-        if place.endswith(".py"):
-            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
-            assert spec is not None
-            assert spec.loader is not None
-            module = importlib.util.module_from_spec(spec)
-            sys.modules[spec.name] = module
-            spec.loader.exec_module(module)
-        else:
-            module = importlib.import_module(place)
-    except (ImportError, OSError, SyntaxError) as error:
-        raise ArgumentError(f"~class: {place} cannot be imported: {error}") from error
-    found = {
-        key: value
-        for key, value in vars(module).items()
-        if inspect.isclass(value) and issubclass(value, base) and value.__module__ == module.__name__
-    }
-    if name:
-        found = {key: value for key, value in found.items() if key == name}
-    if len(found) != 1:
-        what = f"class {name}" if name else "one class"
-        raise ArgumentError(f"~class: {place} must define {what} that inherits {base.__name__}, found {len(found)}")
-    return next(iter(found.values()))
 
 
 def class_parameter(default: type[_Base], base: type[_Base]) -> type[_Base]:

@@ -1,0 +1,51 @@
+"""A user's own follower or leader class, found by a file's or a module's name. No ROS here."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
+from typing import TypeVar
+
+from xtdrone_control.communication.arguments import ArgumentError
+
+_Base = TypeVar("_Base")
+
+
+def load_class(text: str, base: type[_Base], what: str = "~class") -> type[_Base]:
+    """Return the subclass of ``base`` that ``text`` names.
+
+    Args:
+        text: ``file.py``, ``file.py:Class`` or ``module:Class``; without a class the only one defined there.
+        base: Follower or Leader.
+        what: what to call it in messages.
+
+    Raises:
+        ArgumentError: it cannot be imported, or there is no such subclass.
+    """
+    place, _, name = text.partition(":")
+    try:
+        if place.endswith(".py"):
+            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
+            assert spec is not None
+            assert spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(place)
+    except (ImportError, OSError, SyntaxError) as error:
+        raise ArgumentError(f"{what}: {place} cannot be imported: {error}") from error
+    found = {
+        key: value
+        for key, value in vars(module).items()
+        if inspect.isclass(value) and issubclass(value, base) and value.__module__ == module.__name__
+    }
+    if name:
+        found = {key: value for key, value in found.items() if key == name}
+    if len(found) != 1:
+        wanted = f"class {name}" if name else "one class"
+        raise ArgumentError(f"{what}: {place} must define {wanted} that inherits {base.__name__}, found {len(found)}")
+    return next(iter(found.values()))
