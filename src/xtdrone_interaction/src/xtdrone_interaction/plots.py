@@ -5,6 +5,7 @@ They need no display and no ROS. Each vehicle keeps one colour in all pictures; 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -43,26 +44,33 @@ def save_plots(record: FlightRecord, folder: str | Path) -> list[Path]:
     Raises:
         RecordError: there is nothing to draw.
     """
-    folder = Path(folder)
+    return save_figures(_figures(record), folder)
+
+
+def save_figures(figures: Iterable[tuple[str, Figure]], folder: str | Path) -> list[Path]:
+    """Write figures, each with its file's name, into ``folder``, and return their paths.
+
+    Args:
+        figures: pairs of name and figure, drawn as they are asked for, so that all have one style.
+        folder: where they go.
+    """
     paths = []
     with plt.rc_context(_STYLE):
-        for name, figure in _figures(record):
-            paths.append(folder / name)
+        for name, figure in figures:
+            paths.append(Path(folder) / name)
             figure.savefig(paths[-1], dpi=DPI)
             plt.close(figure)
     return paths
 
 
-def _figures(record: FlightRecord) -> list[tuple[str, Figure]]:
-    figures = []
+def _figures(record: FlightRecord) -> Iterator[tuple[str, Figure]]:
     before = None
     for number, window in enumerate(record.windows):
         if before is not None:
-            figures.append((f"response_{number}_{before}_to_{window.pattern}.png", response(record, before, window)))
+            yield f"response_{number}_{before}_to_{window.pattern}.png", response(record, before, window)
         before = window.pattern
-    figures.append(("formations.png", formations(record)))
-    figures.append(("distances.png", distances(record)))
-    return figures
+    yield "formations.png", formations(record)
+    yield "distances.png", distances(record)
 
 
 def colours(count: int) -> list[Any]:

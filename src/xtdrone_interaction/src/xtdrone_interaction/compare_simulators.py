@@ -1,0 +1,256 @@
+"""The same flight in the simplified simulator and in full physics: what the approximation is worth.
+
+Compared are the followers' places relative to the leader, slot by slot, from the command of each pattern on. Where the
+two flights gave a slot to different vehicles, those who fly to the same slot are compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from xtdrone_interaction.geometry import Array, relative
+from xtdrone_interaction.record import FlightRecord, RecordError, Track, Window
+from xtdrone_interaction.report import measure
+
+SIMPLIFIED, FULL = "simplified", "full physics"
+_STEP = 0.02  # s, of the times at which places are compared
+_SAME_SLOT = 1e-3  # m; offsets travel as 32-bit floats
+_LEAD_IN = 1.0  # s shown before the command
+_MAX_LEGEND = 18  # vehicles; more are not named one by one
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One reconfiguration in both simulators.
+
+    Attributes:
+        pattern: name.
+        duration: s from the command over which both were compared, the shorter window of the two.
+        rms: root of the mean squared distance between the two simulators' places relative to the leader, over
+            followers and time, m.
+        greatest: the greatest such distance, m.
+        reassigned: followers that fly to another slot than in the other simulator.
+        settling_time: s, simplified and full; None: never.
+        overshoot: m, likewise.
+        steady_error: m, mean over the followers, likewise.
+    """
+
+    pattern: str
+    duration: float
+    rms: float
+    greatest: float
+    reassigned: int
+    settling_time: tuple[float | None, float | None]
+    overshoot: tuple[float, float]
+    steady_error: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """One reconfiguration's places on common times, in the order of the simplified flight's followers.
+
+    Attributes:
+        time: s since the command, shape (t,).
+        simplified, full: relative to the leader, shape (t, n - 1, 3), m.
+        follower: which follower of the full flight flies to each slot, shape (n - 1,), from 0.
+    """
+
+    time: Array
+    simplified: Array
+    full: Array
+    follower: NDArray[np.int64]
+
+
+def compare(simplified: FlightRecord, full: FlightRecord) -> list[Difference]:
+    """Return the differences, one a reconfiguration that both flights flew.
+
+    Raises:
+        RecordError: the flights have not the same vehicles, or not the same patterns in the same order.
+    """
+    windows = _common_windows(simplified, full)
+    figures = measure(simplified, simplified.track), measure(full, full.track)
+    differences = []
+    for number, (first, second) in enumerate(windows):
+        pair = _pair(simplified.track, first, full.track, second)
+        distance = np.linalg.norm(pair.simplified - pair.full, axis=-1)
+        a, b = figures[0][number], figures[1][number]
+        differences.append(
+            Difference(
+                pattern=first.pattern,
+                duration=float(pair.time[-1]),
+                rms=float(np.sqrt(np.mean(distance**2))),
+                greatest=float(distance.max()),
+                reassigned=int((pair.follower != np.arange(len(pair.follower))).sum()),
+                settling_time=(a.settling_time, b.settling_time),
+                overshoot=(a.overshoot, b.overshoot),
+                steady_error=(a.steady_error_mean, b.steady_error_mean),
+            )
+        )
+    return differences
+
+
+def as_data(differences: list[Difference], full: str) -> dict[str, Any]:
+    """Return the comparison for report.json.
+
+    Args:
+        differences: of :func:`compare`.
+        full: what the full flight was, in words.
+    """
+    return {
+        "with": full,
+        "order_of_pairs": [SIMPLIFIED, FULL],
+        "rms": overall(differences),
+        "patterns": [asdict(d) for d in differences],
+    }
+
+
+def overall(differences: list[Difference]) -> float:
+    """Return the RMS difference over all reconfigurations, each by its duration, m."""
+    weights = np.array([d.duration for d in differences])
+    return float(np.sqrt(np.average([d.rms**2 for d in differences], weights=weights)))
+
+
+def _common_windows(simplified: FlightRecord, full: FlightRecord) -> list[tuple[Window, Window]]:
+    if len(simplified.names) != len(full.names):
+        raise RecordError(
+            f"comparison: {len(simplified.names)} vehicles cannot be compared with {len(full.names)} vehicles"
+        )
+    first, second = simplified.windows, full.windows
+    if not first or not second:
+        raise RecordError("comparison: a flight that flew no pattern cannot be compared")
+    flown = [[w.pattern for w in windows] for windows in (first, second)]
+    shorter = min(map(len, flown))
+    if flown[0][:shorter] != flown[1][:shorter]:
+        raise RecordError(f"comparison: patterns {', '.join(flown[0])} cannot be compared with {', '.join(flown[1])}")
+    return list(zip(first, second, strict=False))
+
+
+def _pair(track: Track, window: Window, full_track: Track, full_window: Window, lead_in: float = 0.0) -> _Pair:
+    end = min(window.end - window.start, full_window.end - full_window.start)
+    time = np.arange(-lead_in, end, _STEP)
+    follower = same_slots(window.offsets, full_window.offsets)
+    return _Pair(
+        time,
+        relative(_at(track, window.start + time)),
+        relative(_at(full_track, full_window.start + time))[:, follower],
+        follower,
+    )
+
+
+def same_slots(offsets: Array, others: Array) -> NDArray[np.int64]:
+    """Return for each follower which one of the other flight has its slot, shape (n - 1,).
+
+    Args:
+        offsets, others: assigned slots of both flights, shape (n - 1, 3), m.
+
+    Raises:
+        RecordError: they are not the same slots.
+    """
+    if np.allclose(offsets, others, atol=_SAME_SLOT):
+        return np.arange(len(offsets))
+    cost = cdist(offsets, others)
+    rows, columns = linear_sum_assignment(cost)
+    if cost[rows, columns].max() > _SAME_SLOT:
+        raise RecordError("comparison: the two flights flew patterns of one name with different slots")
+    return columns
+
+
+def _at(track: Track, times: Array) -> Array:
+    """Return the places at some times, shape (t, n, 3)."""
+    after = np.clip(np.searchsorted(track.time, times), 1, len(track.time) - 1)
+    before = after - 1
+    span = np.maximum(track.time[after] - track.time[before], 1e-9)
+    part = np.clip((times - track.time[before]) / span, 0.0, 1.0)[:, None, None]
+    return (1.0 - part) * track.position[before] + part * track.position[after]
+
+
+def print_comparison(differences: list[Difference], console: Console) -> None:
+    """Print the table, and whether slots were given out differently."""
+    table = Table(
+        title="Simplified against full physics (relative to the leader)",
+        title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False,
+    )  # fmt: skip
+    table.add_column("pattern", no_wrap=True)
+    for heading in ("RMS\n(m)", "greatest\n(m)", "settled (s)\nsimpl./full", "overshoot (m)\nsimpl./full",
+                    "steady (m)\nsimpl./full"):  # fmt: skip
+        table.add_column(heading, justify="right", no_wrap=True)
+    for d in differences:
+        table.add_row(
+            d.pattern,
+            f"{d.rms:.3f}",
+            f"{d.greatest:.2f}",
+            "/".join("never" if s is None else f"{s:.2f}" for s in d.settling_time),
+            f"{d.overshoot[0]:.2f}/{d.overshoot[1]:.2f}",
+            f"{d.steady_error[0]:.3f}/{d.steady_error[1]:.3f}",
+        )
+    console.print(table)
+    console.print(f"RMS difference over all: {overall(differences):.3f} m.", highlight=False)
+    for d in differences:
+        if d.reassigned:
+            console.print(
+                f"Pattern {d.pattern!r}: {d.reassigned} followers have other slots than in full physics; "
+                "those with the same slot are compared.",
+                highlight=False,
+            )
+
+
+def save_pictures(simplified: FlightRecord, full: FlightRecord, folder: str | Path) -> list[Path]:
+    """Draw both responses to each pattern over each other into ``folder``; return the paths.
+
+    Raises:
+        RecordError: see :func:`compare`.
+    """
+    from xtdrone_interaction.plots import save_figures  # matplotlib takes a while to import
+
+    windows = _common_windows(simplified, full)
+    names = [window.pattern for window, _ in windows]
+    titles = [
+        f"comparison_{number}_{before}_to_{pattern}.png" for number, (before, pattern) in enumerate(pairwise(names), 1)
+    ]
+    figures = (
+        _response(simplified, full, *pair, before=before) for pair, before in zip(windows[1:], names, strict=False)
+    )
+    return save_figures(zip(titles, figures, strict=True), folder)
+
+
+def _response(first: FlightRecord, full: FlightRecord, window: Window, other: Window, before: str) -> Any:
+    """Draw x, y and z of every follower relative to the leader, simplified solid, full physics dashed."""
+    from matplotlib import pyplot as plt
+    from matplotlib.lines import Line2D
+
+    from xtdrone_interaction.plots import colours
+
+    pair = _pair(first.track, window, full.track, other, _LEAD_IN)
+    figure, axes = plt.subplots(3, 1, figsize=(9.0, 7.5), sharex=True)
+    figure.subplots_adjust(left=0.08, right=0.81, top=0.93, bottom=0.07, hspace=0.1)
+    shades = colours(len(first.names))
+    for axis, (panel, letter) in enumerate(zip(axes, "xyz", strict=True)):
+        for i in range(pair.full.shape[1]):
+            panel.plot(pair.time, pair.full[:, i, axis], color=shades[i + 1], lw=2.2, alpha=0.35)
+            panel.plot(pair.time, pair.simplified[:, i, axis], color=shades[i + 1], lw=1.1, ls="--")
+        panel.axvline(0.0, color="grey", lw=0.8, ls="--", zorder=1)
+        panel.set_ylabel(f"{letter} [m]")
+        panel.margins(x=0.01)
+    axes[-1].set_xlabel(f"time since the command '{window.pattern}' [s]")
+    figure.suptitle(f"From {before} to {window.pattern}, relative to the leader: simplified and full physics")
+    handles = [
+        Line2D([], [], color="grey", lw=1.1, ls="--"),
+        Line2D([], [], color="grey", lw=2.2, alpha=0.35),
+    ]
+    labels = [SIMPLIFIED, FULL]
+    if len(first.names) <= _MAX_LEGEND:
+        handles += [Line2D([], [], color=shade, lw=1.5) for shade in shades[1:]]
+        labels += list(first.names[1:])
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.82, 0.94))
+    return figure
