@@ -1,0 +1,7 @@
+"""The picture of a swarm: off-screen, as a film, in a window. Matplotlib is needed only here."""
+
+from .benchmark import measure
+from .film import FilmError, FilmWriter, check_film, film
+from .scene import Frame, SwarmView, palette
+
+__all__ = ["FilmError", "FilmWriter", "Frame", "SwarmView", "check_film", "film", "measure", "palette"]
