@@ -269,9 +269,13 @@ def test_the_seed_alone_decides() -> None:
     np.testing.assert_array_equal(first, fly(Network(6, HARD, seed=8), track))
     assert not np.array_equal(first, fly(Network(6, HARD, seed=9), track), equal_nan=True)
     again = Network(6, HARD, seed=8)
-    fly(again, track[:30] + 5.0)
+    again.step(track[0] + 5.0, labels(0, 6))
+    assert again.known(2).positions[2] == tuple(track[0, 2] + 5.0)
     again.restart()
     assert again.turn == -1
+    again.step(track[0], labels(0, 6))
+    assert again.known(2).positions[2] == tuple(track[0, 2])
+    again.restart()
     np.testing.assert_array_equal(first, fly(again, track))
 
 
@@ -320,6 +324,29 @@ def test_what_was_heard_is_forgotten_after_a_while_but_not_the_own_state() -> No
     assert network.known(0).fresh(0, 30)
 
 
+def test_what_is_known_reads_like_a_list() -> None:
+    network = Network(30, NetworkOptions(loss=0.5, memory=0.1), seed=1)
+    track = walk(30, 3)
+    for turn, x in enumerate(track):
+        network.step(x, labels(turn, 30))
+    known, samples = network.known(7), network.samples_of_all(7)
+    expected = [
+        tuple(p) if came >= 0 else None for p, came in zip(samples.positions.tolist(), samples.came, strict=True)
+    ]
+    assert None in expected
+    assert [known.positions[j] for j in range(30)] == expected  # more than few, one by one
+    assert list(known.positions) == known.positions[:] == expected
+    assert known.positions[-1] == expected[-1]
+    assert known.positions[3:9] == expected[3:9]
+    assert len(known.velocities) == 30
+    assert known.velocities[7] == (2.0, 7.0, 0.0)
+    assert [known.fresh(j, 0) for j in range(30)] == (samples.came == 2).tolist()
+    with pytest.raises(IndexError):
+        known.positions[30]
+    network.step(track[0], labels(3, 30))
+    assert known.velocities[7] == (3.0, 7.0, 0.0)
+
+
 def test_one_that_forgets_knows_what_comes_later() -> None:
     network = Network(3, NetworkOptions(delay=0.1))
     track = walk(3, 12)
@@ -328,11 +355,11 @@ def test_one_that_forgets_knows_what_comes_later() -> None:
     first, second = network.known(1), network.known(2)
     assert None not in first.positions
     first.restart()
-    assert first.positions == first.velocities == [None] * 3
+    assert list(first.positions) == list(first.velocities) == [None] * 3
     assert not first.fresh(0, 100)
     assert None not in second.positions
     network.step(track[8], labels(8, 3))
-    assert first.positions == [tuple(track[5, 0]), tuple(track[8, 1]), tuple(track[5, 2])]
+    assert list(first.positions) == [tuple(track[5, 0]), tuple(track[8, 1]), tuple(track[5, 2])]
     with pytest.raises(TypeError, match="by its network alone"):
         first.on_position(0, (0.0, 0.0, 0.0))
 
@@ -354,7 +381,7 @@ def test_those_near_are_found_by_where_they_are_believed_to_be(
             continue
         near = network.near(radius)
         for i in range(count):
-            known = network.known(i).positions
+            known = list(network.known(i).positions)
             own = known[i]
             entries = slice(near.start[i], near.start[i + 1])
             expected = [

@@ -25,9 +25,10 @@ An ideal network needs no object of this class: :func:`make_network` then gives 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import NamedTuple
+from typing import Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,6 +43,7 @@ MESSAGE_BITS = 320  # LOCAL_POSITION_NED in a MAVLink 2 frame: 28 bytes, and 12 
 
 _LONGEST = 60.0  # s; keeps what has to be remembered within bounds
 _MOST_WAITING = 1000
+_FEW = 12  # vehicles: asking for so many one by one is as fast as asking for all
 
 
 @dataclass(frozen=True)
@@ -199,6 +201,8 @@ class Network:
     def restart(self) -> None:
         """Be as after construction: the same will happen again."""
         self._start()
+        for known in self._known:
+            known.forget()
 
     def step(self, positions: ArrayLike, velocities: ArrayLike) -> None:
         """Begin a turn: everybody has a new sample and tells it, and what is due arrives.
@@ -285,6 +289,13 @@ class KnownSwarm(SwarmState):
     """What one vehicle knows of the swarm by its network, for a follower to use as its ``swarm``.
 
     It is always that of the present turn. :meth:`Network.step` brings it all and counts the turns.
+
+    Attributes:
+        network: the network.
+        index: the vehicle's number.
+        positions: the newest position of each vehicle that has come, m ENU; None where there is none. To be read like a
+            list.
+        velocities: the velocity of each vehicle that came with its position, m/s ENU; None where there is none.
     """
 
     def __init__(self, network: Network, index: int) -> None:
@@ -292,31 +303,38 @@ class KnownSwarm(SwarmState):
         self.count = network.count
         self.network = network
         self.index = index
-        self._read_at: tuple[int, int] | None = None
-        self._positions: list[Vector | None] = []
-        self._velocities: list[Vector | None] = []
-        self._came: list[int] = []
+        self.positions = _Vectors(self, 0)  # type: ignore[assignment]
+        self.velocities = _Vectors(self, 1)  # type: ignore[assignment]
+        self._moment: tuple[int, int] | None = None
+        self._singles = 0  # questions about single vehicles at this moment
+        self._samples: Samples | None = None  # of all vehicles, once somebody asked for them
 
-    @property
-    def positions(self) -> list[Vector | None]:  # type: ignore[override]
-        """The newest position of each vehicle that has come, m ENU; None where there is none."""
-        self._read()
-        return self._positions
+    def samples(self) -> Samples:
+        """Return what is known of all vehicles in order of their numbers."""
+        self._look()
+        if self._samples is None:
+            self._samples = self.network.samples_of_all(self.index)
+        return self._samples
 
-    @property
-    def velocities(self) -> list[Vector | None]:  # type: ignore[override]
-        """The velocity of each vehicle that came with its position, m/s ENU; None where there is none."""
-        self._read()
-        return self._velocities
+    def sample(self, other: int) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+        """Return position, velocity (NaN if unknown) and turn of arrival (-1) of what is known of one vehicle."""
+        self._look()
+        self._singles += 1
+        if self._samples is None and self._singles <= _FEW:
+            position, velocity = np.empty(3), np.empty(3)
+            return position, velocity, kernels.sample(self.network.air, self.index, other, position, velocity)
+        samples = self.samples()
+        return samples.positions[other], samples.velocities[other], int(samples.came[other])
 
-    def _read(self) -> None:
+    def forget(self) -> None:
+        """Drop what was read: time was set back."""
+        self._moment = None
+
+    def _look(self) -> None:
+        """Drop what was read before the present turn."""
         moment = (self.network.turn, int(self.network.air.since[self.index]))
-        if self._read_at == moment:
-            return
-        self._read_at = moment
-        positions, velocities, came = self.network.samples_of_all(self.index)
-        self._positions, self._velocities = _vectors(positions), _vectors(velocities)
-        self._came = came.tolist()
+        if self._moment != moment:
+            self._moment, self._singles, self._samples = moment, 0, None
 
     def restart(self) -> None:
         """Know nothing until something comes in a later turn."""
@@ -343,8 +361,34 @@ class KnownSwarm(SwarmState):
 
     def fresh(self, index: int, ticks: int) -> bool:
         """Return whether a new position of this vehicle came in the last ``ticks`` turns."""
-        self._read()
-        return self._came[index] != kernels.NEVER and self.network.turn - self._came[index] <= ticks
+        _, _, came = self.sample(range(self.count)[index])
+        return came != kernels.NEVER and self.network.turn - came <= ticks
+
+
+class _Vectors(Sequence[Vector | None]):
+    """The positions (column 0) or velocities (1) that a vehicle knows, looked up when they are read."""
+
+    def __init__(self, swarm: KnownSwarm, column: Literal[0, 1]) -> None:
+        self._swarm = swarm
+        self._column = column
+
+    def __len__(self) -> int:
+        return self._swarm.count
+
+    @overload
+    def __getitem__(self, index: int) -> Vector | None: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Vector | None]: ...
+
+    def __getitem__(self, index: int | slice) -> Vector | list[Vector | None] | None:
+        if isinstance(index, slice):
+            return _vectors(self._swarm.samples()[self._column][index])
+        x, y, z = self._swarm.sample(range(len(self))[index])[self._column].tolist()
+        return (x, y, z) if math.isfinite(x) else None
+
+    def __iter__(self) -> Iterator[Vector | None]:
+        return iter(self[:])
 
 
 def make_network(count: int, options: NetworkOptions | None, seed: int = 0) -> Network | None:
