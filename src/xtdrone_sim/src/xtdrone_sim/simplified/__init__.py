@@ -1,1 +1,6 @@
 """The simplified simulator: first- and second-order vehicles, and the swarm's own Leader and Follower without ROS."""
+
+from .model import Model
+from .swarm import Swarm
+
+__all__ = ["Model", "Swarm"]

@@ -1,0 +1,363 @@
+"""A swarm in one process, without ROS: the very Leader and Follower classes of the flight, on simplified vehicles.
+
+::
+
+    swarm = Swarm(9)
+    swarm.choose("cube")
+    swarm.run_until(settled=0.15)
+    print(swarm.errors().max())
+
+One turn is one period of the 30 Hz loop, at exactly the times of the lockstep. In turn k all see the state of its time,
+and what the leader said in turn k-1; what they command acts from then on, as in a ROS flight on the simplified
+simulator.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from xtdrone_control.lockstep.protocol import Schedule
+from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
+from xtdrone_coordination.leader import Leader, LeaderOptions
+from xtdrone_coordination.patterns import Patterns
+from xtdrone_coordination.swarm import SwarmState
+
+from .flight_record import Choice, Record
+from .model import Model
+from .simplified_vehicles import SimplifiedVehicles, spawn_places
+from .vehicles import ACCELERATION, VELOCITY, Array, Vehicles
+
+SETTLED = 0.15  # m
+
+_Options = TypeVar("_Options", FollowerOptions, LeaderOptions)
+_LOG = logging.getLogger(__name__)
+
+
+class Swarm:
+    """A leader, its followers and their vehicles.
+
+    Attributes:
+        vehicles: what is steered.
+        leader: vehicle 0's.
+        followers: of vehicles 1 to N-1.
+        record: the flight so far, None without one.
+    """
+
+    def __init__(
+        self,
+        count: int = 9,
+        *,
+        follower: type[Follower] = Follower,
+        leader: type[Leader] = Leader,
+        kind: str = "iris",
+        model: Model | str | None = None,
+        vehicles: Vehicles | None = None,
+        places: ArrayLike | None = None,
+        altitude: float = 10.0,
+        airborne: bool = True,
+        patterns: Patterns | None = None,
+        pattern_file: str | Path | None = None,
+        follower_options: FollowerOptions | Mapping[str, Any] | None = None,
+        leader_options: LeaderOptions | Mapping[str, Any] | None = None,
+        seed: int = 0,
+        record: bool = True,
+    ) -> None:
+        """Make a swarm; time is 0, nobody has decided anything.
+
+        Args:
+            count: number of vehicles N, the leader included, at least 2.
+            follower: class of the followers.
+            leader: class of the leader.
+            kind: vehicle type, a name in ``config/vehicles``.
+            model: see ``model.load_model``.
+            vehicles: other vehicles than simplified ones, N of them; then ``kind``, ``model``, ``places``,
+                ``altitude`` and ``airborne`` are theirs and not taken here.
+            places: shape (N, 3), m ENU; the spawn grid at ``altitude`` (on the ground unless ``airborne``) if None.
+            altitude: m, above 0.
+            airborne: armed, in OFFBOARD and holding; otherwise disarmed, see :meth:`vehicle`.
+            patterns: XTDrone's and the generated ones, and those of ``pattern_file``, if None.
+            pattern_file: YAML file with patterns of one's own.
+            follower_options: settings, or those that differ from the defaults by name.
+            leader_options: likewise.
+            seed: of all that is random.
+            record: whether to keep the flight in :attr:`record`.
+
+        Raises:
+            ValueError: a value that is not allowed (PatternError, ModelError are such).
+            TypeError: a class that is none, or does not inherit Follower or Leader.
+        """
+        _check_class("follower", follower, Follower)
+        _check_class("leader", leader, Leader)
+        if isinstance(count, bool) or not isinstance(count, int):
+            raise ValueError(f"number of vehicles: {count!r} is not a whole number")
+        if patterns is not None and patterns.count != count:
+            raise ValueError(f"patterns: they are for {patterns.count} vehicles, there are {count}")
+        patterns = patterns or Patterns(count, pattern_file)
+        if vehicles is None:
+            if not (math.isfinite(altitude) and altitude > 0.0):
+                raise ValueError(f"altitude: {altitude} m is not allowed, above 0")
+            if places is None:
+                places = spawn_places(count)
+                places[:, 2] = altitude if airborne else 0.0
+            vehicles = SimplifiedVehicles(count, kind=kind, model=model, places=places, airborne=airborne)
+        if len(vehicles.names) != count:
+            raise ValueError(f"vehicles: {len(vehicles.names)} are given, the swarm has {count}")
+        self.vehicles = vehicles
+        options = _options(FollowerOptions, follower_options)
+        self._kind = VELOCITY if options.mode == "vel" else ACCELERATION
+        self._state = SwarmState(count)
+        self.leader = leader(
+            count, patterns, swarm=self._state, options=_options(LeaderOptions, leader_options), warn=_LOG.warning
+        )
+        self.followers = [
+            follower(i, count, swarm=self._state, options=options, warn=_LOG.warning) for i in range(1, count)
+        ]
+        self._schedule = Schedule(RATE, vehicles.step_us)
+        self._recording = record
+        self._begin()
+
+    def _begin(self) -> None:
+        self.record = Record(len(self.vehicles.names)) if self._recording else None
+        self._said = ""
+        self._message: tuple[Array, NDArray[np.int32]] | None = (
+            None  # pattern and topology, on their way to the followers
+        )
+        self._passed: list[str] = []
+        self._course: tuple[tuple[float, float, float], float] | None = None
+        self._commands = np.zeros(self.vehicles.position.shape)
+        self._given = np.zeros(len(self.vehicles.names), dtype=bool)
+        self._hear()
+
+    def restart(self) -> None:
+        """Begin anew: the same inputs then lead to the same flight, to the last bit."""
+        self.vehicles.restart()
+        self.leader.restart()
+        for follower in self.followers:
+            follower.restart()
+        self._begin()
+
+    def close(self) -> None:
+        """Free what the vehicles hold."""
+        self.vehicles.close()
+
+    # what is seen
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self.vehicles.time_us * 1e-6
+
+    @property
+    def positions(self) -> Array:
+        """Where the vehicles believe to be, shape (N, 3), m ENU."""
+        return self.vehicles.position
+
+    @property
+    def velocities(self) -> Array:
+        """Likewise their velocities, shape (N, 3), m/s ENU."""
+        return self.vehicles.velocity
+
+    @property
+    def true_positions(self) -> Array:
+        """Where they are, shape (N, 3), m ENU."""
+        return self.vehicles.true_position
+
+    def errors(self) -> Array:
+        """Return the followers' distances from their slots, shape (N-1,), m; infinite before the first pattern."""
+        if self.leader.offsets is None:
+            return np.full(len(self.followers), np.inf)
+        points = self.vehicles.true_position
+        return np.asarray(np.linalg.norm(points[1:] - points[0] - self.leader.offsets, axis=1))
+
+    def least_distance(self) -> float:
+        """Return the least distance between any two vehicles now, m."""
+        points = self.vehicles.true_position
+        return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
+
+    # what is commanded
+
+    def choose(self, pattern: str) -> None:
+        """Choose a pattern: slots and topology are told in the next turn, and flown from the one after.
+
+        Raises:
+            PatternError: there is no such pattern.
+            CommandError: it cannot be flown now.
+        """
+        self.leader.choose(pattern)
+
+    def command(self, text: str) -> None:
+        """Give the leader a command as on ``/xtdrone/leader/cmd``: a pattern's name, or one for vehicle 0.
+
+        Raises:
+            CommandError: it is neither, or cannot be flown now.
+        """
+        passed = self.leader.on_command(text)
+        if passed is not None:
+            self._course = None
+            self._passed.append(passed)
+
+    def steer(self, velocity: ArrayLike, yaw_rate: float = 0.0) -> None:
+        """Let the leader fly so until the next such call, as who keeps sending ``/xtdrone/leader/cmd_vel_flu``.
+
+        Args:
+            velocity: shape (3,), m/s FLU: forward, left, up.
+            yaw_rate: rad/s, counter-clockwise.
+
+        Raises:
+            ValueError: they are not finite numbers.
+        """
+        values = np.asarray(velocity, dtype=float)
+        if values.shape != (3,) or not np.isfinite(values).all() or not math.isfinite(yaw_rate):
+            raise ValueError(
+                f"steering: velocity {velocity!r}, yaw rate {yaw_rate!r}: three finite numbers in m/s, and one in rad/s"
+            )
+        x, y, z = values.tolist()
+        self._course = ((x, y, z), float(yaw_rate))
+
+    def vehicle(self, index: int, text: str) -> str:
+        """Give a vehicle a command as on ``/xtdrone/T/cmd``: ARM, DISARM, HOVER or a PX4 mode as AUTO.LAND.
+
+        Returns:
+            Why it is refused, "" when it is not.
+        """
+        if index == 0:
+            self._course = None
+        return self.vehicles.command(index, text)
+
+    # time
+
+    def step(self) -> None:
+        """Let one turn pass: time goes on to it, then leader and followers decide."""
+        vehicles, leader = self.vehicles, self.leader
+        vehicles.advance(self._schedule.after_us(vehicles.time_us))
+        self._steer_on()
+        if self._message is not None:
+            self._tell(*self._message)
+            self._message = None
+        self._hear()
+        self._lead()
+        self._follow()
+        self._state.tick()
+        if self.record is not None:
+            self.record.add(self.time, vehicles.true_position)
+        if leader.pattern != self._said:
+            self._announce()
+
+    def run(self, seconds: float) -> None:
+        """Let turns pass until so many seconds are over.
+
+        Raises:
+            ValueError: ``seconds`` is negative or not finite.
+        """
+        if not 0.0 <= seconds < math.inf:
+            raise ValueError(f"seconds: {seconds} is not allowed, 0 or more")
+        end_us = self.vehicles.time_us + round(seconds * 1e6)
+        while self.vehicles.time_us < end_us:
+            self.step()
+
+    def run_until(self, settled: float = SETTLED, hold: float = 5.0, limit: float = 60.0) -> bool:
+        """Let turns pass until all followers have been in their slots for some time.
+
+        Args:
+            settled: largest distance from a slot, m.
+            hold: s, for so long.
+            limit: s, after which it ends anyway.
+
+        Returns:
+            Whether they have settled.
+        """
+        start, inside = self.time, math.inf
+        while self.time - start < limit:
+            self.step()
+            inside = min(inside, self.time) if self.errors().max() <= settled else math.inf
+            if self.time - inside >= hold:
+                return True
+        return False
+
+    # a turn's parts
+
+    def _steer_on(self) -> None:
+        """Repeat the steering as a keyboard does; a zero once, for it means HOVER."""
+        if self._course is None:
+            return
+        self.leader.on_steering(*self._course)
+        if not any(self._course[0]) and not self._course[1]:
+            self._course = None
+
+    def _hear(self) -> None:
+        state = self._state
+        positions, velocities = self.vehicles.position.tolist(), self.vehicles.velocity.tolist()
+        for i, (position, velocity) in enumerate(zip(positions, velocities, strict=True)):
+            state.on_position(i, (position[0], position[1], position[2]))
+            state.on_velocity(i, (velocity[0], velocity[1], velocity[2]))
+        self.leader.yaw = float(self.vehicles.yaw[0])
+
+    def _lead(self) -> None:
+        """Pass on what the leader wants of vehicle 0."""
+        for text in self._passed:
+            refusal = self.vehicles.command(0, text)
+            if refusal:
+                _LOG.warning(refusal)
+        self._passed.clear()
+        course = self.leader.update()
+        if course is None:
+            return
+        (x, y, z), yaw_rate = course
+        yaw = float(self.vehicles.yaw[0])
+        c, s = math.cos(yaw), math.sin(yaw)
+        self.vehicles.steer_one(0, VELOCITY, (c * x - s * y, s * x + c * y, z), yaw_rate)
+
+    def _follow(self) -> None:
+        for follower in self.followers:
+            command = follower.update()
+            self._given[follower.id] = command is not None
+            if command is not None:
+                self._commands[follower.id] = command
+        self.vehicles.steer(self._kind, self._commands, self._given)
+
+    def _announce(self) -> None:
+        """Send pattern and topology on their way; the offsets as 32-bit floats, as in ROS's messages."""
+        leader = self.leader
+        self._said = leader.pattern
+        assert leader.offsets is not None
+        assert leader.adjacency is not None
+        self._message = leader.offsets.astype(np.float32).astype(float), leader.adjacency
+        if self.record is not None:
+            self.record.choices.append(
+                Choice(self.time, leader.pattern, leader.offsets.copy(), leader.adjacency.copy())
+            )
+
+    def _tell(self, offsets: Array, adjacency: NDArray[np.int32]) -> None:
+        for follower in self.followers:
+            follower.on_pattern(offsets)
+        for follower in self.followers:
+            follower.on_topology(adjacency)
+
+
+def _check_class(name: str, given: object, base: type) -> None:
+    if not (isinstance(given, type) and issubclass(given, base)):
+        raise TypeError(f"{name}: {given!r} is no class that inherits {base.__name__}")
+
+
+def _options(cls: type[_Options], given: _Options | Mapping[str, Any] | None) -> _Options:
+    if isinstance(given, cls):
+        return given
+    if given is None:
+        return cls()
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{cls.__name__}: {given!r} is not allowed, {cls.__name__} or a mapping of its settings")
+    unknown = set(given) - set(cls.__dataclass_fields__)
+    if unknown:
+        raise ValueError(
+            f"{cls.__name__}: {', '.join(sorted(map(str, unknown)))} is not known; there are "
+            f"{', '.join(cls.__dataclass_fields__)}"
+        )
+    return cls(**given)

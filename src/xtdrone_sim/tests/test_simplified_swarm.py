@@ -1,0 +1,148 @@
+"""The swarm in one process: the same classes, the order of a turn, repeatability, bad input."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.leader import CommandError, Leader
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_sim.simplified import Model, Swarm
+from xtdrone_sim.simplified.simplified_vehicles import SimplifiedVehicles
+
+
+def test_nine_fly_the_patterns():
+    swarm = Swarm(9)
+    swarm.run(0.1)
+    for pattern in ("cube", "pyramid", "triangle"):
+        swarm.choose(pattern)
+        assert swarm.run_until(settled=0.05)
+        assert swarm.errors().shape == (8,)
+        assert swarm.least_distance() > 1.5
+    assert [choice.pattern for choice in swarm.record.choices] == ["cube", "pyramid", "triangle"]
+    assert swarm.record.positions.shape == (len(swarm.record.times), 9, 3)
+    assert swarm.record.times[:4] == pytest.approx([0.036, 0.068, 0.1, 0.136])
+
+
+def test_the_same_inputs_lead_to_the_same_flight():
+    flights = []
+    swarm = Swarm(9, model="first-order")
+    for _ in range(2):
+        swarm.choose("cube")
+        swarm.run(2.0)
+        swarm.steer((0.5, 0.2, 0.1), 0.3)
+        swarm.run(3.0)
+        flights.append(swarm.record.positions.tobytes())
+        swarm.restart()
+    other = Swarm(9, model="first-order")
+    other.choose("cube")
+    other.run(2.0)
+    other.steer((0.5, 0.2, 0.1), 0.3)
+    other.run(3.0)
+    assert flights[0] == flights[1] == other.record.positions.tobytes()
+
+
+def test_what_the_leader_says_is_heard_a_turn_later():
+    swarm = Swarm(4)
+    swarm.step()
+    swarm.choose("pyramid")
+    heard = []
+    for _ in range(3):
+        swarm.step()
+        heard.append(swarm.followers[0].offsets is not None)
+    assert heard == [False, True, True]
+    assert np.array_equal(np.array(swarm.followers[2].offsets)[1:], swarm.leader.offsets.astype(np.float32))
+
+
+def test_a_class_of_ones_own_and_its_options():
+    class Lower(Follower):
+        def control_law(self, position, peers):
+            x, y, _ = super().control_law(position, peers)
+            return np.array([x, y, -0.5])
+
+    class Fixed(Leader):
+        def topology(self, offsets):
+            w = np.zeros((self.count, self.count))
+            w[1:, 0] = 1.0
+            return w
+
+    swarm = Swarm(6, follower=Lower, leader=Fixed, follower_options={"vel_max": 9.0, "avoid": "off"})
+    swarm.choose("cube")
+    swarm.run(3.0)
+    assert all(type(each) is Lower for each in swarm.followers)
+    assert (swarm.leader.adjacency[1:, 0] == 1).all()
+    assert (swarm.velocities[1:, 2] < -0.4).all()
+    assert swarm.velocities[0, 2] == 0.0
+
+
+def test_steering_holds_in_the_body_frame_until_the_next():
+    swarm = Swarm(2, model=Model(order=1))
+    swarm.steer((1.0, 0.0, 0.0))
+    swarm.run(2.0)
+    assert swarm.velocities[0] == pytest.approx([1.0, 0.0, 0.0])
+    swarm.steer((1.0, 0.0, 0.5), math.pi / 4)
+    swarm.run(2.0)
+    assert math.hypot(*swarm.velocities[0, :2]) == pytest.approx(1.0)
+    assert swarm.vehicles.yaw[0] == pytest.approx(math.pi / 2, abs=0.05)
+    swarm.steer((0.0, 0.0, 0.0))
+    swarm.run(3.0)
+    assert np.abs(swarm.velocities[0]).max() < 0.01
+
+
+def test_commands_by_leader_and_vehicle():
+    swarm = Swarm(3, airborne=False)
+    for i in range(3):
+        assert swarm.vehicle(i, "AUTO.TAKEOFF") == swarm.vehicle(i, "ARM") == ""
+    swarm.run(8.0)
+    assert swarm.positions[:, 2] == pytest.approx([2.5] * 3, abs=0.02)
+    swarm.command("OFFBOARD")
+    swarm.step()
+    assert list(swarm.vehicles.mode) == ["OFFBOARD", "AUTO.LOITER", "AUTO.LOITER"]
+    with pytest.raises(CommandError, match="climb to"):
+        swarm.command("pyramid")
+    with pytest.raises(CommandError, match="'nonsense' is no pattern of 3 vehicles"):
+        swarm.command("nonsense")
+    assert "iris_1" in swarm.vehicle(1, "DISARM")
+
+
+def test_acceleration_mode_settles():
+    swarm = Swarm(6, follower_options={"mode": "accel"}, model="first-order")
+    swarm.choose("cube")
+    assert swarm.run_until(settled=0.15, limit=60.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"count": 1}, PatternError, "at least 2"),
+        ({"count": 2.5}, ValueError, "2.5"),
+        ({"follower": Leader}, TypeError, "inherits Follower"),
+        ({"follower": "mine"}, TypeError, "'mine' is no class"),
+        ({"leader": Follower}, TypeError, "inherits Leader"),
+        ({"kind": "zeppelin"}, ValueError, "'zeppelin' is not known"),
+        ({"model": "fourth"}, ValueError, "'fourth' is not known"),
+        ({"places": [[0, 0, 5]]}, ValueError, "9 x 3"),
+        ({"altitude": -1.0}, ValueError, "altitude"),
+        ({"follower_options": {"Kq": 1.0}}, ValueError, "Kq is not known"),
+        ({"follower_options": 3}, TypeError, "FollowerOptions"),
+        ({"leader_options": {"avoid": "maybe"}}, ValueError, "maybe"),
+        ({"vehicles": SimplifiedVehicles(3)}, ValueError, "3 are given"),
+    ],
+)
+def test_bad_input(options, error, words):
+    with pytest.raises(error, match=words):
+        Swarm(**{"count": 9, **options})
+
+
+def test_bad_steering_and_patterns():
+    swarm = Swarm(9)
+    for velocity, rate in (((math.nan, 0, 0), 0.0), ((1, 2), 0.0), ((0, 0, 0), math.inf)):
+        with pytest.raises(ValueError, match="steering"):
+            swarm.steer(velocity, rate)
+    with pytest.raises(PatternError, match="pattern 'nonsense' is unknown for 9 vehicles"):
+        swarm.choose("nonsense")
+    with pytest.raises(ValueError, match="seconds"):
+        swarm.run(-1.0)
