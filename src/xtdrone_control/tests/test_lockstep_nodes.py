@@ -318,6 +318,37 @@ def simulator(name: str) -> None:
     server.close()
 
 
+def hearing_simulator(name: str, end_us: str, back_us: str) -> None:
+    """A simulator that subscribes itself: notes what is dispatched after each tick; time goes back once if told so."""
+    rospy.init_node(name)
+    server = LockstepServer(hang_limit=10.0)
+    link = lockstep.host()
+    server.attach_host(link)
+    out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
+    now: int | None = 0
+
+    def take(message: String, source: str) -> None:
+        assert threading.current_thread() is threading.main_thread()
+        print(now, source, message.data, file=out)
+
+    heard = ["b", "a", "c"]
+    keep = [lockstep.Subscriber(f"/from_{source}", String, take, source) for source in heard]
+    keep += [lockstep.Subscriber("/shared", String, take, "shared"), lockstep.Subscriber("/foreign", String, take, "f")]
+    rospy.set_param("/lockstep/uri", server.uri)
+    assert server.wait_for(list(RATES), timeout=PATIENCE), server.missing(list(RATES))
+    back = int(back_us)
+    while now is not None and now < int(end_us):
+        server.tick(now)
+        link.receive()
+        if back and now >= back:
+            print(now, "back", file=out)
+            server.reset_time(0)
+            now, back = server.next_due_us(-1), 0
+        else:
+            now = server.next_due_us(now)
+    server.close()
+
+
 def announcer(name: str) -> None:
     """A simulator that publishes what nobody counts, until it is told to end."""
     rospy.init_node(name)
@@ -331,6 +362,7 @@ def announcer(name: str) -> None:
     while now is not None and not rospy.is_shutdown():
         publisher.publish(f"{now}")
         server.tick(now)
+        link.receive()
         assert not any(link.collect()[1:])
         now = server.next_due_us(now)
     server.close()
@@ -758,6 +790,69 @@ def test_what_the_simulator_publishes_before_a_tick_is_dispatched_in_it(graph: G
     assert all(sent == now for now, _, sent in seen)
 
 
+def start_hearing(graph: Graph, end_us: int, back_us: int = 0, lazy: str = "") -> subprocess.Popen:
+    process = graph.start("hearing_simulator", "simulator", str(end_us), str(back_us))
+    graph.set_param("/lockstep/wait", True)
+    for seed, name in enumerate(reversed(RATES), 1):
+        graph.start("participant", name[1:], str(seed if name == lazy else 0), *[peer[1:] for peer in RATES])
+    return process
+
+
+def sent_to_simulator(times: list[int]) -> list[tuple[int, str, int, str]]:
+    """What a simulator that hears all three must note: (time, topic's source, time of sending, publisher)."""
+    heard = []
+    for now in times:
+        senders = [source[1:] for source in RATES if now in due_times(RATES[source], now + 1)]
+        heard += [(now, source, now, source) for source in ("b", "a", "c") if source in senders]
+        heard += [(now, "shared", now, source) for source in sorted(senders)]
+    return heard
+
+
+def all_ticks(end_us: int) -> list[int]:
+    return sorted({turn for rate in RATES.values() for turn in due_times(rate, end_us)})
+
+
+@pytest.mark.parametrize("lazy", ["", "/b"])
+def test_the_simulator_hears_in_each_tick_what_was_sent_in_it(graph: Graph, lazy: str) -> None:
+    process = start_hearing(graph, 600_000, lazy=lazy)
+    assert process.wait(PATIENCE) == 0, graph.output("simulator")
+    lines = [line.split() for line in graph.transcript("simulator")]
+    seen = [(int(now), source, int(sent), publisher) for now, source, sent, publisher, _ in lines]
+    assert seen == sent_to_simulator(all_ticks(600_000))
+
+
+def test_the_simulator_hears_the_same_when_time_has_gone_back(graph: Graph) -> None:
+    process = start_hearing(graph, 400_000, back_us=300_000)
+    assert process.wait(PATIENCE) == 0, graph.output("simulator")
+    lines = [line.split() for line in graph.transcript("simulator")]
+    (back,) = [index for index, line in enumerate(lines) if line[1] == "back"]
+    for part, end in ((lines[:back], int(lines[back][0]) + 1), (lines[back + 1 :], 400_000)):
+        seen = [(int(now), source, int(sent), publisher) for now, source, sent, publisher, _ in part]
+        assert seen == sent_to_simulator(all_ticks(end))
+
+
+def test_the_simulator_hears_on_when_a_participant_dies_and_hears_free_riders(graph: Graph) -> None:
+    process = start_hearing(graph, 10**12)
+
+    def heard(what: str) -> bool:
+        path = graph.transcript_path("simulator")
+        return path.exists() and any(what in line for line in path.read_text().splitlines())
+
+    wait_until(lambda: heard(" c "), "the simulator hears c")
+    graph.processes["c"].kill()
+    graph.processes["c"].wait()
+    count = len(graph.transcript("simulator"))
+    wait_until(lambda: len(graph.transcript("simulator")) > count + 50, "the others fly on")
+    graph.start("talker", "rider")
+    wait_until(lambda: heard(" f hello"), "the simulator hears the free rider")
+    lines = [line.split() for line in graph.transcript("simulator")]
+    last = max(int(line[0]) for line in lines if line[1] == "c")
+    later = [line for line in lines if int(line[0]) > last + 20_000 and line[1] != "f"]
+    assert {line[3] for line in later} == {"a", "b"}
+    assert all(line[0] == line[2] for line in lines if line[1] != "f")
+    process.kill()
+
+
 def test_nobody_waits_for_what_is_not_counted(graph: Graph) -> None:
     process = graph.start("announcer", "announcer")
     graph.set_param("/lockstep/wait", True)
@@ -851,6 +946,8 @@ if __name__ == "__main__":
         participant(name, int(rest[0]), [peer for peer in rest[1:] if ":=" not in peer])
     elif role == "pinger":
         pinger(name, int(rest[0]), int(rest[1]))
+    elif role == "hearing_simulator":
+        hearing_simulator(name, *rest)
     else:
         roles = [
             alone,

@@ -188,6 +188,43 @@ class Member:
                 self.changed[connection.number] = connection.sent
 
 
+class Host(Member):
+    """The simulator itself, which hears others: after each barrier it dispatches what was sent in that tick."""
+
+    def __init__(self, world: World, name: str, subscribes: list[str]) -> None:
+        super().__init__(world, name, 0.0, subscribes)
+        self.declaration: dict | None = {"publications": [], "subscriptions": [[topic, "t"] for topic in subscribes]}
+        self.counts: dict[int, int] = {}
+
+    # what the server calls
+
+    def collect(self) -> tuple:
+        declaration, self.declaration = self.declaration, None
+        return declaration, [], [], {}
+
+    def counted(self, number: int, value: bool) -> None:
+        raise AssertionError("it publishes nothing")
+
+    def deliver(self, news: dict, counts: dict[int, int]) -> None:
+        self.peers(news)
+        self.counts.update(counts)
+
+    # what the simulator does
+
+    def hear(self, tick: int) -> None:
+        self.tick = tick
+        self.turns.append(tick)
+        counts, self.counts = self.counts, {}
+        for channel, count in counts.items():
+            connection = self.channels[channel]
+            connection.target = count
+            while connection.arrived < count:
+                assert connection.wire, "waits for what was never sent"
+                self.world.idle(0.0)
+            while len(connection.dispatched) < count:
+                connection.dispatched.append((tick, connection.inbox.popleft()))
+
+
 class World:
     """The server, the members and the adversary who decides what happens next."""
 
@@ -202,6 +239,8 @@ class World:
             )
             for name in names
         ]
+        self.host = Host(self, "/host", [name for name in names if self.random.random() < 0.6])
+        self.server.attach_host(self.host)
         self.waiting = self.members[len(self.members) - late :] if late else []
         self.deaths = deaths
         self.connections: list[Connection] = []
@@ -217,7 +256,7 @@ class World:
         return [
             (publisher, subscriber)
             for publisher in self.members
-            for subscriber in self.members
+            for subscriber in (*self.members, self.host)
             if publisher.name in subscriber.subscribes
             and publisher.joined  # ROS connects a subscriber that has not joined yet as well
             and not publisher.dead
@@ -296,6 +335,7 @@ class World:
                 break
             self.busy = 0
             self.server.tick(now, idle=self.idle)
+            self.host.hear(max(member.tick for member in self.members))
             now = self.server.next_due_us(now)
         self.server.close()
         for member in self.members:
@@ -311,6 +351,9 @@ def law(connection: Connection) -> None:
     assert got == writer.published[first : first + len(got)], "in order, none lost, none twice"
     for tick, message in connection.dispatched:
         previous = max((turn for turn in reader.turns if turn < tick), default=0)  # in the first: all that came before
+        if isinstance(reader, Host):  # its turn comes at the end of a tick, after all others'
+            assert previous < message[1] <= tick, f"{message} was heard in tick {tick}, the turn before was {previous}"
+            continue
         assert previous <= message[1] < tick, f"{message} was dispatched in tick {tick}, the turn before was {previous}"
     if reader.dead or not reader.turns or (writer.dead and writer.turns[-1:] < reader.turns[:1]):
         return  # the last: it died before the reader joined, and so never was a participant in the reader's time
@@ -320,7 +363,7 @@ def law(connection: Connection) -> None:
         message
         for message in writer.published
         if (message[2] >= since or message[1] >= reader.turns[0])
-        and message[1] < last
+        and message[1] < last + isinstance(reader, Host)
         and message[1] in writer.finished
     ]
     assert reader.script is not None or got[: len(due)] == due, (

@@ -535,6 +535,85 @@ def _dispatch() -> None:
             entry.invoke(message)
 
 
+# ---- what has been sent to this process ----
+
+
+class Deliveries:
+    """The connections from participants to this process's subscribers, and how much must have come over each."""
+
+    def __init__(self, node: _Node) -> None:
+        """Starts with none.
+
+        Args:
+            node: Has the subscribers and what reads their connections.
+        """
+        self._node = node
+        self._inboxes: dict[int, Inbox] = {}
+        self._topics: dict[int, str] = {}
+        self._lost: list[int] = []
+        self._void: list[tuple[int, int]] = []
+
+    def note(self, news: Mapping[str, Any]) -> None:
+        """Takes the news of a PEER frame: connections made and lost, and what is void because time has gone back."""
+        ends = self._node.subscriptions() if news["made"] else {}
+        for channel, topic, publisher, port in news["made"]:
+            end = ends.get(topic)
+            if end is None:  # a plain rospy.Subscriber of this process (a tf listener, say): its threads read it
+                continue
+            inbox = end.inbox(publisher, port)
+            self._node.reader.count(inbox)
+            self._inboxes[channel] = inbox
+            self._topics[channel] = topic
+        self._lost += [channel for channel in news["lost"] if channel in self._inboxes]
+        self._void += [(channel, count) for channel, count in news.get("void", ()) if channel in self._inboxes]
+
+    def fetch(self, counts: Mapping[int, int]) -> None:
+        """Reads what must have come by now, waits for what has not, and forgets what is void or over.
+
+        Args:
+            counts: Channel to the number of messages sent over it in all, where that has changed.
+
+        Raises:
+            ROSInterruptException: The node is shut down meanwhile.
+        """
+        awaited = {}
+        for channel, count in counts.items():
+            inbox = self._inboxes.get(channel)
+            if inbox is None:
+                continue
+            inbox.target = count
+            if not inbox.fetch():
+                awaited[channel] = inbox
+        if awaited:
+            self._await_messages(awaited)
+        for channel, count in self._void:
+            self._inboxes[channel].discard(count)
+        self._void.clear()
+        for channel in self._lost:
+            self._inboxes.pop(channel).lost = True
+            del self._topics[channel]
+        self._lost.clear()
+
+    def _await_messages(self, awaited: Mapping[int, Inbox]) -> None:
+        reader, began = self._node.reader, time.monotonic()
+        lacking = reader.await_messages(awaited.values(), began + WAIT_REPORT)
+        if lacking and not rospy.core.is_shutdown_requested():
+            names = sorted({f"{self._topics[channel]} of {inbox.publisher}" for channel, inbox in awaited.items()})
+            rospy.logwarn(f"waiting for messages that were sent: {', '.join(names)}")
+            lacking = reader.await_messages(awaited.values(), began + WAIT_LIMIT)
+        if rospy.core.is_shutdown_requested():
+            raise rospy.ROSInterruptException("ROS shutdown request")
+        for channel, inbox in awaited.items():
+            if inbox not in lacking:
+                continue
+            short = inbox.lacking()
+            inbox.given_up += short
+            rospy.logwarn(
+                f"{short} messages on {self._topics[channel]} from {inbox.publisher} did not arrive within "
+                f"{WAIT_LIMIT:g} s: going on without"
+            )
+
+
 # ---- the connection to the simulator ----
 
 
@@ -640,10 +719,7 @@ class Client:
         self._joined = False
         self._numbers = 0
         self._outlets: dict[int, Outlet] = {}
-        self._inboxes: dict[int, Inbox] = {}
-        self._topics: dict[int, str] = {}
-        self._lost: list[int] = []
-        self._void: list[tuple[int, int]] = []
+        self._deliveries = Deliveries(_node)
         self._told: dict[int, int] = {}
         self._reader = _node.reader
         self._ended = threading.Event()
@@ -892,23 +968,7 @@ class Client:
             _run_reset_hooks()
         if self._node.serve is not None and tick.datagrams:
             self._serve_datagrams(self._node.serve, tick.datagrams)
-        awaited = {}
-        for channel, count in tick.channels.items():
-            inbox = self._inboxes.get(channel)
-            if inbox is None:
-                continue
-            inbox.target = count
-            if not inbox.fetch():
-                awaited[channel] = inbox
-        if awaited:
-            self._await_messages(awaited)
-        for channel, count in self._void:
-            self._inboxes[channel].discard(count)
-        self._void.clear()
-        for channel in self._lost:
-            self._inboxes.pop(channel).lost = True
-            del self._topics[channel]
-        self._lost.clear()
+        self._deliveries.fetch(tick.channels)
 
     def _serve_datagrams(self, serve: Serve, counts: Mapping[int, int]) -> None:
         missed = self._node.datagrams_missed
@@ -922,43 +982,14 @@ class Client:
                 missed[port] = missed.get(port, 0) + short
                 rospy.logwarn(f"{short} datagrams from the simulator to UDP port {port} did not arrive")
 
-    def _await_messages(self, awaited: Mapping[int, Inbox]) -> None:
-        began = time.monotonic()
-        lacking = self._reader.await_messages(awaited.values(), began + WAIT_REPORT)
-        if lacking and not rospy.core.is_shutdown_requested():
-            names = sorted({f"{self._topics[channel]} of {inbox.publisher}" for channel, inbox in awaited.items()})
-            rospy.logwarn(f"waiting for messages that were sent: {', '.join(names)}")
-            lacking = self._reader.await_messages(awaited.values(), began + WAIT_LIMIT)
-        if rospy.core.is_shutdown_requested():
-            raise rospy.ROSInterruptException("ROS shutdown request")
-        for channel, inbox in awaited.items():
-            if inbox not in lacking:
-                continue
-            short = inbox.lacking()
-            inbox.given_up += short
-            rospy.logwarn(
-                f"{short} messages on {self._topics[channel]} from {inbox.publisher} did not arrive within "
-                f"{WAIT_LIMIT:g} s: going on without"
-            )
-
     def _peers(self, content: Mapping[str, Any]) -> None:
         """Publishers' connections to this node were made or lost."""
-        ends = self._node.subscriptions()
-        for channel, topic, publisher, port in content["made"]:
-            end = ends.get(topic)
-            if end is None:  # a plain rospy.Subscriber of this process (a tf listener, say): its threads read it
-                continue
-            inbox = end.inbox(publisher, port)
-            self._reader.count(inbox)
-            self._inboxes[channel] = inbox
-            self._topics[channel] = topic
+        self._deliveries.note(content)
         for number in content["counted"]:
             self._set_participant(number, True)
         for number in content["uncounted"]:
             self._set_participant(number, False)
-        self._lost += [channel for channel in content["lost"] if channel in self._inboxes]
         self._gone_back |= bool(content.get("reset"))
-        self._void += [(channel, count) for channel, count in content.get("void", ()) if channel in self._inboxes]
 
     def _set_participant(self, number: int, value: bool) -> None:
         outlet = self._outlets.get(number)
@@ -1024,11 +1055,14 @@ class Client:
         raise rospy.ROSInterruptException(fault or why)
 
 
-# ---- the simulator's own publishers ----
+# ---- the simulator's own topics ----
 
 
 class Host:
-    """Counts what the simulator's own process publishes, for `LockstepServer.attach_host`.
+    """Counts what the simulator's own process publishes and is sent, for `LockstepServer.attach_host`.
+
+    What participants send to its `Subscriber`s in a tick is dispatched by `receive` after that tick's barrier, what
+    others send when it is called next; all in the simulator's thread, and in the same order as in a participant.
 
     Attributes:
         name: The simulator's node name.
@@ -1043,6 +1077,8 @@ class Host:
         self._numbers = 0
         self._outlets: dict[int, Outlet] = {}
         self._lock = threading.Lock()
+        self._deliveries = Deliveries(_node)
+        self._counts: dict[int, int] = {}
 
     def want_digests(self) -> Mapping[str, Digest]:
         """Has what is published from now on condensed, and returns where: by topic, for `time_passed`'s times."""
@@ -1054,8 +1090,8 @@ class Host:
         _node.time_us = time_us
 
     def declare(self, declaration: dict[str, Any]) -> None:
-        """Notes the topics that there are now; what the simulator subscribes to is not held for ticks."""
-        self._declaration = {"publications": declaration["publications"]}
+        """Notes the topics that there are now."""
+        self._declaration = declaration
 
     def outlet_made(self, outlet: Outlet) -> None:
         """A subscriber has connected; called in a thread of rospy's."""
@@ -1078,6 +1114,22 @@ class Host:
         if outlet is not None:
             outlet.participant = value
 
+    def deliver(self, news: Mapping[str, Any], counts: Mapping[int, int]) -> None:
+        """Takes what participants have sent by the end of a tick, see `server.HostLink`; `receive` dispatches it."""
+        self._deliveries.note(news)
+        self._counts.update(counts)
+
+    def receive(self) -> None:
+        """Runs the callbacks of what has come; call it after each `LockstepServer.tick`, in the same thread.
+
+        Raises:
+            ROSInterruptException: The node is shut down while it waits for a message.
+        """
+        _node.reader.wait(0.0)
+        counts, self._counts = self._counts, {}
+        self._deliveries.fetch(counts)
+        _dispatch()
+
     def collect(self) -> tuple[dict[str, Any] | None, list[list[Any]], list[int], dict[int, int]]:
         """Returns what changed since the last call, see `server.HostLink`."""
         declaration, self._declaration = self._declaration, None
@@ -1096,9 +1148,10 @@ class Host:
 
 
 def host() -> Host:
-    """Makes this process the simulator's: what its `Publisher`s send is counted for the participants.
+    """Makes this process the simulator's: what its `Publisher`s send, and its `Subscriber`s get, is counted.
 
-    Call it after rospy.init_node and give it to `LockstepServer.attach_host`. The process itself is no participant.
+    Call it after rospy.init_node, in the simulator's thread, and give it to `LockstepServer.attach_host`. `Subscriber`s
+    are to be made after it, and in the same thread. The process itself is no participant.
 
     Raises:
         ROSInitException: The node takes part in another simulator's lockstep.
@@ -1106,6 +1159,7 @@ def host() -> Host:
     if _node.taking_part:
         raise rospy.ROSInitException("a participant cannot be the simulator as well")
     if _node.host is None:
+        _node.reader.activate()
         _node.host = Host(rospy.get_name())
         _node.host.declare(_node.declaration())
         for outlet in _node.outlets():

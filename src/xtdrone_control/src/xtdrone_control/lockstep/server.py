@@ -47,7 +47,7 @@ SILENCE = 1.5
 
 
 class HostLink(Protocol):
-    """How the simulator's own publishers tell of their connections and counts, see `client.Host`."""
+    """How the simulator's own publishers and subscribers tell and hear of connections and counts, see `client.Host`."""
 
     name: str
 
@@ -56,6 +56,14 @@ class HostLink(Protocol):
 
     def counted(self, number: int, value: bool) -> None:
         """Says whether a connection's subscriber is a participant."""
+
+    def deliver(self, news: Mapping[str, Any], counts: Mapping[int, int]) -> None:
+        """Takes, after a barrier, what participants have sent to the simulator in all.
+
+        Args:
+            news: Connections to its subscribers, as a PEER frame has them: made, lost, void.
+            counts: Channel to the number of messages sent over it, where that has changed.
+        """
 
 
 class Channel:
@@ -245,10 +253,10 @@ class LockstepServer:
         return self._epoll.fileno()
 
     def attach_host(self, link: HostLink) -> None:
-        """Counts the simulator's own messages to participants like those of a participant.
+        """Counts the messages between the simulator itself and participants like those between participants.
 
         Args:
-            link: Tells of the simulator's own publishers.
+            link: Tells of the simulator's own publishers, and hears for its subscribers.
 
         Raises:
             ValueError: There is one already.
@@ -305,6 +313,8 @@ class LockstepServer:
             participant.void = [[channel, count] for channel, count in participant.counts.items()]
             if participant.schedule is not None:
                 participant.due_us = participant.schedule.after_us(self._ticked_us)
+        if self._host_state is not None:
+            self._host_state.void = [[channel, count] for channel, count in self._host_state.counts.items()]
 
     def tick(self, now_us: int, datagrams: Mapping[int, int] | None = None, idle: Idle | None = None) -> None:
         """Runs one barrier: holds for new connections, sends TICK to all who are due, waits until all are done.
@@ -328,6 +338,7 @@ class LockstepServer:
         while self._awaited:
             self._wait(SLICE, idle)
             self._drop_hung(started)
+        self._deliver_to_host()
 
     def wait_for(
         self,
@@ -465,6 +476,17 @@ class LockstepServer:
         for name in ("made", "lost", "counted", "uncounted", "void"):
             setattr(participant, name, [])
         return pack_object(Kind.PEER, content)
+
+    def _deliver_to_host(self) -> None:
+        """Tells the simulator's own subscribers what has been sent to them by the end of this tick."""
+        state = self._host_state
+        if self._host is None or state is None or not (state.made or state.lost or state.counts):
+            return
+        news = {"made": state.made, "lost": state.lost, "void": state.void}
+        counts = dict(state.counts)
+        state.counts.clear()
+        state.made, state.lost, state.void = [], [], []
+        self._host.deliver(news, counts)
 
     def _datagram_news(self, participant: Participant) -> dict[int, int]:
         news = {}
@@ -777,7 +799,7 @@ class LockstepServer:
                 self._missing.setdefault(pair, limit)
 
     def _wanted_pairs(self, publisher: Participant, subscriber: Participant) -> set[Pair]:
-        if self._is_host(subscriber.name):
+        if publisher is subscriber and self._is_host(subscriber.name):
             return set()
         pairs = set()
         for topic in publisher.publications.keys() & subscriber.subscriptions.keys():
@@ -799,12 +821,20 @@ class LockstepServer:
             channel = Channel(self._next_channel, (topic, publisher.name, subscriber), port)
             self._next_channel += 1
             publisher.channels[number] = channel
-            reader = self.participants.get(subscriber)
+            reader = self._reader(channel)
             if reader is None:
                 # A free rider, or somebody who has yet to join: remember the count.
                 publisher.routes[number] = ({channel.id: count}, channel.id)
             else:
                 self._open_channel(publisher, number, reader, count)
+
+    def _reader(self, channel: Channel) -> Participant | None:
+        """Returns who counts what comes over a connection: a participant, or the simulator for what it declares."""
+        topic, publisher, subscriber = channel.pair
+        if not self._is_host(subscriber):
+            return self.participants.get(subscriber)
+        host = self._host_state
+        return host if host is not None and topic in host.subscriptions and publisher != subscriber else None
 
     def _open_channel(self, publisher: Participant, number: int, reader: Participant, count: int) -> None:
         channel = publisher.channels[number]
@@ -841,7 +871,7 @@ class LockstepServer:
         if channel.id not in live:
             return
         live.discard(channel.id)
-        reader = self.participants.get(channel.pair[2])
+        reader = self._reader(channel)
         if reader is None:
             return
         reader.lost.append(channel.id)
