@@ -8,7 +8,7 @@ import pytest
 
 from xtdrone_sim import datagrams
 from xtdrone_sim.datagrams import Datagrams
-from xtdrone_sim.node import reachable_uri
+from xtdrone_sim.simulator_node import reachable_uri
 
 PORT = 34580
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from xtdrone_control.lockstep.protocol import Digest
 from xtdrone_sim.digests import TRUTH, DigestFile
 
 
-def world(value: float = 0.0) -> SimpleNamespace:
-    return SimpleNamespace(plant=np.full(3, value))
+def truth(value: float = 0.0) -> bytes:
+    return np.full(3, value).tobytes()
 
 
 def lines(path: Path) -> list[dict]:
@@ -25,7 +24,7 @@ def test_a_line_a_second_and_one_at_the_end(tmp_path: Path) -> None:
     file = DigestFile(tmp_path / "d", "/simulator", own)
     for tick in range(1, 111):
         own["/gazebo/model_states"].add(tick * 20_000, b"x")
-        file.tick(tick * 20_000, world())
+        file.tick(tick * 20_000, truth())
     file.write("/leader", 2_000_000, {"/xtdrone/leader/pose": [1, 2, 3]})
     assert [line["time"] for line in lines(tmp_path / "d")] == [20_000, 1_000_000, 2_000_000, 2_000_000]
     file.close(2_200_000)
@@ -38,7 +37,7 @@ def test_the_last_bit_of_the_truth_counts(tmp_path: Path) -> None:
     states = []
     for value in (1.0, np.nextafter(1.0, 2.0)):
         file = DigestFile(tmp_path / "d", "/simulator", {})
-        file.tick(20_000, world(value))
+        file.tick(20_000, truth(value))
         states.append(lines(tmp_path / "d")[0]["topics"][TRUTH])
         file.close(20_000)
     assert states[0][:2] == states[1][:2]
@@ -48,8 +47,8 @@ def test_the_last_bit_of_the_truth_counts(tmp_path: Path) -> None:
 def test_a_full_disk_ends_the_file_and_not_the_flight() -> None:
     words: list[str] = []
     file = DigestFile(Path("/dev/full"), "/simulator", {}, words.append)
-    file.tick(20_000, world())
-    file.tick(1_000_000, world())
+    file.tick(20_000, truth())
+    file.tick(1_000_000, truth())
     file.close(1_000_000)
     assert len(words) == 1
     assert "/dev/full" in words[0]

@@ -16,8 +16,6 @@ from typing import TextIO
 
 from xtdrone_control.lockstep.protocol import DIGEST_PERIOD_US, Digest
 
-from .world import World
-
 TRUTH = "truth"
 
 
@@ -58,9 +56,14 @@ class DigestFile:
             with contextlib.suppress(OSError):  # it tries to write what is left
                 file.close()
 
-    def tick(self, time_us: int, world: World) -> None:
-        """Take in the vehicles' states at a tick, and write the simulator's own line when a second has begun."""
-        self._truth.add(time_us, memoryview(world.plant.tobytes()))
+    def tick(self, time_us: int, truth: bytes) -> None:
+        """Take in the vehicles' states at a tick, and write the simulator's own line when a second has begun.
+
+        Args:
+            time_us: simulated time, microseconds.
+            truth: all vehicles' true states.
+        """
+        self._truth.add(time_us, memoryview(truth))
         period = time_us // DIGEST_PERIOD_US
         if period != self._period:
             self._period = period

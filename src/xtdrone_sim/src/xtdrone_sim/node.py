@@ -1,55 +1,33 @@
-"""The simulator as a ROS node: /clock, /gazebo/model_states, MAVLink over UDP, the lockstep's barrier, pacing."""
+"""The full simulator: physics and autopilots of all vehicles, reached by MAVLink over UDP."""
 
 from __future__ import annotations
 
-import contextlib
-import logging
-import select
 import sys
-import time
-from collections.abc import Callable
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import rosgraph
-import rosgraph.names
-import rosgraph.network
 import rospy
 from gazebo_msgs.msg import ModelStates
-from rosgraph_msgs.msg import Clock
 
-from xtdrone_control import lockstep
 from xtdrone_control.fleet import Vehicle, parse_fleet
-from xtdrone_control.lockstep.names import future_name
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
 from .autopilots import AutopilotsFactory, Builtin
-from .control import Control, Reset
 from .datagrams import Datagrams
-from .digests import DigestFile
 from .gazebo_names import model_states
 from .hil import Hil
 from .mailbox import Mailbox
-from .pacing import Pacer
-from .services import Services
+from .scene import Idle
 from .simulation import Simulation
-from .startup import obstacle, stale_uri
-from .stopping import Stop
-
-_CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
-_SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
-_JOIN_REPORT = 5.0  # s between two words on who has not joined
-_HOLD_WARNING = 20.0  # s of waiting for autopilots after which such words are warnings, which are on screen
-_LEAST_HANG_LIMIT = 2.0  # s; participants send a keep-alive each second
-_CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
+from .simulator_node import NodeSettings, choice, close_all, flag, integer, log, run_node
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What the node's parameters ask.
+class Settings(NodeSettings):
+    """What the node's parameters ask, besides those of every simulator.
 
     Attributes:
         fleet: vehicles (``/xtdrone/fleet`` or ``~fleet``).
@@ -57,24 +35,8 @@ class Settings:
         autopilot: "builtin" is ours; "hil" has PX4s connect to the vehicles' simulator links (``~autopilot``).
         world: name or file (``~world``).
         seed: of the sensor noise (``~seed``).
-        speed: target real-time factor, 0 for unlimited (``~speed``).
-        paused: start paused (``~paused``).
-        until: simulated seconds after which the node ends, 0 for never (``~until``).
-        lockstep: offer it; without, nothing is waited for and nodes run on /clock (``~lockstep``).
-        participants: lockstep participants to wait for before time starts, how many or their names
-            (``~participants``: a number, a list of names, or a text with names and commas between).
-        start_limit: wall seconds to wait for them (``~start_limit``).
-        hang_limit: wall seconds of silence after which a participant is dropped, 0 for never, else at least 2
-            (``~hang_limit``).
-        busy_limit: wall seconds that a living participant may take for one turn, 0 for any time (``~busy_limit``).
-        host: address on which lockstep and MAVLink listen; "0.0.0.0" for every network (``~host``).
-        lockstep_port: the lockstep's TCP port, 0 for any free one (``~lockstep_port``).
         shared_datum: one local frame for all (``~shared_datum``).
         params: folder in which changed parameters outlive the simulator, empty for none (``~params``).
-        states_rate: /gazebo/model_states, Hz of simulated time (``~model_states_rate``).
-        digest: file for digests of all that is published, see ``digests``; empty for none (``~digest``).
-        digest_topics: digests of topics too, which are then published even if nobody listens; else only of the truth
-            (``~digest_topics``).
         log_dir: folder for the vehicles' ULogs; empty for none (``~log_dir``).
     """
 
@@ -83,21 +45,8 @@ class Settings:
     autopilot: str
     world: str
     seed: int
-    speed: float
-    paused: bool
-    until: float
-    lockstep: bool
-    participants: int | tuple[str, ...]
-    start_limit: float
-    hang_limit: float
-    busy_limit: float
-    host: str
-    lockstep_port: int
     shared_datum: bool
     params: str
-    states_rate: float
-    digest: str
-    digest_topics: bool
     log_dir: str
 
     @classmethod
@@ -108,122 +57,30 @@ class Settings:
             ValueError: one that is not allowed.
         """
         return cls(
+            **cls.common_parameters(),
             fleet=parse_fleet(str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))),
-            rows=_integer("~rows", 3, 1),
-            autopilot=_choice("~autopilot", ("builtin", "hil")),
+            rows=integer("~rows", 3, 1),
+            autopilot=choice("~autopilot", ("builtin", "hil")),
             world=str(rospy.get_param("~world", "empty")),
-            seed=_integer("~seed", 0, 0),
-            speed=_number("~speed", 1.0, 0.0, 1e6),
-            paused=_flag("~paused", False),
-            until=_number("~until", 0.0, 0.0, 1e9),
-            lockstep=_flag("~lockstep", True),
-            participants=_participants("~participants"),
-            start_limit=_number("~start_limit", 120.0, 0.0, 1e6),
-            hang_limit=_hang_limit("~hang_limit"),
-            busy_limit=_number("~busy_limit", 0.0, 0.0, 1e6),
-            host=str(rospy.get_param("~host", "127.0.0.1")),
-            lockstep_port=_integer("~lockstep_port", 0, 0, 65535),
-            shared_datum=_flag("~shared_datum", True),
+            seed=integer("~seed", 0, 0),
+            shared_datum=flag("~shared_datum", True),
             params=str(rospy.get_param("~params", "")),
-            states_rate=_number("~model_states_rate", 50.0, 0.1, 250.0),
-            digest=str(rospy.get_param("~digest", "")),
-            digest_topics=_flag("~digest_topics", True),
             log_dir=str(rospy.get_param("~log_dir", "")),
         )
 
 
-def _number(name: str, default: float, low: float, high: float) -> float:
-    value = rospy.get_param(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, {low} to {high}")
-    return float(value)
+class FullScene:
+    """Physics, autopilots and the MAVLink server of all vehicles; see ``scene.Scene``."""
 
-
-def _integer(name: str, default: int, low: int, high: int | None = None) -> int:
-    value = rospy.get_param(name, default)
-    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
-        limits = f"from {low}" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, a whole number {limits}")
-    return value
-
-
-def _hang_limit(name: str) -> float:
-    value = _number(name, 60.0, 0.0, 1e6)
-    if 0.0 < value < _LEAST_HANG_LIMIT:
-        raise ValueError(
-            f"{rospy.resolve_name(name)}: {value:g} s is not allowed, 0 (never), or at least {_LEAST_HANG_LIMIT:g} s: "
-            "participants give a sign of life once a second"
-        )
-    return value
-
-
-def _participants(name: str) -> int | tuple[str, ...]:
-    value: Any = rospy.get_param(name, 0)
-    if isinstance(value, str) and not value.strip().isdecimal():
-        value = [part.strip() for part in value.split(",")]
-    if isinstance(value, list) and all(_is_node_name(part) for part in value):
-        return tuple(rosgraph.names.make_global_ns(part).rstrip("/") for part in value)
-    if isinstance(value, str):
-        value = int(value)
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(
-            f"{rospy.resolve_name(name)}: {value!r} is not allowed, how many (from 0), or their node names with commas "
-            "between, as /mavros,/leader"
-        )
-    return value
-
-
-def _is_node_name(text: object) -> bool:
-    if not isinstance(text, str) or text.startswith("~"):
-        return False
-    return bool(text.strip("/")) and rosgraph.names.is_legal_name(text)
-
-
-def _flag(name: str, default: bool) -> bool:
-    value = rospy.get_param(name, default)
-    if not isinstance(value, bool):
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, true or false")
-    return value
-
-
-def _choice(name: str, allowed: tuple[str, ...]) -> str:
-    """Return one of ``allowed``, the first if the parameter is not set."""
-    value = rospy.get_param(name, allowed[0])
-    if value not in allowed:
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, {' or '.join(allowed)}")
-    return str(value)
-
-
-def _digest_file(settings: Settings, host: lockstep.Host) -> DigestFile | None:
-    """Open the digest file, if one is asked for.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    if not settings.digest:
-        return None
-    own = host.want_digests() if settings.digest_topics else {}
-    return DigestFile(Path(settings.digest), host.name, own, lambda text: rospy.logerr("simulator: %s", text))
-
-
-class SimulatorNode:
-    """Runs a simulation against the ROS graph until it is to end."""
-
-    def __init__(self, settings: Settings, stop: Stop) -> None:
-        """Set everything up; time stands at 0.
-
-        Args:
-            settings: what the node's parameters ask.
-            stop: says when to end.
+    def __init__(self, settings: Settings) -> None:
+        """Place the fleet on the ground and bind its ports.
 
         Raises:
             ValueError: bad settings, unknown vehicle or world.
             OSError: a port that is taken.
         """
-        self._settings = settings
-        self._stop = stop
-        self._names = [vehicle.name for vehicle in settings.fleet]
-        pacer = Pacer(settings.speed)
+        self.names: Sequence[str] = [vehicle.name for vehicle in settings.fleet]
+        self._idle: Idle = lambda _: None
         self._simulation = Simulation(
             settings.fleet,
             rows=settings.rows,
@@ -232,90 +89,10 @@ class SimulatorNode:
             shared_datum=settings.shared_datum,
             autopilots=self._factory(settings),
         )
+        self.step_us = self._simulation.step_us
         self._autopilots = self._simulation.autopilots
         self._mavlink = MavlinkServer(
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
-        )
-        host = lockstep.host()
-        self._digests = _digest_file(settings, host)
-        self._server = LockstepServer(
-            settings.host,
-            settings.hang_limit,
-            port=settings.lockstep_port,
-            busy_limit=settings.busy_limit,
-            connect_limit=_CONNECT_LIMIT,
-            log=_log,
-            on_digest=self._digests.write if self._digests and settings.digest_topics else None,
-        )
-        self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10)
-        self._server.attach_host(host)
-        self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
-        self._states_period_us = round(1e6 / settings.states_rate)
-        self._next_states_us = 0
-        self._collisions: set[tuple[int, int]] = set()
-        self._datagrams = Datagrams(
-            self._mavlink, self._server, lambda text: rospy.logwarn("simulator: %s", text), self._serve
-        )
-        self._control = Control(
-            pacer,
-            self._server,
-            lambda: self._simulation.time_us,
-            paused=settings.paused,
-            hang_limit=settings.hang_limit,
-            info=lambda text: rospy.loginfo("simulator: %s", text),
-            warn=lambda text: rospy.logwarn("simulator: %s", text),
-        )
-        self._mailbox = Mailbox()
-        self._services = Services(
-            self._control,
-            self._mailbox,
-            step_s=self._simulation.step_us * 1e-6,
-            gravity=self._simulation.world.model.gravity,
-            model_names=["ground_plane", *self._names],
-        )
-        self._poll = select.epoll()
-        self._poll.register(self._mailbox.fileno(), select.EPOLLIN)
-        self._poll.register(self._server.fileno(), select.EPOLLIN)
-        self._poll.register(self._mavlink.fileno(), select.EPOLLIN)
-        for descriptor in self._autopilots.descriptors:
-            self._poll.register(descriptor, select.EPOLLIN)
-        self._uri = reachable_uri(self._server.uri, settings.host)
-        if settings.lockstep:
-            rospy.set_param("/lockstep/uri", self._uri)
-        else:
-            rospy.logwarn("simulator: no lockstep (~lockstep is false): nodes run on /clock, nothing is repeatable")
-            # That of a simulator which is no more: nodes that saw it would try to take part.
-            with contextlib.suppress(KeyError):
-                rospy.delete_param("/lockstep/uri")
-
-    def run(self) -> None:
-        """Step until the node is to end."""
-        try:
-            self._publish_clock()
-            self._wait_for_autopilots()
-            self._wait_for_participants()
-            self._control.start()
-            while not self._over():
-                self._hold()
-                self._advance()
-                self._wait_for_pace()
-        except rospy.ROSException:
-            # ROSInterruptException of our own, or rospy's word that its topics are closed
-            if not self._stop.requested():
-                raise
-        finally:
-            self._close()
-
-    def _close(self) -> None:
-        digests = [] if self._digests is None else [partial(self._digests.close, self._simulation.time_us)]
-        close_all(
-            partial(_forget_uri, self._uri),
-            self._mailbox.close,
-            self._control.close,
-            self._server.close,
-            *digests,
-            self._mavlink.close,
-            self._simulation.close,
         )
 
     def _factory(self, settings: Settings) -> AutopilotsFactory:
@@ -326,212 +103,113 @@ class SimulatorNode:
                 params=Path(settings.params).expanduser() if settings.params else None,
                 logs=Path(settings.log_dir).expanduser() if settings.log_dir else None,
             ),
-            "hil": partial(Hil, host=settings.host, hang_limit=settings.hang_limit, idle=self._serve, log=_log),
+            "hil": partial(
+                Hil,
+                host=settings.host,
+                hang_limit=settings.hang_limit,
+                idle=lambda timeout: self._idle(timeout),
+                log=log,
+            ),
         }
         return factories[settings.autopilot]
 
-    def _wait_for_autopilots(self) -> None:
-        begun = word = time.monotonic()
-        while missing := self._autopilots.missing():
-            now = time.monotonic()
-            if now - begun >= self._settings.start_limit:
-                rospy.logwarn("simulator: time starts after %.0f s: %s", self._settings.start_limit, missing)
-                return
-            if now >= word:
-                word += _JOIN_REPORT
-                write = rospy.loginfo if now - begun < _HOLD_WARNING else rospy.logwarn
-                write("simulator: holding time at 0: %s", missing)
-            self._serve(_SLICE)
-            self._server.poll(0.0)
+    @property
+    def time_us(self) -> int:
+        """Simulated time, microseconds."""
+        return self._simulation.time_us
 
-    def _wait_for_participants(self) -> None:
-        expected = self._control.held = self._settings.participants if self._settings.lockstep else 0
-        end = time.monotonic() + self._settings.start_limit
-        while expected and time.monotonic() < end:
-            if self._server.wait_for(expected, _JOIN_REPORT, self._serve):
-                rospy.loginfo("simulator: %d participants have joined, time starts", len(self._server.participants))
-                return
-            rospy.loginfo("simulator: holding time at 0: %s", self._server.missing(expected))
-        if expected:
-            rospy.logwarn(
-                "simulator: time starts without all participants after %.0f s: %s",
-                self._settings.start_limit,
-                self._server.missing(expected),
-            )
+    @property
+    def gravity(self) -> float:
+        """In m/s^2."""
+        return self._simulation.world.model.gravity
 
-    def _over(self) -> bool:
-        """Say whether the simulated time is reached at which the node is to end."""
-        until = self._settings.until
-        return until > 0.0 and self._simulation.time_us >= round(until * 1e6)
+    @property
+    def need_time(self) -> bool:
+        """Whether the autopilots answer their clients only while time goes on."""
+        return self._autopilots.need_time
 
-    def _hold(self) -> None:
-        """Carry out what waits for the end of a tick; stay here while the simulation is paused."""
-        while not self._control.between_ticks(self._reset):
-            self._serve(_SLICE)
-            self._server.poll(0.0)
+    @property
+    def descriptors(self) -> Sequence[int]:
+        """MAVLink's, and those of the autopilots."""
+        return (self._mavlink.fileno(), *self._autopilots.descriptors)
 
-    def _reset(self, kind: Reset) -> None:
-        """Put everything back to its start, with simulated time or without: a reboot of all autopilots."""
-        simulation = self._simulation
-        simulation.restart(0 if kind is Reset.SIMULATION else simulation.time_us)
-        self._mavlink.reboot(simulation.autopilot, simulation.commanders)
-        self._collisions.clear()
-        if kind is Reset.SIMULATION:
-            self._next_states_us = 0
-            self._server.reset_time(0)
-        if simulation.time_us > 0:  # 0 means "no time yet" in ROS, and ends rosbag record: the next tick's is the first
-            self._publish_clock()
+    @property
+    def patience(self) -> float:
+        """How long the MAVLink links may be left alone, wall s."""
+        return self._mavlink.patience
 
-    def _advance(self) -> None:
-        """Step to the next tick, or a little way when nobody is due soon; then one barrier."""
+    def open(self, server: LockstepServer, mailbox: Mailbox, idle: Idle) -> None:
+        """Count datagrams together with the lockstep's server."""
+        self._idle = idle
+        self._server = server
+        self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
+
+    def missing(self) -> str:
+        """Say which autopilots have not connected."""
+        return self._autopilots.missing()
+
+    def serve(self, ready: Collection[int]) -> None:
+        """Receive MAVLink, and what comes from the autopilots."""
+        if self._mavlink.fileno() in ready:
+            self._mavlink.receive(0.0)
+        if not set(ready).isdisjoint(self._autopilots.descriptors):
+            self._autopilots.serve()
+        self._mavlink.keep_alive(self._datagrams.counted_ports)
+
+    def next_due_us(self, now_us: int) -> int | None:
+        """Streams are sent on the way."""
+        return None
+
+    def advance(self, until_us: int) -> None:
+        """Step, and send telemetry when it is due."""
         self._datagrams.direct()
         simulation, mavlink = self._simulation, self._mavlink
-        now = simulation.time_us
-        due = self._server.next_due_us(now)
-        until = now + _CHUNK_US if due is None else min(due, now + _CHUNK_US)
-        is_tick = due is None or due == until
         next_stream = mavlink.next_due_us
-        while simulation.time_us < until:
+        while simulation.time_us < until_us:
             simulation.step()
             if simulation.time_us >= next_stream:
                 mavlink.send_streams(simulation.time_us)
                 next_stream = mavlink.next_due_us
-        now = simulation.time_us
-        mavlink.send_streams(now)
-        self._publish_clock()
-        lockstep.host().time_passed(now)
-        if now >= self._next_states_us:
-            self._publish_states(now)
-        self._serve(0.0)
-        if self._digests is not None:
-            self._digests.tick(now, simulation.world)
-        mavlink.hold_setpoints()
-        self._server.tick(now, mavlink.sent, self._serve_in_tick)
+        mavlink.send_streams(simulation.time_us)
+
+    def step(self) -> None:
+        """Advance by one step."""
+        self._simulation.step()
+
+    def tick(self, idle: Idle) -> None:
+        """Run one barrier; set-points that come in it act after it."""
+        self._mavlink.hold_setpoints()
+        self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)
         self._datagrams.wait()
-        mavlink.release_setpoints()
-        self._report_collisions()
-        if is_tick:
-            self._control.ticked()
+        self._mavlink.release_setpoints()
 
-    def _report_collisions(self) -> None:
-        new = self._simulation.world.collisions - self._collisions
-        for a, b in sorted(new):
-            rospy.logwarn("simulator: collision of %s and %s", self._names[a], self._names[b])
-        self._collisions |= new
+    def truth(self) -> bytes:
+        """Return the plant records."""
+        return self._simulation.world.plant.tobytes()
 
-    def _serve(self, timeout: float) -> None:
-        """Wait up to ``timeout`` s for something on any socket, and serve what came by MAVLink.
+    def model_states(self) -> ModelStates:
+        """Return the plant as Gazebo has it."""
+        return model_states(self.names, self._simulation.world.plant)
 
-        Raises:
-            ROSInterruptException: ROS shuts down; whoever waits for a participant must not wait on.
-        """
-        if self._stop.requested():
-            raise rospy.ROSInterruptException("shutdown")
-        if timeout > 0.0:
-            timeout = min(timeout, self._mavlink.patience)
-        ready = {descriptor for descriptor, _ in self._poll.poll(timeout)}
-        if self._mavlink.fileno() in ready:
-            self._mavlink.receive(0.0)
-        if self._mailbox.fileno() in ready:
-            self._mailbox.serve()
-        if not ready.isdisjoint(self._autopilots.descriptors):
-            self._autopilots.serve()
-        self._mavlink.keep_alive(self._datagrams.counted_ports)
-        self._services.tend()
+    def collisions(self) -> set[tuple[int, int]]:
+        """Return which vehicles have hit each other."""
+        return self._simulation.world.collisions
 
-    def _serve_in_tick(self, timeout: float) -> None:
-        """As ``_serve``, while participants are waited for.
+    def restart(self, time_us: int) -> None:
+        """Reboot all autopilots at their spawn places."""
+        self._simulation.restart(time_us)
+        self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
 
-        When one of them waits for an autopilot that needs simulated time to answer, time flows meanwhile, for else it
-        would stand still. The turn then lasts, as it does on a real vehicle.
-        """
-        if not (self._autopilots.need_time and self._server.needs_time and not self._control.paused):
-            self._serve(timeout)
-            return
-        simulation = self._simulation
-        simulation.step()
-        self._publish_clock()
-        self._serve(min(max(0.0, self._control.pacer.delay(simulation.time_us, time.monotonic())), timeout))
-
-    def _wait_for_pace(self) -> None:
-        while self._control.flowing:
-            delay = self._control.pacer.delay(self._simulation.time_us, time.monotonic())
-            if delay <= 0.0:
-                return
-            self._serve(min(delay, _SLICE))
-            self._server.poll(0.0)
-
-    def _publish_clock(self) -> None:
-        self._clock.publish(Clock(clock=rospy.Time.from_sec(0) + rospy.Duration(0, self._simulation.time_us * 1000)))
-
-    def _publish_states(self, now: int) -> None:
-        self._next_states_us += self._states_period_us
-        if self._next_states_us <= now:
-            self._next_states_us = now + self._states_period_us
-        if self._states.get_num_connections():
-            self._states.publish(model_states(self._names, self._simulation.world.plant))
+    def close(self) -> None:
+        """Close the ports, and free the physics engine and what the autopilots hold."""
+        close_all(self._mavlink.close, self._simulation.close)
 
 
-def reachable_uri(uri: str, host: str) -> str:
-    """Return an address under which participants on other machines find the lockstep's server.
-
-    Args:
-        uri: the server's, tcp://host:port.
-        host: the address on which it listens; for "0.0.0.0" the one that this machine tells other ROS nodes is named.
-    """
-    if host not in {"", "0.0.0.0"}:
-        return uri
-    return f"tcp://{rosgraph.network.get_local_address()}:{uri.rpartition(':')[2]}"
-
-
-def close_all(*closings: Callable[[], object]) -> None:
-    """Call all ``closings`` in this order, also those after one that raises.
-
-    Raises:
-        Exception: what a closing raised; if several did, the last one's, with the others as its context.
-    """
-    with contextlib.ExitStack() as stack:
-        for closing in reversed(closings):
-            stack.callback(closing)
-
-
-def _forget_uri(uri: str) -> None:
-    try:
-        master = rosgraph.Master(rospy.get_name())
-        if master.getParam("/lockstep/uri") == uri:  # not that of another simulator
-            master.deleteParam("/lockstep/uri")
-    except (rosgraph.MasterException, OSError):
-        rospy.logdebug("simulator: /lockstep/uri was gone already")
-
-
-def _log(level: int, text: str) -> None:
-    """Pass the lockstep's words on to ROS."""
-    write = {logging.WARNING: rospy.logwarn, logging.ERROR: rospy.logerr}.get(level, rospy.loginfo)
-    write("simulator: %s", text)
+def _make() -> tuple[Settings, FullScene]:
+    settings = Settings.from_parameters()
+    return settings, FullScene(settings)
 
 
 def main() -> int:
     """Run the node; return its exit status."""
-    if not rosgraph.is_master_online():
-        advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
-        print(f"simulator: no ROS master answers at {rosgraph.get_master_uri()}; {advice}", file=sys.stderr)
-        return 1
-    name = future_name("simulator", sys.argv)
-    # Before the name is registered: the master would shut down the node that has it now.
-    reason = obstacle(name)
-    if reason:
-        print(f"simulator: {reason}", file=sys.stderr)
-        return 1
-    stale = stale_uri(name)
-    rospy.init_node("simulator", disable_rostime=True, disable_signals=True)
-    stop = Stop()
-    if stale:
-        rospy.logwarn("simulator: /lockstep/uri was %s, where nobody answers: it is forgotten", stale)
-    try:
-        node = SimulatorNode(Settings.from_parameters(), stop)
-    except (ValueError, OSError) as error:
-        rospy.logfatal("simulator: %s", error)
-        return 1
-    node.run()
-    rospy.signal_shutdown("the simulation has ended")
-    return 0
+    return run_node(_make, sys.argv)
