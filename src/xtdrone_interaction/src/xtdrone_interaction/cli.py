@@ -53,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
     commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
+    commands.add_parser("sweep", help="fly a study over parameters and seeds (own options: sweep --help)")
     commands.add_parser("compare-px4", help="fly our autopilot beside recorded flights of a real PX4")
     return parser
 
@@ -193,6 +194,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from xtdrone_interaction import bench
 
         return bench.main(arguments[1:])
+    if arguments[:1] == ["sweep"]:
+        from xtdrone_interaction.sweep import main as sweep
+
+        return sweep.main(arguments[1:])
     parsed = _parser().parse_args(arguments)
     console = Console()
     try:

@@ -1,0 +1,245 @@
+"""Runs on Dask: batches of flights on worker processes, of this machine or of a cluster, in a bounded window.
+
+A flight that raises is a row with its error (``run.fly_row``), so what Dask itself reports is a lost worker. It repeats
+a batch on another worker then; a batch that was on several workers that died is split, and a single run that kills its
+workers again and again becomes a row with that error.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import dask
+from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+
+from xtdrone_interaction.sweep.run import Row, Work
+
+CONNECT_LIMIT = 5.0  # s until a scheduler has answered
+BATCH_TIME = 0.5  # s of work in a batch, so that Dask's few milliseconds for each do not count
+_MOST_BATCH = 100  # runs
+_WINDOW = 4  # batches a thread of a worker that Dask knows of; so no worker waits, and memory stays bounded
+_LEAST_WINDOW = 8
+_LOST_WORKERS = 2  # as many workers may die under a batch before it is split or given up
+_POLL = 0.1  # s
+_RECOUNT = 20  # polls between two looks at how many workers there are
+_SMOOTHING = 0.2
+_LOGGERS = ("distributed", "tornado.application", "asyncio")
+
+Task = Mapping[str, Any]
+
+
+class SweepError(RuntimeError):
+    """The sweep cannot go on; what has finished is kept."""
+
+
+class SchedulerLostError(SweepError):
+    """The scheduler is gone."""
+
+
+@contextmanager
+def local_client(workers: int, dashboard: str | None = None) -> Iterator[Client]:
+    """Yield a client of a cluster on this machine: processes of one thread each, on loopback only.
+
+    Its processes end with this one, however this one ends.
+
+    Args:
+        workers: number of processes.
+        dashboard: address as ``127.0.0.1:8787`` of Dask's own page; None: none.
+    """
+    settings = {
+        "distributed.scheduler.allowed-failures": _LOST_WORKERS,
+        # numba and the linear algebra of a worker stay on its one core.
+        "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": 1,
+        "distributed.nanny.pre-spawn-environ.MPLBACKEND": "Agg",
+        "distributed.admin.system-monitor.gil.enabled": False,
+    }
+    with _quiet(), dask.config.set(settings):
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            protocol="tcp://",
+            dashboard_address=dashboard or "127.0.0.1:0",
+            scheduler_kwargs={"dashboard": dashboard is not None},
+            worker_dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        )
+        try:
+            with Client(cluster, set_as_default=False) as client:
+                yield client
+        finally:
+            cluster.close(timeout=CONNECT_LIMIT)
+
+
+@contextmanager
+def remote_client(address: str) -> Iterator[Client]:
+    """Yield a client of the cluster whose scheduler is at ``address``, as ``tcp://host:8786``.
+
+    Raises:
+        SweepError: nobody answers there.
+    """
+    with _quiet(), dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_LIMIT:g}s"}):
+        try:
+            client = Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise SweepError(
+                f"scheduler: no Dask scheduler answers at {address!r} ({_first_line(error)}); "
+                "start one with 'dask scheduler', or leave --scheduler out"
+            ) from error
+        try:
+            yield client
+        finally:
+            client.close(timeout=CONNECT_LIMIT)
+
+
+class Executor:
+    """Sends tasks to workers and hands out rows as they come.
+
+    Attributes:
+        workers: number of workers' threads when it was last counted.
+        lost: how many batches had to be split or given up because their workers died.
+    """
+
+    def __init__(self, client: Client, work: Work, common: Mapping[str, Any]) -> None:
+        """Prepare.
+
+        Args:
+            client: of the cluster.
+            work: what flies a batch, importable in the workers.
+            common: what all runs share, sent with each batch.
+        """
+        self._client = client
+        self._work = work
+        self._common = dict(common)
+        self._running: dict[Future, list[Task]] = {}
+        self._again: list[list[Task]] = []
+        self._seconds = BATCH_TIME  # of one run; at first a batch is one run
+        self._numbers = itertools.count()
+        self.workers = 0
+        self.lost = 0
+
+    def run(self, tasks: Iterator[Task], deliver: Callable[[list[Row]], None], check: Callable[[], None]) -> None:
+        """Fly all tasks.
+
+        Args:
+            tasks: taken as workers get free.
+            deliver: called with the rows of finished runs, in the order in which they finish.
+            check: called several times a second; what it raises stops the sweep.
+
+        Raises:
+            SchedulerLostError: the scheduler is gone.
+            SweepError: the workers cannot fly at all.
+        """
+        completed = as_completed(loop=self._client.loop, with_results=True, raise_errors=False)
+        try:
+            for poll in itertools.count():
+                check()
+                if poll % _RECOUNT == 0:
+                    self._count()
+                self._fill(tasks, completed)
+                if not self._running:
+                    return
+                for future, result in _finished(completed):
+                    rows = self._rows(future, result)
+                    if rows:
+                        deliver(rows)
+        finally:
+            self._abandon()
+
+    def _count(self) -> None:
+        """See how many threads there are, and whether the scheduler is."""
+        if self._client.status != "running":
+            raise self._scheduler_lost()
+        try:
+            self.workers = sum(self._client.nthreads().values())
+        except (OSError, TimeoutError) as error:
+            raise self._scheduler_lost() from error
+
+    def _fill(self, tasks: Iterator[Task], completed: as_completed) -> None:
+        """Keep the window full."""
+        window = max(_LEAST_WINDOW, _WINDOW * self.workers)
+        while len(self._running) < window:
+            size = max(1, min(_MOST_BATCH, int(BATCH_TIME / self._seconds)))
+            batch = self._again.pop() if self._again else list(itertools.islice(tasks, size))
+            if not batch:
+                return
+            key = f"xtdrone-{batch[0]['key']}-{next(self._numbers)}"
+            future = self._client.submit(self._work, self._common, batch, key=key, pure=False)
+            self._running[future] = batch
+            completed.add(future)
+
+    def _rows(self, future: Future, result: Any) -> list[Row]:
+        """Return the rows of a batch that has ended; none if it must be flown again."""
+        batch = self._running.pop(future)
+        if future.status == "finished":
+            self._learn(result)
+            return list(result)
+        if future.status != "error":
+            raise self._scheduler_lost()
+        error = result[1] if isinstance(result, tuple) else result
+        if not isinstance(error, KilledWorker):
+            raise SweepError(
+                f"workers cannot fly: {type(error).__name__}: {_first_line(error)}; a cluster's workers need this "
+                "package and its Python packages in the same versions"
+            ) from error
+        self.lost += 1
+        if len(batch) > 1:
+            self._again += [[task] for task in batch]
+            return []
+        return [_killed_row(batch[0])]
+
+    def _learn(self, rows: Sequence[Row]) -> None:
+        """Take over how long a run lasts; in doubt longer, for batches that are too small cost little."""
+        for row in rows:
+            share = 1.0 if row["wall_time"] > self._seconds else _SMOOTHING
+            self._seconds += share * (max(row["wall_time"], 1e-4) - self._seconds)
+
+    def _abandon(self) -> None:
+        """Take back what has not been flown."""
+        if self._running and self._client.status == "running":
+            self._client.cancel(list(self._running), asynchronous=False)
+        self._running.clear()
+
+    def _scheduler_lost(self) -> SchedulerLostError:
+        return SchedulerLostError("scheduler: the connection to it is lost")
+
+
+def _finished(completed: as_completed) -> list[tuple[Future, Any]]:
+    """Return the batches that have ended, waiting for one up to _POLL seconds."""
+    with completed.thread_condition:
+        if not completed.has_ready():
+            completed.thread_condition.wait(_POLL)
+    return completed.next_batch(block=False)
+
+
+def _killed_row(task: Task) -> Row:
+    return {
+        "key": task["key"],
+        "seed": task["seed"],
+        **task["varied"],
+        "error": f"KilledWorker: {_LOST_WORKERS + 1} workers died while flying it (out of memory, a crash, or killed)",
+        "wall_time": 0.0,
+    }
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask's log of workers that come and go off the screen; what matters is said by the sweep itself."""
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]

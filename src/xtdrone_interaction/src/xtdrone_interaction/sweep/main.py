@@ -1,0 +1,292 @@
+"""``./xtdrone sweep study.yaml``: the command.
+
+Exit status: 0 when all runs are there, 1 when the sweep could not go on or runs have failed, 2 for a value that is not
+allowed, 128 + n when stopped by signal n. In every case finished runs are kept, and the same command goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_interaction import options
+from xtdrone_interaction.bench_machine import machine_facts
+from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.scripted_launch import Stopped, StopRequest
+from xtdrone_interaction.sweep.plan import Plan
+from xtdrone_interaction.sweep.progress import Progress
+from xtdrone_interaction.sweep.run import FIGURES
+from xtdrone_interaction.sweep.store import Store
+from xtdrone_interaction.sweep.study import Study, read_study
+
+_MOST_WORKERS = 1024
+_SHOWN = 10  # runs of a dry run, and differences of studies
+_FACTS = ("python", "packages", "commit", "changed_since_commit")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="xtdrone sweep",
+        description="Fly a study: many simplified (or core, full-physics) flights over parameters and seeds. What has "
+        "finished is kept whatever happens; the same command goes on where it stopped. See docs/sweeps.md.",
+    )
+    add = parser.add_argument
+    add("study", type=Path, metavar="STUDY.yaml", help="what is flown")
+    add("--out", type=Path, metavar="FOLDER", help="folder of the results (default: runs/sweeps/<name of the study>)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", metavar="N", help="worker processes on this machine (default: one a core)")
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="fly on a Dask cluster: its scheduler, as tcp://host:8786"
+    )
+    add("--dashboard", metavar="PORT", help="show Dask's own page on this TCP port of 127.0.0.1 (needs bokeh)")
+    add("--dry-run", action="store_true", help="say what would be flown, and fly nothing")
+    add("--retry-failed", action="store_true", help="fly again what is in the results with an error")
+    add("--metric", metavar="NAME", help="figure that the picture shows (default: settling_time)")
+    add("--x", metavar="PARAMETER", help="parameter along the picture's axis (default: chosen)")
+    add("--by", metavar="PARAMETER", help="second parameter of the picture (default: chosen)")
+    return parser
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command and return its exit status."""
+    arguments = _parser().parse_args(argv)
+    console = Console()
+    try:
+        study = read_study(arguments.study)
+        plan = Plan(study)
+        plan.check()
+        _check_picture(study, arguments)
+        if arguments.dry_run:
+            return _dry_run(plan, console)
+        folder = arguments.out or Path("runs") / "sweeps" / study.name
+        return _sweep(plan, folder, arguments, console)
+    except (OptionError, PatternError) as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1
+
+
+def _check_picture(study: Study, arguments: argparse.Namespace) -> None:
+    """Refuse unknown names before hours of flying; figures of the user's metric are known only afterwards."""
+    varied = [*(axis.parameter.name for axis in study.axes), "seed"]
+    for thing in ("x", "by"):
+        name = getattr(arguments, thing)
+        if name is not None and name not in varied:
+            raise OptionError(f"{thing}: {name!r} is not varied in this study; there are: {', '.join(varied)}")
+    if arguments.metric and arguments.metric not in FIGURES and "metric" not in study.sources:
+        raise OptionError(f"metric: {arguments.metric!r} is unknown; there are: {', '.join(FIGURES)}")
+
+
+def _dry_run(plan: Plan, console: Console) -> int:
+    _say_study(plan.study, console)
+    for run in plan[:_SHOWN]:
+        values = " ".join(f"{name}={value}" for name, value in run.varied.items())
+        _print(console, f"  {run.key}  {values} seed={run.seed}")
+    if len(plan) > _SHOWN:
+        _print(console, f"  ... and {len(plan) - _SHOWN:,} more")
+    return 0
+
+
+def _say_study(study: Study, console: Console) -> None:
+    _print(console, f"Study {study.name}: {study.engine} flights, {study.flight}")
+    for name, value in study.constants.items():
+        _print(console, f"  {name} = {value}")
+    for axis in study.axes:
+        if axis.sampled:
+            text = f"{axis.values[0]} to {axis.values[1]}{', logarithmic' if axis.log else ''}"
+        else:
+            more = ", ..." if len(axis.values) > _SHOWN else ""
+            text = f"{', '.join(map(str, axis.values[:_SHOWN]))}{more} ({len(axis.values)} values)"
+        _print(console, f"  {axis.parameter.name}: {text}")
+    for role, source in study.sources.items():
+        _print(console, f"  {role}: {source.name} of {source.path}")
+    _print(console, f"{study.points:,} points ({study.combine}) x {len(study.seeds):,} seeds = {study.runs:,} runs")
+
+
+def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Console) -> int:
+    """Fly what is missing, write results and picture, and return the exit status."""
+    header = _header(plan.study)
+    with StopRequest() as stop, Store(folder, columns(plan.study), header) as store:
+        keys = [run.key for run in plan]
+        _check_same(store, keys, header, console)
+        store.begin()
+        done = {key for key, good in store.rows.items() if good or not arguments.retry_failed}
+        missing = [number for number, key in enumerate(keys) if key not in done]
+        _say_study(plan.study, console)
+        if len(missing) < len(keys):
+            _print(console, f"{len(keys) - len(missing):,} runs are there already, {len(missing):,} are flown now")
+        status = _fly(plan, missing, store, arguments, stop, console) if missing else 0
+        results = store.finish(keys)
+        return _finish(store, keys, results, status, arguments, console)
+
+
+def _header(study: Study) -> dict[str, Any]:
+    facts = machine_facts(options.repository())
+    return {
+        "study": study.plain(),
+        "sources": {role: source.plain() for role, source in study.sources.items()},
+        "software": {name: facts[name] for name in _FACTS},
+    }
+
+
+def columns(study: Study) -> dict[str, type]:
+    """Return names and types of the results' columns; a user's metric adds more."""
+    varied = {axis.parameter.name: axis.parameter.kind for axis in study.axes}
+    return {"key": str, "seed": int, **varied, "error": str, **FIGURES}
+
+
+def _check_same(store: Store, keys: Sequence[str], header: dict[str, Any], console: Console) -> None:
+    """Refuse a folder with runs that this study does not have; say what is new in one that has more.
+
+    Raises:
+        OptionError: the folder is of another study.
+    """
+    if store.before is None:
+        return
+    changes = differences(store.before.get("study", {}), header["study"])
+    foreign = len(store.rows.keys() - set(keys))
+    if foreign:
+        raise OptionError(
+            f"out: {store.folder} has {foreign:,} of {len(store.rows):,} runs that this study does not have "
+            f"({'; '.join(changes) or 'another version'}); choose another --out, or undo the change"
+        )
+    if changes:
+        new = len(set(keys) - store.rows.keys())
+        _print(console, f"The study has changed ({'; '.join(changes)}): it keeps its runs, {new:,} are to be flown")
+    before, now = store.before.get("software", {}).get("commit"), header["software"]["commit"]
+    if before != now:
+        _print(console, f"Warning: earlier runs are of another version of the software ({before} then, {now} now)")
+
+
+def differences(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """Return what differs between two studies in plain data, in words."""
+    found = []
+    for name in dict.fromkeys([*before, *after]):
+        old, new = before.get(name), after.get(name)
+        if isinstance(old, dict) and isinstance(new, dict):
+            found += [f"{name} {text}" if name != "sources" else text for text in differences(old, new)]
+        elif old != new:
+            found.append(f"{name}: {_short(old)} before, {_short(new)} now")
+    return found[:_SHOWN]
+
+
+def _short(value: Any) -> str:
+    text = "none" if value is None else str(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _fly(
+    plan: Plan, missing: Sequence[int], store: Store, arguments: argparse.Namespace, stop: StopRequest, console: Console
+) -> int:
+    """Fly the runs of these numbers and return the exit status."""
+    from xtdrone_interaction.sweep.execute import Executor, SweepError  # heavy, and not for --dry-run
+    from xtdrone_interaction.sweep.run import fly_batch
+
+    study = plan.study
+    common = {
+        "engine": study.engine,
+        "flight": study.flight,
+        "constants": study.constants,
+        "sources": {role: source.plain() for role, source in study.sources.items()},
+    }
+    try:
+        with _client(arguments) as client, Progress(console, len(missing)) as progress:
+            executor = Executor(client, fly_batch, common)
+
+            def deliver(rows: list[dict[str, Any]]) -> None:
+                store.add(rows)
+                progress.add(rows)
+
+            def check() -> None:
+                stop.check()
+                store.tick()
+                progress.show(executor.workers)
+
+            executor.run(_tasks(plan, missing), deliver, check)
+    except Stopped as stopped:
+        print(f"xtdrone: stopped by {stopped}", file=sys.stderr)
+        return 128 + stopped.number
+    except SweepError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _tasks(plan: Plan, numbers: Sequence[int]) -> Iterator[dict[str, Any]]:
+    return (plan[number].task() for number in numbers)
+
+
+def _client(arguments: argparse.Namespace) -> AbstractContextManager[Any]:
+    from xtdrone_interaction.sweep.execute import local_client, remote_client
+
+    if arguments.scheduler:
+        return remote_client(arguments.scheduler)
+    dashboard = None
+    if arguments.dashboard:
+        dashboard = f"127.0.0.1:{options.port(arguments.dashboard)}"
+        _check_bokeh()
+    return local_client(_worker_count(arguments.workers), dashboard)
+
+
+def _worker_count(text: str | None) -> int:
+    if text is None:
+        return len(os.sched_getaffinity(0))
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if not 1 <= count <= _MOST_WORKERS:
+        raise OptionError(f"workers: {text!r} is not allowed; 1 to {_MOST_WORKERS}")
+    return count
+
+
+def _check_bokeh() -> None:
+    try:
+        import bokeh  # noqa: F401
+    except ImportError:
+        raise OptionError("dashboard: Dask's page needs the Python package bokeh: pip install bokeh") from None
+
+
+def _finish(
+    store: Store, keys: Sequence[str], results: Path, status: int, arguments: argparse.Namespace, console: Console
+) -> int:
+    """Say how it went, draw the picture, and return the exit status."""
+    there = sum(key in store.rows for key in keys)
+    failed = sum(not store.rows.get(key, True) for key in keys)
+    _print(console, f"{there:,} of {len(keys):,} runs are there, {failed:,} of them failed")
+    _print(console, f"Results: {results}")
+    if there:
+        _draw(results, arguments, console)
+    if there < len(keys):
+        _print(console, "Give the same command again to fly the rest")
+        return status or 1
+    if failed:
+        _print(console, "The column 'error' says why runs have failed; --retry-failed flies them again")
+    return status or int(failed > 0)
+
+
+def _draw(results: Path, arguments: argparse.Namespace, console: Console) -> None:
+    from xtdrone_interaction.sweep.picture import save_picture
+
+    path = results.with_name("picture.png")
+    try:
+        save_picture(results, path, arguments.metric, arguments.x, arguments.by)
+    except OptionError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+    else:
+        _print(console, f"Picture: {path}")
+
+
+def _print(console: Console, text: str) -> None:
+    console.print(escape(text), highlight=False, soft_wrap=True)

@@ -1,0 +1,191 @@
+"""What a study may vary: the flight's own parameters and the settings of followers, leader, vehicles and network."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from xtdrone_coordination.follower import FollowerOptions
+from xtdrone_coordination.leader import LeaderOptions
+from xtdrone_coordination.network import NetworkOptions
+from xtdrone_interaction.options import OptionError
+from xtdrone_sim.simplified import Model
+
+Value = bool | int | float | str
+
+GROUPS: dict[str, type] = {
+    "follower": FollowerOptions,
+    "leader": LeaderOptions,
+    "model": Model,
+    "network": NetworkOptions,
+}
+"""Parameters ``follower.Kp`` and so on are the fields of these classes."""
+CLASS = "class."
+"""Prefix of a parameter that is a class attribute of the user's own follower."""
+_ALIASES = {"pattern": "patterns"}
+_MOST_VEHICLES = 10_000
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter and what it may be.
+
+    Attributes:
+        name: as written in a study.
+        kind: bool, int, float or str.
+        choices: allowed texts; empty: any.
+        least: smallest number, None for none.
+        most: greatest number, None for none.
+        infinite: whether ``.inf`` is allowed.
+    """
+
+    name: str
+    kind: type
+    choices: tuple[str, ...] = ()
+    least: float | None = None
+    most: float | None = None
+    infinite: bool = False
+
+    def check(self, value: object) -> Value:
+        """Return ``value`` as this parameter's type.
+
+        Raises:
+            OptionError: it is not allowed.
+        """
+        if self.kind is bool:
+            if isinstance(value, bool):
+                return value
+            raise self._refused(value, "true or false")
+        if self.kind is str:
+            if isinstance(value, str) and value and (not self.choices or value in self.choices):
+                return value
+            raise self._refused(value, f"one of {', '.join(self.choices)}" if self.choices else "a text")
+        return self._number(value)
+
+    def _number(self, value: object) -> Value:
+        number = as_number(value)
+        whole = "whole number" if self.kind is int else "number"
+        if number is None or math.isnan(number) or (math.isinf(number) and not (self.infinite and number > 0)):
+            raise self._refused(value, f"a finite {whole}" + (" or .inf" if self.infinite else ""))
+        if self.kind is int and not number.is_integer():
+            raise self._refused(value, "a whole number")
+        if self.least is not None and number < self.least:
+            raise self._refused(value, f"{self.least:g} or more")
+        if self.most is not None and number > self.most:
+            raise self._refused(value, f"{self.most:g} or less")
+        return int(number) if self.kind is int else number + 0.0  # -0.0 and 0.0 are one value
+
+    def _refused(self, value: object, allowed: str) -> OptionError:
+        return OptionError(f"{self.name}: {value!r} is not allowed; {allowed}")
+
+
+class PatternList(Parameter):
+    """Patterns that one flight flies in turn, kept as their names with commas between."""
+
+    def check(self, value: object) -> Value:
+        """Return the names with commas between.
+
+        Raises:
+            OptionError: no names.
+        """
+        names = value if isinstance(value, list) else value.split(",") if isinstance(value, str) else []
+        if not names or not all(isinstance(name, str) and name.strip() for name in names):
+            raise self._refused(value, "a pattern's name, or a list of names")
+        return ",".join(name.strip() for name in names)
+
+
+_FLIGHT = (
+    Parameter("n", int, least=2, most=_MOST_VEHICLES),
+    PatternList("patterns", str),
+    Parameter("kind", str),
+    Parameter("altitude", float, least=1.0, most=1000.0),
+    Parameter("scatter", float, least=0.0, most=1.0),
+    Parameter("hold", float, least=0.0, most=600.0),
+    Parameter("limit", float, least=1.0, most=3600.0),
+)
+DEFAULTS: dict[str, Value] = {
+    "n": 9,
+    "patterns": "cube,pyramid,triangle",
+    "kind": "iris",
+    "altitude": 15.0,
+    "scatter": 0.5,
+    "hold": 5.0,
+    "limit": 60.0,
+}
+"""Of the flight's own parameters."""
+
+
+def as_number(value: object) -> float | None:
+    """Return a number, or a text that reads as one (YAML takes 1e-3 for a text), as float; None if it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        return float(value)
+    except (ValueError, OverflowError):
+        return None
+
+
+def known_parameters(attributes: Mapping[str, object] | None = None) -> dict[str, Parameter]:
+    """Return all parameters by name.
+
+    Args:
+        attributes: class attributes of the user's follower that are numbers, truth values or texts.
+    """
+    found = {parameter.name: parameter for parameter in _FLIGHT}
+    for group, options in GROUPS.items():
+        hints = typing.get_type_hints(options)
+        for field in dataclasses.fields(options):
+            parameter = _of_field(f"{group}.{field.name}", hints[field.name])
+            if parameter is not None:
+                found[parameter.name] = parameter
+    for name, value in (attributes or {}).items():
+        found[CLASS + name] = Parameter(CLASS + name, type(value) if isinstance(value, bool | str) else float)
+    return found
+
+
+def _of_field(name: str, hint: Any) -> Parameter | None:
+    """Return a data class's field as parameter, None if it is no plain value."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        kinds = [kind for kind in typing.get_args(hint) if kind is not type(None)]
+        hint = kinds[0] if len(kinds) == 1 else None
+    if typing.get_origin(hint) is Literal:
+        choices = typing.get_args(hint)
+        if all(isinstance(choice, str) for choice in choices):
+            return Parameter(name, str, choices)
+        return Parameter(name, int, least=min(choices), most=max(choices))
+    if hint not in (bool, int, float, str):
+        return None
+    # Whether infinity makes sense is for the class to say.
+    return Parameter(name, hint, infinite=hint is float)
+
+
+def find_parameter(name: object, known: Mapping[str, Parameter]) -> Parameter:
+    """Return the parameter of a name, as written in a study.
+
+    Raises:
+        OptionError: there is none; the message names the nearest ones.
+    """
+    text = _ALIASES.get(str(name), str(name))
+    if text in known:
+        return known[text]
+    near = [other for other in known if other.rpartition(".")[2] == text]
+    near = near or difflib.get_close_matches(text, known, 3)
+    hint = f"did you mean {' or '.join(near)}?" if near else "there are: " + describe(known)
+    raise OptionError(f"parameter {text!r} is unknown; {hint}")
+
+
+def describe(names: Sequence[str] | Mapping[str, Parameter]) -> str:
+    """Return the names in one line."""
+    return ", ".join(names)
+
+
+def group_of(parameters: Mapping[str, Value], group: str) -> dict[str, Value]:
+    """Return the parameters of a group without its name, as ``{"Kp": 1.0}`` of ``follower``."""
+    start = group + "."
+    return {name[len(start) :]: value for name, value in parameters.items() if name.startswith(start)}
