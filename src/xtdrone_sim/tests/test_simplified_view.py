@@ -6,6 +6,7 @@ import io
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,8 +17,22 @@ from rich.console import Console
 
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_coordination.topology import veteran_topology
-from xtdrone_sim.simplified.view import FilmError, FilmWriter, Frame, SwarmView, check_film, film, measure, palette
+from xtdrone_sim.simplified import Swarm
+from xtdrone_sim.simplified.view import (
+    FilmError,
+    FilmWriter,
+    Frame,
+    SwarmView,
+    Window,
+    WindowError,
+    check_film,
+    film,
+    measure,
+    palette,
+)
+from xtdrone_sim.simplified.view import flight as flight_module
 from xtdrone_sim.simplified.view.camera import FollowingBox
+from xtdrone_sim.simplified.view.flight import _flying, _Player, _recorded
 from xtdrone_sim.simplified.view.room import grid_step
 
 UP = np.array([0.0, 0.0, 20.0])  # m
@@ -342,6 +357,259 @@ def test_progress_is_shown(tmp_path):
     film(flight(number=7), tmp_path / "a.gif", progress=console, total=7, size=(320, 240))
     assert "film a.gif" in out.getvalue()
     assert "7/7" in out.getvalue()
+
+
+# ---- a swarm's flight ----
+
+
+def fly_cube(swarm: Swarm) -> None:
+    """Choose the cube at 0.5 s."""
+    if not swarm.leader.pattern and swarm.time > 0.5:
+        swarm.choose("cube")
+
+
+def test_a_swarm_is_filmed_while_it_flies_and_afterwards(tmp_path):
+    swarm = Swarm(6)
+    live = swarm.film(tmp_path / "live.mp4", seconds=2.0, fps=10.0, each_turn=fly_cube, progress=False, size=(320, 240))
+    assert swarm.time == pytest.approx(2.0, abs=0.034)
+    assert probe(live)["nb_read_frames"] == "21"
+    later = swarm.film(tmp_path / "later.mp4", start=0.5, end=1.5, fps=10.0, speed=0.5, progress=False, size=(320, 240))
+    assert probe(later)["nb_read_frames"] == "21"
+    assert swarm.time == pytest.approx(2.0, abs=0.034)
+
+
+def test_frames_of_a_flight_are_what_was_flown():
+    swarm, other = Swarm(6), Swarm(6)
+    live = list(_flying(swarm, 2.0, 0.1, "", fly_cube))
+    recorded = list(_recorded(swarm, 0.1 * np.arange(1, 21), ""))
+    for a, b in zip(live[1:], recorded, strict=True):
+        assert a.positions == pytest.approx(b.positions, abs=1e-9)
+        assert a.time == pytest.approx(b.time)
+    assert live[3].slots is None
+    assert live[-1].title == recorded[-1].title == "cube"
+    offsets = swarm.leader.offsets
+    assert live[-1].slots == pytest.approx(live[-1].positions[0] + np.vstack([np.zeros(3), offsets]))
+    assert {tuple(e) for e in live[-1].edges} == {tuple(e) for e in np.argwhere(swarm.leader.adjacency > 0)}
+    while other.time < swarm.time:  # filming changes nothing
+        fly_cube(other)
+        other.step()
+    assert (other.true_positions == swarm.true_positions).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "nothing has been flown yet"),
+        ({"seconds": 0.0}, "0.0 seconds are not allowed"),
+        ({"seconds": 1.0, "speed": 0.0}, "speed 0.0 is not allowed"),
+        ({"seconds": 1.0, "fps": 0.0}, "0.0 frames a second are not allowed"),
+    ],
+)
+def test_a_flight_that_cannot_be_filmed_is_said(tmp_path, options, words):
+    with pytest.raises(FilmError, match=words):
+        Swarm(3).film(tmp_path / "a.mp4", progress=False, **options)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_part_that_was_not_flown_is_not_filmed(tmp_path):
+    swarm = Swarm(3)
+    swarm.run(0.5)
+    with pytest.raises(FilmError, match=r"0.1 s to 7.0 s; recorded are 0.036 s to 0.\d+ s"):
+        swarm.film(tmp_path / "a.mp4", start=0.1, end=7.0)
+    with pytest.raises(FilmError, match="keeps no record"):
+        Swarm(3, record=False).film(tmp_path / "a.mp4")
+
+
+# ---- the window ----
+
+
+@pytest.fixture(scope="module")
+def display() -> Iterator[str]:
+    """An X server without a screen."""
+    read, write = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1024x800x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL)
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        number = pipe.readline().strip()
+    assert number, "Xvfb did not start"
+    yield f":{number}"
+    server.terminate()
+    server.wait()
+
+
+@pytest.fixture
+def window(display, monkeypatch) -> Iterator[Window]:
+    monkeypatch.setenv("DISPLAY", display)
+    window = Window(make_view(9, size=(400, 300)))
+    window.view.update(formation(9))
+    yield window
+    window.close()
+
+
+def play(window: Window, *actions) -> None:
+    """Run the window, one action between two pictures once it is on the screen, then close it."""
+    window._root.update()
+    left = iter(actions)
+
+    def source() -> Frame | None:
+        action = next(left, window.close)
+        return action()
+
+    window.run(source)
+
+
+def event(window: Window, name: str, **options):
+    """Return an action: an event of mouse or keyboard."""
+
+    def generate() -> None:
+        widget = window._canvas.get_tk_widget()
+        if name.startswith("<Key"):
+            widget.focus_force()
+            widget.update()
+        widget.event_generate(name, **options)
+
+    return generate
+
+
+def test_scrolling_zooms_about_the_middle_and_r_resets(window):
+    zooms, middles = [], []
+
+    def note() -> None:
+        zooms.append(window.view.camera.zoom)
+        middles.append(window.view.projection.pixels(window.view.box.middle))
+
+    def corner() -> None:
+        corners.append(window.view.projection.pixels(window.view.box.corners))
+
+    corners: list[np.ndarray] = []
+    up, down = (event(window, f"<Button-{n}>", x=20, y=30) for n in (4, 5))
+    play(window, note, corner, up, up, note, corner, down, note, event(window, "<KeyPress>", keysym="r"), note)
+    assert zooms == pytest.approx([1.0, 1.15**2, 1.15, 1.0])
+    centres = [0.5 * (c.min(axis=0) + c.max(axis=0)) for c in corners]
+    assert centres[0] == pytest.approx(centres[1])
+    assert np.ptp(corners[1], axis=0) == pytest.approx(1.15**2 * np.ptp(corners[0], axis=0))
+
+
+def test_dragging_turns(window):
+    before = (window.view.camera.azimuth, window.view.camera.elevation)
+    drag = [
+        event(window, "<Button-1>", x=100, y=100),
+        event(window, "<Motion>", x=200, y=130, state=0x100),
+        event(window, "<ButtonRelease-1>", x=200, y=130),
+        event(window, "<Motion>", x=300, y=250),
+    ]
+    play(window, *drag)
+    assert window.view.camera.azimuth == pytest.approx(before[0] - 180.0 * 100 / 400)
+    assert window.view.camera.elevation == pytest.approx(before[1] + 180.0 * 30 / 300)
+
+
+def test_keys_switch_what_is_drawn(window):
+    view, seen = window.view, []
+
+    def note() -> None:
+        seen.append((window.paused, view.trails > 0.0, view.show_edges, view.show_slots, bool(view.help)))
+
+    actions = [note]
+    for key in ("space", "t", "e", "s", "h", "x"):
+        actions += [event(window, "<KeyPress>", keysym=key), note]
+    play(window, *actions, *actions[1:])
+    full = (False, True, True, True, False)
+    none = (True, False, False, False, True)
+    assert seen == [full] + [none[:k] + full[k:] for k in (1, 2, 3, 4, 5, 5)] + [full[:k] + none[k:] for k in
+                                                                                (1, 2, 3, 4, 5, 5)]  # fmt: skip
+    for key in ("q", "Escape"):
+        other = Window(make_view(9))
+        play(other, event(other, "<KeyPress>", keysym=key), *[lambda: None] * 200)
+        assert not other.open
+
+
+def test_the_window_shows_the_picture_and_follows_its_size(window):
+    shots = []
+
+    def shot() -> None:
+        window.redraw()
+        shots.append(np.asarray(window._canvas.buffer_rgba()).copy())
+
+    def resize() -> None:
+        window._root.geometry("640x480")
+        window._root.update()
+
+    play(window, shot, resize, shot)
+    assert [s.shape for s in shots] == [(300, 400, 4), (480, 640, 4)]
+    for picture in shots:
+        twin = make_view(9, size=(picture.shape[1], picture.shape[0]))
+        twin.hint = window.view.hint
+        twin.update(formation(9))
+        assert (twin.draw() == picture).all()
+
+
+def test_a_picture_is_drawn_only_when_something_has_changed(window):
+    frames = list(flight(number=5))
+    play(window, *[lambda f=f: f for f in frames], *[lambda: None] * 10)
+    assert 5 <= window.pictures <= 7  # one more for the size that the window gets
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_what_the_simulation_raises_closes_the_window_and_is_raised(window, error):
+    def fail() -> None:
+        raise error("enough")
+
+    with pytest.raises(error, match="enough"):
+        play(window, fail)
+    assert not window.open
+
+
+def test_a_swarm_is_watched_at_the_speed_that_is_asked_for(display, monkeypatch):
+    monkeypatch.setenv("DISPLAY", display)
+    swarm, turns = Swarm(4), []
+
+    def each_turn(it: Swarm) -> None:
+        turns.append(it.time)
+        if it.time > 3.0:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        swarm.watch(speed=float("inf"), each_turn=each_turn, size=(320, 240))
+    assert np.diff(turns) == pytest.approx(1.0 / 30.0, abs=0.005)  # no turn is left out
+
+
+def test_a_paused_swarm_stands_still(window, monkeypatch):
+    monkeypatch.setattr(flight_module, "_BUDGET", 0.0)  # one turn a picture
+    swarm = Swarm(9)
+    player = _Player(swarm, window, float("inf"), 1.0, None)
+    player()
+    now = player()
+    assert now is not None
+    assert 0.0 < now.time == swarm.time < 0.2
+    window.paused = True
+    assert player() is None
+    assert swarm.time == now.time
+    window.paused = False
+    while swarm.time < 1.0:
+        player()
+    assert player() is None  # the end
+    assert swarm.time == pytest.approx(1.0, abs=0.034)
+
+
+def test_without_a_display_the_message_says_what_to_do(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(WindowError, match=r"DISPLAY is not set.*a film needs none.*Swarm.film"):
+        Swarm(3).watch()
+    monkeypatch.setenv("DISPLAY", ":987")
+    with pytest.raises(WindowError, match=r"cannot be opened.*:987.*a film needs none"):
+        Window(make_view(3))
+
+
+@pytest.mark.parametrize("options", [{"speed": 0.0}, {"speed": float("nan")}, {"seconds": -1.0}])
+def test_watching_at_no_speed_is_refused(options):
+    with pytest.raises(ValueError, match="not allowed"):
+        Swarm(3).watch(**options)
+
+
+def test_matplotlib_is_loaded_only_for_pictures():
+    code = "import sys; from xtdrone_sim.simplified import Swarm; Swarm(3).run(1.0); print('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout == "False\n"
 
 
 # ---- bad input ----

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -281,6 +281,79 @@ class Swarm:
             if self.time - inside >= hold:
                 return True
         return False
+
+    # pictures
+
+    def film(
+        self,
+        path: str | Path,
+        *,
+        seconds: float | None = None,
+        start: float | None = None,
+        end: float | None = None,
+        fps: float = 25.0,
+        speed: float = 1.0,
+        each_turn: Callable[[Swarm], object] | None = None,
+        progress: bool = True,
+        **options: Any,
+    ) -> Path:
+        """Write a film of the recorded flight, or fly on and film that.
+
+        Args:
+            path: ends with .mp4, .gif or .png (the last moment, with trails).
+            seconds: let the swarm fly so long and film it; the recorded flight if None.
+            start: of the part of the recorded flight that is shown, s; its begin if None.
+            end: likewise; its end if None.
+            fps: pictures a second.
+            speed: simulated seconds in a second of the film.
+            each_turn: called with the swarm before each turn that is flown, as to choose a pattern at some time.
+            progress: whether to show a progress bar.
+            options: of the picture: slots, edges, trails (s), size (pixels); see ``view.SwarmView``.
+
+        Returns:
+            The path.
+
+        Raises:
+            FilmError: it cannot be written, or there is no such flight; it is a ValueError.
+        """
+        from .view.flight import film_swarm  # Matplotlib only for who draws
+
+        return film_swarm(
+            self,
+            path,
+            seconds=seconds,
+            start=start,
+            end=end,
+            fps=fps,
+            speed=speed,
+            each_turn=each_turn,
+            progress=progress,
+            **options,
+        )
+
+    def watch(
+        self,
+        *,
+        speed: float = 1.0,
+        seconds: float = math.inf,
+        each_turn: Callable[[Swarm], object] | None = None,
+        **options: Any,
+    ) -> None:
+        """Fly in a live window until it is closed: scroll zooms, drag turns, h shows the keys.
+
+        Args:
+            speed: simulated seconds a second; infinite for as fast as it can.
+            seconds: after so much simulated time the swarm stands still.
+            each_turn: called with the swarm before each turn, as to choose a pattern at some time.
+            options: of the picture: slots, edges, trails (s), size (pixels); see ``view.SwarmView``.
+
+        Raises:
+            WindowError: there is no display.
+            ValueError: speed or seconds are not above 0.
+        """
+        from .view.flight import watch_swarm  # Matplotlib only for who draws
+
+        watch_swarm(self, speed=speed, seconds=seconds, each_turn=each_turn, **options)
 
     # a turn's parts
 

@@ -3,5 +3,17 @@
 from .benchmark import measure
 from .film import FilmError, FilmWriter, check_film, film
 from .scene import Frame, SwarmView, palette
+from .window import Window, WindowError
 
-__all__ = ["FilmError", "FilmWriter", "Frame", "SwarmView", "check_film", "film", "measure", "palette"]
+__all__ = [
+    "FilmError",
+    "FilmWriter",
+    "Frame",
+    "SwarmView",
+    "Window",
+    "WindowError",
+    "check_film",
+    "film",
+    "measure",
+    "palette",
+]

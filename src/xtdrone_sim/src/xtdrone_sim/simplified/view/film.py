@@ -10,6 +10,7 @@ import contextlib
 import math
 import os
 import shutil
+import struct
 import subprocess
 import tempfile
 import time
@@ -20,7 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import GifImagePlugin, Image
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from scipy.spatial import cKDTree
@@ -97,7 +98,7 @@ class FilmWriter:
             if kind == ".mp4":
                 self._encoder = _Mp4(self._part, size, fps)
             elif kind == ".gif":
-                self._encoder = _Gif(self._part, fps, view)
+                self._encoder = _Gif(self._part, size, fps, view)
             else:
                 self._encoder = _Png(self._part)
         except BaseException:
@@ -330,32 +331,62 @@ class _Mp4:
 
 
 class _Gif:
-    """A GIF with one palette for all frames, so that still parts do not flicker."""
+    """A GIF with one palette, so that still parts do not flicker; of each frame only what is new is written."""
 
-    def __init__(self, path: Path, fps: float, view: SwarmView | None) -> None:
-        self._path = path
+    def __init__(self, path: Path, size: tuple[int, int], fps: float, view: SwarmView | None) -> None:
+        self._file = path.open("wb")
+        self._size = size
         self._period = 1.0 / fps / _GIF_TICK
-        self._frames: list[Image.Image] = []
         self._palette = None if view is None else _Palette(_colours_of(view))
+        self._before: NDArray[np.uint8] | None = None
+        self._number = 0
 
     def add(self, picture: Picture) -> None:
+        try:
+            if self._before is None:
+                self._begin(picture)
+            self._append(picture)
+        except OSError as error:
+            raise FilmError(f"film: cannot be written: {error.strerror or error}") from error
+
+    def _begin(self, picture: Picture) -> None:
+        """Write the file's head: size, the palette of 256 colours, and that the film begins anew at its end."""
         if self._palette is None:
             few = Image.fromarray(np.ascontiguousarray(picture[..., :3])).quantize(_GIF_COLOURS)
             self._palette = _Palette(np.array(few.getpalette(), dtype=np.uint8).reshape(-1, 3))
-        self._frames.append(self._palette.image(picture))
+        self._file.write(b"GIF89a" + struct.pack("<2H3B", *self._size, 0xF7, 0, 0) + self._palette.table)
+        self._file.write(b"\x21\xff\x0bNETSCAPE2.0" + struct.pack("<BBHB", 3, 1, 0, 0))
+
+    def _append(self, picture: Picture) -> None:
+        """Write the rectangle that differs from the picture before, which stays under it."""
+        assert self._palette is not None
+        index = self._palette.indices(picture)
+        rows = columns = slice(0, 1)  # nothing is new
+        if self._before is None:
+            rows, columns = slice(None), slice(None)
+        elif len(new := np.argwhere(index != self._before)):
+            (top, left), (bottom, right) = new.min(axis=0), new.max(axis=0)
+            rows, columns = slice(top, bottom + 1), slice(left, right + 1)
+        self._before = index
+        image = Image.fromarray(np.ascontiguousarray(index[rows, columns]), "P")
+        # Times are whole hundredths of a second: the sum is right, single frames are a hundredth longer.
+        start, end = (math.floor(self._period * k + 0.5) for k in (self._number, self._number + 1))
+        self._number += 1
+        corner = (int(columns.start or 0), int(rows.start or 0))
+        options = {"duration": 10 * (end - start), "disposal": 1, "include_color_table": False}
+        for block in GifImagePlugin.getdata(image, corner, **options):
+            self._file.write(block)
 
     def finish(self) -> None:
-        first, *others = self._frames
-        # Times are whole hundredths of a second: the sum is right, single frames are a hundredth longer.
-        ends = [math.floor(self._period * (k + 1) + 0.5) for k in range(len(self._frames))]
-        spans = [10 * (end - start) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
         try:
-            first.save(self._path, "GIF", save_all=True, append_images=others, duration=spans, loop=0, disposal=1)
+            self._file.write(b";")
+            self._file.close()
         except OSError as error:
-            raise FilmError(f"film {self._path}: cannot be written: {error}") from error
+            raise FilmError(f"film: cannot be written: {error.strerror or error}") from error
 
     def abandon(self) -> None:
-        self._frames.clear()
+        with contextlib.suppress(OSError):  # a full disk
+            self._file.close()
 
 
 class _Palette:
@@ -370,13 +401,15 @@ class _Palette:
         cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
         self._nearest = cKDTree(colours.astype(np.float64)).query(cells)[1].astype(np.uint8)
 
-    def image(self, picture: Picture) -> Image.Image:
-        """Return a picture in these colours."""
+    @property
+    def table(self) -> bytes:
+        """Return 256 colours, three bytes each."""
+        return self._colours.tobytes().ljust(3 * _GIF_COLOURS, b"\0")
+
+    def indices(self, picture: Picture) -> NDArray[np.uint8]:
+        """Return the number of the nearest colour of each pixel."""
         cell = (picture[..., :3] >> 2).astype(np.int32)
-        index = self._nearest[(cell[..., 0] << 12) | (cell[..., 1] << 6) | cell[..., 2]]
-        image = Image.fromarray(index, "P")
-        image.putpalette(self._colours.tobytes())
-        return image
+        return self._nearest[(cell[..., 0] << 12) | (cell[..., 1] << 6) | cell[..., 2]]
 
 
 def _colours_of(view: SwarmView) -> NDArray[np.uint8]:

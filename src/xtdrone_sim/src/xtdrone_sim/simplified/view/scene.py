@@ -83,6 +83,8 @@ class SwarmView:
         show_slots: whether the slots are drawn; may be changed at any time, like the next two.
         show_edges: whether the topology is drawn.
         trails: length of the trails, s of simulated time; 0: none.
+        hint: what stands in the lower right corner.
+        help: text in a box over the picture, "" for none.
     """
 
     def __init__(
@@ -114,6 +116,7 @@ class SwarmView:
             raise ValueError(f"view: size {size} is not allowed, {LEAST_SIZE} to {GREATEST_SIZE} pixels each")
         self.names = tuple(names)
         self.show_slots, self.show_edges, self.trails = slots, edges, float(trails)
+        self.hint = self.help = ""
         self.camera = Camera()
         self.figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
@@ -241,6 +244,11 @@ class _Scene(Artist):
         self._title = Text(0, 0, "", color=_TITLE, weight="bold", va="center", ha="left", **text)
         self._note = Text(0, 0, "", color=_NOTE, va="center", ha="right", **text)
         named = view.names if len(view.names) <= _MAX_NAMES else ()
+        self._hint = Text(0, 0, "", color=_NOTE, va="center", ha="right", **text)
+        box = {"boxstyle": "round,pad=0.8", "facecolor": "white", "edgecolor": _SLOT, "alpha": 0.93}
+        self._help = Text(
+            0, 0, "", color=_TITLE, va="bottom", ha="right", family="monospace", ma="left", bbox=box, **text
+        )
         self._names = [Text(0, 0, name, va="bottom", ha="left", color=_NOTE, **text) for name in named]
         self._key_line = LineCollection([], colors=_LINK, **pixels)
         self._key_texts = [Text(0, 0, "", color=_NOTE, va="center", ha="left", **text) for _ in range(4)]
@@ -259,6 +267,7 @@ class _Scene(Artist):
         projection = self._view.projection
         box, camera, figure = self._view.box, self._view.camera, self._view.figure
         state = (*box.low, *box.high, camera.azimuth, camera.elevation, camera.zoom, *figure.bbox.size, id(canvas))
+        state += (self._view.show_slots, self._view.show_edges)
         if self._kept is not None and self._kept[0] == state:
             canvas.restore_region(self._kept[1])
         else:
@@ -284,8 +293,11 @@ class _Scene(Artist):
     def _draw_moving(self, renderer: RendererBase, projection: Projection) -> None:
         frame = self._view.frame
         self._draw_title(renderer, frame)
-        if frame is None:
-            return
+        if frame is not None:
+            self._draw_swarm(renderer, projection, frame)
+        self._draw_help(renderer)
+
+    def _draw_swarm(self, renderer: RendererBase, projection: Projection, frame: Frame) -> None:
         place, near = projection.pixels_and_nearness(frame.positions)
         known = np.flatnonzero(np.isfinite(place).all(axis=1))
         known = known[np.argsort(near[known], kind="stable")]  # the nearest is drawn last
@@ -426,10 +438,20 @@ class _Scene(Artist):
             self._note.set_fontsize(12.0 * self._points)
             self._note.draw(renderer)
 
+    def _draw_help(self, renderer: RendererBase) -> None:
+        """Write the hint and the help, where there are any."""
+        width, pixel = self._view.figure.bbox.width, self._view.pixel
+        for artist, text, height in ((self._hint, self._view.hint, 18.0), (self._help, self._view.help, 48.0)):
+            if text:
+                artist.set_text(text)
+                artist.set_position((width - 22.0 * pixel, height * pixel))
+                artist.set_fontsize(10.0 * self._points)
+                artist.draw(renderer)
+
     def _draw_key(self, renderer: RendererBase) -> None:
         """Draw what the marks mean, in a line below the room."""
         pixel, points = self._view.pixel, self._points
-        colour = self._view.colours[-1]
+        colour = self._view.colours[min(1, len(self._view.names) - 1)]
         entries: list[tuple[str, PathCollection | None]] = [("leader", self._leader), ("follower", self._vehicles)]
         if self._view.show_slots:
             entries.append(("slot", self._slots))
