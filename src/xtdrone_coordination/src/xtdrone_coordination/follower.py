@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from xtdrone_coordination import avoidance
 from xtdrone_coordination.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law
@@ -32,6 +32,7 @@ from xtdrone_coordination.swarm import SwarmState, as_vector
 from xtdrone_coordination.topology import check_adjacency
 
 RATE = 30  # Hz
+STOPPED = "its own position has stopped: standing still"
 
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
@@ -195,8 +196,7 @@ class Follower:
         Raises:
             PatternError: another size, not finite, or slots too close to each other.
         """
-        checked = check_offsets(offsets, self.count, "formation pattern")
-        self.offsets = [(x, y, z) for x, y, z in with_leader(checked).tolist()]
+        self.offsets = slots_of(offsets, self.count)
 
     def on_topology(self, adjacency: ArrayLike) -> None:
         """Take the adjacency matrix, shape (N, N) or its values row by row; row i: whom vehicle i listens to.
@@ -204,8 +204,7 @@ class Follower:
         Raises:
             ValueError: another size, negative weights, or a vehicle that listens to itself.
         """
-        row = check_adjacency(adjacency, self.count)[self.id]
-        self.weights = {int(j): float(row[j]) for j in np.flatnonzero(row)}
+        self.weights = weights_in(check_adjacency(adjacency, self.count)[self.id])
 
     def on_avoidance(self, vector: Vector) -> None:
         """Take the avoidance that somebody else computed for this vehicle (``avoid: topic``)."""
@@ -224,15 +223,17 @@ class Follower:
             return None
         self._said, self._problems = self._problems, set()
         if not self.swarm.fresh(self.id, self._timeout):
-            self._tell("its own position has stopped: standing still")
+            self._tell(STOPPED)
             return _ZERO
         self.avoidance_vector = self._checked(self.avoidance(), "avoidance")
-        peers, silent = self._peers(self.offsets)
+        return self._limited(self._wanted(own, self.offsets))
+
+    def _wanted(self, own: Vector, offsets: list[Vector]) -> Vector:
+        """Return what the law gives, zero when it listens to nobody or gives something unusable."""
+        peers, silent = self._peers(offsets)
         if silent:
-            names = ", ".join(str(j) for j in silent)
-            self._tell(f"no position of vehicle {names}" + ("" if peers else ": standing still"))
-        wanted = self._checked(self.control_law(own, peers), "control_law") if peers else _ZERO
-        return self._limited(wanted)
+            self._tell_silent(silent, alone=not peers)
+        return self._checked(self.control_law(own, peers), "control_law") if peers else _ZERO
 
     def _limited(self, wanted: Vector) -> Vector:
         """Add the avoidance to the consensus, each within the limit first, so that a far slot cannot drown it."""
@@ -264,6 +265,10 @@ class Follower:
             return _ZERO
         return vector
 
+    def _tell_silent(self, silent: Sequence[int], *, alone: bool) -> None:
+        names = ", ".join(str(j) for j in silent)
+        self._tell(f"no position of vehicle {names}" + (": standing still" if alone else ""))
+
     def _tell(self, problem: str) -> None:
         """Warn when the problem is a new one."""
         self._problems.add(problem)
@@ -277,6 +282,22 @@ class StarFollower(Follower):
     def neighbours(self) -> Mapping[int, float]:
         """Return the leader."""
         return {0: 1.0}
+
+
+def slots_of(offsets: ArrayLike, count: int) -> list[Vector]:
+    """Return the slots of all ``count`` vehicles, the leader's own zero first, for those of the followers.
+
+    Raises:
+        PatternError: another size than (count-1, 3), not finite, or slots too close to each other.
+    """
+    checked = check_offsets(offsets, count, "formation pattern")
+    return [(x, y, z) for x, y, z in with_leader(checked).tolist()]
+
+
+def weights_in(row: NDArray[np.float64]) -> dict[int, float]:
+    """Return the weights that are not zero in a row of a checked adjacency matrix, by their column."""
+    columns = np.flatnonzero(row)
+    return dict(zip(columns.tolist(), row[columns].tolist(), strict=True))
 
 
 def check_choice(name: str, value: object, allowed: Sequence[str]) -> None:

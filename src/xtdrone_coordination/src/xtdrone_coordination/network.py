@@ -36,13 +36,14 @@ from numpy.typing import ArrayLike, NDArray
 from xtdrone_coordination import network_kernels as kernels
 from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import RATE
-from xtdrone_coordination.swarm import SwarmState
+from xtdrone_coordination.swarm import SwarmState, as_vector
 from xtdrone_coordination.topology import check_adjacency
 
 MESSAGE_BITS = 320  # LOCAL_POSITION_NED in a MAVLink 2 frame: 28 bytes, and 12 around them
 
 _LONGEST = 60.0  # s; keeps what has to be remembered within bounds
 _MOST_WAITING = 1000
+_State = tuple[Vector | None, Vector | None, int]
 _FEW = 12  # vehicles: asking for so many one by one is as fast as asking for all
 
 
@@ -306,7 +307,7 @@ class KnownSwarm(SwarmState):
         self.positions = _Vectors(self, 0)  # type: ignore[assignment]
         self.velocities = _Vectors(self, 1)  # type: ignore[assignment]
         self._moment: tuple[int, int] | None = None
-        self._singles = 0  # questions about single vehicles at this moment
+        self._read: dict[int, _State] = {}  # of single vehicles, at this moment
         self._samples: Samples | None = None  # of all vehicles, once somebody asked for them
 
     def samples(self) -> Samples:
@@ -316,15 +317,22 @@ class KnownSwarm(SwarmState):
             self._samples = self.network.samples_of_all(self.index)
         return self._samples
 
-    def sample(self, other: int) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-        """Return position, velocity (NaN if unknown) and turn of arrival (-1) of what is known of one vehicle."""
+    def sample(self, other: int) -> _State:
+        """Return position, velocity (None if unknown) and turn of arrival (-1) of what is known of one vehicle."""
         self._look()
-        self._singles += 1
-        if self._samples is None and self._singles <= _FEW:
+        state = self._read.get(other)
+        if state is None:
+            state = self._read[other] = self._state(other)
+        return state
+
+    def _state(self, other: int) -> _State:
+        if self._samples is None and len(self._read) < _FEW:
             position, velocity = np.empty(3), np.empty(3)
-            return position, velocity, kernels.sample(self.network.air, self.index, other, position, velocity)
-        samples = self.samples()
-        return samples.positions[other], samples.velocities[other], int(samples.came[other])
+            came = kernels.sample(self.network.air, self.index, other, position, velocity)
+        else:
+            samples = self.samples()
+            position, velocity, came = samples.positions[other], samples.velocities[other], int(samples.came[other])
+        return as_vector(position.tolist()), as_vector(velocity.tolist()), came
 
     def forget(self) -> None:
         """Drop what was read: time was set back."""
@@ -334,7 +342,7 @@ class KnownSwarm(SwarmState):
         """Drop what was read before the present turn."""
         moment = (self.network.turn, int(self.network.air.since[self.index]))
         if self._moment != moment:
-            self._moment, self._singles, self._samples = moment, 0, None
+            self._moment, self._read, self._samples = moment, {}, None
 
     def restart(self) -> None:
         """Know nothing until something comes in a later turn."""
@@ -384,8 +392,7 @@ class _Vectors(Sequence[Vector | None]):
     def __getitem__(self, index: int | slice) -> Vector | list[Vector | None] | None:
         if isinstance(index, slice):
             return _vectors(self._swarm.samples()[self._column][index])
-        x, y, z = self._swarm.sample(range(len(self))[index])[self._column].tolist()
-        return (x, y, z) if math.isfinite(x) else None
+        return self._swarm.sample(range(len(self))[index])[self._column]
 
     def __iter__(self) -> Iterator[Vector | None]:
         return iter(self[:])

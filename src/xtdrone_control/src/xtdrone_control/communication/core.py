@@ -149,6 +149,11 @@ class MultirotorCore:
         self._accepted_at: float | None = None
         self._confirmed = False  # mavros/state has shown the commanded state since
 
+    @property
+    def holding(self) -> bool:
+        """Whether ``setpoint`` is a pose of the vehicle's own, to stay where it is, and none that was asked for."""
+        return self.hovering or (self._idle and self._pose is not None)
+
     # what the vehicle tells
 
     def on_pose(self, position: Vector, quaternion: tuple[float, float, float, float]) -> None:

@@ -1,0 +1,290 @@
+"""All followers of a process computed together, to the last bit as each would be by itself.
+
+What a class leaves as it is (:class:`Follower`'s control law, neighbours, avoidance) is computed for all at once by
+compiled kernels; a method that a subclass overrides is called for each of its followers, and the rest is still the
+kernels'. A subclass that reaches deeper, as into :meth:`Follower.update`, is updated by itself, and works as well.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from itertools import chain
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xtdrone_coordination import kernels
+from xtdrone_coordination.consensus import Vector
+from xtdrone_coordination.follower import STOPPED, Follower, StarFollower, slots_of, weights_in
+from xtdrone_coordination.swarm import ArraySwarm
+from xtdrone_coordination.topology import check_adjacency
+
+
+class FollowerBatch:
+    """The followers of one process.
+
+    Options and overridden methods are looked at when the batch is made. ``offsets`` and ``weights`` of a follower may
+    be replaced at any time, by its own methods too, but not changed in place.
+
+    Attributes:
+        followers: as they were given.
+        swarm: what they know, or what the first of them knows.
+    """
+
+    def __init__(self, followers: Sequence[Follower], swarm: ArraySwarm) -> None:
+        """Take followers, each with a view of the same arrays as its ``swarm``.
+
+        Args:
+            followers: at least one, with different numbers.
+            swarm: their state of the swarm; or any view of the arrays that hold what each of them knows.
+
+        Raises:
+            ValueError: no followers, a number twice, or a follower that has another swarm.
+        """
+        if not followers:
+            raise ValueError("followers: none given, at least one is needed")
+        ids = [follower.id for follower in followers]
+        if len(set(ids)) != len(ids):
+            raise ValueError(f"followers: numbers {ids} are not all different")
+        for follower in followers:
+            if not isinstance(follower.swarm, ArraySwarm) or follower.swarm.arrays is not swarm.arrays:
+                raise ValueError(f"follower {follower.id}: its swarm is not the one of the batch")
+        self.followers = tuple(followers)
+        self.swarm = swarm
+        self._whole = [follower for follower in followers if _reaches_deep(follower)]
+        self._rows = [follower for follower in followers if not _reaches_deep(follower)]
+        self._own = [_own_parts(follower) for follower in self._rows]
+        self._asked = [k for k, own in enumerate(self._own) if own]
+        self._listening = any("neighbours" in own for own in self._own)
+        self._stars = [_is_star(follower) for follower in self._rows]
+        self._make_arrays()
+        self._pick_up()
+
+    def _make_arrays(self) -> None:
+        count, rows = self.swarm.count, len(self._rows)
+        self._kinds = np.zeros((rows, kernels.KINDS), dtype=np.int64)
+        self._settings = np.zeros((rows, kernels.SETTINGS))
+        for k, (follower, own) in enumerate(zip(self._rows, self._own, strict=True)):
+            options = follower.options
+            assert isinstance(follower.swarm, ArraySwarm)
+            self._kinds[k, kernels.ID] = follower.id
+            self._kinds[k, kernels.VIEW] = follower.swarm.view
+            self._kinds[k, kernels.ACCEL] = options.mode == "accel"
+            self._kinds[k, kernels.NORMALISE] = not options.raw_weights
+            self._kinds[k, kernels.OWN_AVOIDANCE] = options.avoid == "own" and "avoidance" not in own
+            self._kinds[k, kernels.GIVE_WAY] = (
+                options.avoid != "off" and options.mode == "vel" and options.clearance > 0.0
+            )
+            self._kinds[k, kernels.OWN_LAW] = "control_law" not in own
+            self._kinds[k, kernels.TIMEOUT] = follower._timeout
+            self._kinds[k, kernels.ASKED] = bool(own)
+            self._settings[k] = (
+                options.Kp,
+                follower._gamma,
+                options.limit,
+                options.Kp_avoid,
+                options.avoid_radius,
+                options.clearance,
+            )
+        self._cells = np.zeros((count, 5), dtype=np.int32)
+        self._table = np.zeros(1 << (4 * count).bit_length(), dtype=np.int32)
+        self._notes = np.zeros((kernels.NOTES, rows), dtype=np.int64)
+        self._vectors = np.zeros((2, rows, 3))
+        self._commands = np.zeros((count, 3))
+        self._given = np.zeros(count, dtype=bool)
+
+    # inputs
+
+    def on_pattern(self, offsets: ArrayLike) -> None:
+        """Give all followers their slots in order of their numbers, shape (N-1, 3), m ENU from the leader.
+
+        Raises:
+            PatternError: another size, not finite, or slots too close to each other.
+        """
+        slots = slots_of(offsets, self.swarm.count)
+        for follower in self.followers:
+            if _overrides(follower, "on_pattern"):
+                follower.on_pattern(offsets)
+            else:
+                follower.offsets = slots
+
+    def on_topology(self, adjacency: ArrayLike) -> None:
+        """Give all followers the adjacency matrix, shape (N, N) or its values row by row.
+
+        Raises:
+            ValueError: another size, negative weights, or a vehicle that listens to itself.
+        """
+        matrix = check_adjacency(adjacency, self.swarm.count)
+        for follower in self.followers:
+            if _overrides(follower, "on_topology"):
+                follower.on_topology(adjacency)
+            else:
+                follower.weights = weights_in(matrix[follower.id])
+
+    def restart(self) -> None:
+        """Let all followers know nothing again, nor does the swarm."""
+        for follower in self.followers:
+            follower.restart()
+
+    # output
+
+    def update(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return what to command now, as :meth:`Follower.update` of each says.
+
+        Returns:
+            Commands, shape (N, 3), m/s or m/s^2 ENU; and for whom there is one, shape (N,). Both are overwritten by
+            the next update.
+        """
+        self._notice_changes()
+        if self._asked:
+            self._run(kernels.SENSE)
+            self._ask()
+            reported = self._run(kernels.LAW + kernels.COMMAND)
+        else:
+            reported = self._run(kernels.ALL)
+        if reported:
+            self._report(self._notes[kernels.REPORTED, :reported].tolist())
+        for follower in self._whole:
+            command = follower.update()
+            self._given[follower.id] = command is not None
+            self._commands[follower.id] = (0.0, 0.0, 0.0) if command is None else command
+        return self._commands, self._given
+
+    def _run(self, phases: int) -> int:
+        arrays = self.swarm.arrays
+        return kernels.turn(
+            phases,
+            arrays.ticks,
+            arrays.positions,
+            arrays.velocities,
+            arrays.heard,
+            self._kinds,
+            self._settings,
+            self._slots,
+            self._start,
+            self._peer,
+            self._weight,
+            self._cells,
+            self._table,
+            self._notes,
+            self._vectors,
+            self._commands,
+            self._given,
+        )
+
+    def _ask(self) -> None:
+        """Call what subclasses override, for one follower after the other, and put it where the kernels take it."""
+        status = self._notes[kernels.STATUS].tolist()
+        avoidance = self._vectors[0].tolist()
+        for k in self._asked:
+            if status[k] != kernels.READY:
+                continue
+            follower, own = self._rows[k], self._own[k]
+            follower._said, follower._problems = follower._problems, set()
+            if "avoidance" in own:
+                self._vectors[0, k] = follower.avoidance_vector = follower._checked(follower.avoidance(), "avoidance")
+            else:
+                x, y, z = avoidance[k]
+                follower.avoidance_vector = (x, y, z)
+            if "control_law" in own:
+                position, offsets = follower.swarm.positions[follower.id], follower.offsets
+                assert position is not None
+                assert offsets is not None
+                self._vectors[1, k] = follower._wanted(position, offsets)
+            elif "neighbours" in own:
+                self._mappings[k] = follower.neighbours()
+        if self._listening:
+            self._take_mappings()
+
+    def _report(self, rows: Sequence[int]) -> None:
+        """Give followers their new avoidance and let them say what is wrong, as their own update would."""
+        signatures = self._notes[kernels.PROBLEMS].tolist()
+        avoidance = self._vectors[0].tolist()
+        for k in rows:
+            follower, problems = self._rows[k], signatures[k]
+            asked, stopped = bool(self._own[k]), bool(problems & kernels.HAS_STOPPED)
+            if not asked and not stopped:
+                x, y, z = avoidance[k]
+                follower.avoidance_vector = (x, y, z)
+            if stopped or not asked:
+                follower._said, follower._problems = follower._problems, set()
+            if stopped:
+                follower._tell(STOPPED)
+            if problems & kernels.SILENT:
+                silent = [j for j in self._mappings[k] if not follower.swarm.fresh(j, follower._timeout)]
+                follower._tell_silent(silent, alone=bool(problems & kernels.ALONE))
+            if problems & kernels.BAD_LAW:
+                x, y, z = self._vectors[1, k].tolist()
+                follower._checked((x, y, z), "control_law")
+
+    def _pick_up(self) -> None:
+        """Take what the followers know of pattern and topology."""
+        self._take_offsets([follower.offsets for follower in self._rows])
+        self._take_weights([follower.weights for follower in self._rows])
+
+    def _notice_changes(self) -> None:
+        """Take what was replaced in a follower since the last update."""
+        offsets = [follower.offsets for follower in self._rows]
+        if not all(map(operator.is_, offsets, self._offsets)):
+            self._take_offsets(offsets)
+        weights = [follower.weights for follower in self._rows]
+        if not all(map(operator.is_, weights, self._weights)):
+            self._take_weights(weights)
+
+    def _take_offsets(self, offsets: list[list[Vector] | None]) -> None:
+        self._offsets = offsets  # keeps them alive, so that their addresses stay theirs
+        tables = {id(table): table for table in offsets if table is not None}
+        numbers = {address: number for number, address in enumerate(tables)}
+        self._slots = np.array(list(tables.values()), dtype=float).reshape(-1, self.swarm.count, 3)
+        self._kinds[:, kernels.SLOTS] = [numbers.get(id(table), -1) for table in offsets]
+        # They may have been restarted: let them have their avoidance, and say their problems, as if for the first time.
+        self._notes[kernels.PROBLEMS_BEFORE] = -1
+        self._vectors[0, self._kinds[:, kernels.OWN_AVOIDANCE] == 1] = np.nan
+
+    def _take_weights(self, weights: list[Mapping[int, float]]) -> None:
+        self._weights = weights
+        self._mappings = [_STAR if star else row for star, row in zip(self._stars, weights, strict=True)]
+        self._take_mappings()
+
+    def _take_mappings(self) -> None:
+        """Put whom each row listens to one after the other into arrays."""
+        self._start = np.zeros(len(self._mappings) + 1, dtype=np.int64)
+        np.cumsum([len(row) for row in self._mappings], out=self._start[1:])
+        self._peer = np.fromiter(chain.from_iterable(self._mappings), np.int64)
+        self._weight = np.fromiter(chain.from_iterable(row.values() for row in self._mappings), np.float64)
+        wrong = (self._peer < 0) | (self._peer >= self.swarm.count)
+        if wrong.any():
+            raise IndexError(
+                f"weights: vehicle {self._peer[wrong][0]} is not allowed, 0 to {self.swarm.count - 1} are there"
+            )
+
+
+_PARTS = ("avoidance", "neighbours", "control_law")
+_DEEPER = ("update", "_limited", "_wanted", "_peers", "_checked", "_tell", "_tell_silent")
+_DATA = ("offsets", "weights", "avoidance_vector", "options", "swarm", "id")
+_STAR: Mapping[int, float] = {0: 1.0}
+
+
+def _overrides(follower: Follower, name: str) -> bool:
+    """Return whether a method is another one than Follower's, by its class or by assignment to the object."""
+    return getattr(getattr(follower, name), "__func__", None) is not getattr(Follower, name)
+
+
+def _is_star(follower: Follower) -> bool:
+    return getattr(follower.neighbours, "__func__", None) is StarFollower.neighbours
+
+
+def _own_parts(follower: Follower) -> frozenset[str]:
+    """Return which of the methods made to be overridden must be called for this follower."""
+    own = {name for name in _PARTS if _overrides(follower, name)}
+    if _is_star(follower):
+        own.discard("neighbours")
+    if follower.options.avoid == "topic":
+        own.add("avoidance")  # it comes one by one
+    return frozenset(own)
+
+
+def _reaches_deep(follower: Follower) -> bool:
+    """Return whether more is overridden than is made for it, so that only the follower itself knows what it does."""
+    return any(_overrides(follower, name) for name in _DEEPER) or any(hasattr(type(follower), name) for name in _DATA)
