@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from xtdrone_coordination import kernels
 from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import STOPPED, Follower, StarFollower, slots_of, weights_in
-from xtdrone_coordination.swarm import ArraySwarm
+from xtdrone_coordination.network import Near, Network
+from xtdrone_coordination.swarm import ArraySwarm, SwarmArrays
 from xtdrone_coordination.topology import check_adjacency
 
 
@@ -29,29 +30,34 @@ class FollowerBatch:
 
     Attributes:
         followers: as they were given.
-        swarm: what they know, or what the first of them knows.
+        swarm: what they know, or what the first of them knows; None with a network.
+        network: what brings each of them what it knows; None without one.
     """
 
-    def __init__(self, followers: Sequence[Follower], swarm: ArraySwarm) -> None:
-        """Take followers, each with a view of the same arrays as its ``swarm``.
+    def __init__(
+        self, followers: Sequence[Follower], swarm: ArraySwarm | None = None, *, network: Network | None = None
+    ) -> None:
+        """Take followers that see the swarm in the same arrays, or each what a network brings to its vehicle.
 
         Args:
             followers: at least one, with different numbers.
             swarm: their state of the swarm; or any view of the arrays that hold what each of them knows.
+            network: in its place, one of which each follower has its ``known`` as its ``swarm``.
 
         Raises:
-            ValueError: no followers, a number twice, or a follower that has another swarm.
+            ValueError: no followers, a number twice, or a follower that has another swarm; not one of ``swarm`` and
+                ``network``.
         """
         if not followers:
             raise ValueError("followers: none given, at least one is needed")
         ids = [follower.id for follower in followers]
         if len(set(ids)) != len(ids):
             raise ValueError(f"followers: numbers {ids} are not all different")
-        for follower in followers:
-            if not isinstance(follower.swarm, ArraySwarm) or follower.swarm.arrays is not swarm.arrays:
-                raise ValueError(f"follower {follower.id}: its swarm is not the one of the batch")
+        self._arrays = _arrays_of(followers, swarm, network)
+        self._count = self._arrays.heard.shape[1]
         self.followers = tuple(followers)
         self.swarm = swarm
+        self.network = network
         self._whole = [follower for follower in followers if _reaches_deep(follower)]
         self._rows = [follower for follower in followers if not _reaches_deep(follower)]
         self._own = [_own_parts(follower) for follower in self._rows]
@@ -62,14 +68,13 @@ class FollowerBatch:
         self._pick_up()
 
     def _make_arrays(self) -> None:
-        count, rows = self.swarm.count, len(self._rows)
+        count, rows = self._count, len(self._rows)
         self._kinds = np.zeros((rows, kernels.KINDS), dtype=np.int64)
         self._settings = np.zeros((rows, kernels.SETTINGS))
         for k, (follower, own) in enumerate(zip(self._rows, self._own, strict=True)):
             options = follower.options
-            assert isinstance(follower.swarm, ArraySwarm)
             self._kinds[k, kernels.ID] = follower.id
-            self._kinds[k, kernels.VIEW] = follower.swarm.view
+            self._kinds[k, kernels.VIEW] = follower.swarm.view if isinstance(follower.swarm, ArraySwarm) else 0
             self._kinds[k, kernels.ACCEL] = options.mode == "accel"
             self._kinds[k, kernels.NORMALISE] = not options.raw_weights
             self._kinds[k, kernels.OWN_AVOIDANCE] = options.avoid == "own" and "avoidance" not in own
@@ -87,6 +92,9 @@ class FollowerBatch:
                 options.avoid_radius,
                 options.clearance,
             )
+        self._radio: Near | None = None
+        looking = self._kinds[:, [kernels.OWN_AVOIDANCE, kernels.GIVE_WAY]].any(axis=1)
+        self._widest = float(self._settings[looking, kernels.RADIUS].max(initial=0.0))
         self._cells = np.zeros((count, 5), dtype=np.int32)
         self._table = np.zeros(1 << (4 * count).bit_length(), dtype=np.int32)
         self._notes = np.zeros((kernels.NOTES, rows), dtype=np.int64)
@@ -102,7 +110,7 @@ class FollowerBatch:
         Raises:
             PatternError: another size, not finite, or slots too close to each other.
         """
-        slots = slots_of(offsets, self.swarm.count)
+        slots = slots_of(offsets, self._count)
         for follower in self.followers:
             if _overrides(follower, "on_pattern"):
                 follower.on_pattern(offsets)
@@ -115,7 +123,7 @@ class FollowerBatch:
         Raises:
             ValueError: another size, negative weights, or a vehicle that listens to itself.
         """
-        matrix = check_adjacency(adjacency, self.swarm.count)
+        matrix = check_adjacency(adjacency, self._count)
         for follower in self.followers:
             if _overrides(follower, "on_topology"):
                 follower.on_topology(adjacency)
@@ -123,7 +131,7 @@ class FollowerBatch:
                 follower.weights = weights_in(matrix[follower.id])
 
     def restart(self) -> None:
-        """Let all followers know nothing again, nor does the swarm."""
+        """Let all followers know nothing again, nor does the swarm; of a network, until something comes again."""
         for follower in self.followers:
             follower.restart()
 
@@ -152,10 +160,12 @@ class FollowerBatch:
         return self._commands, self._given
 
     def _run(self, phases: int) -> int:
-        arrays = self.swarm.arrays
+        arrays, network = self._arrays, self.network
+        if network is not None and phases & kernels.SENSE:
+            self._radio = network.near(self._widest)
         return kernels.turn(
             phases,
-            arrays.ticks,
+            arrays.ticks if network is None else network.turn,
             arrays.positions,
             arrays.velocities,
             arrays.heard,
@@ -171,6 +181,8 @@ class FollowerBatch:
             self._vectors,
             self._commands,
             self._given,
+            None if network is None else network.air,
+            self._radio,
         )
 
     def _ask(self) -> None:
@@ -236,7 +248,7 @@ class FollowerBatch:
         self._offsets = offsets  # keeps them alive, so that their addresses stay theirs
         tables = {id(table): table for table in offsets if table is not None}
         numbers = {address: number for number, address in enumerate(tables)}
-        self._slots = np.array(list(tables.values()), dtype=float).reshape(-1, self.swarm.count, 3)
+        self._slots = np.array(list(tables.values()), dtype=float).reshape(-1, self._count, 3)
         self._kinds[:, kernels.SLOTS] = [numbers.get(id(table), -1) for table in offsets]
         # They may have been restarted: let them have their avoidance, and say their problems, as if for the first time.
         self._notes[kernels.PROBLEMS_BEFORE] = -1
@@ -253,10 +265,10 @@ class FollowerBatch:
         np.cumsum([len(row) for row in self._mappings], out=self._start[1:])
         self._peer = np.fromiter(chain.from_iterable(self._mappings), np.int64)
         self._weight = np.fromiter(chain.from_iterable(row.values() for row in self._mappings), np.float64)
-        wrong = (self._peer < 0) | (self._peer >= self.swarm.count)
+        wrong = (self._peer < 0) | (self._peer >= self._count)
         if wrong.any():
             raise IndexError(
-                f"weights: vehicle {self._peer[wrong][0]} is not allowed, 0 to {self.swarm.count - 1} are there"
+                f"weights: vehicle {self._peer[wrong][0]} is not allowed, 0 to {self._count - 1} are there"
             )
 
 
@@ -264,6 +276,23 @@ _PARTS = ("avoidance", "neighbours", "control_law")
 _DEEPER = ("update", "_limited", "_wanted", "_peers", "_checked", "_tell", "_tell_silent")
 _DATA = ("offsets", "weights", "avoidance_vector", "options", "swarm", "id")
 _STAR: Mapping[int, float] = {0: 1.0}
+
+
+def _arrays_of(followers: Sequence[Follower], swarm: ArraySwarm | None, network: Network | None) -> SwarmArrays:
+    """Return the arrays in which all followers see the swarm; with a network, one view for them to share in turn."""
+    if (swarm is None) == (network is None):
+        raise ValueError("followers: either a swarm or a network must be given")
+    for follower in followers:
+        if network is not None and follower.swarm is not network.known(follower.id):
+            raise ValueError(
+                f"follower {follower.id}: its swarm is not what the network brings to vehicle {follower.id}"
+            )
+        if swarm is not None and getattr(follower.swarm, "arrays", None) is not swarm.arrays:
+            raise ValueError(f"follower {follower.id}: its swarm is not the one of the batch")
+    if swarm is not None:
+        return swarm.arrays
+    assert network is not None
+    return SwarmArrays(1, network.count)
 
 
 def _overrides(follower: Follower, name: str) -> bool:

@@ -10,16 +10,14 @@ Followers are rows of the arrays below, in any order of their numbers. Columns o
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot.kernel import compiler
 from xtdrone_coordination import avoidance
+from xtdrone_coordination.kernel import kernel
+from xtdrone_coordination.network_kernels import sample
 from xtdrone_coordination.swarm import NEVER
-
-kernel = compiler(Path(__file__).resolve().parent)
 
 # columns of kinds
 ID = 0  # the vehicle's number
@@ -82,6 +80,8 @@ def turn(
     vectors: NDArray[Any],
     commands: NDArray[Any],
     given: NDArray[Any],
+    air: Any,
+    radio: Any,
 ) -> int:
     """Compute phases of one turn of M followers among N vehicles.
 
@@ -104,12 +104,14 @@ def turn(
         vectors: shape (2, M, 3): the avoidance before its gain; the law's result before limits, m/s or m/s^2 ENU.
         commands: shape (N, 3), written: what to command.
         given: shape (N,), written: to whom.
+        air: of a network, if the followers know what it brings: there is one view then, written row after row.
+        radio: what its ``near`` gives, for the greatest radius; None if there is no network.
 
     Returns:
         The number of rows to be reported: their problems or their avoidance have changed.
     """
     views, count = heard.shape
-    gridded = views == 1 and count > FEW
+    gridded = views == 1 and count > FEW and air is None
     if gridded and phases & SENSE:
         widest = 0.0
         for k in range(len(kinds)):
@@ -121,13 +123,18 @@ def turn(
     for k in range(len(kinds)):
         index, view = kinds[k, ID], kinds[k, VIEW]
         where, when = positions[view], heard[view]
+        if air is not None:
+            _receive(k, index, air, start, peer, where, velocities[view], when)
         near = -1  # not looked for yet
         if phases & SENSE:
             status = _status(k, tick, when, kinds)
             notes[STATUS, k], notes[MOVED, k] = status, 0
             notes[PROBLEMS, k] = HAS_STOPPED if status == STOPPED else 0
             if status == READY and kinds[k, OWN_AVOIDANCE]:
-                near = _near(index, where, when, settings[k, RADIUS], gridded, cells, table)
+                if radio is None:
+                    near = _near(index, where, when, settings[k, RADIUS], gridded, cells, table)
+                else:
+                    near = _near_by_radio(index, where, settings[k, RADIUS], radio, cells)
                 x, y, z = _avoid(index, where, settings[k, RADIUS], cells, near)
                 notes[MOVED, k] = vectors[0, k, 0] != x or vectors[0, k, 1] != y or vectors[0, k, 2] != z
                 vectors[0, k, 0], vectors[0, k, 1], vectors[0, k, 2] = x, y, z
@@ -139,7 +146,10 @@ def turn(
             commands[index] = 0.0
             if ready:
                 if near < 0 and kinds[k, GIVE_WAY]:
-                    near = _near(index, where, when, settings[k, RADIUS], gridded, cells, table)
+                    if radio is None:
+                        near = _near(index, where, when, settings[k, RADIUS], gridded, cells, table)
+                    else:
+                        near = _near_by_radio(index, where, settings[k, RADIUS], radio, cells)
                 _command(k, where, kinds, settings, cells, near, notes, vectors, commands)
             if given[index] and _is_news(k, kinds, notes):
                 notes[REPORTED, reported] = k
@@ -381,6 +391,42 @@ def _near_in_cells(index: int, positions: NDArray[Any], square: float, cells: ND
                             _insert(cells, found, j)
                             found += 1
                     j = cells[j, 3]
+    return found
+
+
+@kernel
+def _receive(
+    k: int,
+    index: int,
+    air: Any,
+    start: NDArray[Any],
+    peer: NDArray[Any],
+    positions: NDArray[Any],
+    velocities: NDArray[Any],
+    heard: NDArray[Any],
+) -> None:
+    """Write what a row's vehicle knows by its network of itself and of those it listens to."""
+    for entry in range(start[k] - 1, start[k + 1]):
+        j = index if entry < start[k] else peer[entry]
+        heard[j] = sample(air, index, j, positions[j], velocities[j])
+        for axis in range(3):
+            if not math.isfinite(velocities[j, axis]):
+                velocities[j, axis] = 0.0
+
+
+@kernel
+def _near_by_radio(index: int, positions: NDArray[Any], radius: float, radio: Any, cells: NDArray[Any]) -> int:
+    """List those that a vehicle knows of within ``radius`` as _near does, and write where it believes them to be."""
+    start, others, places = radio
+    px, py, pz = positions[index, 0], positions[index, 1], positions[index, 2]
+    found = 0
+    for entry in range(start[index], start[index + 1]):
+        x, y, z = places[entry, 0] - px, places[entry, 1] - py, places[entry, 2] - pz
+        if x * x + y * y + z * z < radius * radius:
+            j = others[entry]
+            positions[j, 0], positions[j, 1], positions[j, 2] = places[entry, 0], places[entry, 1], places[entry, 2]
+            cells[found, 4] = j
+            found += 1
     return found
 
 
