@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_coordination.topology import check_adjacency, veteran_topology
+from xtdrone_coordination.topology import check_adjacency, cut_off, veteran_topology
 
 PAPER = [
     [0, 0, 0, 0, 0, 0],
@@ -41,6 +43,47 @@ def test_rounding_of_float32_does_not_change_it() -> None:
     assert (veteran_topology(offsets) == veteran_topology(narrow)).all()
 
 
+def veterans_one_by_one(offsets: np.ndarray) -> np.ndarray:
+    """The rule as it is told: the two nearest of those before, of equally near ones the later."""
+    adjacency = np.zeros((len(offsets),) * 2, dtype=int)
+    for i in range(1, len(offsets)):
+        distance = np.linalg.norm(offsets[:i] - offsets[i], axis=1)
+        adjacency[i, sorted(range(i), key=lambda j: (round(distance[j] / 1e-4), -j))[:2]] = 1
+    return adjacency
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 256, 257, 258, 600])
+def test_many_at_once_follow_the_same_rule(count: int) -> None:
+    rng = np.random.default_rng(count)
+    lattice = rng.integers(0, 7, (count, 3)) * 3.0  # many at the same distance
+    for offsets in (lattice, lattice + rng.normal(scale=1e-4, size=(count, 3)), rng.normal(size=(count, 3))):
+        assert (veteran_topology(offsets) == veterans_one_by_one(offsets)).all()
+
+
+def test_offsets_that_are_not_finite() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        veteran_topology([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
+
+
+def test_who_does_not_hear_of_the_leader() -> None:
+    chain = np.eye(5, k=-1)
+    assert cut_off(chain) == []
+    chain[2, 1], chain[2, 3] = 0, 1  # 2 and 3 listen to each other alone
+    assert cut_off(chain) == [2, 3, 4]
+    assert cut_off([[0, 1], [0, 0]]) == [1], "that the leader listens to it does not help"
+    assert cut_off(np.zeros((3, 3))) == [1, 2]
+    assert cut_off(np.eye(1000, k=-1)) == []
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(count=st.integers(1, 12), seed=st.integers(0, 2**31), density=st.floats(0.0, 0.4))
+def test_who_is_cut_off_has_no_path_of_any_length(count: int, seed: int, density: float) -> None:
+    links = np.random.default_rng(seed).random((count, count)) < density
+    np.fill_diagonal(links, False)
+    hears = np.linalg.matrix_power(links.astype(int) + np.eye(count, dtype=int), count) > 0
+    assert cut_off(links) == np.flatnonzero(~hears[:, 0]).tolist()
+
+
 def test_who_listens_to_nobody_gets_the_leader() -> None:
     matrix = check_adjacency([0, 0, 0, 0, 0, 0, 0, 2, 0], 3)
     assert matrix.tolist() == [[0, 0, 0], [1, 0, 0], [0, 2, 0]]
@@ -48,7 +91,13 @@ def test_who_listens_to_nobody_gets_the_leader() -> None:
 
 @pytest.mark.parametrize(
     ("values", "message"),
-    [([0, 1], "2 x 2"), ([0, 0, -1, 0], "negative"), ([0, 0, np.nan, 0], "finite"), ([0, 0, 1, 1], "itself")],
+    [
+        ([0, 1], "2 x 2"),
+        ([0, 0, -1, 0], "negative"),
+        ([0, 0, np.nan, 0], "finite"),
+        ([0, 0, np.inf, 0], "finite"),
+        ([0, 0, 1, 1], "itself"),
+    ],
 )
 def test_bad_matrices(values: list[float], message: str) -> None:
     with pytest.raises(ValueError, match=message):

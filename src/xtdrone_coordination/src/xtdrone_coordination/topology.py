@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 NEIGHBOURS = 2
 _SAME_DISTANCE = 1e-4  # m; offsets travel as float32
+_BLOCK = 256  # rows at a time, so that memory is bounded
 
 
 def veteran_topology(offsets: ArrayLike) -> NDArray[np.int32]:
@@ -22,18 +23,45 @@ def veteran_topology(offsets: ArrayLike) -> NDArray[np.int32]:
         offsets: slots of all vehicles in order of their numbers, the leader's first, shape (N, 3), m.
 
     Raises:
-        ValueError: another shape.
+        ValueError: another shape, or not finite.
     """
     points = np.asarray(offsets, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise ValueError(f"topology: offsets have shape {points.shape}, must be (N, 3)")
+    if not np.isfinite(points).all():
+        raise ValueError("topology: offsets must be finite")
     count = len(points)
     adjacency = np.zeros((count, count), dtype=np.int32)
-    for i in range(1, count):
-        distance = np.linalg.norm(points[:i] - points[i], axis=1)
-        nearest = sorted(range(i), key=lambda j: (round(distance[j] / _SAME_DISTANCE), -j))
-        adjacency[i, nearest[:NEIGHBOURS]] = 1
+    for first in range(1, count, _BLOCK):
+        rows = np.arange(first, min(first + _BLOCK, count))
+        earlier = rows[-1]  # of these many some come before each row
+        distance = np.linalg.norm(points[:earlier] - points[rows, None], axis=-1)
+        steps = np.rint(distance / _SAME_DISTANCE)
+        steps[np.arange(earlier) >= rows[:, None]] = np.inf
+        for _ in range(NEIGHBOURS):
+            nearest = earlier - 1 - np.argmin(steps[:, ::-1], axis=1)  # of equal ones the last
+            found = steps[np.arange(len(rows)), nearest] < np.inf
+            adjacency[rows[found], nearest[found]] = 1
+            steps[np.arange(len(rows)), nearest] = np.inf
     return adjacency
+
+
+def cut_off(adjacency: ArrayLike) -> list[int]:
+    """Return the vehicles that do not hear of the leader, directly or through others, ascending.
+
+    Args:
+        adjacency: shape (N, N), as :func:`check_adjacency` returns it; row i: whom vehicle i listens to.
+    """
+    matrix = np.asarray(adjacency)
+    listeners: list[list[int]] = [[] for _ in matrix]
+    for i, j in zip(*(numbers.tolist() for numbers in np.nonzero(matrix)), strict=True):
+        listeners[j].append(i)
+    reached, waiting = {0}, [0]
+    while waiting:
+        new = [i for i in listeners[waiting.pop()] if i not in reached]
+        reached.update(new)
+        waiting += new
+    return [i for i in range(len(matrix)) if i not in reached]
 
 
 def check_adjacency(values: ArrayLike, count: int) -> NDArray[np.float64]:
@@ -50,7 +78,7 @@ def check_adjacency(values: ArrayLike, count: int) -> NDArray[np.float64]:
     if matrix.size != count * count:
         raise ValueError(f"topology: {matrix.size} values, {count} vehicles need {count} x {count}")
     matrix = matrix.reshape(count, count)
-    if not np.isfinite(matrix).all() or (matrix < 0.0).any():
+    if not (matrix.min(initial=0.0) >= 0.0 and matrix.max(initial=0.0) < np.inf):
         raise ValueError("topology: weights must be finite and not negative")
     if matrix.diagonal().any():
         raise ValueError(f"topology: vehicle {int(np.argmax(matrix.diagonal() > 0))} listens to itself")
