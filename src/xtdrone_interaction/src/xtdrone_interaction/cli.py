@@ -7,34 +7,18 @@ Exit status: 0 when all went well, 1 when the flight failed or missed its figure
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
-from xtdrone_interaction.formation_demo import DemoError, DemoSettings, check_master, report_flight, run_demo
-from xtdrone_interaction.options import OptionError
-
-DEFAULT_FOLLOWER = "follower_consensus.py"
-
-
-def _checked(check: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return ``check`` with its message as argparse wants it."""
-
-    def convert(text: str) -> Any:
-        try:
-            return check(text)
-        except OptionError as error:
-            raise argparse.ArgumentTypeError(str(error)) from error
-
-    return convert
+from xtdrone_interaction.formation_demo import DemoError, DemoSettings, master_port, report_flight, run_demo
+from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
+from xtdrone_interaction.simplified_cli import add_simplified, run_simplified
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -48,6 +32,13 @@ def _parser() -> argparse.ArgumentParser:
         description="Fly the formation demo: take-off, origin, each pattern in turn with the leader moving between, "
         "origin, landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures and logs.",
     ))  # fmt: skip
+    simplified = demos.add_parser(
+        "simplified",
+        help="the same flight on the simplified simulator, on ROS or, with --without-ros, in one process",
+        description="Fly the formation flight on the simplified simulator, compare it with full physics, and film it. "
+        "Leaves runs/<time>/ with report.json, pictures, the film, and flight.bag (ROS) or flight.npz (--without-ros).",
+    )
+    add_simplified(simplified)
     report = commands.add_parser("report", help="make report and pictures of a recorded flight again")
     report.add_argument("bag", type=Path, help="flight.bag of a run")
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
@@ -62,20 +53,20 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add(
         "--n",
-        type=_checked(options.vehicle_count),
+        type=checked(options.vehicle_count),
         default=9,
         metavar="N",
         help="number of vehicles (default: %(default)s)",
     )
     add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
-    add("--patterns", type=_checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
+    add("--patterns", type=checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
         help="patterns to fly, with commas between (default: cube,pyramid,triangle)")  # fmt: skip
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with patterns of your own")
-    add("--speed", type=_checked(options.speed), default=0.0, metavar="FACTOR",
+    add("--speed", type=checked(options.speed), default=0.0, metavar="FACTOR",
         help="target real-time factor, or 'unlimited' (default: unlimited)")  # fmt: skip
     add(
         "--seed",
-        type=_checked(options.seed),
+        type=checked(options.seed),
         default=0,
         metavar="SEED",
         help="seed of all noise (default: %(default)s)",
@@ -89,7 +80,7 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
     add("--avoidance", choices=["own", "python", "cpp"], default="own",
         help="who computes the avoidance: every follower its own, or one node for all (Python, C++) "
         "(default: %(default)s)")  # fmt: skip
-    add("--clearance", type=_checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
+    add("--clearance", type=checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
         help="least height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
     add("--world", default="empty", metavar="WORLD", help="world's name (default: %(default)s)")
     add("--headless", action="store_true", help="no live display: a line of progress every few seconds")
@@ -97,10 +88,7 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
         "--logs", action="store_true", help="write the vehicles' flight logs (PX4's ULog) into the results' folder logs"
     )
     add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
-    master = parser.add_mutually_exclusive_group()
-    master.add_argument("--master-port", type=_checked(options.port), metavar="PORT",
-                        help="TCP port of the flight's own ROS master (default: a free one)")  # fmt: skip
-    master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
+    options.add_master(parser)
 
 
 def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
@@ -115,7 +103,7 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     fleet = parse_fleet(f"{arguments.type}:{arguments.n}")
     pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
     options.swarm_patterns(arguments.n, arguments.patterns, pattern_file or None)
-    follower, follower_class = _follower(arguments.follower)
+    follower, follower_class = options.follower_program(arguments.follower)
     options.check_vehicle_ports(fleet)
     return DemoSettings(
         n=arguments.n,
@@ -131,48 +119,11 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         world=arguments.world,
         seed=arguments.seed,
         speed=arguments.speed,
-        out=_new_folder(arguments.out),
-        master_port=_master_port(arguments),
+        out=options.results_folder(arguments.out),
+        master_port=master_port(arguments.master_port, use_running=arguments.use_master),
         headless=arguments.headless,
         logs=arguments.logs,
     )
-
-
-def _follower(text: str) -> tuple[str, str]:
-    """Return (program, class): a program of xtdrone_coordination by its name, or a file with the user's own class.
-
-    Raises:
-        OptionError: it is neither.
-    """
-    shipped = options.repository() / "src" / "xtdrone_coordination" / "nodes"
-    if "/" not in text and (shipped / text).is_file():
-        return text, ""
-    file, _, name = text.partition(":")
-    path = Path(file).resolve()
-    if not (path.suffix == ".py" and path.is_file()):
-        known = ", ".join(sorted(p.name for p in shipped.glob("follower*.py")))
-        raise OptionError(f"follower: {text!r} is neither FILE.py[:CLASS] nor one of the programs {known}")
-    return DEFAULT_FOLLOWER, f"{path}:{name}" if name else str(path)
-
-
-def _master_port(arguments: argparse.Namespace) -> int:
-    if arguments.use_master:
-        if "ROS_MASTER_URI" not in os.environ:
-            raise OptionError("master: --use-master needs ROS_MASTER_URI, which is not set")
-        check_master(os.environ["ROS_MASTER_URI"])
-        return 0
-    return options.check_master_port(arguments.master_port) if arguments.master_port else options.free_port()
-
-
-def _new_folder(wanted: Path | None) -> Path:
-    """The results' folder: absolute, and not there or empty."""
-    if wanted is None:
-        base = Path("runs") / time.strftime("%Y%m%d-%H%M%S")
-        wanted, number = base, 1
-        while wanted.exists():
-            number += 1
-            wanted = base.with_name(f"{base.name}-{number}")
-    return options.new_folder(wanted)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -203,6 +154,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if parsed.command == "report":
             return report_flight(parsed.bag, {}, console)
+        if parsed.demo == "simplified":
+            return run_simplified(parsed, console)
         return run_demo(demo_settings(parsed), console)
     except (OptionError, PatternError, FleetError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)

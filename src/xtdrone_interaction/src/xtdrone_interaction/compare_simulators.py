@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from xtdrone_coordination.assignment import Assignment
+from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.geometry import Array, relative
 from xtdrone_interaction.record import FlightRecord, RecordError, Track, Window
 from xtdrone_interaction.report import measure
@@ -98,6 +100,38 @@ def compare(simplified: FlightRecord, full: FlightRecord) -> list[Difference]:
             )
         )
     return differences
+
+
+def with_assignments_of(record: FlightRecord, base: type[Leader]) -> type[Leader]:
+    """Return a leader's class that gives out the slots as a recorded flight did, in all else as ``base``.
+
+    From a symmetric formation many assignments are about equally short, and then noise decides. With the same
+    assignments two flights differ by what moves the vehicles alone.
+    """
+    given = [np.asarray(change.value) for change in record.patterns]
+
+    class SameAssignments(base):  # type: ignore[misc,valid-type]
+        """Gives out slots by number of the choice."""
+
+        _choices = 0
+
+        def restart(self) -> None:
+            """Begin with the first choice again."""
+            super().restart()
+            self._choices = 0
+
+        def assignment(self, current: Array, target: Array) -> Assignment:
+            """Return the recorded assignment; after the last of them, or of other slots, one's own."""
+            number, self._choices = self._choices, self._choices + 1
+            if number >= len(given):
+                return cast(Assignment, super().assignment(current, target))
+            try:
+                slots = same_slots(given[number], target)
+            except RecordError:
+                return cast(Assignment, super().assignment(current, target))
+            return Assignment(slots, float(np.linalg.norm(current - target[slots], axis=1).sum()))
+
+    return SameAssignments
 
 
 def as_data(differences: list[Difference], full: str) -> dict[str, Any]:

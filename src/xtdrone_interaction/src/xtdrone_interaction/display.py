@@ -75,8 +75,8 @@ class _TwoLines(Progress):
 class LiveDisplay:
     """Two lines that change in place, below the notes."""
 
-    def __init__(self, console: Console) -> None:
-        """Show that the stack starts."""
+    def __init__(self, console: Console, begin: str = "starting the nodes") -> None:
+        """Show that the flight begins, in the words of ``begin``."""
         self._progress = _TwoLines(
             SpinnerColumn(),
             TextColumn("{task.description:<18}"),
@@ -89,7 +89,7 @@ class LiveDisplay:
         self._factor = RealTimeFactor()
         self._figures = ""
         self._standstill = ""
-        self._task = self._progress.add_task("starting the nodes", total=None, figures="")
+        self._task = self._progress.add_task(begin, total=None, figures="")
         self._progress.start()
 
     def note(self, text: str) -> None:
@@ -120,15 +120,15 @@ class LiveDisplay:
 class LineDisplay:
     """A line of progress every few seconds and at each phase."""
 
-    def __init__(self, console: Console) -> None:
-        """Show that the stack starts."""
+    def __init__(self, console: Console, begin: str = "starting the nodes") -> None:
+        """Show that the flight begins, in the words of ``begin``."""
         self._console = console
         self._shown = 0.0
         self._phase = ""
         self._standstill = ""
         self._reminded = 0.0
         self._factor = RealTimeFactor()
-        self.note("starting the nodes")
+        self.note(begin)
 
     def note(self, text: str) -> None:
         """Show a line."""

@@ -24,7 +24,7 @@ from rich.console import Console
 from xtdrone_interaction.deaths import Deaths
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
-from xtdrone_interaction.options import OptionError, repository
+from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.record import RecordError, read_events, read_record
 from xtdrone_interaction.report import make_report, print_report, write_report
@@ -81,6 +81,9 @@ class DemoSettings:
         master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
         headless: plain lines instead of the live display.
         logs: write the vehicles' flight logs into ``out / "logs"``.
+        simulator: ``full`` or ``simplified``.
+        model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty: the type's.
+        window: show the swarm in a window.
     """
 
     n: int
@@ -100,6 +103,9 @@ class DemoSettings:
     master_port: int
     headless: bool
     logs: bool
+    simulator: str = "full"
+    model: str = ""
+    window: bool = False
 
 
 @dataclass
@@ -142,7 +148,7 @@ def run_demo(settings: DemoSettings, console: Console) -> int:
     console.print(f"Results: {settings.out}", highlight=False, soft_wrap=True)
     console.print(_how_to_control(settings), highlight=False, soft_wrap=True)
     deaths = Deaths(_roslaunch_log(settings))
-    with _signals_raise():
+    with signals_raise():
         try:
             _fly(settings, console, deaths)
             return _conclude(settings, console, command_wall, deaths)
@@ -212,6 +218,8 @@ def _command(settings: DemoSettings) -> list[str]:
         "out": settings.out,
         "log": settings.out / "logs" if settings.logs else "",
     }
+    if settings.simulator != "full":
+        arguments |= {"simulator": settings.simulator, "model": settings.model}
     port = ["-p", str(settings.master_port)] if settings.master_port else ["--wait"]
     return [
         program, "--sigint-timeout", str(_NODE_PATIENCE), *port,
@@ -239,6 +247,20 @@ def _environment(settings: DemoSettings, uri: str) -> dict[str, str]:
 
 def _roslaunch_log(settings: DemoSettings) -> Path:
     return settings.out / "logs" / "roslaunch.log"
+
+
+def master_port(wanted: int | None, *, use_running: bool) -> int:
+    """Return the TCP port of the flight's own ROS master, 0 where the one of ROS_MASTER_URI is used.
+
+    Raises:
+        OptionError: the port is taken, or no master answers.
+    """
+    if use_running:
+        if "ROS_MASTER_URI" not in os.environ:
+            raise OptionError("master: --use-master needs ROS_MASTER_URI, which is not set")
+        check_master(os.environ["ROS_MASTER_URI"])
+        return 0
+    return check_master_port(wanted) if wanted else free_port()
 
 
 def check_master(uri: str) -> None:
@@ -289,7 +311,7 @@ def _watch(tree: ProcessTree, settings: DemoSettings, uri: str, display: Display
                 sim_time = message["sim_time"]
                 display.update(message)
             else:
-                _show_event(message, display)
+                show_event(message, display)
                 outcome = message["event"]
             if outcome in ("done", "failed"):
                 break
@@ -315,7 +337,8 @@ def _show_deaths(deaths: Deaths, sim_time: float | None, display: Display) -> No
         display.note(f"  [red]{_escape(str(death))}[/red]")
 
 
-def _show_event(event: dict[str, Any], display: Display) -> None:
+def show_event(event: dict[str, Any], display: Display) -> None:
+    """Show an event of the director that a user wants to read."""
     time_text = f"  {event['time']:6.1f} s "
     if event["event"] == "settled":
         display.note(f"{time_text} {event['what']}: settled after {event['after']:.1f} s")
@@ -323,6 +346,8 @@ def _show_event(event: dict[str, Any], display: Display) -> None:
         display.note(f"{time_text} {event['what']}: not settled, {event['vehicle']} is {event['error']:.2f} m off")
     elif event["event"] == "giving up":
         display.note(f"{time_text} giving up, landing: {_escape(event['reason'])}")
+    elif event["event"] == "refused":
+        display.note(f"{time_text} {_escape(event['reason'])}")
 
 
 def _open_feed(feed: _Feed) -> None:
@@ -419,7 +444,7 @@ def _mend_bag(bag: Path, environment: dict[str, str]) -> None:
 
 
 @contextlib.contextmanager
-def _signals_raise() -> Iterator[None]:
+def signals_raise() -> Iterator[None]:
     """Raise :class:`Interrupted` in the main thread at SIGINT, SIGTERM and SIGHUP."""
 
     def handler(number: int, _: Any) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import errno
 import math
 import socket
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +18,9 @@ from xtdrone_control.fleet import MAX_VEHICLES, Vehicle
 from xtdrone_control.speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.geometry import ORIGIN
+
+DEFAULT_FOLLOWER = "follower_consensus.py"
+MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N
 
 
 class OptionError(ValueError):
@@ -37,6 +44,21 @@ def vehicle_count(text: str) -> int:
         count = 0
     if not 2 <= count <= MAX_VEHICLES:
         raise OptionError(f"number of vehicles: {text!r} is not allowed; 2 to {MAX_VEHICLES} make a formation")
+    return count
+
+
+def swarm_count(text: str) -> int:
+    """Return the number of vehicles of a swarm without ROS, which MAVLink's ids do not bound.
+
+    Raises:
+        OptionError: it is no whole number of at least 2.
+    """
+    try:
+        count = int(text)
+    except ValueError:
+        count = 0
+    if not 2 <= count <= MAX_SWARM:
+        raise OptionError(f"number of vehicles: {text!r} is not allowed; 2 to {MAX_SWARM} make a swarm")
     return count
 
 
@@ -150,6 +172,58 @@ def new_folder(wanted: Path) -> Path:
     if any(c.isspace() for c in str(folder)):
         raise OptionError(f"out: {str(folder)!r} has a space in it, which roslaunch cannot pass on; choose --out")
     return folder
+
+
+def results_folder(wanted: Path | None) -> Path:
+    """Return the results' folder, absolute: ``wanted``, or ``runs/<time>``; it is not there, or empty.
+
+    Raises:
+        OptionError: see :func:`new_folder`.
+    """
+    if wanted is None:
+        base = Path("runs") / time.strftime("%Y%m%d-%H%M%S")
+        wanted, number = base, 1
+        while wanted.exists():
+            number += 1
+            wanted = base.with_name(f"{base.name}-{number}")
+    return new_folder(wanted)
+
+
+def checked(check: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return ``check`` with its message as argparse wants it."""
+
+    def convert(text: str) -> Any:
+        try:
+            return check(text)
+        except OptionError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return convert
+
+
+def add_master(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say which ROS master is used."""
+    master = parser.add_mutually_exclusive_group()
+    master.add_argument("--master-port", type=checked(port), metavar="PORT",
+                        help="TCP port of the flight's own ROS master (default: a free one)")  # fmt: skip
+    master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
+
+
+def follower_program(text: str) -> tuple[str, str]:
+    """Return (program, class): a program of xtdrone_coordination by its name, or a file with the user's own class.
+
+    Raises:
+        OptionError: it is neither.
+    """
+    shipped = repository() / "src" / "xtdrone_coordination" / "nodes"
+    if "/" not in text and (shipped / text).is_file():
+        return text, ""
+    file, _, name = text.partition(":")
+    path = Path(file).resolve()
+    if not (path.suffix == ".py" and path.is_file()):
+        known = ", ".join(sorted(p.name for p in shipped.glob("follower*.py")))
+        raise OptionError(f"follower: {text!r} is neither FILE.py[:CLASS] nor one of the programs {known}")
+    return DEFAULT_FOLLOWER, f"{path}:{name}" if name else str(path)
 
 
 def free_port() -> int:

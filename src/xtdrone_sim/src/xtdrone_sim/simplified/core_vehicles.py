@@ -112,8 +112,10 @@ class CoreVehicles:
         yaw = 0.5 * math.pi - np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         self.yaw = np.arctan2(np.sin(yaw), np.cos(yaw))
         self.true_position = np.array(self.simulation.world.plant["position"])
-        self.armed = [commander.armed for commander in commanders]
-        self.mode = [commander.mode.name for commander in commanders]
+        self._armed = [commander.armed for commander in commanders]
+        self._mode = [commander.mode.name for commander in commanders]
+        self.armed: Sequence[bool] = self._armed
+        self.mode: Sequence[str] = self._mode
         attitudes = estimator["q"].tolist()
         for i, core in enumerate(self._cores):
             core.on_state(self.mode[i], self.armed[i])
@@ -121,6 +123,12 @@ class CoreVehicles:
                 w, x, y, z = frames.attitude_ned_to_enu(*attitudes[i])
                 px, py, pz = self.position[i].tolist()
                 core.on_pose((px, py, pz), (x, y, z, w))
+
+    @property
+    def collisions(self) -> list[str]:
+        """Which vehicles have touched each other since the start, in the simulator node's words."""
+        touched = sorted(self.simulation.world.collisions)
+        return [f"collision of {self.names[a]} and {self.names[b]}" for a, b in touched]
 
     @property
     def _now(self) -> float:
@@ -140,7 +148,7 @@ class CoreVehicles:
         refusal = self._carry_out(index, request)
         self._cores[index].on_result(request, not refusal, refusal, self._now)
         commander = self.simulation.commanders[index]
-        self.armed[index], self.mode[index] = commander.armed, commander.mode.name
+        self._armed[index], self._mode[index] = commander.armed, commander.mode.name
         self._cores[index].on_state(self.mode[index], self.armed[index])
         return refusal
 

@@ -1,0 +1,228 @@
+"""Options of ``./xtdrone demo simplified``, and their checks."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
+from xtdrone_coordination.classes import load_class
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.leader import Leader
+from xtdrone_coordination.network import NetworkOptions
+from xtdrone_interaction import options
+from xtdrone_interaction.formation_demo import DemoSettings, master_port
+from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
+from xtdrone_interaction.simplified_demo import (
+    MOST_COMPARED,
+    FilmSettings,
+    SwarmSettings,
+    has_display,
+    run_in_process,
+    run_on_ros,
+)
+
+WINDOW_SPEED = 10.0  # real-time factor with a window, unless another is asked for
+_NETWORK = {  # option, what it is, unit
+    "range": ("m", "how far the vehicles hear each other"),
+    "delay": ("S", "time from sending to arrival"),
+    "jitter": ("S", "each message takes longer by up to this"),
+    "loss": ("PART", "probability that a message is lost, 0 to 1"),
+    "bandwidth": ("BIT/S", "what the air at any one place takes"),
+}
+
+
+def add_simplified(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    add = parser.add_argument
+    add("--without-ros", action="store_true",
+        help="fly in one process, without a ROS master: thousands of vehicles, as fast as the machine can")  # fmt: skip
+    add("--n", type=checked(options.swarm_count), default=9, metavar="N",
+        help="number of vehicles (default: %(default)s)")  # fmt: skip
+    add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
+    add("--patterns", type=checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
+        help="patterns to fly, with commas between (default: cube,pyramid,triangle)")  # fmt: skip
+    add("--pattern-file", type=Path, metavar="FILE", help="YAML file with patterns of your own")
+    add("--model", default="", metavar="MODEL",
+        help="first-order, second-order, or a YAML file with the model's values (default: the type's)")  # fmt: skip
+    add("--speed", type=checked(options.speed), metavar="FACTOR",
+        help="target real-time factor, or 'unlimited' (default: 10 with a window, else unlimited)")  # fmt: skip
+    add("--seed", type=checked(options.seed), default=0, metavar="SEED",
+        help="seed of the network and, in full physics, of all noise (default: %(default)s)")  # fmt: skip
+    add("--follower", default=DEFAULT_FOLLOWER, metavar="FILE.py:CLASS",
+        help="your own follower class (default: the shipped one)")  # fmt: skip
+    add(
+        "--leader", metavar="FILE.py:CLASS", help="your own leader class, with --without-ros (default: the shipped one)"
+    )
+    add("--control", choices=["vel", "accel"], default="vel", help="what followers command (default: %(default)s)")
+    add("--clearance", type=checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
+        help="least height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
+    add("--film", metavar="FILE", help=".mp4, .gif or .png, or none "
+        "(default: flight.mp4 in the results' folder where there is no display)")  # fmt: skip
+    add("--compare", action=argparse.BooleanOptionalAction, default=None,
+        help=f"fly the same in full physics too and compare (default: up to {MOST_COMPARED} vehicles)")  # fmt: skip
+    add("--compare-with", type=Path, metavar="BAG",
+        help="compare with flight.bag of './xtdrone demo formation' instead")  # fmt: skip
+    network = parser.add_argument_group("network", "What the vehicles hear of each other; with --without-ros.")
+    for name, (unit, meaning) in _NETWORK.items():
+        network.add_argument(f"--{name}", type=checked(_number(name)), metavar=unit, help=meaning)
+    add("--processes", choices=["per-uav", "shared"], default="per-uav",
+        help="on ROS: a process per vehicle and role, or one per role (default: %(default)s)")  # fmt: skip
+    add("--headless", action="store_true", help="no window and no live display: a line of progress every few seconds")
+    add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
+    options.add_master(parser)
+
+
+def _number(name: str) -> Callable[[str], float]:
+    def check(text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            raise OptionError(f"{name}: {text!r} is not a number") from None
+
+    return check
+
+
+def run_simplified(arguments: argparse.Namespace, console: Console) -> int:
+    """Fly as asked for, and return the exit status.
+
+    Raises:
+        OptionError: a value that is not allowed.
+    """
+    try:
+        settings, film = swarm_settings(arguments)
+        demo = None if arguments.without_ros else ros_settings(arguments, settings, film)
+    except OptionError:
+        raise
+    except ValueError as error:  # of patterns, fleet, model, network, film, or a class
+        raise OptionError(str(error)) from error
+    if demo is None:
+        return run_in_process(settings, film, console)
+    return run_on_ros(demo, settings, film, console)
+
+
+def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSettings]:
+    """Return the flight's settings and what is drawn of it, after all checks.
+
+    Raises:
+        ValueError: a value that is not allowed.
+    """
+    from xtdrone_sim.simplified.model import load_model
+
+    count = arguments.n
+    config = options.repository() / "src" / "xtdrone_sim" / "config"
+    options.one_of_files("vehicle type", arguments.type, config / "vehicles")
+    model = str(Path(arguments.model).resolve()) if arguments.model.endswith((".yaml", ".yml")) else arguments.model
+    load_model(arguments.type, model or None)
+    pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
+    options.swarm_patterns(count, arguments.patterns, pattern_file or None)
+    window = has_display() and not arguments.headless
+    out = options.results_folder(arguments.out)
+    settings = SwarmSettings(
+        n=count,
+        kind=arguments.type,
+        patterns=arguments.patterns,
+        pattern_file=pattern_file,
+        follower=_follower(arguments.follower),
+        leader=load_class(arguments.leader, Leader, "leader") if arguments.leader else Leader,
+        control=arguments.control,
+        clearance=arguments.clearance,
+        seed=arguments.seed,
+        speed=_speed(arguments.speed, window=window),
+        out=out,
+        headless=arguments.headless,
+        model=model,
+        network=_network(arguments),
+        compare=_compare(arguments),
+        compare_with=_bag(arguments.compare_with),
+    )
+    return settings, FilmSettings(_film(arguments.film, out, window=window), window)
+
+
+def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: FilmSettings) -> DemoSettings:
+    """Return the settings of the flight on ROS.
+
+    Raises:
+        ValueError: what ROS or this demo on it does not have, or a port that is taken.
+    """
+    if settings.n > MAX_VEHICLES:
+        raise OptionError(
+            f"number of vehicles: '{settings.n}' is not allowed on ROS, 2 to {MAX_VEHICLES}; --without-ros flies more"
+        )
+    for name in (*_NETWORK, "leader"):
+        if getattr(arguments, name) is not None:
+            raise OptionError(f"{name}: --{name} is there in one process alone; add --without-ros")
+    follower, follower_class = options.follower_program(arguments.follower)
+    options.check_vehicle_ports(parse_fleet(f"{settings.kind}:{settings.n}"))
+    return DemoSettings(
+        n=settings.n,
+        type=settings.kind,
+        patterns=settings.patterns,
+        pattern_file=settings.pattern_file,
+        processes=arguments.processes.replace("-", "_"),
+        follower=follower,
+        follower_class=follower_class,
+        control=settings.control,
+        avoidance="own",
+        clearance=settings.clearance,
+        world="empty",
+        seed=settings.seed,
+        speed=settings.speed,
+        out=settings.out,
+        master_port=master_port(arguments.master_port, use_running=arguments.use_master),
+        headless=settings.headless,
+        logs=False,
+        simulator="simplified",
+        model=settings.model,
+        window=film.window,
+    )
+
+
+def _follower(text: str) -> type[Follower]:
+    _, file = options.follower_program(text)
+    return load_class(file, Follower, "follower") if file else Follower
+
+
+def _speed(wanted: float | None, *, window: bool) -> float:
+    if wanted is not None:
+        return wanted
+    return WINDOW_SPEED if window else 0.0
+
+
+def _network(arguments: argparse.Namespace) -> NetworkOptions | None:
+    given = {name: getattr(arguments, name) for name in _NETWORK if getattr(arguments, name) is not None}
+    return NetworkOptions(**given) if given else None
+
+
+def _compare(arguments: argparse.Namespace) -> bool:
+    if arguments.compare_with is not None:
+        if arguments.compare is False:
+            raise OptionError("comparison: --no-compare and --compare-with contradict each other")
+        return False
+    if arguments.compare and arguments.n > MAX_VEHICLES:
+        raise OptionError(
+            f"comparison: {arguments.n} vehicles are not allowed in full physics, {MAX_VEHICLES} at most; "
+            "leave out --compare"
+        )
+    return bool(arguments.n <= MOST_COMPARED if arguments.compare is None else arguments.compare)
+
+
+def _bag(file: Path | None) -> Path | None:
+    if file is not None and not file.is_file():
+        raise OptionError(f"comparison: {file} does not exist; flight.bag of a formation flight is needed")
+    return file
+
+
+def _film(wanted: str | None, out: Path, *, window: bool) -> Path | None:
+    """Return where the film goes, None for no film."""
+    from xtdrone_sim.simplified.view import check_film
+
+    if wanted == "none" or (wanted is None and window):
+        return None
+    if wanted is None:
+        return out / ("flight.mp4" if shutil.which("ffmpeg") else "flight.gif")
+    return check_film(Path(wanted).resolve())

@@ -1,0 +1,391 @@
+"""The formation flight on the simplified simulator: in one process, or on ROS, with film and comparison."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.leader import Leader
+from xtdrone_interaction.compare_simulators import (
+    as_data,
+    compare,
+    print_comparison,
+    save_pictures,
+    with_assignments_of,
+)
+from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
+from xtdrone_interaction.formation_demo import DemoError, DemoSettings, Interrupted, show_event, signals_raise
+from xtdrone_interaction.formation_demo import run_demo as run_ros_demo
+from xtdrone_interaction.record import FlightRecord, RecordError, read_record
+from xtdrone_interaction.report import make_report, print_report, write_report
+from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of, save_record
+
+if TYPE_CHECKING:
+    from xtdrone_coordination.network import NetworkOptions
+    from xtdrone_sim.simplified import Swarm
+
+SIMPLIFIED_TRUTH = "truth (simplified simulator, in one process)"
+FULL_TRUTH = "truth (full physics, in one process)"
+FULL_IN_PROCESS = "the same flight in full physics, in one process, with the same assignments"
+MOST_COMPARED = 50  # vehicles; of more, a comparison must be asked for
+_FILM_RATE = 15  # frames a second
+_FILM_SPEED = 8.0  # times as fast as flown
+_FLY_TIME = 0.03  # s of wall time between two pictures in the window
+_END = object()
+_MOST_TOPOLOGY_LINES = 400
+
+
+@dataclass(frozen=True)
+class FilmSettings:
+    """What is drawn of a flight.
+
+    Attributes:
+        file: .mp4, .gif or .png; None: no film.
+        window: a live window too.
+    """
+
+    file: Path | None
+    window: bool
+
+
+@dataclass(frozen=True)
+class SwarmSettings:
+    """A flight in one process.
+
+    Attributes:
+        n: number of vehicles.
+        kind: vehicle type.
+        patterns: flown in turn.
+        pattern_file: YAML with patterns of the user's own, or empty.
+        follower: the followers' class.
+        leader: the leader's class.
+        control: ``vel`` or ``accel``.
+        clearance: least height of any slot above the ground, m.
+        seed: of the network's and, in full physics, of all sensor noise.
+        speed: target real-time factor, 0 for unlimited.
+        out: folder of the results.
+        headless: plain lines instead of the live display.
+        model: ``first-order``, ``second-order``, a YAML file, or empty: the type's.
+        network: what the followers hear of each other; None: everything.
+        compare: fly the same in full physics too.
+        compare_with: a flight.bag of the same flight in the full simulator, to compare with; None: none.
+    """
+
+    n: int
+    kind: str
+    patterns: list[str]
+    pattern_file: str
+    follower: type[Follower]
+    leader: type[Leader]
+    control: str
+    clearance: float
+    seed: int
+    speed: float
+    out: Path
+    headless: bool
+    model: str
+    network: NetworkOptions | None
+    compare: bool
+    compare_with: Path | None
+
+    def stored(self) -> dict[str, Any]:
+        """Return what the report keeps of them."""
+        values = {k: v for k, v in vars(self).items() if k not in ("out", "headless", "follower", "leader", "network")}
+        values["follower"] = f"{self.follower.__module__}:{self.follower.__qualname__}"
+        values["leader"] = f"{self.leader.__module__}:{self.leader.__qualname__}"
+        values["compare_with"] = str(self.compare_with) if self.compare_with else ""
+        if self.network is not None:  # JSON has no infinity
+            values["network"] = {k: v if np.isfinite(v) else "unlimited" for k, v in asdict(self.network).items()}
+        values["simulator"] = "simplified"
+        return values
+
+
+# in one process
+
+
+def make_swarm(settings: SwarmSettings, *, full: bool, leader: type[Leader] | None = None) -> Swarm:
+    """Return the swarm of a flight, on the ground.
+
+    Args:
+        settings: of the flight.
+        full: in full physics instead of simplified.
+        leader: another leader's class than the settings'.
+
+    Raises:
+        PatternError, ModelError, FleetError, ValueError: a value that is not allowed.
+    """
+    from xtdrone_sim.simplified import Swarm
+
+    vehicles = None
+    if full:
+        from xtdrone_sim.simplified.core_vehicles import CoreVehicles  # brings pybullet along
+
+        vehicles = CoreVehicles(settings.n, kind=settings.kind, seed=settings.seed)
+    network: dict[str, Any] = {} if settings.network is None else {"network": settings.network}
+    return Swarm(
+        settings.n,
+        follower=settings.follower,
+        leader=leader or settings.leader,
+        kind=settings.kind,
+        model=settings.model or None,
+        vehicles=vehicles,
+        airborne=False,
+        pattern_file=settings.pattern_file or None,
+        follower_options={"mode": settings.control},
+        seed=settings.seed,
+        record=False,
+        **network,
+    )
+
+
+def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console) -> int:
+    """Fly in one process, and make report, pictures, film and comparison.
+
+    Returns:
+        The exit status: 0 for a good flight, 1 for one that failed or missed its figures, 128 + signal when stopped.
+    """
+    command_wall = time.time()
+    settings.out.mkdir(parents=True, exist_ok=True)
+    console.print(f"Results: {settings.out}", highlight=False, soft_wrap=True)
+    with signals_raise():
+        try:
+            record = _fly(settings, film, console)
+            save_record(record, settings.out / "flight.npz")
+            report = make_report(record, {**settings.stored(), "command_wall": command_wall})
+            return _conclude(record, report, settings, film, console)
+        except (DemoError, RecordError) as error:
+            console.print(f"[red]Error:[/red] {_escape(str(error))}", highlight=False, soft_wrap=True)
+            return 1
+        except Interrupted as signalled:
+            console.print(f"stopped by {signalled}", highlight=False)
+            return 128 + signalled.number
+
+
+def _fly(
+    settings: SwarmSettings, film: FilmSettings, console: Console, *, like: FlightRecord | None = None
+) -> FlightRecord:
+    """Fly once, showing the progress.
+
+    Args:
+        settings: of the flight.
+        film: whether there is a window.
+        console: for the progress.
+        like: fly in full physics, with the assignments of this flight.
+
+    Raises:
+        DemoError: the flight failed.
+    """
+    full = like is not None
+    swarm = make_swarm(settings, full=full, leader=None if like is None else with_assignments_of(like, settings.leader))
+    begin = "flying the same in full physics" if full else "taking off"
+    plain = settings.headless or not console.is_terminal
+    display: Display = LineDisplay(console, begin) if plain else LiveDisplay(console, begin)
+    flight = FormationFlight(
+        swarm,
+        settings.patterns,
+        clearance=settings.clearance,
+        source=FULL_TRUTH if full else SIMPLIFIED_TRUTH,
+        progress=display.update,
+        on_event=lambda event: show_event(event, display),
+    )
+    turns = flight.turns()
+    pacing = _Pacing(0.0 if full else settings.speed)
+    try:
+        if film.window and not full:
+            _show(swarm, turns, pacing)
+        for _ in turns:  # all of them, or what was left when the window was closed
+            pacing.wait(swarm.time)
+    finally:
+        display.close()
+        swarm.vehicles.close()
+    record = flight.record()
+    outcome, reason = outcome_of(record)
+    if outcome != "done":
+        raise DemoError(f"{'in full physics: ' if full else ''}{reason}")
+    return record
+
+
+class _Pacing:
+    """Holds a flight to a real-time factor; 0: none."""
+
+    def __init__(self, factor: float) -> None:
+        self._factor = factor
+        self._start: float | None = None
+
+    def ahead(self, sim_time: float) -> float:
+        """Return how long the wall clock still needs to ``sim_time`` s, s; what was lost is not made up for."""
+        if not self._factor:
+            return 0.0
+        now = time.monotonic()
+        if self._start is None or now > self._start + sim_time / self._factor:
+            self._start = now - sim_time / self._factor
+        return self._start + sim_time / self._factor - now
+
+    def wait(self, sim_time: float) -> None:
+        """Wait until the wall clock has come to ``sim_time`` s."""
+        ahead = self.ahead(sim_time)
+        if ahead > 0.0:
+            time.sleep(ahead)
+
+
+def _show(swarm: Swarm, turns: Iterator[None], pacing: _Pacing) -> None:
+    """Fly in a live window until the flight ends or the window is closed."""
+    from xtdrone_sim.simplified.view import SwarmView, Window  # brings Matplotlib along
+
+    window = Window(SwarmView(swarm.vehicles.names), f"XTDrone: {len(swarm.vehicles.names)} UAVs")
+
+    def source() -> Any:
+        """Fly on for a moment and return the state."""
+        until = time.monotonic() + _FLY_TIME
+        while not window.paused and pacing.ahead(swarm.time) <= 0.0 and time.monotonic() < until:
+            if next(turns, _END) is _END:
+                window.close()
+                break
+        return _frame_of(swarm)
+
+    window.run(source)
+
+
+def _frame_of(swarm: Swarm) -> Any:
+    leader, places = swarm.leader, swarm.true_positions
+    slots = None if leader.offsets is None else places[0] + np.vstack([np.zeros(3), leader.offsets])
+    return _frame(swarm.time, places, slots, _edges(leader.adjacency), leader.pattern)
+
+
+def _frame(sim_time: float, places: Any, slots: Any, edges: Any, pattern: str) -> Any:
+    from xtdrone_sim.simplified.view import Frame
+
+    return Frame(sim_time, places, slots, edges, pattern)
+
+
+def _edges(adjacency: Any) -> Any:
+    """Return who listens to whom, shape (e, 2); None where that is too much to be seen."""
+    if adjacency is None:
+        return None
+    edges = np.argwhere(np.asarray(adjacency) > 0)
+    return edges if len(edges) <= _MOST_TOPOLOGY_LINES else None
+
+
+# what is made of a flight
+
+
+def _conclude(
+    record: FlightRecord, report: dict[str, Any], settings: SwarmSettings, film: FilmSettings, console: Console
+) -> int:
+    from xtdrone_interaction.plots import save_plots  # matplotlib takes a while to import
+
+    print_report(report, console)
+    paths = [settings.out / "flight.npz", settings.out / "report.json", *save_plots(record, settings.out)]
+    if settings.compare or settings.compare_with:
+        full, what = _full_flight(record, settings, console)
+        paths += add_comparison(record, full, what, report, settings.out, console)
+    write_report(report, settings.out / "report.json")
+    if film.file is not None:
+        paths.append(make_film(record, film.file, console))
+    for path in paths:
+        console.print(f"  {path}", highlight=False, soft_wrap=True)
+    return 1 if report["shortcomings"] else 0
+
+
+def _full_flight(record: FlightRecord, settings: SwarmSettings, console: Console) -> tuple[FlightRecord, str]:
+    if settings.compare_with is not None:
+        return read_record(settings.compare_with), str(settings.compare_with)
+    return _fly(settings, FilmSettings(None, window=False), console, like=record), FULL_IN_PROCESS
+
+
+def add_comparison(
+    record: FlightRecord, full: FlightRecord, what: str, report: dict[str, Any], folder: Path, console: Console
+) -> list[Path]:
+    """Compare with a full flight: the table, ``report["comparison"]``, and pictures, whose paths are returned.
+
+    Raises:
+        RecordError: the two cannot be compared.
+    """
+    differences = compare(record, full)
+    print_comparison(differences, console)
+    report["comparison"] = as_data(differences, what)
+    return save_pictures(record, full, folder)
+
+
+def film_frames(record: FlightRecord, rate: float = _FILM_RATE / _FILM_SPEED) -> Iterator[Any]:
+    """Yield the flight's frames for a film, ``rate`` a simulated second."""
+    track = record.track
+    step = max(1, round(1.0 / rate / float(np.median(np.diff(track.time)))))
+    names = {round(w.start, 3): w.pattern for w in record.windows}
+    pattern, number = "", -1
+    edges = None
+    for k in range(0, len(track.time), step):
+        now, places = float(track.time[k]), track.position[k]
+        while number + 1 < len(record.patterns) and record.patterns[number + 1].time <= now:
+            number += 1
+            edges = _edges(record.topologies[number].value)
+        pattern = next((name for start, name in reversed(names.items()) if start <= now), pattern)
+        slots = None
+        if number >= 0:
+            slots = places[0] + np.vstack([np.zeros(3), record.patterns[number].value])
+        yield _frame(now, places, slots, edges, pattern)
+
+
+def make_film(record: FlightRecord, path: Path, console: Console) -> Path:
+    """Film a recorded flight, ``_FILM_SPEED`` times as fast as flown, and show how far it is drawn.
+
+    Raises:
+        FilmError: it cannot be written.
+    """
+    from xtdrone_sim.simplified.view import film
+
+    frames = list(film_frames(record))
+    return film(frames, path, _FILM_RATE, console, names=record.names)
+
+
+# on ROS
+
+
+def run_on_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, console: Console) -> int:
+    """Fly on ROS with the simplified simulator, then compare and film; see :func:`run_in_process`."""
+    status = run_ros_demo(demo, console)
+    if status not in (0, 1) or not (demo.out / "report.json").is_file():
+        return status
+    with signals_raise():
+        try:
+            return max(status, _after_ros(demo, settings, film, console))
+        except (DemoError, RecordError) as error:
+            console.print(f"[red]Error:[/red] {_escape(str(error))}", highlight=False, soft_wrap=True)
+            return 1
+        except Interrupted as signalled:
+            console.print(f"stopped by {signalled}", highlight=False)
+            return 128 + signalled.number
+
+
+def _after_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, console: Console) -> int:
+    record = read_record(demo.out / "flight.bag")
+    paths: list[Path] = []
+    if settings.compare or settings.compare_with:
+        file = demo.out / "report.json"
+        report = json.loads(file.read_text(encoding="utf-8"))
+        full, what = _full_flight(record, settings, console)
+        paths += add_comparison(record, full, what, report, demo.out, console)
+        write_report(report, file)
+    if film.file is not None:
+        paths.append(make_film(record, film.file, console))
+    for path in paths:
+        console.print(f"  {path}", highlight=False, soft_wrap=True)
+    return 0
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened, as far as the environment tells."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _escape(text: str) -> str:
+    return text.replace("[", r"\[")

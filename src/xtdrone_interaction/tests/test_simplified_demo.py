@@ -1,0 +1,144 @@
+"""The command ``demo simplified``: what is refused and how, and a whole flight in one process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from xtdrone_interaction import cli, options
+
+DEMO = ["demo", "simplified"]
+ALONE = [*DEMO, "--without-ros"]
+
+
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No window; results go into the test's folder."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--n", "1"], "'1' is not allowed; 2 to 10000"),
+        (["--n", "many"], "'many' is not allowed"),
+        (["--type", "zeppelin"], "vehicle type: 'zeppelin' is unknown; there are: "),
+        (["--patterns", "cube,heart"], "pattern 'heart' is unknown for 9 vehicles; there are: "),
+        (["--patterns", ","], "patterns: ',' is not allowed"),
+        (["--pattern-file", "/nowhere.yaml"], "pattern file /nowhere.yaml"),
+        (["--model", "third-order"], "model 'third-order' is not known; first-order, second-order"),
+        (["--model", "/nowhere.yaml"], "/nowhere.yaml"),
+        (["--speed", "nan"], "speed: 'nan' is not allowed"),
+        (["--seed", "-1"], "seed: '-1' is not allowed"),
+        (["--follower", "mine.py"], "follower: 'mine.py' is neither"),
+        (["--leader", "mine.py"], "leader: mine.py cannot be imported"),
+        (["--loss", "1.5"], "network loss: 1.5 is not allowed"),
+        (["--loss", "much"], "loss: 'much' is not a number"),
+        (["--range", "0"], "network range: 0.0 is not allowed"),
+        (["--delay", "nan"], "network delay: nan is not"),
+        (["--film", "flight.avi"], "unknown ending '.avi'"),
+        (["--film", "/nowhere/flight.gif"], "the folder /nowhere does not exist"),
+        (["--n", "300", "--compare"], "comparison: 300 vehicles are not allowed in full physics, 250 at most"),
+        (["--compare-with", "/nowhere.bag"], "comparison: /nowhere.bag does not exist"),
+    ],
+)
+def test_bad_values_are_named(
+    arguments: list[str], message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert _status([*ALONE, *arguments]) == 2
+    assert message in capfd.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--n", "300"], "'300' is not allowed on ROS, 2 to 250; --without-ros flies more"),
+        (["--loss", "0.1"], "loss: --loss is there in one process alone; add --without-ros"),
+        (["--range", "20"], "range: --range is there in one process alone; add --without-ros"),
+    ],
+)
+def test_what_ros_does_not_have_is_named(
+    arguments: list[str], message: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    assert _status([*DEMO, *arguments]) == 2
+    assert message in capfd.readouterr().err
+
+
+def _status(arguments: list[str]) -> int:
+    try:
+        return cli.main(arguments)
+    except SystemExit as error:  # argparse
+        return int(error.code or 0)
+
+
+FOLLOWER = """
+from xtdrone_coordination.follower import Follower
+
+class Brisk(Follower):
+    def control_law(self, position, peers):
+        return [1.2 * u for u in super().control_law(position, peers)]
+"""
+
+
+def test_a_flight_with_ones_own_follower(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Report, pictures, comparison and film of the last state; the class is the user's in both simulators."""
+    (tmp_path / "brisk.py").write_text(FOLLOWER)
+    out = tmp_path / "out"
+    arguments = ["--n", "6", "--patterns", "T", "--follower", "brisk.py", "--film", "last.png", "--out", str(out)]
+    assert cli.main([*ALONE, *arguments]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["outcome"] == "done"
+    assert report["settings"]["follower"] == "brisk:Brisk"
+    assert report["settings"]["simulator"] == "simplified"
+    assert [p["pattern"] for p in report["comparison"]["patterns"]] == ["origin", "T", "origin"]
+    assert 0.0 < report["comparison"]["rms"] < 0.15
+    assert (out / "comparison_1_origin_to_T.png").is_file()
+    assert (out / "formations.png").is_file()
+    assert (out / "flight.npz").is_file()
+    assert (tmp_path / "last.png").stat().st_size > 10_000
+    said = capfd.readouterr().out
+    assert "Simplified against full physics" in said
+    assert str(out / "report.json") in said
+
+
+def test_a_flight_that_misses_its_figures_ends_with_1(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "lazy.py").write_text(
+        FOLLOWER.replace("[1.2 * u for u in super().control_law(position, peers)]", "0.0, 0.0, 0.0")
+    )
+    arguments = ["--n", "6", "--patterns", "T", "--follower", "lazy.py", "--film", "none", "--no-compare"]
+    assert cli.main([*ALONE, *arguments, "--out", "out"]) == 1
+    assert "Missed: pattern 'T' did not settle" in " ".join(capfd.readouterr().out.split())
+    assert "comparison" not in json.loads((tmp_path / "out" / "report.json").read_text())
+
+
+def test_ctrl_c_ends_it_with_130(tmp_path: Path) -> None:
+    flight = subprocess.Popen(
+        [sys.executable, "-m", "xtdrone_interaction.cli", *ALONE, "--speed", "0.5", "--out", str(tmp_path / "out")],
+        stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    assert flight.stdout is not None
+    for line in flight.stdout:
+        if "take-off" in line:
+            break
+    flight.send_signal(signal.SIGINT)
+    output, _ = flight.communicate(timeout=30)
+    assert flight.returncode == 130
+    assert "stopped by SIGINT" in output
+
+
+def test_help_says_each_default_once_as_it_is_typed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main([*DEMO, "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "(default: cube,pyramid,triangle)" in said
+    assert not any(word in said for word in ("None", "False", "['"))

@@ -1,0 +1,134 @@
+"""The formation flight in one process, on simplified vehicles and in full physics."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_interaction.compare_simulators import compare, with_assignments_of
+from xtdrone_interaction.plots import save_plots
+from xtdrone_interaction.record import FlightRecord
+from xtdrone_interaction.report import make_report, write_report
+from xtdrone_interaction.swarm_flight import FormationFlight, fly_formation, outcome_of, save_record
+from xtdrone_sim.simplified import Swarm
+from xtdrone_sim.simplified.core_vehicles import CoreVehicles
+
+COUNT = 6
+PATTERNS = ["T", "diamond"]
+
+
+def fly(**options: Any) -> FlightRecord:
+    return fly_formation(Swarm(COUNT, airborne=False, record=False, **options), PATTERNS)
+
+
+@pytest.fixture(scope="module")
+def record() -> FlightRecord:
+    return fly()
+
+
+def test_a_whole_flight_gives_a_good_report(record: FlightRecord, tmp_path: Path) -> None:
+    assert outcome_of(record) == ("done", "")
+    phases = [e["phase"] for e in record.phases]
+    assert phases == [
+        "connect", "take-off", "offboard", "pattern origin", "climb", "pattern T", "move", "pattern diamond",
+        "pattern origin", "descend", "land",
+    ]  # fmt: skip
+    track = record.track
+    assert track.position.shape == (len(track.time), COUNT, 3)
+    assert np.diff(track.time).max() <= 0.036 + 1e-9  # each turn of 30 Hz
+    assert track.position[-1, :, 2].max() < 0.1
+    report = make_report(record, {"seed": 0})
+    assert report["shortcomings"] == []
+    assert [r["pattern"] for r in report["reconfigurations"]] == ["origin", *PATTERNS, "origin"]
+    assert all(r["settling_time"] < 20.0 for r in report["reconfigurations"])
+    assert report["real_time_factor"] > 0.0
+    write_report(report, tmp_path / "report.json")
+    assert json.loads((tmp_path / "report.json").read_text())["vehicles"] == [f"iris_{i}" for i in range(COUNT)]
+    assert all(path.stat().st_size > 10_000 for path in save_plots(record, tmp_path))
+    assert all(w.topology is not None for w in record.windows)
+
+
+def test_the_same_flight_twice_is_the_same_to_the_bit(record: FlightRecord) -> None:
+    again = fly()
+    np.testing.assert_array_equal(record.track.time, again.track.time)
+    np.testing.assert_array_equal(record.track.position, again.track.position)
+
+
+def test_full_physics_flies_the_same_mission_close_by(record: FlightRecord) -> None:
+    """The same classes on the same assignments; sensors' noise and GPS wander are part of the difference."""
+    vehicles = CoreVehicles(COUNT)
+    full = fly(vehicles=vehicles, leader=with_assignments_of(record, type(Swarm(COUNT).leader)))
+    vehicles.close()
+    assert outcome_of(full) == ("done", "")
+    assert full.collisions == []
+    differences = compare(record, full)
+    assert [d.pattern for d in differences] == ["origin", *PATTERNS, "origin"]
+    assert [d.reassigned for d in differences] == [0] * 4
+    assert all(0.005 < d.rms < 0.15 for d in differences)
+
+
+class Lazy(Follower):
+    """Never flies anywhere."""
+
+    def control_law(self, position: Any, peers: Any) -> tuple[float, float, float]:
+        return 0.0, 0.0, 0.0
+
+
+def test_followers_that_do_not_fly_are_missed_in_the_report() -> None:
+    record = fly_formation(Swarm(COUNT, follower=Lazy, airborne=False), ["T"])
+    assert record.events[-1]["event"] == "done"
+    assert "T" in record.events[-1]["unsettled"]
+    assert any("'T' did not settle" in text for text in make_report(record)["shortcomings"])
+
+
+class Stubborn(CoreVehicles):
+    """Its vehicle 3 does not arm."""
+
+    def command(self, index: int, text: str) -> str:
+        return "no" if index == 3 and text == "ARM" else super().command(index, text)
+
+
+def test_a_failed_flight_lands_and_says_why() -> None:
+    vehicles = Stubborn(COUNT)
+    events: list[dict[str, Any]] = []
+    progress: list[dict[str, Any]] = []
+    record = fly_formation(Swarm(COUNT, vehicles=vehicles), PATTERNS, on_event=events.append, progress=progress.append)
+    outcome, reason = outcome_of(record)
+    assert outcome == "failed"
+    assert "iris_3 (disarmed" in reason
+    assert "did not arm within" in reason
+    assert not any(vehicles.armed)
+    assert events == record.events
+    assert progress[0]["steps"] == 11
+    vehicles.close()
+
+
+def test_unknown_patterns_are_refused() -> None:
+    with pytest.raises(PatternError, match="'heart' is unknown for 6 vehicles"):
+        fly_formation(Swarm(COUNT, airborne=False), ["heart"])
+
+
+def test_turn_by_turn(record: FlightRecord) -> None:
+    """A window flies the same flight in pieces."""
+    flight = FormationFlight(Swarm(COUNT, airborne=False, record=False), PATTERNS)
+    turns = flight.turns()
+    for _ in range(100):
+        next(turns)
+    assert flight.mission.phase == "take-off"
+    part = flight.record().track
+    np.testing.assert_array_equal(part.position, record.track.position[: len(part.time)])
+
+
+def test_the_saved_record_has_what_was_flown(record: FlightRecord, tmp_path: Path) -> None:
+    save_record(record, tmp_path / "flight.npz")
+    with np.load(tmp_path / "flight.npz") as saved:
+        np.testing.assert_array_equal(saved["position"], record.track.position)
+        assert saved["names"].tolist() == list(record.names)
+        assert saved["offsets"].shape == (4, COUNT - 1, 3)
+        assert saved["topology"].shape == (4, COUNT, COUNT)
