@@ -266,8 +266,23 @@ def test_leader_passes_flight_commands_and_ignores_the_keyboards_idling() -> Non
 
 
 def test_leader_refuses_the_unknown_and_lists_patterns() -> None:
-    with pytest.raises(CommandError, match=r"'sphere'.*origin, cube, pyramid, triangle"):
-        Leader(9).on_command("sphere")
+    with pytest.raises(CommandError, match=r"'cuboid'.*origin, cube, pyramid, triangle, .*text:WORDS"):
+        Leader(9).on_command("cuboid")
+
+
+def test_leader_takes_shapes_with_arguments_as_commands() -> None:
+    leader = Leader(9)
+    assert leader.on_command("text:XTD:spacing=2.5") is None
+    assert leader.pattern == "text:XTD:spacing=2.5"
+    assert leader.offsets is not None
+    for text, message in (
+        ("text", "leader: pattern 'text': text needs WORDS"),
+        ("circle:spacing=0", "leader: pattern 'circle:spacing=0': spacing: '0' is not allowed"),
+        ("cloud:/nowhere.xyz", "leader: pattern 'cloud:/nowhere.xyz': cloud /nowhere.xyz: No such file"),
+    ):
+        with pytest.raises(CommandError, match=message):
+            leader.on_command(text)
+    assert leader.pattern == "text:XTD:spacing=2.5", "the old pattern stays"
 
 
 def test_leader_does_not_assign_anew_for_a_repeated_name() -> None:

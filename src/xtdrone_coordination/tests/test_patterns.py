@@ -99,3 +99,53 @@ def test_bad_files_are_explained(tmp_path: Path, text: str, message: str) -> Non
 def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(PatternError, match=r"nowhere\.yaml"):
         Patterns(3, tmp_path / "nowhere.yaml")
+
+
+def test_nothing_is_made_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    from xtdrone_coordination import patterns as module
+
+    made: list[str] = []
+    for name, generate in module._GENERATED.items():
+        monkeypatch.setitem(
+            module._GENERATED, name, lambda count, name=name, generate=generate: made.append(name) or generate(count)
+        )
+    patterns = Patterns(1000)
+    assert "cube" in patterns
+    assert "cube" in patterns.describe()
+    assert made == []
+    patterns.offsets("cube")
+    patterns.offsets("cube")
+    assert made == ["cube"]
+
+
+@pytest.mark.parametrize("count", [2, 3, 10, 300])
+@pytest.mark.parametrize("kind", ["random", "lattice", "line", "plane", "twins", "clusters"])
+def test_least_separation_is_that_of_all_pairs(count: int, kind: str) -> None:
+    rng = np.random.default_rng(count)
+    offsets = rng.uniform(-20.0, 20.0, (count - 1, 3))
+    if kind == "lattice":
+        offsets = np.round(offsets) + 0.25
+    elif kind == "line":
+        offsets[:, 1:] = 0.0
+    elif kind == "plane":  # across the line along which points are put in order
+        offsets -= np.outer(offsets @ [0.7834, 0.5283, 0.3271], [0.7834, 0.5283, 0.3271])
+    elif kind == "twins":
+        offsets[-1] = 1e-3
+    elif kind == "clusters":
+        offsets = np.round(offsets / 20.0) * 1000.0 + 0.01 * offsets
+    points = np.vstack([np.zeros(3), offsets])
+    pairs = np.linalg.norm(points[:, None] - points[None], axis=-1)[np.triu_indices(count, 1)]
+    assert least_separation(offsets) == pairs.min()
+
+
+def test_large_patterns_are_checked_without_all_pairs() -> None:
+    import tracemalloc
+
+    from xtdrone_coordination.patterns import check_offsets
+
+    offsets = Patterns(5000).offsets("cube")
+    tracemalloc.start()
+    check_offsets(offsets, 5000, "large")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2_000_000, "all pairs would be 600 MB"

@@ -161,12 +161,16 @@ class Leader:
         """Take a command: choose the pattern of that name, or return it to be passed on to vehicle 0 once.
 
         Raises:
-            CommandError: no pattern and no flight command, or the pattern would reach below ``min_height``.
+            CommandError: no pattern and no flight command, a pattern asked for wrongly (as a cloud's file that is not
+                there), or one that would reach below ``min_height``.
         """
         if text in ("", "stop controlling", NO_PATTERN):
             return None
         if text in self.patterns:
-            self.choose(text)
+            try:
+                self.choose(text)
+            except PatternError as error:
+                raise CommandError(f"leader: {error}") from error
             return None
         mission = text.startswith("mission") and len(text) == len("mission?")
         if text in OWN_COMMANDS or text in PX4_MODES or text.startswith("AUTO.") or mission:

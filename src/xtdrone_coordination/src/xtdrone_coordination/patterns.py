@@ -2,13 +2,29 @@
 
 A pattern for N vehicles is an array of shape (N-1, 3): metres, ENU, row k for slot k+1; the leader (vehicle 0) is at
 the origin. XTDrone's own patterns for 6, 9 and 18 vehicles are data (``config/patterns.yaml``); ``origin``, ``cube``,
-``pyramid`` and ``triangle`` are generated for every other number, so that any swarm can fly them.
+``pyramid`` and ``triangle`` are generated for every other number, so that any swarm can fly them. So are the shapes of
+``shapes``. What may be asked for, everywhere where a pattern is named::
+
+    NAME                  a pattern of XTDrone or of the user's file; origin, cube, pyramid, triangle;
+                          grid, circle, sphere (level, level, below the leader; 3 m apart)
+    text:WORDS            upright letters, to be read from the south (-y); 2 m apart
+    cloud:FILE            the points of a file: .ply, .npy, or text as .xyz and .csv; 2 m apart
+
+    ...:spacing=METRES    as large as makes the least distance of two vehicles this, with every pattern
+    ...:font=FILE         the text's font, TrueType or OpenType; else DejaVu Sans
+
+as in ``circle``, ``sphere:spacing=5``, ``text:XTD``, ``text:12:30:spacing=2.5``, ``cloud:/data/bunny.ply``. Options
+begin with a colon, their name and ``=``; what lies before them, colons included, is the text or the file. Lists of
+patterns have commas between, so that none can stand in a text or a file's name there.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +35,9 @@ from numpy.typing import NDArray
 Offsets = NDArray[np.float64]
 
 MIN_SEPARATION = 0.5  # m between any two slots: closer vehicles touch
-PITCH = 3.0  # m, of the spawn grid
+MAX_SPACING = 1000.0  # m
+PITCH = 3.0  # m, of the spawn grid, and the least distance in grid, circle and sphere
+DENSE_PITCH = 2.0  # m, the least distance in letters and clouds
 
 
 class PatternError(ValueError):
@@ -27,14 +45,14 @@ class PatternError(ValueError):
 
 
 class Patterns:
-    """The patterns of one swarm.
+    """The patterns of one swarm; each is made when it is asked for, and kept.
 
     Attributes:
         count: number of vehicles N, the leader included.
     """
 
     def __init__(self, count: int, file: str | Path | None = None) -> None:
-        """Collect XTDrone's patterns for ``count`` vehicles, those of a user's file and the generated ones.
+        """Collect XTDrone's patterns for ``count`` vehicles and those of a user's file.
 
         Args:
             count: N, at least 2.
@@ -46,35 +64,126 @@ class Patterns:
         if count < 2:
             raise PatternError(f"number of vehicles: {count} is not allowed, a formation has at least 2")
         self.count = count
-        self._tables = read_patterns(shipped_file(), count)
+        self._tables = dict(_shipped_patterns(count))
         if file is not None:
             self._tables.update(read_patterns(Path(file), count))
-        for name, generate in _GENERATED.items():
-            if name not in self._tables:
-                self._tables[name] = generate(count)
+        self._made: dict[str, Offsets] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the patterns, XTDrone's first, in the order of the keyboard's digits."""
-        return tuple(self._tables)
+        """Names of the patterns that need no more than their name, XTDrone's first, as the keyboard's digits."""
+        return tuple(dict.fromkeys([*self._tables, *_GENERATED, *_SHAPES]))
 
     def offsets(self, name: str) -> Offsets:
         """Return a copy of the slots of pattern ``name``, shape (N-1, 3), m ENU from the leader.
 
+        Args:
+            name: as the module's head says.
+
         Raises:
-            PatternError: there is no such pattern for this number of vehicles.
+            PatternError: there is no such pattern for this number of vehicles, or it is asked for wrongly.
         """
-        if name not in self._tables:
-            raise PatternError(f"pattern {name!r} is unknown for {self.count} vehicles; there are: {self.describe()}")
-        return self._tables[name].copy()
+        if name not in self._made:
+            self._made[name] = self._make(name)
+        return self._made[name].copy()
 
     def describe(self) -> str:
-        """Return the names as one line of text."""
-        return ", ".join(self._tables)
+        """Return what there is as one line of text."""
+        return ", ".join([*self.names, *(f"{name}:{needed}" for name, needed in _ARGUMENTS.items())])
 
     def __contains__(self, name: str) -> bool:
-        """Return whether there is a pattern of this name."""
-        return name in self._tables
+        """Return whether there is a pattern of this name; what follows a colon is not looked at."""
+        kind = name.partition(":")[0]
+        return any(kind in there for there in (self._tables, _GENERATED, _SHAPES, _ARGUMENTS)) or name in self._tables
+
+    def _make(self, name: str) -> Offsets:
+        if name in self._tables:
+            return self._tables[name]
+        if name not in self:
+            raise PatternError(f"pattern {name!r} is unknown for {self.count} vehicles; there are: {self.describe()}")
+        try:
+            request = parse_name(name)
+            return self._shape(request)
+        except PatternError as error:
+            raise PatternError(f"pattern {name!r}: {error}") from error
+
+    def _shape(self, request: Request) -> Offsets:
+        kind, spacing = request.kind, request.spacing
+        if kind in self._tables or kind in _GENERATED:
+            offsets = self._tables[kind] if kind in self._tables else _GENERATED[kind](self.count)
+            return offsets if spacing is None else rescaled(offsets, spacing)
+        from xtdrone_coordination import shapes  # a follower never needs it
+
+        if kind in _SHAPES:
+            make: Callable[[int, float], Offsets] = getattr(shapes, kind)
+            return make(self.count, PITCH if spacing is None else spacing)
+        spacing = DENSE_PITCH if spacing is None else spacing
+        if kind == "cloud":
+            return shapes.cloud(self.count, spacing, request.argument)
+        return shapes.text(self.count, spacing, request.argument, request.font)
+
+
+@dataclass(frozen=True)
+class Request:
+    """A pattern's name taken apart.
+
+    Attributes:
+        kind: what stands before the first colon.
+        argument: words of a text, file of a cloud; else empty.
+        spacing: least distance of two vehicles, m; None when it was not given.
+        font: file of a text's font; None when it was not given.
+    """
+
+    kind: str
+    argument: str = ""
+    spacing: float | None = None
+    font: str | None = None
+
+    def __str__(self) -> str:
+        """Return the name."""
+        parts = [self.kind, *([self.argument] if self.argument else [])]
+        parts += [f"font={self.font}"] if self.font is not None else []
+        parts += [f"spacing={self.spacing:g}"] if self.spacing is not None else []
+        return ":".join(parts)
+
+
+def parse_name(name: str) -> Request:
+    """Take a pattern's name apart; whether there is such a pattern is not looked at.
+
+    Raises:
+        PatternError: an argument or an option that is missing, unknown or not allowed.
+    """
+    kind, *parts = name.split(":")
+    first = 1 if kind in _ARGUMENTS else 0  # the argument may look like an option
+    begin = next((i for i in range(first, len(parts)) if _OPTION.match(parts[i])), len(parts))
+    argument = ":".join(parts[:begin])
+    if kind in _ARGUMENTS and not argument:
+        raise PatternError(f"{kind} needs {_ARGUMENTS[kind]}, as {kind}:{_EXAMPLES[kind]}")
+    if kind not in _ARGUMENTS and parts[:begin]:
+        raise PatternError(f"{argument!r} is not allowed after {kind}, only spacing=METRES is")
+    given: dict[str, str] = {}
+    for part in parts[begin:]:
+        if _OPTION.match(part):
+            option, _, value = part.partition("=")
+            given[option] = value
+        else:  # a colon within a value
+            given[option] += f":{part}"
+    allowed = ("spacing", "font") if kind == "text" else ("spacing",)
+    for option in given:
+        if option not in allowed:
+            raise PatternError(f"option {option!r} is unknown for {kind}; there are: {', '.join(allowed)}")
+    spacing = _spacing(given["spacing"]) if "spacing" in given else None
+    return Request(kind, argument, spacing, given.get("font"))
+
+
+def _spacing(value: str) -> float:
+    try:
+        spacing = float(value)
+    except ValueError:
+        spacing = math.nan
+    if not MIN_SEPARATION <= spacing <= MAX_SPACING:
+        raise PatternError(f"spacing: {value!r} is not allowed, {MIN_SEPARATION} to {MAX_SPACING:g} m")
+    return spacing
 
 
 def shipped_file() -> Path:
@@ -85,6 +194,11 @@ def shipped_file() -> Path:
     import rospkg  # only an installed package needs it
 
     return Path(rospkg.RosPack().get_path("xtdrone_coordination")) / "config" / "patterns.yaml"
+
+
+@lru_cache(maxsize=16)
+def _shipped_patterns(count: int) -> Mapping[str, Offsets]:
+    return read_patterns(shipped_file(), count)
 
 
 def read_patterns(file: Path, count: int) -> dict[str, Offsets]:
@@ -135,10 +249,34 @@ def check_offsets(rows: Any, count: int, name: str) -> Offsets:
 
 
 def least_separation(offsets: Offsets) -> float:
-    """Return the least distance in metres between any two vehicles of a pattern, the leader at the origin included."""
+    """Return the least distance in metres between any two vehicles of a pattern, the leader at the origin included.
+
+    The vehicles are put in order along a line that is oblique to all usual lattices; each is compared with the next,
+    the next but one, ..., until along the line all are farther apart than the nearest two found so far.
+    """
     points = with_leader(offsets)
-    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    return float(distances[np.triu_indices(len(points), 1)].min())
+    along = points @ _OBLIQUE
+    order = np.argsort(along, kind="stable")
+    points, along = points[order], along[order]
+    first = np.arange(len(points))
+    least = math.inf
+    for step in range(1, len(points)):
+        first = first[first < len(points) - step]
+        first = first[along[first + step] - along[first] <= least * _ROUNDING]
+        if not len(first):
+            break
+        distances = np.linalg.norm(points[first + step] - points[first], axis=1)
+        least = min(least, float(distances.min()))
+    return least
+
+
+_OBLIQUE = np.array([0.7834, 0.5283, 0.3271])  # about a unit vector, and shorter rather than longer
+_ROUNDING = 1.0 + 1e-9
+
+
+def rescaled(offsets: Offsets, spacing: float) -> Offsets:
+    """Return the same pattern in the size that puts its nearest two vehicles ``spacing`` metres apart."""
+    return offsets * (spacing / least_separation(offsets))
 
 
 def with_leader(offsets: Offsets) -> Offsets:
@@ -198,3 +336,8 @@ _GENERATED: dict[str, Callable[[int], Offsets]] = {
     "pyramid": _pyramid,
     "triangle": _triangle,
 }
+
+_SHAPES = ("grid", "circle", "sphere")  # functions of shapes with nothing but a number and a spacing
+_ARGUMENTS = {"text": "WORDS", "cloud": "FILE"}
+_EXAMPLES = {"text": "XTD", "cloud": "/data/points.ply"}
+_OPTION = re.compile(r"[a-z_]+=")

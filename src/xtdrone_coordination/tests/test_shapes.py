@@ -1,0 +1,252 @@
+"""Shapes for any number of vehicles."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xtdrone_coordination import shapes
+from xtdrone_coordination.patterns import PatternError, Patterns, least_separation, parse_name, with_leader
+
+COUNTS = [*range(2, 34), 57, 100, 333, 1000, 1001]
+
+
+def bumpy_cloud(count: int) -> np.ndarray:
+    """A torus with noise, shape (count, 3); its unit is no metre."""
+    rng = np.random.default_rng(3)
+    u, v = rng.uniform(0.0, 2.0 * np.pi, (2, count))
+    radius = 0.05 + 0.02 * np.cos(v)
+    return np.stack([radius * np.cos(u), radius * np.sin(u), 0.02 * np.sin(v)], axis=1) + 7.0
+
+
+@pytest.fixture(scope="module")
+def torus(tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp("cloud") / "torus.npy"
+    np.save(file, bumpy_cloud(4000))
+    return str(file)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_every_shape_fits_any_swarm(count: int, torus: str) -> None:
+    names = {
+        "grid": 3.0, "circle": 3.0, "sphere": 3.0, "sphere:spacing=4.5": 4.5, "text:XTD": 2.0, "text:i % Ä": 2.0,
+        "text:.:spacing=3": 3.0, f"cloud:{torus}": 2.0, f"cloud:{torus}:spacing=10": 10.0, "cube:spacing=4": 4.0,
+    }  # fmt: skip
+    if count == 18:
+        del names["sphere"]  # it has XTDrone's own
+    patterns, again = Patterns(count), Patterns(count)
+    for name, spacing in names.items():
+        assert name in patterns
+        offsets = patterns.offsets(name)
+        assert offsets.shape == (count - 1, 3), name
+        assert np.isfinite(offsets).all(), name
+        assert least_separation(offsets) == pytest.approx(spacing, rel=1e-9), name
+        assert np.array_equal(offsets, again.offsets(name)), f"{name}: not the same twice"
+
+
+@pytest.mark.parametrize("count", [9, 30, 200, 1000])
+def test_shapes_are_what_they_are_called(count: int) -> None:
+    patterns = Patterns(count)
+    grid = with_leader(patterns.offsets("grid"))
+    assert np.allclose(grid / 3.0, np.round(grid / 3.0))
+    assert (grid[:, 2] == 0.0).all()
+    assert np.linalg.norm(grid, axis=1).max() < 1.2 * 3.0 * np.sqrt(count / 2.0), "no square around the leader"
+    circle = with_leader(patterns.offsets("circle"))
+    radius = np.linalg.norm(circle - circle.mean(axis=0), axis=1)
+    assert np.ptp(radius) < 1e-6
+    assert circle[:, 0].max() == 0.0, "the leader is ahead"
+    gaps = np.linalg.norm(circle - np.roll(circle, 1, axis=0), axis=1)
+    assert np.ptp(gaps) < 1e-6
+    sphere = with_leader(patterns.offsets("sphere"))
+    assert sphere[:, 2].max() == 0.0, "the leader is on top"
+    system = np.c_[2.0 * sphere, np.ones(count)]  # |p|^2 = 2 c p + r^2 - |c|^2
+    residual = np.linalg.lstsq(system, (sphere**2).sum(axis=1), rcond=None)[1]
+    assert residual[0] < 1e-9 * count * np.ptp(sphere) ** 4
+    distances = np.linalg.norm(sphere[:, None] - sphere[None], axis=-1) + np.diag(np.full(count, np.inf))
+    nearest = distances.min(axis=1)
+    assert nearest.max() < 1.6 * nearest.min(), "not evenly covered"
+
+
+def test_letters_stand_upright_below_the_leader() -> None:
+    text = with_leader(Patterns(30).offsets("text:L"))
+    assert (text[:, 1] == 0.0).all()
+    assert text[:, 2].max() <= 0.1 * np.ptp(text[:, 2])
+    x, z = text[:, 0] - text[:, 0].min(), text[:, 2] - text[:, 2].min()
+    upright, foot = x < 0.25 * x.max(), z < 0.25 * z.max()
+    assert (upright | foot).all(), "an L has an upright on its left and a foot"
+    assert upright.sum() > 10
+    assert foot.sum() > 5
+
+
+def test_letters_follow_each_other_to_the_right() -> None:
+    one, two = Patterns(200).offsets("text:I-"), Patterns(200).offsets("text:-I")
+    for offsets, left in ((one, True), (two, False)):
+        x, z = with_leader(offsets)[:, 0], with_leader(offsets)[:, 2]
+        foot = z < 0.9 * z.min()  # of the I alone
+        assert bool(x[foot].mean() < x.mean()) is left
+
+
+def test_many_vehicles_fill_the_letters_and_few_line_them() -> None:
+    few, many = (with_leader(Patterns(n).offsets("text:I")) for n in (8, 1000))
+    assert np.ptp(few[:, 0]) == pytest.approx(0.0, abs=1e-9)
+    assert len(np.unique(many[:, 0].round(1))) > 10
+
+
+def test_a_hole_stays_open() -> None:
+    ring = with_leader(Patterns(1000).offsets("text:O"))
+    middle = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
+    assert np.linalg.norm(ring - middle, axis=1).min() > 0.2 * np.ptp(ring[:, 2])
+
+
+def test_a_font_of_ones_own() -> None:
+    import matplotlib
+
+    bold = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans-Bold.ttf"
+    patterns = Patterns(100)
+    assert not np.allclose(patterns.offsets(f"text:A:font={bold}"), patterns.offsets("text:A"))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("text", "text needs WORDS, as text:XTD"),
+        ("text:", "text needs WORDS"),
+        ("text: ", "1 to 100 printable"),
+        ("text:a\nb", "1 to 100 printable"),
+        ("text:" + "x" * 101, "1 to 100 printable"),
+        ("text:漢字", "has no 漢 字"),
+        ("text:A:font=/nowhere.ttf", "font /nowhere.ttf: No such file"),
+        ("text:A:font=/etc/passwd", "font /etc/passwd: .*unknown file format"),
+        ("text:A:fnt=/x.ttf", "option 'fnt' is unknown for text; there are: spacing, font"),
+        ("circle:7", "'7' is not allowed after circle"),
+        ("circle:font=x", "option 'font' is unknown for circle; there are: spacing"),
+        ("sphere:spacing=nan", "spacing: 'nan' is not allowed, 0.5 to 1000 m"),
+        ("sphere:spacing=0.4", "spacing: '0.4'"),
+        ("sphere:spacing=", "spacing: ''"),
+        ("sphere:spacing=3:4", "spacing: '3:4'"),
+        ("cube:spacing=-2", "spacing: '-2'"),
+        ("cloud", "cloud needs FILE"),
+        ("cloud:/nowhere.ply", "cloud /nowhere.ply: No such file"),
+        ("cloud:/", "cloud /: Is a directory"),
+        ("heart", "pattern 'heart' is unknown for 9 vehicles.*circle.*text:WORDS, cloud:FILE"),
+        ("heart:spacing=2", "pattern 'heart:spacing=2' is unknown for 9"),
+    ],
+)
+def test_wrong_names_are_explained(name: str, message: str) -> None:
+    with pytest.raises(PatternError, match=message):
+        Patterns(9).offsets(name)
+
+
+def test_names_are_taken_apart() -> None:
+    request = parse_name("text:12:30 a=b:font=/a:b.ttf:spacing=2.5")
+    assert (request.kind, request.argument, request.font, request.spacing) == ("text", "12:30 a=b", "/a:b.ttf", 2.5)
+    assert str(request) == "text:12:30 a=b:font=/a:b.ttf:spacing=2.5"
+    assert parse_name("text:x=1").argument == "x=1", "the argument may look like an option"
+
+
+def test_xtdrones_own_sphere_stays_and_can_be_stretched() -> None:
+    patterns = Patterns(18)
+    assert patterns.offsets("sphere")[3].tolist() == [12.0, 0.0, 0.0]
+    assert np.allclose(patterns.offsets("sphere:spacing=9"), patterns.offsets("sphere") * 9 / 4.592, rtol=1e-3)
+
+
+# clouds
+
+PLACES = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.5], [0.0, 2.0, 0.25], [4.0, 4.0, 4.0]]
+
+
+def ply(order: str, rows: bytes, count: int = 4, before: str = "") -> bytes:
+    header = (
+        f"ply\nformat {order} 1.0\ncomment made by hand\n{before}element vertex {count}\nproperty uchar red\n"
+        "property float x\nproperty double y\nproperty float32 z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return header.encode() + rows
+
+
+def packed(byte_order: str) -> bytes:
+    return b"".join(struct.pack(f"{byte_order}Bfdf", 255, *row) for row in PLACES) + b"\x03" + bytes(12)
+
+
+TEXT_ROWS = "".join(f"255 {x} {y} {z}\n" for x, y, z in PLACES).encode() + b"3 0 1 2\n"
+FILES = {
+    "a.ply": ply("ascii", TEXT_ROWS),
+    "crlf.ply": ply("ascii", TEXT_ROWS).replace(b"\n", b"\r\n"),
+    "little.ply": ply("binary_little_endian", packed("<")),
+    "big.PLY": ply("binary_big_endian", packed(">")),
+    "a.xyz": b"# a remark\n0 0 0\n1 0 .5 \n\n0\t2 0.25 # here\n  4 4 4 99\n",
+    "a.csv": b"x,y,z,intensity\n0,0,0,1\n1, 0, 0.5,1\n0,2,0.25,1\n4,4,4,1\n",
+    "semicolon.csv": b"0;0;0\n1;0;.5\n0;2;.25\n4;4;4\n",
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_clouds_are_read(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(FILES[name])
+    assert shapes.read_cloud(tmp_path / name).tolist() == PLACES
+    offsets = Patterns(4).offsets(f"cloud:{tmp_path / name}")
+    points = with_leader(offsets)
+    scale = 2.0 / np.linalg.norm(np.array(PLACES[1]) - PLACES[0])
+    wanted = scale * (np.array(PLACES) - PLACES[3])  # the highest is the leader
+    assert np.allclose(sorted(points.tolist()), sorted(wanted.tolist()))
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.ply", b"solid", "no PLY file"),
+        ("a.ply", ply("ascii", b"255 0 0 0\n"), "ends before its 4 vertices of 4 numbers"),
+        ("a.ply", ply("binary_little_endian", packed("<")[:40]), "ends before its 4 vertices of 17 bytes"),
+        ("a.ply", ply("morse", b""), "no format that is known"),
+        ("a.ply", ply("ascii", b"", before="element face 3\nproperty list uchar int i\n"), "'face' stands before"),
+        ("a.ply", ply("ascii", TEXT_ROWS).replace(b"float x", b"float w"), "red, w, y, z; x, y and z are needed"),
+        ("a.ply", ply("ascii", TEXT_ROWS).replace(b"double y", b"list uchar int y"), "is not allowed of a vertex"),
+        ("a.ply", ply("ascii", TEXT_ROWS.replace(b"4.0 4.0", b"4.0 north")), "north"),
+        ("a.xyz", b"0 0 0\n1 2\n", "line 2: '1 2' does not begin with three numbers"),
+        ("a.xyz", b"0 0 0\n1 nan 2\n", r"point 1 is \[1.0, nan, 2.0\]"),
+        ("a.xyz", b"\xff\xfe\x00", "cloud .*a.xyz"),
+        ("a.csv", b"x,y,z\n", "has no points"),
+        ("a.npy", b"", "cloud .*a.npy"),
+        ("a.xyz", b"0 0 0\n1 1 1\n0 0 0\n", "2 different points, 3 vehicles need at least 3"),
+    ],
+)
+def test_bad_clouds_are_explained(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(PatternError, match=message):
+        Patterns(3).offsets(f"cloud:{tmp_path / name}")
+
+
+@pytest.mark.parametrize("values", [np.zeros(3), np.zeros((3, 2)), np.array([["a", "b", "c"]])])
+def test_arrays_of_another_shape_are_refused(tmp_path: Path, values: np.ndarray) -> None:
+    np.save(tmp_path / "a.npy", values)
+    with pytest.raises(PatternError, match=r"\(points, 3\) of numbers is needed"):
+        Patterns(3).offsets(f"cloud:{tmp_path / 'a.npy'}")
+
+
+def test_a_cloud_is_covered_as_a_whole(torus: str) -> None:
+    points = shapes.read_cloud(Path(torus))
+    chosen = points[shapes.farthest(points, 200)]
+    distances = np.linalg.norm(points[:, None] - chosen[None], axis=-1).min(axis=1)
+    between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)[np.triu_indices(200, 1)]
+    assert distances.max() <= between.min() + 1e-12, "each choice was the farthest point"
+
+
+def test_a_large_cloud_is_thinned_first(tmp_path: Path) -> None:
+    np.save(tmp_path / "large.npy", bumpy_cloud(120_000))
+    name = f"cloud:{tmp_path / 'large.npy'}"
+    assert np.array_equal(Patterns(50).offsets(name), Patterns(50).offsets(name))
+
+
+def test_followers_load_neither_matplotlib_nor_scipy() -> None:
+    code = (
+        "import sys; from xtdrone_coordination.follower import Follower; from xtdrone_coordination.patterns import *;"
+        "Follower(1, 500).on_pattern(Patterns(500).offsets('sphere'));"
+        "print({'scipy', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "set()"
