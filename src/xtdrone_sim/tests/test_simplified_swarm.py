@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import xtdrone_sim
+from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import CommandError, Leader
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_sim.simplified import Model, Swarm
+from xtdrone_sim.simplified import Model, NetworkOptions, Swarm
+from xtdrone_sim.simplified.benchmark import measure
 from xtdrone_sim.simplified.simplified_vehicles import SimplifiedVehicles
 
 
@@ -130,6 +134,8 @@ def test_acceleration_mode_settles():
         ({"follower_options": 3}, TypeError, "FollowerOptions"),
         ({"leader_options": {"avoid": "maybe"}}, ValueError, "maybe"),
         ({"vehicles": SimplifiedVehicles(3)}, ValueError, "3 are given"),
+        ({"network": {"loss": 2.0}}, ValueError, "loss"),
+        ({"network": {"lossy": 0.1}}, ValueError, "lossy is not known"),
     ],
 )
 def test_bad_input(options, error, words):
@@ -146,3 +152,61 @@ def test_bad_steering_and_patterns():
         swarm.choose("nonsense")
     with pytest.raises(ValueError, match="seconds"):
         swarm.run(-1.0)
+
+
+def test_together_is_one_by_one_to_the_last_bit():
+    class Alone(Follower):
+        def update(self):
+            return super().update()
+
+    flights = []
+    for cls in (Follower, Alone):
+        swarm = Swarm(12, follower=cls)
+        swarm.choose("cube")
+        swarm.run(3.0)
+        swarm.steer((0.5, 0.2, 0.1), 0.2)
+        swarm.run(3.0)
+        swarm.choose("triangle")
+        swarm.run(3.0)
+        flights.append(swarm.record.positions.tobytes())
+    assert flights[0] == flights[1]
+
+
+def test_a_network_delays_and_repeats_by_its_seed():
+    ends = []
+    for seed, options in ((1, {"loss": 0.7}), (1, {"loss": 0.7}), (2, {"loss": 0.7}), (1, {})):
+        swarm = Swarm(9, network=options, seed=seed)
+        swarm.choose("cube")
+        swarm.run(4.0)
+        ends.append(swarm.record.positions.tobytes())
+        swarm.restart()
+        swarm.choose("cube")
+        swarm.run(4.0)
+        assert swarm.record.positions.tobytes() == ends[-1]
+    assert ends[0] == ends[1]
+    assert len(set(ends)) == 3
+    assert ends[3] == ideal_end()
+    deaf = Swarm(9, network=NetworkOptions(range=0.5))
+    deaf.choose("cube")
+    deaf.run(4.0)
+    assert np.abs(deaf.velocities).max() < 1e-6
+
+
+def ideal_end() -> bytes:
+    swarm = Swarm(9)
+    swarm.choose("cube")
+    swarm.run(4.0)
+    return swarm.record.positions.tobytes()
+
+
+def test_the_benchmark_measures():
+    figures = measure(9, 0.05, repeats=1)
+    assert figures["vehicles"] == 9
+    assert figures["real_time_factor"] * figures["microseconds_per_vehicle_turn"] == pytest.approx(1e6 / 270.0)
+
+
+def test_the_example_is_a_follower_for_all():
+    path = Path(xtdrone_sim.__file__).parents[2] / "examples" / "thousand.py"
+    swarm = Swarm(9, follower=load_class(str(path), Follower))
+    swarm.choose("cube")
+    assert swarm.run_until(settled=0.1)

@@ -183,7 +183,8 @@ def capture(v):
     """Make the present place the set-point: HOVER."""
     v.kind = POSITION
     v.hovering = 1
-    v.sp_yaw = math.nan
+    w, z = math.cos(0.5 * v.yaw), math.sin(0.5 * v.yaw)
+    v.sp_yaw = math.atan2(2.0 * w * z, w * w - z * z)  # by a quaternion, as in ROS: equal to the last bit
     v.sp_yaw_rate = 0.0
     for k in range(3):
         v.setpoint[k] = v.position[k]

@@ -176,9 +176,9 @@ class SimplifiedVehicles:
         """
         if kind not in _KINDS:
             raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
-        if np.shape(vectors) != self.position.shape or np.shape(given) != self.yaw.shape:
+        if vectors.shape != self.position.shape or given.shape != self.yaw.shape:
             raise ValueError(
-                f"set-points: shapes {np.shape(vectors)} and {np.shape(given)} are not allowed, "
+                f"set-points: shapes {vectors.shape} and {given.shape} are not allowed, "
                 f"{self.position.shape} and {self.yaw.shape}"
             )
         bad = set_many(self._vehicles, kind, vectors, given, self._dead_zone, HOVER_YAW_RATE)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,9 +28,11 @@ from scipy.spatial import cKDTree
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
 from xtdrone_coordination.leader import Leader, LeaderOptions
+from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_coordination.swarm import SwarmState
 
+from .crew import Apart, Crew, Together
 from .flight_record import Choice, Record
 from .model import Model
 from .simplified_vehicles import SimplifiedVehicles, spawn_places
@@ -37,7 +40,7 @@ from .vehicles import ACCELERATION, VELOCITY, Array, Vehicles
 
 SETTLED = 0.15  # m
 
-_Options = TypeVar("_Options", FollowerOptions, LeaderOptions)
+_Options = TypeVar("_Options", FollowerOptions, LeaderOptions, NetworkOptions)
 _LOG = logging.getLogger(__name__)
 
 
@@ -67,6 +70,7 @@ class Swarm:
         pattern_file: str | Path | None = None,
         follower_options: FollowerOptions | Mapping[str, Any] | None = None,
         leader_options: LeaderOptions | Mapping[str, Any] | None = None,
+        network: NetworkOptions | Mapping[str, Any] | None = None,
         seed: int = 0,
         record: bool = True,
     ) -> None:
@@ -87,7 +91,8 @@ class Swarm:
             pattern_file: YAML file with patterns of one's own.
             follower_options: settings, or those that differ from the defaults by name.
             leader_options: likewise.
-            seed: of all that is random.
+            network: how the vehicles hear each other, likewise; ideally if None.
+            seed: of all that is random, 0 or more.
             record: whether to keep the flight in :attr:`record`.
 
         Raises:
@@ -113,13 +118,17 @@ class Swarm:
         self.vehicles = vehicles
         options = _options(FollowerOptions, follower_options)
         self._kind = VELOCITY if options.mode == "vel" else ACCELERATION
-        self._state = SwarmState(count)
+        radio = None if network is None else make_network(count, _options(NetworkOptions, network), seed)
+        make = partial(_make, follower, options)
+        self._crew: Crew = Together(count, make) if radio is None else Apart(radio, make)
+        self.followers = self._crew.followers
         self.leader = leader(
-            count, patterns, swarm=self._state, options=_options(LeaderOptions, leader_options), warn=_LOG.warning
+            count,
+            patterns,
+            swarm=self._crew.state,
+            options=_options(LeaderOptions, leader_options),
+            warn=_LOG.warning,
         )
-        self.followers = [
-            follower(i, count, swarm=self._state, options=options, warn=_LOG.warning) for i in range(1, count)
-        ]
         self._schedule = Schedule(RATE, vehicles.step_us)
         self._recording = record
         self._begin()
@@ -132,16 +141,13 @@ class Swarm:
         )
         self._passed: list[str] = []
         self._course: tuple[tuple[float, float, float], float] | None = None
-        self._commands = np.zeros(self.vehicles.position.shape)
-        self._given = np.zeros(len(self.vehicles.names), dtype=bool)
-        self._hear()
+        self._crew.hear(self.vehicles.position, self.vehicles.velocity)
 
     def restart(self) -> None:
         """Begin anew: the same inputs then lead to the same flight, to the last bit."""
         self.vehicles.restart()
         self.leader.restart()
-        for follower in self.followers:
-            follower.restart()
+        self._crew.restart()
         self._begin()
 
     def close(self) -> None:
@@ -240,12 +246,15 @@ class Swarm:
         vehicles.advance(self._schedule.after_us(vehicles.time_us))
         self._steer_on()
         if self._message is not None:
-            self._tell(*self._message)
+            offsets, adjacency = self._message
             self._message = None
-        self._hear()
+            self._crew.on_pattern(offsets)
+            self._crew.on_topology(adjacency)
+        self._crew.hear(vehicles.position, vehicles.velocity)
         self._lead()
-        self._follow()
-        self._state.tick()
+        commands, given = self._crew.update()
+        vehicles.steer(self._kind, commands, given)
+        self._crew.tick()
         if self.record is not None:
             self.record.add(self.time, vehicles.true_position)
         if leader.pattern != self._said:
@@ -365,14 +374,6 @@ class Swarm:
         if not any(self._course[0]) and not self._course[1]:
             self._course = None
 
-    def _hear(self) -> None:
-        state = self._state
-        positions, velocities = self.vehicles.position.tolist(), self.vehicles.velocity.tolist()
-        for i, (position, velocity) in enumerate(zip(positions, velocities, strict=True)):
-            state.on_position(i, (position[0], position[1], position[2]))
-            state.on_velocity(i, (velocity[0], velocity[1], velocity[2]))
-        self.leader.yaw = float(self.vehicles.yaw[0])
-
     def _lead(self) -> None:
         """Pass on what the leader wants of vehicle 0."""
         for text in self._passed:
@@ -380,21 +381,14 @@ class Swarm:
             if refusal:
                 _LOG.warning(refusal)
         self._passed.clear()
+        yaw = float(self.vehicles.yaw[0])
+        self.leader.yaw = yaw
         course = self.leader.update()
         if course is None:
             return
         (x, y, z), yaw_rate = course
-        yaw = float(self.vehicles.yaw[0])
         c, s = math.cos(yaw), math.sin(yaw)
         self.vehicles.steer_one(0, VELOCITY, (c * x - s * y, s * x + c * y, z), yaw_rate)
-
-    def _follow(self) -> None:
-        for follower in self.followers:
-            command = follower.update()
-            self._given[follower.id] = command is not None
-            if command is not None:
-                self._commands[follower.id] = command
-        self.vehicles.steer(self._kind, self._commands, self._given)
 
     def _announce(self) -> None:
         """Send pattern and topology on their way; the offsets as 32-bit floats, as in ROS's messages."""
@@ -408,11 +402,9 @@ class Swarm:
                 Choice(self.time, leader.pattern, leader.offsets.copy(), leader.adjacency.copy())
             )
 
-    def _tell(self, offsets: Array, adjacency: NDArray[np.int32]) -> None:
-        for follower in self.followers:
-            follower.on_pattern(offsets)
-        for follower in self.followers:
-            follower.on_topology(adjacency)
+
+def _make(cls: type[Follower], options: FollowerOptions, id: int, count: int, *, swarm: SwarmState) -> Follower:
+    return cls(id, count, swarm=swarm, options=options, warn=_LOG.warning)
 
 
 def _check_class(name: str, given: object, base: type) -> None:
