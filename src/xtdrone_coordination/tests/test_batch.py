@@ -14,7 +14,7 @@ from xtdrone_coordination.batch import FollowerBatch
 from xtdrone_coordination.consensus import Peer, Vector
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.patterns import PatternError, Patterns
-from xtdrone_coordination.swarm import ArraySwarm, SwarmArrays, SwarmState
+from xtdrone_coordination.swarm import ArraySwarm, SwarmState
 
 UNKNOWN = np.full(3, math.nan)
 
@@ -292,33 +292,6 @@ def test_a_pattern_reaches_classes_that_change_it_too() -> None:
     twins.turn()
     assert twins.batched[0].weights == {0: 2.0}
     assert twins.batched[1].weights == {0: 1.0, 1: 1.0}
-
-
-def test_each_may_have_its_own_view() -> None:
-    count = 30
-    arrays = SwarmArrays(count, count)
-    views = [ArraySwarm(count, arrays, i) for i in range(count)]
-    states = [SwarmState(count) for _ in range(count)]
-    batch = FollowerBatch([Follower(i, count, swarm=views[i]) for i in range(1, count)], views[0])
-    single = [Follower(i, count, swarm=states[i]) for i in range(1, count)]
-    offsets = Patterns(count).offsets("cube")
-    batch.on_pattern(offsets)
-    for follower in single:
-        follower.on_pattern(offsets)
-    rng = np.random.default_rng(5)
-    for _ in range(40):
-        for view, state in zip(views, states, strict=True):
-            places = rng.normal(size=(count, 3)) * 2
-            places[rng.random(count) < 0.3] = math.nan
-            view.hear(places)
-            for j, place in enumerate(places.tolist()):
-                state.on_position(j, tuple(place))
-            state.tick()
-        views[0].tick()
-        wanted = [follower.update() for follower in single]
-        commands, there = batch.update()
-        assert there[1:].tolist() == [u is not None for u in wanted]
-        assert bits(commands[1:]) == bits([u or (0.0, 0.0, 0.0) for u in wanted])
 
 
 def test_some_followers_of_a_swarm_only() -> None:

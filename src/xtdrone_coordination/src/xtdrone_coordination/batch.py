@@ -18,7 +18,7 @@ from xtdrone_coordination import kernels
 from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import STOPPED, Follower, StarFollower, slots_of, weights_in
 from xtdrone_coordination.network import Near, Network
-from xtdrone_coordination.swarm import ArraySwarm, SwarmArrays
+from xtdrone_coordination.swarm import ArraySwarm
 from xtdrone_coordination.topology import check_adjacency
 
 
@@ -30,18 +30,18 @@ class FollowerBatch:
 
     Attributes:
         followers: as they were given.
-        swarm: what they know, or what the first of them knows; None with a network.
+        swarm: what they know; None with a network.
         network: what brings each of them what it knows; None without one.
     """
 
     def __init__(
         self, followers: Sequence[Follower], swarm: ArraySwarm | None = None, *, network: Network | None = None
     ) -> None:
-        """Take followers that see the swarm in the same arrays, or each what a network brings to its vehicle.
+        """Take followers that have the same state of the swarm, or each what a network brings to its vehicle.
 
         Args:
             followers: at least one, with different numbers.
-            swarm: their state of the swarm; or any view of the arrays that hold what each of them knows.
+            swarm: the state of the swarm that all of them have as theirs.
             network: in its place, one of which each follower has its ``known`` as its ``swarm``.
 
         Raises:
@@ -53,8 +53,8 @@ class FollowerBatch:
         ids = [follower.id for follower in followers]
         if len(set(ids)) != len(ids):
             raise ValueError(f"followers: numbers {ids} are not all different")
-        self._arrays = _arrays_of(followers, swarm, network)
-        self._count = self._arrays.heard.shape[1]
+        self._state = _state_of(followers, swarm, network)
+        self._count = self._state.count
         self.followers = tuple(followers)
         self.swarm = swarm
         self.network = network
@@ -74,7 +74,6 @@ class FollowerBatch:
         for k, (follower, own) in enumerate(zip(self._rows, self._own, strict=True)):
             options = follower.options
             self._kinds[k, kernels.ID] = follower.id
-            self._kinds[k, kernels.VIEW] = follower.swarm.view if isinstance(follower.swarm, ArraySwarm) else 0
             self._kinds[k, kernels.ACCEL] = options.mode == "accel"
             self._kinds[k, kernels.NORMALISE] = not options.raw_weights
             self._kinds[k, kernels.OWN_AVOIDANCE] = options.avoid == "own" and "avoidance" not in own
@@ -160,15 +159,15 @@ class FollowerBatch:
         return self._commands, self._given
 
     def _run(self, phases: int) -> int:
-        arrays, network = self._arrays, self.network
+        state, network = self._state, self.network
         if network is not None and phases & kernels.SENSE:
             self._radio = network.near(self._widest)
         return kernels.turn(
             phases,
-            arrays.ticks if network is None else network.turn,
-            arrays.positions,
-            arrays.velocities,
-            arrays.heard,
+            state.ticks if network is None else network.turn,
+            state.position_rows,
+            state.velocity_rows,
+            state.heard,
             self._kinds,
             self._settings,
             self._slots,
@@ -278,8 +277,8 @@ _DATA = ("offsets", "weights", "avoidance_vector", "options", "swarm", "id")
 _STAR: Mapping[int, float] = {0: 1.0}
 
 
-def _arrays_of(followers: Sequence[Follower], swarm: ArraySwarm | None, network: Network | None) -> SwarmArrays:
-    """Return the arrays in which all followers see the swarm; with a network, one view for them to share in turn."""
+def _state_of(followers: Sequence[Follower], swarm: ArraySwarm | None, network: Network | None) -> ArraySwarm:
+    """Return where the kernels find what a follower knows; with a network, it is written anew for each of them."""
     if (swarm is None) == (network is None):
         raise ValueError("followers: either a swarm or a network must be given")
     for follower in followers:
@@ -287,12 +286,12 @@ def _arrays_of(followers: Sequence[Follower], swarm: ArraySwarm | None, network:
             raise ValueError(
                 f"follower {follower.id}: its swarm is not what the network brings to vehicle {follower.id}"
             )
-        if swarm is not None and getattr(follower.swarm, "arrays", None) is not swarm.arrays:
+        if swarm is not None and follower.swarm is not swarm:
             raise ValueError(f"follower {follower.id}: its swarm is not the one of the batch")
     if swarm is not None:
-        return swarm.arrays
+        return swarm
     assert network is not None
-    return SwarmArrays(1, network.count)
+    return ArraySwarm(network.count)
 
 
 def _overrides(follower: Follower, name: str) -> bool:

@@ -21,16 +21,15 @@ from xtdrone_coordination.swarm import NEVER
 
 # columns of kinds
 ID = 0  # the vehicle's number
-VIEW = 1  # which view of the swarm it has
-SLOTS = 2  # which table of slots it flies, -1: none yet
-ACCEL = 3  # acceleration form
-NORMALISE = 4  # divide by the in-degree
-OWN_AVOIDANCE = 5  # compute Algorithm 1 here, else take what stands in ``avoid``
-GIVE_WAY = 6
-OWN_LAW = 7  # compute the consensus here, else take what stands in ``wanted``
-TIMEOUT = 8  # ticks
-ASKED = 9  # its class has methods of its own: whoever asks them keeps its records too
-KINDS = 10
+SLOTS = 1  # which table of slots it flies, -1: none yet
+ACCEL = 2  # acceleration form
+NORMALISE = 3  # divide by the in-degree
+OWN_AVOIDANCE = 4  # compute Algorithm 1 here, else take what stands in ``vectors``
+GIVE_WAY = 5
+OWN_LAW = 6  # compute the consensus here, else take what stands in ``vectors``
+TIMEOUT = 7  # ticks
+ASKED = 8  # its class has methods of its own: whoever asks them keeps its records too
+KINDS = 9
 
 # columns of settings
 GAIN, GAMMA, LIMIT, AVOID_GAIN, RADIUS, CLEARANCE = 0, 1, 2, 3, 4, 5
@@ -88,9 +87,9 @@ def turn(
     Args:
         phases: SENSE (who is ready; avoidance), LAW (consensus), COMMAND (limits, give way), or sums of them in order.
         tick: now, of the swarm's clock.
-        positions: shape (V, N, 3), m ENU, in V views.
-        velocities: shape (V, N, 3), m/s ENU, zero while unknown.
-        heard: shape (V, N), tick of each position, NEVER while unknown.
+        positions: shape (N, 3), m ENU.
+        velocities: shape (N, 3), m/s ENU, zero while unknown.
+        heard: shape (N,), tick of each position, NEVER while unknown.
         kinds: shape (M, KINDS).
         settings: shape (M, SETTINGS).
         slots: tables of slots, shape (S, N, 3), m ENU, the leader's zero first.
@@ -104,53 +103,51 @@ def turn(
         vectors: shape (2, M, 3): the avoidance before its gain; the law's result before limits, m/s or m/s^2 ENU.
         commands: shape (N, 3), written: what to command.
         given: shape (N,), written: to whom.
-        air: of a network, if the followers know what it brings: there is one view then, written row after row.
+        air: of a network, if followers know what it brings: the states above are written for one after the other.
         radio: what its ``near`` gives, for the greatest radius; None if there is no network.
 
     Returns:
         The number of rows to be reported: their problems or their avoidance have changed.
     """
-    views, count = heard.shape
-    gridded = views == 1 and count > FEW and air is None
+    gridded = len(heard) > FEW and air is None
     if gridded and phases & SENSE:
         widest = 0.0
         for k in range(len(kinds)):
             widest = max(widest, settings[k, RADIUS])
-        if not _fill_cells(positions[0], heard[0], widest * _MARGIN, cells, table):
+        if not _fill_cells(positions, heard, widest * _MARGIN, cells, table):
             table[0] = -2  # too far away for exact cells: look at every pair
     gridded = gridded and table[0] != -2
     reported = 0
     for k in range(len(kinds)):
-        index, view = kinds[k, ID], kinds[k, VIEW]
-        where, when = positions[view], heard[view]
+        index = kinds[k, ID]
         if air is not None:
-            _receive(k, index, air, start, peer, where, velocities[view], when)
+            _receive(k, index, air, start, peer, positions, velocities, heard)
         near = -1  # not looked for yet
         if phases & SENSE:
-            status = _status(k, tick, when, kinds)
+            status = _status(k, tick, heard, kinds)
             notes[STATUS, k], notes[MOVED, k] = status, 0
             notes[PROBLEMS, k] = HAS_STOPPED if status == STOPPED else 0
             if status == READY and kinds[k, OWN_AVOIDANCE]:
                 if radio is None:
-                    near = _near(index, where, when, settings[k, RADIUS], gridded, cells, table)
+                    near = _near(index, positions, heard, settings[k, RADIUS], gridded, cells, table)
                 else:
-                    near = _near_by_radio(index, where, settings[k, RADIUS], radio, cells)
-                x, y, z = _avoid(index, where, settings[k, RADIUS], cells, near)
+                    near = _near_by_radio(index, positions, settings[k, RADIUS], radio, cells)
+                x, y, z = _avoid(index, positions, settings[k, RADIUS], cells, near)
                 notes[MOVED, k] = vectors[0, k, 0] != x or vectors[0, k, 1] != y or vectors[0, k, 2] != z
                 vectors[0, k, 0], vectors[0, k, 1], vectors[0, k, 2] = x, y, z
         ready = notes[STATUS, k] == READY
         if phases & LAW and ready and kinds[k, OWN_LAW]:
-            _law(k, tick, where, velocities[view], when, kinds, settings, slots, start, peer, weight, notes, vectors)
+            _law(k, tick, positions, velocities, heard, kinds, settings, slots, start, peer, weight, notes, vectors)
         if phases & COMMAND:
             given[index] = notes[STATUS, k] != WAITING
             commands[index] = 0.0
             if ready:
                 if near < 0 and kinds[k, GIVE_WAY]:
                     if radio is None:
-                        near = _near(index, where, when, settings[k, RADIUS], gridded, cells, table)
+                        near = _near(index, positions, heard, settings[k, RADIUS], gridded, cells, table)
                     else:
-                        near = _near_by_radio(index, where, settings[k, RADIUS], radio, cells)
-                _command(k, where, kinds, settings, cells, near, notes, vectors, commands)
+                        near = _near_by_radio(index, positions, settings[k, RADIUS], radio, cells)
+                _command(k, positions, kinds, settings, cells, near, notes, vectors, commands)
             if given[index] and _is_news(k, kinds, notes):
                 notes[REPORTED, reported] = k
                 reported += 1

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xtdrone_coordination.consensus import Vector
 
-NEVER = -1  # in SwarmArrays.heard and velocity_heard
+NEVER = -1  # in ArraySwarm.heard and velocity_heard
 _PLAIN = 1e300  # a sum of squares below it: all numbers are finite, and so are sums of them
 
 
@@ -59,115 +59,84 @@ class SwarmState:
         return self.positions[index] is not None and self._ticks - self._heard[index] <= ticks
 
 
-class SwarmArrays:
-    """Arrays behind one or several :class:`ArraySwarm`: V views of N vehicles, on one clock of ticks.
-
-    One view is what all vehicles see alike; N of them are what each knows by itself.
-
-    Attributes:
-        positions: m, ENU, shape (V, N, 3); zero while unknown.
-        velocities: m/s, ENU, shape (V, N, 3); zero while unknown.
-        heard: tick of the latest position, shape (V, N); NEVER while unknown.
-        velocity_heard: tick of the latest velocity, shape (V, N); NEVER while unknown.
-        ticks: periods of the control loop so far.
-    """
-
-    def __init__(self, views: int, count: int) -> None:
-        """Know nothing yet of ``count`` vehicles in any of ``views`` views."""
-        self.positions = np.zeros((views, count, 3))
-        self.velocities = np.zeros((views, count, 3))
-        self.heard = np.full((views, count), NEVER, dtype=np.int64)
-        self.velocity_heard = np.full((views, count), NEVER, dtype=np.int64)
-        self.ticks = 0
-
-
 class ArraySwarm(SwarmState):
     """A swarm's state kept in arrays, so that a process can hear of all vehicles and compute all followers at once.
 
     ``positions`` and ``velocities`` are lists made of the arrays when somebody asks; they are for reading.
 
     Attributes:
-        arrays: where the numbers lie, maybe together with other views.
-        view: which of its views this is.
+        position_rows: m, ENU, shape (N, 3); zero while unknown.
+        velocity_rows: m/s, ENU, shape (N, 3); zero while unknown.
+        heard: tick of each position, shape (N,); NEVER while unknown.
+        velocity_heard: tick of each velocity, shape (N,); NEVER while unknown.
+        ticks: periods of the control loop so far.
     """
 
-    def __init__(self, count: int, arrays: SwarmArrays | None = None, view: int = 0) -> None:
-        """Know nothing yet of ``count`` vehicles.
-
-        Args:
-            count: number of vehicles N.
-            arrays: where to keep what is known; its own if none are given. Views of the same arrays have one clock:
-                :meth:`tick` of any of them counts for all. Who writes into them from outside calls :meth:`changed`.
-            view: which view of ``arrays``.
-        """
+    def __init__(self, count: int) -> None:
+        """Know nothing yet of ``count`` vehicles."""
         self.count = count
-        self.arrays = arrays or SwarmArrays(1, count)
-        self.view = view
-        self._position = self.arrays.positions[view]
-        self._velocity = self.arrays.velocities[view]
-        self._heard_at = self.arrays.heard[view]
-        self._velocity_at = self.arrays.velocity_heard[view]
-        self.changed()
-
-    def changed(self) -> None:
-        """Look at the arrays anew: somebody else wrote into them."""
-        self._position_list: list[Vector | None] | None = None
-        self._velocity_list: list[Vector | None] | None = None
+        self.position_rows = np.zeros((count, 3))
+        self.velocity_rows = np.zeros((count, 3))
+        self.heard = np.full(count, NEVER, dtype=np.int64)
+        self.velocity_heard = np.full(count, NEVER, dtype=np.int64)
+        self.ticks = 0
+        self._positions: list[Vector | None] | None = None
+        self._velocities: list[Vector | None] | None = None
 
     @property
     def positions(self) -> list[Vector | None]:  # type: ignore[override]
         """Positions, m, ENU; None until heard of."""
-        if self._position_list is None:
-            self._position_list = _known(self._position, self._heard_at)
-        return self._position_list
+        if self._positions is None:
+            self._positions = _known(self.position_rows, self.heard)
+        return self._positions
 
     @property
     def velocities(self) -> list[Vector | None]:  # type: ignore[override]
         """Velocities, m/s, ENU; None until heard of."""
-        if self._velocity_list is None:
-            self._velocity_list = _known(self._velocity, self._velocity_at)
-        return self._velocity_list
+        if self._velocities is None:
+            self._velocities = _known(self.velocity_rows, self.velocity_heard)
+        return self._velocities
 
     def hear(self, positions: ArrayLike, velocities: ArrayLike | None = None) -> None:
         """Take the positions (m, ENU) and velocities (m/s, ENU) of all vehicles, shape (N, 3) each.
 
         A vehicle's row that is not finite is as if it had not come.
         """
-        _take(positions, self._position, self._heard_at, self.arrays.ticks)
-        self._position_list = None
+        _take(positions, self.position_rows, self.heard, self.ticks)
+        self._positions = None
         if velocities is not None:
-            _take(velocities, self._velocity, self._velocity_at, self.arrays.ticks)
-            self._velocity_list = None
+            _take(velocities, self.velocity_rows, self.velocity_heard, self.ticks)
+            self._velocities = None
 
     def on_position(self, index: int, position: Vector) -> None:
         """Take a vehicle's position, m ENU; one that is not finite is as if it had not come."""
         if math.isfinite(position[0] + position[1] + position[2]):
-            self._position[index] = position
-            self._heard_at[index] = self.arrays.ticks
-            self._position_list = None
+            self.position_rows[index] = position
+            self.heard[index] = self.ticks
+            self._positions = None
 
     def on_velocity(self, index: int, velocity: Vector) -> None:
         """Take a vehicle's velocity, m/s ENU; one that is not finite is as if it had not come."""
         if math.isfinite(velocity[0] + velocity[1] + velocity[2]):
-            self._velocity[index] = velocity
-            self._velocity_at[index] = self.arrays.ticks
-            self._velocity_list = None
+            self.velocity_rows[index] = velocity
+            self.velocity_heard[index] = self.ticks
+            self._velocities = None
 
     def restart(self) -> None:
         """Know nothing again, as after construction."""
-        self._position[:] = self._velocity[:] = 0.0
-        self._heard_at[:] = self._velocity_at[:] = NEVER
-        self.arrays.ticks = 0
-        self.changed()
+        self.position_rows[:] = self.velocity_rows[:] = 0.0
+        self.heard[:] = self.velocity_heard[:] = NEVER
+        self.ticks = 0
+        self._positions = self._velocities = None
 
     def tick(self) -> None:
         """Count one period of the control loop; call it once per period, after everything has been updated."""
-        self.arrays.ticks += 1
+        self.ticks += 1
 
     def fresh(self, index: int, ticks: int) -> bool:
         """Return whether a position of this vehicle came in the last ``ticks`` ticks."""
-        heard = int(self._heard_at[index])
-        return heard != NEVER and self.arrays.ticks - heard <= ticks
+        heard = int(self.heard[index])
+        return heard != NEVER and self.ticks - heard <= ticks
 
 
 def _take(values: ArrayLike, into: NDArray[np.float64], heard: NDArray[np.int64], tick: int) -> None:
