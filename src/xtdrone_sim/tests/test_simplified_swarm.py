@@ -186,10 +186,6 @@ def test_a_network_delays_and_repeats_by_its_seed():
     assert ends[0] == ends[1]
     assert len(set(ends)) == 3
     assert ends[3] == ideal_end()
-    deaf = Swarm(9, network=NetworkOptions(range=0.5))
-    deaf.choose("cube")
-    deaf.run(4.0)
-    assert np.abs(deaf.velocities).max() < 1e-6
 
 
 def ideal_end() -> bytes:
@@ -197,6 +193,33 @@ def ideal_end() -> bytes:
     swarm.choose("cube")
     swarm.run(4.0)
     return swarm.record.positions.tobytes()
+
+
+def test_who_is_cut_off_is_named(caplog):
+    class Chain(Leader):
+        def topology(self, offsets):
+            w = np.zeros((self.count, self.count))
+            w[1, 0] = w[2, 1] = 1.0
+            w[3, 4] = w[4, 3] = 1.0
+            return w
+
+    swarm = Swarm(5, leader=Chain)
+    assert swarm.cut_off() == []
+    swarm.choose("cube")
+    swarm.step()
+    assert swarm.cut_off() == [3, 4]
+    assert "2 vehicles are cut off from the leader: iris_3, iris_4" in caplog.text
+
+
+def test_out_of_range_they_stand_still_and_few_warnings_are_logged(caplog):
+    swarm = Swarm(30, network=NetworkOptions(range=0.5))
+    swarm.choose("cube")
+    swarm.run(2.0)
+    assert np.abs(swarm.velocities).max() < 1e-6
+    assert swarm.cut_off() == list(range(1, 30))
+    assert "29 vehicles are cut off from the leader: iris_1, iris_2" in caplog.text
+    assert "26 more such warnings" in caplog.text
+    assert len(caplog.records) == 5
 
 
 def test_the_benchmark_measures():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -23,51 +23,39 @@ class Maker(Protocol):
         """Return the follower of vehicle ``id``, which knows ``swarm``."""
 
 
-class Crew(Protocol):
-    """All followers of a swarm."""
+class Crew:
+    """All followers of a swarm, computed together.
 
-    @property
-    def followers(self) -> Sequence[Follower]:
-        """The followers, of vehicles 1 to N-1."""
+    Attributes:
+        followers: of vehicles 1 to N-1.
+        state: what the leader knows.
+        network: by which all hear each other, None when everybody knows the state of the turn.
+    """
 
-    @property
-    def state(self) -> SwarmState:
-        """What the leader knows."""
+    followers: Sequence[Follower]
+    state: SwarmState
+
+    def __init__(self, count: int, make: Maker, network: Network | None = None) -> None:
+        """Make ``count`` - 1 followers."""
+        self.network = network
+        if network is None:
+            shared = ArraySwarm(count)
+            self.state = shared
+            self.followers = [make(i, count, swarm=shared) for i in range(1, count)]
+            self._hear: Callable[[Array, Array], None] = shared.hear
+            self._batch = FollowerBatch(self.followers, shared)
+        else:
+            self.state = network.known(0)
+            self.followers = [make(i, count, swarm=network.known(i)) for i in range(1, count)]
+            self._hear = network.step
+            self._batch = FollowerBatch(self.followers, network=network)
 
     def hear(self, positions: Array, velocities: Array) -> None:
         """Begin a turn: take where all are, shape (N, 3) each, m and m/s ENU."""
+        self._hear(positions, velocities)
 
     def update(self) -> tuple[Array, Mask]:
         """Return what to command, shape (N, 3), and whom, shape (N,)."""
-
-    def tick(self) -> None:
-        """End a turn."""
-
-    def on_pattern(self, offsets: Array) -> None:
-        """Give all followers their slots, shape (N-1, 3), m ENU from the leader."""
-
-    def on_topology(self, adjacency: NDArray[np.int32]) -> None:
-        """Give all followers the adjacency matrix, shape (N, N)."""
-
-    def restart(self) -> None:
-        """Know nothing again."""
-
-
-class Together:
-    """Followers that all know where everybody is: computed together. See :class:`Crew`."""
-
-    def __init__(self, count: int, make: Maker) -> None:
-        """Make ``count`` - 1 followers."""
-        self.state = ArraySwarm(count)
-        self.followers = [make(i, count, swarm=self.state) for i in range(1, count)]
-        self._batch = FollowerBatch(self.followers, self.state)
-
-    def hear(self, positions: Array, velocities: Array) -> None:
-        """Begin a turn."""
-        self.state.hear(positions, velocities)
-
-    def update(self) -> tuple[Array, Mask]:
-        """Return what to command, and whom."""
         return self._batch.update()
 
     def tick(self) -> None:
@@ -75,57 +63,15 @@ class Together:
         self.state.tick()
 
     def on_pattern(self, offsets: Array) -> None:
-        """Give all followers their slots."""
+        """Give all followers their slots, shape (N-1, 3), m ENU from the leader."""
         self._batch.on_pattern(offsets)
 
     def on_topology(self, adjacency: NDArray[np.int32]) -> None:
-        """Give all followers the adjacency matrix."""
+        """Give all followers the adjacency matrix, shape (N, N)."""
         self._batch.on_topology(adjacency)
 
     def restart(self) -> None:
-        """Know nothing again."""
+        """Know nothing again, and let a network repeat what it did."""
         self._batch.restart()
-
-
-class Apart:
-    """Followers that know what their radios bring: each by itself. See :class:`Crew`."""
-
-    def __init__(self, network: Network, make: Maker) -> None:
-        """Make the followers of a network's vehicles; vehicle 0 is the leader's."""
-        self.network = network
-        self.state = network.known(0)
-        self.followers = [make(i, network.count, swarm=network.known(i)) for i in range(1, network.count)]
-        self._commands = np.zeros((network.count, 3))
-        self._given = np.zeros(network.count, dtype=bool)
-
-    def hear(self, positions: Array, velocities: Array) -> None:
-        """Begin a turn: everybody tells where it is."""
-        self.network.step(positions, velocities)
-
-    def update(self) -> tuple[Array, Mask]:
-        """Return what to command, and whom."""
-        for follower in self.followers:
-            command = follower.update()
-            self._given[follower.id] = command is not None
-            if command is not None:
-                self._commands[follower.id] = command
-        return self._commands, self._given
-
-    def tick(self) -> None:
-        """Nothing is left to do: the network counts the turns."""
-
-    def on_pattern(self, offsets: Array) -> None:
-        """Give all followers their slots."""
-        for follower in self.followers:
-            follower.on_pattern(offsets)
-
-    def on_topology(self, adjacency: NDArray[np.int32]) -> None:
-        """Give all followers the adjacency matrix."""
-        for follower in self.followers:
-            follower.on_topology(adjacency)
-
-    def restart(self) -> None:
-        """Know nothing again."""
-        self.network.restart()
-        for follower in self.followers:
-            follower.restart()
+        if self.network is not None:
+            self.network.restart()

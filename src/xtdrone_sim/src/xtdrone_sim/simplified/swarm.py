@@ -30,15 +30,17 @@ from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
 from xtdrone_coordination.leader import Leader, LeaderOptions
 from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_coordination.swarm import SwarmState
+from xtdrone_coordination.topology import cut_off
 
-from .crew import Apart, Crew, Together
+from .crew import Crew
 from .flight_record import Choice, Record
 from .model import Model
 from .simplified_vehicles import SimplifiedVehicles, spawn_places
 from .vehicles import ACCELERATION, VELOCITY, Array, Vehicles
 
 SETTLED = 0.15  # m
+_NAMED = 10  # vehicles in one warning
+_SAID = 3  # warnings of followers in one turn
 
 _Options = TypeVar("_Options", FollowerOptions, LeaderOptions, NetworkOptions)
 _LOG = logging.getLogger(__name__)
@@ -119,8 +121,9 @@ class Swarm:
         options = _options(FollowerOptions, follower_options)
         self._kind = VELOCITY if options.mode == "vel" else ACCELERATION
         radio = None if network is None else make_network(count, _options(NetworkOptions, network), seed)
-        make = partial(_make, follower, options)
-        self._crew: Crew = Together(count, make) if radio is None else Apart(radio, make)
+        self._warnings: list[str] = []  # of the present turn
+        make = partial(follower, options=options, warn=self._warnings.append)
+        self._crew = Crew(count, make, radio)
         self.followers = self._crew.followers
         self.leader = leader(
             count,
@@ -187,6 +190,16 @@ class Swarm:
         """Return the least distance between any two vehicles now, m."""
         points = self.vehicles.true_position
         return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
+
+    def cut_off(self) -> list[int]:
+        """Return the vehicles that cannot hear of the leader, directly or through others, ascending.
+
+        By the topology; with a network, over links that are within its range now. None are before the first pattern.
+        """
+        adjacency, network = self.leader.adjacency, self._crew.network
+        if adjacency is None:
+            return []
+        return cut_off(adjacency) if network is None else network.cut_off(np.nonzero(adjacency))
 
     # what is commanded
 
@@ -255,6 +268,8 @@ class Swarm:
         commands, given = self._crew.update()
         vehicles.steer(self._kind, commands, given)
         self._crew.tick()
+        if self._warnings:
+            self._warn()
         if self.record is not None:
             self.record.add(self.time, vehicles.true_position)
         if leader.pattern != self._said:
@@ -390,21 +405,29 @@ class Swarm:
         c, s = math.cos(yaw), math.sin(yaw)
         self.vehicles.steer_one(0, VELOCITY, (c * x - s * y, s * x + c * y, z), yaw_rate)
 
+    def _warn(self) -> None:
+        """Log what followers warn of; when many do in one turn, the first of them and how many more."""
+        for text in self._warnings[:_SAID]:
+            _LOG.warning("%.3f s: %s", self.time, text)
+        if len(self._warnings) > _SAID:
+            _LOG.warning("%.3f s: %d more such warnings of followers", self.time, len(self._warnings) - _SAID)
+        self._warnings.clear()
+
     def _announce(self) -> None:
         """Send pattern and topology on their way; the offsets as 32-bit floats, as in ROS's messages."""
         leader = self.leader
         self._said = leader.pattern
         assert leader.offsets is not None
         assert leader.adjacency is not None
+        lost = self.cut_off()
+        if lost:
+            names = ", ".join(self.vehicles.names[i] for i in lost[:_NAMED]) + (", ..." if lost[_NAMED:] else "")
+            _LOG.warning("pattern %s: %d vehicles are cut off from the leader: %s", self._said, len(lost), names)
         self._message = leader.offsets.astype(np.float32).astype(float), leader.adjacency
         if self.record is not None:
             self.record.choices.append(
                 Choice(self.time, leader.pattern, leader.offsets.copy(), leader.adjacency.copy())
             )
-
-
-def _make(cls: type[Follower], options: FollowerOptions, id: int, count: int, *, swarm: SwarmState) -> Follower:
-    return cls(id, count, swarm=swarm, options=options, warn=_LOG.warning)
 
 
 def _check_class(name: str, given: object, base: type) -> None:
