@@ -343,6 +343,8 @@ def test_what_is_known_reads_like_a_list() -> None:
     assert [known.fresh(j, 0) for j in range(30)] == (samples.came == 2).tolist()
     with pytest.raises(IndexError):
         known.positions[30]
+    with pytest.raises(IndexError):
+        known.fresh(30, 0)
     network.step(track[0], labels(3, 30))
     assert known.velocities[7] == (3.0, 7.0, 0.0)
 
@@ -454,6 +456,9 @@ def test_options_are_checked(name: str, value: object, message: str) -> None:
         (lambda: Network(0), "network: 0 vehicles are not allowed, 1 or more"),
         (lambda: Network(3, seed=-1), "network seed: -1 is not allowed, 0 or more"),
         (lambda: Network(3).known(3), "network: there is no vehicle 3, 0 to 2"),
+        (lambda: Network(3).samples(np.array([0, 1]), np.array([2, 3])), "network: there is no vehicle 3, 0 to 2"),
+        (lambda: Network(3).samples(np.array([-1]), np.array([2])), "network: there is no vehicle -1, 0 to 2"),
+        (lambda: Network(3).samples(np.array([1]), np.array([0, 2])), "network: 1 receivers and 2 senders"),
         (lambda: Network(3).step(np.zeros((2, 3)), np.zeros((3, 3))), r"network positions: shape \(2, 3\)"),
         (lambda: Network(3).step(np.zeros((3, 3)), np.zeros(3)), r"network velocities: shape \(3,\) .* \(3, 3\)"),
     ],

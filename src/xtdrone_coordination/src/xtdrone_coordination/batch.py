@@ -186,6 +186,8 @@ class FollowerBatch:
 
     def _ask(self) -> None:
         """Call what subclasses override, for one follower after the other, and put it where the kernels take it."""
+        if self.network is not None:
+            self.network.look_up(*self._links)
         status = self._notes[kernels.STATUS].tolist()
         avoidance = self._vectors[0].tolist()
         for k in self._asked:
@@ -269,6 +271,14 @@ class FollowerBatch:
             raise IndexError(
                 f"weights: vehicle {self._peer[wrong][0]} is not allowed, 0 to {self._count - 1} are there"
             )
+        self._links = self._asked_links()
+
+    def _asked_links(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return what the laws of subclasses look up: who, and whom; themselves, and those that they listen to."""
+        ids, asked, lengths = self._kinds[:, kernels.ID], self._kinds[:, kernels.ASKED] == 1, np.diff(self._start)
+        listening = np.repeat(asked, lengths)
+        listeners = np.repeat(ids, lengths)[listening]
+        return np.concatenate((ids[asked], listeners)), np.concatenate((ids[asked], self._peer[listening]))
 
 
 _PARTS = ("avoidance", "neighbours", "control_law")

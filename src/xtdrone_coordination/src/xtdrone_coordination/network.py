@@ -143,6 +143,8 @@ class Network:
         count: number of vehicles N.
         options: the settings.
         seed: of all that is random.
+        turn: the number of the present turn, counted from 0; -1 before the first.
+        air: what the kernels know.
     """
 
     def __init__(self, count: int, options: NetworkOptions | None = None, seed: int = 0) -> None:
@@ -189,21 +191,17 @@ class Network:
             fail=fail,
             recover=recover,
         )
+        self.turn = -1
         self._made = np.zeros((rows, count), dtype=np.bool_)
         self._crowd = np.ones(count)
         self._credit = np.array([-kernels.draw(seed, kernels.PHASE, 0, j, j) for j in range(count)])
         self._head = np.zeros(count, dtype=np.int64)
 
-    @property
-    def turn(self) -> int:
-        """The number of the present turn, counted from 0; -1 before the first."""
-        return int(self.air.turn[0])
-
     def restart(self) -> None:
         """Be as after construction: the same will happen again."""
         self._start()
         for known in self._known:
-            known.forget()
+            known.drop()
 
     def step(self, positions: ArrayLike, velocities: ArrayLike) -> None:
         """Begin a turn: everybody has a new sample and tells it, and what is due arrives.
@@ -218,7 +216,7 @@ class Network:
         x = self._checked("positions", positions)
         v = self._checked("velocities", velocities)
         kernels.take(self.air, x, v, self._made)
-        turn = self.turn
+        self.turn = turn = int(self.air.turn[0])
         sent = self.air.sent[turn % len(self.air.sent)]
         if self.options.bandwidth == math.inf:
             kernels.send_everything(self._made, turn, sent)
@@ -238,8 +236,19 @@ class Network:
         return self._known[index]
 
     def samples(self, receivers: NDArray[np.int64], senders: NDArray[np.int64]) -> Samples:
-        """Return what each of ``receivers`` knows of its counterpart in ``senders``; numbers, both of shape (E,)."""
+        """Return what each of ``receivers`` knows of its counterpart in ``senders``; numbers, both of shape (E,).
+
+        Raises:
+            ValueError: there is no such vehicle, or they are not equally many.
+        """
         size = len(receivers)
+        if len(senders) != size:
+            raise ValueError(f"network: {size} receivers and {len(senders)} senders, they must be equally many")
+        for numbers in (receivers, senders):
+            if size and not 0 <= numbers.min() <= numbers.max() < self.count:
+                raise ValueError(
+                    f"network: there is no vehicle {_stranger(numbers, self.count)}, 0 to {self.count - 1}"
+                )
         result = Samples(np.empty((size, 3)), np.empty((size, 3)), np.empty(size, dtype=np.int64))
         kernels.samples(self.air, receivers, senders, *result)
         return result
@@ -250,6 +259,16 @@ class Network:
         kernels.samples_of_all(self.air, index, *result)
         return result
 
+    def look_up(self, receivers: NDArray[np.int64], senders: NDArray[np.int64]) -> None:
+        """Look up at once what each of ``receivers`` will ask of its counterpart in ``senders`` in this turn.
+
+        It changes nothing but the time that their :meth:`known` takes to answer.
+        """
+        positions, velocities, came = self.samples(receivers, senders)
+        rows = zip(_vectors(positions), _vectors(velocities), came.tolist(), strict=True)
+        for i, j, state in zip(receivers.tolist(), senders.tolist(), rows, strict=True):
+            self._known[i].take(j, state)
+
     def near(self, radius: float) -> Near:
         """Return which others each vehicle believes to be less than ``radius`` m from itself, and where."""
         return Near(*kernels.near(self.air, float(radius)))
@@ -257,6 +276,7 @@ class Network:
     def forget(self, index: int) -> None:
         """Let a vehicle know nothing until something comes in a later turn; its own state too."""
         self.air.since[index] = self.turn + 1
+        self._known[index].drop()
 
     def cut_off(self, adjacency: ArrayLike | tuple[NDArray[np.int64], NDArray[np.int64]]) -> list[int]:
         """Return who is out of touch with the leader now: no path from it along the topology has all links in range.
@@ -306,8 +326,8 @@ class KnownSwarm(SwarmState):
         self.index = index
         self.positions = _Vectors(self, 0)  # type: ignore[assignment]
         self.velocities = _Vectors(self, 1)  # type: ignore[assignment]
-        self._moment: tuple[int, int] | None = None
-        self._read: dict[int, _State] = {}  # of single vehicles, at this moment
+        self._turn = -1
+        self._read: dict[int, _State] = {}  # of single vehicles, in this turn
         self._samples: Samples | None = None  # of all vehicles, once somebody asked for them
 
     def samples(self) -> Samples:
@@ -325,7 +345,13 @@ class KnownSwarm(SwarmState):
             state = self._read[other] = self._state(other)
         return state
 
+    def take(self, other: int, state: _State) -> None:
+        """Remember for the present turn what :meth:`sample` would find."""
+        self._look()
+        self._read[other] = state
+
     def _state(self, other: int) -> _State:
+        other = range(self.count)[other]  # as a list counts from its end, or refuses
         if self._samples is None and len(self._read) < _FEW:
             position, velocity = np.empty(3), np.empty(3)
             came = kernels.sample(self.network.air, self.index, other, position, velocity)
@@ -334,15 +360,14 @@ class KnownSwarm(SwarmState):
             position, velocity, came = samples.positions[other], samples.velocities[other], int(samples.came[other])
         return as_vector(position.tolist()), as_vector(velocity.tolist()), came
 
-    def forget(self) -> None:
-        """Drop what was read: time was set back."""
-        self._moment = None
+    def drop(self) -> None:
+        """Look everything up anew."""
+        self._turn, self._read, self._samples = self.network.turn, {}, None
 
     def _look(self) -> None:
         """Drop what was read before the present turn."""
-        moment = (self.network.turn, int(self.network.air.since[self.index]))
-        if self._moment != moment:
-            self._moment, self._read, self._samples = moment, {}, None
+        if self._turn != self.network.turn:
+            self.drop()
 
     def restart(self) -> None:
         """Know nothing until something comes in a later turn."""
@@ -369,7 +394,7 @@ class KnownSwarm(SwarmState):
 
     def fresh(self, index: int, ticks: int) -> bool:
         """Return whether a new position of this vehicle came in the last ``ticks`` turns."""
-        _, _, came = self.sample(range(self.count)[index])
+        _, _, came = self.sample(index)
         return came != kernels.NEVER and self.network.turn - came <= ticks
 
 
@@ -392,7 +417,7 @@ class _Vectors(Sequence[Vector | None]):
     def __getitem__(self, index: int | slice) -> Vector | list[Vector | None] | None:
         if isinstance(index, slice):
             return _vectors(self._swarm.samples()[self._column][index])
-        return self._swarm.sample(range(len(self))[index])[self._column]
+        return self._swarm.sample(index)[self._column]
 
     def __iter__(self) -> Iterator[Vector | None]:
         return iter(self[:])
@@ -401,6 +426,11 @@ class _Vectors(Sequence[Vector | None]):
 def make_network(count: int, options: NetworkOptions | None, seed: int = 0) -> Network | None:
     """Return a network of ``count`` vehicles, None when there are no options or those of an ideal network."""
     return None if options is None or options.ideal else Network(count, options, seed)
+
+
+def _stranger(numbers: NDArray[np.int64], count: int) -> int:
+    """Return the first number that is none of 0 to count - 1."""
+    return int(numbers[(numbers < 0) | (numbers >= count)][0])
 
 
 def _vectors(array: NDArray[np.float64]) -> list[Vector | None]:
