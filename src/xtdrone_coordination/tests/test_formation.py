@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 
 from xtdrone_coordination.assignment import Assignment, assign
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
-from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions
-from xtdrone_coordination.patterns import PatternError, with_leader
+from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions, number_list
+from xtdrone_coordination.patterns import PatternError, least_separation, with_leader
 from xtdrone_coordination.swarm import SwarmState
 
 DT = 1.0 / RATE
@@ -283,6 +284,51 @@ def test_leader_takes_shapes_with_arguments_as_commands() -> None:
         with pytest.raises(CommandError, match=message):
             leader.on_command(text)
     assert leader.pattern == "text:XTD:spacing=2.5", "the old pattern stays"
+
+
+def test_vehicles_that_hear_nothing_of_the_leader_are_named() -> None:
+    class Halves(Leader):
+        """The upper half of the numbers goes round in a circle."""
+
+        def topology(self, offsets: np.ndarray) -> np.ndarray:
+            half = self.count // 2
+            listens = np.eye(self.count, k=-1, dtype=int)
+            listens[half, half - 1], listens[half, self.count - 1] = 0, 1
+            return listens
+
+    said: list[str] = []
+    Halves(300, warn=said.append).choose("sphere")
+    assert len(said) == 1
+    assert "topology of pattern 'sphere' cuts off 150-299 of 300 vehicles" in said[0]
+    said.clear()
+    Leader(300, warn=said.append).choose("sphere")
+    assert said == []
+
+
+def test_many_numbers_are_said_in_short() -> None:
+    assert number_list([4]) == "4"
+    assert number_list([1, 2, 3, 7, 9, 10]) == "1-3, 7, 9-10"
+    assert number_list(list(range(1, 1000, 2))) == "1, 3, 5, 7, 9, 11, 13, 15, ... (500 in all)"
+
+
+def test_a_thousand_vehicles_are_led() -> None:
+    leader = Leader(1000)
+    start = time.process_time()
+    leader.choose("sphere")
+    leader.choose("text:XTD")
+    assert time.process_time() - start < 20.0, "a bound on what is broken, no benchmark"
+    assert leader.offsets is not None
+    assert least_separation(leader.offsets) == pytest.approx(2.0)
+
+
+def test_a_wrong_permutation_of_many_is_said_in_short() -> None:
+    class Broken(Leader):
+        def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
+            return Assignment(np.zeros(len(target), dtype=np.intp), 0.0)
+
+    with pytest.raises(CommandError, match="which is no permutation") as raised:
+        Broken(1000).choose("grid")
+    assert len(str(raised.value)) < 200
 
 
 def test_leader_does_not_assign_anew_for_a_repeated_name() -> None:

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from xtdrone_coordination import shapes
-from xtdrone_coordination.patterns import PatternError, Patterns, least_separation, parse_name, with_leader
+from xtdrone_coordination.patterns import (
+    PatternError,
+    Patterns,
+    absolute_name,
+    least_separation,
+    parse_name,
+    with_leader,
+)
 
 COUNTS = [*range(2, 34), 57, 100, 333, 1000, 1001]
 
@@ -147,6 +154,18 @@ def test_names_are_taken_apart() -> None:
     assert (request.kind, request.argument, request.font, request.spacing) == ("text", "12:30 a=b", "/a:b.ttf", 2.5)
     assert str(request) == "text:12:30 a=b:font=/a:b.ttf:spacing=2.5"
     assert parse_name("text:x=1").argument == "x=1", "the argument may look like an option"
+
+
+def test_files_in_names_get_their_whole_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", "/home/me")
+    for name, whole in {
+        "cube": "cube", "text:XTD": "text:XTD", "text": "text", "circle:spacing=x": "circle:spacing=x",
+        "cloud:a.ply": f"cloud:{tmp_path}/a.ply", "cloud:/a.ply:spacing=3": "cloud:/a.ply:spacing=3",
+        "cloud:~/a.ply": "cloud:/home/me/a.ply",
+        "text:A:font=b.ttf:spacing=2.25": f"text:A:font={tmp_path}/b.ttf:spacing=2.25",
+    }.items():  # fmt: skip
+        assert absolute_name(name) == whole
 
 
 def test_xtdrones_own_sphere_stays_and_can_be_stretched() -> None:

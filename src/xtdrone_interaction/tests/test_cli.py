@@ -30,6 +30,12 @@ DEMO = ["demo", "formation"]
         (["--patterns", "cube,heart"], "pattern 'heart' is unknown for 9 vehicles; there are: "),
         (["--patterns", "cube,,cube"], "patterns: 'cube,,cube' is not allowed"),
         (["--n", "9", "--patterns", "T"], "pattern 'T' is unknown for 9 vehicles"),
+        (
+            ["--patterns", "sphere:spacing=far"],
+            "pattern 'sphere:spacing=far': spacing: 'far' is not allowed, 0.5 to 1000",
+        ),
+        (["--patterns", "text"], "pattern 'text': text needs WORDS, as text:XTD"),
+        (["--patterns", "cloud:/nowhere.ply"], "cloud /nowhere.ply: No such file"),
         (["--speed", "0"], "speed: '0' is not allowed; a real-time factor of at least 0.01, or 'unlimited'"),
         (["--speed", "-2"], "speed: '-2' is not allowed"),
         (["--speed", "nan"], "speed: 'nan' is not allowed"),

@@ -15,7 +15,7 @@ from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
 from xtdrone_interaction import report as reports
 from xtdrone_interaction.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
-from xtdrone_interaction.plots import save_plots
+from xtdrone_interaction.plots import save_figures, save_plots
 from xtdrone_interaction.record import RecordError, read_record, regular_times
 
 
@@ -149,6 +149,17 @@ def test_table_names_every_pattern(flight_bag: Path, tmp_path: Path) -> None:
     assert all(name in output.getvalue() for name in PATTERNS)
     reports.write_report(report, tmp_path / "report.json")
     assert json.loads((tmp_path / "report.json").read_text())["vehicles"] == report["vehicles"]
+
+
+def test_names_with_words_and_paths_make_names_of_files(tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    name = "response_1_text:A B_to_cloud:/data/$5$.ply:spacing=3.png"
+    figure = Figure()
+    figure.suptitle(name)
+    (path,) = save_figures([(name, figure)], tmp_path)
+    assert path.name == "response_1_text-A-B_to_cloud-data-5-.ply-spacing-3.png"
+    assert path.is_file()
 
 
 def test_pictures_are_drawn(flight_bag: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,9 +22,10 @@ from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import RATE, check_choice, check_number
 from xtdrone_coordination.patterns import Offsets, PatternError, Patterns, least_separation, with_leader
 from xtdrone_coordination.swarm import SwarmState
-from xtdrone_coordination.topology import check_adjacency, veteran_topology
+from xtdrone_coordination.topology import check_adjacency, cut_off, veteran_topology
 
 NO_PATTERN = "waiting"  # XTDrone's keyboard sends it for the digit 0
+_MAX_RUNS = 8  # of numbers in a message
 STEERING_TICKS = RATE // 2  # a steering velocity older than half a second is over
 
 
@@ -195,12 +196,19 @@ class Leader:
         solved = self.assignment(self.current(), target)
         slots = np.asarray(solved.slots)
         if sorted(slots.tolist()) != list(range(self.count - 1)):
-            raise CommandError(f"leader: overridden assignment gave {slots.tolist()}, which is no permutation")
+            given = np.array2string(slots, threshold=20)
+            raise CommandError(f"leader: overridden assignment gave {given}, which is no permutation")
         offsets = target[slots]
         try:
             adjacency = check_adjacency(self.topology(with_leader(offsets)), self.count)
         except ValueError as error:
             raise CommandError(f"leader: overridden topology: {error}") from error
+        lost = cut_off(adjacency)
+        if lost:
+            self._warn(
+                f"leader: topology of pattern {name!r} cuts off {number_list(lost)} of {self.count} vehicles: they "
+                "hear of vehicle 0 neither directly nor through others and will not keep their slots"
+            )
         separation = least_separation(target)
         if separation < self.options.avoid_radius:
             self._warn(
@@ -257,6 +265,18 @@ class Leader:
                 f"leader: pattern {name!r} reaches {-lowest:g} m below the leader, which is at {own[2]:.1f} m: "
                 f"climb to {needed:g} m first"
             )
+
+
+def number_list(numbers: Sequence[int]) -> str:
+    """Return ascending vehicle numbers as a short text: runs of them, and of many runs the first few and a count."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1] = [runs[-1][0], number]
+        else:
+            runs.append([number])
+    said = ", ".join("-".join(str(n) for n in run) for run in runs[:_MAX_RUNS])
+    return said if len(runs) <= _MAX_RUNS else f"{said}, ... ({len(numbers)} in all)"
 
 
 __all__ = ["CommandError", "Leader", "LeaderOptions", "PatternError"]

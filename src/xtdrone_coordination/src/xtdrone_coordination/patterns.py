@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -143,7 +143,7 @@ class Request:
         """Return the name."""
         parts = [self.kind, *([self.argument] if self.argument else [])]
         parts += [f"font={self.font}"] if self.font is not None else []
-        parts += [f"spacing={self.spacing:g}"] if self.spacing is not None else []
+        parts += [f"spacing={self.spacing:.12g}"] if self.spacing is not None else []
         return ":".join(parts)
 
 
@@ -174,6 +174,26 @@ def parse_name(name: str) -> Request:
             raise PatternError(f"option {option!r} is unknown for {kind}; there are: {', '.join(allowed)}")
     spacing = _spacing(given["spacing"]) if "spacing" in given else None
     return Request(kind, argument, spacing, given.get("font"))
+
+
+def absolute_name(name: str) -> str:
+    """Return a pattern's name with whole paths of the files in it: its leader may run in another folder.
+
+    What is no name of a text or a cloud comes back as it is.
+    """
+    try:
+        request = parse_name(name)
+    except PatternError:
+        return name  # whoever makes the pattern says what is wrong
+    if request.font is not None:
+        request = replace(request, font=_absolute(request.font))
+    elif request.kind != "cloud":
+        return name
+    return str(replace(request, argument=_absolute(request.argument)) if request.kind == "cloud" else request)
+
+
+def _absolute(file: str) -> str:
+    return str(Path(file).expanduser().absolute())
 
 
 def _spacing(value: str) -> float:

@@ -60,7 +60,7 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
     )
     add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
     add("--patterns", type=checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
-        help="patterns to fly, with commas between (default: cube,pyramid,triangle)")  # fmt: skip
+        help=options.PATTERNS_HELP)  # fmt: skip
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with patterns of your own")
     add("--speed", type=checked(options.speed), default=0.0, metavar="FACTOR",
         help="target real-time factor, or 'unlimited' (default: unlimited)")  # fmt: skip

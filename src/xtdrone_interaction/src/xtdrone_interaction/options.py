@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xtdrone_control.fleet import MAX_VEHICLES, Vehicle
 from xtdrone_control.speed import LEAST_SPEED
-from xtdrone_coordination.patterns import Patterns
+from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_interaction.geometry import ORIGIN
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
@@ -127,15 +127,23 @@ def port(text: str) -> int:
 
 
 def split_patterns(text: str) -> list[str]:
-    """Return the names in a comma-separated list.
+    """Return the names in a comma-separated list, files in them (clouds, fonts) with their whole paths.
 
     Raises:
         OptionError: there is none, or an empty one.
     """
     names = [name.strip() for name in text.split(",")]
     if not all(names):
-        raise OptionError(f"patterns: {text!r} is not allowed; names with commas between, as cube,pyramid,triangle")
-    return names
+        raise OptionError(f"patterns: {text!r} is not allowed; names with commas between, as cube,sphere,text:XTD")
+    return [absolute_name(name) for name in names]
+
+
+PATTERNS_HELP = (
+    "patterns to fly, with commas between: those of XTDrone for this number, and for every number origin, cube, "
+    "pyramid, triangle, grid, circle, sphere, text:WORDS[:font=FILE] (letters, to be read from the south), cloud:FILE "
+    "(points of a .ply, .npy, .xyz or .csv); each may end in :spacing=METRES, the least distance of two vehicles "
+    "(default: cube,pyramid,triangle)"
+)
 
 
 def swarm_patterns(count: int, names: list[str], file: str | None = None) -> dict[str, NDArray[np.float64]]:

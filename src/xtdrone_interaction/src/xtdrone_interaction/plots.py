@@ -5,6 +5,7 @@ They need no display and no ROS. Each vehicle keeps one colour in all pictures; 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ _LEAD_IN = 1.0  # s shown before the command
 _MAX_LEGEND = 18  # vehicles; more are not named one by one
 _MAX_PANELS = 3  # formations side by side
 _LEADER_COLOUR = "black"
+_MAX_NAME = 120  # characters of a file's name
 _STYLE = {
     "font.size": 9,
     "axes.titlesize": 10,
@@ -35,6 +37,7 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
+    "text.parse_math": False,  # a pattern's name may hold dollars
 }
 
 
@@ -57,10 +60,16 @@ def save_figures(figures: Iterable[tuple[str, Figure]], folder: str | Path) -> l
     paths = []
     with plt.rc_context(_STYLE):
         for name, figure in figures:
-            paths.append(Path(folder) / name)
+            paths.append(Path(folder) / _file_name(name))
             figure.savefig(paths[-1], dpi=DPI)
             plt.close(figure)
     return paths
+
+
+def _file_name(name: str) -> str:
+    """A name that every file system takes: names of patterns may hold words and paths."""
+    stem, dot, ending = name.rpartition(".")
+    return re.sub(r"[^\w.+-]+", "-", stem)[:_MAX_NAME] + dot + ending
 
 
 def _figures(record: FlightRecord) -> Iterator[tuple[str, Figure]]:

@@ -45,7 +45,7 @@ def add_simplified(parser: argparse.ArgumentParser) -> None:
         help="number of vehicles (default: %(default)s)")  # fmt: skip
     add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
     add("--patterns", type=checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
-        help="patterns to fly, with commas between (default: cube,pyramid,triangle)")  # fmt: skip
+        help=options.PATTERNS_HELP)  # fmt: skip
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with patterns of your own")
     add("--model", default="", metavar="MODEL",
         help="first-order, second-order, or a YAML file with the model's values (default: the type's)")  # fmt: skip
