@@ -46,12 +46,19 @@ TICKS = os.sysconf("SC_CLK_TCK")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--only", "core,wings"], "only: part 'wings' is unknown; there are: core, barrier, stack, formation, free"),
+        (
+            ["--only", "core,wings"],
+            "only: part 'wings' is unknown; there are: core, simplified, barrier, stack, formation, free",
+        ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
+        (["--vehicles", "simplified=10001"], "vehicles of simplified: '10001' is not allowed; 2 to 10000"),
         (["--vehicles", "stack=9,many"], "vehicles of stack: 'many' is not allowed; 1 to 250"),
         (["--vehicles", "formation=1"], "vehicles of formation: '1' is not allowed; 2 to 250"),
-        (["--vehicles", "swarm=9"], "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, barrier"),
+        (
+            ["--vehicles", "swarm=9"],
+            "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, simplified",
+        ),
         (["--only", "core", "--vehicles", "stack=9"], "part 'stack' in 'stack=9' is not measured; measured are: core"),
         (["--vehicles", "barrier=-1"], "vehicles of barrier: '-1' is not allowed; 0 to 250"),
         (["--vehicles", "free=1"], "vehicles of free: '1' is not allowed; 2 to 250"),
@@ -83,7 +90,7 @@ def test_vehicles_are_chosen_for_all_parts_or_for_one() -> None:
 
 def test_plan_names_each_measurement(tmp_path: Path) -> None:
     settings = bench.BenchSettings(
-        {"core": (1,), "barrier": (0, 9), "formation": (9,), "free": (9,)},
+        {"core": (1,), "simplified": (1000,), "barrier": (0, 9), "formation": (9,), "free": (9,)},
         ("per_uav", "shared"),
         2,
         bench.QUICK,
@@ -93,6 +100,8 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
     assert [title for _, title, _, _ in planned] == [
         "core, 1 vehicle, 1 of 2",
         "core, 1 vehicle, 2 of 2",
+        "simplified, 1000 vehicles, 1 of 2",
+        "simplified, 1000 vehicles, 2 of 2",
         "barrier, 0 participants, 1 of 2",
         "barrier, 0 participants, 2 of 2",
         "barrier, 9 participants, python, 1 of 2",
@@ -107,7 +116,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "free, 9 vehicles, 2 of 2",
     ]
     assert planned[-3][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
-    assert planned[7][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
+    assert planned[9][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc

@@ -1,9 +1,10 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Five parts: the core alone (no ROS), the lockstep's barrier alone, the stack without the swarm's own nodes, the whole
-formation flight, and the speed of that flight in lockstep compared with the same nodes running free. Prints tables and
-writes JSON with the machine's facts; the JSON is written after each measurement, so that nothing measured is lost.
-Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+Six parts: the core alone (no ROS), the simplified simulator (no ROS), the lockstep's barrier alone, the stack without
+the swarm's own nodes, the whole formation flight, and the speed of that flight in lockstep compared with the same nodes
+running free. Prints tables and writes JSON with the machine's facts; the JSON is written after each measurement, so
+that nothing measured is lost. Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n
+when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from xtdrone_interaction.bench_flight import (
     measure_barrier,
     measure_core,
     measure_formation,
+    measure_simplified,
     measure_stack,
 )
 from xtdrone_interaction.bench_free import measure_free
@@ -44,12 +46,14 @@ from xtdrone_interaction.scripted_launch import LaunchError, Stopped, StopReques
 SCHEMA = 1  # of the JSON file
 PARTS: dict[str, tuple[int, ...]] = {
     "core": (1, 9, 30, 100),
+    "simplified": (9, 100, 1000),
     "barrier": (0, 1, 9, 20, 60),
     "stack": (1, 9, 30),
     "formation": (9, 30),
     "free": (9, 30),
 }
-_LEAST = {"core": 1, "barrier": 0, "stack": 1, "formation": 2, "free": 2}
+_LEAST = {"core": 1, "simplified": 2, "barrier": 0, "stack": 1, "formation": 2, "free": 2}
+_MOST = {"simplified": 10_000}  # vehicles; of other parts MAX_VEHICLES
 _FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
@@ -158,7 +162,10 @@ def chosen_vehicles(parts: Sequence[str], texts: Sequence[str]) -> dict[str, tup
         if equals and name not in chosen:
             raise OptionError(f"vehicles: part {name!r} in {text!r} is not measured; measured are: {', '.join(chosen)}")
         for part in [name] if equals else parts:
-            counts = (_whole_number(f"vehicles of {part}", n, _LEAST[part], MAX_VEHICLES) for n in numbers.split(","))
+            counts = (
+                _whole_number(f"vehicles of {part}", n, _LEAST[part], _MOST.get(part, MAX_VEHICLES))
+                for n in numbers.split(",")
+            )
             chosen[part] = tuple(dict.fromkeys(counts))
     return chosen
 
@@ -212,7 +219,12 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
             measure = partial(measure_formation, vehicles=count, processes=mode)
             yield f"{title}, processes {mode.replace('_', ' ')}", known | {"mode": mode}, measure
         return
-    measurements = {"core": measure_core, "stack": measure_stack, "free": measure_free}
+    measurements = {
+        "core": measure_core,
+        "simplified": measure_simplified,
+        "stack": measure_stack,
+        "free": measure_free,
+    }
     yield title, known, partial(measurements[part], vehicles=count)
 
 

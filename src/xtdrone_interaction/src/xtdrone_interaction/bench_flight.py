@@ -1,8 +1,8 @@
 """The benchmark's measurements: each runs a program or a launch file to its end and returns a row of figures.
 
 A row has ``vehicles``, ``load_before`` (the machine's load average over the last minute) and the figures that
-:func:`measure_core`, :func:`measure_barrier`, :func:`measure_stack` and :func:`measure_formation` list. A row of the
-barrier has ``participants`` and ``kind`` in place of ``vehicles``.
+:func:`measure_core`, :func:`measure_simplified`, :func:`measure_barrier`, :func:`measure_stack` and
+:func:`measure_formation` list. A row of the barrier has ``participants`` and ``kind`` in place of ``vehicles``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Length:
     """How long the measurements are.
 
     Attributes:
-        core_seconds: least wall time of one core measurement, s.
+        core_seconds: least wall time of one core or simplified measurement, s.
         barrier_seconds: least wall time of one barrier measurement, s.
         barrier_ticks: least number of ticks of one barrier measurement.
         window: measured simulated time of the stack, s.
@@ -96,6 +96,21 @@ def measure_core(bench: Bench, vehicles: int) -> Row:
     row = _row(vehicles)
     arguments = ["--vehicles", str(vehicles), "--seconds", str(bench.length.core_seconds)]
     return row | _run_program(bench, "core", f"core-{vehicles}", "xtdrone_sim.benchmark", arguments)[0]
+
+
+def measure_simplified(bench: Bench, vehicles: int) -> Row:
+    """Measure the simplified simulator: vehicles, leader, followers with consensus and avoidance, on one core, no ROS.
+
+    Returns:
+        real_time_factor, microseconds_per_vehicle_turn.
+
+    Raises:
+        BenchError: it failed.
+    """
+    row = _row(vehicles)
+    arguments = ["--vehicles", str(vehicles), "--seconds", str(bench.length.core_seconds)]
+    module = "xtdrone_sim.simplified.benchmark"
+    return row | _run_program(bench, "simplified", f"simplified-{vehicles}", module, arguments)[0]
 
 
 def measure_barrier(bench: Bench, participants: int, kind: str) -> Row:

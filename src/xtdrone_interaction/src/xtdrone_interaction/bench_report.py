@@ -16,6 +16,8 @@ _Cell = Callable[[str, Sequence[Row]], str]
 GOALS: dict[tuple[str, int, str | None], float] = {
     ("core", 9, None): 30.0,
     ("core", 100, None): 6.0,
+    ("simplified", 9, None): 1000.0,
+    ("simplified", 1000, None): 1.0,
     ("stack", 9, None): 10.0,
     ("formation", 9, "per_uav"): 3.0,
     ("formation", 30, "per_uav"): 1.0,
@@ -25,6 +27,7 @@ LEAST_CPU = 0.005  # CPU s per simulated s; programs that never use more have no
 
 _TITLES = {
     "core": "Core: physics, sensors, autopilots; no ROS",
+    "simplified": "Simplified simulator: vehicles, consensus, avoidance; no ROS, one core",
     "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
     "formation": "Formation flight",
@@ -231,6 +234,7 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
         ("vehicle-steps/s", _median("vehicle_steps_per_second", ".0f")),
         ("us/vehicle-step", _median("microseconds_per_vehicle_step", ".2f")),
     ],
+    "simplified": [*_SPEED, ("us/vehicle-turn", _median("microseconds_per_vehicle_turn", ".2f"))],
     "barrier": [
         ("participants", _participants),
         ("median", _median("median_us", ".1f")),

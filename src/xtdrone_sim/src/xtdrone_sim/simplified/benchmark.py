@@ -1,13 +1,15 @@
 """Benchmark of the simplified simulator: vehicles, leader, followers with consensus and avoidance, without ROS.
 
-``python -m xtdrone_sim.simplified.benchmark --vehicles 9 100 1000`` prints a table.
+``python -m xtdrone_sim.simplified.benchmark --vehicles 9 100 1000`` prints a table; ``--json FILE`` writes it.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import statistics
 import time
+from pathlib import Path
 from typing import Any
 
 from .swarm import Swarm
@@ -64,16 +66,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--vehicles", type=int, nargs="+", default=[9, 100, 1000], help="swarm sizes, at least 2")
     parser.add_argument("--seconds", type=float, default=2.0, help="least processor time of one measurement, s")
+    parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parser.parse_args()
     if min(arguments.vehicles) < 2 or not arguments.seconds > 0.0:
         parser.error("vehicles: at least 2 each; seconds: above 0")
     print(f"{'vehicles':>8} {'real-time factor':>17} {'us/vehicle-turn':>16}")
+    results = []
     for count in arguments.vehicles:
         result = measure(count, arguments.seconds)
+        results.append(result)
         print(
             f"{count:8d} {result['real_time_factor']:16.1f}x {result['microseconds_per_vehicle_turn']:16.2f}",
             flush=True,
         )
+    if arguments.json:
+        arguments.json.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":
