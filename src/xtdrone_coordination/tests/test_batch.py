@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_coordination.batch import FollowerBatch
+from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.consensus import Peer, Vector
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.patterns import PatternError, Patterns
+from xtdrone_coordination.rows import OwnRows, PeerRows
 from xtdrone_coordination.swarm import ArraySwarm, SwarmState
 
 UNKNOWN = np.full(3, math.nan)
@@ -76,6 +79,48 @@ class Unlimited(Follower):
         return wanted
 
 
+class InArrays(Follower):
+    """Its law reads all there is."""
+
+    @classmethod
+    def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
+        pull = peers.weight[:, None] * (peers.position - peers.offset - (own.position - own.offset)[peers.row])
+        away = peers.mean(peers.velocity) - own.velocity
+        return 0.5 * own.stock + options.Kp * peers.sum(pull) + 0.1 * away + 1e-3 * own.ids[:, None]
+
+
+class InBothForms(FeedForward):
+    @classmethod
+    def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
+        return own.stock + peers.mean(peers.velocity)
+
+    def control_law(self, position: Vector, peers: Sequence[Peer]) -> list[float]:  # type: ignore[override]
+        return super().control_law(position, peers)
+
+
+class BackToOne(InArrays):
+    """The last word is the law for one."""
+
+    def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
+        return 0.1, 0.2, 0.3
+
+
+class SeesUpwards(InArrays, Upwards, HearsTheNearest):
+    pass
+
+
+class WaywardInArrays(Follower):
+    @classmethod
+    def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
+        return np.where(own.position > 1.0, math.nan, own.stock)
+
+
+class Useless(Follower):
+    @classmethod
+    def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> str:
+        return "up"
+
+
 CLASSES = [
     Follower,
     StarFollower,
@@ -87,6 +132,12 @@ CLASSES = [
     Everything,
     Halved,
     Unlimited,
+    InArrays,
+    InBothForms,
+    BackToOne,
+    SeesUpwards,
+    WaywardInArrays,
+    Useless,
 ]
 
 
@@ -235,6 +286,28 @@ def test_a_flight_of_two_hundred_and_fifty(box: float) -> None:
 @pytest.mark.parametrize("cls", CLASSES)
 def test_each_class_by_itself(cls: type[Follower]) -> None:
     fly(Twins(12, [cls], [FollowerOptions(pose_timeout=0.1)]), 3, 130, box=3.0, losses=0.3)
+
+
+def test_the_example_agrees_with_itself() -> None:
+    example = load_class(str(Path(__file__).parents[1] / "examples" / "feed_forward_follower.py"), Follower)
+    assert example._in_arrays
+    fly(Twins(12, [example], [FollowerOptions(pose_timeout=0.1)]), 3, 130, box=3.0, losses=0.3)
+
+
+def test_a_law_in_arrays_of_the_wrong_shape_stops_the_vehicle_not_the_swarm() -> None:
+    class TooFew(Follower):
+        @classmethod
+        def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
+            return own.stock[:, :2]
+
+    twins = Twins(3, [TooFew], [FollowerOptions()])
+    twins.pattern(Patterns(3).offsets("cube"))
+    for followers in (twins.single, twins.batched):
+        for follower in followers:
+            follower._warn = lambda text: None  # it tells what it was given, here of one and there of all
+    twins.hear(9.0 * np.eye(3), np.zeros((3, 3)))
+    assert not twins.turn().any()
+    assert all("control_laws gave" in problem for follower in twins.batched for problem in follower._problems)
 
 
 def test_an_avoidance_that_is_heard() -> None:

@@ -13,6 +13,7 @@ from xtdrone_coordination.batch import FollowerBatch
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.network import Network, NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
+from xtdrone_coordination.rows import OwnRows, PeerRows
 from xtdrone_coordination.swarm import ArraySwarm
 from xtdrone_coordination.topology import veteran_topology
 
@@ -51,6 +52,14 @@ class Upwards(Follower):
         return x, y, z + 0.01 * sum(p is not None for p in self.swarm.positions)
 
 
+class InArrays(Follower):
+    """A law for many at once."""
+
+    @classmethod
+    def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
+        return own.stock + peers.mean(peers.velocity) - 0.1 * own.velocity + 0.01 * peers.sum(peers.position)
+
+
 class ByItself(Follower):
     """It reaches deeper than the batch computes."""
 
@@ -82,7 +91,7 @@ class Team:
 
 
 STOCK = [Follower]
-MIXED = [Follower, FeedForward, Nearest, StarFollower, Upwards, ByItself]
+MIXED = [Follower, FeedForward, Nearest, StarFollower, Upwards, ByItself, InArrays]
 
 
 @pytest.mark.parametrize("radio", [NetworkOptions(), LOSSY, BURSTY, NARROW], ids=["ideal", "lossy", "bursty", "narrow"])

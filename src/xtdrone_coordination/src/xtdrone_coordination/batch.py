@@ -2,7 +2,8 @@
 
 What a class leaves as it is (:class:`Follower`'s control law, neighbours, avoidance) is computed for all at once by
 compiled kernels; a method that a subclass overrides is called for each of its followers, and the rest is still the
-kernels'. A subclass that reaches deeper, as into :meth:`Follower.update`, is updated by itself, and works as well.
+kernels'. A law in arrays (:meth:`Follower.control_laws`) is called once for all followers that have the same class and
+options. A subclass that reaches deeper, as into :meth:`Follower.update`, is updated by itself, and works as well.
 """
 
 from __future__ import annotations
@@ -10,15 +11,25 @@ from __future__ import annotations
 import operator
 from collections.abc import Mapping, Sequence
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xtdrone_coordination import kernels
 from xtdrone_coordination.consensus import Vector
-from xtdrone_coordination.follower import STOPPED, Follower, StarFollower, slots_of, weights_in
+from xtdrone_coordination.follower import (
+    STOPPED,
+    Follower,
+    FollowerOptions,
+    StarFollower,
+    rows_of,
+    slots_of,
+    weights_in,
+)
 from xtdrone_coordination.network import Near, Network
-from xtdrone_coordination.swarm import ArraySwarm
+from xtdrone_coordination.rows import OwnRows, PeerRows
+from xtdrone_coordination.swarm import NEVER, ArraySwarm
 from xtdrone_coordination.topology import check_adjacency
 
 
@@ -64,6 +75,7 @@ class FollowerBatch:
         self._asked = [k for k, own in enumerate(self._own) if own]
         self._listening = any("neighbours" in own for own in self._own)
         self._stars = [_is_star(follower) for follower in self._rows]
+        self._laws = _groups_of_laws(self._rows)
         self._make_arrays()
         self._pick_up()
 
@@ -100,6 +112,7 @@ class FollowerBatch:
         self._vectors = np.zeros((2, rows, 3))
         self._commands = np.zeros((count, 3))
         self._given = np.zeros(count, dtype=bool)
+        self._useless: dict[int, Any] = {}  # what a law in arrays gave in place of numbers, for each row
 
     # inputs
 
@@ -144,12 +157,17 @@ class FollowerBatch:
             the next update.
         """
         self._notice_changes()
+        phases = kernels.ALL
         if self._asked:
             self._run(kernels.SENSE)
             self._ask()
-            reported = self._run(kernels.LAW + kernels.COMMAND)
-        else:
-            reported = self._run(kernels.ALL)
+            phases -= kernels.SENSE
+        if self._laws:
+            self._run(phases - kernels.COMMAND)
+            for (cls, options), rows in self._laws.items():
+                self._apply_laws(cls, options, rows)
+            phases = kernels.COMMAND
+        reported = self._run(phases)
         if reported:
             self._report(self._notes[kernels.REPORTED, :reported].tolist())
         for follower in self._whole:
@@ -164,7 +182,7 @@ class FollowerBatch:
             self._radio = network.near(self._widest)
         return kernels.turn(
             phases,
-            state.ticks if network is None else network.turn,
+            self._now,
             state.position_rows,
             state.velocity_rows,
             state.heard,
@@ -210,6 +228,53 @@ class FollowerBatch:
         if self._listening:
             self._take_mappings()
 
+    def _apply_laws(self, cls: type[Follower], options: FollowerOptions, rows: NDArray[np.int64]) -> None:
+        """Put what a class's law in arrays gives in place of the stock law's results."""
+        listening = (self._notes[kernels.STATUS, rows] == kernels.READY) & (
+            self._notes[kernels.PROBLEMS, rows] & kernels.ALONE == 0
+        )
+        rows = rows[listening]
+        if not len(rows):
+            return
+        own, peers = self._own_rows(rows), self._peer_rows(rows)
+        given = cls.control_laws(options, own, peers)
+        result = rows_of(given, len(rows))
+        if result is None:
+            self._vectors[1, rows] = np.nan
+            for k in rows.tolist():
+                self._useless[k] = given
+        else:
+            self._vectors[1, rows] = result
+
+    def _own_rows(self, rows: NDArray[np.int64]) -> OwnRows:
+        ids, slots = self._kinds[rows, kernels.ID], self._kinds[rows, kernels.SLOTS]
+        position, velocity, _ = self._known(ids, ids)
+        return OwnRows(ids, position, velocity, self._slots[slots, ids], self._vectors[1, rows])
+
+    def _peer_rows(self, rows: NDArray[np.int64]) -> PeerRows:
+        sizes = self._start[rows + 1] - self._start[rows]
+        row = np.repeat(np.arange(len(rows)), sizes)
+        links = np.arange(len(row)) + np.repeat(self._start[rows] - np.cumsum(sizes) + sizes, sizes)
+        others, listeners = self._peer[links], rows[row]
+        position, velocity, heard = self._known(self._kinds[listeners, kernels.ID], others)
+        fresh = (heard != NEVER) & (self._now - heard <= self._kinds[listeners, kernels.TIMEOUT])
+        offset = self._slots[self._kinds[listeners, kernels.SLOTS], others]
+        return PeerRows(*(array[fresh] for array in (row, others, self._weight[links], position, velocity, offset)))
+
+    def _known(
+        self, listeners: NDArray[np.int64], others: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+        """Return positions, velocities and ticks of arrival of what each listener knows of its counterpart."""
+        if self.network is None:
+            state = self._state
+            return state.position_rows[others], state.velocity_rows[others], state.heard[others]
+        samples = self.network.samples(listeners, others)
+        return samples.positions, np.where(np.isnan(samples.velocities), 0.0, samples.velocities), samples.came
+
+    @property
+    def _now(self) -> int:
+        return self._state.ticks if self.network is None else self.network.turn
+
     def _report(self, rows: Sequence[int]) -> None:
         """Give followers their new avoidance and let them say what is wrong, as their own update would."""
         signatures = self._notes[kernels.PROBLEMS].tolist()
@@ -228,8 +293,8 @@ class FollowerBatch:
                 silent = [j for j in self._mappings[k] if not follower.swarm.fresh(j, follower._timeout)]
                 follower._tell_silent(silent, alone=bool(problems & kernels.ALONE))
             if problems & kernels.BAD_LAW:
-                x, y, z = self._vectors[1, k].tolist()
-                follower._checked((x, y, z), "control_law")
+                name = "control_laws" if type(follower)._in_arrays else "control_law"
+                follower._checked(self._useless.pop(k, tuple(self._vectors[1, k].tolist())), name)
 
     def _pick_up(self) -> None:
         """Take what the followers know of pattern and topology."""
@@ -282,7 +347,7 @@ class FollowerBatch:
 
 
 _PARTS = ("avoidance", "neighbours", "control_law")
-_DEEPER = ("update", "_limited", "_wanted", "_peers", "_checked", "_tell", "_tell_silent")
+_DEEPER = ("update", "_limited", "_wanted", "_law_of_one", "_peers", "_checked", "_tell", "_tell_silent")
 _DATA = ("offsets", "weights", "avoidance_vector", "options", "swarm", "id")
 _STAR: Mapping[int, float] = {0: 1.0}
 
@@ -309,6 +374,20 @@ def _overrides(follower: Follower, name: str) -> bool:
     return getattr(getattr(follower, name), "__func__", None) is not getattr(Follower, name)
 
 
+def _flies_by_arrays(follower: Follower) -> bool:
+    """Return whether its class has a law in arrays, and nobody gave this follower another law."""
+    return type(follower)._in_arrays and "control_law" not in vars(follower)
+
+
+def _groups_of_laws(rows: Sequence[Follower]) -> dict[tuple[type[Follower], FollowerOptions], NDArray[np.int64]]:
+    """Return the rows that fly by a law in arrays, by class and options."""
+    groups: dict[tuple[type[Follower], FollowerOptions], list[int]] = {}
+    for k, follower in enumerate(rows):
+        if _flies_by_arrays(follower):
+            groups.setdefault((type(follower), follower.options), []).append(k)
+    return {key: np.array(numbers) for key, numbers in groups.items()}
+
+
 def _is_star(follower: Follower) -> bool:
     return getattr(follower.neighbours, "__func__", None) is StarFollower.neighbours
 
@@ -316,6 +395,8 @@ def _is_star(follower: Follower) -> bool:
 def _own_parts(follower: Follower) -> frozenset[str]:
     """Return which of the methods made to be overridden must be called for this follower."""
     own = {name for name in _PARTS if _overrides(follower, name)}
+    if _flies_by_arrays(follower):
+        own.discard("control_law")
     if _is_star(follower):
         own.discard("neighbours")
     if follower.options.avoid == "topic":

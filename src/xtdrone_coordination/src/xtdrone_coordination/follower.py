@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from xtdrone_coordination import avoidance
 from xtdrone_coordination.consensus import Peer, Vector, acceleration_law, clip, critical_damping, velocity_law
 from xtdrone_coordination.patterns import check_offsets, with_leader
+from xtdrone_coordination.rows import OwnRows, PeerRows
 from xtdrone_coordination.swarm import SwarmState, as_vector
 from xtdrone_coordination.topology import check_adjacency
 
@@ -93,6 +94,9 @@ class Follower:
     Override :meth:`control_law`, :meth:`neighbours` or :meth:`avoidance`. They may return tuples, lists or arrays. What
     else a subclass remembers it forgets in :meth:`restart`.
 
+    For swarms of a thousand in one process a law without a memory may be written in arrays, as :meth:`control_laws`, in
+    place of :meth:`control_law` or beside it.
+
     Attributes:
         id: this vehicle's number, 1 to count-1.
         count: number of vehicles N.
@@ -105,6 +109,16 @@ class Follower:
 
     uses_velocities = False
     """Set it in a subclass whose law reads velocities, so that they are subscribed in vel mode too."""
+
+    _in_arrays = False  # whether control_laws counts in a batch
+    _by_itself = True  # whether control_law counts outside of it
+
+    def __init_subclass__(cls, **named: object) -> None:
+        """See which of the two forms of the law is the last word of a subclass."""
+        super().__init_subclass__(**named)
+        last = next(vars(base) for base in cls.__mro__ if {"control_law", "control_laws"} & set(vars(base)))
+        cls._by_itself = "control_law" in last
+        cls._in_arrays = "control_laws" in last and last is not vars(Follower)
 
     def __init__(
         self,
@@ -176,6 +190,23 @@ class Follower:
         velocity = self.swarm.velocities[self.id] or _ZERO
         return acceleration_law(position, velocity, offset, peers, gain, self._gamma, normalise=normalise)
 
+    @classmethod
+    def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> ArrayLike:
+        """Return what :meth:`control_law` does, for many followers of this class at once; the default is the stock law.
+
+        A subclass that overrides this alone flies by it everywhere. One that overrides both flies by this one where
+        all followers of a process are computed together, and by the other in a node of its own: they have to agree.
+
+        Args:
+            options: settings, the same of all these followers.
+            own: the followers, M rows.
+            peers: those they listen to, with what they know of them.
+
+        Returns:
+            Shape (M, 3), m/s or m/s^2 ENU.
+        """
+        return own.stock
+
     def neighbours(self) -> Mapping[int, float]:
         """Return the weight of each vehicle to listen to, by its number; the default is the leader's topology."""
         return self.weights
@@ -233,7 +264,33 @@ class Follower:
         peers, silent = self._peers(offsets)
         if silent:
             self._tell_silent(silent, alone=not peers)
-        return self._checked(self.control_law(own, peers), "control_law") if peers else _ZERO
+        if not peers:
+            return _ZERO
+        if self._by_itself:
+            return self._checked(self.control_law(own, peers), "control_law")
+        return self._checked(self._law_of_one(own, peers, offsets), "control_laws")
+
+    def _law_of_one(self, position: Vector, peers: Sequence[Peer], offsets: list[Vector]) -> Vector:
+        """Return what control_laws gives for this follower."""
+        own = OwnRows(
+            ids=np.array([self.id]),
+            position=np.array([position]),
+            velocity=np.array([self.swarm.velocities[self.id] or _ZERO]),
+            offset=np.array([offsets[self.id]]),
+            stock=np.array([Follower.control_law(self, position, peers)]),
+        )
+        numbers, weights, positions, velocities, slots = zip(*peers, strict=True)
+        links = PeerRows(
+            row=np.zeros(len(peers), dtype=np.int64),
+            ids=np.array(numbers),
+            weight=np.array(weights, dtype=float),
+            position=np.array(positions),
+            velocity=np.array(velocities),
+            offset=np.array(slots),
+        )
+        given = self.control_laws(self.options, own, links)
+        rows = rows_of(given, 1)
+        return given if rows is None else tuple(rows[0].tolist())  # type: ignore[return-value]  # who calls checks it
 
     def _limited(self, wanted: Vector) -> Vector:
         """Add the avoidance to the consensus, each within the limit first, so that a far slot cannot drown it."""
@@ -282,6 +339,15 @@ class StarFollower(Follower):
     def neighbours(self) -> Mapping[int, float]:
         """Return the leader."""
         return {0: 1.0}
+
+
+def rows_of(value: ArrayLike, count: int) -> NDArray[np.float64] | None:
+    """Return ``value`` as an array of shape (count, 3), None if it is not that."""
+    try:
+        rows = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    return rows if rows.shape == (count, 3) else None
 
 
 def slots_of(offsets: ArrayLike, count: int) -> list[Vector]:
