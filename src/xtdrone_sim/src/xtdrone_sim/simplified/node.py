@@ -146,8 +146,8 @@ class SimplifiedScene:
         self._begin()
 
     def _begin(self) -> None:
-        self._next_turn_us = self._schedule.after_us(self.time_us)
-        self._next_state_us = self._next_extended_us = 0
+        # At once: participants have a turn in the first tick, whenever that is.
+        self._next_turn_us = self._next_state_us = self._next_extended_us = 0
 
     @property
     def time_us(self) -> int:
@@ -172,7 +172,7 @@ class SimplifiedScene:
 
     def next_due_us(self, now_us: int) -> int | None:
         """Return the time of the next turn."""
-        return self._next_turn_us
+        return self._schedule.after_us(now_us)
 
     def advance(self, until_us: int) -> None:
         """Move on."""
