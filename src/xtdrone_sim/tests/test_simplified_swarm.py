@@ -12,7 +12,7 @@ import xtdrone_sim
 from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import CommandError, Leader
-from xtdrone_coordination.patterns import PatternError
+from xtdrone_coordination.patterns import PatternError, Patterns
 from xtdrone_sim.simplified import Model, NetworkOptions, Swarm
 from xtdrone_sim.simplified.benchmark import measure
 from xtdrone_sim.simplified.simplified_vehicles import SimplifiedVehicles
@@ -134,6 +134,8 @@ def test_acceleration_mode_settles():
         ({"follower_options": 3}, TypeError, "FollowerOptions"),
         ({"leader_options": {"avoid": "maybe"}}, ValueError, "maybe"),
         ({"vehicles": SimplifiedVehicles(3)}, ValueError, "3 are given"),
+        ({"patterns": Patterns(9), "pattern_file": "mine.yaml"}, ValueError, "'mine.yaml' too"),
+        ({"patterns": Patterns(8)}, ValueError, "for 8 vehicles"),
         ({"network": {"loss": 2.0}}, ValueError, "loss"),
         ({"network": {"lossy": 0.1}}, ValueError, "lossy is not known"),
     ],
@@ -208,7 +210,8 @@ def test_who_is_cut_off_is_named(caplog):
     swarm.choose("cube")
     swarm.step()
     assert swarm.cut_off() == [3, 4]
-    assert "2 vehicles are cut off from the leader: iris_3, iris_4" in caplog.text
+    assert "cuts off 3-4 of 5 vehicles" in caplog.text
+    assert len(caplog.records) == 1
 
 
 def test_out_of_range_they_stand_still_and_few_warnings_are_logged(caplog):
@@ -217,7 +220,7 @@ def test_out_of_range_they_stand_still_and_few_warnings_are_logged(caplog):
     swarm.run(2.0)
     assert np.abs(swarm.velocities).max() < 1e-6
     assert swarm.cut_off() == list(range(1, 30))
-    assert "29 vehicles are cut off from the leader: iris_1, iris_2" in caplog.text
+    assert "by the network's range 1-29 of 30 vehicles are cut off" in caplog.text
     assert "26 more such warnings" in caplog.text
     assert len(caplog.records) == 5
 

@@ -101,8 +101,10 @@ class SimplifiedVehicles:
 
     def _look(self) -> None:
         """Take over modes and arming; they change seldom."""
-        self.armed: Sequence[bool] = [bool(armed) for armed in self._vehicles["armed"].tolist()]
-        self.mode: Sequence[str] = [pilot.MODE_NAMES[mode] for mode in self._vehicles["mode"].tolist()]
+        self._armed = [bool(armed) for armed in self._vehicles["armed"].tolist()]
+        self._mode = [pilot.MODE_NAMES[mode] for mode in self._vehicles["mode"].tolist()]
+        self.armed: Sequence[bool] = self._armed
+        self.mode: Sequence[str] = self._mode
 
     # commands
 
@@ -124,7 +126,8 @@ class SimplifiedVehicles:
             capture(self._vehicles[index])
             return ""
         refusal = self._carry_out(index, text)
-        self._look()
+        vehicle = self._vehicles[index]
+        self._armed[index], self._mode[index] = bool(vehicle.armed), pilot.MODE_NAMES[vehicle.mode]
         return f"{self.names[index]}: {refusal}" if refusal else ""
 
     def _holds(self, index: int, text: str) -> bool:

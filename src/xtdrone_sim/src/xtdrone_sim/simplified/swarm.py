@@ -27,7 +27,7 @@ from scipy.spatial import cKDTree
 
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
-from xtdrone_coordination.leader import Leader, LeaderOptions
+from xtdrone_coordination.leader import Leader, LeaderOptions, number_list
 from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_coordination.topology import cut_off
@@ -39,7 +39,6 @@ from .simplified_vehicles import SimplifiedVehicles, spawn_places
 from .vehicles import ACCELERATION, VELOCITY, Array, Vehicles
 
 SETTLED = 0.15  # m
-_NAMED = 10  # vehicles in one warning
 _SAID = 3  # warnings of followers in one turn
 
 _Options = TypeVar("_Options", FollowerOptions, LeaderOptions, NetworkOptions)
@@ -107,6 +106,8 @@ class Swarm:
             raise ValueError(f"number of vehicles: {count!r} is not a whole number")
         if patterns is not None and patterns.count != count:
             raise ValueError(f"patterns: they are for {patterns.count} vehicles, there are {count}")
+        if patterns is not None and pattern_file is not None:
+            raise ValueError(f"patterns: they are given, and {str(pattern_file)!r} too; one of the two is allowed")
         patterns = patterns or Patterns(count, pattern_file)
         if vehicles is None:
             if not (math.isfinite(altitude) and altitude > 0.0):
@@ -413,16 +414,26 @@ class Swarm:
             _LOG.warning("%.3f s: %d more such warnings of followers", self.time, len(self._warnings) - _SAID)
         self._warnings.clear()
 
+    def _name_those_out_of_range(self) -> None:
+        """Warn of vehicles that the leader's topology reaches, but not over the network as all are now."""
+        assert self.leader.adjacency is not None
+        lost = sorted(set(self.cut_off()) - set(cut_off(self.leader.adjacency)))
+        if lost:
+            _LOG.warning(
+                "pattern %s: by the network's range %s of %d vehicles are cut off from the leader",
+                self.leader.pattern,
+                number_list(lost),
+                len(self.vehicles.names),
+            )
+
     def _announce(self) -> None:
         """Send pattern and topology on their way; the offsets as 32-bit floats, as in ROS's messages."""
         leader = self.leader
         self._said = leader.pattern
         assert leader.offsets is not None
         assert leader.adjacency is not None
-        lost = self.cut_off()
-        if lost:
-            names = ", ".join(self.vehicles.names[i] for i in lost[:_NAMED]) + (", ..." if lost[_NAMED:] else "")
-            _LOG.warning("pattern %s: %d vehicles are cut off from the leader: %s", self._said, len(lost), names)
+        if self._crew.network is not None:
+            self._name_those_out_of_range()
         self._message = leader.offsets.astype(np.float32).astype(float), leader.adjacency
         if self.record is not None:
             self.record.choices.append(
