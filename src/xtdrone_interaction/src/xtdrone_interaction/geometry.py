@@ -24,6 +24,7 @@ ESTIMATE = "estimate (mavros/local_position/pose)"
 ORIGIN = "origin"  # the pattern that is the spawn grid
 SETTLED_ERROR = 0.15  # m; every follower within it counts as settled
 _CHUNK = 1_000_000  # distances held at once
+_MANY = 250  # vehicles; of more, neighbours are searched for
 
 
 def relative(positions: Array) -> Array:
@@ -47,12 +48,25 @@ def least_distances(positions: Array) -> Array:
     Args:
         positions: shape (t, n, 3), m.
     """
-    first, second = np.triu_indices(positions.shape[1], 1)
-    if not len(first):
+    if positions.shape[1] < 2:
         return np.full(len(positions), np.inf)
+    if positions.shape[1] > _MANY:
+        return _nearest(positions)
+    first, second = np.triu_indices(positions.shape[1], 1)
     rows = max(1, _CHUNK // len(first))
     parts = [positions[i : i + rows] for i in range(0, len(positions), rows)]
     return np.concatenate([np.linalg.norm(p[:, first] - p[:, second], axis=-1).min(axis=1) for p in parts])
+
+
+def _nearest(positions: Array) -> Array:
+    """Return the same by a search for neighbours; rows with a place that is not known are NaN."""
+    from scipy.spatial import cKDTree  # takes a while to import, and nodes have few vehicles
+
+    found = np.full(len(positions), np.nan)
+    for row, places in enumerate(positions):
+        if np.isfinite(places).all():
+            found[row] = cKDTree(places).query(places, k=2)[0][:, 1].min()
+    return found
 
 
 def offsets_from_message(data: Iterable[float]) -> Array:

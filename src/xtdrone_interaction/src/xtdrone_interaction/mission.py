@@ -111,6 +111,7 @@ class FormationMission:
         patterns: Sequence[str],
         slots: Mapping[str, Array],
         clearance: float = CLEARANCE,
+        settle_limit: float = SETTLE_LIMIT,
     ) -> None:
         """Plan the flight.
 
@@ -120,6 +121,7 @@ class FormationMission:
             patterns: flown in turn between ``origin`` and ``origin``.
             slots: offsets of each pattern and of ``origin``, shape (n - 1, 3), m.
             clearance: least height of any slot above the ground, m.
+            settle_limit: s, after which a pattern that has not settled is given up.
         """
         self.view = view
         self.commands = commands
@@ -131,6 +133,7 @@ class FormationMission:
         self.steps = 8 + len(self.patterns) + max(0, len(self.patterns) - 1)
         self.unsettled: list[str] = []
         self._ground = 0.0
+        self._settle_limit = settle_limit
 
     def fly(self) -> Ticks:
         """Fly the mission; advance once a tick.
@@ -233,14 +236,13 @@ class FormationMission:
         offsets, slots = self.view.offsets, self.slots[pattern]
         if offsets is None or offsets.shape != slots.shape:
             return False
-        distance = np.linalg.norm(offsets[:, None] - slots[None], axis=-1)
-        return bool((distance.min(axis=0) < _SAME_SLOT).all() and (distance.min(axis=1) < _SAME_SLOT).all())
+        return _all_near(offsets, slots) and _all_near(slots, offsets)
 
     def _settle(self, what: str) -> Ticks:
         """Wait until all followers have been in their slots for SETTLED_HOLD; note it when they are not in time."""
         start = self.view.time
         inside: float | None = None
-        while self.view.time - start < SETTLE_LIMIT:
+        while self.view.time - start < self._settle_limit:
             self._check_flying()
             error = self.view.error()
             if error is None or error.max() > SETTLED_ERROR:
@@ -324,6 +326,11 @@ class FormationMission:
         end = self.view.time + duration
         while self.view.time < end:
             yield
+
+
+def _all_near(points: Array, others: Array) -> bool:
+    """Return whether every point is at one of the others; row by row, as a large swarm's table would not fit."""
+    return all(np.abs(others - point).max(axis=1).min() < _SAME_SLOT for point in points)
 
 
 def _enu_to_flu(vector: Array, yaw: float) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from xtdrone_coordination.leader import CommandError
 from xtdrone_interaction.geometry import ORIGIN, Array
-from xtdrone_interaction.mission import CLEARANCE, FormationMission, MissionError, View
+from xtdrone_interaction.mission import CLEARANCE, SETTLE_LIMIT, FormationMission, MissionError, View
 from xtdrone_interaction.record import Change, FlightRecord, Track
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SOURCE = "truth (in one process)"
 PROGRESS_TURNS = 6  # turns between two calls of ``progress``: 5 Hz of simulated time
+_SETTLE_TIME = 6.0  # s for each metre between the leader and the farthest slot: followers fly 1 m/s
 _MANY = 200  # vehicles; of more than these, every third turn is recorded
 _MANY_TURNS = 3
 
@@ -89,7 +90,9 @@ class FormationFlight:
         slots = {name: known.offsets(name) for name in dict.fromkeys([ORIGIN, *patterns])}
         self.view = View(swarm.vehicles.names)
         self.view.connected = [True] * len(self.view.names)
-        self.mission = FormationMission(self.view, self, patterns, slots, clearance)
+        reach = max(float(np.linalg.norm(offsets, axis=1).max()) for offsets in slots.values())
+        limit = max(SETTLE_LIMIT, _SETTLE_TIME * reach)
+        self.mission = FormationMission(self.view, self, patterns, slots, clearance, limit)
         self._swarm = swarm
         self._source = source
         self._on_progress = progress
