@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -49,3 +50,51 @@ def test_shapes_are_checked(here: np.ndarray, there: np.ndarray) -> None:
 def test_nan_is_refused() -> None:
     with pytest.raises(ValueError, match="finite"):
         assign([[np.nan, 0, 0]], [[0, 0, 0]])
+
+
+def reduced_costs(here: np.ndarray, there: np.ndarray, slots: np.ndarray) -> np.ndarray:
+    """What each follower would lose by each slot, at prices of slots; shape (M, M).
+
+    The prices are the shortest ways in the graph in which a follower leaves its slot for another (Bellman and Ford).
+    None less than zero proves that no other assignment is better: any other's cost is this one's plus the sum of those
+    that it uses. Prices that never come to rest mean that a ring of followers gains by passing slots on.
+    """
+    distance = np.linalg.norm(here[:, None] - there[None], axis=-1)
+    loss = distance - distance[np.arange(len(slots)), slots][:, None]
+    prices = np.zeros(len(slots))
+    for _ in range(len(slots)):
+        better = np.minimum(prices, (prices[slots][:, None] + loss).min(axis=0))
+        if np.array_equal(better, prices):
+            break
+        prices = better
+    return loss + prices[slots][:, None] - prices
+
+
+@pytest.mark.parametrize(("before", "after"), [("origin", "cube"), ("sphere", "text:XTD"), ("pyramid", "grid")])
+def test_a_thousand_are_assigned_in_the_best_way(before: str, after: str) -> None:
+    patterns = Patterns(1000)
+    here, there = patterns.offsets(before), patterns.offsets(after)
+    here += np.random.default_rng(5).normal(0.0, 0.05, here.shape)
+    solved = assign(here, there)
+    assert sorted(solved.slots.tolist()) == list(range(999))
+    assert solved.cost == pytest.approx(np.linalg.norm(here - there[solved.slots], axis=1).sum(), rel=1e-12)
+    assert reduced_costs(here, there, solved.slots).min() > -1e-9
+
+
+def test_the_proof_of_the_best_finds_what_is_not() -> None:
+    patterns = Patterns(300)
+    here, there = patterns.offsets("origin"), patterns.offsets("sphere")
+    slots = assign(here, there).slots.copy()
+    assert reduced_costs(here, there, slots).min() > -1e-9
+    slots[[0, 200]] = slots[[200, 0]]
+    assert reduced_costs(here, there, slots).min() < -1e-3
+
+
+def test_memory_of_a_large_assignment() -> None:
+    patterns = Patterns(1000)
+    here, there = patterns.offsets("origin"), patterns.offsets("sphere")
+    tracemalloc.start()
+    assign(here, there)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40e6, "three matrices of 8 MB and small change"

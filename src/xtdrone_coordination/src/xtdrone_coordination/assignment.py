@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
+_LARGE = 200  # followers; below, of equally good assignments, the same is found as ever
+
 
 @dataclass(frozen=True)
 class Assignment:
@@ -37,6 +39,28 @@ def assign(current: ArrayLike, target: ArrayLike) -> Assignment:
         raise ValueError(f"assignment: shapes {here.shape} and {there.shape}, both must be (M, 3)")
     if not (np.isfinite(here).all() and np.isfinite(there).all()):
         raise ValueError("assignment: all positions must be finite")
-    distance = np.linalg.norm(here[:, None] - there[None], axis=-1)
-    rows, columns = linear_sum_assignment(distance)
+    distance = _distances(here, there)
+    rows, columns = linear_sum_assignment(distance if len(here) < _LARGE else _reduced(distance))
     return Assignment(columns, float(distance[rows, columns].sum()))
+
+
+def _distances(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances from each to each, shape (M, M)."""
+    if len(here) < _LARGE:
+        return np.asarray(np.linalg.norm(here[:, None] - there[None], axis=-1))
+    squares = np.zeros((len(here), len(there)))
+    for a, b in zip(here.T, there.T, strict=True):  # an axis at a time, a third of the memory
+        difference = a[:, None] - b
+        difference *= difference
+        squares += difference
+    return np.sqrt(squares, out=squares)
+
+
+def _reduced(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances less the least of each row, then of each column: of the same best assignments, found faster.
+
+    A solver that begins with nothing known of the prices of rows and columns finds zeros to assign at once.
+    """
+    reduced = distance - distance.min(axis=1, keepdims=True)
+    reduced -= reduced.min(axis=0)
+    return reduced
