@@ -225,6 +225,18 @@ def test_out_of_range_they_stand_still_and_few_warnings_are_logged(caplog):
     assert len(caplog.records) == 5
 
 
+def test_a_poor_network_does_not_flood_the_log(caplog):
+    swarm = Swarm(9, network=NetworkOptions(loss=0.7, burst=2.0))
+    swarm.choose("cube")
+    swarm.run(25.0)
+    logged = {}
+    for time, text in (record.getMessage().split(" s: ") for record in caplog.records):
+        if "more such" not in text:
+            logged.setdefault(text, []).append(float(time))
+    assert max(map(len, logged.values())) == 3  # in 25 s
+    assert all(np.diff(times).min(initial=10.0) >= 10.0 for times in logged.values())
+
+
 def test_the_benchmark_measures():
     figures = measure(9, 0.05, repeats=1)
     assert figures["vehicles"] == 9

@@ -40,6 +40,7 @@ from .vehicles import ACCELERATION, VELOCITY, Array, Vehicles
 
 SETTLED = 0.15  # m
 _SAID = 3  # warnings of followers in one turn
+_REPEATED = 10.0  # s, before a follower's warning is logged again: over a poor network it comes and goes all the time
 
 _Options = TypeVar("_Options", FollowerOptions, LeaderOptions, NetworkOptions)
 _LOG = logging.getLogger(__name__)
@@ -140,6 +141,7 @@ class Swarm:
     def _begin(self) -> None:
         self.record = Record(len(self.vehicles.names)) if self._recording else None
         self._said = ""
+        self._said_at: dict[str, float] = {}  # when followers' warnings were logged
         self._message: tuple[Array, NDArray[np.int32]] | None = (
             None  # pattern and topology, on their way to the followers
         )
@@ -408,11 +410,14 @@ class Swarm:
 
     def _warn(self) -> None:
         """Log what followers warn of; when many do in one turn, the first of them and how many more."""
-        for text in self._warnings[:_SAID]:
-            _LOG.warning("%.3f s: %s", self.time, text)
-        if len(self._warnings) > _SAID:
-            _LOG.warning("%.3f s: %d more such warnings of followers", self.time, len(self._warnings) - _SAID)
+        now = self.time
+        texts = [text for text in self._warnings if now - self._said_at.get(text, -math.inf) >= _REPEATED]
+        self._said_at.update(dict.fromkeys(texts, now))
         self._warnings.clear()
+        for text in texts[:_SAID]:
+            _LOG.warning("%.3f s: %s", now, text)
+        if len(texts) > _SAID:
+            _LOG.warning("%.3f s: %d more such warnings of followers", now, len(texts) - _SAID)
 
     def _name_those_out_of_range(self) -> None:
         """Warn of vehicles that the leader's topology reaches, but not over the network as all are now."""
