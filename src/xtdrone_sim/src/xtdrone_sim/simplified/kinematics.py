@@ -215,6 +215,12 @@ def set_one(v, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
 
 
 @kernel
+def set_at(vehicles, index, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
+    """Set the set-point of vehicle ``index``, see :func:`set_one`."""
+    set_one(vehicles[index], kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate)
+
+
+@kernel
 def set_many(vehicles, kind, vectors, given, dead_zone, dead_yaw_rate):
     """Set the set-points of the vehicles that are ``given``, see :func:`set_one`; return the first bad row, or -1."""
     for i in range(len(vehicles)):

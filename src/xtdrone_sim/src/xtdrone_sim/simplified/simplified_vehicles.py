@@ -12,7 +12,7 @@ from xtdrone_control.communication.core import HOVER_YAW_RATE, OWN_COMMANDS, PX4
 from xtdrone_coordination.patterns import PITCH, origin_columns
 
 from . import pilot
-from .kinematics import VEHICLE, advance, capture, set_many, set_one
+from .kinematics import VEHICLE, advance, capture, set_at, set_many
 from .model import Model, load_model
 from .vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
 
@@ -73,7 +73,8 @@ class SimplifiedVehicles:
         self._airborne = airborne
         self._record = self.model.record(rate_step_us)
         depth = int(self._record["delay"].max()) + 1
-        self._vehicles = np.zeros(count, VEHICLE).view(np.recarray)
+        self._vehicles = np.zeros(count, VEHICLE)
+        self._each = self._vehicles.view(np.recarray)  # single ones, by attributes; slower
         self._delayed = np.zeros((count, depth, 4))
         self.position = np.zeros((count, 3))
         self.velocity = np.zeros((count, 3))
@@ -123,10 +124,10 @@ class SimplifiedVehicles:
             return ""
         self._last[index] = text
         if text == "HOVER":
-            capture(self._vehicles[index])
+            capture(self._each[index])
             return ""
         refusal = self._carry_out(index, text)
-        vehicle = self._vehicles[index]
+        vehicle = self._each[index]
         self._armed[index], self._mode[index] = bool(vehicle.armed), pilot.MODE_NAMES[vehicle.mode]
         return f"{self.names[index]}: {refusal}" if refusal else ""
 
@@ -138,7 +139,7 @@ class SimplifiedVehicles:
         return self.mode[index] in (text, _SUCCESSORS.get(text))
 
     def _carry_out(self, index: int, text: str) -> str:
-        vehicle = self._vehicles[index]
+        vehicle = self._each[index]
         if text == "ARM":
             return self._arm(vehicle)
         if text == "DISARM":
@@ -212,7 +213,7 @@ class SimplifiedVehicles:
             raise ValueError(
                 f"set-point of {self.names[index]}: {(x, y, z)}, yaw rate {yaw_rate}: finite numbers are needed"
             )
-        set_one(self._vehicles[index], kind, x, y, z, float(yaw), float(yaw_rate), self._dead_zone, HOVER_YAW_RATE)
+        set_at(self._vehicles, index, kind, x, y, z, float(yaw), float(yaw_rate), self._dead_zone, HOVER_YAW_RATE)
 
     # time
 
