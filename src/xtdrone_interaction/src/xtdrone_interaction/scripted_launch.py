@@ -44,9 +44,14 @@ class StopRequest:
     A context manager: when it ends, no process that was started inside is left.
     """
 
-    def __init__(self) -> None:
-        """Nothing has come yet."""
+    def __init__(self, *, end_processes: bool = True) -> None:
+        """Nothing has come yet.
+
+        Args:
+            end_processes: whether to end, when this ends, what was started inside; else its starter does.
+        """
         self._number = 0
+        self._end_processes = end_processes
         self._previous: dict[int, Any] = {}
 
     def check(self) -> None:
@@ -62,7 +67,8 @@ class StopRequest:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         """End what is left and give the signals back."""
-        end_descendants()
+        if self._end_processes:
+            end_descendants()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import itertools
 import logging
+import os
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
@@ -58,22 +61,33 @@ def local_client(workers: int, dashboard: str | None = None) -> Iterator[Client]
         "distributed.admin.system-monitor.gil.enabled": False,
     }
     with _quiet(), dask.config.set(settings):
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            protocol="tcp://",
-            dashboard_address=dashboard or "127.0.0.1:0",
-            scheduler_kwargs={"dashboard": dashboard is not None},
-            worker_dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        )
+        with _signals_for_this_process():
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                protocol="tcp://",
+                dashboard_address=dashboard or "127.0.0.1:0",
+                scheduler_kwargs={"dashboard": dashboard is not None},
+                worker_dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
         try:
             with Client(cluster, set_as_default=False) as client:
                 yield client
         finally:
+            _end_workers(cluster)
             cluster.close(timeout=CONNECT_LIMIT)
+
+
+def _end_workers(cluster: LocalCluster) -> None:
+    """End the workers at once: what they still fly has been given up, and asking them politely takes seconds."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if nanny.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
 
 
 @contextmanager
@@ -225,6 +239,20 @@ def _killed_row(task: Task) -> Row:
         "error": f"KilledWorker: {_LOST_WORKERS + 1} workers died while flying it (out of memory, a crash, or killed)",
         "wall_time": 0.0,
     }
+
+
+@contextmanager
+def _signals_for_this_process() -> Iterator[None]:
+    """Block a terminal's signals in the threads that are started meanwhile, and in all processes that these start.
+
+    Ctrl-C goes to every process of the terminal's group: this one is to stop the workers, in order.
+    """
+    resource_tracker.ensure_running()  # else the first start of a process starts it, and that unblocks SIGINT again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

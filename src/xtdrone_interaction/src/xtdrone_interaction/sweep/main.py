@@ -49,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--dashboard", metavar="PORT", help="show Dask's own page on this TCP port of 127.0.0.1 (needs bokeh)")
     add("--dry-run", action="store_true", help="say what would be flown, and fly nothing")
+    add("--draw", action="store_true", help="fly nothing: write results and picture of what is there")
     add("--retry-failed", action="store_true", help="fly again what is in the results with an error")
     add("--metric", metavar="NAME", help="figure that the picture shows (default: settling_time)")
     add("--x", metavar="PARAMETER", help="parameter along the picture's axis (default: chosen)")
@@ -117,7 +118,7 @@ def _say_study(study: Study, console: Console) -> None:
 def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Console) -> int:
     """Fly what is missing, write results and picture, and return the exit status."""
     header = _header(plan.study)
-    with StopRequest() as stop, Store(folder, columns(plan.study), header) as store:
+    with StopRequest(end_processes=False) as stop, Store(folder, columns(plan.study), header) as store:
         keys = [run.key for run in plan]
         _check_same(store, keys, header, console)
         store.begin()
@@ -125,8 +126,8 @@ def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Con
         missing = [number for number, key in enumerate(keys) if key not in done]
         _say_study(plan.study, console)
         if len(missing) < len(keys):
-            _print(console, f"{len(keys) - len(missing):,} runs are there already, {len(missing):,} are flown now")
-        status = _fly(plan, missing, store, arguments, stop, console) if missing else 0
+            _print(console, f"{len(keys) - len(missing):,} runs are there already, {len(missing):,} are missing")
+        status = _fly(plan, missing, store, arguments, stop, console) if missing and not arguments.draw else 0
         results = store.finish(keys)
         return _finish(store, keys, results, status, arguments, console)
 
@@ -266,10 +267,10 @@ def _finish(
     failed = sum(not store.rows.get(key, True) for key in keys)
     _print(console, f"{there:,} of {len(keys):,} runs are there, {failed:,} of them failed")
     _print(console, f"Results: {results}")
-    if there:
+    if there and not status:  # who stops a sweep does not want to wait for a picture; there is --draw
         _draw(results, arguments, console)
     if there < len(keys):
-        _print(console, "Give the same command again to fly the rest")
+        _print(console, "Give the same command again to fly the rest, or with --draw to see what is there")
         return status or 1
     if failed:
         _print(console, "The column 'error' says why runs have failed; --retry-failed flies them again")

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction.options import OptionError, swarm_patterns
@@ -127,6 +126,8 @@ class Plan(Sequence[Run]):
         study = self.study
         size = len(study.axes)
         if study.combine == "latin":
+            from scipy.stats import qmc  # takes a second to import
+
             unit = qmc.LatinHypercube(size, seed=study.sample_seed).random(study.samples)
         else:
             unit = np.random.default_rng(study.sample_seed).random((study.samples, size))

@@ -1,0 +1,188 @@
+"""``xtdrone sweep`` as a user runs it: to its end, killed and resumed, stopped, changed, with own classes that fail."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from xtdrone_interaction.sweep.main import main
+from xtdrone_interaction.sweep.plan import Plan
+from xtdrone_interaction.sweep.run import fly_batch
+from xtdrone_interaction.sweep.study import read_study
+
+PATIENCE = 120.0  # s; bounds a broken test
+MINE = """
+import time
+from xtdrone_coordination.follower import Follower
+
+class Mine(Follower):
+    share = 1.0
+
+    def control_law(self, position, peers):
+        if self.share > 1.5:
+            raise ArithmeticError("too much")
+        return tuple(self.share * v for v in super().control_law(position, peers))
+
+def figures(record):
+    time.sleep(PAUSE)
+    return {"way": abs(record.track.position[-1] - record.track.position[0]).sum()}
+"""
+STUDY = """
+name: small
+constants: {n: 3, pattern: triangle, limit: 1.0, hold: 0.2}
+parameters: {class.share: SHARES}
+follower: mine.py:Mine
+metric: mine.py:figures
+seeds: SEEDS
+"""
+
+
+def write_study(folder: Path, *, shares: str = "[0.5, 1.0]", seeds: int = 2, pause: float = 0.0) -> Path:
+    (folder / "mine.py").write_text(MINE.replace("PAUSE", str(pause)))
+    file = folder / "study.yaml"
+    file.write_text(STUDY.replace("SHARES", shares).replace("SEEDS", str(seeds)))
+    return file
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    return pq.read_table(folder / "results.parquet").drop_columns(["wall_time"]).to_pylist()
+
+
+def serial(file: Path) -> list[dict[str, Any]]:
+    """Return what the study's runs give one after the other in this process."""
+    study = read_study(file)
+    common = {
+        "engine": study.engine,
+        "flight": study.flight,
+        "constants": study.constants,
+        "sources": {role: source.plain() for role, source in study.sources.items()},
+    }
+    flown = fly_batch(common, [run.task() for run in Plan(study)])
+    return [{name: value for name, value in row.items() if name != "wall_time"} for row in flown]
+
+
+def start(file: Path, out: Path) -> subprocess.Popen[str]:
+    """Start the command as a terminal does: in a process group of its own."""
+    command = [sys.executable, "-m", "xtdrone_interaction.cli", "sweep", str(file), "--out", str(out), "--workers", "2"]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )  # fmt: skip
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def group_is_gone(group: int) -> bool:
+    """Return whether no process of a group runs any more."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, owner = stat.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(owner) == group and state != "Z":
+            return False
+    return True
+
+
+def parts(out: Path) -> list[Path]:
+    return list((out / "parts").glob("*.parquet"))
+
+
+def test_main_process_killed_and_the_same_command_again(tmp_path: Path) -> None:
+    file, out = write_study(tmp_path, seeds=40, pause=0.1), tmp_path / "out"
+    process = start(file, out)
+    wait_for(lambda: parts(out))
+    process.kill()
+    process.communicate()
+    wait_for(lambda: group_is_gone(process.pid))  # its workers end too
+    kept = sum(pq.read_table(part).num_rows for part in parts(out))
+    assert 0 < kept < 80
+    assert not (out / "results.parquet").exists()
+
+    again = start(file, out)
+    text = again.communicate(timeout=PATIENCE)[0]
+    assert again.returncode == 0, text
+    assert f"{kept} runs are there already, {80 - kept} are missing" in text
+    assert "80 of 80 runs are there, 0 of them failed" in text
+    write_study(tmp_path, seeds=40)  # without the pause; figures do not depend on it
+    expected = serial(file)
+    for row, mine in zip(rows(out), expected, strict=True):
+        assert row == mine | {"key": row["key"]}
+    assert (out / "picture.png").is_file()
+
+
+def test_interrupt_stops_soon_and_leaves_nothing_running(tmp_path: Path) -> None:
+    file, out = write_study(tmp_path, seeds=500, pause=0.1), tmp_path / "out"
+    process = start(file, out)
+    wait_for(lambda: parts(out))
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C: all of the group get it
+    text = process.communicate(timeout=20.0)[0]
+    assert process.returncode == 128 + signal.SIGINT
+    assert group_is_gone(process.pid)
+    assert "stopped by SIGINT" in text
+    assert "Give the same command again to fly the rest" in text
+    assert "Traceback" not in text
+    assert 0 < len(rows(out)) < 1000
+    assert not (out / "picture.png").exists()
+    assert main([str(file), "--out", str(out), "--draw"]) == 1  # flies nothing
+    assert (out / "picture.png").is_file()
+    assert len(rows(out)) < 1000
+
+
+def test_runs_that_raise_are_rows_and_more_runs_are_added(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    out = tmp_path / "out"
+    arguments = ["--out", str(out), "--workers", "1"]
+    assert main([str(write_study(tmp_path, shares="[0.5, 2.0]", seeds=1)), *arguments]) == 1
+    good, bad = rows(out)
+    assert good["error"] is None
+    assert good["way"] > 0.0
+    assert bad["error"] == "ArithmeticError: too much (mine.py:10)"
+    assert bad["way"] is bad["settled"] is bad["least_distance"] is None
+    assert "2 of 2 runs are there, 1 of them failed" in capsys.readouterr().out
+
+    assert main([str(write_study(tmp_path, shares="[0.5, 2.0, 1.0]", seeds=2)), *arguments]) == 1
+    text = capsys.readouterr().out
+    assert "The study has changed (parameters class.share: [0.5, 2.0] before, [0.5, 2.0, 1.0] now; seeds: [0]" in text
+    assert "2 runs are there already, 4 are missing" in text
+    assert [(row["class.share"], row["seed"]) for row in rows(out)] == [
+        (0.5, 0), (2.0, 0), (1.0, 0), (0.5, 1), (2.0, 1), (1.0, 1)
+    ]  # fmt: skip
+    assert rows(out)[0] == good
+
+    assert main([str(write_study(tmp_path, shares="[0.5]", seeds=1)), *arguments]) == 2
+    assert "has 5 of 6 runs that this study does not have (parameters class.share: [0.5, 2.0, 1.0]" in (
+        capsys.readouterr().err
+    )
+    file = write_study(tmp_path, shares="[0.5, 2.0, 1.0]", seeds=2, pause=0.001)
+    assert main([str(file), *arguments]) == 2
+    assert "has 6 of 6 runs that this study does not have (follower: " in capsys.readouterr().err
+
+
+def test_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(write_study(tmp_path))
+    for arguments, message in (
+        (["--workers", "0"], "workers: '0' is not allowed; 1 to 1024"),
+        (["--metric", "beauty", "--x", "n"], "x: 'n' is not varied in this study; there are: class.share, seed"),
+        (["--out", file], "is a file; a folder is needed"),
+    ):
+        assert main([file, "--out", str(tmp_path / "out"), *arguments]) == 2
+        assert message in capsys.readouterr().err
+    assert main([str(tmp_path / "none.yaml")]) == 2
+    assert "none.yaml: No such file" in capsys.readouterr().err
+    assert main([file, "--out", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:1"]) == 1
+    assert "scheduler: no Dask scheduler answers at 'tcp://127.0.0.1:1'" in capsys.readouterr().err

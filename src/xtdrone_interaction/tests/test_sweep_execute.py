@@ -1,0 +1,196 @@
+"""Flying on Dask: two worker processes on loopback, killed ones, a scheduler that goes or was never there."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sweep_standin
+from distributed import Client
+
+from xtdrone_interaction import options
+from xtdrone_interaction.sweep.execute import Executor, SchedulerLostError, SweepError, local_client, remote_client
+from xtdrone_interaction.sweep.plan import Plan
+from xtdrone_interaction.sweep.run import fly_batch
+from xtdrone_interaction.sweep.study import make_study
+
+SHORT = {"n": 3, "pattern": "triangle", "limit": 4.0, "hold": 0.5}
+PATIENCE = 60.0  # s; bounds a broken test
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    """Two worker processes."""
+    with local_client(2) as client:
+        yield client
+
+
+def tasks(count: int) -> list[dict[str, Any]]:
+    return [{"key": f"k{number}", "seed": number, "varied": {"n": 4}} for number in range(count)]
+
+
+def without_wall(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Rows by key; fails if one is there twice."""
+    found = {row["key"]: {k: v for k, v in row.items() if k != "wall_time"} for row in rows}
+    assert len(found) == len(rows)
+    return found
+
+
+def pids(client: Client) -> list[int]:
+    return sorted(client.run(os.getpid).values())
+
+
+def nothing() -> None:
+    """Do not stop."""
+
+
+def test_killed_worker_loses_nothing_and_values_are_those_of_a_serial_run(tmp_path: Path, client: Client) -> None:
+    study = make_study(
+        {"name": "s", "constants": SHORT, "parameters": {"follower.vel_max": [0.5, 1.0]}, "seeds": 20}, tmp_path
+    )
+    common = {"engine": study.engine, "flight": study.flight, "constants": study.constants, "sources": {}}
+    work = [run.task() for run in Plan(study)]
+    rows: list[dict[str, Any]] = []
+    killed: list[int] = []
+
+    def deliver(new: list[dict[str, Any]]) -> None:
+        rows.extend(new)
+        if not killed:
+            killed.append(pids(client)[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    Executor(client, fly_batch, common).run(iter(work), deliver, nothing)
+    assert killed
+    serial = fly_batch(common, work)
+    assert without_wall(rows) == without_wall(serial)
+    assert all(row["error"] is None for row in rows)
+    assert len({row["steady_error"] for row in serial}) == len(serial)  # seeds and limits make a difference
+
+
+def test_run_that_kills_its_worker_is_a_row_with_that_error(client: Client) -> None:
+    rows: list[dict[str, Any]] = []
+    executor = Executor(client, sweep_standin.work, {"deadly": 7})
+    executor.run(iter(tasks(30)), rows.extend, nothing)
+    found = without_wall(rows)
+    assert len(found) == 30
+    assert [key for key, row in found.items() if row["error"]] == ["k7"]
+    assert "workers died while flying it" in found["k7"]["error"]
+
+
+def test_tasks_are_taken_as_they_are_flown(client: Client) -> None:
+    taken = flown = most = 0
+
+    def counted() -> Iterator[dict[str, Any]]:
+        nonlocal taken
+        for task in tasks(3000):
+            taken += 1
+            yield task
+
+    def deliver(rows: list[dict[str, Any]]) -> None:
+        nonlocal flown, most
+        flown += len(rows)
+        most = max(most, taken - flown)
+
+    Executor(client, sweep_standin.work, {}).run(counted(), deliver, nothing)
+    assert flown == 3000
+    assert most <= 1000  # ten batches of a hundred, never all
+
+
+def test_a_stop_is_heard_at_once_and_what_runs_is_given_up(client: Client, tmp_path: Path) -> None:
+    class StopError(Exception):
+        pass
+
+    def check() -> None:
+        if list(tmp_path.iterdir()):
+            raise StopError
+
+    executor = Executor(client, sweep_standin.work, {"folder": str(tmp_path), "seconds": 0.2})
+    with pytest.raises(StopError):
+        executor.run(iter(tasks(1000)), lambda rows: None, check)
+    deadline = time.monotonic() + PATIENCE
+    while any(client.processing().values()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert len(list(tmp_path.iterdir())) < 1000
+
+
+def test_workers_that_cannot_fly_end_the_sweep_with_the_reason(client: Client) -> None:
+    def broken(common: Any, batch: Any) -> Any:
+        raise ModuleNotFoundError("No module named 'xtdrone_interaction'")
+
+    with pytest.raises(SweepError, match=r"workers cannot fly: ModuleNotFoundError: No module .* need this package"):
+        Executor(client, broken, {}).run(iter(tasks(3)), lambda rows: None, nothing)
+
+
+def test_local_cluster_listens_on_loopback_only(client: Client) -> None:
+    listening = subprocess.run(["ss", "-ltnHp"], capture_output=True, text=True, check=True).stdout.splitlines()
+    ours = [line.split()[3] for line in listening if any(f"pid={pid}," in line for pid in [os.getpid(), *pids(client)])]
+    assert ours
+    assert all(address.startswith("127.0.0.1:") for address in ours)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "no address", "ftp://127.0.0.1:80"])
+def test_scheduler_that_is_not_there(address: str) -> None:
+    with (
+        pytest.raises(SweepError, match=r"scheduler: no Dask scheduler answers at .*start one with"),
+        remote_client(address),
+    ):
+        pass
+
+
+@contextmanager
+def scheduler_of_its_own(port: int) -> Iterator[subprocess.Popen[bytes]]:
+    """A scheduler as a user starts one, and a worker."""
+    address = f"tcp://127.0.0.1:{port}"
+    begin = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        str(port),
+        "--no-dashboard",
+    ]
+    join = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    scheduler = subprocess.Popen(begin, **quiet)
+    worker = subprocess.Popen(join, **quiet)
+    try:
+        yield scheduler
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+        for process in (worker, scheduler):
+            process.wait(PATIENCE)
+
+
+def test_scheduler_lost_in_the_middle_ends_the_sweep_with_what_has_come() -> None:
+    port = options.free_port()
+    rows: list[dict[str, Any]] = []
+    with scheduler_of_its_own(port) as scheduler:
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                with remote_client(f"tcp://127.0.0.1:{port}") as remote:
+
+                    def deliver(new: list[dict[str, Any]]) -> None:
+                        rows.extend(new)
+                        if scheduler.poll() is None:
+                            scheduler.kill()
+
+                    with pytest.raises(SchedulerLostError, match="the connection to it is lost"):
+                        Executor(remote, sweep_standin.work, {"seconds": 0.05}).run(iter(tasks(1000)), deliver, nothing)
+                break
+            except SweepError:  # it is still starting
+                assert time.monotonic() < deadline
+    assert 0 < len(without_wall(rows)) < 1000
