@@ -68,7 +68,8 @@ class NetworkOptions:
         queue: how many samples may wait at a sender for the air, 1 to 1000. When it is full the oldest is dropped. So
             with 1 a vehicle sends what it knows newest, and with more it sends no more, but later. What goes out in
             one turn goes, and is lost, together.
-        memory: s, above 0 and at most 60; what came longer ago than this is forgotten, as if never heard of.
+        memory: s, above 0 and at most 60; what came longer ago than this is forgotten, as if never heard of; so a
+            follower's ``pose_timeout`` beyond it makes no difference.
     """
 
     range: float = math.inf
