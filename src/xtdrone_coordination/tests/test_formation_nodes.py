@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rospy")
 
-from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
+from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray, String
 
 from xtdrone_coordination import ros
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
+from xtdrone_coordination.patterns import Patterns
 from xtdrone_coordination.ros import PATTERN_TOPIC, TOPOLOGY_TOPIC, FollowerNode
 from xtdrone_coordination.ros_leader import LeaderNode
+from xtdrone_coordination.swarm import ArraySwarm, SwarmState
 
 
 class Graph:
@@ -46,6 +49,16 @@ class Graph:
 
     def topology(self, *data: int) -> None:
         self.callbacks[TOPOLOGY_TOPIC](Int32MultiArray(data=data))
+
+
+class Recorder:
+    """A publisher that writes down what it is given; nodes use one message again and again."""
+
+    def __init__(self, messages: list[str]) -> None:
+        self._messages = messages
+
+    def publish(self, message: Any) -> None:
+        self._messages.append(str(message))
 
 
 @pytest.fixture
@@ -91,6 +104,31 @@ def test_an_empty_pattern_is_none(graph: Graph) -> None:
     graph.topology()
     assert follower.offsets is None
     assert follower.weights == {0: 1.0}
+
+
+def test_many_followers_of_a_process_are_computed_together_and_say_the_same(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros.rospy, "get_param", lambda name, default: "/swarm" if "swarm" in name else default)
+    assert [type(ros.make_swarm(40, n)) for n in (1, ros.MANY - 1, ros.MANY)] == [SwarmState, SwarmState, ArraySwarm]
+    rng = np.random.default_rng(1)
+    places = [Float64MultiArray(data=rng.normal(size=(40, 6)).ravel()) for _ in range(3)]
+    offsets = Patterns(40).offsets("cube")
+    said = []
+    for swarm in (SwarmState(40), ArraySwarm(40)):
+        node = FollowerNode("iris", [Follower(i, 40, swarm=swarm) for i in range(1, 40)])
+        messages: list[str] = []
+        for topics in (node._commands, node._avoidances):
+            for i in topics:
+                monkeypatch.setitem(topics, i, Recorder(messages))
+        graph.pattern(*offsets.T.ravel())
+        for place in places:
+            graph.callbacks["/swarm"](place)
+            node.step()
+            graph.topology(*np.eye(40, k=-1, dtype=int).ravel())
+        said.append(messages)
+    assert len(said[0]) == 3 * 2 * 39
+    assert said[0] == said[1]
 
 
 def test_the_leader_takes_back_what_it_has_latched(graph: Graph) -> None:

@@ -176,6 +176,11 @@ class FollowerBatch:
             self._commands[follower.id] = (0.0, 0.0, 0.0) if command is None else command
         return self._commands, self._given
 
+    def commands(self) -> list[Vector | None]:
+        """Return what each follower commands now, as a list of what their :meth:`Follower.update` gives."""
+        commands, given = (array.tolist() for array in self.update())
+        return [tuple(commands[follower.id]) if given[follower.id] else None for follower in self.followers]
+
     def _run(self, phases: int) -> int:
         state, network = self._state, self.network
         if network is not None and phases & kernels.SENSE:

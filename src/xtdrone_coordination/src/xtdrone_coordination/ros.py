@@ -27,10 +27,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
+from numpy.typing import ArrayLike
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray
 
 from xtdrone_control import lockstep
@@ -44,13 +46,18 @@ from xtdrone_control.communication.arguments import (
 )
 from xtdrone_coordination import avoidance
 from xtdrone_coordination.classes import load_class
+from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, check_number
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_coordination.swarm import SwarmState
+from xtdrone_coordination.swarm import ArraySwarm, SwarmState
+
+if TYPE_CHECKING:
+    from xtdrone_coordination.batch import FollowerBatch
 
 PATTERN_TOPIC = "/xtdrone/formation_pattern"
 TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
 
+MANY = 30  # followers in a process: from so many on it is worth the start of the kernels to compute them together
 _SWARM_FIELDS = 6  # numbers a vehicle in the swarm topic: x, y, z, vx, vy, vz; m, m/s, ENU
 
 _Base = TypeVar("_Base")
@@ -89,6 +96,10 @@ def subscribe_swarm(
         if len(message.data) < _SWARM_FIELDS * swarm.count:
             rospy.logwarn_throttle(10.0, f"{topic}: {len(message.data)} numbers are too few for {swarm.count} vehicles")
             return
+        if isinstance(swarm, ArraySwarm):
+            rows = np.array(message.data[: _SWARM_FIELDS * swarm.count]).reshape(swarm.count, _SWARM_FIELDS)
+            swarm.hear(rows[:, :3], rows[:, 3:])
+            return
         for i in range(swarm.count):
             x, y, z, vx, vy, vz = message.data[_SWARM_FIELDS * i : _SWARM_FIELDS * (i + 1)]
             swarm.on_position(i, (x, y, z))
@@ -107,6 +118,43 @@ def subscribe_swarm(
             lockstep.Subscriber(f"{base}/velocity_local", TwistStamped, partial(on_velocity, i))
 
 
+class OneByOne:
+    """Some followers, each computed by itself."""
+
+    def __init__(self, followers: Sequence[Follower]) -> None:
+        """Take them."""
+        self._followers = followers
+
+    def on_pattern(self, offsets: ArrayLike) -> None:
+        """See :meth:`Follower.on_pattern`."""
+        for follower in self._followers:
+            follower.on_pattern(offsets)
+
+    def on_topology(self, adjacency: ArrayLike) -> None:
+        """See :meth:`Follower.on_topology`."""
+        for follower in self._followers:
+            follower.on_topology(adjacency)
+
+    def commands(self) -> list[Vector | None]:
+        """Return what each commands now; None for those that do not."""
+        return [follower.update() for follower in self._followers]
+
+
+def make_swarm(count: int, followers: int) -> SwarmState:
+    """Return a state of ``count`` vehicles for a process with so many followers: in arrays if they are many."""
+    return ArraySwarm(count) if followers >= MANY else SwarmState(count)
+
+
+def together(followers: Sequence[Follower]) -> OneByOne | FollowerBatch:
+    """Return followers to be computed together if their state is in arrays, one by one otherwise."""
+    swarm = followers[0].swarm
+    if not isinstance(swarm, ArraySwarm):
+        return OneByOne(followers)
+    from xtdrone_coordination.batch import FollowerBatch  # half a second that a few followers need not wait
+
+    return FollowerBatch(followers, swarm)
+
+
 class FollowerNode:
     """Topics of the followers of one process."""
 
@@ -118,6 +166,7 @@ class FollowerNode:
             followers: at least one, all with the same options and the same ``swarm``.
         """
         self.followers = followers
+        self._all = together(followers)
         self.swarm = followers[0].swarm
         options = followers[0].options
         self._count = followers[0].count
@@ -154,8 +203,7 @@ class FollowerNode:
     def step(self) -> None:
         """Command all followers once; call it at 30 Hz."""
         self._restarting = False
-        for follower in self.followers:
-            command = follower.update()
+        for follower, command in zip(self.followers, self._all.commands(), strict=True):
             if command is None:
                 continue
             linear = self._twist.linear
@@ -181,8 +229,7 @@ class FollowerNode:
             return
         offsets = [message.data[k::width] for k in range(width)]
         try:
-            for follower in self.followers:
-                follower.on_pattern(offsets)
+            self._all.on_pattern(offsets)
         except PatternError as error:
             rospy.logwarn(f"{PATTERN_TOPIC}: {error}")
 
@@ -191,8 +238,7 @@ class FollowerNode:
             return
         self._topology = tuple(message.data)
         try:
-            for follower in self.followers:
-                follower.on_topology(message.data)
+            self._all.on_topology(message.data)
         except ValueError as error:
             rospy.logwarn(f"{TOPOLOGY_TOPIC}: {error}")
 
@@ -246,7 +292,7 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
         given = {"mode": mode[0]} if mode else {}
         settings = options(FollowerOptions, given)
         chosen = class_parameter(cls, Follower)
-        swarm = SwarmState(count)
+        swarm = make_swarm(count, len(ids))
         followers = [chosen(i, count, swarm=swarm, options=settings, warn=rospy.logwarn) for i in ids]
         node = FollowerNode(kind, followers)
         lockstep.start()
