@@ -11,6 +11,7 @@ import pytest
 from xtdrone_control.communication.core import MultirotorCore
 from xtdrone_control.communication.setpoint import IGNORE_POSITION
 from xtdrone_sim.simplified import Model
+from xtdrone_sim.simplified.core_vehicles import CoreVehicles
 from xtdrone_sim.simplified.model import load_model
 from xtdrone_sim.simplified.simplified_vehicles import SimplifiedVehicles
 from xtdrone_sim.simplified.vehicles import ACCELERATION, HOLD, POSITION, VELOCITY
@@ -282,3 +283,31 @@ def test_bad_places_and_set_points():
     assert "not flown" in vehicles.command(0, "ACRO")
     vehicles.command(0, "AUTO.LAND")
     assert "arming denied in mode AUTO.LAND" in vehicles.command(0, "ARM")
+
+
+def test_the_iris_flies_as_in_full_physics():
+    full = CoreVehicles(1)
+    fly(full, 2.0)
+    assert full.command(0, "AUTO.TAKEOFF") == full.command(0, "ARM") == ""
+    fly(full, 12.0)
+    full.steer_one(0, VELOCITY, (0.0, 0.0, 0.5))
+    assert full.command(0, "OFFBOARD") == ""
+    fly(full, 10.0)
+    simple = SimplifiedVehicles(1, places=full.position, airborne=True)
+    steps = [((0.0, 0.0, 0.0), 6.0)]
+    for axis in (0, 2):
+        vector = [0.0, 0.0, 0.0]
+        vector[axis] = 1.0
+        steps += [(tuple(vector), 4.0), ((0.0, 0.0, 0.0), 4.0)]
+    differences = []
+    for vector, seconds in steps:
+        for vehicles in (full, simple):
+            vehicles.steer_one(0, VELOCITY, vector)
+        for _ in range(round(seconds / 0.1)):
+            for vehicles in (full, simple):
+                fly(vehicles, 0.1)
+            differences.append(full.velocity[0] - simple.velocity[0])
+    full.close()
+    settled = np.array(differences[60:])
+    assert np.sqrt((settled**2).mean(axis=0)).max() < 0.06  # m/s, of steps of 1 m/s
+    assert np.abs(simple.velocity).max() < 0.05
