@@ -22,8 +22,11 @@ _LEAST_SHARE = 0.55  # of the longest edge, that every edge has at least
 _EMPTY = _LEAST_SIZE * np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])  # m, the box without vehicles
 _MARGIN = 0.08  # of the longest edge, between the outermost vehicles and the box
 _SLACK = 0.12  # of the longest edge, that the box may be too large before it shrinks
+_SNAP = 0.1  # of that slack: a floor that is so near to the ground becomes it
 _GROW, _SHRINK = 0.25, 1.6  # s, time constants of the box
 _GROUND_REACH = 0.9  # the ground is shown when it is no further below the swarm than so many widths of it ...
+_UNDERGROUND = 0.5  # m below 0 that a vehicle on the ground may seem to be
+_GROUND_SHARE = 0.8  # of the height, that the ground is wide at least
 _GROUND_LEAST = 4.0  # m ... or so many metres
 
 
@@ -98,9 +101,12 @@ def _target(points: Array) -> Array | None:
     size = np.maximum(high - low + 2.0 * margin, _LEAST_SHARE * (longest + 2.0 * margin))
     middle = 0.5 * (low + high)
     edges = np.stack([middle - 0.5 * size, middle + 0.5 * size])
-    if -0.5 <= low[2] <= max(_GROUND_LEAST, _GROUND_REACH * float(size[:2].max())):
+    reach = max(_GROUND_LEAST, _GROUND_REACH * float(size[:2].max()))
+    if low[2] >= -_UNDERGROUND and (low[2] <= reach or edges[0, 2] <= 0.0):
         edges[0, 2] = 0.0
         edges[1, 2] = max(edges[1, 2], high[2] + margin, size[2])
+        size[:2] = np.maximum(size[:2], _GROUND_SHARE * edges[1, 2])
+        edges[:, :2] = middle[:2] - 0.5 * size[:2], middle[:2] + 0.5 * size[:2]
     return edges
 
 
@@ -110,7 +116,10 @@ def _eased(edges: Array, target: Array, elapsed: float) -> Array:
     grow, shrink = (1.0 - math.exp(-elapsed / constant) for constant in (_GROW, _SHRINK))
     excess = np.stack([target[0] - edges[0], edges[1] - target[1]])  # above 0: the box is larger than it need be
     step = np.where(excess < 0.0, grow * excess, shrink * np.maximum(0.0, excess - slack))
-    return np.stack([edges[0] + step[0], edges[1] - step[1]])
+    eased = np.stack([edges[0] + step[0], edges[1] - step[1]])
+    if target[0, 2] == 0.0 and eased[0, 2] < _SNAP * slack:
+        eased[0, 2] = 0.0  # the ground, and not a floor just above it
+    return eased
 
 
 class Camera:

@@ -149,6 +149,29 @@ def watch_swarm(
     window.run(_Player(swarm, window, speed, seconds, each_turn))
 
 
+class RealTimeFactor:
+    """How fast simulated time passes, over the last second or so of wall time."""
+
+    def __init__(self) -> None:
+        """Know nothing yet."""
+        self._factor = 0.0
+        self._since: tuple[float, float] | None = None
+
+    def restart(self) -> None:
+        """Measure from the next update on; what is known holds until then."""
+        self._since = None
+
+    def update(self, sim_time: float) -> str:
+        """Return the factor in words, given simulated time, s; "" until it is known."""
+        wall = time.monotonic()
+        if self._since is None or sim_time < self._since[1]:
+            self._since = (wall, sim_time)
+        elif wall - self._since[0] >= _FACTOR_SPAN:
+            self._factor = (sim_time - self._since[1]) / (wall - self._since[0])
+            self._since = (wall, sim_time)
+        return f"{self._factor:.3g} x real time" if self._factor else ""
+
+
 class _Player:
     """Lets simulated time follow wall time, a bit before each picture, and says how fast it passes."""
 
@@ -159,18 +182,19 @@ class _Player:
         self._end = swarm.time + seconds
         self._each_turn = each_turn
         self._formations = Formations()
-        self._factor = 0.0
+        self._factor = RealTimeFactor()
         self._shown = -math.inf
         self._set_off()
 
     def _set_off(self) -> None:
         """Measure times from now on."""
-        self._origin = self._since = (time.monotonic(), self._swarm.time)
+        self._origin = (time.monotonic(), self._swarm.time)
 
     def __call__(self) -> Frame | None:
         """Fly on as far as wall time says or the budget allows, and return the state if it is a new one."""
         if self._window.paused or self._swarm.time >= self._end:
             self._set_off()
+            self._factor.restart()
         else:
             self._fly()
         if self._swarm.time == self._shown:
@@ -179,8 +203,7 @@ class _Player:
         leader, positions = self._swarm.leader, self._swarm.true_positions
         slots = self._formations.slots(positions[0], leader.offsets)
         edges = self._formations.edges(leader.adjacency)
-        note = f"{self._factor:.3g} x real time" if self._factor else ""
-        return Frame(self._swarm.time, positions, slots, edges, leader.pattern, note)
+        return Frame(self._swarm.time, positions, slots, edges, leader.pattern, self._factor.update(self._swarm.time))
 
     def _fly(self) -> None:
         wall, sim = self._origin
@@ -194,7 +217,3 @@ class _Player:
             if time.monotonic() >= deadline:
                 self._origin = (time.monotonic(), self._swarm.time)  # what cannot be kept up with is not made up for
                 break
-        span = time.monotonic() - self._since[0]
-        if span >= _FACTOR_SPAN:
-            self._factor = (self._swarm.time - self._since[1]) / span
-            self._since = (time.monotonic(), self._swarm.time)

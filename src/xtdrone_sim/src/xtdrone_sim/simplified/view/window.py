@@ -91,7 +91,8 @@ class Window:
             ("resize_event", self._on_resize),
         ):
             self._canvas.mpl_connect(name, handler)
-        view.hint = HINT
+        self._said = ""
+        self._set_hint()
 
     # ---- running ----
 
@@ -134,6 +135,13 @@ class Window:
             self.view.refresh(self._canvas)
             self._canvas.blit()
             self.pictures += 1
+
+    def say(self, text: str) -> None:
+        """Show a line in the lower right corner, "" for none."""
+        if text != self._said:
+            self._said = text
+            self._set_hint()
+            self._stale = True
 
     def close(self) -> None:
         """Close the window; :meth:`run` returns."""
@@ -180,7 +188,11 @@ class Window:
 
     def _pause(self) -> None:
         self.paused = not self.paused
-        self.view.hint = f"paused (space: go on)   {HINT}" if self.paused else HINT
+        self._set_hint()
+
+    def _set_hint(self) -> None:
+        paused = "paused (space: go on)" if self.paused else ""
+        self.view.hint = "   ".join(text for text in (self._said, paused, HINT) if text)
 
     def _toggle_trails(self) -> None:
         self.view.trails = 0.0 if self.view.trails > 0.0 else self._trails
