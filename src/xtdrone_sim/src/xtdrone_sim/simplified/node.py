@@ -190,8 +190,6 @@ class SimplifiedScene:
             self._next_turn_us = self._schedule.after_us(now_us)
             self._publish(now_us)
         self._server.tick(now_us, {}, idle)
-        for topics in self._topics:
-            topics.look()
         lockstep.host().receive()
         if turn:
             for topics in self._topics:

@@ -148,6 +148,7 @@ class VehicleTopics:
         self._commanded = True  # by XTDrone's commands, not by set-points
         self._flown: Setpoint | None = None  # the set-point that the vehicle has from the core
         self._said: tuple[str, bool] | None = None
+        self._looked = -1.0  # s, of simulated time
 
     # what is to be seen
 
@@ -232,19 +233,21 @@ class VehicleTopics:
 
     # XTDrone's commands
 
-    def look(self) -> None:
-        """Take in how the vehicle is, before the commands of a tick."""
-        if not self._commanded:
-            return
-        half = 0.5 * self._heading
-        self._core.on_state(self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index]))
-        self._core.on_pose(self._here, (0.0, 0.0, math.sin(half), math.cos(half)))
+    def _look(self) -> float:
+        """Take in how the vehicle is, once in a tick; return the simulated time, s."""
+        now = self._seconds()
+        if now != self._looked:
+            self._looked = now
+            half = 0.5 * self._heading
+            self._core.on_state(self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index]))
+            self._core.on_pose(self._here, (0.0, 0.0, math.sin(half), math.cos(half)))
+        return now
 
     def act(self) -> None:
         """Carry out what XTDrone's commands ask for; 30 Hz, after the commands of a tick."""
         if not self._commanded:
             return
-        setpoint = self._core.tick(self._seconds())
+        setpoint = self._core.tick(self._look())
         if setpoint is self._flown and setpoint.frame == FRAME_LOCAL_NED:
             return
         if self._core.holding:
@@ -257,7 +260,7 @@ class VehicleTopics:
     def _on_command(self, message: String) -> None:
         if not self._commanded:
             return
-        now = self._seconds()
+        now = self._look()
         request = self._core.on_command(message.data, now)
         if request is None:
             return
@@ -266,18 +269,25 @@ class VehicleTopics:
         self._core.on_state(self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index]))
 
     def _on_target_pose(self, topic: str, body: bool, message: Pose) -> None:
+        if not self._commanded:
+            return
+        self._look()
         p, q = message.position, message.orientation
         self._core.on_target_pose(topic, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), body=body)
 
     def _on_target_velocity(self, topic: str, body: bool, message: Twist) -> None:
+        if not self._commanded:
+            return
         linear = message.linear
         vector = (linear.x, linear.y, linear.z)
-        self._core.on_target_velocity(topic, vector, message.angular.z, self._seconds(), body=body)
+        self._core.on_target_velocity(topic, vector, message.angular.z, self._look(), body=body)
 
     def _on_target_acceleration(self, topic: str, body: bool, message: Twist) -> None:
+        if not self._commanded:
+            return
         linear = message.linear
         vector = (linear.x, linear.y, linear.z)
-        self._core.on_target_acceleration(topic, vector, message.angular.z, self._seconds(), body=body)
+        self._core.on_target_acceleration(topic, vector, message.angular.z, self._look(), body=body)
 
     # services; handlers run in threads of rospy's
 
