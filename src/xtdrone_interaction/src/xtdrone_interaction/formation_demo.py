@@ -83,7 +83,6 @@ class DemoSettings:
         logs: write the vehicles' flight logs into ``out / "logs"``.
         simulator: ``full`` or ``simplified``.
         model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty: the type's.
-        window: show the swarm in a window.
     """
 
     n: int
@@ -105,7 +104,6 @@ class DemoSettings:
     logs: bool
     simulator: str = "full"
     model: str = ""
-    window: bool = False
 
 
 @dataclass

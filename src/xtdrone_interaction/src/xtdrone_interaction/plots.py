@@ -26,6 +26,8 @@ from xtdrone_interaction.report import DISTANCE_LIMIT, flight_part
 DPI = 150
 _LEAD_IN = 1.0  # s shown before the command
 _MAX_LEGEND = 18  # vehicles; more are not named one by one
+_MAX_WAYS = 60  # vehicles; of more, these many are drawn one by one
+_MAX_EDGES = 400  # of a topology; more hide the vehicles
 _MAX_PANELS = 3  # formations side by side
 _LEADER_COLOUR = "black"
 _MAX_NAME = 120  # characters of a file's name
@@ -89,6 +91,13 @@ def colours(count: int) -> list[Any]:
     return [_LEADER_COLOUR, *plt.get_cmap("turbo")(np.linspace(0.05, 0.95, count - 1))]
 
 
+def _shown(count: int) -> list[int]:
+    """Return the vehicles whose ways are drawn one by one: the leader and, of very many others, an even choice."""
+    if count <= _MAX_WAYS:
+        return list(range(count))
+    return [0, *np.unique(np.linspace(1, count - 1, _MAX_WAYS - 1).round().astype(int)).tolist()]
+
+
 def response(record: FlightRecord, before: str, window: Window) -> Figure:
     """Draw x, y and z of every vehicle against time during one reconfiguration, the slots dotted."""
     track = record.track.between(window.start - _LEAD_IN, window.end)
@@ -97,8 +106,8 @@ def response(record: FlightRecord, before: str, window: Window) -> Figure:
     shades = colours(len(record.names))
     leader_end = track.position[-1, 0]
     for axis, (panel, letter) in enumerate(zip(axes, "xyz", strict=True)):
-        for i, name in enumerate(record.names):
-            width = 1.8 if i == 0 else 1.2
+        for i in _shown(len(record.names)):
+            name, width = record.names[i], 1.8 if i == 0 else 1.2
             panel.plot(track.time - window.start, track.position[:, i, axis], color=shades[i], lw=width, label=name)
             if i > 0:
                 panel.axhline(leader_end[axis] + window.offsets[i - 1, axis], color=shades[i], lw=0.7, ls=":", zorder=1)
@@ -153,13 +162,18 @@ def _formation(panel: Any, record: FlightRecord, window: Window, shades: list[An
     low, high = track.position.reshape(-1, 3).min(axis=0), track.position.reshape(-1, 3).max(axis=0)
     margin = 0.08 * (high - low).max() + 0.3
     floor = low[2] - 2 * margin
-    topology = window.topology
-    for i, j in np.argwhere(topology > 0) if topology is not None else []:
+    edges = np.argwhere(window.topology > 0) if window.topology is not None else np.empty((0, 2), dtype=int)
+    for i, j in edges[: len(edges) if len(edges) <= _MAX_EDGES else 0]:
         panel.plot(*np.stack([places[i], places[j]]).T, color="0.55", lw=1.2, zorder=2)
-    for i, place in enumerate(places):
+    if len(places) > _MAX_WAYS:
+        panel.scatter(*places[1:].T, c=shades[1:], s=9.0, depthshade=False, zorder=5)
+    for i in _shown(len(places)):
+        place = places[i]
         trail = track.position[:, i]
         panel.plot(trail[:, 0], trail[:, 1], np.full(len(trail), floor), color=shades[i], lw=1.2, alpha=0.5, zorder=1)
         panel.plot([place[0]] * 2, [place[1]] * 2, [floor, place[2]], color=shades[i], lw=0.6, ls=":", zorder=1)
+        if i > 0 and len(places) > _MAX_WAYS:
+            continue
         marker, width = ("*", 16) if i == 0 else ("o", 9)
         panel.plot(*place[:, None], marker=marker, ms=width, color=shades[i], mec="white", mew=0.6, ls="", zorder=5 + i)
         if i > 0 and len(places) <= _MAX_LEGEND:

@@ -62,7 +62,7 @@ def add_simplified(parser: argparse.ArgumentParser) -> None:
     add("--clearance", type=checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
         help="least height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
     add("--film", metavar="FILE", help=".mp4, .gif or .png, or none "
-        "(default: flight.mp4 in the results' folder where there is no display)")  # fmt: skip
+        "(default: flight.mp4 in the results' folder where there is no window)")  # fmt: skip
     add("--compare", action=argparse.BooleanOptionalAction, default=None,
         help=f"fly the same in full physics too and compare (default: up to {MOST_COMPARED} vehicles)")  # fmt: skip
     add("--compare-with", type=Path, metavar="BAG",
@@ -95,7 +95,7 @@ def run_simplified(arguments: argparse.Namespace, console: Console) -> int:
     """
     try:
         settings, film = swarm_settings(arguments)
-        demo = None if arguments.without_ros else ros_settings(arguments, settings, film)
+        demo = None if arguments.without_ros else ros_settings(arguments, settings)
     except OptionError:
         raise
     except ValueError as error:  # of patterns, fleet, model, network, film, or a class
@@ -120,7 +120,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
     load_model(arguments.type, model or None)
     pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
     options.swarm_patterns(count, arguments.patterns, pattern_file or None)
-    window = has_display() and not arguments.headless
+    window = arguments.without_ros and has_display() and not arguments.headless
     out = options.results_folder(arguments.out)
     settings = SwarmSettings(
         n=count,
@@ -143,7 +143,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
     return settings, FilmSettings(_film(arguments.film, out, window=window), window)
 
 
-def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: FilmSettings) -> DemoSettings:
+def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings) -> DemoSettings:
     """Return the settings of the flight on ROS.
 
     Raises:
@@ -178,7 +178,6 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
         logs=False,
         simulator="simplified",
         model=settings.model,
-        window=film.window,
     )
 
 
