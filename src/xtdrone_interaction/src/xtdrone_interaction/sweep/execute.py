@@ -1,8 +1,8 @@
 """Runs on Dask: batches of flights on worker processes, of this machine or of a cluster, in a bounded window.
 
 A flight that raises is a row with its error (``run.fly_row``), so what Dask itself reports is a lost worker. It repeats
-a batch on another worker then; a batch that was on several workers that died is split, and a single run that kills its
-workers again and again becomes a row with that error.
+a batch on another worker then. The runs of a batch that was on several workers that died fly alone, one at a time; one
+that kills its workers even so becomes a row with that error.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BATCH_TIME = 0.5  # s of work in a batch, so that Dask's few milliseconds for ea
 _MOST_BATCH = 100  # runs
 _WINDOW = 4  # batches a thread of a worker that Dask knows of; so no worker waits, and memory stays bounded
 _LEAST_WINDOW = 8
-_LOST_WORKERS = 2  # as many workers may die under a batch before it is split or given up
+_LOST_WORKERS = 2  # as many workers may die under a batch before it is given up
 _POLL = 0.1  # s
 _RECOUNT = 20  # polls between two looks at how many workers there are
 _SMOOTHING = 0.2
@@ -116,7 +116,7 @@ class Executor:
 
     Attributes:
         workers: number of workers' threads when it was last counted.
-        lost: how many batches had to be split or given up because their workers died.
+        lost: how many batches were given up because several workers died under them.
     """
 
     def __init__(self, client: Client, work: Work, common: Mapping[str, Any]) -> None:
@@ -131,7 +131,8 @@ class Executor:
         self._work = work
         self._common = dict(common)
         self._running: dict[Future, list[Task]] = {}
-        self._again: list[list[Task]] = []
+        self._suspects: list[Task] = []  # were on workers that died, perhaps by another run's fault
+        self._alone: Future | None = None
         self._seconds = BATCH_TIME  # of one run; at first a batch is one run
         self._numbers = itertools.count()
         self.workers = 0
@@ -175,21 +176,34 @@ class Executor:
             raise self._scheduler_lost() from error
 
     def _fill(self, tasks: Iterator[Task], completed: as_completed) -> None:
-        """Keep the window full."""
+        """Keep the window full; a suspect flies alone, so that it answers for nobody else."""
+        if self._suspects:
+            if not self._running:
+                self._alone = self._submit([self._suspects.pop()], completed)
+            return
+        if self._alone is not None:
+            return
         window = max(_LEAST_WINDOW, _WINDOW * self.workers)
         while len(self._running) < window:
             size = max(1, min(_MOST_BATCH, int(BATCH_TIME / self._seconds)))
-            batch = self._again.pop() if self._again else list(itertools.islice(tasks, size))
+            batch = list(itertools.islice(tasks, size))
             if not batch:
                 return
-            key = f"xtdrone-{batch[0]['key']}-{next(self._numbers)}"
-            future = self._client.submit(self._work, self._common, batch, key=key, pure=False)
-            self._running[future] = batch
-            completed.add(future)
+            self._submit(batch, completed)
+
+    def _submit(self, batch: list[Task], completed: as_completed) -> Future:
+        key = f"xtdrone-{batch[0]['key']}-{next(self._numbers)}"
+        future = self._client.submit(self._work, self._common, batch, key=key, pure=False)
+        self._running[future] = batch
+        completed.add(future)
+        return future
 
     def _rows(self, future: Future, result: Any) -> list[Row]:
         """Return the rows of a batch that has ended; none if it must be flown again."""
         batch = self._running.pop(future)
+        alone = future is self._alone
+        if alone:
+            self._alone = None
         if future.status == "finished":
             self._learn(result)
             return list(result)
@@ -202,8 +216,8 @@ class Executor:
                 "package and its Python packages in the same versions"
             ) from error
         self.lost += 1
-        if len(batch) > 1:
-            self._again += [[task] for task in batch]
+        if not alone:
+            self._suspects += batch
             return []
         return [_killed_row(batch[0])]
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import logging
 import math
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -57,7 +59,8 @@ def fly_batch(common: Mapping[str, Any], tasks: Sequence[Mapping[str, Any]]) -> 
         common: what all runs of the study share: engine, flight, constants, sources.
         tasks: key, varied parameters and seed of each run.
     """
-    return [fly_row(common, task) for task in tasks]
+    with _quiet():
+        return [fly_row(common, task) for task in tasks]
 
 
 def fly_row(common: Mapping[str, Any], task: Mapping[str, Any]) -> Row:
@@ -229,6 +232,20 @@ def _mission(swarm: Swarm, patterns: Sequence[str]) -> FlightRecord:
 def _ending(record: FlightRecord) -> str:
     last = record.events[-1]
     return f"the flight ended with {last['event']!r}: {last.get('reason', 'no reason given')}"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the warnings of thousands of flights off the screen: what they are about shows in the figures."""
+    loggers = [logging.getLogger(name) for name in ("xtdrone_coordination", "xtdrone_sim", "xtdrone_control")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 def _loaded(common: Mapping[str, Any], role: str, default: Any) -> Any:
