@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_interaction import cli, options
+from xtdrone_interaction import cli, options, simplified_demo
 
 DEMO = ["demo", "simplified"]
 ALONE = [*DEMO, "--without-ros"]
@@ -134,6 +134,20 @@ def test_ctrl_c_ends_it_with_130(tmp_path: Path) -> None:
     output, _ = flight.communicate(timeout=30)
     assert flight.returncode == 130
     assert "stopped by SIGINT" in output
+
+
+def test_pacing_makes_up_for_a_picture_but_not_for_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = 100.0
+    monkeypatch.setattr(simplified_demo.time, "monotonic", lambda: wall)
+    pacing = simplified_demo._Pacing(10.0)
+    assert pacing.ahead(0.0) == 0.0
+    wall += 0.1  # a picture was drawn: a second of the flight is due
+    assert pacing.ahead(0.5) == pytest.approx(-0.05)
+    assert pacing.ahead(1.2) == pytest.approx(0.02)
+    wall += 60.0  # a pause
+    assert pacing.ahead(1.2) == pytest.approx(0.0)
+    assert pacing.ahead(2.2) == pytest.approx(0.1)
+    assert simplified_demo._Pacing(0.0).ahead(5.0) == 0.0
 
 
 def test_help_says_each_default_once_as_it_is_typed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,6 +40,7 @@ MOST_COMPARED = 50  # vehicles; of more, a comparison must be asked for
 _FILM_RATE = 15  # frames a second
 _FILM_SPEED = 8.0  # times as fast as flown
 _FLY_TIME = 0.03  # s of wall time between two pictures in the window
+_DELAY = 0.25  # s of wall time, the most that a paced flight makes up for: a picture takes less, a pause more
 _END = object()
 _MOST_TOPOLOGY_LINES = 400
 
@@ -222,11 +223,11 @@ class _Pacing:
         self._start: float | None = None
 
     def ahead(self, sim_time: float) -> float:
-        """Return how long the wall clock still needs to ``sim_time`` s, s; what was lost is not made up for."""
+        """Return how long the wall clock still needs to ``sim_time`` s, s; a long delay is not made up for."""
         if not self._factor:
             return 0.0
         now = time.monotonic()
-        if self._start is None or now > self._start + sim_time / self._factor:
+        if self._start is None or now > self._start + sim_time / self._factor + _DELAY:
             self._start = now - sim_time / self._factor
         return self._start + sim_time / self._factor - now
 
