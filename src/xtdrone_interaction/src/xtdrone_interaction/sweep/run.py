@@ -28,6 +28,7 @@ from xtdrone_sim.simplified.model import load_model
 
 COLLISION_DISTANCE = 0.5  # m between the middles of two vehicles; nearer ones have touched
 _SOURCE = "truth (in one process)"
+_LISTENING = 1.0  # s in the air before the first pattern
 _MOST_ERROR = 500  # characters of an error that are kept
 
 FIGURES: dict[str, type] = {
@@ -200,7 +201,7 @@ def collided_pairs(positions: Array, limit: float = COLLISION_DISTANCE) -> int:
 
 def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) -> FlightRecord:
     """Fly patterns in turn from the air, each until all followers have settled or the limit is over."""
-    swarm.step()  # the record begins with the first turn
+    swarm.run(_LISTENING)  # else the leader assigns by the grid: over a network it has heard of nobody yet
     names = tuple(swarm.vehicles.names)
     events: list[Row] = [{"event": "start", "time": swarm.time, "vehicles": list(names)}]
     changes: list[Change] = []
