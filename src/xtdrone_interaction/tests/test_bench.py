@@ -48,19 +48,26 @@ TICKS = os.sysconf("SC_CLK_TCK")
     [
         (
             ["--only", "core,wings"],
-            "only: part 'wings' is unknown; there are: core, simplified, barrier, stack, formation, free",
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, barrier, stack, formation, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
         (["--vehicles", "simplified=10001"], "vehicles of simplified: '10001' is not allowed; 2 to 10000"),
+        (["--vehicles", "drawing=1"], "vehicles of drawing: '1' is not allowed; 2 to 10000"),
+        (["--vehicles", "sweep=1"], "workers of sweep: '1' is not allowed; 2 to 64"),
+        (["--vehicles", "sweep=65"], "workers of sweep: '65' is not allowed; 2 to 64"),
+        (
+            ["--only", "sweep", "--vehicles", "9"],
+            "vehicles: '9' is for no part that is measured; workers are given as sweep=9",
+        ),
         (["--vehicles", "stack=9,many"], "vehicles of stack: 'many' is not allowed; 1 to 250"),
         (["--vehicles", "formation=1"], "vehicles of formation: '1' is not allowed; 2 to 250"),
         (
             ["--vehicles", "swarm=9"],
-            "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, simplified",
+            "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, simplified, drawing, sweep",
         ),
         (["--only", "core", "--vehicles", "stack=9"], "part 'stack' in 'stack=9' is not measured; measured are: core"),
-        (["--vehicles", "barrier=-1"], "vehicles of barrier: '-1' is not allowed; 0 to 250"),
+        (["--vehicles", "barrier=-1"], "participants of barrier: '-1' is not allowed; 0 to 250"),
         (["--vehicles", "free=1"], "vehicles of free: '1' is not allowed; 2 to 250"),
         (["--vehicles", "=9"], "part '' in '=9' is not measured"),
         (["--repeat", "0"], "repeat: '0' is not allowed; 1 to 20"),
@@ -85,12 +92,22 @@ def test_bad_values_are_named(
 def test_vehicles_are_chosen_for_all_parts_or_for_one() -> None:
     assert bench.chosen_vehicles(["core", "stack"], []) == {"core": (1, 9, 30, 100), "stack": (1, 9, 30)}
     assert bench.chosen_vehicles(["core", "stack"], ["9", "core=1,100,1"]) == {"core": (1, 100), "stack": (9,)}
+    assert bench.chosen_vehicles(["simplified", "sweep"], ["9"]) == {"simplified": (9,), "sweep": (2,)}
+    assert bench.chosen_vehicles(["simplified", "sweep"], ["9", "sweep=2,4"]) == {"simplified": (9,), "sweep": (2, 4)}
     assert bench.chosen_parts("formation, core") == ["core", "formation"]
 
 
 def test_plan_names_each_measurement(tmp_path: Path) -> None:
     settings = bench.BenchSettings(
-        {"core": (1,), "simplified": (1000,), "barrier": (0, 9), "formation": (9,), "free": (9,)},
+        {
+            "core": (1,),
+            "simplified": (1000,),
+            "drawing": (9,),
+            "sweep": (2,),
+            "barrier": (0, 9),
+            "formation": (9,),
+            "free": (9,),
+        },
         ("per_uav", "shared"),
         2,
         bench.QUICK,
@@ -102,6 +119,10 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "core, 1 vehicle, 2 of 2",
         "simplified, 1000 vehicles, 1 of 2",
         "simplified, 1000 vehicles, 2 of 2",
+        "drawing, 9 vehicles, 1 of 2",
+        "drawing, 9 vehicles, 2 of 2",
+        "sweep, 2 workers, 1 of 2",
+        "sweep, 2 workers, 2 of 2",
         "barrier, 0 participants, 1 of 2",
         "barrier, 0 participants, 2 of 2",
         "barrier, 9 participants, python, 1 of 2",
@@ -116,7 +137,8 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "free, 9 vehicles, 2 of 2",
     ]
     assert planned[-3][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
-    assert planned[9][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
+    assert planned[7][2] == {"workers": 2, "repeat": 2}
+    assert planned[13][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc
@@ -569,6 +591,51 @@ def test_tables_of_barrier_and_comparison() -> None:
     assert "free, 30: free-running, nodes kept up at no speed that was tried" in flat
     assert bench_report.short_result(results["barrier"][0]) == "80 us per tick"
     assert bench_report.short_result(free) == "3.00 x real time, free-running 4.00 x"
+
+
+def test_tables_of_drawing_and_sweep() -> None:
+    sweep = {"workers": 2, "one_worker": 20.0, "runs_per_second": 38.0, "speed_up": 1.9}
+    drawing = {"vehicles": 100, "pictures_per_second": 45.25}
+    results = {
+        "machine": {"load_before": [0.1, 0.1, 0.1]},
+        "drawing": [drawing, {"vehicles": 9, "error": "drawing: ended with status 1"}],
+        "sweep": [
+            sweep,
+            sweep | {"runs_per_second": 40.0, "speed_up": 2.0},
+            {"workers": 4, "error": "sweep: ended with status 1"},
+        ],
+    }
+    text = _printed(results)
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["100", "45.25", "15"] in lines
+    assert ["9", "failed", "failed"] in lines
+    assert ["2", "39.00", "20.00", "1.95 x", "1.7 x"] in lines  # the medians
+    assert ["4", *["failed"] * 4] in lines
+    flat = " ".join(text.split())
+    assert "sweep, 4 workers: failed: sweep: ended with status 1" in flat
+    assert bench_report.short_result(sweep) == "38.0 runs a second, 1.90 x those of one worker"
+    assert bench_report.short_result(drawing) == "45.2 pictures a second"
+
+
+def test_drawing_and_sweep_give_their_benchmarks_what_was_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def run(shared: bench_flight.Bench, part: str, name: str, module: str, arguments: list[str]) -> Any:
+        asked.append((part, name, module, arguments))
+        return [{"pictures_per_second": 1.0}] if part == "drawing" else {"workers": 4, "speed_up": 3.0}
+
+    monkeypatch.setattr(bench_flight, "_run_program", run)
+    with scripted_launch.StopRequest() as stop:
+        shared = bench_flight.Bench(tmp_path, stop, lambda text: None, bench.QUICK)
+        drawing, sweep = bench_flight.measure_drawing(shared, 30), bench_flight.measure_sweep(shared, 4)
+    assert (drawing["vehicles"], drawing["pictures_per_second"]) == (30, 1.0)
+    assert (sweep["workers"], sweep["speed_up"]) == (4, 3.0)
+    assert asked == [
+        ("drawing", "drawing-30", "xtdrone_sim.simplified.view.benchmark", ["--vehicles", "30", "--seconds", "1.0"]),
+        ("sweep", "sweep-4", "xtdrone_interaction.sweep.benchmark", ["--workers", "4", "--seconds", "3.0"]),
+    ]
 
 
 def test_calm_machine_gets_no_note() -> None:

@@ -1,10 +1,10 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Six parts: the core alone (no ROS), the simplified simulator (no ROS), the lockstep's barrier alone, the stack without
-the swarm's own nodes, the whole formation flight, and the speed of that flight in lockstep compared with the same nodes
-running free. Prints tables and writes JSON with the machine's facts; the JSON is written after each measurement, so
-that nothing measured is lost. Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n
-when stopped by signal n.
+Eight parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
+against one, the lockstep's barrier alone, the stack without the swarm's own nodes, the whole formation flight, and the
+speed of that flight in lockstep compared with the same nodes running free. Prints tables and writes JSON with the
+machine's facts; the JSON is written after each measurement, so that nothing measured is lost. Exit status: 0, 1 when a
+measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -33,9 +33,11 @@ from xtdrone_interaction.bench_flight import (
     Row,
     measure_barrier,
     measure_core,
+    measure_drawing,
     measure_formation,
     measure_simplified,
     measure_stack,
+    measure_sweep,
 )
 from xtdrone_interaction.bench_free import measure_free
 from xtdrone_interaction.bench_machine import machine_facts
@@ -47,13 +49,24 @@ SCHEMA = 1  # of the JSON file
 PARTS: dict[str, tuple[int, ...]] = {
     "core": (1, 9, 30, 100),
     "simplified": (9, 100, 1000),
+    "drawing": (9, 100, 1000),
+    "sweep": (2,),
     "barrier": (0, 1, 9, 20, 60),
     "stack": (1, 9, 30),
     "formation": (9, 30),
     "free": (9, 30),
 }
-_LEAST = {"core": 1, "simplified": 2, "barrier": 0, "stack": 1, "formation": 2, "free": 2}
-_MOST = {"simplified": 10_000}  # vehicles; of other parts MAX_VEHICLES
+_LEAST = {
+    "core": 1,
+    "simplified": 2,
+    "drawing": 2,
+    "sweep": 2,
+    "barrier": 0,
+    "stack": 1,
+    "formation": 2,
+    "free": 2,
+}
+_MOST = {"simplified": 10_000, "drawing": 10_000, "sweep": 64}  # of other parts MAX_VEHICLES
 _FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
@@ -61,13 +74,22 @@ _MAX_REPEATS = 20
 
 FULL = Length(
     core_seconds=3.0,
+    sweep_seconds=20.0,
     barrier_seconds=2.0,
     barrier_ticks=200,
     window=20.0,
     patterns=("cube", "pyramid", "triangle"),
     free_window=5.0,
 )
-QUICK = Length(core_seconds=1.0, barrier_seconds=0.5, barrier_ticks=50, window=5.0, patterns=("cube",), free_window=2.0)
+QUICK = Length(
+    core_seconds=1.0,
+    sweep_seconds=3.0,
+    barrier_seconds=0.5,
+    barrier_ticks=50,
+    window=5.0,
+    patterns=("cube",),
+    free_window=2.0,
+)
 
 
 @dataclass(frozen=True)
@@ -75,7 +97,8 @@ class BenchSettings:
     """What is measured.
 
     Attributes:
-        vehicles: numbers of vehicles (barrier: of participants) by part; parts that are not measured are left out.
+        vehicles: numbers of vehicles (barrier: of participants; sweep: of workers) by part; parts that
+            are not measured are left out.
         modes: of the formation: ``per_uav``, ``shared``.
         repeat: how often each measurement is made.
         length: of the measurements.
@@ -102,8 +125,8 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--only", metavar="PARTS", help=f"parts to measure, with commas between, of {', '.join(PARTS)} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
-        help="numbers of vehicles (barrier: of participants), with commas between, for one part (as core=1,100) or for "
-        "all (as 9); default: "
+        help="numbers of vehicles (barrier: of participants; sweep: of workers), with commas between, for one part (as "
+        "core=1,100) or for all but the sweep (as 9); default: "
         + " ".join(f"{part}={','.join(map(str, counts))}" for part, counts in PARTS.items()))  # fmt: skip
     add("--processes", choices=list(_MODES), default="both",
         help="formation with a process per vehicle and role, with one per role, or both (default)")  # fmt: skip
@@ -151,23 +174,31 @@ def chosen_vehicles(parts: Sequence[str], texts: Sequence[str]) -> dict[str, tup
 
     Args:
         parts: that are measured.
-        texts: ``9``, ``1,9`` (all parts) or ``core=1,9``; later ones count.
+        texts: ``9``, ``1,9`` (all parts that count vehicles or participants) or ``core=1,9``; later ones count.
 
     Raises:
-        OptionError: a number that is not allowed, or a part that is not measured.
+        OptionError: a number that is not allowed, or that is for no part which is measured.
     """
     chosen = {part: PARTS[part] for part in parts}
     for text in texts:
         name, equals, numbers = text.rpartition("=")
         if equals and name not in chosen:
             raise OptionError(f"vehicles: part {name!r} in {text!r} is not measured; measured are: {', '.join(chosen)}")
-        for part in [name] if equals else parts:
+        meant = [name] if equals else [part for part in parts if part != "sweep"]
+        if not meant:
+            raise OptionError(f"vehicles: {text!r} is for no part that is measured; workers are given as sweep={text}")
+        for part in meant:
             counts = (
-                _whole_number(f"vehicles of {part}", n, _LEAST[part], _MOST.get(part, MAX_VEHICLES))
+                _whole_number(f"{_counted(part)} of {part}", n, _LEAST[part], _MOST.get(part, MAX_VEHICLES))
                 for n in numbers.split(",")
             )
             chosen[part] = tuple(dict.fromkeys(counts))
     return chosen
+
+
+def _counted(part: str) -> str:
+    """Return what a part has numbers of."""
+    return {"barrier": "participants", "sweep": "workers"}.get(part, "vehicles")
 
 
 def _whole_number(thing: str, text: str, least: int, most: int) -> int:
@@ -213,6 +244,9 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
             known: Row = {"participants": count, "kind": kind}
             yield title, known, partial(measure_barrier, participants=count, kind=kind)
         return
+    if part == "sweep":
+        yield f"{count} workers", {"workers": count}, partial(measure_sweep, workers=count)
+        return
     title, known = f"{count} {'vehicle' if count == 1 else 'vehicles'}", {"vehicles": count}
     if part == "formation":
         for mode in modes:
@@ -222,6 +256,7 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
     measurements = {
         "core": measure_core,
         "simplified": measure_simplified,
+        "drawing": measure_drawing,
         "stack": measure_stack,
         "free": measure_free,
     }

@@ -1,8 +1,9 @@
 """The benchmark's measurements: each runs a program or a launch file to its end and returns a row of figures.
 
 A row has ``vehicles``, ``load_before`` (the machine's load average over the last minute) and the figures that
-:func:`measure_core`, :func:`measure_simplified`, :func:`measure_barrier`, :func:`measure_stack` and
-:func:`measure_formation` list. A row of the barrier has ``participants`` and ``kind`` in place of ``vehicles``.
+:func:`measure_core`, :func:`measure_simplified`, :func:`measure_drawing`, :func:`measure_sweep`,
+:func:`measure_barrier`, :func:`measure_stack` and :func:`measure_formation` list. In place of ``vehicles`` a row of the
+barrier has ``participants`` and ``kind``, one of the sweep ``workers``.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ class Length:
     """How long the measurements are.
 
     Attributes:
-        core_seconds: least wall time of one core or simplified measurement, s.
+        core_seconds: least wall time of one core, simplified or drawing measurement, s.
+        sweep_seconds: least wall time of a sweep's measurement with one worker, and of that with all, s.
         barrier_seconds: least wall time of one barrier measurement, s.
         barrier_ticks: least number of ticks of one barrier measurement.
         window: measured simulated time of the stack, s.
@@ -60,6 +62,7 @@ class Length:
     """
 
     core_seconds: float
+    sweep_seconds: float
     barrier_seconds: float
     barrier_ticks: int
     window: float
@@ -111,6 +114,35 @@ def measure_simplified(bench: Bench, vehicles: int) -> Row:
     arguments = ["--vehicles", str(vehicles), "--seconds", str(bench.length.core_seconds)]
     module = "xtdrone_sim.simplified.benchmark"
     return row | _run_program(bench, "simplified", f"simplified-{vehicles}", module, arguments)[0]
+
+
+def measure_drawing(bench: Bench, vehicles: int) -> Row:
+    """Measure the drawing of a swarm off-screen, with trails, topology and slots.
+
+    Returns:
+        pictures_per_second.
+
+    Raises:
+        BenchError: it failed.
+    """
+    row = _row(vehicles)
+    arguments = ["--vehicles", str(vehicles), "--seconds", str(bench.length.core_seconds)]
+    module = "xtdrone_sim.simplified.view.benchmark"
+    return row | _run_program(bench, "drawing", f"drawing-{vehicles}", module, arguments)[0]
+
+
+def measure_sweep(bench: Bench, workers: int) -> Row:
+    """Measure how many runs a second a sweep flies with ``workers`` processes, and with one.
+
+    Returns:
+        workers, one_worker and runs_per_second (runs a second with one and with all), speed_up (their ratio).
+
+    Raises:
+        BenchError: it failed.
+    """
+    row = {"load_before": os.getloadavg()[0]}
+    arguments = ["--workers", str(workers), "--seconds", str(bench.length.sweep_seconds)]
+    return row | _run_program(bench, "sweep", f"sweep-{workers}", "xtdrone_interaction.sweep.benchmark", arguments)
 
 
 def measure_barrier(bench: Bench, participants: int, kind: str) -> Row:

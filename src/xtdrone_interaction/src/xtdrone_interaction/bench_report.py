@@ -12,12 +12,15 @@ from rich.table import Table
 Row = dict[str, Any]
 _Cell = Callable[[str, Sequence[Row]], str]
 
-# To reach, by part, number of vehicles and processes: real-time factors; of the free part the share of the free speed.
+# To reach, by part, number of vehicles (workers) and processes: real-time factors; of the drawing pictures a second, of
+# the sweep the speed-up, of the free part the share of the free speed.
 GOALS: dict[tuple[str, int, str | None], float] = {
     ("core", 9, None): 30.0,
     ("core", 100, None): 6.0,
     ("simplified", 9, None): 1000.0,
     ("simplified", 1000, None): 1.0,
+    ("drawing", 100, None): 15.0,
+    ("sweep", 2, None): 1.7,
     ("stack", 9, None): 10.0,
     ("formation", 9, "per_uav"): 3.0,
     ("formation", 30, "per_uav"): 1.0,
@@ -28,6 +31,8 @@ LEAST_CPU = 0.005  # CPU s per simulated s; programs that never use more have no
 _TITLES = {
     "core": "Core: physics, sensors, autopilots; no ROS",
     "simplified": "Simplified simulator: vehicles, consensus, avoidance; no ROS, one core",
+    "drawing": "Drawing of the simplified simulator, off-screen",
+    "sweep": "Sweep: flights of nine simplified vehicles through three patterns",
     "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
     "formation": "Formation flight",
@@ -132,11 +137,15 @@ def short_result(row: Row) -> str:
     if "exact_share" in row:
         exact, free = row["exact_real_time_factor"], row["free_real_time_factor"]
         return f"{exact:.2f} x real time, free-running {free:.2f} x"
+    if "pictures_per_second" in row:
+        return f"{row['pictures_per_second']:.1f} pictures a second"
+    if "speed_up" in row:
+        return f"{row['runs_per_second']:.1f} runs a second, {row['speed_up']:.2f} x those of one worker"
     return f"{row['real_time_factor']:.2f} x real time"
 
 
 def grouped(rows: Iterable[Row]) -> list[list[Row]]:
-    """Return the rows of equal vehicles (or participants) and mode (or kind) together, in the order of their first."""
+    """Return rows of equal vehicles (participants, workers) and mode (kind) together, in the order of their first."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(_label("", row), []).append(row)
@@ -170,6 +179,8 @@ def _median_cpu(rows: Sequence[Row], name: str) -> float:
 def _label(part: str, row: Row) -> str:
     if "kind" in row:
         words = [str(row["participants"]), row["kind"]]
+    elif "workers" in row:
+        words = [f"{row['workers']} workers"]
     else:
         words = [str(row["vehicles"]), row.get("mode", "").replace("_", "-")]
     return " ".join(([part] if part == "stack" else []) + [word for word in words if word])
@@ -187,6 +198,10 @@ def _participants(_: str, rows: Sequence[Row]) -> str:
     return _label("", rows[0]) if rows[0]["participants"] else "0"
 
 
+def _workers(_: str, rows: Sequence[Row]) -> str:
+    return str(rows[0]["workers"])
+
+
 def _factor(part: str, rows: Sequence[Row]) -> str:
     return _with_range("real_time_factor", rows, " x")
 
@@ -201,10 +216,11 @@ def _with_range(key: str, rows: Sequence[Row], unit: str) -> str:
 
 
 def _goal(part: str, rows: Sequence[Row]) -> str:
-    goal = GOALS.get((part, rows[0]["vehicles"], rows[0].get("mode")))
+    row = rows[0]
+    goal = GOALS.get((part, row["workers"] if part == "sweep" else row["vehicles"], row.get("mode")))
     if goal is None:
         return ""
-    return f"{goal:.2f}" if part == "free" else f"{goal:g} x"
+    return {"drawing": "{:g}", "free": "{:.2f}"}.get(part, "{:g} x").format(goal)
 
 
 def _range(key: str, unit: str = "") -> _Cell:
@@ -235,6 +251,18 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
         ("us/vehicle-step", _median("microseconds_per_vehicle_step", ".2f")),
     ],
     "simplified": [*_SPEED, ("us/vehicle-turn", _median("microseconds_per_vehicle_turn", ".2f"))],
+    "drawing": [
+        ("vehicles", _vehicles),
+        ("pictures/s", _range("pictures_per_second")),
+        ("to\nreach", _goal),
+    ],
+    "sweep": [
+        ("workers", _workers),
+        ("runs/s", _range("runs_per_second")),
+        ("with one\nworker", _range("one_worker")),
+        ("speed-up", _range("speed_up", " x")),
+        ("to\nreach", _goal),
+    ],
     "barrier": [
         ("participants", _participants),
         ("median", _median("median_us", ".1f")),
