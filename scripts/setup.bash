@@ -149,7 +149,7 @@ digest() {
     cd "$root" || exit
     find CMakeLists.txt src -type f \( -false "${tests[@]}" \) -print0 | LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum
     # A node's content is read when it starts; only its name matters to the build.
-    find src \( -path '*/nodes/*.py' -o -path '*/examples/*.py' \) | LC_ALL=C sort | sha256sum
+    find src -type f \( -path '*/nodes/*' -o -path '*/examples/*.py' \) ! -name '*.pyc' | LC_ALL=C sort | sha256sum
   )
 }
 
