@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,22 @@ class Smooth(Follower):
     def control_law(self, position: Vector, peers: Sequence[Peer]) -> np.ndarray:  # type: ignore[override]
         self.last = 0.8 * self.last + 0.2 * np.array(super().control_law(position, peers))
         return self.last + 0.1 * np.array(self.avoidance_vector)
+
+
+class Adaptive(Follower):
+    """It changes its own options in its law, which count at once for what comes after the law."""
+
+    def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
+        east = position[0] > 0.5
+        self.options = replace(
+            self.options,
+            Kp=0.5 if east else 2.0,
+            vel_max=0.4 if east else 3.0,
+            avoid="own" if position[1] > 0.0 else "off",
+            avoid_radius=4.0 if east else 1.6,
+            pose_timeout=0.1 if east else 0.2,
+        )
+        return super().control_law(position, peers)
 
 
 class Everything(FeedForward, Upwards, HearsTheNearest):
@@ -129,6 +146,7 @@ CLASSES = [
     Upwards,
     HearsTheNearest,
     Smooth,
+    Adaptive,
     Everything,
     Halved,
     Unlimited,
@@ -318,6 +336,30 @@ def test_an_avoidance_that_is_heard() -> None:
         for followers in (twins.single, twins.batched):
             followers[1].on_avoidance(vector)
         twins.turn()
+
+
+def test_options_and_methods_may_be_given_to_single_followers_in_flight() -> None:
+    twins = Twins(8, [Follower, InArrays], [FollowerOptions(vel_max=9.0)])
+    twins.pattern(Patterns(8).offsets("cube"))
+    rng = np.random.default_rng(4)
+    seen = []
+    for k in range(7):
+        twins.hear(rng.normal(size=(8, 3)) * 4, rng.normal(size=(8, 3)))
+        for followers in (twins.single, twins.batched):
+            if k == 1:
+                followers[2].options = FollowerOptions(Kp=0.3, mode="accel", avoid="off")
+            if k == 2:
+                followers[3].options = replace(followers[3].options, Kp=2.0, avoid="topic")
+                followers[3].on_avoidance((0.0, 0.5, 0.0))
+            if k == 3:
+                followers[0].control_law = lambda position, peers: (0.25, 0.0, 0.0)
+                followers[4].neighbours = lambda: {1: 2.0}
+            if k == 4:
+                followers[1].update = lambda: (0.0, 0.0, 7.0)
+            if k == 5:
+                del followers[0].control_law
+        seen.append(twins.turn())
+    assert seen[4][2].tolist() == seen[5][2].tolist() == [0.0, 0.0, 7.0]
 
 
 def test_weights_and_offsets_may_be_replaced_in_a_follower() -> None:

@@ -305,6 +305,52 @@ def test_vehicles_that_hear_nothing_of_the_leader_are_named() -> None:
     assert said == []
 
 
+def test_vehicles_that_listen_to_nobody_are_named() -> None:
+    class Deaf(Leader):
+        def topology(self, offsets: np.ndarray) -> np.ndarray:
+            listens = np.eye(self.count, k=-1, dtype=int)
+            listens[[3, 5, 6]] = 0
+            return listens
+
+    said: list[str] = []
+    leader = Deaf(9, warn=said.append)
+    leader.choose("cube")
+    assert said == [
+        "leader: by the topology of pattern 'cube' 3, 5-6 of 9 vehicles listen to nobody: they are given vehicle 0 to "
+        "listen to"
+    ]
+    assert leader.adjacency is not None
+    assert np.flatnonzero(leader.adjacency[5]).tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (0.5 * np.eye(9, k=-1), "weight of 0.5; weights travel as whole numbers, 0 to 2147483647"),
+        (2.0**31 * np.eye(9, k=-1), r"weight of 2\.14748e\+09"),
+        ([[0], [1, 0]], "overridden topology"),
+        (None, "overridden topology"),
+        ("abc", "overridden topology"),
+    ],
+)
+def test_topologies_that_cannot_travel_are_refused(given: object, message: str) -> None:
+    class Strange(Leader):
+        def topology(self, offsets: np.ndarray) -> object:  # type: ignore[override]
+            return given
+
+    with pytest.raises(CommandError, match=message):
+        Strange(9).choose("cube")
+
+
+def test_an_assignment_that_is_none_is_refused() -> None:
+    class Strange(Leader):
+        def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
+            return None  # type: ignore[return-value]
+
+    with pytest.raises(CommandError, match="gave None, an Assignment is needed"):
+        Strange(9).choose("cube")
+
+
 def test_many_numbers_are_said_in_short() -> None:
     assert number_list([4]) == "4"
     assert number_list([1, 2, 3, 7, 9, 10]) == "1-3, 7, 9-10"

@@ -155,3 +155,17 @@ def test_the_leader_takes_back_what_it_has_latched(graph: Graph) -> None:
         assert (leader.pattern, leader.offsets) == ("", None)
     assert flights[0][0] == [1, 1, 1, 2, 2, 2, 3, 3]
     assert flights[1] == flights[0]
+
+
+def test_a_follower_that_listens_to_nobody_is_named(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(ros.rospy, "logwarn", said.append)
+    node = FollowerNode("iris", [Follower(1, 3)])
+    for _ in range(3):
+        graph.topology(0, 0, 0, 0, 0, 0, 1, 1, 0)
+        node.step()
+    assert said == [
+        "/xtdrone/communication_topology: vehicle 1 listens to nobody by it and is given vehicle 0 to listen to"
+    ]
+    graph.topology(0, 0, 0, 1, 0, 0, 0, 0, 0)
+    assert len(said) == 1, "vehicle 2 is another node's"

@@ -149,3 +149,14 @@ def test_large_patterns_are_checked_without_all_pairs() -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2_000_000, "all pairs would be 600 MB"
+
+
+@pytest.mark.parametrize("count", [9, 200])
+@pytest.mark.parametrize("name", ["circle", "cube", "pyramid", "text:XTD", "sphere"])
+def test_the_least_spacing_travels_as_32_bit_floats(count: int, name: str) -> None:
+    from xtdrone_coordination.patterns import check_offsets
+
+    sent = Patterns(count).offsets(f"{name}:spacing=0.5").astype(np.float32)
+    check_offsets(sent, count, name)
+    with pytest.raises(PatternError, match=r"0\.50 m apart"):
+        check_offsets(0.999 * sent, count, name)

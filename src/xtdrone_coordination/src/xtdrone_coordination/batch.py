@@ -36,8 +36,9 @@ from xtdrone_coordination.topology import check_adjacency
 class FollowerBatch:
     """The followers of one process.
 
-    Options and overridden methods are looked at when the batch is made. ``offsets`` and ``weights`` of a follower may
-    be replaced at any time, by its own methods too, but not changed in place.
+    ``offsets``, ``weights`` and ``options`` of a follower may be replaced at any time, by its own methods too, but not
+    changed in place. A method that is given to one follower alone (``follower.avoidance = ...``) counts too, as long as
+    it is not replaced by another later.
 
     Attributes:
         followers: as they were given.
@@ -69,8 +70,14 @@ class FollowerBatch:
         self.followers = tuple(followers)
         self.swarm = swarm
         self.network = network
-        self._whole = [follower for follower in followers if _reaches_deep(follower)]
-        self._rows = [follower for follower in followers if not _reaches_deep(follower)]
+        self._look_at_all()
+
+    def _look_at_all(self) -> None:
+        """Take what the followers are: their classes, methods and options, and what they know of the formation."""
+        self._sizes = [len(vars(follower)) for follower in self.followers]
+        self._options = [follower.options for follower in self.followers]
+        self._whole = [follower for follower in self.followers if _reaches_deep(follower)]
+        self._rows = [follower for follower in self.followers if not _reaches_deep(follower)]
         self._own = [_own_parts(follower) for follower in self._rows]
         self._asked = [k for k, own in enumerate(self._own) if own]
         self._listening = any("neighbours" in own for own in self._own)
@@ -83,26 +90,8 @@ class FollowerBatch:
         count, rows = self._count, len(self._rows)
         self._kinds = np.zeros((rows, kernels.KINDS), dtype=np.int64)
         self._settings = np.zeros((rows, kernels.SETTINGS))
-        for k, (follower, own) in enumerate(zip(self._rows, self._own, strict=True)):
-            options = follower.options
-            self._kinds[k, kernels.ID] = follower.id
-            self._kinds[k, kernels.ACCEL] = options.mode == "accel"
-            self._kinds[k, kernels.NORMALISE] = not options.raw_weights
-            self._kinds[k, kernels.OWN_AVOIDANCE] = options.avoid == "own" and "avoidance" not in own
-            self._kinds[k, kernels.GIVE_WAY] = (
-                options.avoid != "off" and options.mode == "vel" and options.clearance > 0.0
-            )
-            self._kinds[k, kernels.OWN_LAW] = "control_law" not in own
-            self._kinds[k, kernels.TIMEOUT] = follower._timeout
-            self._kinds[k, kernels.ASKED] = bool(own)
-            self._settings[k] = (
-                options.Kp,
-                follower._gamma,
-                options.limit,
-                options.Kp_avoid,
-                options.avoid_radius,
-                options.clearance,
-            )
+        for k in range(rows):
+            self._take_settings(k)
         self._radio: Near | None = None
         looking = self._kinds[:, [kernels.OWN_AVOIDANCE, kernels.GIVE_WAY]].any(axis=1)
         self._widest = float(self._settings[looking, kernels.RADIUS].max(initial=0.0))
@@ -113,6 +102,27 @@ class FollowerBatch:
         self._commands = np.zeros((count, 3))
         self._given = np.zeros(count, dtype=bool)
         self._useless: dict[int, Any] = {}  # what a law in arrays gave in place of numbers, for each row
+
+    def _take_settings(self, k: int) -> None:
+        """Write a row's class and options where the kernels take them."""
+        follower, own = self._rows[k], self._own[k]
+        options, kinds = follower.options, self._kinds[k]
+        kinds[kernels.ID] = follower.id
+        kinds[kernels.ACCEL] = options.mode == "accel"
+        kinds[kernels.NORMALISE] = not options.raw_weights
+        kinds[kernels.OWN_AVOIDANCE] = options.avoid == "own" and "avoidance" not in own
+        kinds[kernels.GIVE_WAY] = options.avoid != "off" and options.mode == "vel" and options.clearance > 0.0
+        kinds[kernels.OWN_LAW] = "control_law" not in own
+        kinds[kernels.TIMEOUT] = follower._timeout
+        kinds[kernels.ASKED] = bool(own)
+        self._settings[k] = (
+            options.Kp,
+            follower._gamma,
+            options.limit,
+            options.Kp_avoid,
+            options.avoid_radius,
+            options.clearance,
+        )
 
     # inputs
 
@@ -217,6 +227,7 @@ class FollowerBatch:
             if status[k] != kernels.READY:
                 continue
             follower, own = self._rows[k], self._own[k]
+            before = follower.options
             follower._said, follower._problems = follower._problems, set()
             if "avoidance" in own:
                 self._vectors[0, k] = follower.avoidance_vector = follower._checked(follower.avoidance(), "avoidance")
@@ -230,6 +241,9 @@ class FollowerBatch:
                 self._vectors[1, k] = follower._wanted(position, offsets)
             elif "neighbours" in own:
                 self._mappings[k] = follower.neighbours()
+            if follower.options is not before:  # what comes after its law is by the new ones, as it would be by itself
+                self._take_settings(k)
+                self._table[0] = kernels.ALL_PAIRS
         if self._listening:
             self._take_mappings()
 
@@ -308,6 +322,11 @@ class FollowerBatch:
 
     def _notice_changes(self) -> None:
         """Take what was replaced in a follower since the last update."""
+        options = [follower.options for follower in self.followers]
+        sizes = [len(vars(follower)) for follower in self.followers]  # with a method of its own a follower has more
+        if sizes != self._sizes or not all(map(operator.is_, options, self._options)):
+            self._look_at_all()
+            return
         offsets = [follower.offsets for follower in self._rows]
         if not all(map(operator.is_, offsets, self._offsets)):
             self._take_offsets(offsets)

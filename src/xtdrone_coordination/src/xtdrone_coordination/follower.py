@@ -101,7 +101,7 @@ class Follower:
         id: this vehicle's number, 1 to count-1.
         count: number of vehicles N.
         swarm: positions and velocities of all vehicles.
-        options: the settings.
+        options: the settings; may be replaced at any time, not changed in place.
         offsets: N slots relative to the leader (its own zero first), m ENU; None until a pattern came.
         weights: weights w_ij of those it listens to, by their number; the leader alone until a topology came.
         avoidance_vector: what :meth:`avoidance` gave last, before its gain; a node publishes it.
@@ -149,8 +149,6 @@ class Follower:
         self.count = count
         self.swarm = swarm or SwarmState(count)
         self.options = options or FollowerOptions()
-        self._gamma = critical_damping(self.options.Kp)
-        self._timeout = math.ceil(self.options.pose_timeout * RATE)
         self._warn = warn or logging.getLogger(__name__).warning
         self._know_nothing()
 
@@ -161,6 +159,16 @@ class Follower:
         self._heard_avoidance: Vector = _ZERO
         self._problems: set[str] = set()  # of the last update
         self._said: set[str] = set()  # of the update before
+
+    @property
+    def _gamma(self) -> float:
+        """The damping of the acceleration form, s."""
+        return critical_damping(self.options.Kp)
+
+    @property
+    def _timeout(self) -> int:
+        """The ``pose_timeout`` in ticks."""
+        return math.ceil(self.options.pose_timeout * RATE)
 
     # to be overridden
 

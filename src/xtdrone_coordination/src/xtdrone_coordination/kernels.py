@@ -55,6 +55,7 @@ _CROWD = 48  # near ones: from so many on, looking at every vehicle is faster th
 _MARGIN = 1.0 + 1e-6  # a cell is wider than the radius by more than rounding can do, up to _FAR cells away
 _FAR = 1 << 20
 _EMPTY = -1
+ALL_PAIRS = -2  # in table[0]: there are no cells that help, look at every pair
 
 _COINCIDENT = avoidance._COINCIDENT
 _COINCIDENT_SQUARE = avoidance._COINCIDENT**2
@@ -115,8 +116,8 @@ def turn(
         for k in range(len(kinds)):
             widest = max(widest, settings[k, RADIUS])
         if not _fill_cells(positions, heard, widest * _MARGIN, cells, table):
-            table[0] = -2  # too far away for exact cells: look at every pair
-    gridded = gridded and table[0] != -2
+            table[0] = ALL_PAIRS  # too far away for exact cells
+    gridded = gridded and table[0] != ALL_PAIRS
     reported = 0
     for k in range(len(kinds)):
         index = kinds[k, ID]

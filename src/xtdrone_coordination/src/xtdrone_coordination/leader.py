@@ -22,10 +22,11 @@ from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import RATE, check_choice, check_number
 from xtdrone_coordination.patterns import Offsets, PatternError, Patterns, least_separation, with_leader
 from xtdrone_coordination.swarm import SwarmState
-from xtdrone_coordination.topology import check_adjacency, cut_off, veteran_topology
+from xtdrone_coordination.topology import check_adjacency, cut_off, deaf, veteran_topology
 
 NO_PATTERN = "waiting"  # XTDrone's keyboard sends it for the digit 0
 _MAX_RUNS = 8  # of numbers in a message
+_MOST_WEIGHT = 2**31 - 1
 STEERING_TICKS = RATE // 2  # a steering velocity older than half a second is over
 
 
@@ -145,6 +146,9 @@ class Leader:
     def topology(self, offsets: Offsets) -> ArrayLike:
         """Return the adjacency matrix, shape (N, N), for assigned slots; the default is the veteran rule.
 
+        Weights are whole numbers, as the message with the topology has them; a follower whose row is all zeros is given
+        the leader to listen to, with a warning.
+
         Args:
             offsets: slots of all vehicles in order of their numbers, the leader's zero row first, shape (N, 3).
         """
@@ -194,21 +198,14 @@ class Leader:
             return
         self._check_height(name, target)
         solved = self.assignment(self.current(), target)
+        if not isinstance(solved, Assignment):
+            raise CommandError(f"leader: overridden assignment gave {solved!r}, an Assignment is needed")
         slots = np.asarray(solved.slots)
         if sorted(slots.tolist()) != list(range(self.count - 1)):
             given = np.array2string(slots, threshold=20)
             raise CommandError(f"leader: overridden assignment gave {given}, which is no permutation")
         offsets = target[slots]
-        try:
-            adjacency = check_adjacency(self.topology(with_leader(offsets)), self.count)
-        except ValueError as error:
-            raise CommandError(f"leader: overridden topology: {error}") from error
-        lost = cut_off(adjacency)
-        if lost:
-            self._warn(
-                f"leader: topology of pattern {name!r} cuts off {number_list(lost)} of {self.count} vehicles: they "
-                "hear of vehicle 0 neither directly nor through others and will not keep their slots"
-            )
+        adjacency = self._checked_topology(name, offsets)
         separation = least_separation(target)
         if separation < self.options.avoid_radius:
             self._warn(
@@ -216,7 +213,7 @@ class Leader:
                 f"{self.options.avoid_radius} m: vehicles will not rest on their slots"
             )
         self.pattern, self.offsets, self.distance = name, offsets, solved.cost
-        self.adjacency = adjacency.astype(np.int32)
+        self.adjacency = adjacency
 
     def on_steering(self, velocity: Vector, yaw_rate: float) -> None:
         """Take a steering command for vehicle 0: FLU velocity m/s, yaw rate rad/s."""
@@ -255,6 +252,32 @@ class Leader:
             return points[1:] - points[0]
         return self.patterns.offsets("origin") if self.offsets is None else self.offsets.copy()
 
+    def _checked_topology(self, name: str, offsets: Offsets) -> NDArray[np.int32]:
+        """Return the topology for a pattern's assigned slots, and name those whom it leaves alone."""
+        try:
+            given = np.array(self.topology(with_leader(offsets)), dtype=float)
+            adjacency = check_adjacency(given, self.count)
+        except (TypeError, ValueError) as error:
+            raise CommandError(f"leader: overridden topology: {error}") from error
+        if (adjacency % 1.0).any() or adjacency.max() > _MOST_WEIGHT:
+            raise CommandError(
+                f"leader: overridden topology has a weight of {_unsendable(adjacency):g}; weights travel as whole "
+                f"numbers, 0 to {_MOST_WEIGHT}"
+            )
+        alone = deaf(given)
+        if alone:
+            self._warn(
+                f"leader: by the topology of pattern {name!r} {number_list(alone)} of {self.count} vehicles listen to "
+                "nobody: they are given vehicle 0 to listen to"
+            )
+        lost = cut_off(adjacency)
+        if lost:
+            self._warn(
+                f"leader: topology of pattern {name!r} cuts off {number_list(lost)} of {self.count} vehicles: they "
+                "hear of vehicle 0 neither directly nor through others and will not keep their slots"
+            )
+        return adjacency.astype(np.int32)
+
     def _check_height(self, name: str, target: Offsets) -> None:
         own, lowest = self.swarm.positions[0], float(target[:, 2].min())
         if own is None or lowest >= 0.0:
@@ -265,6 +288,11 @@ class Leader:
                 f"leader: pattern {name!r} reaches {-lowest:g} m below the leader, which is at {own[2]:.1f} m: "
                 f"climb to {needed:g} m first"
             )
+
+
+def _unsendable(adjacency: NDArray[np.float64]) -> float:
+    """Return the first weight that is no whole number, or too great."""
+    return float(adjacency[(adjacency % 1.0 != 0.0) | (adjacency > _MOST_WEIGHT)][0])
 
 
 def number_list(numbers: Sequence[int]) -> str:

@@ -36,6 +36,7 @@ Offsets = NDArray[np.float64]
 
 MIN_SEPARATION = 0.5  # m between any two slots: closer vehicles touch
 MAX_SPACING = 1000.0  # m
+_FLOAT32 = 2.0**-21  # offsets travel as 32-bit floats: by so much of the greatest a distance may shrink
 PITCH = 3.0  # m, of the spawn grid, and the least distance in grid, circle and sphere
 DENSE_PITCH = 2.0  # m, the least distance in letters and clouds
 
@@ -263,7 +264,7 @@ def check_offsets(rows: Any, count: int, name: str) -> Offsets:
     if not np.isfinite(offsets).all():
         raise PatternError(f"{name}: all offsets must be finite")
     separation = least_separation(offsets)
-    if separation < MIN_SEPARATION:
+    if separation < MIN_SEPARATION - _FLOAT32 * float(np.abs(offsets).max()):
         raise PatternError(f"{name}: two vehicles are {separation:.2f} m apart, at least {MIN_SEPARATION} m is allowed")
     return offsets
 

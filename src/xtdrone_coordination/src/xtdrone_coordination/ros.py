@@ -48,8 +48,10 @@ from xtdrone_coordination import avoidance
 from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, check_number
+from xtdrone_coordination.leader import number_list
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_coordination.swarm import ArraySwarm, SwarmState
+from xtdrone_coordination.topology import deaf
 
 if TYPE_CHECKING:
     from xtdrone_coordination.batch import FollowerBatch
@@ -241,6 +243,11 @@ class FollowerNode:
             self._all.on_topology(message.data)
         except ValueError as error:
             rospy.logwarn(f"{TOPOLOGY_TOPIC}: {error}")
+            return
+        alone = sorted({follower.id for follower in self.followers} & set(deaf(message.data)))
+        if alone:
+            text = "listens to nobody by it and is" if len(alone) == 1 else "listen to nobody by it and are"
+            rospy.logwarn(f"{TOPOLOGY_TOPIC}: vehicle {number_list(alone)} {text} given vehicle 0 to listen to")
 
     def _on_avoidance(self, follower: Follower, message: Vector3) -> None:
         follower.on_avoidance((message.x, message.y, message.z))

@@ -8,6 +8,8 @@ graph is acyclic with the leader at its root and the consensus law converges wha
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -82,7 +84,16 @@ def check_adjacency(values: ArrayLike, count: int) -> NDArray[np.float64]:
         raise ValueError("topology: weights must be finite and not negative")
     if matrix.diagonal().any():
         raise ValueError(f"topology: vehicle {int(np.argmax(matrix.diagonal() > 0))} listens to itself")
-    deaf = ~matrix.any(axis=1)
-    deaf[0] = False
-    matrix[deaf, 0] = 1.0
+    matrix[deaf(matrix), 0] = 1.0
     return matrix
+
+
+def deaf(adjacency: ArrayLike) -> list[int]:
+    """Return the followers that listen to nobody, ascending; :func:`check_adjacency` gives them the leader.
+
+    Args:
+        adjacency: shape (N, N), or its values row by row, of a size that :func:`check_adjacency` takes.
+    """
+    values = np.asarray(adjacency)
+    rows = values.reshape(math.isqrt(values.size), -1)
+    return [int(i) for i in np.flatnonzero(~rows.any(axis=1)) if i > 0]
