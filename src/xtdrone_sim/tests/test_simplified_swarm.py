@@ -16,6 +16,7 @@ from xtdrone_coordination.patterns import PatternError, Patterns
 from xtdrone_sim.simplified import Model, NetworkOptions, Swarm
 from xtdrone_sim.simplified.benchmark import measure
 from xtdrone_sim.simplified.simplified_vehicles import SimplifiedVehicles
+from xtdrone_sim.simplified.swarm import MOST_VEHICLES
 
 
 def test_nine_fly_the_patterns():
@@ -248,3 +249,34 @@ def test_the_example_is_a_follower_for_all():
     swarm = Swarm(9, follower=load_class(str(path), Follower))
     swarm.choose("cube")
     assert swarm.run_until(settled=0.1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"count": MOST_VEHICLES + 1}, "10001 is not allowed, 2 to 10000"),
+        ({"seed": -1}, "seed: -1 is not allowed"),
+        ({"seed": "x"}, "seed: 'x' is not allowed"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Swarm(**settings)
+
+
+@pytest.mark.parametrize("name", ["settled", "hold", "limit"])
+@pytest.mark.parametrize("value", [-1.0, math.nan])
+def test_settling_needs_numbers(name, value):
+    with pytest.raises(ValueError, match=f"{name}: {value} is not allowed"):
+        Swarm(3).run_until(**{name: value})
+
+
+def test_what_was_seen_stays_as_it_was():
+    swarm = Swarm(3)
+    seen = swarm.positions, swarm.velocities, swarm.true_positions
+    before = [array.copy() for array in seen]
+    swarm.steer((1.0, 0.0, 0.0))
+    swarm.run(1.0)
+    for array, old in zip(seen, before, strict=True):
+        assert (array == old).all()
+    assert swarm.positions[0, 0] > 0.3

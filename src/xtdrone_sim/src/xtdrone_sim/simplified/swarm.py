@@ -38,6 +38,7 @@ from .model import Model
 from .simplified_vehicles import SimplifiedVehicles, spawn_places
 from .vehicles import ACCELERATION, VELOCITY, Array, Vehicles
 
+MOST_VEHICLES = 10_000  # in one swarm; the topology is a matrix of N x N
 SETTLED = 0.15  # m
 _SAID = 3  # warnings of followers in one turn
 _REPEATED = 10.0  # s, before a follower's warning is logged again: over a poor network it comes and goes all the time
@@ -79,7 +80,7 @@ class Swarm:
         """Make a swarm; time is 0, nobody has decided anything.
 
         Args:
-            count: number of vehicles N, the leader included, at least 2.
+            count: number of vehicles N, the leader included, 2 to MOST_VEHICLES.
             follower: class of the followers.
             leader: class of the leader.
             kind: vehicle type, a name in ``config/vehicles``.
@@ -105,6 +106,10 @@ class Swarm:
         _check_class("leader", leader, Leader)
         if isinstance(count, bool) or not isinstance(count, int):
             raise ValueError(f"number of vehicles: {count!r} is not a whole number")
+        if count > MOST_VEHICLES:
+            raise ValueError(f"number of vehicles: {count} is not allowed, 2 to {MOST_VEHICLES}")
+        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+            raise ValueError(f"seed: {seed!r} is not allowed, a whole number of 0 or more")
         if patterns is not None and patterns.count != count:
             raise ValueError(f"patterns: they are for {patterns.count} vehicles, there are {count}")
         if patterns is not None and pattern_file is not None:
@@ -169,18 +174,18 @@ class Swarm:
 
     @property
     def positions(self) -> Array:
-        """Where the vehicles believe to be, shape (N, 3), m ENU."""
-        return self.vehicles.position
+        """Where the vehicles believe to be, a copy of shape (N, 3), m ENU."""
+        return self.vehicles.position.copy()
 
     @property
     def velocities(self) -> Array:
-        """Likewise their velocities, shape (N, 3), m/s ENU."""
-        return self.vehicles.velocity
+        """Likewise their velocities, a copy of shape (N, 3), m/s ENU."""
+        return self.vehicles.velocity.copy()
 
     @property
     def true_positions(self) -> Array:
-        """Where they are, shape (N, 3), m ENU."""
-        return self.vehicles.true_position
+        """Where they are, a copy of shape (N, 3), m ENU."""
+        return self.vehicles.true_position.copy()
 
     def errors(self) -> Array:
         """Return the followers' distances from their slots, shape (N-1,), m; infinite before the first pattern."""
@@ -300,7 +305,13 @@ class Swarm:
 
         Returns:
             Whether they have settled.
+
+        Raises:
+            ValueError: a value is negative or not a number.
         """
+        for name, value in (("settled", settled), ("hold", hold), ("limit", limit)):
+            if not value >= 0.0:
+                raise ValueError(f"{name}: {value} is not allowed, 0 or more")
         start, inside = self.time, math.inf
         while self.time - start < limit:
             self.step()

@@ -80,14 +80,14 @@ def _flying(swarm: Swarm, seconds: float, period: float, note: str, each_turn: E
     """Let a swarm fly and yield its frames; between two turns places are interpolated."""
     formations = Formations()
     begin = swarm.time
-    before = now = (swarm.time, swarm.true_positions.copy())
+    before = now = (swarm.time, swarm.true_positions)
     for k in range(math.floor(seconds / period + 1e-9) + 1):
         moment = begin + k * period
         while now[0] < moment - 1e-9:
             if each_turn is not None:
                 each_turn(swarm)
             swarm.step()
-            before, now = now, (swarm.time, swarm.true_positions.copy())
+            before, now = now, (swarm.time, swarm.true_positions)
         share = 1.0 if now[0] <= before[0] else (moment - before[0]) / (now[0] - before[0])
         positions = before[1] + share * (now[1] - before[1])
         leader = swarm.leader
