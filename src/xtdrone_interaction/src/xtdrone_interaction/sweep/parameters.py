@@ -14,7 +14,7 @@ from typing import Any, Literal
 from xtdrone_coordination.follower import FollowerOptions
 from xtdrone_coordination.leader import LeaderOptions
 from xtdrone_coordination.network import NetworkOptions
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.options import MAX_SWARM, OptionError
 from xtdrone_sim.simplified import Model
 
 Value = bool | int | float | str
@@ -29,7 +29,6 @@ GROUPS: dict[str, type] = {
 CLASS = "class."
 """Prefix of a parameter that is a class attribute of the user's own follower."""
 _ALIASES = {"pattern": "patterns"}
-_MOST_VEHICLES = 10_000
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ class PatternList(Parameter):
 
 
 _FLIGHT = (
-    Parameter("n", int, least=2, most=_MOST_VEHICLES),
+    Parameter("n", int, least=2, most=MAX_SWARM),
     PatternList("patterns", str),
     Parameter("kind", str),
     Parameter("altitude", float, least=1.0, most=1000.0),

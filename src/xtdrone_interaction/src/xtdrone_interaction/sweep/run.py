@@ -73,7 +73,7 @@ def fly_row(common: Mapping[str, Any], task: Mapping[str, Any]) -> Row:
     began = time.perf_counter()
     try:
         figures = fly(common, task["varied"], task["seed"])
-    except Exception as error:  # whatever a user's class raises is a result of the study
+    except (Exception, SystemExit) as error:  # whatever a user's class raises is a result of the study
         figures = {"error": _words(error)}
     return row | figures | {"wall_time": time.perf_counter() - began}
 
@@ -92,7 +92,7 @@ def fly(common: Mapping[str, Any], varied: Mapping[str, Value], seed: int) -> Ro
         swarm.close()
     figures = figures_of(record)
     metric = _loaded(common, "metric", None)
-    return figures | (_checked_metric(metric(record), figures) if metric else {})
+    return figures | (_checked_metric(metric(record), varied) if metric else {})
 
 
 def make_swarm(common: Mapping[str, Any], parameters: Mapping[str, Value], seed: int) -> Swarm:
@@ -265,8 +265,12 @@ def _with_attributes(cls: type[Follower], attributes: tuple[tuple[str, Value], .
     return type(cls.__name__, (cls,), {**dict(attributes), "__module__": cls.__module__}) if attributes else cls
 
 
-def _checked_metric(values: object, figures: Mapping[str, Any]) -> Row:
+def _checked_metric(values: object, varied: Mapping[str, Value]) -> Row:
     """Return what a user's metric gave as floats; a number that is not finite is none.
+
+    Args:
+        values: what it gave.
+        varied: the varied parameters, whose names are taken too.
 
     Raises:
         TypeError: it is no mapping of names to numbers.
@@ -276,8 +280,9 @@ def _checked_metric(values: object, figures: Mapping[str, Any]) -> Row:
         raise TypeError(f"metric gave {values!r}; a mapping of names to numbers is allowed")
     found: Row = {}
     for name, value in values.items():
-        if not isinstance(name, str) or not name or name in FIGURES or name in ("key", "seed", "error"):
-            raise ValueError(f"metric gave the name {name!r}; other names than {', '.join(FIGURES)} are allowed")
+        taken = ("key", "seed", "error", *FIGURES, *varied)
+        if not isinstance(name, str) or not name or name in taken:
+            raise ValueError(f"metric gave the name {name!r}; other names than {', '.join(taken)} are allowed")
         if isinstance(value, str | bytes) or not np.isscalar(value):
             raise TypeError(f"metric gave {name}={value!r}; a number is allowed")
         number = float(value)  # type: ignore[arg-type]
@@ -286,10 +291,14 @@ def _checked_metric(values: object, figures: Mapping[str, Any]) -> Row:
 
 
 def _words(error: BaseException) -> str:
-    """Return an error in one line: its kind, what it says, and the line of code it came from."""
+    """Return an error as text: its kind, what it says, and the line of code it came from."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{place}"[:_MOST_ERROR]
+    try:
+        said = str(error)
+    except Exception:  # a user's exception may have a broken __str__
+        said = "it cannot be written"
+    return f"{type(error).__name__}: {said}{place}"[:_MOST_ERROR]
 
 
 Work = Callable[[Mapping[str, Any], Sequence[Mapping[str, Any]]], list[Row]]

@@ -90,7 +90,7 @@ def _execute(role: str, source: Source, module_name: str) -> types.ModuleType:
         sys.path.append(folder)  # its neighbours, where there are any
     try:
         exec(compile(source.text, source.path, "exec"), module.__dict__)
-    except Exception as error:  # whatever the user's file raises
+    except (Exception, SystemExit) as error:  # whatever the user's file raises
         del sys.modules[module_name]
         raise OptionError(f"{role}: {source.path} cannot be loaded: {type(error).__name__}: {error}") from error
     return module
