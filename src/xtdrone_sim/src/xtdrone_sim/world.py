@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
-from pybullet_utils.bullet_client import BulletClient
 
 from xtdrone_control.autopilot.autopilot import Datum
 
 from . import plant as dynamics
+from .bullet import connect, pybullet
 from .kernel import kernel
 from .plant import ASLEEP, FREE, PLANT, TOUCHING
 from .vehicle_model import MODEL, ModelError, VehicleModel, read_description
@@ -184,7 +183,7 @@ class World:
         self.plant["contact"] = TOUCHING
         self._wanted = np.full(count, TOUCHING)
         self._steps = 0
-        self._bullet = BulletClient(pybullet.DIRECT)
+        self._bullet = connect()
         self._load_bullet()
         self._touching = list(range(count))
 
