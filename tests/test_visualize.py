@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Graph, Stack, poll
+from conftest import Graph, Program, Stack, poll
 from PIL import ImageGrab
 
 pytest.importorskip("rospy")
@@ -167,6 +167,102 @@ def test_the_window_shows_the_flight_and_holds_nothing_up(
     node.process.send_signal(number)
     assert node.end() == 0, node.output
     assert "Traceback" not in node.output
+
+
+# ---- the simulator's own window ----
+
+
+def window_processes(stack: Stack) -> list[int]:
+    return [pid for pid, command in stack.processes().items() if "-m xtdrone_sim.simplified.view iris 3" in command]
+
+
+def start_simulator(stack: Stack, *arguments: str) -> Program:
+    forget_simulator()
+    node = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", *arguments)
+    stack.wait(lambda: stack.time > 0.5, "time passes")
+    return node
+
+
+def forget_simulator() -> None:
+    """Take from the master what a simulator before was given on its command line."""
+    import rosgraph
+
+    master = rosgraph.Master("/visualize_tests")
+    if master.hasParam("/simulator"):
+        master.deleteParam("/simulator")
+
+
+def window_is_shown(display: str) -> bool:
+    """Return whether there is anything but the black background."""
+    return bool(np.array(ImageGrab.grab(xdisplay=display)).max() > 100)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_the_simulator_has_a_window_where_there_is_a_display_and_ends_it(
+    stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    monkeypatch.setenv("DISPLAY", display)
+    node = start_simulator(stack, "_airborne:=true")
+    poll(lambda: window_is_shown(display), f"the window is shown; {node.output}")
+    assert len(window_processes(stack)) == 1
+    node.process.send_signal(number)
+    assert node.end() == (0 if number == signal.SIGINT else -signal.SIGKILL), node.output
+    poll(lambda: not window_processes(stack), "the window is closed")
+
+
+def test_closing_the_window_ends_nothing_else(stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", display)
+    start_simulator(stack, "_view:=true", "_airborne:=true")
+    poll(lambda: window_is_shown(display), "the window is shown")
+    os.kill(window_processes(stack)[0], signal.SIGINT)
+    poll(lambda: not window_is_shown(display), "the window is closed")
+    stack.pass_time(1.0)
+
+
+def test_no_window_where_none_is_wanted_or_there_is_no_display(
+    stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    node = start_simulator(stack, "_speed:=0")
+    assert window_processes(stack) == []
+    node.process.send_signal(signal.SIGINT)
+    assert node.end() == 0
+    monkeypatch.setenv("DISPLAY", display)
+    start_simulator(stack, "_speed:=0", "_view:=false")
+    assert window_processes(stack) == []
+
+
+def test_a_window_that_is_asked_for_needs_a_display(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    forget_simulator()
+    node = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", "_view:=true")
+    assert node.end() == 1
+    assert "~view: there is no display (DISPLAY is not set); a film needs none, see visualize.py" in node.output
+
+
+@pytest.mark.timeout(300)
+def test_a_formation_flight_with_a_window(stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", display)
+    stack.launch(
+        "formation.launch", "simulator:=simplified", "n:=3", "patterns:=triangle", "processes:=shared", "view:=true",
+        "speed:=0", "bag:=none",
+    )  # fmt: skip
+    poll(lambda: window_is_shown(display), "the window is shown")
+    assert stack.programs["roslaunch"].end(200.0) == 0
+    assert not window_is_shown(display)
+
+
+@pytest.mark.timeout(300)
+def test_a_formation_flight_with_a_film(stack: Stack, tmp_path: Path) -> None:
+    film = tmp_path / "last.png"
+    launch = stack.launch(
+        "formation.launch", "simulator:=simplified", "n:=3", "patterns:=triangle", "processes:=shared", "speed:=0",
+        "bag:=none", f"view:={film}", f"out:={tmp_path}",
+    )  # fmt: skip
+    assert launch.end(200.0) == 0, launch.output
+    events = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert events[-1]["event"] == "done"
+    assert film.stat().st_size > 10_000
 
 
 # ---- bad input ----

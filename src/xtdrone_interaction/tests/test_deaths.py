@@ -34,7 +34,7 @@ def test_a_killed_node_is_told_once_with_its_signal(log: Path, first: bool) -> N
     add(log, KILLED if first else DROPPED)
     assert deaths.look(13.0) == []
     assert [str(d) for d in deaths.found.values()] == [f"follower_2 has died (SIGKILL) at 12.0 s, see {log}"]
-    assert deaths.as_data()[0]["time"] == 12.04
+    assert next(iter(deaths.found.values())).time == 12.04
 
 
 @pytest.mark.parametrize(
@@ -54,6 +54,16 @@ def test_each_end_is_said_in_its_words(log: Path, line: str, text: str) -> None:
     assert deaths.look(1.0) == [], "the line is not whole yet"
     add(log, line[12:])
     assert [str(death) for death in deaths.look(1.0)] == [f"{text}, see {log}"]
+
+
+def test_a_window_may_be_closed_and_the_flight_is_as_good_without_one_that_died(log: Path) -> None:
+    deaths = Deaths(log)
+    add(log, "[visualize-9] process has finished cleanly\n")
+    assert deaths.look(1.0) == []
+    add(log, "[visualize-9] process has died [pid 7, exit code 1, cmd x].\n")
+    assert [death.matters for death in deaths.look(2.0)] == [False]
+    add(log, KILLED)
+    assert [death.matters for death in deaths.look(3.0)] == [True]
 
 
 @pytest.mark.parametrize("line", ["[leader-5] killing on exit\n", "Initiating shutdown!\n"])

@@ -6,6 +6,7 @@ import io
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 from xtdrone_interaction import report as reports
 from xtdrone_interaction.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
 from xtdrone_interaction.plots import save_figures, save_plots
-from xtdrone_interaction.record import RecordError, read_record, regular_times
+from xtdrone_interaction.record import Change, FlightRecord, RecordError, Track, read_record, regular_times
 
 
 def test_record_holds_the_flight(flight_bag: Path) -> None:
@@ -102,6 +103,55 @@ def test_a_collision_is_a_shortcoming(tmp_path: Path) -> None:
     report = reports.make_report(read_record(tmp_path / "flight.bag"))
     assert report["collisions"] == [words]
     assert report["shortcomings"] == [words]
+
+
+def crossing(simulator: str) -> dict[str, Any]:
+    """Return the report of five vehicles: 1 flies through 2, then close by 3; 4 stays away."""
+    times = np.arange(0.0, 40.0, 0.1)
+    places = np.zeros((len(times), 5, 3))
+    places[:, :, 1] = [0.0, 2.0, 2.0, 2.3, 9.0]
+    places[:, :, 0] = [0.0, 0.0, 10.0, 20.0, 4.0]
+    places[:, 1, 0] = times
+    offsets = np.array([[40.0, 2.0, 0.0], *(places[-1, 2:] - places[-1, 0])])
+    events = [
+        {"event": "phase", "time": 0.0, "phase": "take-off"},
+        {"event": "phase", "time": 1.0, "phase": "pattern row", "pattern": "row"},
+        {"event": "assigned", "time": 1.0, "pattern": "row", "offsets": offsets.tolist()},
+        {"event": "done", "time": 40.0},
+    ]
+    names = tuple(f"iris_{i}" for i in range(5))
+    record = FlightRecord(names, Track("made up", times, places), None, [Change(1.0, offsets)], [], events)
+    return reports.make_report(record, {"simulator": simulator})
+
+
+def test_pairs_that_came_too_close_are_counted_and_the_closest_is_named() -> None:
+    report = crossing("simplified")
+    found = report["too_close"]
+    assert (found["pairs"], found["vehicles"]) == (2, 3)
+    assert [pair["vehicles"] for pair in found["closest"]] == [["iris_1", "iris_2"], ["iris_1", "iris_3"]]
+    assert [pair["distance"] for pair in found["closest"]] == pytest.approx([0.0, 0.3])
+    assert [pair["time"] for pair in found["closest"]] == pytest.approx([10.0, 20.0])
+    assert found["first_time"] == pytest.approx(9.6)
+    assert found["last_time"] == pytest.approx(20.3, abs=0.11)
+    words = "least distance 0.00 m (iris_1 and iris_2, at 10.0 s), at least 0.5 m; 2 pairs of 3 vehicles came closer, "
+    assert words + "between 9.6 and 20.3 s" in report["shortcomings"]
+    json.dumps(report, allow_nan=False)
+
+
+def test_the_words_on_touching_are_the_simulators() -> None:
+    said = {}
+    for simulator in ("simplified", "full"):
+        output = io.StringIO()
+        reports.print_report(crossing(simulator), Console(file=output, width=200))
+        said[simulator] = output.getvalue()
+    assert "Simplified vehicles do not touch: where two meet, they fly through each other." in said["simplified"]
+    assert "collisions" not in said["simplified"]
+    assert "Least distance 0.00 m, 0 collisions" in said["full"]
+
+
+def test_a_good_flight_has_no_close_pairs(flight_bag: Path) -> None:
+    found = reports.make_report(read_record(flight_bag))["too_close"]
+    assert found == {"pairs": 0, "vehicles": 0, "first_time": None, "last_time": None, "closest": []}
 
 
 def test_a_recorder_whose_clock_is_off_changes_nothing(flight_bag: Path, tmp_path: Path) -> None:

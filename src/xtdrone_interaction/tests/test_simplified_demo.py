@@ -39,7 +39,7 @@ def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         (["--speed", "nan"], "speed: 'nan' is not allowed"),
         (["--seed", "-1"], "seed: '-1' is not allowed"),
         (["--follower", "mine.py"], "follower: 'mine.py' is neither"),
-        (["--leader", "mine.py"], "leader: mine.py cannot be imported"),
+        (["--leader", "mine.py"], "leader: 'mine.py' is no FILE.py[:CLASS]"),
         (["--loss", "1.5"], "network loss: 1.5 is not allowed"),
         (["--loss", "much"], "loss: 'much' is not a number"),
         (["--range", "0"], "network range: 0.0 is not allowed"),
@@ -79,6 +79,47 @@ def _status(arguments: list[str]) -> int:
         return cli.main(arguments)
     except SystemExit as error:  # argparse
         return int(error.code or 0)
+
+
+def test_a_recorded_flight_is_compared_with(
+    tmp_path: Path, flight_bag: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--patterns", "cube,pyramid,triangle", "--film", "none", "--compare-with", str(flight_bag)]
+    assert cli.main([*ALONE, *arguments, "--out", "out"]) == 0
+    comparison = json.loads((tmp_path / "out" / "report.json").read_text())["comparison"]
+    assert comparison["with"] == str(flight_bag)
+    assert [p["pattern"] for p in comparison["patterns"]] == ["origin", "cube", "pyramid", "triangle"]
+    assert 0.05 < comparison["rms"] < 2.0  # the made-up flight's followers are faster
+    assert (tmp_path / "out" / "comparison_1_origin_to_cube.png").is_file()
+    assert "RMS difference over all" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--n", "6", "--patterns", "T"], "6 vehicles cannot be compared with 9 vehicles"),
+        (["--patterns", "triangle"], "patterns origin, triangle, origin cannot be compared with origin, cube, "),
+    ],
+)
+def test_another_flight_than_the_recorded_one_is_refused_before_it_is_flown(
+    tmp_path: Path, flight_bag: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert _status([*ALONE, "--compare-with", str(flight_bag), *arguments]) == 2
+    assert message in capfd.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_report_of_a_flight_without_ros_is_made_again(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--n", "4", "--patterns", "cube", "--film", "none", "--out", "out"]
+    assert cli.main([*ALONE, *arguments]) == 0
+    first = json.loads((tmp_path / "out" / "report.json").read_text())
+    for picture in (tmp_path / "out").glob("*.png"):
+        picture.unlink()
+    capfd.readouterr()
+    assert cli.main(["report", "out/flight.npz"]) == 0
+    assert "fly through each other" in capfd.readouterr().out
+    assert (tmp_path / "out" / "formations.png").is_file()
+    assert json.loads((tmp_path / "out" / "report.json").read_text()) == {**first, "died": []}
 
 
 FOLLOWER = """

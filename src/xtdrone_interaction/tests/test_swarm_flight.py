@@ -13,9 +13,9 @@ from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction.compare_simulators import compare, with_assignments_of
 from xtdrone_interaction.plots import save_plots
-from xtdrone_interaction.record import FlightRecord
+from xtdrone_interaction.record import FlightRecord, RecordError, read_record, save_record
 from xtdrone_interaction.report import make_report, write_report
-from xtdrone_interaction.swarm_flight import FormationFlight, fly_formation, outcome_of, save_record
+from xtdrone_interaction.swarm_flight import FormationFlight, fly_formation, outcome_of
 from xtdrone_sim.simplified import Swarm
 from xtdrone_sim.simplified.core_vehicles import CoreVehicles
 
@@ -125,10 +125,27 @@ def test_turn_by_turn(record: FlightRecord) -> None:
     np.testing.assert_array_equal(part.position, record.track.position[: len(part.time)])
 
 
-def test_the_saved_record_has_what_was_flown(record: FlightRecord, tmp_path: Path) -> None:
+def test_the_saved_record_has_what_was_flown_and_is_read_again(record: FlightRecord, tmp_path: Path) -> None:
     save_record(record, tmp_path / "flight.npz")
     with np.load(tmp_path / "flight.npz") as saved:
         np.testing.assert_array_equal(saved["position"], record.track.position)
         assert saved["names"].tolist() == list(record.names)
         assert saved["offsets"].shape == (4, COUNT - 1, 3)
         assert saved["topology"].shape == (4, COUNT, COUNT)
+    again = read_record(tmp_path / "flight.npz")
+    assert make_report(again, {"seed": 0}) == make_report(record, {"seed": 0})
+    assert [w.pattern for w in again.windows] == [w.pattern for w in record.windows]
+    assert all((a.topology == b.topology).all() for a, b in zip(again.windows, record.windows, strict=True))
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
+def test_an_archive_that_is_none_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "flight.npz").write_bytes(content)
+    with pytest.raises(RecordError, match=r"flight record: .*flight\.npz cannot be read"):
+        read_record(tmp_path / "flight.npz")
+
+
+def test_an_archive_of_something_else_is_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "flight.npz", position=np.zeros((3, 3)))
+    with pytest.raises(RecordError, match=r"flight\.npz cannot be read \(.*pattern_time"):
+        read_record(tmp_path / "flight.npz")

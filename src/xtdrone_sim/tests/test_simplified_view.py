@@ -25,6 +25,7 @@ from xtdrone_sim.simplified.view import (
     SwarmView,
     Window,
     WindowError,
+    can_open,
     check_film,
     film,
     measure,
@@ -577,7 +578,7 @@ def test_a_swarm_is_watched_at_the_speed_that_is_asked_for(display, monkeypatch)
 def test_a_paused_swarm_stands_still(window, monkeypatch):
     monkeypatch.setattr(flight_module, "_BUDGET", 0.0)  # one turn a picture
     swarm = Swarm(9)
-    player = _Player(swarm, window, float("inf"), 1.0, None)
+    player = _Player(swarm, window, lambda: not swarm.step(), float("inf"), 1.0)
     player()
     now = player()
     assert now is not None
@@ -590,6 +591,27 @@ def test_a_paused_swarm_stands_still(window, monkeypatch):
         player()
     assert player() is None  # the end
     assert swarm.time == pytest.approx(1.0, abs=0.034)
+
+
+def test_a_flight_that_ends_closes_the_window(window):
+    swarm = Swarm(9)
+    turns = iter([True] * 30)
+
+    def turn() -> bool:
+        swarm.step()
+        return next(turns, False)
+
+    window.run(_Player(swarm, window, turn, float("inf"), float("inf")))
+    assert not window.open
+    assert swarm.time == pytest.approx(31 / 30.0, abs=0.005)
+
+
+def test_whether_a_window_can_be_opened(window, monkeypatch):
+    assert can_open()
+    monkeypatch.setenv("DISPLAY", ":987")
+    assert not can_open()
+    monkeypatch.delenv("DISPLAY")
+    assert not can_open()
 
 
 def test_without_a_display_the_message_says_what_to_do(monkeypatch):

@@ -1,4 +1,4 @@
-"""XTDrone's command line: ``python -m xtdrone_interaction.cli demo formation``, ``... bench``, ``... report BAG``.
+"""XTDrone's command line: ``python -m xtdrone_interaction.cli demo formation``, ``... bench``, ``... report FILE``.
 
 Exit status: 0 when all went well, 1 when the flight failed or missed its figures, 2 for a value that is not allowed,
 128 + n when stopped by signal n.
@@ -16,7 +16,7 @@ from rich.console import Console
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
-from xtdrone_interaction.formation_demo import DemoError, DemoSettings, master_port, report_flight, run_demo
+from xtdrone_interaction.formation_demo import DemoError, DemoSettings, master_port, report_again, run_demo
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
 from xtdrone_interaction.simplified_cli import add_simplified, run_simplified
 
@@ -40,7 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_simplified(simplified)
     report = commands.add_parser("report", help="make report and pictures of a recorded flight again")
-    report.add_argument("bag", type=Path, help="flight.bag of a run")
+    report.add_argument("file", type=Path, help="flight.bag of a run, or flight.npz of one without ROS")
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
     commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
@@ -76,6 +76,7 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
     add("--follower", default=DEFAULT_FOLLOWER, metavar="PROGRAM",
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
         "(default: %(default)s)")  # fmt: skip
+    add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     add("--control", choices=["vel", "accel"], default="vel", help="what followers command (default: %(default)s)")
     add("--avoidance", choices=["own", "python", "cpp"], default="own",
         help="who computes the avoidance: every follower its own, or one node for all (Python, C++) "
@@ -123,6 +124,7 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         master_port=master_port(arguments.master_port, use_running=arguments.use_master),
         headless=arguments.headless,
         logs=arguments.logs,
+        leader_class=options.leader_class(arguments.leader),
     )
 
 
@@ -153,7 +155,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     console = Console()
     try:
         if parsed.command == "report":
-            return report_flight(parsed.bag, {}, console)
+            return report_again(parsed.file, console)
         if parsed.demo == "simplified":
             return run_simplified(parsed, console)
         return run_demo(demo_settings(parsed), console)

@@ -155,18 +155,25 @@ def overall(differences: list[Difference]) -> float:
     return float(np.sqrt(np.average([d.rms**2 for d in differences], weights=weights)))
 
 
-def _common_windows(simplified: FlightRecord, full: FlightRecord) -> list[tuple[Window, Window]]:
-    if len(simplified.names) != len(full.names):
-        raise RecordError(
-            f"comparison: {len(simplified.names)} vehicles cannot be compared with {len(full.names)} vehicles"
-        )
-    first, second = simplified.windows, full.windows
-    if not first or not second:
+def check_comparable(full: FlightRecord, count: int, patterns: list[str]) -> None:
+    """Check that a flight can be compared with one of ``count`` vehicles through ``patterns``, as far as both went.
+
+    Raises:
+        RecordError: it has other vehicles, or flew other patterns, or none.
+    """
+    if len(full.names) != count:
+        raise RecordError(f"comparison: {count} vehicles cannot be compared with {len(full.names)} vehicles")
+    flown = [w.pattern for w in full.windows]
+    if not flown or not patterns:
         raise RecordError("comparison: a flight that flew no pattern cannot be compared")
-    flown = [[w.pattern for w in windows] for windows in (first, second)]
-    shorter = min(map(len, flown))
-    if flown[0][:shorter] != flown[1][:shorter]:
-        raise RecordError(f"comparison: patterns {', '.join(flown[0])} cannot be compared with {', '.join(flown[1])}")
+    shorter = min(len(flown), len(patterns))
+    if flown[:shorter] != patterns[:shorter]:
+        raise RecordError(f"comparison: patterns {', '.join(patterns)} cannot be compared with {', '.join(flown)}")
+
+
+def _common_windows(simplified: FlightRecord, full: FlightRecord) -> list[tuple[Window, Window]]:
+    first, second = simplified.windows, full.windows
+    check_comparable(full, len(simplified.names), [w.pattern for w in first])
     return list(zip(first, second, strict=False))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\][^\x07]*\x07")
@@ -19,6 +19,8 @@ _LOST = re.compile(
 )
 _CRASHED = re.compile(r"^it (?:has )?crashed: ")
 _DIED = "has died"
+_BY_ITSELF = "has ended by itself"
+_ONLOOKER = "visualize"  # the live window, which may be closed at any time
 _ALL_END = re.compile(r"^\[[^\]]+-\d+\] killing on exit|Initiating shutdown|REQUIRED process")
 
 
@@ -37,6 +39,11 @@ class Death:
     time: float | None
     how: str
     log: str
+
+    @property
+    def matters(self) -> bool:
+        """Whether the flight is not what it should be without the node."""
+        return self.node != _ONLOOKER
 
     def __str__(self) -> str:
         """Return it in a sentence."""
@@ -68,7 +75,7 @@ class Deaths:
         for line in self._lines():
             self._closed = self._closed or _ALL_END.search(line) is not None
             death = None if self._closed else self._death(line, sim_time)
-            if death is None:
+            if death is None or (death.node == _ONLOOKER and death.how == _BY_ITSELF):
                 continue
             if death.node not in self.found:
                 new.append(death.node)
@@ -76,10 +83,6 @@ class Deaths:
             elif self.found[death.node].how == _DIED:  # roslaunch knows more of the end than the simulator does
                 self.found[death.node] = replace(self.found[death.node], how=death.how, log=death.log)
         return [self.found[node] for node in new]
-
-    def as_data(self) -> list[dict[str, object]]:
-        """Return all as plain data."""
-        return [asdict(death) for death in self.found.values()]
 
     def _lines(self) -> list[str]:
         """Return the whole lines that are new."""
@@ -122,7 +125,7 @@ def _lost(crash: str | None, why: str | None) -> str:
 
 def _how(how: str, code: str | None) -> str:
     if how == "finished cleanly":
-        return "has ended by itself"
+        return _BY_ITSELF
     if code is None:
         return _DIED
     number = int(code)

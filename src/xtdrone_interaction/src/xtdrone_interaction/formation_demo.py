@@ -13,15 +13,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import urlparse
 
 from rich.console import Console
 
-from xtdrone_interaction.deaths import Deaths
+from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
@@ -83,6 +84,8 @@ class DemoSettings:
         logs: write the vehicles' flight logs into ``out / "logs"``.
         simulator: ``full`` or ``simplified``.
         model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty: the type's.
+        leader_class: the user's own leader class, as ``follower_class``, or empty.
+        window: a live window beside the flight.
     """
 
     n: int
@@ -104,6 +107,8 @@ class DemoSettings:
     logs: bool
     simulator: str = "full"
     model: str = ""
+    leader_class: str = ""
+    window: bool = False
 
 
 @dataclass
@@ -207,6 +212,7 @@ def _command(settings: DemoSettings) -> list[str]:
         "processes": settings.processes,
         "follower": settings.follower,
         "follower_class": settings.follower_class,
+        "leader_class": settings.leader_class,
         "control": settings.control,
         "avoidance": settings.avoidance,
         "clearance": settings.clearance,
@@ -215,6 +221,7 @@ def _command(settings: DemoSettings) -> list[str]:
         "speed": settings.speed,
         "out": settings.out,
         "log": settings.out / "logs" if settings.logs else "",
+        "view": "true" if settings.window else "false",
     }
     if settings.simulator != "full":
         arguments |= {"simulator": settings.simulator, "model": settings.model}
@@ -396,11 +403,33 @@ def _escape(text: str) -> str:
 
 def _conclude(settings: DemoSettings, console: Console, command_wall: float, deaths: Deaths) -> int:
     """Make report and pictures of the finished flight and return the exit status."""
-    stored = {k: v for k, v in asdict(settings).items() if k not in ("out", "master_port", "headless")}
-    return report_flight(settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console, deaths)
+    stored = {k: v for k, v in asdict(settings).items() if k not in ("out", "master_port", "headless", "window")}
+    return report_flight(
+        settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console, list(deaths.found.values())
+    )
 
 
-def report_flight(bag: Path, settings: dict[str, Any], console: Console, deaths: Deaths | None = None) -> int:
+def report_again(file: Path, console: Console) -> int:
+    """Make report and pictures of a recorded flight again, and keep what only an earlier report knows.
+
+    Raises:
+        DemoError: the file is no flight record.
+    """
+    known: dict[str, Any] = {}
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        known = json.loads((file.parent / "report.json").read_text(encoding="utf-8"))
+    kept: dict[str, Any] = {key: known[key] for key in ("startup_time", "comparison") if key in known}
+    deaths = [Death(**death) for death in known.get("died", [])]
+    return report_flight(file, known.get("settings", {}), console, deaths, kept)
+
+
+def report_flight(
+    bag: Path,
+    settings: dict[str, Any],
+    console: Console,
+    deaths: Sequence[Death] = (),
+    kept: Mapping[str, Any] = MappingProxyType({}),
+) -> int:
     """Write report.json and the pictures beside ``bag``, print the table, and return 0 for a good flight, else 1.
 
     Args:
@@ -408,6 +437,7 @@ def report_flight(bag: Path, settings: dict[str, Any], console: Console, deaths:
         settings: see :func:`~xtdrone_interaction.report.make_report`.
         console: gets the table.
         deaths: nodes that ended in flight, where that is known.
+        kept: goes into the report as it is.
 
     Raises:
         DemoError: the bag is no flight record.
@@ -417,8 +447,8 @@ def report_flight(bag: Path, settings: dict[str, Any], console: Console, deaths:
     try:
         record = read_record(bag)
         report = make_report(record, settings)
-        report["died"] = deaths.as_data() if deaths else []
-        report["shortcomings"] = [*map(str, deaths.found.values() if deaths else []), *report["shortcomings"]]
+        report |= {"died": [asdict(death) for death in deaths], **kept}
+        report["shortcomings"] = [*(str(death) for death in deaths if death.matters), *report["shortcomings"]]
         write_report(report, bag.parent / "report.json")
         pictures = save_plots(record, bag.parent)
     except RecordError as error:

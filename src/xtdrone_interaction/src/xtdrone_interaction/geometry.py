@@ -69,6 +69,27 @@ def _nearest(positions: Array) -> Array:
     return found
 
 
+def close_pairs(positions: Array, limit: float, nearest: Array) -> dict[tuple[int, int], tuple[int, float]]:
+    """Return the pairs of vehicles that come closer than ``limit``: when each is closest, as a row, and how close, m.
+
+    Args:
+        positions: shape (t, n, 3), m.
+        limit: m.
+        nearest: of :func:`least_distances`, shape (t,), m; only rows below the limit are looked at.
+    """
+    from scipy.spatial import cKDTree  # see _nearest
+
+    found: dict[tuple[int, int], tuple[int, float]] = {}
+    for row in np.flatnonzero(nearest < limit).tolist():
+        places = positions[row]
+        pairs = cKDTree(places).query_pairs(limit, output_type="ndarray")
+        distances = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+        for (i, j), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
+            if distance < found.get((i, j), (0, limit))[1]:
+                found[i, j] = row, distance
+    return found
+
+
 def offsets_from_message(data: Iterable[float]) -> Array:
     """Return assigned offsets, shape (n - 1, 3), from the 3 x (n - 1) row-major data of a formation_pattern message.
 

@@ -226,12 +226,34 @@ def follower_program(text: str) -> tuple[str, str]:
     shipped = repository() / "src" / "xtdrone_coordination" / "nodes"
     if "/" not in text and (shipped / text).is_file():
         return text, ""
+    found = _class_file(text)
+    if found is None:
+        known = ", ".join(sorted(p.name for p in shipped.glob("follower*.py")))
+        raise OptionError(f"follower: {text!r} is neither FILE.py[:CLASS] nor one of the programs {known}")
+    return DEFAULT_FOLLOWER, found
+
+
+def leader_class(text: str | None) -> str:
+    """Return the file with the user's own leader class, absolute, and the class's name if there is one; "" for None.
+
+    Raises:
+        OptionError: there is no such file.
+    """
+    if text is None:
+        return ""
+    found = _class_file(text)
+    if found is None:
+        raise OptionError(f"leader: {text!r} is no FILE.py[:CLASS]")
+    return found
+
+
+def _class_file(text: str) -> str | None:
+    """Return ``file.py[:Class]`` with the file's absolute path; None where there is no such file."""
     file, _, name = text.partition(":")
     path = Path(file).resolve()
     if not (path.suffix == ".py" and path.is_file()):
-        known = ", ".join(sorted(p.name for p in shipped.glob("follower*.py")))
-        raise OptionError(f"follower: {text!r} is neither FILE.py[:CLASS] nor one of the programs {known}")
-    return DEFAULT_FOLLOWER, f"{path}:{name}" if name else str(path)
+        return None
+    return f"{path}:{name}" if name else str(path)
 
 
 def free_port() -> int:

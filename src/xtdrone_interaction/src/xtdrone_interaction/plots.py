@@ -12,14 +12,16 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from numpy.typing import NDArray
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
 
-from xtdrone_interaction.geometry import ORIGIN, SETTLED_ERROR, formation_error, least_distances
+from xtdrone_interaction.geometry import ORIGIN, SETTLED_ERROR, formation_error
 from xtdrone_interaction.record import FlightRecord, Window
 from xtdrone_interaction.report import DISTANCE_LIMIT, flight_part
 
@@ -29,6 +31,7 @@ _MAX_LEGEND = 18  # vehicles; more are not named one by one
 _MAX_WAYS = 60  # vehicles; of more, these many are drawn one by one
 _MAX_EDGES = 400  # of a topology; more hide the vehicles
 _MAX_PANELS = 3  # formations side by side
+_LEAST_ERROR = 1e-3  # m; simplified vehicles know exactly where they are
 _LEADER_COLOUR = "black"
 _MAX_NAME = 120  # characters of a file's name
 _STYLE = {
@@ -98,6 +101,12 @@ def _shown(count: int) -> list[int]:
     return [0, *np.unique(np.linspace(1, count - 1, _MAX_WAYS - 1).round().astype(int)).tolist()]
 
 
+def _of_all(count: int) -> str:
+    """Return how many vehicles are drawn one by one, and of how many."""
+    shown = len(_shown(count))
+    return f"{count} UAVs" if shown == count else f"{shown} of {count} UAVs"
+
+
 def response(record: FlightRecord, before: str, window: Window) -> Figure:
     """Draw x, y and z of every vehicle against time during one reconfiguration, the slots dotted."""
     track = record.track.between(window.start - _LEAD_IN, window.end)
@@ -115,7 +124,8 @@ def response(record: FlightRecord, before: str, window: Window) -> Figure:
         panel.set_ylabel(f"{letter} [m]")
         panel.margins(x=0.01)
     axes[-1].set_xlabel(f"time since the command '{window.pattern}' [s]")
-    figure.suptitle(f"Position response from {before} to {window.pattern} ({len(record.names)} UAVs, map frame, ENU)")
+    fleet = f"{_of_all(len(record.names))}, map frame, ENU"
+    figure.suptitle(f"Position response from {before} to {window.pattern} ({fleet})")
     _name_vehicles(figure, record.names, axes[0])
     return figure
 
@@ -144,16 +154,27 @@ def formations(record: FlightRecord) -> Figure:
     for number, window in enumerate(chosen):
         panel = figure.add_subplot(1, len(chosen), number + 1, projection="3d")
         _formation(panel, record, window, shades)
-    handles = [
-        Line2D([], [], marker="*", ls="", ms=13, color=_LEADER_COLOUR),
-        Line2D([], [], marker="o", ls="", ms=7, color="tab:blue"),
-        Line2D([], [], color="0.55", lw=1.2),
-        Line2D([], [], color="tab:blue", lw=1.2, alpha=0.5),
-    ]
-    labels = ["leader", "follower (number: index)", "communication topology", "ground trail"]
-    figure.legend(handles, labels, loc="lower center", ncol=4 if len(chosen) > 1 else 2)
+    count = len(record.names)
+    entries = {
+        "leader": Line2D([], [], marker="*", ls="", ms=13, color=_LEADER_COLOUR),
+        "follower (number: index)" if count <= _MAX_LEGEND else "follower": Line2D(
+            [], [], marker="o", ls="", ms=7, color="tab:blue"
+        ),
+        "communication topology": Line2D([], [], color="0.55", lw=1.2),
+        "ground trail" if count <= _MAX_WAYS else f"ground trail of {_of_all(count)}": Line2D(
+            [], [], color="tab:blue", lw=1.2, alpha=0.5
+        ),
+    }
+    if not any(0 < len(_edges(window)) <= _MAX_EDGES for window in chosen):
+        del entries["communication topology"]
+    figure.legend(entries.values(), entries.keys(), loc="lower center", ncol=4 if len(chosen) > 1 else 2)
     figure.suptitle(f"Formations of {len(record.names)} UAVs (map frame, ENU, metres)")
     return figure
+
+
+def _edges(window: Window) -> NDArray[np.int64]:
+    """Return who listens to whom, shape (e, 2)."""
+    return np.empty((0, 2), dtype=np.int64) if window.topology is None else np.argwhere(window.topology > 0)
 
 
 def _formation(panel: Any, record: FlightRecord, window: Window, shades: list[Any]) -> None:
@@ -162,7 +183,7 @@ def _formation(panel: Any, record: FlightRecord, window: Window, shades: list[An
     low, high = track.position.reshape(-1, 3).min(axis=0), track.position.reshape(-1, 3).max(axis=0)
     margin = 0.08 * (high - low).max() + 0.3
     floor = low[2] - 2 * margin
-    edges = np.argwhere(window.topology > 0) if window.topology is not None else np.empty((0, 2), dtype=int)
+    edges = _edges(window)
     for i, j in edges[: len(edges) if len(edges) <= _MAX_EDGES else 0]:
         panel.plot(*np.stack([places[i], places[j]]).T, color="0.55", lw=1.2, zorder=2)
     if len(places) > _MAX_WAYS:
@@ -192,18 +213,19 @@ def _formation(panel: Any, record: FlightRecord, window: Window, shades: list[An
 
 def distances(record: FlightRecord) -> Figure:
     """Draw the least distance between vehicles and the formation error against time, with the phases."""
-    track = flight_part(record, record.track)
+    track = record.track
+    part = track.part(flight_part(record, track).time[0], np.inf)
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(9.0, 6.4), sharex=True)
     figure.subplots_adjust(left=0.09, right=0.96, top=0.86, bottom=0.13, hspace=0.1)
-    upper.plot(track.time, least_distances(track.position), color="tab:blue", lw=1.2)
+    upper.plot(track.time[part], track.least_distance[part], color="tab:blue", lw=1.2)
     upper.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
     upper.set(ylabel="least distance [m]", ylim=(0.0, None))
     upper.legend(loc="lower right")
     for window in record.windows:
-        part = track.between(window.start, window.end)
-        error = formation_error(part.position, window.offsets)
-        lower.plot(part.time, error.max(axis=1), color="tab:orange", lw=1.2)
-        lower.plot(part.time, error.mean(axis=1), color="tab:green", lw=1.2)
+        flown = track.between(window.start, window.end)
+        error = formation_error(flown.position, window.offsets).clip(min=_LEAST_ERROR)
+        lower.plot(flown.time, error.max(axis=1), color="tab:orange", lw=1.2)
+        lower.plot(flown.time, error.mean(axis=1), color="tab:green", lw=1.2)
         upper.annotate(window.pattern, (window.start, 1.0), xycoords=("data", "axes fraction"), xytext=(2, 3),
                        textcoords="offset points", rotation=30, ha="left", va="bottom", color="0.35")  # fmt: skip
         for panel in (upper, lower):
@@ -211,6 +233,7 @@ def distances(record: FlightRecord) -> Figure:
             panel.axvline(window.start, color="0.6", lw=0.8, zorder=1)
     lower.axhline(SETTLED_ERROR, color="tab:red", lw=1.0, ls="--")
     lower.set(yscale="log", ylabel="formation error [m]", xlabel="simulated time [s]")
+    lower.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))  # the log scale's own is mathtext
     lower.margins(x=0.01)
     handles = [Line2D([], [], color=c, ls=s) for c, s in (("tab:orange", "-"), ("tab:green", "-"), ("tab:red", "--"))]
     labels = ["greatest error", "mean error", f"settled below {SETTLED_ERROR} m"]

@@ -1,4 +1,4 @@
-"""What happened in a flight, read back from its bag. No ROS is needed to read it.
+"""What happened in a flight, read back from its bag, or from the archive of a flight without ROS. No ROS is needed.
 
 All positions are in the common ``map`` frame: ENU, metres. Times are simulated seconds.
 
@@ -10,8 +10,10 @@ director's events too, and the ground truth, which has none, comes at a constant
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from xtdrone_interaction.geometry import (
     TRUTH,
     TRUTH_TOPIC,
     Array,
+    least_distances,
     offsets_from_message,
 )
 
@@ -38,7 +41,7 @@ _MEDIAN_SPAN = 10.0  # s; the recorder's clock is right most of the time in any 
 
 
 class RecordError(ValueError):
-    """A bag that is no record of a formation flight."""
+    """A file that is no record of a formation flight."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,17 @@ class Track:
 
     def between(self, start: float, end: float) -> Track:
         """Return the part with ``start <= time <= end``."""
-        part = slice(np.searchsorted(self.time, start, "left"), np.searchsorted(self.time, end, "right"))
+        part = self.part(start, end)
         return Track(self.source, self.time[part], self.position[part])
+
+    def part(self, start: float, end: float) -> slice:
+        """Return which rows have ``start <= time <= end``."""
+        return slice(int(np.searchsorted(self.time, start, "left")), int(np.searchsorted(self.time, end, "right")))
+
+    @cached_property
+    def least_distance(self) -> Array:
+        """The least distance between any two vehicles at each time, m, shape (t,); searched for once."""
+        return least_distances(self.position)
 
 
 @dataclass(frozen=True)
@@ -160,18 +172,20 @@ class FlightRecord:
         return known[-1] if known else None
 
 
-def read_record(bag: str | Path) -> FlightRecord:
-    """Read a flight's bag.
+def read_record(file: str | Path) -> FlightRecord:
+    """Read a flight's ``flight.bag``, or the ``flight.npz`` of one without ROS.
 
-    The events come from ``events.jsonl`` beside it where that is, because a recorder that starts late on a busy machine
-    misses the first ones; else from the bag.
+    A bag's events come from ``events.jsonl`` beside it where that is, because a recorder that starts late on a busy
+    machine misses the first ones; else from the bag.
 
     Raises:
-        RecordError: the file is missing, is not a readable bag, or holds no events of the director.
+        RecordError: the file is missing, cannot be read, or holds no events of the director.
     """
-    path = Path(bag)
+    path = Path(file)
     if not path.is_file():
-        raise RecordError(f"bag: {path} does not exist")
+        raise RecordError(f"flight record: {path} does not exist")
+    if path.suffix == ".npz":
+        return _read_archive(path)
     try:
         with AnyReader([path]) as reader:
             return _read(reader, read_events(path.with_name("events.jsonl")))
@@ -179,6 +193,50 @@ def read_record(bag: str | Path) -> FlightRecord:
         raise
     except Exception as error:  # rosbags raises many kinds for a damaged file
         raise RecordError(f"bag: {path} cannot be read ({error}); 'rosbag reindex' may mend it") from error
+
+
+def save_record(record: FlightRecord, path: str | Path) -> None:
+    """Write ``record`` as a NumPy archive (.npz), which :func:`read_record` reads.
+
+    It holds ``names`` (n,), ``time`` (t,) s, ``position`` (t, n, 3) m ENU, and for each change of the pattern its
+    ``pattern_time`` (p,), ``offsets`` (p, n - 1, 3) and ``topology`` (p, n, n); ``source``: what the positions are;
+    ``events`` and ``collisions`` as JSON.
+    """
+    track = record.track
+    np.savez_compressed(
+        Path(path),
+        names=np.array(record.names),
+        time=track.time,
+        position=track.position,
+        pattern_time=np.array([change.time for change in record.patterns]),
+        offsets=np.array([change.value for change in record.patterns]),
+        topology=np.array([change.value for change in record.topologies]),
+        source=track.source,
+        events=json.dumps(record.events),
+        collisions=json.dumps(record.collisions),
+    )
+
+
+def _read_archive(path: Path) -> FlightRecord:
+    """Read what :func:`save_record` has written.
+
+    Raises:
+        RecordError: it is something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            times = data["pattern_time"].tolist()
+            return FlightRecord(
+                names=tuple(data["names"].tolist()),
+                truth=Track(str(data["source"]), data["time"], data["position"]),
+                estimate=None,
+                patterns=[Change(t, value) for t, value in zip(times, data["offsets"], strict=True)],
+                topologies=[Change(t, value) for t, value in zip(times, data["topology"], strict=True)],
+                events=json.loads(str(data["events"])),
+                collisions=json.loads(str(data["collisions"])),
+            )
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise RecordError(f"flight record: {path} cannot be read ({error})") from error
 
 
 def read_events(path: Path) -> list[dict[str, Any]]:

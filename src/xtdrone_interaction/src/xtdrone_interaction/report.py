@@ -22,7 +22,7 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from xtdrone_interaction.geometry import SETTLED_ERROR, Array, formation_error, least_distances, relative
+from xtdrone_interaction.geometry import SETTLED_ERROR, Array, close_pairs, formation_error, relative
 from xtdrone_interaction.record import FlightRecord, RecordError, Track
 
 STEADY_SPAN = 2.0  # s; the steady error is taken over the window's last part
@@ -30,6 +30,7 @@ STEADY_LIMIT = 0.10  # m
 DISTANCE_LIMIT = 0.5  # m between any two vehicles
 ASSIGNMENT_SLACK = 0.01  # part of the optimum; the leader assigns by positions a tick or two older than the record's
 _SHORT_STEP = 0.5  # m; no overshoot is taken of a follower whose slot is nearer than this
+_PAIRS = 10  # that came too close; more are only counted
 _PACKAGES = ("numpy", "scipy", "numba", "pybullet", "pymavlink", "rosbags", "matplotlib")
 
 
@@ -137,7 +138,7 @@ def measure(record: FlightRecord, track: Track) -> list[Reconfiguration]:
                 overshoot_percent=percent,
                 steady_error_mean=float(steady.mean()),
                 steady_error_max=float(steady.max()),
-                least_distance=float(least_distances(part.position).min()),
+                least_distance=float(track.least_distance[track.part(window.start, window.end)].min()),
                 assigned_distance=assigned,
                 optimal_distance=optimal,
             )
@@ -159,7 +160,7 @@ def make_report(record: FlightRecord, settings: dict[str, Any] | None = None) ->
     settings = dict(settings or {})
     track = record.track
     flight = flight_part(record, track)
-    distances = least_distances(flight.position)
+    distances = track.least_distance[len(track.time) - len(flight.time) :]
     reconfigurations = measure(record, track)
     first, last = record.events[0], record.events[-1]
     # Only the events' file has wall times; the topic has none.
@@ -172,6 +173,7 @@ def make_report(record: FlightRecord, settings: dict[str, Any] | None = None) ->
         "reconfigurations": [asdict(r) for r in reconfigurations],
         "least_distance": float(distances.min()),
         "least_distance_time": float(flight.time[distances.argmin()]),
+        "too_close": _too_close(record.names, flight, distances),
         "collisions": record.collisions,
         "sim_time": sim,
         "wall_time": wall,
@@ -192,6 +194,35 @@ def make_report(record: FlightRecord, settings: dict[str, Any] | None = None) ->
     return report
 
 
+def _too_close(names: tuple[str, ...], flight: Track, nearest: Array) -> dict[str, Any]:
+    """Return how many pairs of vehicles came closer than DISTANCE_LIMIT, from when to when, and the closest of them."""
+    found = close_pairs(flight.position, DISTANCE_LIMIT, nearest)
+    closest = sorted(found.items(), key=lambda item: item[1][1])[:_PAIRS]
+    times = flight.time[nearest < DISTANCE_LIMIT]
+    return {
+        "pairs": len(found),
+        "vehicles": len({i for pair in found for i in pair}),
+        "first_time": float(times[0]) if len(times) else None,
+        "last_time": float(times[-1]) if len(times) else None,
+        "closest": [
+            {"vehicles": [names[i], names[j]], "distance": distance, "time": float(flight.time[row])}
+            for (i, j), (row, distance) in closest
+        ],
+    }
+
+
+def _words_of_too_close(found: dict[str, Any]) -> str:
+    worst = found["closest"][0]
+    text = f"least distance {worst['distance']:.2f} m ({' and '.join(worst['vehicles'])}, at {worst['time']:.1f} s), "
+    text += f"at least {DISTANCE_LIMIT} m"
+    if found["pairs"] == 1:
+        return text
+    return (
+        f"{text}; {found['pairs']} pairs of {found['vehicles']} vehicles came closer, "
+        f"between {found['first_time']:.1f} and {found['last_time']:.1f} s"
+    )
+
+
 def shortcomings(report: dict[str, Any]) -> list[str]:
     """Return what the flight missed, in words; an empty list is a good flight."""
     found = []
@@ -210,7 +241,7 @@ def shortcomings(report: dict[str, Any]) -> list[str]:
                 f"the optimum is {item['optimal_distance']:.2f} m"
             )
     if report["least_distance"] < DISTANCE_LIMIT:
-        found.append(f"least distance {report['least_distance']:.2f} m, at least {DISTANCE_LIMIT} m")
+        found.append(_words_of_too_close(report["too_close"]))
     return found + report["collisions"]
 
 
@@ -266,15 +297,16 @@ def print_report(report: dict[str, Any], console: Console) -> None:
         )
     console.print(table)
     factor = report["real_time_factor"]
-    line = (
-        f"Least distance {report['least_distance']:.2f} m, {len(report['collisions'])} collisions; "
-        f"{report['sim_time']:.1f} s simulated"
-    )
+    simplified = report["settings"].get("simulator") == "simplified"
+    touched = "" if simplified else f", {len(report['collisions'])} collisions"
+    line = f"Least distance {report['least_distance']:.2f} m{touched}; {report['sim_time']:.1f} s simulated"
     if factor is not None:
         line += f" in {report['wall_time']:.1f} s ({factor:.1f} x real time)"
     if report["startup_time"] is not None:
         line += f"; first vehicle armed {report['startup_time']:.1f} s after the command"
     console.print(line + ".", highlight=False)
     console.print(f"Positions: {report['positions']}.", highlight=False)
+    if simplified:
+        console.print("Simplified vehicles do not touch: where two meet, they fly through each other.", highlight=False)
     for text in report["shortcomings"]:
         console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)

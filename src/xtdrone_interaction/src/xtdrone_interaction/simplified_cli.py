@@ -15,13 +15,15 @@ from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_interaction import options
+from xtdrone_interaction.compare_simulators import check_comparable
 from xtdrone_interaction.formation_demo import DemoSettings, master_port
+from xtdrone_interaction.geometry import ORIGIN
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
+from xtdrone_interaction.record import FlightRecord, read_record
 from xtdrone_interaction.simplified_demo import (
     MOST_COMPARED,
     FilmSettings,
     SwarmSettings,
-    has_display,
     run_in_process,
     run_on_ros,
 )
@@ -55,9 +57,7 @@ def add_simplified(parser: argparse.ArgumentParser) -> None:
         help="seed of the network and, in full physics, of all noise (default: %(default)s)")  # fmt: skip
     add("--follower", default=DEFAULT_FOLLOWER, metavar="FILE.py:CLASS",
         help="your own follower class (default: the shipped one)")  # fmt: skip
-    add(
-        "--leader", metavar="FILE.py:CLASS", help="your own leader class, with --without-ros (default: the shipped one)"
-    )
+    add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     add("--control", choices=["vel", "accel"], default="vel", help="what followers command (default: %(default)s)")
     add("--clearance", type=checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
         help="least height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
@@ -65,8 +65,8 @@ def add_simplified(parser: argparse.ArgumentParser) -> None:
         "(default: flight.mp4 in the results' folder where there is no window)")  # fmt: skip
     add("--compare", action=argparse.BooleanOptionalAction, default=None,
         help=f"fly the same in full physics too and compare (default: up to {MOST_COMPARED} vehicles)")  # fmt: skip
-    add("--compare-with", type=Path, metavar="BAG",
-        help="compare with flight.bag of './xtdrone demo formation' instead")  # fmt: skip
+    add("--compare-with", type=Path, metavar="FILE",
+        help="compare with a recorded flight instead: flight.bag of './xtdrone demo formation'")  # fmt: skip
     network = parser.add_argument_group("network", "What the vehicles hear of each other; with --without-ros.")
     for name, (unit, meaning) in _NETWORK.items():
         network.add_argument(f"--{name}", type=checked(_number(name)), metavar=unit, help=meaning)
@@ -95,7 +95,7 @@ def run_simplified(arguments: argparse.Namespace, console: Console) -> int:
     """
     try:
         settings, film = swarm_settings(arguments)
-        demo = None if arguments.without_ros else ros_settings(arguments, settings)
+        demo = None if arguments.without_ros else ros_settings(arguments, settings, film)
     except OptionError:
         raise
     except ValueError as error:  # of patterns, fleet, model, network, film, or a class
@@ -112,6 +112,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
         ValueError: a value that is not allowed.
     """
     from xtdrone_sim.simplified.model import load_model
+    from xtdrone_sim.simplified.view import can_open
 
     count = arguments.n
     config = options.repository() / "src" / "xtdrone_sim" / "config"
@@ -120,7 +121,8 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
     load_model(arguments.type, model or None)
     pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
     options.swarm_patterns(count, arguments.patterns, pattern_file or None)
-    window = arguments.without_ros and has_display() and not arguments.headless
+    leader = options.leader_class(arguments.leader)
+    window = not arguments.headless and can_open()
     out = options.results_folder(arguments.out)
     settings = SwarmSettings(
         n=count,
@@ -128,7 +130,7 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
         patterns=arguments.patterns,
         pattern_file=pattern_file,
         follower=_follower(arguments.follower),
-        leader=load_class(arguments.leader, Leader, "leader") if arguments.leader else Leader,
+        leader=load_class(leader, Leader, "leader") if leader else Leader,
         control=arguments.control,
         clearance=arguments.clearance,
         seed=arguments.seed,
@@ -138,12 +140,13 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
         model=model,
         network=_network(arguments),
         compare=_compare(arguments),
-        compare_with=_bag(arguments.compare_with),
+        compare_with=arguments.compare_with,
+        recorded=_recorded(arguments),
     )
     return settings, FilmSettings(_film(arguments.film, out, window=window), window)
 
 
-def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings) -> DemoSettings:
+def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: FilmSettings) -> DemoSettings:
     """Return the settings of the flight on ROS.
 
     Raises:
@@ -153,7 +156,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings) -> Demo
         raise OptionError(
             f"number of vehicles: '{settings.n}' is not allowed on ROS, 2 to {MAX_VEHICLES}; --without-ros flies more"
         )
-    for name in (*_NETWORK, "leader"):
+    for name in _NETWORK:
         if getattr(arguments, name) is not None:
             raise OptionError(f"{name}: --{name} is there in one process alone; add --without-ros")
     follower, follower_class = options.follower_program(arguments.follower)
@@ -178,6 +181,8 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings) -> Demo
         logs=False,
         simulator="simplified",
         model=settings.model,
+        leader_class=options.leader_class(arguments.leader),
+        window=film.window,
     )
 
 
@@ -210,10 +215,20 @@ def _compare(arguments: argparse.Namespace) -> bool:
     return bool(arguments.n <= MOST_COMPARED if arguments.compare is None else arguments.compare)
 
 
-def _bag(file: Path | None) -> Path | None:
-    if file is not None and not file.is_file():
+def _recorded(arguments: argparse.Namespace) -> FlightRecord | None:
+    """Return the recorded flight to compare with, None for none.
+
+    Raises:
+        OptionError: there is none, or it is one of other vehicles or patterns.
+    """
+    file = arguments.compare_with
+    if file is None:
+        return None
+    if not file.is_file():
         raise OptionError(f"comparison: {file} does not exist; flight.bag of a formation flight is needed")
-    return file
+    record = read_record(file)
+    check_comparable(record, arguments.n, [ORIGIN, *arguments.patterns, ORIGIN])
+    return record
 
 
 def _film(wanted: str | None, out: Path, *, window: bool) -> Path | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -25,9 +25,9 @@ from xtdrone_interaction.compare_simulators import (
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.formation_demo import DemoError, DemoSettings, Interrupted, show_event, signals_raise
 from xtdrone_interaction.formation_demo import run_demo as run_ros_demo
-from xtdrone_interaction.record import FlightRecord, RecordError, read_record
+from xtdrone_interaction.record import FlightRecord, RecordError, read_record, save_record
 from xtdrone_interaction.report import make_report, print_report, write_report
-from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of, save_record
+from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of
 
 if TYPE_CHECKING:
     from xtdrone_coordination.network import NetworkOptions
@@ -39,7 +39,6 @@ FULL_IN_PROCESS = "the same flight in full physics, in one process, with the sam
 MOST_COMPARED = 50  # vehicles; of more, a comparison must be asked for
 _FILM_RATE = 15  # frames a second
 _FILM_SPEED = 8.0  # times as fast as flown
-_FLY_TIME = 0.03  # s of wall time between two pictures in the window
 _DELAY = 0.25  # s of wall time, the most that a paced flight makes up for: a picture takes less, a pause more
 _END = object()
 _MOST_TOPOLOGY_LINES = 400
@@ -78,7 +77,8 @@ class SwarmSettings:
         model: ``first-order``, ``second-order``, a YAML file, or empty: the type's.
         network: what the followers hear of each other; None: everything.
         compare: fly the same in full physics too.
-        compare_with: a flight.bag of the same flight in the full simulator, to compare with; None: none.
+        compare_with: the record of the same flight in the full simulator, to compare with; None: none.
+        recorded: what it holds.
     """
 
     n: int
@@ -97,10 +97,12 @@ class SwarmSettings:
     network: NetworkOptions | None
     compare: bool
     compare_with: Path | None
+    recorded: FlightRecord | None
 
     def stored(self) -> dict[str, Any]:
         """Return what the report keeps of them."""
-        values = {k: v for k, v in vars(self).items() if k not in ("out", "headless", "follower", "leader", "network")}
+        left_out = ("out", "headless", "follower", "leader", "network", "recorded")
+        values = {k: v for k, v in vars(self).items() if k not in left_out}
         values["follower"] = f"{self.follower.__module__}:{self.follower.__qualname__}"
         values["leader"] = f"{self.leader.__module__}:{self.leader.__qualname__}"
         values["compare_with"] = str(self.compare_with) if self.compare_with else ""
@@ -161,6 +163,7 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
         try:
             record = _fly(settings, film, console)
             save_record(record, settings.out / "flight.npz")
+            _check_outcome(record)
             report = make_report(record, {**settings.stored(), "command_wall": command_wall})
             return _conclude(record, report, settings, film, console)
         except (DemoError, RecordError) as error:
@@ -174,16 +177,13 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
 def _fly(
     settings: SwarmSettings, film: FilmSettings, console: Console, *, like: FlightRecord | None = None
 ) -> FlightRecord:
-    """Fly once, showing the progress.
+    """Fly once, showing the progress; a flight that fails is returned too.
 
     Args:
         settings: of the flight.
         film: whether there is a window.
         console: for the progress.
         like: fly in full physics, with the assignments of this flight.
-
-    Raises:
-        DemoError: the flight failed.
     """
     full = like is not None
     swarm = make_swarm(settings, full=full, leader=None if like is None else with_assignments_of(like, settings.leader))
@@ -202,17 +202,20 @@ def _fly(
     pacing = _Pacing(0.0 if full else settings.speed)
     try:
         if film.window and not full:
-            _show(swarm, turns, pacing)
+            _show(swarm, turns, settings.speed)
         for _ in turns:  # all of them, or what was left when the window was closed
             pacing.wait(swarm.time)
     finally:
         display.close()
         swarm.vehicles.close()
-    record = flight.record()
+    return flight.record()
+
+
+def _check_outcome(record: FlightRecord, where: str = "") -> None:
+    """Raise DemoError, with ``where`` before the reason, for a flight that failed."""
     outcome, reason = outcome_of(record)
     if outcome != "done":
-        raise DemoError(f"{'in full physics: ' if full else ''}{reason}")
-    return record
+        raise DemoError(f"{where}{reason}")
 
 
 class _Pacing:
@@ -238,28 +241,17 @@ class _Pacing:
             time.sleep(ahead)
 
 
-def _show(swarm: Swarm, turns: Iterator[None], pacing: _Pacing) -> None:
-    """Fly in a live window until the flight ends or the window is closed."""
-    from xtdrone_sim.simplified.view import SwarmView, Window  # brings Matplotlib along
+def _show(swarm: Swarm, turns: Iterator[None], speed: float) -> None:
+    """Fly in a live window until the flight ends or the window is closed.
 
-    window = Window(SwarmView(swarm.vehicles.names), f"XTDrone: {len(swarm.vehicles.names)} UAVs")
+    Args:
+        swarm: what is shown.
+        turns: the flight's.
+        speed: real-time factor, 0 for as fast as it can.
+    """
+    from xtdrone_sim.simplified.view.flight import play  # brings Matplotlib along
 
-    def source() -> Any:
-        """Fly on for a moment and return the state."""
-        until = time.monotonic() + _FLY_TIME
-        while not window.paused and pacing.ahead(swarm.time) <= 0.0 and time.monotonic() < until:
-            if next(turns, _END) is _END:
-                window.close()
-                break
-        return _frame_of(swarm)
-
-    window.run(source)
-
-
-def _frame_of(swarm: Swarm) -> Any:
-    leader, places = swarm.leader, swarm.true_positions
-    slots = None if leader.offsets is None else places[0] + np.vstack([np.zeros(3), leader.offsets])
-    return _frame(swarm.time, places, slots, _edges(leader.adjacency), leader.pattern)
+    play(swarm, lambda: next(turns, _END) is not _END, speed=speed or math.inf)
 
 
 def _frame(sim_time: float, places: Any, slots: Any, edges: Any, pattern: str) -> Any:
@@ -285,11 +277,13 @@ def _conclude(
     from xtdrone_interaction.plots import save_plots  # matplotlib takes a while to import
 
     print_report(report, console)
-    paths = [settings.out / "flight.npz", settings.out / "report.json", *save_plots(record, settings.out)]
+    file = settings.out / "report.json"
+    write_report(report, file)  # whatever becomes of the rest
+    paths = [settings.out / "flight.npz", file, *save_plots(record, settings.out)]
     if settings.compare or settings.compare_with:
         full, what = _full_flight(record, settings, console)
         paths += add_comparison(record, full, what, report, settings.out, console)
-    write_report(report, settings.out / "report.json")
+        write_report(report, file)
     if film.file is not None:
         paths.append(make_film(record, film.file, console))
     for path in paths:
@@ -298,9 +292,11 @@ def _conclude(
 
 
 def _full_flight(record: FlightRecord, settings: SwarmSettings, console: Console) -> tuple[FlightRecord, str]:
-    if settings.compare_with is not None:
-        return read_record(settings.compare_with), str(settings.compare_with)
-    return _fly(settings, FilmSettings(None, window=False), console, like=record), FULL_IN_PROCESS
+    if settings.recorded is not None:
+        return settings.recorded, str(settings.compare_with)
+    full = _fly(settings, FilmSettings(None, window=False), console, like=record)
+    _check_outcome(full, "in full physics: ")
+    return full, FULL_IN_PROCESS
 
 
 def add_comparison(
@@ -381,11 +377,6 @@ def _after_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, 
     for path in paths:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
     return 0
-
-
-def has_display() -> bool:
-    """Return whether a window can be opened, as far as the environment tells."""
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _escape(text: str) -> str:

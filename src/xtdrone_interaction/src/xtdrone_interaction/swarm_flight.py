@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -220,24 +219,6 @@ class FormationFlight:
             events=self._events,
             collisions=list(getattr(self._swarm.vehicles, "collisions", ())),
         )
-
-
-def save_record(record: FlightRecord, path: str | Path) -> None:
-    """Write positions, patterns and topologies of ``record`` as a NumPy archive (.npz).
-
-    It holds ``names`` (n,), ``time`` (t,) s, ``position`` (t, n, 3) m ENU, and for each change of the pattern its
-    ``pattern_time`` (p,), ``offsets`` (p, n - 1, 3) and ``topology`` (p, n, n).
-    """
-    track = record.track
-    np.savez_compressed(
-        Path(path),
-        names=np.array(record.names),
-        time=track.time,
-        position=track.position,
-        pattern_time=np.array([change.time for change in record.patterns]),
-        offsets=np.array([change.value for change in record.patterns]),
-        topology=np.array([change.value for change in record.topologies]),
-    )
 
 
 def outcome_of(record: FlightRecord) -> tuple[str, str]:

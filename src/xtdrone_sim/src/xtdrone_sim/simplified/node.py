@@ -11,6 +11,8 @@ Parameters, besides those of every simulator (``xtdrone_sim.simulator_node.NodeS
     ~rows: vehicles side by side along x on the spawn grid, 3 m apart; 0: as many as make it the pattern ``origin``.
     ~places: [[x, y, z], ...], m ENU, a place for every vehicle in place of the grid.
     ~airborne (false): start armed, in OFFBOARD, ~altitude (10 m) above these places.
+    ~view: a live window (``visualize.py``, in a process of its own that ends with this one); by default where there is
+        a display.
     ~hover_speed (m/s, 0.02 as XTDrone), ~cmd_timeout (s, 0): of XTDrone's commands, see multirotor_communication.py.
 
 Nothing here is random. The node sets /xtdrone/fleet.
@@ -18,6 +20,7 @@ Nothing here is random. The node sets /xtdrone/fleet.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 from collections.abc import Collection, Sequence
@@ -43,6 +46,7 @@ from .model import Model, load_model
 from .simplified_vehicles import SimplifiedVehicles
 from .topics import SteeredVehicles, SwarmTopic, VehicleTopics
 from .vehicles import Array
+from .viewer import live_window, wanted
 
 USAGE = "simplified_simulator TYPE NUM   (as iris 9)"
 RATE = 30  # Hz: local position, and turns of XTDrone's commands
@@ -62,6 +66,7 @@ class Settings(NodeSettings):
         model: what they are.
         places: shape (count, 3), m ENU.
         airborne: start flying.
+        view: open a live window.
         hover_speed: of XTDrone's commands, m/s.
         cmd_timeout: likewise, s.
     """
@@ -71,6 +76,7 @@ class Settings(NodeSettings):
     model: Model
     places: Array
     airborne: bool
+    view: bool
     hover_speed: float
     cmd_timeout: float
 
@@ -92,6 +98,7 @@ class Settings(NodeSettings):
             model=_model(kind),
             places=places,
             airborne=airborne,
+            view=wanted(flag("~view", False) if rospy.has_param("~view") else None),
             hover_speed=number("~hover_speed", HOVER_SPEED, 0.0, 1e6),
             cmd_timeout=number("~cmd_timeout", 0.0, 0.0, 1e6),
         )
@@ -268,6 +275,8 @@ def main() -> int:
         print(f"{error}\nusage: {USAGE}", file=sys.stderr)
         return 2
 
+    windows = contextlib.ExitStack()
+
     def make() -> tuple[Settings, SimplifiedScene]:
         settings = Settings.from_parameters(kind, count)
         # The dead zone is that of XTDrone's commands: whoever sends set-points has his own.
@@ -280,6 +289,9 @@ def main() -> int:
             hover_speed=None,
         )
         rospy.set_param("/xtdrone/fleet", f"{kind}:{count}")
+        if settings.view:
+            windows.enter_context(live_window(kind, count, sys.argv))
         return settings, SimplifiedScene(vehicles, hover_speed=settings.hover_speed, cmd_timeout=settings.cmd_timeout)
 
-    return run_node(make, sys.argv)
+    with windows:
+        return run_node(make, sys.argv)

@@ -3,7 +3,7 @@
 from .benchmark import measure
 from .film import FilmError, FilmWriter, check_film, film
 from .scene import Frame, SwarmView, palette
-from .window import Window, WindowError
+from .window import Window, WindowError, can_open
 
 __all__ = [
     "FilmError",
@@ -12,6 +12,7 @@ __all__ = [
     "SwarmView",
     "Window",
     "WindowError",
+    "can_open",
     "check_film",
     "film",
     "measure",

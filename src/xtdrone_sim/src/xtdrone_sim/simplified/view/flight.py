@@ -144,9 +144,29 @@ def watch_swarm(
         raise ValueError(f"watch: speed {speed} is not allowed, above 0, or infinite for as fast as it can")
     if not seconds > 0.0:
         raise ValueError(f"watch: {seconds} seconds are not allowed, above 0")
+
+    def turn() -> bool:
+        if each_turn is not None:
+            each_turn(swarm)
+        swarm.step()
+        return True
+
+    play(swarm, turn, speed=speed, end=swarm.time + seconds, **options)
+
+
+def play(swarm: Swarm, turn: Callable[[], bool], *, speed: float = 1.0, end: float = math.inf, **options: Any) -> None:
+    """Show a swarm in a live window until that is closed.
+
+    Args:
+        swarm: what is shown.
+        turn: lets one turn of the swarm pass; False ends the flight, and closes the window.
+        speed: simulated seconds a second of wall time, infinite for as fast as it can.
+        end: simulated time after which it stands still, s.
+        **options: of ``SwarmView``.
+    """
     view = SwarmView(swarm.vehicles.names, **options)
     window = Window(view, f"XTDrone: {len(view.names)} UAVs")
-    window.run(_Player(swarm, window, speed, seconds, each_turn))
+    window.run(_Player(swarm, window, turn, speed, end))
 
 
 class RealTimeFactor:
@@ -175,12 +195,12 @@ class RealTimeFactor:
 class _Player:
     """Lets simulated time follow wall time, a bit before each picture, and says how fast it passes."""
 
-    def __init__(self, swarm: Swarm, window: Window, speed: float, seconds: float, each_turn: EachTurn | None) -> None:
+    def __init__(self, swarm: Swarm, window: Window, turn: Callable[[], bool], speed: float, end: float) -> None:
         self._swarm = swarm
         self._window = window
         self._speed = speed
-        self._end = swarm.time + seconds
-        self._each_turn = each_turn
+        self._end = end
+        self._turn = turn
         self._formations = Formations()
         self._factor = RealTimeFactor()
         self._shown = -math.inf
@@ -211,9 +231,9 @@ class _Player:
         goal = min(self._end, sim + self._speed * (now - wall))
         deadline = now + _BUDGET
         while self._swarm.time < goal:
-            if self._each_turn is not None:
-                self._each_turn(self._swarm)
-            self._swarm.step()
+            if not self._turn():
+                self._window.close()
+                break
             if time.monotonic() >= deadline:
                 self._origin = (time.monotonic(), self._swarm.time)  # what cannot be kept up with is not made up for
                 break

@@ -210,6 +210,19 @@ class Window:
 _ADVICE = "a film needs none: give a file name that ends with .mp4, .gif or .png (Swarm.film, ~film of visualize.py)"
 
 
+def can_open() -> bool:
+    """Return whether a window can be opened; a display that is named may be gone."""
+    if not os.environ.get("DISPLAY"):
+        return False
+    try:
+        import tkinter
+
+        tkinter.Tk().destroy()
+    except (ImportError, tkinter.TclError):
+        return False
+    return True
+
+
 def check_display() -> None:
     """Raise WindowError, with what to do instead, when no display is named."""
     if not os.environ.get("DISPLAY"):
