@@ -11,9 +11,11 @@ for r = (-1, 0, 0) and divides 0 by 0. Here n is the axis with the smaller absol
 |r| / sqrt(2). For two vehicles at the same place r has no direction: the one with the smaller number takes r for the
 x axis and the other for the opposite, so they part.
 
-Algorithm 1 turns vehicles around each other but never stops them from closing in, which several at once can do. So a
-follower also gives way: of its consensus velocity, the part towards a vehicle nearer than b fades out, down to nothing
-at the clearance. This is ours, not the paper's; clearance 0 switches it off.
+Algorithm 1 turns vehicles around each other but never stops them from closing in, which several at once can do: what
+one of them is to be avoided by may lead towards another. So a follower also gives way: of its velocity, consensus and
+avoidance together, the part towards a vehicle nearer than b fades out with the square of the way that remains to the
+clearance, down to nothing there. It does so twice over all that are near: what the first round takes away for one of
+them may turn it towards another. This is ours, not the paper's; clearance 0 switches it off.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from xtdrone_coordination.consensus import Vector
 RADIUS = 1.5  # m, b
 GAIN = 1.0  # m/s, kp
 CLEARANCE = 0.7  # m
+ROUNDS = 2  # of giving way
 
 _COINCIDENT = 1e-6  # m
 
@@ -106,15 +109,20 @@ def give_way(
     px, py, pz = own
     vx, vy, vz = velocity
     square = radius * radius
+    near = []
     for j, other in enumerate(positions):
         if other is None or j == index:
             continue
         x, y, z = other[0] - px, other[1] - py, other[2] - pz
         distance_square = x * x + y * y + z * z
-        towards = x * vx + y * vy + z * vz
-        if towards <= 0.0 or not _COINCIDENT**2 < distance_square < square:
-            continue
-        remains = max(0.0, (math.sqrt(distance_square) - clearance) / (radius - clearance))
-        k = (1.0 - remains) * towards / distance_square
-        vx, vy, vz = vx - k * x, vy - k * y, vz - k * z
+        if _COINCIDENT**2 < distance_square < square:
+            near.append((x, y, z, distance_square))
+    for _ in range(ROUNDS):
+        for x, y, z, distance_square in near:
+            towards = x * vx + y * vy + z * vz
+            if towards <= 0.0:
+                continue
+            remains = max(0.0, (math.sqrt(distance_square) - clearance) / (radius - clearance))
+            k = (1.0 - remains * remains) * towards / distance_square
+            vx, vy, vz = vx - k * x, vy - k * y, vz - k * z
     return vx, vy, vz

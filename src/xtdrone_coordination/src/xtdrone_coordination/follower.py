@@ -301,15 +301,16 @@ class Follower:
         return given if rows is None else tuple(rows[0].tolist())  # type: ignore[return-value]  # who calls checks it
 
     def _limited(self, wanted: Vector) -> Vector:
-        """Add the avoidance to the consensus, each within the limit first, so that a far slot cannot drown it."""
+        """Add the avoidance to the consensus, that within the limit first, so that a far slot cannot drown it."""
         limit, k = self.options.limit, self.options.Kp_avoid
         x, y, z = clip(wanted, limit)
-        if self.options.avoid != "off" and self.options.mode == "vel":
-            x, y, z = avoidance.give_way(
-                self.id, self.swarm.positions, (x, y, z), self.options.avoid_radius, self.options.clearance
-            )
         ax, ay, az = self.avoidance_vector
-        return clip((x + k * ax, y + k * ay, z + k * az), limit)
+        command = clip((x + k * ax, y + k * ay, z + k * az), limit)
+        if self.options.avoid == "off" or self.options.mode == "accel":
+            return command
+        return avoidance.give_way(
+            self.id, self.swarm.positions, command, self.options.avoid_radius, self.options.clearance
+        )
 
     def _peers(self, offsets: list[Vector]) -> tuple[list[Peer], list[int]]:
         """Return the neighbours whose positions are known and fresh, and the numbers of the others."""

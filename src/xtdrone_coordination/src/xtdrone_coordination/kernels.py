@@ -238,7 +238,7 @@ def _command(
     vectors: NDArray[Any],
     commands: NDArray[Any],
 ) -> None:
-    """Put law and avoidance together, each within the limit first."""
+    """Put law and avoidance together, the law within the limit first, and give way."""
     index, limit, gain = kinds[k, ID], settings[k, LIMIT], settings[k, AVOID_GAIN]
     x, y, z = vectors[1, k, 0], vectors[1, k, 1], vectors[1, k, 2]
     if notes[PROBLEMS, k] & ALONE:
@@ -247,9 +247,9 @@ def _command(
         notes[PROBLEMS, k] |= BAD_LAW
         x = y = z = 0.0
     x, y, z = _clip(x, y, z, limit)
+    x, y, z = _clip(x + gain * vectors[0, k, 0], y + gain * vectors[0, k, 1], z + gain * vectors[0, k, 2], limit)
     if kinds[k, GIVE_WAY]:
         x, y, z = _give_way(index, positions, x, y, z, settings[k, RADIUS], settings[k, CLEARANCE], cells, near)
-    x, y, z = _clip(x + gain * vectors[0, k, 0], y + gain * vectors[0, k, 1], z + gain * vectors[0, k, 2], limit)
     commands[index, 0], commands[index, 1], commands[index, 2] = x, y, z
 
 
@@ -304,18 +304,19 @@ def _give_way(
     near: int,
 ) -> tuple[float, float, float]:
     px, py, pz = positions[index, 0], positions[index, 1], positions[index, 2]
-    for entry in range(near):
-        j = cells[entry, 4]
-        x, y, z = positions[j, 0] - px, positions[j, 1] - py, positions[j, 2] - pz
-        square = x * x + y * y + z * z
-        towards = x * vx + y * vy + z * vz
-        if towards <= 0.0 or square <= _COINCIDENT_SQUARE:
-            continue
-        remains = (math.sqrt(square) - clearance) / (radius - clearance)
-        if not remains > 0.0:
-            remains = 0.0
-        k = (1.0 - remains) * towards / square
-        vx, vy, vz = vx - k * x, vy - k * y, vz - k * z
+    for _ in range(avoidance.ROUNDS):
+        for entry in range(near):
+            j = cells[entry, 4]
+            x, y, z = positions[j, 0] - px, positions[j, 1] - py, positions[j, 2] - pz
+            square = x * x + y * y + z * z
+            towards = x * vx + y * vy + z * vz
+            if towards <= 0.0 or square <= _COINCIDENT_SQUARE:
+                continue
+            remains = (math.sqrt(square) - clearance) / (radius - clearance)
+            if not remains > 0.0:
+                remains = 0.0
+            k = (1.0 - remains * remains) * towards / square
+            vx, vy, vz = vx - k * x, vy - k * y, vz - k * z
     return vx, vy, vz
 
 
