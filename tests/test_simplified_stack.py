@@ -20,7 +20,7 @@ pytest.importorskip("rospy")
 import rosgraph
 import swarm_script
 from gazebo_msgs.msg import ModelStates
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
 from mavros_msgs.msg import ExtendedState, PositionTarget, State
 from mavros_msgs.srv import CommandBool, CommandTOL, SetMode
 from std_msgs.msg import Float64MultiArray, String
@@ -154,6 +154,7 @@ def test_bad_arguments_are_named(graph: Graph, tmp_path: Path, arguments: list[s
         ("_order:=3", "from 0 to 2"),
         ("_places:=[[0, 0, 0]]", "3 places"),
         ("_hover_speed:=-1.0", "hover_speed"),
+        ("_setpoint_timeout:=-1.0", "setpoint_timeout"),
     ],
 )
 def test_bad_parameters_are_named(graph: Graph, tmp_path: Path, parameter: str, word: str) -> None:
@@ -164,12 +165,38 @@ def test_bad_parameters_are_named(graph: Graph, tmp_path: Path, parameter: str, 
     assert word in program.output
 
 
+def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: Path) -> None:
+    """Its last velocity must not carry it away for ever: PX4 leaves OFFBOARD after a second, and so does this."""
+    parameters = ["_airborne:=true", "_speed:=0", "_participants:=communication"]
+    stack = start(graph, tmp_path, 2, *parameters)
+    try:
+        stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
+
+        def flies() -> bool:
+            """Say it again and again: the simulator listens too, and may be the first to be connected."""
+            graph.say("/xtdrone/iris_1/cmd_vel_enu", Twist(linear=Vector3(x=2.0)))
+            return bool(pose_of(stack, 1).last) and place(stack, 1)[0] > 10.0
+
+        stack.wait(flies, "iris_1 flies east")
+        stack.wait_state(1, mode="OFFBOARD", armed=True)
+        stack.programs["communication"].kill()
+        stack.wait_state(1, mode="POSCTL", armed=True)
+        assert "iris_1: no set-point for 1 s: POSCTL" in stack.programs["simulator"].output
+        stack.pass_time(5.0)
+        before = place(stack, 1)
+        stack.pass_time(5.0)
+        assert math.dist(place(stack, 1), before) < 0.05
+    finally:
+        stack.stop()
+
+
 # ---- one simulator, by hand
 
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    stack = start(graph, tmp_path_factory.mktemp("simplified"), 3, "_speed:=20")
+    # Tests say set-points once: their pace is the wall clock's.
+    stack = start(graph, tmp_path_factory.mktemp("simplified"), 3, "_speed:=20", "_setpoint_timeout:=0")
     try:
         for index in range(3):
             pose = pose_of(stack, index)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from xtdrone_interaction import cli, options, simplified_demo
+from xtdrone_sim.simplified.view import Window
 
 DEMO = ["demo", "simplified"]
 ALONE = [*DEMO, "--without-ros"]
@@ -120,6 +124,45 @@ def test_the_report_of_a_flight_without_ros_is_made_again(tmp_path: Path, capfd:
     assert "fly through each other" in capfd.readouterr().out
     assert (tmp_path / "out" / "formations.png").is_file()
     assert json.loads((tmp_path / "out" / "report.json").read_text()) == {**first, "died": []}
+
+
+def test_with_a_display_the_flight_is_in_a_window_which_closes_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    windows: list[Window] = []
+    run = Window.run
+
+    def noted(window: Window, source: Any) -> None:
+        windows.append(window)
+        run(window, source)
+
+    monkeypatch.setattr(Window, "run", noted)
+    arguments = ["--n", "4", "--patterns", "cube", "--no-compare", "--speed", "unlimited", "--out", "out"]
+    with virtual_display() as display:
+        monkeypatch.setenv("DISPLAY", display)
+        assert cli.main([*ALONE, *arguments]) == 0
+    assert len(windows) == 1
+    assert windows[0].pictures > 5
+    assert not windows[0].open
+    assert not list((tmp_path / "out").glob("flight.mp4"))
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["outcome"] == "done"
+
+
+@contextlib.contextmanager
+def virtual_display() -> Iterator[str]:
+    """Run an X server without a screen."""
+    read, write = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "960x720x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL)
+    os.close(write)
+    try:
+        with os.fdopen(read) as pipe:
+            number = pipe.readline().strip()
+        assert number, "Xvfb did not start"
+        yield f":{number}"
+    finally:
+        server.terminate()
+        server.wait()
 
 
 FOLLOWER = """

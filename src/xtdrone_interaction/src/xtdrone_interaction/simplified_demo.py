@@ -38,7 +38,8 @@ FULL_TRUTH = "truth (full physics, in one process)"
 FULL_IN_PROCESS = "the same flight in full physics, in one process, with the same assignments"
 MOST_COMPARED = 50  # vehicles; of more, a comparison must be asked for
 _FILM_RATE = 15  # frames a second
-_FILM_SPEED = 8.0  # times as fast as flown
+_FILM_SPEED = 8.0  # times as fast as flown, or more
+_FILM_LENGTH = 60.0  # s, at most
 _DELAY = 0.25  # s of wall time, the most that a paced flight makes up for: a picture takes less, a pause more
 _END = object()
 _MOST_TOPOLOGY_LINES = 400
@@ -313,10 +314,11 @@ def add_comparison(
     return save_pictures(record, full, folder)
 
 
-def film_frames(record: FlightRecord, rate: float = _FILM_RATE / _FILM_SPEED) -> Iterator[Any]:
-    """Yield the flight's frames for a film, ``rate`` a simulated second."""
+def film_frames(record: FlightRecord) -> Iterator[Any]:
+    """Yield the flight's frames for a film."""
     track = record.track
-    step = max(1, round(1.0 / rate / float(np.median(np.diff(track.time)))))
+    speed = max(_FILM_SPEED, float(track.time[-1] - track.time[0]) / _FILM_LENGTH)
+    step = max(1, math.ceil(speed / _FILM_RATE / float(np.median(np.diff(track.time))) - 0.5))
     names = {round(w.start, 3): w.pattern for w in record.windows}
     pattern, number = "", -1
     edges = None
@@ -333,7 +335,7 @@ def film_frames(record: FlightRecord, rate: float = _FILM_RATE / _FILM_SPEED) ->
 
 
 def make_film(record: FlightRecord, path: Path, console: Console) -> Path:
-    """Film a recorded flight, ``_FILM_SPEED`` times as fast as flown, and show how far it is drawn.
+    """Film a recorded flight, some times as fast as flown, and show how far it is drawn.
 
     Raises:
         FilmError: it cannot be written.

@@ -14,6 +14,8 @@ Parameters, besides those of every simulator (``xtdrone_sim.simulator_node.NodeS
     ~view: a live window (``visualize.py``, in a process of its own that ends with this one); by default where there is
         a display.
     ~hover_speed (m/s, 0.02 as XTDrone), ~cmd_timeout (s, 0): of XTDrone's commands, see multirotor_communication.py.
+    ~setpoint_timeout (s, 1 as PX4's COM_OF_LOSS_T): a vehicle whose set-points stop goes from OFFBOARD to POSCTL, which
+        holds; 0: it keeps the last one for ever.
 
 Nothing here is random. The node sets /xtdrone/fleet.
 """
@@ -51,6 +53,8 @@ from .viewer import live_window, wanted
 USAGE = "simplified_simulator TYPE NUM   (as iris 9)"
 RATE = 30  # Hz: local position, and turns of XTDrone's commands
 
+SETPOINT_TIMEOUT = 1.0  # s
+
 _GRAVITY = 9.80665  # m/s^2, for those who ask; nothing falls here
 _STATE_PERIOD_US = 1_000_000
 _EXTENDED_PERIOD_US = 200_000
@@ -69,6 +73,7 @@ class Settings(NodeSettings):
         view: open a live window.
         hover_speed: of XTDrone's commands, m/s.
         cmd_timeout: likewise, s.
+        setpoint_timeout: s without a set-point after which OFFBOARD is left; 0: never.
     """
 
     kind: str
@@ -79,6 +84,7 @@ class Settings(NodeSettings):
     view: bool
     hover_speed: float
     cmd_timeout: float
+    setpoint_timeout: float
 
     @classmethod
     def from_parameters(cls, kind: str, count: int) -> Settings:
@@ -101,6 +107,7 @@ class Settings(NodeSettings):
             view=wanted(flag("~view", False) if rospy.has_param("~view") else None),
             hover_speed=number("~hover_speed", HOVER_SPEED, 0.0, 1e6),
             cmd_timeout=number("~cmd_timeout", 0.0, 0.0, 1e6),
+            setpoint_timeout=number("~setpoint_timeout", SETPOINT_TIMEOUT, 0.0, 1e6),
         )
 
 
@@ -142,12 +149,18 @@ class SimplifiedScene:
     descriptors: Sequence[int] = ()
     patience = math.inf
 
-    def __init__(self, vehicles: SteeredVehicles, *, hover_speed: float, cmd_timeout: float) -> None:
-        """Take the vehicles; ``hover_speed`` and ``cmd_timeout`` as for ``MultirotorCore``."""
+    def __init__(
+        self, vehicles: SteeredVehicles, *, hover_speed: float, cmd_timeout: float, setpoint_timeout: float
+    ) -> None:
+        """Take the vehicles; the rest as for ``VehicleTopics``."""
         self.names: Sequence[str] = vehicles.names
         self.step_us = vehicles.step_us
         self._vehicles = vehicles
-        self._options = {"hover_speed": hover_speed, "cmd_timeout": cmd_timeout}
+        self._options = {
+            "hover_speed": hover_speed,
+            "cmd_timeout": cmd_timeout,
+            "setpoint_timeout": setpoint_timeout,
+        }
         self._schedule = Schedule(RATE, vehicles.step_us)
         self._began_us = 0
         self._begin()
@@ -291,7 +304,13 @@ def main() -> int:
         rospy.set_param("/xtdrone/fleet", f"{kind}:{count}")
         if settings.view:
             windows.enter_context(live_window(kind, count, sys.argv))
-        return settings, SimplifiedScene(vehicles, hover_speed=settings.hover_speed, cmd_timeout=settings.cmd_timeout)
+        scene = SimplifiedScene(
+            vehicles,
+            hover_speed=settings.hover_speed,
+            cmd_timeout=settings.cmd_timeout,
+            setpoint_timeout=settings.setpoint_timeout,
+        )
+        return settings, scene
 
     with windows:
         return run_node(make, sys.argv)

@@ -18,7 +18,8 @@ services
 ========================================  ==========================  ================================================
 
 XTDrone's commands are carried out as long as no set-point has come over ``setpoint_raw/local`` for that vehicle: it has
-no communication node then. What is sent in a tick acts from that tick's time on.
+no communication node then. Where they have come and stop, the vehicle leaves OFFBOARD for POSCTL, which holds, as PX4
+does (COM_OF_LOSS_T, COM_OBL_RC_ACT). What is sent in a tick acts from that tick's time on.
 """
 
 from __future__ import annotations
@@ -90,6 +91,7 @@ class VehicleTopics:
         *,
         hover_speed: float,
         cmd_timeout: float,
+        setpoint_timeout: float,
     ) -> None:
         """Advertise and subscribe.
 
@@ -100,6 +102,7 @@ class VehicleTopics:
             seconds: returns the simulated time.
             hover_speed: see ``MultirotorCore``.
             cmd_timeout: see ``MultirotorCore``.
+            setpoint_timeout: s without a set-point after which OFFBOARD is left; 0: never.
 
         Raises:
             ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
@@ -108,6 +111,7 @@ class VehicleTopics:
         self._index = index
         self._mailbox = mailbox
         self._seconds = seconds
+        self._setpoint_timeout = setpoint_timeout
         self.name = name = vehicles.names[index]
         self._core = MultirotorCore(name, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
         base = f"/{name}/mavros"
@@ -146,6 +150,7 @@ class VehicleTopics:
         """Know of no input and nothing said: as at the start."""
         self._core.restart()
         self._commanded = True  # by XTDrone's commands, not by set-points
+        self._target_at = -math.inf  # s, when the last set-point came
         self._flown: Setpoint | None = None  # the set-point that the vehicle has from the core
         self._said: tuple[str, bool] | None = None
         self._looked = -1.0  # s, of simulated time
@@ -210,6 +215,7 @@ class VehicleTopics:
         if self._commanded:
             self._commanded = False
             rospy.logdebug("simulator: %s is flown by set-points now", self.name)
+        self._target_at = self._seconds()
         p, v, a = target.position, target.velocity, target.acceleration_or_force
         setpoint = Setpoint(
             target.coordinate_frame,
@@ -231,6 +237,14 @@ class VehicleTopics:
             return
         self._vehicles.steer_one(self._index, kind, vector, yaw_rate, yaw=yaw)
 
+    def _miss_targets(self) -> None:
+        """Leave OFFBOARD when set-points have stopped: a vehicle must not fly on for ever as the last one said."""
+        silence = self._seconds() - self._target_at
+        if not 0.0 < self._setpoint_timeout < silence or self._vehicles.mode[self._index] != "OFFBOARD":
+            return
+        rospy.logwarn("simulator: %s: no set-point for %g s: POSCTL", self.name, self._setpoint_timeout)
+        self._vehicles.command(self._index, "POSCTL")
+
     # XTDrone's commands
 
     def _look(self) -> float:
@@ -244,8 +258,9 @@ class VehicleTopics:
         return now
 
     def act(self) -> None:
-        """Carry out what XTDrone's commands ask for; 30 Hz, after the commands of a tick."""
+        """Carry out what XTDrone's commands ask for, or look after set-points; 30 Hz, after what came in a tick."""
         if not self._commanded:
+            self._miss_targets()
             return
         setpoint = self._core.tick(self._look())
         if setpoint is self._flown and setpoint.frame == FRAME_LOCAL_NED:
