@@ -45,3 +45,14 @@ def test_what_cannot_be_loaded_is_explained(text: str, message: str) -> None:
 def test_a_follower_is_no_leader() -> None:
     with pytest.raises(ArgumentError, match="inherits Leader"):
         load_class(f"{EXAMPLE}:FeedForwardFollower", Leader)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("import sys\nsys.exit(4)", "SystemExit: 4"), ("1 / 0", "ZeroDivisionError: "), ("x = (", "SyntaxError: ")],
+)
+def test_a_file_that_does_not_load_is_named(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "strange.py"
+    file.write_text(text)
+    with pytest.raises(ArgumentError, match=rf"strange\.py cannot be imported: {message}"):
+        load_class(str(file), Follower)

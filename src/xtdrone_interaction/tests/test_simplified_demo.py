@@ -62,6 +62,12 @@ def test_bad_values_are_named(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_film_that_cannot_be_written_is_named(capfd: pytest.CaptureFixture[str]) -> None:
+    short = ["--n", "2", "--patterns", "origin", "--no-compare", "--headless"]
+    assert _status([*ALONE, *short, "--film", "/proc/flight.png"]) == 1
+    assert "Error: film /proc/flight.png: cannot be written" in " ".join(capfd.readouterr().out.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -137,7 +143,7 @@ def test_with_a_display_the_flight_is_in_a_window_which_closes_at_its_end(
         run(window, source)
 
     monkeypatch.setattr(Window, "run", noted)
-    arguments = ["--n", "4", "--patterns", "cube", "--no-compare", "--speed", "unlimited", "--out", "out"]
+    arguments = ["--n", "4", "--patterns", "cube", "--no-compare", "--speed", "60", "--out", "out"]
     with virtual_display() as display:
         monkeypatch.setenv("DISPLAY", display)
         assert cli.main([*ALONE, *arguments]) == 0

@@ -72,7 +72,7 @@ def serial(file: Path) -> list[dict[str, Any]]:
 
 def start(file: Path, out: Path) -> subprocess.Popen[str]:
     """Start the command as a terminal does: in a process group of its own."""
-    command = [sys.executable, "-m", "xtdrone_interaction.cli", "sweep", str(file), "--out", str(out), "--workers", "2"]
+    command = [sys.executable, "-m", "xtdrone_interaction", "sweep", str(file), "--out", str(out), "--workers", "2"]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )  # fmt: skip
@@ -87,14 +87,19 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 def group_is_gone(group: int) -> bool:
     """Return whether no process of a group runs any more."""
+    return processes_of(group) == 0
+
+
+def processes_of(group: int) -> int:
+    """Return how many processes of a group run."""
+    found = 0
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, _, owner = stat.read_text().rpartition(")")[2].split()[:3]
         except OSError:
             continue
-        if int(owner) == group and state != "Z":
-            return False
-    return True
+        found += int(owner) == group and state != "Z"
+    return found
 
 
 def parts(out: Path) -> list[Path]:
@@ -140,6 +145,30 @@ def test_interrupt_stops_soon_and_leaves_nothing_running(tmp_path: Path) -> None
     assert main([str(file), "--out", str(out), "--draw"]) == 1  # flies nothing
     assert (out / "picture.png").is_file()
     assert len(rows(out)) < 1000
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_signals_to_all_while_workers_start_end_the_sweep_in_order(tmp_path: Path, number: signal.Signals) -> None:
+    process = start(write_study(tmp_path, seeds=500, pause=0.1), tmp_path / "out")
+    wait_for(lambda: processes_of(process.pid) >= 3)  # a worker's among them, or the one that starts it
+    os.killpg(process.pid, number)
+    text = process.communicate(timeout=60.0)[0]
+    assert process.returncode == 128 + number
+    wait_for(lambda: group_is_gone(process.pid))  # Python's resource tracker ends a moment after the others
+    assert f"stopped by {number.name}" in text
+    assert "Traceback" not in text
+
+
+def test_an_interrupt_while_modules_are_loaded_is_quiet(tmp_path: Path) -> None:
+    file = write_study(tmp_path)
+    command = [sys.executable, "-X", "importtime", "-m", "xtdrone_interaction", "sweep", str(file), "--dry-run"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert any("numpy" in line for line in process.stderr)
+    process.send_signal(signal.SIGINT)
+    text = process.communicate(timeout=PATIENCE)[1]
+    assert process.returncode in (-signal.SIGINT, 128 + signal.SIGINT)
+    assert "Traceback" not in text
 
 
 def test_runs_that_raise_are_rows_and_more_runs_are_added(

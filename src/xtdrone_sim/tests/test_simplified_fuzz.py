@@ -52,6 +52,14 @@ class Nearest(Follower):
 class Hasty(Follower):
     """It changes its options, and gives what cannot be used now and then."""
 
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **named)
+        self.first = self.options
+
+    def restart(self) -> None:
+        super().restart()
+        self.options = self.first
+
     def control_law(self, position: Vector, peers: Sequence[Peer]) -> Vector:
         self.options = replace(self.options, vel_max=1.0 + abs(math.sin(position[0])))
         x, y, z = super().control_law(position, peers)

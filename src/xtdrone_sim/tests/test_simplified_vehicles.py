@@ -259,6 +259,11 @@ def test_bad_names_and_files(tmp_path):
     assert load_model("iris", str(file)) == Model(time_constant=1.0)
     with pytest.raises(ModelError, match="third-order"):
         load_model("iris", "third-order")
+    with pytest.raises(ModelError, match=r"none\.yaml: No such file"):
+        load_model("iris", str(tmp_path / "none.yaml"))
+    (tmp_path / "folder.yaml").mkdir()
+    with pytest.raises(ModelError, match=r"folder\.yaml: Is a directory"):
+        load_model("iris", str(tmp_path / "folder.yaml"))
     with pytest.raises(ModelError, match="'zeppelin' is not known"):
         load_model("zeppelin")
 

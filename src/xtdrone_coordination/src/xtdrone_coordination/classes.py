@@ -36,8 +36,8 @@ def load_class(text: str, base: type[_Base], what: str = "~class") -> type[_Base
             spec.loader.exec_module(module)
         else:
             module = importlib.import_module(place)
-    except (ImportError, OSError, SyntaxError) as error:
-        raise ArgumentError(f"{what}: {place} cannot be imported: {error}") from error
+    except (Exception, SystemExit) as error:  # whatever the user's file raises
+        raise ArgumentError(f"{what}: {place} cannot be imported: {type(error).__name__}: {error}") from error
     found = {
         key: value
         for key, value in vars(module).items()

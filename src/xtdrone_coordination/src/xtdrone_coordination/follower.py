@@ -92,7 +92,7 @@ class Follower:
     """One follower.
 
     Override :meth:`control_law`, :meth:`neighbours` or :meth:`avoidance`. They may return tuples, lists or arrays. What
-    else a subclass remembers it forgets in :meth:`restart`.
+    else a subclass remembers, options of its own choice too, it forgets in :meth:`restart`.
 
     For swarms of a thousand in one process a law without a memory may be written in arrays, as :meth:`control_laws`, in
     place of :meth:`control_law` or beside it.

@@ -1,4 +1,4 @@
-"""XTDrone's command line: ``python -m xtdrone_interaction.cli demo formation``, ``... bench``, ``... report FILE``.
+"""XTDrone's command line: ``python -m xtdrone_interaction demo formation``, ``... bench``, ``... report FILE``.
 
 Exit status: 0 when all went well, 1 when the flight failed or missed its figures, 2 for a value that is not allowed,
 128 + n when stopped by signal n.

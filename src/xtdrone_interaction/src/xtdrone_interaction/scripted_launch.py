@@ -42,6 +42,9 @@ class StopRequest:
     """Takes SIGINT, SIGTERM and SIGHUP and remembers the first, so that none cuts a clean-up short.
 
     A context manager: when it ends, no process that was started inside is left.
+
+    Attributes:
+        number: of that signal, 0 while none has come.
     """
 
     def __init__(self, *, end_processes: bool = True) -> None:
@@ -50,14 +53,14 @@ class StopRequest:
         Args:
             end_processes: whether to end, when this ends, what was started inside; else its starter does.
         """
-        self._number = 0
+        self.number = 0
         self._end_processes = end_processes
         self._previous: dict[int, Any] = {}
 
     def check(self) -> None:
         """Raise :class:`Stopped` if a signal has come."""
-        if self._number:
-            raise Stopped(self._number)
+        if self.number:
+            raise Stopped(self.number)
 
     def __enter__(self) -> StopRequest:
         """Take the signals."""
@@ -73,7 +76,7 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _note(self, number: int, _: FrameType | None) -> None:
-        self._number = self._number or number
+        self.number = self.number or number
 
 
 def launch_command(launch_file: str, arguments: Mapping[str, object], port: int) -> list[str]:

@@ -338,12 +338,15 @@ def make_film(record: FlightRecord, path: Path, console: Console) -> Path:
     """Film a recorded flight, some times as fast as flown, and show how far it is drawn.
 
     Raises:
-        FilmError: it cannot be written.
+        DemoError: it cannot be written.
     """
-    from xtdrone_sim.simplified.view import film
+    from xtdrone_sim.simplified.view import FilmError, film
 
     frames = list(film_frames(record))
-    return film(frames, path, _FILM_RATE, console, names=record.names)
+    try:
+        return film(frames, path, _FILM_RATE, console, names=record.names)
+    except FilmError as error:
+        raise DemoError(str(error)) from error
 
 
 # on ROS

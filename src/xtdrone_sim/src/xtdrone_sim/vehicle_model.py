@@ -142,12 +142,15 @@ def read_description(folder: str, name: str) -> dict[str, Any]:
     Raises:
         ModelError: no such description, or not a YAML mapping.
     """
-    path = Path(name) if name.endswith((".yaml", ".yml")) else CONFIG / folder / f"{name}.yaml"
-    if not path.is_file():
+    is_path = name.endswith((".yaml", ".yml"))
+    path = Path(name) if is_path else CONFIG / folder / f"{name}.yaml"
+    if not is_path and not path.is_file():
         raise ModelError(f"{folder}: {name!r} is not known; there are {', '.join(available(folder))}")
     try:
-        description = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
+        description = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(f"{folder}: {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: not a YAML file: {error}") from error
     if not isinstance(description, dict):
         raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")

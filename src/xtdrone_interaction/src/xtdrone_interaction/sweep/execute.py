@@ -18,6 +18,7 @@ from typing import Any
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed.comm import get_address_host
 
 from xtdrone_interaction.sweep.run import Row, Work
 
@@ -52,6 +53,9 @@ def local_client(workers: int, dashboard: str | None = None) -> Iterator[Client]
     Args:
         workers: number of processes.
         dashboard: address as ``127.0.0.1:8787`` of Dask's own page; None: none.
+
+    Raises:
+        SweepError: the processes cannot be started.
     """
     settings = {
         "distributed.scheduler.allowed-failures": _LOST_WORKERS,
@@ -61,8 +65,19 @@ def local_client(workers: int, dashboard: str | None = None) -> Iterator[Client]
         "distributed.admin.system-monitor.gil.enabled": False,
     }
     with _quiet(), dask.config.set(settings):
+        cluster = _local_cluster(workers, dashboard)
+        try:
+            with Client(cluster, set_as_default=False) as client:
+                yield client
+        finally:
+            _end_workers(cluster)
+            cluster.close(timeout=CONNECT_LIMIT)
+
+
+def _local_cluster(workers: int, dashboard: str | None) -> LocalCluster:
+    try:
         with _signals_for_this_process():
-            cluster = LocalCluster(
+            return LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
                 processes=True,
@@ -73,12 +88,8 @@ def local_client(workers: int, dashboard: str | None = None) -> Iterator[Client]
                 worker_dashboard_address=None,
                 silence_logs=logging.CRITICAL,
             )
-        try:
-            with Client(cluster, set_as_default=False) as client:
-                yield client
-        finally:
-            _end_workers(cluster)
-            cluster.close(timeout=CONNECT_LIMIT)
+    except (RuntimeError, OSError) as error:
+        raise SweepError(f"workers: {workers} processes cannot be started ({_first_line(error)})") from error
 
 
 def _end_workers(cluster: LocalCluster) -> None:
@@ -99,6 +110,7 @@ def remote_client(address: str) -> Iterator[Client]:
     """
     with _quiet(), dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_LIMIT:g}s"}):
         try:
+            get_address_host(address)  # a client with an address of no known kind ends late and with a traceback
             client = Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise SweepError(
@@ -261,9 +273,11 @@ def _signals_for_this_process() -> Iterator[None]:
 
     Ctrl-C goes to every process of the terminal's group: this one is to stop the workers, in order.
     """
-    resource_tracker.ensure_running()  # else the first start of a process starts it, and that unblocks SIGINT again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    ours = {signal.SIGINT, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ours)
     try:
+        resource_tracker.ensure_running()  # Python's own helper process outlives a hang-up too; this unblocks SIGINT
+        signal.pthread_sigmask(signal.SIG_BLOCK, ours)
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -215,12 +215,13 @@ def _fly(
                 progress.show(executor.workers)
 
             executor.run(_tasks(plan, missing), deliver, check)
-    except Stopped as stopped:
-        print(f"xtdrone: stopped by {stopped}", file=sys.stderr)
-        return 128 + stopped.number
-    except SweepError as error:
-        print(f"xtdrone: {error}", file=sys.stderr)
-        return 1
+    except (Stopped, SweepError) as error:
+        if not stop.number:
+            print(f"xtdrone: {error}", file=sys.stderr)
+            return 1
+        # It may have come to the workers too, so that they could not fly any more.
+        print(f"xtdrone: stopped by {Stopped(stop.number)}", file=sys.stderr)
+        return 128 + stop.number
     return 0
 
 
