@@ -30,8 +30,10 @@ from xtdrone_interaction.processes import ProcessTree
 REPOSITORY = Path(__file__).resolve().parents[1]
 FLEET = "iris:2"
 WALL_LIMIT = 60.0  # s; longest that anything may take, on a machine that is busy otherwise
+START_LIMIT = 200.0  # s; longest for a simulator to start, with kernels that are still to be compiled
 _PORTS_LIMIT = 240.0  # s of wall time for another simulation on this machine to end
 _SLICE = 0.05  # s between looks at what sends no message: logs, processes
+_MASTERS_OWN = {"rosdistro", "roslaunch", "rosversion", "run_id"}  # parameters that roscore sets
 _TAG = "XTDRONE_TEST_STACK"  # environment variable by which a stack's processes are found
 
 
@@ -156,17 +158,21 @@ class Graph:
         return rospy.ServiceProxy(service, kind)(**fields)
 
     def forget(self) -> None:
-        """Close all ears and mouths, and take from the master what killed nodes have left on it."""
-        import rosgraph
-
+        """Close all ears and mouths, and take all parameters from the master."""
         for entry in (*self._ears.values(), *self._mouths.values()):
             entry.close() if isinstance(entry, Ear) else entry.unregister()
         self._ears.clear()
         self._mouths.clear()
+        self.forget_parameters()
+
+    def forget_parameters(self) -> None:
+        """Take from the master what nodes were given or have left on it: others of their names would have it too."""
+        import rosgraph
+
         master = rosgraph.Master("/system_tests")
-        for name in ("/lockstep/uri", "/lockstep/wait", "/xtdrone/fleet", "/use_sim_time"):
-            if master.hasParam(name):
-                master.deleteParam(name)
+        for name in master.getParam("/"):
+            if name not in _MASTERS_OWN:
+                master.deleteParam(f"/{name}")
 
     def close(self) -> None:
         import rospy

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import FLEET, REPOSITORY, WALL_LIMIT, Graph, Program, Stack, wait_for_ports
+from conftest import FLEET, REPOSITORY, START_LIMIT, WALL_LIMIT, Graph, Program, Stack, wait_for_ports
 
 pytest.importorskip("rospy")
 
@@ -185,7 +185,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
                 "_cmd_timeout:=1.0", "_hover_speed:=0.001",
             )  # fmt: skip
         stack.run("leader", "xtdrone_coordination", "leader.py", "iris", "2")
-        stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs")
+        stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs", wall=START_LIMIT)
         yield stack
     finally:
         stack.stop()

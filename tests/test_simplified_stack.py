@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Ear, Graph, Stack, poll
+from conftest import START_LIMIT, Ear, Graph, Stack, poll
 
 pytest.importorskip("rospy")
 
 import rosgraph
+import rospy
 import swarm_script
 from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
@@ -26,6 +27,7 @@ from mavros_msgs.srv import CommandBool, CommandTOL, SetMode
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Empty, Trigger
 
+from xtdrone_sim.simplified.node import Settings, main
 from xtdrone_sim.simplified.swarm import Swarm
 
 FLIGHT_LIMIT = 300.0  # s of wall time
@@ -33,18 +35,15 @@ FLIGHT_LIMIT = 300.0  # s of wall time
 
 def start(graph: Graph, folder: Path, count: int, *parameters: str) -> Stack:
     """Start the simulator alone, and wait for it."""
-    forget_parameters()
+    graph.forget_parameters()
     stack = Stack(graph, folder, f"iris:{count}")
     stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", str(count), *parameters)
-    poll(lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "the simulator offers its lockstep")
+    poll(
+        lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"),
+        "the simulator offers its lockstep",
+        START_LIMIT,
+    )
     return stack
-
-
-def forget_parameters() -> None:
-    """Take from the master what a simulator before was given on its command line."""
-    master = rosgraph.Master("/system_tests")
-    if master.hasParam("/simulator"):
-        master.deleteParam("/simulator")
 
 
 # ---- the formation flight
@@ -71,7 +70,7 @@ def digests(folder: Path, until_us: int) -> dict[tuple[str, int], Any]:
     return {(line["name"], line["time"]): line["topics"] for line in lines if line["time"] <= until_us}
 
 
-@pytest.mark.timeout(2 * FLIGHT_LIMIT)
+@pytest.mark.timeout(2 * FLIGHT_LIMIT + 60.0)
 @pytest.mark.parametrize("communication", ["true", "false"])
 def test_the_formation_flight_is_flown_and_is_the_same_again(graph: Graph, tmp_path: Path, communication: str) -> None:
     folders = [tmp_path / "first", tmp_path / "second"]
@@ -86,6 +85,7 @@ def test_the_formation_flight_is_flown_and_is_the_same_again(graph: Graph, tmp_p
     assert first == second
 
 
+@pytest.mark.timeout(2 * START_LIMIT + 60.0)
 def test_it_is_the_flight_of_the_swarm_without_ros_to_the_last_bit(graph: Graph, tmp_path: Path) -> None:
     count = 5
     stack = start(graph, tmp_path, count, "_airborne:=true", "_hover_speed:=0.001", "_speed:=0", "_participants:=3")
@@ -98,7 +98,7 @@ def test_it_is_the_flight_of_the_swarm_without_ros_to_the_last_bit(graph: Graph,
         script = str(Path(__file__).with_name("swarm_script.py"))
         stack.start("script", [sys.executable, script, str(file), "__name:=script"])
         done = graph.hear("/script/done", String)
-        poll(lambda: done.last, "the script is over")
+        poll(lambda: done.last, "the script is over", START_LIMIT)
     finally:
         stack.stop()
         graph_master.deleteParam("/xtdrone/swarm_topic")
@@ -140,29 +140,39 @@ def scripted(count: int) -> np.ndarray:
         (["iris", "251"], "1 to 250"),
     ],
 )
-def test_bad_arguments_are_named(graph: Graph, tmp_path: Path, arguments: list[str], word: str) -> None:
-    stack = Stack(graph, tmp_path, "iris:1")
-    program = stack.run("simulator", "xtdrone_sim", "simplified_simulator", *arguments)
-    assert program.end() == 2
-    assert word in program.output
+def test_bad_arguments_are_named(
+    arguments: list[str], word: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["simplified_simulator", *arguments])
+    assert main() == 2
+    assert word in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("parameter", "word"),
+    ("name", "value", "word"),
     [
-        ("_model:=third-order", "third-order"),
-        ("_order:=3", "from 0 to 2"),
-        ("_places:=[[0, 0, 0]]", "3 places"),
-        ("_hover_speed:=-1.0", "hover_speed"),
-        ("_setpoint_timeout:=-1.0", "setpoint_timeout"),
+        ("model", "third-order", "third-order"),
+        ("order", 3, "from 0 to 2"),
+        ("places", [[0, 0, 0]], "3 places"),
+        ("places", "here", "3 places"),
+        ("setpoint_timeout", -1.0, "setpoint_timeout"),
     ],
 )
-def test_bad_parameters_are_named(graph: Graph, tmp_path: Path, parameter: str, word: str) -> None:
-    forget_parameters()
+def test_bad_parameters_are_named(graph: Graph, name: str, value: Any, word: str) -> None:
+    rospy.set_param(f"~{name}", value)
+    try:
+        with pytest.raises(ValueError, match=word):
+            Settings.from_parameters("iris", 3)
+    finally:
+        rospy.delete_param(f"~{name}")
+
+
+def test_a_bad_parameter_ends_the_node(graph: Graph, tmp_path: Path) -> None:
+    graph.forget_parameters()
     stack = Stack(graph, tmp_path, "iris:3")
-    program = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", parameter)
+    program = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", "_hover_speed:=-1.0")
     assert program.end() == 1
-    assert word in program.output
+    assert "hover_speed" in program.output
 
 
 def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: Path) -> None:
@@ -196,7 +206,7 @@ def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: P
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     # Tests say set-points once: their pace is the wall clock's.
-    stack = start(graph, tmp_path_factory.mktemp("simplified"), 3, "_speed:=20", "_setpoint_timeout:=0")
+    stack = start(graph, tmp_path_factory.mktemp("simplified"), 3, "_speed:=10", "_setpoint_timeout:=0")
     try:
         for index in range(3):
             pose = pose_of(stack, index)
@@ -221,7 +231,15 @@ def test_topics_are_mavros_ones(stack: Stack) -> None:
     state = stack.graph.hear("/iris_1/mavros/state", State)
     extended = stack.graph.hear("/iris_1/mavros/extended_state", ExtendedState)
     swarm = stack.graph.hear("/xtdrone/swarm", Float64MultiArray)
-    stack.wait(lambda: len(pose.messages) > 62 and len(state.messages) > 1 and extended.last, "all topics come")
+    states = stack.graph.hear("/gazebo/model_states", ModelStates)
+    stack.wait(
+        lambda: (
+            len(pose.messages) > 62
+            and len(state.messages) > 1
+            and all(ear.last for ear in (velocity, extended, swarm, states))
+        ),
+        "all topics come",
+    )
     stamps = [message.header.stamp.to_nsec() // 1000 for message in pose.messages[1:]]  # that in the first tick apart
     assert 1.99 < (stamps[60] - stamps[0]) * 1e-6 < 2.01  # 30 Hz
     assert all(stamp % 4000 == 0 for stamp in stamps)
@@ -229,7 +247,6 @@ def test_topics_are_mavros_ones(stack: Stack) -> None:
     assert (state.last.mode, state.last.armed, state.last.connected) == ("AUTO.LOITER", False, True)
     assert extended.last.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
     assert len(swarm.last.data) == 18
-    states = stack.graph.hear("/gazebo/model_states", ModelStates)
     assert states.last.name == ["ground_plane", "iris_0", "iris_1", "iris_2"]
 
 

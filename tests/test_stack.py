@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from conftest import FLEET, WALL_LIMIT, Graph, Stack, poll, wait_for_ports
+from conftest import FLEET, START_LIMIT, WALL_LIMIT, Graph, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
@@ -65,7 +65,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         stack.launch("multi_vehicle.launch", f"vehicles:={FLEET}", "rows:=2", "speed:=0", "participants:=2")
         poll(lambda: _fleet_is_set(graph), "roslaunch sets its parameters")
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "all")
-        stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs")
+        stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs", wall=START_LIMIT)
         for i in range(2):
             stack.wait_state(i)
         yield stack

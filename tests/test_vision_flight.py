@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import Graph, Stack, poll, wait_for_ports
+from conftest import START_LIMIT, Graph, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
@@ -36,7 +36,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0")
         source = Path(__file__).with_name("vision_source.py")
         stack.start("vision", [sys.executable, str(source), "iris_0"])
-        stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs")
+        stack.wait(lambda: stack.pose(0) and stack.time > 0.0, "the simulation runs", wall=START_LIMIT)
         stack.wait_state(0)
         yield stack
     finally:

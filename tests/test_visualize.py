@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Graph, Program, Stack, poll
+from conftest import START_LIMIT, Graph, Program, Stack, poll
 from PIL import ImageGrab
 
 pytest.importorskip("rospy")
@@ -83,11 +83,6 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
     yield stack
     stack.stop()
     graph.forget()
-    import rosgraph
-
-    master = rosgraph.Master("/visualize_tests")
-    if master.hasParam("/visualize"):  # what the command line gave it stays with the master
-        master.deleteParam("/visualize")
 
 
 @pytest.fixture
@@ -133,7 +128,7 @@ def test_a_film_that_is_ended_by_ctrl_c_is_complete(stack: Stack, tmp_path: Path
     film = tmp_path / "flight.gif"
     fly(stack, "speed:=0", "participants:=visualize")
     node = stack.run("visualize", "xtdrone_sim", "visualize.py", "iris", "3", f"_film:={film}", f"_fps:={FPS:g}")
-    stack.wait(lambda: stack.time > 2.0, "time passes")
+    stack.wait(lambda: stack.time > 2.0, "time passes", wall=START_LIMIT)
     node.process.send_signal(signal.SIGINT)
     assert node.end() == 0, node.output
     assert frames_of(film) >= 2.0 * FPS
@@ -149,7 +144,7 @@ def test_the_window_shows_the_flight_and_holds_nothing_up(
     fly(stack, "speed:=0", "participants:=leader,followers_1_2")
     stack.run("leader", "xtdrone_coordination", "leader.py", "iris", "3")
     stack.run("followers_1_2", "xtdrone_coordination", "follower.py", "iris", "all", "3")
-    stack.wait(lambda: stack.time > 1.0, "time passes")
+    stack.wait(lambda: stack.time > 1.0, "time passes", wall=START_LIMIT)
     stack.graph.say("/xtdrone/leader/cmd", String(data="triangle"))
     colours = np.round(255.0 * palette(3)).astype(int)
 
@@ -177,19 +172,10 @@ def window_processes(stack: Stack) -> list[int]:
 
 
 def start_simulator(stack: Stack, *arguments: str) -> Program:
-    forget_simulator()
+    stack.graph.forget_parameters()
     node = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", *arguments)
-    stack.wait(lambda: stack.time > 0.5, "time passes")
+    stack.wait(lambda: stack.time > 0.5, "time passes", wall=START_LIMIT)
     return node
-
-
-def forget_simulator() -> None:
-    """Take from the master what a simulator before was given on its command line."""
-    import rosgraph
-
-    master = rosgraph.Master("/visualize_tests")
-    if master.hasParam("/simulator"):
-        master.deleteParam("/simulator")
 
 
 def window_is_shown(display: str) -> bool:
@@ -234,7 +220,7 @@ def test_no_window_where_none_is_wanted_or_there_is_no_display(
 
 def test_a_window_that_is_asked_for_needs_a_display(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
-    forget_simulator()
+    stack.graph.forget_parameters()
     node = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", "_view:=true")
     assert node.end() == 1
     assert "~view: there is no display (DISPLAY is not set); a film needs none, see visualize.py" in node.output

@@ -18,6 +18,7 @@ from xtdrone_interaction import cli, options, simplified_demo
 from xtdrone_sim.simplified.view import Window
 
 DEMO = ["demo", "simplified"]
+PATIENCE = 120.0  # s; bounds a broken test
 ALONE = [*DEMO, "--without-ros"]
 
 
@@ -221,7 +222,7 @@ def test_ctrl_c_ends_it_with_130(tmp_path: Path) -> None:
         if "take-off" in line:
             break
     flight.send_signal(signal.SIGINT)
-    output, _ = flight.communicate(timeout=30)
+    output, _ = flight.communicate(timeout=PATIENCE)
     assert flight.returncode == 130
     assert "stopped by SIGINT" in output
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import xtdrone_sim
 from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import CommandError, Leader
@@ -245,7 +244,7 @@ def test_the_benchmark_measures():
 
 
 def test_the_example_is_a_follower_for_all():
-    path = Path(xtdrone_sim.__file__).parents[2] / "examples" / "thousand.py"
+    path = Path(__file__).parents[1] / "examples" / "thousand.py"
     swarm = Swarm(9, follower=load_class(str(path), Follower))
     swarm.choose("cube")
     assert swarm.run_until(settled=0.1)

@@ -28,10 +28,10 @@ from xtdrone_sim.simplified.view import (
     can_open,
     check_film,
     film,
-    measure,
     palette,
 )
 from xtdrone_sim.simplified.view import flight as flight_module
+from xtdrone_sim.simplified.view.benchmark import measure
 from xtdrone_sim.simplified.view.camera import FollowingBox
 from xtdrone_sim.simplified.view.flight import _flying, _Player, _recorded
 from xtdrone_sim.simplified.view.room import grid_step

@@ -1,6 +1,5 @@
 """The picture of a swarm: off-screen, as a film, in a window. Matplotlib is needed only here."""
 
-from .benchmark import measure
 from .film import FilmError, FilmWriter, check_film, film
 from .scene import Frame, SwarmView, palette
 from .window import Window, WindowError, can_open
@@ -15,6 +14,5 @@ __all__ = [
     "can_open",
     "check_film",
     "film",
-    "measure",
     "palette",
 ]
