@@ -146,6 +146,7 @@ class Swarm:
     def _begin(self) -> None:
         self.record = Record(len(self.vehicles.names)) if self._recording else None
         self._said = ""
+        self._warnings.clear()
         self._said_at: dict[str, float] = {}  # when followers' warnings were logged
         self._message: tuple[Array, NDArray[np.int32]] | None = (
             None  # pattern and topology, on their way to the followers
