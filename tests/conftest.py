@@ -34,6 +34,7 @@ START_LIMIT = 200.0  # s; longest for a simulator to start, with kernels that ar
 _PORTS_LIMIT = 240.0  # s of wall time for another simulation on this machine to end
 _SLICE = 0.05  # s between looks at what sends no message: logs, processes
 _MASTERS_OWN = {"rosdistro", "roslaunch", "rosversion", "run_id"}  # parameters that roscore sets
+os.environ.pop("DISPLAY", None)  # no simulator opens its window on the screen of whoever runs the tests
 _TAG = "XTDRONE_TEST_STACK"  # environment variable by which a stack's processes are found
 
 

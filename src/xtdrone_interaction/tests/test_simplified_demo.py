@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from xtdrone_interaction import cli, options, simplified_demo
+from xtdrone_interaction import cli, formation_demo, options, simplified_demo
+from xtdrone_interaction.formation_demo import DemoSettings
 from xtdrone_sim.simplified.view import Window
 
 DEMO = ["demo", "simplified"]
@@ -83,6 +84,29 @@ def test_what_ros_does_not_have_is_named(
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
     assert _status([*DEMO, *arguments]) == 2
     assert message in capfd.readouterr().err
+
+
+def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The launch file is told of them, with whole paths."""
+    monkeypatch.setattr(options, "_taken", lambda number, kind: False)
+    monkeypatch.setattr(formation_demo.shutil, "which", lambda program: program)
+    flown: list[DemoSettings] = []
+    monkeypatch.setattr(simplified_demo, "run_ros_demo", lambda demo, console: flown.append(demo) or 1)
+    monkeypatch.setattr(cli, "run_demo", lambda demo, console: flown.append(demo) or 1)
+    (tmp_path / "mine.py").write_text(FOLLOWER + "\nfrom xtdrone_coordination.leader import Leader\n" + LEADER)
+    classes = ["--follower", "mine.py:Brisk", "--leader", "mine.py:Mine"]
+    assert cli.main([*DEMO, *classes]) == 1
+    assert cli.main(["demo", "formation", *classes]) == 1
+    with virtual_display() as display:
+        monkeypatch.setenv("DISPLAY", display)
+        assert cli.main([*DEMO]) == 1
+        assert cli.main([*DEMO, "--headless"]) == 1
+    given = [formation_demo._command(settings) for settings in flown]
+    for command in given[:2]:
+        assert f"follower_class:={tmp_path}/mine.py:Brisk" in command
+        assert f"leader_class:={tmp_path}/mine.py:Mine" in command
+    assert ["view:=true" in command for command in given] == [False, False, True, False]
+    assert [settings.speed for settings in flown] == [0.0, 0.0, 10.0, 0.0]
 
 
 def _status(arguments: list[str]) -> int:
@@ -178,6 +202,12 @@ from xtdrone_coordination.follower import Follower
 class Brisk(Follower):
     def control_law(self, position, peers):
         return [1.2 * u for u in super().control_law(position, peers)]
+"""
+
+
+LEADER = """
+class Mine(Leader):
+    pass
 """
 
 
