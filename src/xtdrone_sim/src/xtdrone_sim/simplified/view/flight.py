@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 EachTurn = Callable[["Swarm"], object]
 
-_BUDGET = 0.03  # s of wall time that turns may take between two pictures
+_BUDGET = 0.03  # s of wall time that turns may take between two pictures, or as long as the last picture took
+_GREATEST_BUDGET = 0.2  # s; the mouse is served in between
 _FACTOR_SPAN = 1.0  # s of wall time over which the real-time factor is taken
 
 
@@ -204,6 +205,7 @@ class _Player:
         self._formations = Formations()
         self._factor = RealTimeFactor()
         self._shown = -math.inf
+        self._left = time.monotonic()
         self._set_off()
 
     def _set_off(self) -> None:
@@ -212,11 +214,17 @@ class _Player:
 
     def __call__(self) -> Frame | None:
         """Fly on as far as wall time says or the budget allows, and return the state if it is a new one."""
+        away = time.monotonic() - self._left
+        frame = self._next(max(_BUDGET, min(away, _GREATEST_BUDGET)))
+        self._left = time.monotonic()
+        return frame
+
+    def _next(self, budget: float) -> Frame | None:
         if self._window.paused or self._swarm.time >= self._end:
             self._set_off()
             self._factor.restart()
         else:
-            self._fly()
+            self._fly(budget)
         if self._swarm.time == self._shown:
             return None
         self._shown = self._swarm.time
@@ -225,11 +233,11 @@ class _Player:
         edges = self._formations.edges(leader.adjacency)
         return Frame(self._swarm.time, positions, slots, edges, leader.pattern, self._factor.update(self._swarm.time))
 
-    def _fly(self) -> None:
+    def _fly(self, budget: float) -> None:
         wall, sim = self._origin
         now = time.monotonic()
         goal = min(self._end, sim + self._speed * (now - wall))
-        deadline = now + _BUDGET
+        deadline = now + budget
         while self._swarm.time < goal:
             if not self._turn():
                 self._window.close()
