@@ -608,8 +608,11 @@ def test_a_flight_that_ends_closes_the_window(window):
 
 def test_whether_a_window_can_be_opened(window, monkeypatch):
     assert can_open()
-    monkeypatch.setenv("DISPLAY", ":987")
-    assert not can_open()
+    monkeypatch.setenv("DISPLAY", f"unix{os.environ['DISPLAY']}.0")
+    assert can_open()
+    for nobody in (":987", "127.0.0.1:987", "nonsense", "host:"):
+        monkeypatch.setenv("DISPLAY", nobody)
+        assert not can_open()
     monkeypatch.delenv("DISPLAY")
     assert not can_open()
 

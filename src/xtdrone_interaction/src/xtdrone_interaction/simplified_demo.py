@@ -203,7 +203,7 @@ def _fly(
     pacing = _Pacing(0.0 if full else settings.speed)
     try:
         if film.window and not full:
-            _show(swarm, turns, settings.speed)
+            _show(swarm, turns, settings.speed, display)
         for _ in turns:  # all of them, or what was left when the window was closed
             pacing.wait(swarm.time)
     finally:
@@ -242,17 +242,22 @@ class _Pacing:
             time.sleep(ahead)
 
 
-def _show(swarm: Swarm, turns: Iterator[None], speed: float) -> None:
-    """Fly in a live window until the flight ends or the window is closed.
+def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -> None:
+    """Fly in a live window until the flight ends or the window is closed; where none can be opened, say so.
 
     Args:
         swarm: what is shown.
         turns: the flight's.
         speed: real-time factor, 0 for as fast as it can.
+        display: where to say it.
     """
-    from xtdrone_sim.simplified.view.flight import play  # brings Matplotlib along
+    from xtdrone_sim.simplified.view import WindowError  # brings Matplotlib along
+    from xtdrone_sim.simplified.view.flight import play
 
-    play(swarm, lambda: next(turns, _END) is not _END, speed=speed or math.inf)
+    try:
+        play(swarm, lambda: next(turns, _END) is not _END, speed=speed or math.inf)
+    except WindowError as error:
+        display.note(f"  {_escape(str(error))}")
 
 
 def _frame(sim_time: float, places: Any, slots: Any, edges: Any, pattern: str) -> Any:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import socket
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -13,6 +15,9 @@ from .scene import Frame, SwarmView
 PERIOD = 1.0 / 30.0  # s of wall time between two pictures, at least
 ZOOM_STEP = 1.15  # a notch of the wheel
 _TURN = 180.0  # deg, for a drag across the window
+_DISPLAY = re.compile(r"(?P<host>[^:/]*):(?P<number>\d+)(\.\d+)?")
+_X_PORT = 6000  # TCP, of display 0
+_PATIENCE = 2.0  # s of wall time
 _LEAST_WAIT = 1  # ms between two turns, so that mouse and keys are served
 HINT = "h: help"
 HELP = """scroll   zoom
@@ -211,15 +216,28 @@ _ADVICE = "a film needs none: give a file name that ends with .mp4, .gif or .png
 
 
 def can_open() -> bool:
-    """Return whether a window can be opened; a display that is named may be gone."""
-    if not os.environ.get("DISPLAY"):
-        return False
-    try:
-        import tkinter
+    """Return whether a display is named and somebody answers there.
 
-        tkinter.Tk().destroy()
-    except (ImportError, tkinter.TclError):
+    Not by a window that is opened and closed again: an X server begins anew when its last client goes, and whoever
+    connects in that moment is thrown out.
+    """
+    name = _DISPLAY.fullmatch(os.environ.get("DISPLAY", ""))
+    if name is None:
         return False
+    host, number = name["host"], int(name["number"])
+    path = f"/tmp/.X11-unix/X{number}"
+    local: list[tuple[int, Any]] = [(socket.AF_UNIX, f"\0{path}"), (socket.AF_UNIX, path)]
+    return any(map(_answers, local if host in ("", "unix") else [(socket.AF_INET, (host, _X_PORT + number))]))
+
+
+def _answers(place: tuple[int, Any]) -> bool:
+    family, address = place
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.settimeout(_PATIENCE)
+        try:
+            probe.connect(address)
+        except OSError:
+            return False
     return True
 
 
