@@ -33,6 +33,7 @@ STREAM_RATE = 30  # Hz, of the set-points
 HOVER_SPEED = 0.001  # m/s, as launch/include/formation_communication.yaml has it
 _TO_ENU = np.array([1.0, 1.0, -1.0])
 
+_KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)
 _MODES = {mode.name: mode for mode in modes.SUPPORTED}
 
 
@@ -73,8 +74,8 @@ class CoreVehicles:
             ModelError: unknown vehicle type or world.
             ValueError: ``places`` are not ``count`` times three finite numbers, or another value is not allowed.
         """
-        if not 1 <= count <= MAX_VEHICLES:
-            raise FleetError(f"number of vehicles: {count} is not allowed in full physics; 1 to {MAX_VEHICLES}")
+        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MAX_VEHICLES:
+            raise FleetError(f"number of vehicles: {count!r} is not allowed in full physics; 1 to {MAX_VEHICLES}")
         fleet = parse_fleet(f"{kind}:{count}")
         self.simulation = Simulation(
             fleet,
@@ -141,7 +142,11 @@ class CoreVehicles:
 
         Returns:
             Why it is refused, in the autopilot's words; "" when it is not.
+
+        Raises:
+            IndexError: there is no such vehicle.
         """
+        self._check_index(index)
         request = self._cores[index].on_command(text, self._now)
         if request is None:
             return ""
@@ -172,7 +177,17 @@ class CoreVehicles:
         return f"{name}: {request.command} is not available now" + (f": {reason}" if reason else "")
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:
-        """Set the set-points of some vehicles; see ``Vehicles``."""
+        """Set the set-points of some vehicles; see ``Vehicles``.
+
+        Raises:
+            ValueError: an unknown kind, another size, or a vector that is not finite, whose vehicle is named.
+        """
+        _check_kind(kind)
+        if vectors.shape != self.position.shape or given.shape != self.yaw.shape:
+            raise ValueError(
+                f"set-points: shapes {vectors.shape} and {given.shape} are not allowed, "
+                f"{self.position.shape} and {self.yaw.shape}"
+            )
         for i in np.flatnonzero(given).tolist():
             x, y, z = vectors[i].tolist()
             self.steer_one(i, kind, (x, y, z))
@@ -181,8 +196,15 @@ class CoreVehicles:
         """Set one vehicle's set-point, ENU, with a yaw rate in rad/s; a POSITION keeps the present heading.
 
         Raises:
-            ValueError: an unknown kind.
+            IndexError: there is no such vehicle.
+            ValueError: an unknown kind, or a value that is not finite.
         """
+        self._check_index(index)
+        _check_kind(kind)
+        if not all(map(math.isfinite, (*vector, yaw_rate))):
+            raise ValueError(
+                f"set-point of {self.names[index]}: {tuple(vector)}, yaw rate {yaw_rate}: finite numbers are needed"
+            )
         core = self._cores[index]
         if kind == VELOCITY:
             core.on_target_velocity("velocity", vector, yaw_rate, self._now, body=False)
@@ -191,12 +213,12 @@ class CoreVehicles:
         elif kind == POSITION:
             half = 0.5 * float(self.yaw[index])
             core.on_target_pose("position", vector, (0.0, 0.0, math.sin(half), math.cos(half)), body=False)
-        elif kind == HOLD:
-            core.on_command("HOVER", self._now)
         else:
-            raise ValueError(
-                f"kind of set-point: {kind} is not allowed; {HOLD}, {VELOCITY}, {ACCELERATION}, {POSITION}"
-            )
+            core.on_command("HOVER", self._now)
+
+    def _check_index(self, index: int) -> None:
+        if not 0 <= index < len(self.names):
+            raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
 
     # time
 
@@ -262,6 +284,11 @@ def _target(setpoint: Setpoint) -> SimpleNamespace:
         yaw=frames.yaw_enu_to_ned(setpoint.yaw) if local else -setpoint.yaw,
         yaw_rate=-setpoint.yaw_rate,
     )  # fmt: skip
+
+
+def _check_kind(kind: int) -> None:
+    if kind not in _KINDS:
+        raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
 
 
 def _checked_places(
