@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -549,6 +550,13 @@ def test_a_picture_is_drawn_only_when_something_has_changed(window):
     frames = list(flight(number=5))
     play(window, *[lambda f=f: f for f in frames], *[lambda: None] * 10)
     assert 5 <= window.pictures <= 7  # one more for the size that the window gets
+
+
+def test_nothing_of_tk_outlives_the_window(window):
+    root, canvas, image = map(weakref.ref, (window._root, window._canvas, window._canvas._tkphoto))
+    play(window, window.redraw)
+    assert (root(), canvas(), image()) == (None, None, None)
+    assert window.view.draw().any()
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])

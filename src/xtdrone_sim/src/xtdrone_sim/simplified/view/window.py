@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import socket
@@ -117,7 +118,7 @@ class Window:
         finally:
             self.open = False
             self._root.after_cancel(self._timer)
-            self._root.destroy()
+            self._free()
         if self._error is not None:
             raise self._error[1].with_traceback(self._error[2])
 
@@ -150,8 +151,20 @@ class Window:
 
     def close(self) -> None:
         """Close the window; :meth:`run` returns."""
+        if not self.open:
+            return
         self.open = False
-        self._root.quit()
+        if self._timer:
+            self._root.quit()
+        else:  # it has never run
+            self._free()
+
+    def _free(self) -> None:
+        """Give back all that is Tk's now: a collector at work in another thread later could end the process by it."""
+        self._root.destroy()
+        self.view.figure.set_canvas(self.view.canvas)  # the picture lets go of the window
+        del self._canvas, self._root
+        gc.collect()
 
     def _note_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         """Keep what was raised in a handler, which Tk would print and forget, for who has called :meth:`run`."""
