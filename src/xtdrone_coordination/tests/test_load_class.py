@@ -9,7 +9,7 @@ import pytest
 from test_formation import Swarm
 
 from xtdrone_control.communication.arguments import ArgumentError
-from xtdrone_coordination.classes import load_class
+from xtdrone_coordination.classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower, StarFollower
 from xtdrone_coordination.leader import Leader
 
@@ -56,3 +56,15 @@ def test_a_file_that_does_not_load_is_named(tmp_path: Path, text: str, message: 
     file.write_text(text)
     with pytest.raises(ArgumentError, match=rf"strange\.py cannot be imported: {message}"):
         load_class(str(file), Follower)
+
+
+def test_a_class_that_overrides_nothing_is_said() -> None:
+    class Misspelt(Follower):
+        def contrl_law(self, position, peers):
+            return position
+
+    class Own(Follower):
+        uses_velocities = True
+
+    assert "Misspelt overrides nothing of Follower" in nothing_overridden(Misspelt, Follower)
+    assert nothing_overridden(Own, Follower) == nothing_overridden(Follower, Follower) == ""

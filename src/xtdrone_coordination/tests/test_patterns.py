@@ -85,6 +85,8 @@ def test_users_file_adds_and_replaces(tmp_path: Path) -> None:
         ("3: {line: [[2, 0, 0], [2.1, 0, 0]]}", r"0\.10 m apart"),
         ("3: {line: [[0, 0, 0], [2, 0, 0]]}", r"0\.00 m apart"),
         ("3: [1, 2]", "entry 3"),
+        ("vee: [[2, 0, 0], [4, 0, 0]]", "'vee' is no number of vehicles"),
+        ("'3': {line: [[2, 0, 0], [4, 0, 0]]}", "'3' is no number of vehicles"),
         ("- 3", "number of vehicles"),
         ("3: {line: [[", "not YAML"),
     ],

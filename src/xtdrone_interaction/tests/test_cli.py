@@ -43,7 +43,7 @@ DEMO = ["demo", "formation"]
         (["--clearance", "inf"], "clearance: 'inf' is not allowed"),
         (["--processes", "many"], "invalid choice: 'many' (choose from 'per-uav', 'shared')"),
         (["--master-port", "80"], "port: '80' is not allowed; 1024 to 65535"),
-        (["--follower", "mine.py"], "follower: 'mine.py' is neither"),
+        (["--follower", "mine.py"], "follower: mine.py does not exist"),
         (["--pattern-file", "/nowhere.yaml"], "pattern file /nowhere.yaml"),
     ],
 )

@@ -43,7 +43,7 @@ def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         (["--model", "/nowhere.yaml"], "/nowhere.yaml"),
         (["--speed", "nan"], "speed: 'nan' is not allowed"),
         (["--seed", "-1"], "seed: '-1' is not allowed"),
-        (["--follower", "mine.py"], "follower: 'mine.py' is neither"),
+        (["--follower", "mine.py"], "follower: mine.py does not exist"),
         (["--leader", "mine.py"], "leader: 'mine.py' is no FILE.py[:CLASS]"),
         (["--loss", "1.5"], "network loss: 1.5 is not allowed"),
         (["--loss", "much"], "loss: 'much' is not a number"),
@@ -226,6 +226,21 @@ def test_a_flight_with_ones_own_follower(tmp_path: Path, capfd: pytest.CaptureFi
     said = capfd.readouterr().out
     assert "Simplified against full physics" in said
     assert str(out / "report.json") in said
+
+
+def test_a_follower_that_raises_is_named_with_its_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "typo.py").write_text(FOLLOWER.replace("super().control_law(", "super().contrl_law("))
+    arguments = ["--n", "3", "--patterns", "circle", "--follower", "typo.py", "--film", "none", "--no-compare"]
+    assert cli.main([*ALONE, *arguments, "--out", "out"]) == 1
+    said = " ".join(capfd.readouterr().out.split())
+    assert "AttributeError: 'super' object has no attribute 'contrl_law'" in said
+    assert "typo.py, line" in said
+    assert not (tmp_path / "out").exists(), "nothing has come into it"
+
+
+def test_a_follower_file_that_is_not_there_is_said(capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([*ALONE, "--follower", "nowhere.py"]) == 2
+    assert "follower: nowhere.py does not exist" in capfd.readouterr().err
 
 
 def test_a_flight_that_misses_its_figures_ends_with_1(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

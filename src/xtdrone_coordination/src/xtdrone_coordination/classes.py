@@ -49,3 +49,16 @@ def load_class(text: str, base: type[_Base], what: str = "~class") -> type[_Base
         wanted = f"class {name}" if name else "one class"
         raise ArgumentError(f"{what}: {place} must define {wanted} that inherits {base.__name__}, found {len(found)}")
     return next(iter(found.values()))
+
+
+def overrides(cls: type, base: type) -> bool:
+    """Return whether ``cls`` overrides a method or a public attribute of ``base``."""
+    own = {name for kind in cls.__mro__ if kind not in base.__mro__ for name in vars(kind)}
+    return any(not name.startswith("_") or inspect.isfunction(getattr(base, name)) for name in own & set(dir(base)))
+
+
+def nothing_overridden(cls: type, base: type) -> str:
+    """Return a warning for a class of the user's that flies as ``base`` does, "" if it does not."""
+    if cls is base or overrides(cls, base):
+        return ""
+    return f"class {cls.__name__} overrides nothing of {base.__name__}: is a method's name misspelt?"

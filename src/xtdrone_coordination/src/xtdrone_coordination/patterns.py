@@ -237,6 +237,12 @@ def read_patterns(file: Path, count: int) -> dict[str, Offsets]:
         raise PatternError(f"pattern file {file} is not YAML: {error}") from error
     if not isinstance(data, Mapping):
         raise PatternError(f"pattern file {file}: must be {{number of vehicles: {{name: offsets}}}}")
+    for key in data:
+        if isinstance(key, bool) or not isinstance(key, int):
+            raise PatternError(
+                f"pattern file {file}: {key!r} is no number of vehicles; "
+                "must be {number of vehicles: {name: offsets}}"
+            )
     section = data.get(count, {})
     if not isinstance(section, Mapping):
         raise PatternError(f"pattern file {file}: entry {count} must be {{name: offsets}}")

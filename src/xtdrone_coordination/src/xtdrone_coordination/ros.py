@@ -45,7 +45,7 @@ from xtdrone_control.communication.arguments import (
     run_program,
 )
 from xtdrone_coordination import avoidance
-from xtdrone_coordination.classes import load_class
+from xtdrone_coordination.classes import load_class, nothing_overridden
 from xtdrone_coordination.consensus import Vector
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, check_number
 from xtdrone_coordination.leader import number_list
@@ -339,7 +339,11 @@ def class_parameter(default: type[_Base], base: type[_Base]) -> type[_Base]:
         ArgumentError: see :func:`load_class`.
     """
     text = rospy.get_param("~class", "")
-    return load_class(text, base) if text else default
+    chosen = load_class(text, base) if text else default
+    warning = nothing_overridden(chosen, base)
+    if warning:
+        rospy.logwarn(f"~class: {warning}")
+    return chosen
 
 
 def options(cls: type[Any], given: dict[str, Any]) -> Any:

@@ -228,6 +228,9 @@ def follower_program(text: str) -> tuple[str, str]:
         return text, ""
     found = _class_file(text)
     if found is None:
+        file = text.partition(":")[0]
+        if file.endswith(".py") and not Path(file).is_file():
+            raise OptionError(f"follower: {file} does not exist")
         known = ", ".join(sorted(p.name for p in shipped.glob("follower*.py")))
         raise OptionError(f"follower: {text!r} is neither FILE.py[:CLASS] nor one of the programs {known}")
     return DEFAULT_FOLLOWER, found

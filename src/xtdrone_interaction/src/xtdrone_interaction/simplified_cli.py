@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
 
 from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
-from xtdrone_coordination.classes import load_class
+from xtdrone_coordination.classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
@@ -101,6 +102,10 @@ def run_simplified(arguments: argparse.Namespace, console: Console) -> int:
     except ValueError as error:  # of patterns, fleet, model, network, film, or a class
         raise OptionError(str(error)) from error
     if demo is None:
+        for cls, base in ((settings.follower, Follower), (settings.leader, Leader)):
+            warning = nothing_overridden(cls, base)
+            if warning:
+                print(f"xtdrone: {warning}", file=sys.stderr)
         return run_in_process(settings, film, console)
     return run_on_ros(demo, settings, film, console)
 

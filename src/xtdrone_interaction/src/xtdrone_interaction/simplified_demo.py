@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import inspect
 import json
 import math
 import time
+import traceback
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -169,10 +172,18 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
             return _conclude(record, report, settings, film, console)
         except (DemoError, RecordError) as error:
             console.print(f"[red]Error:[/red] {_escape(str(error))}", highlight=False, soft_wrap=True)
+            _remove_empty(settings.out)
             return 1
         except Interrupted as signalled:
             console.print(f"stopped by {signalled}", highlight=False)
+            _remove_empty(settings.out)
             return 128 + signalled.number
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a results' folder into which nothing has come."""
+    with contextlib.suppress(OSError):  # it is not empty
+        folder.rmdir()
 
 
 def _fly(
@@ -206,10 +217,26 @@ def _fly(
             _show(swarm, turns, settings.speed, display)
         for _ in turns:  # all of them, or what was left when the window was closed
             pacing.wait(swarm.time)
+    except Exception as error:
+        fault = _own_fault(error, settings)
+        if not fault:
+            raise
+        raise DemoError(f"at {swarm.time:.1f} s: {fault}") from error
     finally:
         display.close()
         swarm.vehicles.close()
     return flight.record()
+
+
+def _own_fault(error: Exception, settings: SwarmSettings) -> str:
+    """Return what a class of the user's has raised, with file and line; "" for an error of anybody else's."""
+    shipped = {Path(inspect.getfile(cls)) for cls in (Follower, Leader)}
+    files = {Path(inspect.getfile(cls)) for cls in (settings.follower, settings.leader)} - shipped
+    own = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) in files]
+    if not own:
+        return ""
+    last = own[-1]
+    return f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno}, in {last.name}: {last.line})"
 
 
 def _check_outcome(record: FlightRecord, where: str = "") -> None:

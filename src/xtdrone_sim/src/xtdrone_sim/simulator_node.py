@@ -268,6 +268,9 @@ class SimulatorNode:
             self._publish_clock()
             self._wait_for_scene()
             self._wait_for_participants()
+            names = self._scene.names
+            first_last = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+            rospy.loginfo("simulator: %s stand ready, time runs; Ctrl-C ends it", first_last)
             self._control.start()
             while not self._over():
                 self._hold()
