@@ -182,7 +182,10 @@ def test_runs_that_raise_are_rows_and_more_runs_are_added(
     assert good["way"] > 0.0
     assert bad["error"] == "ArithmeticError: too much (mine.py:10)"
     assert bad["way"] is bad["settled"] is bad["least_distance"] is None
-    assert "2 of 2 runs are there, 1 of them failed" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "A run has failed (seed 0): ArithmeticError: too much (mine.py:10)\n" in text
+    assert "2 of 2 runs are there, 1 of them failed" in text
+    assert "  1 failed: ArithmeticError: too much (mine.py:10)\n" in text
 
     assert main([str(write_study(tmp_path, shares="[0.5, 2.0, 1.0]", seeds=2)), *arguments]) == 1
     text = capsys.readouterr().out
@@ -198,8 +201,75 @@ def test_runs_that_raise_are_rows_and_more_runs_are_added(
         capsys.readouterr().err
     )
     file = write_study(tmp_path, shares="[0.5, 2.0, 1.0]", seeds=2, pause=0.001)
-    assert main([str(file), *arguments]) == 2
-    assert "has 6 of 6 runs that this study does not have (follower: " in capsys.readouterr().err
+    for more in ([], ["--retry-failed"]):
+        assert main([str(file), *arguments, *more]) == 2
+        assert "mine.py has changed (4 good runs were made with another version); choose" in (capsys.readouterr().err)
+    assert len(rows(out)) == 6
+
+
+def test_a_corrected_file_replaces_runs_that_all_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, out = write_study(tmp_path, seeds=1), tmp_path / "out"
+    arguments = [str(file), "--out", str(out), "--workers", "1"]
+    good = (tmp_path / "mine.py").read_text()
+    (tmp_path / "mine.py").write_text(good.replace("record.track.position[0]", "record.start"))
+    assert main(arguments) == 1
+    text = capsys.readouterr().out
+    assert text.count("A run has failed (seed 0): AttributeError: 'FlightRecord' object has no attribute 'start'") == 1
+    assert "  2 failed: AttributeError: 'FlightRecord' object has no attribute 'start' (mine.py:15)\n" in text
+    assert "No picture is drawn, for no run went well" in text
+    assert "Picture:" not in text
+    assert not (out / "picture.png").exists()
+
+    (tmp_path / "mine.py").write_text(good)
+    for more in ([], ["--retry-failed", "--draw"]):
+        assert main([*arguments, *more]) == 2
+        assert "mine.py has changed (2 runs failed with another version); --retry-failed flies them" in (
+            capsys.readouterr().err
+        )
+    assert main([*arguments, "--retry-failed"]) == 0
+    text = capsys.readouterr().out
+    assert "mine.py has changed: 2 runs that failed with another version are dropped" in text
+    assert "2 of 2 runs are there, 0 of them failed" in text
+    assert [row["error"] for row in rows(out)] == [None, None]
+    assert (out / "picture.png").is_file()
+
+
+def test_commonest_reasons_are_said_each_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, out = write_study(tmp_path, shares="[0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]", seeds=1), tmp_path / "out"
+    failing = 'raise ValueError("a\\n" + "xxxyyzw"[round(10 * self.share) - 1])'
+    text = (tmp_path / "mine.py").read_text()
+    (tmp_path / "mine.py").write_text(text.replace("return tuple(", failing + "\n        return tuple("))
+    assert main([str(file), "--out", str(out), "--workers", "1"]) == 1
+    said = [line for line in capsys.readouterr().out.splitlines() if " failed: " in line]
+    assert said == [
+        f"  {count} failed: ValueError: a {name} (mine.py:11)" for count, name in ((3, "x"), (2, "y"), (1, "z"))
+    ]
+
+
+def test_the_metric_of_the_documentation_works(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    (example,) = (part for part in text.split("```")[1::2] if "def figures(record)" in part)
+    (tmp_path / "my_metric.py").write_text(example.removeprefix("python\n"))
+    file = write_study(tmp_path, shares="[1.0]", seeds=1)
+    file.write_text(file.read_text().replace("metric: mine.py", "metric: my_metric.py"))
+    (row,) = serial(file)
+    assert row["error"] is None
+    assert row["lowest"] > 5.0
+    assert 0.0 < row["longest_way"] < 100.0
+
+
+def test_no_runs_leave_no_folder_and_no_word_of_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    file, out = str(write_study(tmp_path)), tmp_path / "new" / "out"
+    for arguments in (["--draw"], ["--scheduler", "tcp://127.0.0.1:1"]):
+        assert main([file, "--out", str(out), *arguments]) == 1
+        text = capsys.readouterr().out
+        assert "There are no results; " in text
+        assert "Results:" not in text
+        assert not out.parent.exists()
+    assert main([file, "--out", str(out), "--workers", "0"]) == 2
+    assert not out.parent.exists()
 
 
 def test_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

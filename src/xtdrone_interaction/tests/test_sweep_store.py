@@ -116,14 +116,40 @@ def test_no_runs_make_an_empty_table(tmp_path: Path) -> None:
     assert table.column_names == list(COLUMNS)
 
 
+def test_a_new_folder_without_runs_goes_again_and_others_stay(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    for folder in (tmp_path / "new" / "deep", tmp_path / "mine"):
+        with opened(folder) as store:
+            store.finish(["k0"])
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    assert not list((tmp_path / "mine").iterdir())
+    with opened(tmp_path / "mine") as store:
+        store.add([row(0)])
+    with opened(tmp_path / "mine") as store:
+        store.drop({"k0"})
+    assert (tmp_path / "mine" / "study.json").is_file()  # it was there before
+
+
+def test_dropped_runs_are_gone_and_others_stay(tmp_path: Path) -> None:
+    with opened(tmp_path) as store:
+        store.add([row(0, error="it broke"), row(1), row(2, error="it broke")])
+        store.drop({"k0", "k2"})
+        assert store.rows == {"k1": True}
+    with opened(tmp_path) as again:
+        assert again.rows == {"k1": True}
+        assert pq.read_table(again.finish(["k0", "k1", "k2"]))["key"].to_pylist() == ["k1"]
+
+
 def test_refuses_folders_by_name(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OptionError, match=r"file' is a file; a folder is needed"):
         opened(tmp_path / "file")
     with pytest.raises(OptionError, match="is not empty and no sweep's folder"):
         opened(tmp_path)
-    with opened(tmp_path / "a"), pytest.raises(OptionError, match="another sweep is running in"):
-        opened(tmp_path / "a")
+    with opened(tmp_path / "a") as store:
+        store.add([row(0)])
+        with pytest.raises(OptionError, match="another sweep is running in"):
+            opened(tmp_path / "a")
     (tmp_path / "a" / "study.json").write_text('{"format": 99}')
     with pytest.raises(OptionError, match="has format 99; 1 is understood"):
         opened(tmp_path / "a")

@@ -193,6 +193,7 @@ def test_refuses_what_cannot_be_flown_together(tmp_path: Path) -> None:
         ("name: [", "is not YAML"),
         ("name: a\nname: b", "'name' is there twice, again in line 2"),
         ("3", "3 is no study"),
+        ("# nothing yet\n", "study.yaml: it is empty"),
         ("? [1, 2]\n: 3", "is not YAML: while constructing a mapping"),
     ],
 )

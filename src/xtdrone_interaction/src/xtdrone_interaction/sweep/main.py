@@ -9,11 +9,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 from rich.console import Console
 from rich.markup import escape
 
@@ -23,13 +25,15 @@ from xtdrone_interaction.bench_machine import machine_facts
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.sweep.plan import Plan
-from xtdrone_interaction.sweep.progress import Progress
+from xtdrone_interaction.sweep.progress import Progress, one_line
 from xtdrone_interaction.sweep.run import FIGURES
 from xtdrone_interaction.sweep.store import Store
 from xtdrone_interaction.sweep.study import Study, read_study
 
 _MOST_WORKERS = 1024
 _SHOWN = 10  # runs of a dry run, and differences of studies
+_PICTURE = "picture.png"
+_REASONS = 3  # for which runs have failed
 _FACTS = ("python", "packages", "commit", "changed_since_commit")
 
 
@@ -120,7 +124,7 @@ def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Con
     header = _header(plan.study)
     with StopRequest(end_processes=False) as stop, Store(folder, columns(plan.study), header) as store:
         keys = [run.key for run in plan]
-        _check_same(store, keys, header, console)
+        _check_same(store, keys, header, arguments.retry_failed and not arguments.draw, console)
         store.begin()
         done = {key for key, good in store.rows.items() if good or not arguments.retry_failed}
         missing = [number for number, key in enumerate(keys) if key not in done]
@@ -128,8 +132,7 @@ def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Con
         if len(missing) < len(keys):
             _print(console, f"{len(keys) - len(missing):,} runs are there already, {len(missing):,} are missing")
         status = _fly(plan, missing, store, arguments, stop, console) if missing and not arguments.draw else 0
-        results = store.finish(keys)
-        return _finish(store, keys, results, status, arguments, console)
+        return _finish(store, keys, status, arguments, console)
 
 
 def _header(study: Study) -> dict[str, Any]:
@@ -147,19 +150,41 @@ def columns(study: Study) -> dict[str, type]:
     return {"key": str, "seed": int, **varied, "error": str, **FIGURES}
 
 
-def _check_same(store: Store, keys: Sequence[str], header: dict[str, Any], console: Console) -> None:
+def _check_same(
+    store: Store, keys: Sequence[str], header: dict[str, Any], retry_failed: bool, console: Console
+) -> None:
     """Refuse a folder with runs that this study does not have; say what is new in one that has more.
+
+    Runs that failed with another version of the user's files do not count when they are to be flown again.
 
     Raises:
         OptionError: the folder is of another study.
     """
     if store.before is None:
         return
-    changes = differences(store.before.get("study", {}), header["study"])
-    foreign = len(store.rows.keys() - set(keys))
+    files = file_differences(store.before.get("sources", {}), header["sources"])
+    changes = differences(_but_for_contents(store.before), _but_for_contents(header))
+    foreign = store.rows.keys() - set(keys)
+    good = sum(store.rows[key] for key in foreign)
+    if foreign and files and not changes:
+        said = ", ".join(files)
+        if good:
+            raise OptionError(
+                f"out: {store.folder}: {said} ({good:,} good runs were made with another version); "
+                "choose another --out, or undo the change"
+            )
+        if not retry_failed:
+            raise OptionError(
+                f"out: {store.folder}: {said} ({len(foreign):,} runs failed with another version); "
+                "--retry-failed flies them again"
+            )
+        store.drop(foreign)
+        _print(console, f"{said}: {len(foreign):,} runs that failed with another version are dropped")
+        return
+    changes += files
     if foreign:
         raise OptionError(
-            f"out: {store.folder} has {foreign:,} of {len(store.rows):,} runs that this study does not have "
+            f"out: {store.folder} has {len(foreign):,} of {len(store.rows):,} runs that this study does not have "
             f"({'; '.join(changes) or 'another version'}); choose another --out, or undo the change"
         )
     if changes:
@@ -168,6 +193,24 @@ def _check_same(store: Store, keys: Sequence[str], header: dict[str, Any], conso
     before, now = store.before.get("software", {}).get("commit"), header["software"]["commit"]
     if before != now:
         _print(console, f"Warning: earlier runs are of another version of the software ({before} then, {now} now)")
+
+
+def _but_for_contents(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a study in plain data with the names of the user's classes and functions in place of fingerprints."""
+    names = {role: source["name"] for role, source in header.get("sources", {}).items()}
+    return {**header.get("study", {}), "sources": names}
+
+
+def file_differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+    """Return which of the user's files have other contents, in words; each once.
+
+    Args:
+        before: the sources as plain data by role.
+        after: the same.
+    """
+    both = [(before[role], after[role]) for role in after if role in before]
+    files = (Path(new["path"]).name for old, new in both if old["text"] != new["text"])
+    return [f"{file} has changed" for file in dict.fromkeys(files)]
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
@@ -260,28 +303,43 @@ def _check_bokeh() -> None:
         raise OptionError("dashboard: Dask's page needs the Python package bokeh: pip install bokeh") from None
 
 
-def _finish(
-    store: Store, keys: Sequence[str], results: Path, status: int, arguments: argparse.Namespace, console: Console
-) -> int:
-    """Say how it went, draw the picture, and return the exit status."""
+def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.Namespace, console: Console) -> int:
+    """Write the results, say how it went, draw the picture, and return the exit status."""
     there = sum(key in store.rows for key in keys)
     failed = sum(not store.rows.get(key, True) for key in keys)
     _print(console, f"{there:,} of {len(keys):,} runs are there, {failed:,} of them failed")
+    results = store.finish(keys)
+    if not there:
+        again = "--draw flies nothing" if arguments.draw else "give the same command again to fly the runs"
+        _print(console, f"There are no results; {again}")
+        return status or 1
     _print(console, f"Results: {results}")
-    if there and not status:  # who stops a sweep does not want to wait for a picture; there is --draw
+    if failed:
+        _say_reasons(results, console)
+    if failed == there:
+        results.with_name(_PICTURE).unlink(missing_ok=True)  # of runs that are not there any more
+        _print(console, "No picture is drawn, for no run went well")
+    elif not status:  # who stops a sweep does not want to wait for a picture; there is --draw
         _draw(results, arguments, console)
     if there < len(keys):
         _print(console, "Give the same command again to fly the rest, or with --draw to see what is there")
         return status or 1
     if failed:
-        _print(console, "The column 'error' says why runs have failed; --retry-failed flies them again")
+        _print(console, "The column 'error' says why each run has failed; --retry-failed flies them again")
     return status or int(failed > 0)
+
+
+def _say_reasons(results: Path, console: Console) -> None:
+    """Say the commonest reasons for which runs have failed."""
+    errors = pq.read_table(results, columns=["error"])["error"].drop_null().to_pylist()
+    for error, count in Counter(map(one_line, errors)).most_common(_REASONS):
+        _print(console, f"  {count:,} failed: {error}")
 
 
 def _draw(results: Path, arguments: argparse.Namespace, console: Console) -> None:
     from xtdrone_interaction.sweep.picture import save_picture
 
-    path = results.with_name("picture.png")
+    path = results.with_name(_PICTURE)
     try:
         save_picture(results, path, arguments.metric, arguments.x, arguments.by)
     except OptionError as error:

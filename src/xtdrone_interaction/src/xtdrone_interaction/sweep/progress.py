@@ -9,6 +9,7 @@ from typing import Any
 
 from rich import progress as bar
 from rich.console import Console
+from rich.markup import escape
 
 _LINE_EVERY = 10.0  # s, without a terminal
 _SPAN = 30.0  # s; the rate is that of the last while
@@ -49,9 +50,13 @@ class Progress:
             self._line()
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Count finished runs."""
+        """Count finished runs, and say why the first one failed."""
         self._done += len(rows)
-        self._failed += sum(row["error"] is not None for row in rows)
+        failed = [row for row in rows if row["error"] is not None]
+        if failed and not self._failed:
+            text = f"A run has failed (seed {failed[0]['seed']}): {one_line(failed[0]['error'])}"
+            self._console.print(escape(text), highlight=False, soft_wrap=True)
+        self._failed += len(failed)
 
     def show(self, workers: int) -> None:
         """Show the state; called several times a second."""
@@ -80,6 +85,11 @@ class Progress:
         self._console.print(
             f"{self._done:,} of {self._total:,} flown, {self._text(time.monotonic())}", highlight=False, soft_wrap=True
         )
+
+
+def one_line(text: str) -> str:
+    """Return a text without line breaks."""
+    return " ".join(text.split())
 
 
 def _duration(seconds: float) -> str:

@@ -11,13 +11,14 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from xtdrone_interaction.options import OptionError
@@ -58,6 +59,7 @@ class Store:
         self._written = time.monotonic()
         self._parts = self.folder / "parts"
         self.before = read_header(self.folder)
+        self._made = [path for path in (self.folder, *self.folder.parents) if not path.exists()]
         self._parts.mkdir(parents=True, exist_ok=True)
         self._lock = self._locked()
         for left in self._parts.glob("*.new"):
@@ -106,10 +108,24 @@ class Store:
             self._merge()
 
     def close(self) -> None:
-        """Write what waits, and let others use the folder."""
-        if not self._lock.closed:
-            self.flush()
-            self._lock.close()
+        """Write what waits, and let others use the folder; one that was new and has got no run is removed."""
+        if self._lock.closed:
+            return
+        self.flush()
+        if self.before is None and not self.rows:
+            self._remove()
+        self._lock.close()
+
+    def drop(self, keys: Set[str]) -> None:
+        """Forget finished runs; dying in between leaves some of them there."""
+        self.flush()
+        old, table = self._part_files(), self._read()
+        kept = table.filter(pc.invert(pc.is_in(table["key"], value_set=pa.array(sorted(keys), type=pa.string()))))
+        if kept.num_rows:
+            self._write_part(kept)
+        for part in old:
+            part.unlink()
+        self.rows = {key: good for key, good in self.rows.items() if key not in keys}
 
     def finish(self, keys: Iterable[str]) -> Path:
         """Write results.parquet: the runs that are finished in the order of ``keys``, each once; return its path."""
@@ -121,6 +137,14 @@ class Store:
         path = self.folder / "results.parquet"
         _write_table(self._typed(table), path, {METADATA: json.dumps(self._header).encode()})
         return path
+
+    def _remove(self) -> None:
+        """Take away what was made here: the files, and the folders as far as they are empty."""
+        for name in ("study.json", "results.parquet", "lock"):
+            (self.folder / name).unlink(missing_ok=True)
+        for path in (self._parts, *self._made):
+            with suppress(OSError):  # somebody else's files are in it
+                path.rmdir()
 
     def _locked(self) -> Any:
         file = (self.folder / "lock").open("a")

@@ -178,6 +178,8 @@ def make_study(data: object, folder: Path) -> Study:
     Raises:
         OptionError: something is not allowed.
     """
+    if data is None:
+        raise OptionError(f"it is empty; a mapping with {', '.join(_KEYS)}")
     if not isinstance(data, Mapping):
         raise OptionError(f"{data!r} is no study; a mapping with {', '.join(_KEYS)}")
     for key in data:
