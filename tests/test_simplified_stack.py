@@ -34,8 +34,8 @@ FLIGHT_LIMIT = 300.0  # s of wall time
 
 
 def start(graph: Graph, folder: Path, count: int, *parameters: str) -> Stack:
-    """Start the simulator alone, and wait for it."""
-    graph.forget_parameters()
+    """Start the simulator alone, and wait for it; what was heard of another one's vehicles is forgotten."""
+    graph.forget()
     stack = Stack(graph, folder, f"iris:{count}")
     stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", str(count), *parameters)
     poll(

@@ -84,10 +84,14 @@ def test_far_vehicles_do_not_influence_each_other():
     np.testing.assert_array_equal(alone.plant["position"][0], pair.plant["position"][0])
 
 
-@pytest.mark.parametrize("name", ["mars", "no/such/file.yaml"])
-def test_unknown_world_names_what_there_is(name):
+def test_unknown_world_names_what_there_is():
     with pytest.raises(ModelError, match="empty"):
-        load_world(name)
+        load_world("mars")
+
+
+def test_a_world_file_that_is_not_there_is_named():
+    with pytest.raises(ModelError, match="no/such/file.yaml: No such file"):
+        load_world("no/such/file.yaml")
 
 
 def test_unknown_vehicle_names_what_there_is():
