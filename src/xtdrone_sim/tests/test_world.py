@@ -90,7 +90,7 @@ def test_unknown_world_names_what_there_is():
 
 
 def test_a_world_file_that_is_not_there_is_named():
-    with pytest.raises(ModelError, match="no/such/file.yaml: No such file"):
+    with pytest.raises(ModelError, match=r"no/such/file\.yaml: No such file"):
         load_world("no/such/file.yaml")
 
 

@@ -149,7 +149,8 @@ def read_description(folder: str, name: str) -> dict[str, Any]:
     try:
         description = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ModelError(f"{folder}: {path}: {error.strerror or error}") from error
+        names = ", ".join(available(folder))
+        raise ModelError(f"{folder}: {path}: {error.strerror or error}; by name there are {names}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: not a YAML file: {error}") from error
     if not isinstance(description, dict):
