@@ -1,0 +1,80 @@
+"""What can be seen and touched: shapes of links, of scenes and of people, as the SDF, URDF and people readers make them
+and as renderer and physics take them.
+
+Metres, quaternions (x, y, z, w).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Colour = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box around its origin; ``size`` along x, y, z."""
+
+    size: Vector
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder around its origin, its axis along z."""
+
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A sphere around its origin."""
+
+    radius: float
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh from a Wavefront file (.obj), scaled."""
+
+    path: Path
+    scale: Vector = (1.0, 1.0, 1.0)
+
+
+Geometry = Box | Cylinder | Sphere | Mesh
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where something is, in the frame of what holds it."""
+
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Visual:
+    """A coloured or textured shape.
+
+    Attributes:
+        geometry: its form.
+        pose: in the link's frame.
+        colour: red, green, blue, opacity, 0..1; multiplied with the texture where there is one.
+        texture: picture file (PNG or JPEG); None for plain colour.
+    """
+
+    geometry: Geometry
+    pose: Pose = field(default_factory=Pose)
+    colour: Colour = (0.7, 0.7, 0.7, 1.0)
+    texture: Path | None = None
+
+
+@dataclass(frozen=True)
+class Collision:
+    """A shape that can be hit; ``pose`` in the link's frame."""
+
+    geometry: Geometry
+    pose: Pose = field(default_factory=Pose)
