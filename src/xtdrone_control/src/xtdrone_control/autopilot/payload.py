@@ -40,6 +40,8 @@ class Payload:
 
     Attributes:
         gimbal: roll, pitch, yaw set-point, rad; pitch positive up, yaw from the heading. NaN: not controlled.
+        gimbal_attitude: where the camera points, as the simulator or a driver writes it: roll and pitch from the
+            horizon, yaw from the heading, rad; None when no gimbal is fitted.
         actuators: outputs of DO_SET_ACTUATOR, -1..1, NaN until set.
         recording: a video is being taken.
         on_camera_trigger: called with every shot; None when there is no camera.
@@ -51,6 +53,7 @@ class Payload:
         """Start with the camera off."""
         self._view = view
         self.gimbal: Vector = (math.nan, math.nan, math.nan)
+        self.gimbal_attitude: Vector | None = None
         self.actuators = [math.nan] * _ACTUATORS
         self.recording = False
         self.on_camera_trigger: Callable[[Shot], None] | None = None
