@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from PIL import ImageGrab
 
-from xtdrone_interaction import cli, formation_demo, options, simplified_demo
+from xtdrone_interaction import cli, formation_demo, launched, options, simplified_demo
 from xtdrone_interaction.formation_demo import DemoSettings
 
 DEMO = ["demo", "simplified"]
@@ -88,7 +88,7 @@ def test_what_ros_does_not_have_is_named(
 def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The launch file is told of them, with whole paths."""
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
-    monkeypatch.setattr(formation_demo.shutil, "which", lambda program: program)
+    monkeypatch.setattr(launched.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []
     monkeypatch.setattr(simplified_demo, "run_ros_demo", lambda demo, console: flown.append(demo) or 1)
     monkeypatch.setattr(cli, "run_demo", lambda demo, console: flown.append(demo) or 1)
@@ -100,7 +100,7 @@ def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest
         monkeypatch.setenv("DISPLAY", display)
         assert cli.main([*DEMO]) == 1
         assert cli.main([*DEMO, "--headless"]) == 1
-    given = [formation_demo._command(settings) for settings in flown]
+    given = [formation_demo.flight(settings).command() for settings in flown]
     for command in given[:2]:
         assert f"follower_class:={tmp_path}/mine.py:Brisk" in command
         assert f"leader_class:={tmp_path}/mine.py:Mine" in command

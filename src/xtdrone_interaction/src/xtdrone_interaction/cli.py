@@ -16,7 +16,8 @@ from rich.console import Console
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
-from xtdrone_interaction.formation_demo import DemoError, DemoSettings, master_port, report_again, run_demo
+from xtdrone_interaction.formation_demo import DemoSettings, report_again, run_demo
+from xtdrone_interaction.launched import DemoError, master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
 from xtdrone_interaction.simplified_cli import add_simplified, run_simplified
 

@@ -17,8 +17,9 @@ from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_interaction import options
 from xtdrone_interaction.compare_simulators import check_comparable
-from xtdrone_interaction.formation_demo import DemoSettings, master_port
+from xtdrone_interaction.formation_demo import DemoSettings
 from xtdrone_interaction.geometry import ORIGIN
+from xtdrone_interaction.launched import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
 from xtdrone_interaction.record import FlightRecord, read_record
 from xtdrone_interaction.simplified_demo import (

@@ -26,8 +26,9 @@ from xtdrone_interaction.compare_simulators import (
     with_assignments_of,
 )
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
-from xtdrone_interaction.formation_demo import DemoError, DemoSettings, Interrupted, show_event, signals_raise
+from xtdrone_interaction.formation_demo import DemoSettings, show_event
 from xtdrone_interaction.formation_demo import run_demo as run_ros_demo
+from xtdrone_interaction.launched import DemoError, Interrupted, escape, signals_raise
 from xtdrone_interaction.record import FlightRecord, RecordError, read_record, save_record
 from xtdrone_interaction.report import make_report, print_report, write_report
 from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of
@@ -171,7 +172,7 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
             report = make_report(record, {**settings.stored(), "command_wall": command_wall})
             return _conclude(record, report, settings, film, console)
         except (DemoError, RecordError) as error:
-            console.print(f"[red]Error:[/red] {_escape(str(error))}", highlight=False, soft_wrap=True)
+            console.print(f"[red]Error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
             _remove_empty(settings.out)
             return 1
         except Interrupted as signalled:
@@ -284,7 +285,7 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
     try:
         play(swarm, lambda: next(turns, _END) is not _END, speed=speed or math.inf)
     except WindowError as error:
-        display.note(f"  {_escape(str(error))}")
+        display.note(f"  {escape(str(error))}")
 
 
 def _frame(sim_time: float, places: Any, slots: Any, edges: Any, pattern: str) -> Any:
@@ -393,7 +394,7 @@ def run_on_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, 
         try:
             return max(status, _after_ros(demo, settings, film, console))
         except (DemoError, RecordError) as error:
-            console.print(f"[red]Error:[/red] {_escape(str(error))}", highlight=False, soft_wrap=True)
+            console.print(f"[red]Error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
             return 1
         except Interrupted as signalled:
             console.print(f"stopped by {signalled}", highlight=False)
@@ -414,7 +415,3 @@ def _after_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, 
     for path in paths:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
     return 0
-
-
-def _escape(text: str) -> str:
-    return text.replace("[", r"\[")
