@@ -1,0 +1,370 @@
+"""Objects in pictures by a YOLO network, run by OpenCV on the processor.
+
+Reads darknet's cfg and weights, and ONNX files; the layouts of outputs are in ``layouts``. No ROS.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from xtdrone_control.checks import check_choice, check_range
+
+from .layouts import LAYOUTS, LayoutError, check_layout, decode, find_layout
+
+STRIDE = 32  # pixels of the input in one cell of the coarsest grid: sizes are multiples of it
+_GREY = 127  # of the edges that fit a picture to the input's shape, as darknet's
+_FILES = ("weights", "config", "names")
+
+
+class DetectorError(ValueError):
+    """A network that cannot be used; the text says which file or value and why."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """An object in a picture.
+
+    Attributes:
+        class_id: number of its class, from 0.
+        name: of its class.
+        probability: 0 to 1.
+        xmin, ymin, xmax, ymax: pixels from the picture's left and upper edge, within the picture.
+    """
+
+    class_id: int
+    name: str
+    probability: float
+    xmin: float
+    ymin: float
+    xmax: float
+    ymax: float
+
+
+@dataclass(frozen=True)
+class DetectorSettings:
+    """Which network, and how it is run.
+
+    Attributes:
+        weights: ``.weights`` (darknet) or ``.onnx``.
+        config: darknet's ``.cfg``; empty for ONNX.
+        names: file with the classes' names, a line each, in the network's order.
+        layout: of the outputs, one of ``layouts.LAYOUTS``, or ``auto``: told from the outputs' shapes.
+        width, height: of the network's input, pixels, multiples of 32 up to 2048; 0: what the file says.
+        confidence: least probability, 0.01 to 1.
+        nms: two boxes of a class whose intersection over union is greater are one object, 0 to 1.
+        letterbox: True to fit the picture in with grey edges, False to stretch it.
+        threads: of OpenCV, 1 to 64, in the whole process.
+    """
+
+    weights: Path
+    config: Path | None = None
+    names: Path | None = None
+    layout: str = "auto"
+    width: int = 0
+    height: int = 0
+    confidence: float = 0.5
+    nms: float = 0.45
+    letterbox: bool = True
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        """Checks all but the files.
+
+        Raises:
+            DetectorError: a value is not allowed.
+        """
+        try:
+            check_choice("layout", self.layout, ("auto", *LAYOUTS))
+            check_range("confidence", self.confidence, 0.01, 1.0)
+            check_range("nms", self.nms, 0.0, 1.0)
+            check_range("threads", self.threads, 1, 64)
+            for name in ("width", "height"):
+                check_range(name, getattr(self, name), 0, 2048, "px")
+                if getattr(self, name) % STRIDE:
+                    raise DetectorError(f"{name}: {getattr(self, name)} is not allowed, a multiple of {STRIDE} px")
+        except DetectorError:
+            raise
+        except ValueError as error:
+            raise DetectorError(str(error)) from error
+        if bool(self.width) != bool(self.height):
+            raise DetectorError("width and height: give both or neither")
+        if not isinstance(self.letterbox, bool):
+            raise DetectorError(f"letterbox: {self.letterbox!r} is not allowed, true or false")
+
+
+def load_settings(path: Path, changes: Mapping[str, Any] | None = None) -> DetectorSettings:
+    """Return the settings of a YAML file whose keys are the fields of DetectorSettings.
+
+    Args:
+        path: the file; names of files in it are relative to its folder.
+        changes: entries that replace the file's; names of files are relative to the working folder.
+
+    Raises:
+        DetectorError: the file is missing or malformed, or an entry is unknown or not allowed.
+    """
+    try:
+        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DetectorError(f"{path}: {error.strerror}") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise DetectorError(f"{path}: no YAML: {error}") from error
+    if not isinstance(entries, dict):
+        raise DetectorError(f"{path}: a mapping of settings is needed")
+    return settings_of({**_resolved(entries, path.parent), **_resolved(changes or {}, Path())}, str(path))
+
+
+def settings_of(entries: Mapping[str, Any], source: str = "detector") -> DetectorSettings:
+    """Return settings from their names and values; empty file names are none.
+
+    Raises:
+        DetectorError: an entry is unknown, missing, or not allowed.
+    """
+    known = {field.name for field in fields(DetectorSettings)}
+    if unknown := sorted(set(map(str, entries)) - known):
+        raise DetectorError(f"{source}: {', '.join(unknown)} is unknown; there are {', '.join(sorted(known))}")
+    if not entries.get("weights"):
+        raise DetectorError(f"{source}: weights is missing")
+    values = {name: value for name, value in entries.items() if name not in _FILES}
+    files = {name: Path(str(entries[name])) for name in _FILES if entries.get(name)}
+    try:
+        return DetectorSettings(**{**values, **files})
+    except DetectorError as error:
+        raise DetectorError(f"{source}: {error}") from error
+
+
+def _resolved(entries: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return entries with the names of files made relative to a folder."""
+    return {
+        name: folder / Path(str(value)).expanduser() if name in _FILES and value else value
+        for name, value in entries.items()
+    }
+
+
+def read_names(path: Path) -> tuple[str, ...]:
+    """Return the names of a file, a line each; empty lines are left out.
+
+    Raises:
+        DetectorError: the file is missing or has none.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DetectorError(f"names: {path}: {getattr(error, 'strerror', None) or error}") from error
+    names = tuple(line.strip() for line in lines if line.strip())
+    if not names:
+        raise DetectorError(f"names: {path} has no names")
+    return names
+
+
+class Detector:
+    """A network that finds objects in pictures; one picture at a time.
+
+    Attributes:
+        names: of the classes.
+        settings: as given, with the layout and the size of the input found.
+    """
+
+    def __init__(self, settings: DetectorSettings) -> None:
+        """Reads the network and runs it once.
+
+        Raises:
+            DetectorError: a file is missing or malformed, or the outputs do not fit.
+        """
+        if settings.names is None:
+            raise DetectorError("names: a file with the classes' names is needed")
+        self.names = read_names(settings.names)
+        cv2.setNumThreads(int(settings.threads))
+        darknet = settings.weights.suffix == ".weights"
+        if darknet:
+            self._network, size = _read_darknet(settings)
+        else:
+            self._network, size = _read_onnx(settings)
+        self._outputs = self._network.getUnconnectedOutLayersNames()
+        self._size = (settings.width or size[0], settings.height or size[1])
+        shapes = [output.shape for output in self._run(np.zeros((self._size[1], self._size[0], 3), np.uint8))]
+        try:
+            if settings.layout == "auto":
+                layout = find_layout(shapes, len(self.names), darknet)
+            else:
+                layout = settings.layout
+                check_layout(layout, shapes, len(self.names))
+        except LayoutError as error:
+            raise DetectorError(f"{settings.weights}: {error} ({settings.names})") from error
+        self.settings = replace(settings, layout=layout, width=self._size[0], height=self._size[1])
+
+    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
+        """Return the objects in a picture, the likeliest first.
+
+        Args:
+            rgb: (height, width, 3), uint8.
+
+        Raises:
+            ValueError: the array is none of that kind.
+        """
+        if not isinstance(rgb, np.ndarray) or rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+            given = f"{rgb.dtype} of shape {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
+            raise ValueError(f"picture: {given} is not allowed, uint8 of shape (height, width, 3) is needed")
+        if not rgb.size:
+            raise ValueError(f"picture: shape {rgb.shape} is empty")
+        picture, scale, offset = self._fitted(rgb)
+        outputs = [output.astype(float) for output in self._run(picture)]
+        corners, classes, probabilities = decode(self.settings.layout, outputs, self._size, self.settings.confidence)
+        return self._chosen((corners - np.tile(offset, 2)) / np.tile(scale, 2), classes, probabilities, rgb.shape)
+
+    def _run(self, picture: NDArray[Any]) -> list[NDArray[np.float32]]:
+        """Return the network's outputs for a picture of the input's size."""
+        self._network.setInput(cv2.dnn.blobFromImage(picture, 1.0 / 255.0))
+        try:
+            return list(self._network.forward(self._outputs))
+        except cv2.error as error:
+            raise DetectorError(
+                f"the network does not run with an input of {self._size[0]}x{self._size[1]} px: {_reason(error)}"
+            ) from error
+
+    def _fitted(self, rgb: NDArray[np.uint8]) -> tuple[NDArray[Any], tuple[float, float], tuple[float, float]]:
+        """Return a picture of the input's size, its scale and its offset in that, (x, y) each."""
+        height, width = rgb.shape[:2]
+        to_width, to_height = self._size
+        if not self.settings.letterbox:
+            return cv2.resize(rgb, self._size), (to_width / width, to_height / height), (0.0, 0.0)
+        ratio = min(to_width / width, to_height / height)
+        inner = (max(1, round(width * ratio)), max(1, round(height * ratio)))
+        left, top = (to_width - inner[0]) // 2, (to_height - inner[1]) // 2
+        picture = np.full((to_height, to_width, 3), _GREY, np.uint8)
+        picture[top : top + inner[1], left : left + inner[0]] = (
+            rgb if inner == (width, height) else cv2.resize(rgb, inner)
+        )
+        return picture, (inner[0] / width, inner[1] / height), (float(left), float(top))
+
+    def _chosen(
+        self,
+        corners: NDArray[np.float64],
+        classes: NDArray[np.int64],
+        probabilities: NDArray[np.float64],
+        shape: Sequence[int],
+    ) -> list[Detection]:
+        """Return one detection an object, within the picture."""
+        limits = np.array([shape[1], shape[0], shape[1], shape[0]], float)
+        corners = np.clip(corners, 0.0, limits)
+        whole = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
+        corners, classes, probabilities = corners[whole], classes[whole], probabilities[whole]
+        boxes = np.hstack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
+        kept = cv2.dnn.NMSBoxesBatched(
+            boxes.tolist(), probabilities.tolist(), classes.tolist(), self.settings.confidence, self.settings.nms
+        )
+        found = [
+            Detection(int(classes[i]), self.names[classes[i]], float(probabilities[i]), *map(float, corners[i]))
+            for i in np.asarray(kept, int).reshape(-1)
+        ]
+        return sorted(found, key=lambda entry: -entry.probability)
+
+
+def _read_darknet(settings: DetectorSettings) -> tuple[Any, tuple[int, int]]:
+    """Return a network of darknet's files and the size of its input."""
+    if settings.config is None:
+        raise DetectorError(f"config: {settings.weights} needs darknet's .cfg beside it")
+    try:
+        text = _read(settings.config).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DetectorError(f"config: {settings.config} is no text") from error
+    size = _darknet_size(text, settings.config)
+    if settings.width:
+        text = _with_entry(text, r"net(?:work)?", "width", settings.width)
+        text = _with_entry(text, r"net(?:work)?", "height", settings.height)
+    # OpenCV drops what is less likely than the region layers' own limit, which is 0.2 where the file has none.
+    text = _with_entry(text, "yolo|region", "thresh", settings.confidence)
+    weights = _read(settings.weights)
+    try:
+        network = cv2.dnn.readNetFromDarknet(np.frombuffer(text.encode(), np.uint8), np.frombuffer(weights, np.uint8))
+    except cv2.error as error:
+        raise DetectorError(f"{settings.config} and {settings.weights}: {_reason(error)}") from error
+    _check_length(network, weights, settings)
+    return _on_processor(network), size
+
+
+def _check_length(network: Any, weights: bytes, settings: DetectorSettings) -> None:
+    """Check that darknet's weights are as many as the configuration needs, of which OpenCV takes no notice.
+
+    Raises:
+        DetectorError: they are not.
+    """
+    layers = [network.getLayer(network.getLayerId(name)) for name in network.getLayerNames()]
+    needed = sum(blob.size for layer in layers if layer.type in ("Convolution", "BatchNorm") for blob in layer.blobs)
+    major, minor = struct.unpack_from("<ii", weights.ljust(8, b"\0"))
+    there = (len(weights) - (20 if 10 * major + minor >= 2 else 16)) // 4
+    if there != needed:
+        raise DetectorError(
+            f"{settings.weights} has {max(there, 0)} weights, {settings.config} needs {needed}: they are no pair"
+        )
+
+
+def _darknet_size(text: str, path: Path) -> tuple[int, int]:
+    """Return width and height that darknet's configuration names."""
+    section = re.search(r"^\s*\[net(?:work)?\]([^\[]*)", text, re.MULTILINE)
+    found = {
+        name: re.search(rf"^\s*{name}\s*=\s*(\d+)", section[1], re.MULTILINE) if section else None
+        for name in ("width", "height")
+    }
+    if found["width"] is None or found["height"] is None:
+        raise DetectorError(f"config: {path} has no section [net] with width and height")
+    return int(found["width"][1]), int(found["height"][1])
+
+
+def _with_entry(text: str, section: str, name: str, value: float) -> str:
+    """Return darknet's configuration with an entry of all sections of a kind set."""
+
+    def entered(match: re.Match[str]) -> str:
+        body = re.sub(rf"^\s*{name}\s*=.*\n?", "", match[2], flags=re.MULTILINE)
+        return f"{match[1]}\n{name}={value}{body if body.startswith(chr(10)) else chr(10) + body}"
+
+    return re.sub(rf"^(\s*\[(?:{section})\])([^\[]*)", entered, text, flags=re.MULTILINE)
+
+
+def _read_onnx(settings: DetectorSettings) -> tuple[Any, tuple[int, int]]:
+    """Return a network of an ONNX file and the size of its input, (0, 0) where the file leaves that open."""
+    if settings.weights.suffix != ".onnx":
+        raise DetectorError(f"weights: {settings.weights} is not allowed, a file .weights or .onnx")
+    if not settings.width:
+        raise DetectorError(f"width and height: {settings.weights} is ONNX, whose input's size must be given")
+    content = _read(settings.weights)
+    try:
+        network = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
+    except cv2.error as error:
+        raise DetectorError(f"{settings.weights}: {_reason(error)}") from error
+    return _on_processor(network), (settings.width, settings.height)
+
+
+def _on_processor(network: Any) -> Any:
+    network.setPreferableBackend(cv2.dnn.DNN_BACKEND_OPENCV)
+    network.setPreferableTarget(cv2.dnn.DNN_TARGET_CPU)
+    return network
+
+
+def _read(path: Path) -> bytes:
+    """Return what a file holds.
+
+    Raises:
+        DetectorError: it cannot be read, or is empty.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DetectorError(f"{path}: {error.strerror}") from error
+    if not content:
+        raise DetectorError(f"{path} is empty")
+    return content
+
+
+def _reason(error: cv2.error) -> str:
+    """Return OpenCV's message in one line."""
+    return " ".join(str(getattr(error, "err", "") or error).split())
