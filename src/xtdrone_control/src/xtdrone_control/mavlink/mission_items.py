@@ -93,6 +93,11 @@ class ItemError(ValueError):
         self.result = result
 
 
+def takes(command: int, placed: bool) -> bool:
+    """Return whether PX4 takes items of ``command``, in a global frame (``placed``) or in that of the mission."""
+    return command in (_PLACED if placed else _UNPLACED)
+
+
 def parse(message: Any, integers: bool) -> PlanItem:
     """Return the item of a MISSION_ITEM, or MISSION_ITEM_INT (``integers``).
 
@@ -104,7 +109,7 @@ def parse(message: Any, integers: bool) -> PlanItem:
     if not placed and message.frame != FRAME_MISSION:
         raise ItemError(mavlink.MAV_MISSION_UNSUPPORTED_FRAME, f"frame {message.frame} is not allowed")
     command = message.command
-    if command not in (_PLACED if placed else _UNPLACED):
+    if not takes(command, placed):
         raise ItemError(mavlink.MAV_MISSION_UNSUPPORTED, f"command {command} is not allowed in frame {message.frame}")
     if command in (plan.ROI, plan.SET_ROI):
         command = plan.SET_ROI

@@ -1,0 +1,237 @@
+"""QGroundControl's plan files: what it writes is read, what is written is read back, what cannot be used is named."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xtdrone_control import qgc_plan
+from xtdrone_control.autopilot import plan
+from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.qgc_plan import Plan, PlanError
+
+NAN = math.nan
+
+
+def simple(command, params, frame=3, jump_id=1, **more):
+    return {"type": "SimpleItem", "autoContinue": True, "command": command, "doJumpId": jump_id, "frame": frame,
+            "params": params, **more}  # fmt: skip
+
+
+DRAWN = {
+    "fileType": "Plan",
+    "geoFence": {
+        "breachReturn": [47.3972, 8.5451, 20],
+        "circles": [{"circle": {"center": [47.3976, 8.5446], "radius": 319.85}, "inclusion": True, "version": 1}],
+        "polygons": [
+            {"inclusion": False, "polygon": [[47.401, 8.541], [47.402, 8.541], [47.402, 8.543]], "version": 1}
+        ],
+        "version": 2,
+    },
+    "groundStation": "QGroundControl",
+    "mission": {
+        "cruiseSpeed": 15,
+        "firmwareType": 12,
+        "globalPlanAltitudeMode": 1,
+        "hoverSpeed": 5,
+        "items": [
+            simple(22, [0, 0, 0, None, 47.39776, 8.54558, 20], Altitude=20, AltitudeMode=1, AMSLAltAboveTerrain=None),
+            simple(530, [0, 2, None, None, None, None, None], frame=2, jump_id=2),
+            {
+                "TransectStyleComplexItem": {
+                    "CameraCalc": {"CameraName": "Manual (no camera specs)", "version": 2},
+                    "Items": [
+                        simple(16, [0, 0, 0, None, 47.398, 8.545, 30], jump_id=3),
+                        simple(206, [25, 0, 1, 0, 0, 0, 0], frame=2, jump_id=4),
+                        simple(4501, [0, 0, 0, None, 47.399, 8.545, 30], jump_id=5),
+                    ],
+                    "version": 2,
+                },
+                "complexItemType": "survey",
+                "type": "ComplexItem",
+                "version": 5,
+            },
+            simple(16, [2, 0, 0, 90, 47.4, 8.546, 518.5], frame=0, jump_id=6, Altitude=518.5, AltitudeMode=2),
+            simple(177, [3, 2, 0, 0, 0, 0, 0], frame=2, jump_id=7),
+            simple(20, [0, 0, 0, 0, 0, 0, 0], frame=2, jump_id=8),
+        ],
+        "plannedHomePosition": [47.39774, 8.54559, 488.2],
+        "vehicleType": 2,
+        "version": 2,
+    },
+    "rallyPoints": {"points": [[47.3979, 8.5450, 25]], "version": 2},
+    "version": 1,
+}
+
+
+def drawn(*path, value):
+    """Return the drawn plan's text with ``value`` at ``path``."""
+    document = copy.deepcopy(DRAWN)
+    target = document
+    for key in path[:-1]:
+        target = target[key]
+    target[path[-1]] = value
+    return json.dumps(document)
+
+
+def same(a, b):
+    return repr(a) == repr(b)  # NaN is equal to itself here
+
+
+def test_what_qgroundcontrol_writes_is_read():
+    found = qgc_plan.parse(json.dumps(DRAWN))
+    assert [(item.command, item.frame) for item in found.mission] == [
+        (22, 3), (530, 2), (16, 3), (206, 2), (4501, 3), (16, 0), (177, 2), (20, 2)
+    ]  # fmt: skip
+    assert same(found.mission[0], PlanItem(22, 3, (0.0, 0.0, 0.0, NAN), 47.39776, 8.54558, 20.0))
+    assert same(found.mission[1], PlanItem(530, 2, (0.0, 2.0, NAN, NAN), 0.0, 0.0, 0.0))
+    assert found.mission[6].params[:2] == (2.0, 2.0)  # doJumpId 3 is the survey's first item, of index 2
+    assert [(item.command, item.params[0], item.z) for item in found.fence] == [
+        (5002, 3.0, 0.0), (5002, 3.0, 0.0), (5002, 3.0, 0.0), (5003, 319.85, 0.0), (5000, 0.0, 20.0)
+    ]  # fmt: skip
+    assert same(found.rally, (PlanItem(5100, 3, (0.0,) * 4, 47.3979, 8.5450, 25.0, autocontinue=False),))
+    assert found.home == (47.39774, 8.54559, 488.2)
+
+
+def test_a_plan_of_a_mission_alone_is_read():
+    text = json.dumps({key: DRAWN[key] for key in ("fileType", "version", "mission")})
+    found = qgc_plan.parse(text)
+    assert (found.fence, found.rally) == ((), ())
+
+
+ITEM = ("mission", "items", 0)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("fileType",), "Mission", r'^p: fileType: "Mission" is not allowed, "Plan"$'),
+        (("version",), 2, r"^p: version: 2 is not allowed, 1$"),
+        (("mission",), [], r"^p: mission: \[\] is not allowed, an object$"),
+        (("mission", "version"), True, r"^p: mission: version: true is not allowed, 2$"),
+        (("mission", "firmwareType"), 3, r"^p: mission: firmwareType: 3 is not allowed, 12$"),
+        (("mission", "plannedHomePosition"), [1, 2], r"^p: mission: plannedHomePosition: \[1, 2\] .* a list of 3$"),
+        (("mission", "items"), {}, r"^p: mission: items: {} is not allowed, a list$"),
+        ((*ITEM, "type"), "Item", r'^p: mission: items: item 1: type: "Item" is not allowed, "SimpleItem" or "Complex'),
+        ((*ITEM, "frame"), 10, r"items: item 1: frame: 10 is not allowed, 0 or 2 or 3 or 5 or 6$"),
+        ((*ITEM, "command"), 183, r"items: item 1: command: 183 is not allowed, a MAV_CMD that PX4 takes with a place"),
+        ((*ITEM, "params"), [0] * 6, r"items: item 1: params: .* is not allowed, a list of 7$"),
+        ((*ITEM, "params", 4), None, r"item 1: params: param 5: null is not allowed, a number from -90 to 90$"),
+        ((*ITEM, "params", 5), 190, r"item 1: params: param 6: 190 is not allowed, a number from -180 to 180$"),
+        ((*ITEM, "params", 0), "a", r'item 1: params: param 1: "a" is not allowed, a number'),
+        ((*ITEM, "autoContinue"), 1, r"item 1: autoContinue: 1 is not allowed, true or false$"),
+        ((*ITEM, "doJumpId"), 1.5, r"item 1: doJumpId: 1.5 is not allowed, a whole number"),
+        (("mission", "items", 2, "complexItemType"), "StructureScan", r'"StructureScan" is not allowed, "survey" or'),
+        (("mission", "items", 2, "TransectStyleComplexItem", "Items", 1, "command"), 9, r"item 3: .*: item 2: command"),
+        (("mission", "items", 4, "params", 0), 40, r"items: item 5: DO_JUMP to 40 is not allowed, .* \(1 to 8\)$"),
+        (("mission", "items", 4, "params", 0), None, r"items: item 5: DO_JUMP to nan is not allowed"),
+        (("geoFence", "version"), 1, r"geoFence: version: 1 is not allowed, 2$"),
+        (("geoFence", "polygons", 0, "polygon"), [[1, 2]], r"polygon 1: polygon: .* at least 3 corners$"),
+        (("geoFence", "circles", 0, "circle", "radius"), -1, r"circle 1: circle: radius: -1 is not allowed, a number"),
+        (("rallyPoints", "points"), [[91, 0, 0]], r"rallyPoints: points: point 1: number 1: 91 is not allowed"),
+    ],
+)
+def test_what_cannot_be_used_is_named(path, value, message):
+    with pytest.raises(PlanError, match=message):
+        qgc_plan.parse(drawn(*path, value=value), "p")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, '{"fileType": NaN}', "null", "[]"])
+def test_what_is_no_plan_is_named(text):
+    with pytest.raises(PlanError, match=r"^p: "):
+        qgc_plan.parse(text, "p")
+
+
+def test_a_file_that_is_not_there_or_no_text_is_named(tmp_path):
+    with pytest.raises(PlanError, match=r"none\.plan: cannot be read: No such file or directory$"):
+        qgc_plan.read(tmp_path / "none.plan")
+    (tmp_path / "b.plan").write_bytes(b"\xff\xfe")
+    with pytest.raises(PlanError, match=r"b\.plan: cannot be read: "):
+        qgc_plan.read(tmp_path / "b.plan")
+
+
+# ---- there and back
+
+numbers = st.floats(-1e6, 1e6) | st.just(NAN)
+places = st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-1000, 9000))
+params = st.tuples(numbers, numbers, numbers, numbers)
+placed = st.builds(
+    lambda command, frame, p, place, on: PlanItem(command, frame, p, *place, autocontinue=on),
+    st.sampled_from((plan.WAYPOINT, plan.TAKEOFF, plan.LAND, plan.LOITER_TIME, plan.SET_ROI_LOCATION)),
+    st.sampled_from((0, 3)),
+    params,
+    places,
+    st.booleans(),
+)
+unplaced = st.builds(
+    lambda command, p, z: PlanItem(command, 2, p, z, -z, z),
+    st.sampled_from((plan.CHANGE_SPEED, plan.MOUNT_CONTROL, plan.RETURN, plan.DELAY)),
+    params,
+    st.floats(-1e6, 1e6),
+)
+
+
+@st.composite
+def missions(draw):
+    items = draw(st.lists(placed | unplaced, min_size=1, max_size=6))
+    for at in draw(st.lists(st.integers(0, len(items) - 1), max_size=2)):
+        target = draw(st.integers(0, len(items) - 1))
+        items[at] = PlanItem(plan.JUMP, 2, (float(target), 3.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+    return tuple(items)
+
+
+@st.composite
+def fences(draw):
+    items = []
+    for command in draw(st.lists(st.sampled_from((plan.FENCE_INCLUSION, plan.FENCE_EXCLUSION)), max_size=2)):
+        corners = draw(st.lists(places, min_size=3, max_size=6))
+        items += [PlanItem(command, 0, (float(len(corners)), 0.0, 0.0, 0.0), x, y, 0.0, False) for x, y, _ in corners]
+    for command in draw(
+        st.lists(st.sampled_from((plan.FENCE_CIRCLE_INCLUSION, plan.FENCE_CIRCLE_EXCLUSION)), max_size=2)
+    ):
+        x, y, _ = draw(places)
+        items.append(PlanItem(command, 0, (draw(st.floats(0, 1e4)), 0.0, 0.0, 0.0), x, y, 0.0, False))
+    return tuple(items)
+
+
+rallies = st.lists(
+    st.builds(lambda p: PlanItem(plan.RALLY_POINT, 3, (0.0,) * 4, *p, autocontinue=False), places), max_size=3
+)
+plans = st.builds(lambda m, f, r, home: Plan(m, f, tuple(r), home, 12.0, 4.0), missions(), fences(), rallies, places)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(plans)
+def test_what_is_written_is_read_back(content):
+    assert same(qgc_plan.parse(qgc_plan.text_of(content)), content)
+
+
+def test_a_file_holds_it_and_looks_like_qgroundcontrols(tmp_path):
+    content = qgc_plan.parse(json.dumps(DRAWN))
+    qgc_plan.write(tmp_path / "a.plan", content)
+    assert same(qgc_plan.read(tmp_path / "a.plan"), content)
+    document = json.loads((tmp_path / "a.plan").read_text())
+    assert document["mission"]["items"][5] == DRAWN["mission"]["items"][3] | {"AMSLAltAboveTerrain": None}
+    assert document["geoFence"] == DRAWN["geoFence"]
+    assert document["mission"]["items"][6]["params"][0] == 3  # the doJumpId of the third item
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (Plan((PlanItem(16, 3, (math.inf, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0),)), "item 1: inf is not allowed"),
+        (Plan((PlanItem(16, 1, (0.0,) * 4, 0.0, 0.0, 0.0),)), "item 1: frame 1 is not allowed"),
+        (Plan((PlanItem(177, 2, (1.0, 1.0, 0.0, 0.0), 0.0, 0.0, 0.0),)), "item 1: DO_JUMP to 1.0 .* 0 to 0$"),
+        (Plan((), home=(NAN, 0.0, 0.0)), "not finite is not allowed"),
+        (Plan((), fence=(PlanItem(5001, 0, (3.0, 0, 0, 0), 1.0, 1.0, 0.0),) * 2), "fence item 1: a polygon of 3"),
+        (Plan((), fence=(PlanItem(16, 0, (3.0, 0, 0, 0), 1.0, 1.0, 0.0),)), "fence item 1: command 16"),
+    ],
+)
+def test_what_cannot_be_written_is_named(content, message):
+    with pytest.raises(PlanError, match=message):
+        qgc_plan.text_of(content)
