@@ -1,5 +1,20 @@
 """Worlds from SDF files: a documented subset of what Gazebo Classic reads (see docs/worlds.md)."""
 
 from .types import Light, SdfActor, SdfError, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint
+from .worlds import load_world_file, read_world, world_names
+from .writer import write_world
 
-__all__ = ["Light", "SdfActor", "SdfError", "SdfLink", "SdfModel", "SdfWorld", "Trajectory", "Waypoint"]
+__all__ = [
+    "Light",
+    "SdfActor",
+    "SdfError",
+    "SdfLink",
+    "SdfModel",
+    "SdfWorld",
+    "Trajectory",
+    "Waypoint",
+    "load_world_file",
+    "read_world",
+    "world_names",
+    "write_world",
+]

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 from xtdrone_control.autopilot.autopilot import Datum
 
+from ..vehicle_model import ModelError
 from ..visual import Collision, Pose, Vector, Visual
 
 
-class SdfError(ValueError):
+class SdfError(ModelError):
     """A world or model file that cannot be used; the text names file, line, element, value and what is allowed."""
 
 
