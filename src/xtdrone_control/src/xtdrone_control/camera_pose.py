@@ -1,0 +1,76 @@
+"""Where a camera on a gimbal is and where it looks, from what a vehicle tells of itself.
+
+The gimbal's orientation is MAVROS's ``mount_control/orientation``: the turn from the camera (x ahead, y right, z down)
+to the level frame along the vehicle's heading (x ahead, y right, z down), so pitch is positive upwards and yaw positive
+to the right, both as MAVLink's MOUNT_ORIENTATION has them. Quaternions are (x, y, z, w) in every function here.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from . import frames
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+_LINK_FROM_OPTICAL = (0.5, -0.5, 0.5, -0.5)  # (w, x, y, z): optical z is ahead, x right, y down
+
+
+class CameraPose(NamedTuple):
+    """A pose in ``map``.
+
+    Attributes:
+        position: m.
+        orientation: (x, y, z, w), turns the frame's vectors into map's.
+    """
+
+    position: Vector
+    orientation: Quaternion
+
+
+def camera_link_pose(position: Vector, attitude: Quaternion, mount: Quaternion, offset: Vector) -> CameraPose:
+    """Return the pose of the camera's link (x ahead, y left, z up).
+
+    Args:
+        position: of the vehicle's base_link in map, m, ENU.
+        attitude: of base_link (FLU) in map, a unit quaternion.
+        mount: the gimbal's orientation, a unit quaternion.
+        offset: of the camera from base_link, m, FLU.
+    """
+    body = _to_wxyz(attitude)
+    shift = frames.rotate(body, offset)
+    heading = frames.quaternion_from_rpy(0.0, 0.0, frames.yaw_from_quaternion(body))
+    x, y, z, w = mount
+    place = (position[0] + shift[0], position[1] + shift[1], position[2] + shift[2])
+    return CameraPose(place, _to_xyzw(_product(heading, (w, x, -y, -z))))
+
+
+def optical_pose(link: CameraPose) -> CameraPose:
+    """Return the pose of the optical frame (x right, y down, z ahead) of a camera's link."""
+    return CameraPose(link.position, _to_xyzw(_product(_to_wxyz(link.orientation), _LINK_FROM_OPTICAL)))
+
+
+def mount_orientation(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Return the gimbal's orientation of its angles, rad; pitch negative looks down, yaw from the heading."""
+    return _to_xyzw(frames.quaternion_from_rpy(roll, pitch, yaw))
+
+
+def _product(a: frames.Quaternion, b: frames.Quaternion) -> frames.Quaternion:
+    """Return the turn b, then a; both (w, x, y, z)."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def _to_wxyz(q: Quaternion) -> frames.Quaternion:
+    return q[3], q[0], q[1], q[2]
+
+
+def _to_xyzw(q: frames.Quaternion) -> Quaternion:
+    return q[1], q[2], q[3], q[0]
