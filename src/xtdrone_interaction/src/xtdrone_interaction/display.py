@@ -53,12 +53,19 @@ class RealTimeFactor:
 
 
 def figures(progress: dict[str, Any], factor: float) -> str:
-    """Return the figures of a progress message as text: simulated time, real-time factor, error, distance."""
+    """Return the figures of a progress message as text.
+
+    Args:
+        progress: its ``sim_time`` (s), and where they are given ``error`` (m), ``least_distance`` (m), ``text``.
+        factor: real-time factor.
+    """
     parts = [f"sim {progress['sim_time']:6.1f} s", f"{factor:4.1f} x real time"]
-    if progress["error"] is not None:
+    if progress.get("error") is not None:
         parts.append(f"error {progress['error']:5.2f} m")
-    if progress["least_distance"] is not None:
+    if progress.get("least_distance") is not None:
         parts.append(f"least gap {progress['least_distance']:4.2f} m")
+    if progress.get("text"):
+        parts.append(str(progress["text"]))
     return "  ".join(parts)
 
 

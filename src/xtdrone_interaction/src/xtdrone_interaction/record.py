@@ -248,7 +248,7 @@ def read_events(path: Path) -> list[dict[str, Any]]:
 
 
 def _read(reader: AnyReader, events: list[dict[str, Any]]) -> FlightRecord:
-    events = events or [json.loads(m.data) for _, _, m in _messages(reader, [EVENTS_TOPIC])]
+    events = events or [json.loads(m.data) for _, _, m in messages(reader, [EVENTS_TOPIC])]
     starts = [e for e in events if "vehicles" in e]  # start and take-off; a recorder that is late misses the first
     if not starts:
         raise RecordError(f"bag: no take-off on {EVENTS_TOPIC}; this is no record of a formation flight")
@@ -265,12 +265,12 @@ def _read(reader: AnyReader, events: list[dict[str, Any]]) -> FlightRecord:
             if len(m.data)
         ],
         events=events,
-        collisions=[m.msg for _, _, m in _messages(reader, [LOG_TOPIC]) if COLLISION in m.msg],
+        collisions=[m.msg for _, _, m in messages(reader, [LOG_TOPIC]) if COLLISION in m.msg],
     )
 
 
-def _messages(reader: AnyReader, topics: list[str]) -> Iterable[tuple[str, float, Any]]:
-    """Yield (topic, bag time in s, message) in order of time."""
+def messages(reader: AnyReader, topics: list[str]) -> Iterable[tuple[str, float, Any]]:
+    """Yield (topic, bag time in s, message) of those of ``topics`` that were recorded, in order of time."""
     connections = [c for c in reader.connections if c.topic in topics]
     if not connections:
         return
@@ -328,7 +328,7 @@ def _read_estimates(reader: AnyReader, names: tuple[str, ...]) -> Track | None:
     topics = {f"/{name}/mavros/local_position/pose": i for i, name in enumerate(names)}
     times: list[list[float]] = [[] for _ in names]
     places: list[list[tuple[float, float, float]]] = [[] for _ in names]
-    for topic, _, message in _messages(reader, list(topics)):
+    for topic, _, message in messages(reader, list(topics)):
         i, stamp, p = topics[topic], message.header.stamp, message.pose.position
         times[i].append(stamp.sec + stamp.nanosec * 1e-9)
         places[i].append((p.x, p.y, p.z))

@@ -1,0 +1,116 @@
+"""Report and map of a search, from a record of known numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from shapely.geometry import box
+
+from xtdrone_interaction.record import RecordError
+from xtdrone_interaction.search_record import SearchRecord, Sight, read_search
+from xtdrone_interaction.search_report import make_report
+from xtdrone_interaction.search_views import Views
+
+FINISHED: dict[str, Any] = {
+    "event": "finished", "time": 100.0, "outcome": "found", "vehicle": "typhoon_h480_0", "position": [13.0, 4.0],
+    "found_time": 30.0, "covered_area": 900.0, "region_area": 1000.0, "covered_fraction": 0.9, "possible": [],
+    "lost": [],
+}  # fmt: skip
+
+
+def record(*events: dict[str, Any], sights: list[Sight] | None = None, **changes: Any) -> SearchRecord:
+    """Two vehicles; the first flies 100 m east at 1 m/s. A person walks north from (10, -30) at 1 m/s."""
+    time = np.linspace(0.0, 100.0, 1001)
+    position = np.zeros((1001, 2, 3))
+    position[:, 0, 0] = time
+    position[:, :, 2] = 12.0
+    person = np.column_stack([np.full(1001, 10.0), time - 30.0, np.zeros(1001)])
+    return SearchRecord(
+        names=("typhoon_h480_0", "typhoon_h480_1"),
+        time=time,
+        position=position,
+        persons={"person_0": person},
+        sights={"typhoon_h480_0": sights or [], "typhoon_h480_1": []},
+        events=[*events, {**FINISHED, **changes}],
+        collisions=[],
+    )
+
+
+def test_a_find_is_compared_with_where_the_person_was_then() -> None:
+    report = make_report(record(), {})
+    assert report["find"]["person"] == "person_0"
+    assert report["find"]["error"] == pytest.approx(5.0)  # (13, 4) from (10, 0)
+    assert report["shortcomings"] == ["what typhoon_h480_0 found is no person: the nearest person was 5.0 m away"]
+
+
+def test_a_good_find_has_no_shortcoming() -> None:
+    report = make_report(record(position=[10.3, 0.4]), {})
+    assert report["find"]["error"] == pytest.approx(0.5)
+    assert report["shortcomings"] == []
+
+
+def test_the_way_of_each_vehicle_is_measured() -> None:
+    vehicles = make_report(record(), {})["vehicles"]
+    assert vehicles["typhoon_h480_0"]["distance"] == pytest.approx(100.0)
+    assert vehicles["typhoon_h480_1"]["distance"] == pytest.approx(0.0)
+
+
+def test_following_counts_the_pictures_that_show_the_person() -> None:
+    follow = {"event": "following", "time": 40.0, "vehicle": "typhoon_h480_0"}
+    ended = {"event": "follow_ended", "time": 60.0, "vehicle": "typhoon_h480_0", "reason": "time"}
+    sights = [Sight(t, 0, (1,), (1,) if t < 55.0 else ()) for t in np.arange(30.0, 80.0, 0.5)]
+    report = make_report(record(follow, ended, sights=sights, position=[10.0, 0.0]), {})
+    (following,) = report["following"]
+    assert following["duration"] == pytest.approx(20.0)
+    assert following["in_view"] == pytest.approx(30 / 41)
+    assert report["shortcomings"] == ["typhoon_h480_0 had the person in view in 73 % of its pictures"]
+
+
+def test_a_search_without_find_says_so_only_where_somebody_is() -> None:
+    somebody = record(outcome="not found", vehicle=None, position=None)
+    assert make_report(somebody, {})["shortcomings"] == ["nobody was found, and there is a person"]
+    nobody = SearchRecord(**{**vars(somebody), "persons": {}})
+    assert make_report(nobody, {})["shortcomings"] == []
+
+
+def test_losses_and_collisions_are_named() -> None:
+    bad = record(position=[10.0, 0.0], lost=["typhoon_h480_1"])
+    bad.collisions.append("collision of typhoon_h480_1 and house_3")
+    assert make_report(bad, {})["shortcomings"] == ["lost: typhoon_h480_1", "1 collisions"]
+
+
+def test_a_record_without_end_or_bag_is_refused(tmp_path: Path) -> None:
+    cut = SearchRecord(**{**vars(record()), "events": []})
+    with pytest.raises(RecordError, match="has no end"):
+        make_report(cut, {})
+    with pytest.raises(RecordError, match="does not exist"):
+        read_search(tmp_path / "flight.bag", ("a",), ())
+
+
+def test_the_map_shows_find_and_ways(tmp_path: Path) -> None:
+    from xtdrone_interaction.search_map import save_map
+
+    found = {"event": "confirmed", "time": 30.0, "vehicle": "typhoon_h480_0", "position": [10.0, 0.0]}
+    region = box(-10.0, -40.0, 120.0, 40.0).difference(box(50.0, -5.0, 60.0, 5.0))
+    ways = {"typhoon_h480_0": np.array([[0.0, 0.0], [100.0, 0.0]])}
+    picture = cv2.imread(str(save_map(record(found), region, [region], ways, tmp_path / "map.png")))
+    assert picture.shape[1] > 1000
+    red = (picture[..., 2] > 200) & (picture[..., 1] < 60) & (picture[..., 0] < 60)
+    assert red.sum() > 50  # the star
+
+
+def test_views_have_a_tile_a_vehicle_with_its_newest_picture() -> None:
+    views = Views([f"typhoon_h480_{i}" for i in range(6)])
+    assert views.size[0] % 2 == views.size[1] % 2 == 0
+    for shade in (50, 250):
+        views.see("typhoon_h480_4", 12.0, np.full((360, 640, 3), shade, np.uint8))
+    picture = views.draw("12 s")
+    assert picture.shape == (views.size[1], views.size[0], 4)
+    width, height = views.size[0] // 3, (views.size[1] - 22) // 2
+    middle_of_tile = picture[height + 22 + 135, width + width // 2, :3]
+    assert tuple(middle_of_tile) == (250, 250, 250)
+    assert tuple(picture[22 + 135, width // 2, :3]) == (32, 32, 32)  # nothing seen yet
