@@ -1,0 +1,335 @@
+"""Where on the ground a person stands that a camera shows as a box.
+
+A person is a standing cylinder. A camera high above does not show its foot at the lower edge of its box: seen from
+steep above, the nearer rim of its top lies lower in the picture than its foot. So place, height and radius are chosen
+together such that the cylinder's box is the one that was found, with the height and radius that people have as what is
+known before (a Gauss-Newton step is a Kalman update). Where the box ends at the picture's edge, that side says nothing.
+
+The covariance has two parts: one that is new in every picture (pixels, and the attitude, which sways), and one that a
+vehicle's pictures share (its position, the person's own height), which no number of pictures makes smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.checks import check_range
+from xtdrone_control.pinhole import Pinhole
+
+Array = NDArray[np.float64]
+Ground = Callable[[float, float], float]
+
+_STEPS = 8  # of Gauss-Newton; three suffice but for boxes that are cut off
+_SETTLED = 1e-4  # m
+_EDGE = 1.0  # px; a box so near to the picture's edge may go on outside of it
+_DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-3])  # m, for derivatives by place, height and radius
+_POSE_DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])  # m, rad
+
+
+@dataclass(frozen=True)
+class Person:
+    """The cylinder that people are, standard deviations with ``_noise``; m."""
+
+    height: float = 1.7
+    height_noise: float = 0.15
+    radius: float = 0.3
+    radius_noise: float = 0.1
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is uncertain in a picture and its pose, standard deviations.
+
+    Attributes:
+        pixel: of each side of a box, px.
+        tilt: of the camera's attitude about horizontal axes, rad.
+        heading: about the vertical axis, rad.
+        horizontal, vertical: of the camera's position, m.
+        ground: of the ground's height, m.
+    """
+
+    pixel: float = 1.5
+    tilt: float = 0.01
+    heading: float = 0.03
+    horizontal: float = 0.4
+    vertical: float = 0.4
+    ground: float = 0.1
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture's camera: ``position`` (3,) m in map, and ``rotation`` (3, 3) from the optical frame to map."""
+
+    pinhole: Pinhole
+    position: Array
+    rotation: Array
+
+    @staticmethod
+    def of(pinhole: Pinhole, position: tuple[float, float, float], orientation: tuple[float, ...]) -> View:
+        """Return the view from a pose of the optical frame, quaternion (x, y, z, w)."""
+        return View(pinhole, np.array(position, float), rotation_of(orientation))
+
+
+@dataclass(frozen=True)
+class GroundPoint:
+    """A place on the ground.
+
+    Attributes:
+        position: (3,) of the foot, m, map.
+        fresh: (3, 3) covariance of what is new in every picture, m^2.
+        shared: (3, 3) covariance of what pictures of one vehicle have in common, m^2.
+    """
+
+    position: Array
+    fresh: Array
+    shared: Array
+
+    @property
+    def covariance(self) -> Array:
+        """The whole covariance, (3, 3) m^2."""
+        return self.fresh + self.shared
+
+
+def rotation_of(q: tuple[float, ...]) -> Array:
+    """Return the matrix (3, 3) of a unit quaternion (x, y, z, w)."""
+    x, y, z, w = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+class Geolocator:
+    """Places of people on the ground, from boxes."""
+
+    def __init__(
+        self,
+        ground: float | Ground = 0.0,
+        person: Person | None = None,
+        noise: Noise | None = None,
+        *,
+        farthest: float = 200.0,
+        least_dip: float = math.radians(3.0),
+    ) -> None:
+        """Take what is known before.
+
+        Args:
+            ground: height of flat ground, m, map; or a function of x and y that returns it.
+            person: the cylinder; None: the usual one.
+            noise: None: the usual one.
+            farthest: no place is farther from the camera than this, 1 to 10000 m.
+            least_dip: rays that point less below the horizon are refused, 0.001 to 1.5 rad.
+
+        Raises:
+            ValueError: a value is not allowed.
+        """
+        self.person = person or Person()
+        self.noise = noise or Noise()
+        self._ground: Ground = ground if callable(ground) else _flat(check_range("ground", ground, -1e4, 1e4, "m"))
+        self._farthest = check_range("farthest", farthest, 1.0, 10_000.0, "m")
+        self._least_dip = check_range("least_dip", least_dip, 0.001, 1.5, "rad")
+        for name, low in (("height", 0.1), ("height_noise", 1e-3), ("radius", 0.01), ("radius_noise", 1e-3)):
+            check_range(f"person {name}", getattr(self.person, name), low, 10.0, "m")
+        for name in ("pixel", "tilt", "heading", "horizontal", "vertical", "ground"):
+            check_range(f"noise {name}", getattr(self.noise, name), 1e-3 if name == "pixel" else 0.0, 100.0)
+
+    def point(self, view: View, pixel: tuple[float, float]) -> Array | None:
+        """Return where the ray of a pixel meets the ground, (3,) m map.
+
+        Returns:
+            None for a ray that points too little below the horizon, or meets the ground too far away.
+        """
+        return self._hit(view, pixel, 0.0)
+
+    def locate(self, view: View, box: tuple[float, float, float, float]) -> GroundPoint | None:
+        """Return where the person stands whom a box shows.
+
+        Args:
+            view: the picture's camera.
+            box: xmin, ymin, xmax, ymax, px.
+
+        Returns:
+            None for a box that is not on the ground within reach.
+        """
+        seen = np.asarray(box, float)
+        start = self._hit(view, (0.5 * (seen[0] + seen[2]), 0.5 * (seen[1] + seen[3])), 0.5 * self.person.height)
+        if start is None:
+            return None
+        known = self._known_sides(view.pinhole, seen)
+        state = np.array([start[0], start[1], self.person.height, self.person.radius])
+        prior, weight = (
+            state[2:].copy(),
+            np.diag([0.0, 0.0, self.person.height_noise**-2, self.person.radius_noise**-2]),
+        )
+        for _ in range(_STEPS):
+            sides, slope = self._linear(view, state)
+            slope = slope[known]
+            if not (np.isfinite(sides).all() and np.isfinite(slope).all()):
+                return None
+            information = slope.T @ slope / self.noise.pixel**2 + weight
+            pull = slope.T @ (seen - sides)[known] / self.noise.pixel**2
+            pull[2:] += weight[2:, 2:] @ (prior - state[2:])
+            try:
+                step = np.linalg.solve(information, pull)
+            except np.linalg.LinAlgError:
+                return None
+            state = state + step
+            state[2:] = np.maximum(state[2:], 0.05)
+            if np.abs(step).max() < _SETTLED:
+                break
+        if not np.isfinite(state).all() or math.dist(state[:2], view.position[:2]) > self._farthest:
+            return None
+        return self._with_covariance(view, state, known, weight)
+
+    def _hit(self, view: View, pixel: tuple[float, float], above: float) -> Array | None:
+        """Return where a ray is so much above the ground, m."""
+        ray = view.rotation @ view.pinhole.rays(np.array([pixel], float))[0]
+        ray /= np.linalg.norm(ray)
+        if not -ray[2] >= math.sin(self._least_dip):
+            return None
+        place = view.position
+        for _ in range(_STEPS):
+            height = self._ground(float(place[0]), float(place[1])) + above
+            length = (height - view.position[2]) / ray[2]
+            if not 0.0 < length <= self._farthest:
+                return None
+            before, place = place, view.position + length * ray
+            if np.abs(place - before).max() < _SETTLED:
+                break
+        return place
+
+    def _known_sides(self, pinhole: Pinhole, box: Array) -> NDArray[np.bool_]:
+        """Return which sides of a box are the person's, not the picture's."""
+        limits = np.array([0.0, 0.0, pinhole.width, pinhole.height])
+        known = np.abs(box - limits) > _EDGE
+        # Nothing is left to go by of a person as large as the picture; then the middle has to do.
+        return known if known.sum() >= 2 else np.ones(4, bool)
+
+    def _linear(self, view: View, state: Array) -> tuple[Array, Array]:
+        """Return the box of a cylinder, (4,) px, and its derivatives by its state, (4, 4); NaN as `cylinder_boxes` has.
+
+        Args:
+            view: the camera.
+            state: (4,) x, y of its foot, height, radius, m.
+        """
+        states = np.vstack([state, state + np.diag(_DELTA), state - np.diag(_DELTA)])
+        feet = np.array([[x, y, self._ground(x, y)] for x, y in states[:, :2].tolist()])
+        boxes = cylinder_boxes(view.pinhole, view.position, view.rotation, feet, states[:, 2], states[:, 3])
+        return boxes[0], ((boxes[1:5] - boxes[5:]) / (2.0 * _DELTA[:, None])).T
+
+    def _pose_slope(self, view: View, foot: Array, state: Array) -> Array:
+        """Return the box's derivatives by the camera's position and small turns about map's axes, (4, 6)."""
+        steps = np.vstack([np.diag(_POSE_DELTA), -np.diag(_POSE_DELTA)])
+        positions = view.position + steps[:, :3]
+        rotations = np.array([small_turn(step[3:]) for step in steps]) @ view.rotation
+        boxes = cylinder_boxes(view.pinhole, positions, rotations, foot, state[2], state[3])
+        return ((boxes[:6] - boxes[6:]) / (2.0 * _POSE_DELTA[:, None])).T
+
+    def _with_covariance(self, view: View, state: Array, known: NDArray[np.bool_], weight: Array) -> GroundPoint | None:
+        foot = np.array([state[0], state[1], self._ground(float(state[0]), float(state[1]))])
+        slope, pose_slope = self._linear(view, state)[1][known], self._pose_slope(view, foot, state)[known]
+        if not (np.isfinite(slope).all() and np.isfinite(pose_slope).all()):
+            return None
+        noise = self.noise
+        covariance = np.linalg.inv(slope.T @ slope / noise.pixel**2 + weight)
+        gain = covariance @ slope.T / noise.pixel**2
+        pixels = gain @ gain.T * noise.pixel**2
+        person = covariance @ weight @ covariance
+        # A ground that is higher is a camera that is lower.
+        vertical = noise.vertical**2 + noise.ground**2
+        position = _through(gain @ pose_slope[:, :3], np.diag([noise.horizontal**2, noise.horizontal**2, vertical]))
+        attitude = _through(gain @ pose_slope[:, 3:], np.diag([noise.tilt**2, noise.tilt**2, noise.heading**2]))
+        on_ground = self._on_ground(state)
+        fresh = _through(on_ground, (pixels + attitude)[:2, :2])
+        shared = _through(on_ground, (person + position)[:2, :2]) + np.diag([0.0, 0.0, noise.ground**2])
+        return GroundPoint(foot, fresh, shared)
+
+    def _on_ground(self, state: Array) -> Array:
+        """Return the derivative of a place on the ground by x and y, (3, 2)."""
+        x, y = float(state[0]), float(state[1])
+        delta = 0.1
+        rise = [self._ground(x + dx, y + dy) - self._ground(x - dx, y - dy) for dx, dy in ((delta, 0.0), (0.0, delta))]
+        return np.vstack([np.eye(2), np.array(rise) / (2.0 * delta)])
+
+
+def cylinder_box(view: View, foot: Array, height: float, radius: float) -> Array:
+    """Return the box that shows a standing cylinder: xmin, ymin, xmax, ymax, (4,) px, not cut at the picture's edges.
+
+    Args:
+        view: the camera.
+        foot: (3,) the middle of its lower end, m, map.
+        height, radius: m.
+
+    Returns:
+        NaN where a part of it is not ahead of the camera.
+    """
+    return cylinder_boxes(view.pinhole, view.position, view.rotation, np.asarray(foot, float)[None], height, radius)[0]
+
+
+def cylinder_boxes(
+    pinhole: Pinhole, positions: Array, rotations: Array, feet: Array, heights: Array | float, radii: Array | float
+) -> Array:
+    """Return the boxes of n standing cylinders, (n, 4) px, as `cylinder_box`; arguments of one go for all.
+
+    Args:
+        pinhole: of all cameras.
+        positions: (n, 3) or (3,) of the cameras, m, map.
+        rotations: (n, 3, 3) or (3, 3) from the optical frame to map.
+        feet: (n, 3) or (3,) m, map.
+        heights, radii: (n,) or one, m.
+    """
+    camera = np.array([[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]])
+    projections = camera @ np.swapaxes(rotations, -1, -2)
+    lower = np.einsum("...ij,...j->...i", projections, feet - positions)
+    upper = lower + projections[..., 2] * np.asarray(heights)[..., None]
+    rims = [_rim_boxes(projections, middles, np.asarray(radii, float)) for middles in (lower, upper)]
+    return np.concatenate(
+        [np.minimum(rims[0][..., :2], rims[1][..., :2]), np.maximum(rims[0][..., 2:], rims[1][..., 2:])], axis=-1
+    )
+
+
+def _rim_boxes(projections: Array, middles: Array, radii: Array) -> Array:
+    """Return the boxes of level circles, (n, 4) px.
+
+    A circle's picture is a conic; a vertical line x = c touches it if (1, 0, -c) D (1, 0, -c)' = 0 for its dual D.
+
+    Args:
+        projections: (n, 3, 3) from map to homogeneous pixels.
+        middles: (n, 3) of the circles, homogeneous pixels.
+        radii: (n,) m.
+    """
+    along = projections[..., :2]
+    area = (radii * radii)[..., None]
+    last = area[..., 0] * (along[..., 2, :] ** 2).sum(axis=-1) - middles[..., 2] ** 2
+    mixed = area * (along[..., :2, :] * along[..., 2:, :]).sum(axis=-1) - middles[..., :2] * middles[..., 2:]
+    squares = area * (along[..., :2, :] ** 2).sum(axis=-1) - middles[..., :2] ** 2
+    last = np.where((middles[..., 2] > 0.0) & (last < 0.0), last, np.nan)[..., None]
+    centres = mixed / last
+    halves = np.sqrt(np.maximum(centres**2 - squares / last, 0.0))
+    return np.concatenate([centres - halves, centres + halves], axis=-1)
+
+
+def small_turn(angles: Array) -> Array:
+    """Return the matrix (3, 3) of a turn by a vector of angles, rad (Rodrigues)."""
+    angle = float(np.linalg.norm(angles))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = angles / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+
+
+def _through(matrix: Array, covariance: Array) -> Array:
+    return matrix @ covariance @ matrix.T
+
+
+def _flat(height: float) -> Ground:
+    return lambda x, y: height
