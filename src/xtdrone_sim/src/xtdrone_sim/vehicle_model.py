@@ -1,7 +1,12 @@
-"""Vehicle models: the YAML files of ``config/vehicles`` as checked values and as records for the kernels."""
+"""Vehicle models: YAML files, and the URDFs that they name, as checked values and as records for the kernels.
+
+A vehicle type is a file ``TYPE.yaml`` in a folder that the environment variable ``XTDRONE_VEHICLES`` names, or in the
+package's ``config/vehicles``; the YAML says how it flies, the URDF what it looks like and where its sensors are.
+"""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
@@ -14,19 +19,24 @@ from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 
 from .battery import BatteryModel
+from .mounts import CameraMount, GimbalMount, MountError, read_cameras, read_gimbal
+from .package_files import CONFIG, MODELS
+from .urdf import Description, Link, UrdfError, read_urdf
+from .visual import Box, Collision, Visual
 
+__all__ = [
+    "CONFIG",
+    "MODEL",
+    "CameraMount",
+    "GimbalMount",
+    "ModelError",
+    "VehicleModel",
+    "available",
+    "load_vehicle",
+    "read_description",
+]
 
-def _config_folder() -> Path:
-    """Return the package's ``config``: beside the sources, or where an installed package has it."""
-    source = Path(__file__).resolve().parents[2] / "config"
-    if source.is_dir():
-        return source
-    import rospkg  # only an installed package needs it
-
-    return Path(rospkg.RosPack().get_path("xtdrone_sim")) / "config"
-
-
-CONFIG = _config_folder()
+VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with vehicles of one's own, colons between them
 
 MODEL = np.dtype(
     [
@@ -80,6 +90,10 @@ MODEL = np.dtype(
     align=True,
 )
 
+URDF = "urdf"  # as mass or inertia: what the links of the URDF weigh
+_MOST_OFFSET = 0.01  # m of the centre of mass from the body's origin
+_MOST_PRODUCT = 0.05  # of inertia, as a share of the least moment
+
 # sensors that a vehicle may lack: section, prefix of the record's fields
 _OPTIONAL_SENSORS = (("optical_flow", "flow"), ("range_finder", "range"))
 _BATTERY_KINDS = ("drain", "cell")
@@ -111,13 +125,19 @@ class VehicleModel:
         parameters: PX4 parameters that this airframe sets.
         assumed_layout: what the autopilot takes the rotors' places for; None where it knows them.
         battery: its battery.
+        urdf: its links and joints; the root is the body, with the centre of mass in its origin, x ahead, z up.
+        cameras: what it sees with.
+        gimbal: what holds a camera; None: no gimbal is fitted.
     """
 
     name: str
     record: np.void
     parameters: dict[str, float]
     battery: BatteryModel
+    urdf: Description
     assumed_layout: RotorLayout | None = None
+    cameras: tuple[CameraMount, ...] = ()
+    gimbal: GimbalMount | None = None
 
     @property
     def rotor_layout(self) -> RotorLayout:
@@ -129,34 +149,78 @@ class VehicleModel:
         return RotorLayout(frd, self.record["rotor_direction"][:count] * self.record["moment_constant"])
 
 
-def available(folder: str) -> list[str]:
-    """Return the names that ``config/<folder>`` offers (vehicles, worlds)."""
-    return sorted(path.stem for path in (CONFIG / folder).glob("*.yaml"))
-
-
-def read_description(folder: str, name: str) -> dict[str, Any]:
-    """Return the YAML of ``config/<folder>/<name>.yaml``, or of the file ``name`` if it is a path.
-
-    ``extends: NAME`` in it takes everything from another description and says only what differs.
+def _folders(kind: str) -> list[Path]:
+    """Return where descriptions of a kind (vehicles, worlds) are looked for, in this order.
 
     Raises:
-        ModelError: no such description, or not a YAML mapping.
+        ModelError: the environment names a folder that is not there.
     """
-    is_path = name.endswith((".yaml", ".yml"))
-    path = Path(name) if is_path else CONFIG / folder / f"{name}.yaml"
-    if not is_path and not path.is_file():
-        raise ModelError(f"{folder}: {name!r} is not known; there are {', '.join(available(folder))}")
+    own = os.environ.get(VEHICLES_VARIABLE, "") if kind == "vehicles" else ""
+    folders = [Path(part).expanduser() for part in own.split(":") if part]
+    for folder in folders:
+        if not folder.is_dir():
+            raise ModelError(f"environment variable {VEHICLES_VARIABLE}: {str(folder)!r} is no folder")
+    return [*folders, CONFIG / kind]
+
+
+def available(kind: str) -> list[str]:
+    """Return the names of all descriptions of a kind (vehicles, worlds)."""
+    return sorted({path.stem for folder in _folders(kind) for path in folder.glob("*.yaml")})
+
+
+def _find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
+    """Return the file of a description: ``name`` itself if it is a path.
+
+    Args:
+        kind: vehicles, worlds.
+        name: of the description.
+        above: files that extend it in turn, which it cannot be: one's own ``iris.yaml`` extends the package's ``iris``.
+
+    Raises:
+        ModelError: no such description.
+    """
+    if name.endswith((".yaml", ".yml")):
+        return Path(name)
+    paths = [path for folder in _folders(kind) if (path := folder / f"{name}.yaml").is_file()]
+    for path in paths:
+        if path not in above:
+            return path
+    if paths:
+        raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it leads back to {paths[-1]}")
+    raise ModelError(f"{kind}: {name!r} is not known; there are {', '.join(available(kind))}")
+
+
+def read_description(kind: str, name: str) -> dict[str, Any]:
+    """Return the YAML of a description of a kind (vehicles, worlds): ``<name>.yaml``, or the file ``name``.
+
+    ``extends: NAME`` in it takes everything from another description (a file's name: from its own folder) and says only
+    what differs.
+
+    Raises:
+        ModelError: no such description, not a YAML mapping, or one that extends itself.
+    """
+    return _read(kind, _find(kind, name), ())
+
+
+def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     try:
         description = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        names = ", ".join(available(folder))
-        raise ModelError(f"{folder}: {path}: {error.strerror or error}; by name there are {names}") from error
+        names = ", ".join(available(kind))
+        raise ModelError(f"{kind}: {path}: {error.strerror or error}; by name there are {names}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: not a YAML file: {error}") from error
     if not isinstance(description, dict):
         raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")
     base = description.pop("extends", None)
-    return description if base is None else _merged(read_description(folder, str(base)), description)
+    if base is None:
+        return description
+    above = (*above, path)
+    below = _find(kind, str(base), above)
+    below = below if below.is_absolute() else path.parent / below
+    if below in above:
+        raise ModelError(f"{path}: extends: {base!r} is not allowed, it leads back to {below}")
+    return _merged(_read(kind, below, above), description)
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -171,20 +235,53 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 def load_vehicle(name: str) -> VehicleModel:
     """Return the vehicle type ``name``.
 
+    Args:
+        name: a type, or a YAML file.
+
     Raises:
         ModelError: unknown type, or a field that is missing, not a number or not positive.
     """
     description = read_description("vehicles", name)
     record = np.zeros(1, MODEL)[0]
     try:
-        _fill_body(record, description)
+        urdf = _description(description, _find("vehicles", name).parent)
+        _fill_body(record, description, urdf)
         _fill_rotors(record, description)
         _fill_sensors(record, description["sensors"])
         assumed = _assumed_layout(record, description.get("control_allocation"))
+        cameras = read_cameras(description.get("cameras"), urdf)
+        gimbal = read_gimbal(description.get("gimbal"), urdf)
     except (KeyError, TypeError) as error:
         raise ModelError(f"vehicle {name!r}: field {error} is missing or of the wrong kind") from error
+    except (MountError, UrdfError) as error:
+        raise ModelError(f"vehicle {name!r}: {error}") from error
     parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
-    return VehicleModel(Path(name).stem, record, parameters, _battery(description.get("battery", {})), assumed)
+    battery = _battery(description.get("battery", {}))
+    return VehicleModel(Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal)
+
+
+def _description(description: dict[str, Any], folder: Path) -> Description:
+    """Return the URDF that a vehicle names; without one its collision box is what is seen of it.
+
+    Args:
+        description: the vehicle's YAML.
+        folder: where that lies; the URDF is looked for there, then in ``XTDRONE_VEHICLES``, then in ``models``.
+
+    Raises:
+        ModelError: it is not there.
+        UrdfError: it cannot be used.
+    """
+    name = description.get("urdf")
+    if name is None:
+        size = description.get("collision_box") or (1.0, 1.0, 1.0)  # what is not allowed is refused with the body
+        box = Box((float(size[0]), float(size[1]), float(size[2])))
+        return Description("vehicle", (Link("base_link", (Visual(box),), (Collision(box),)),))
+    folders = [folder, *_folders("vehicles")[:-1], MODELS]
+    for place in folders:
+        path = place / str(name)
+        if path.is_file():
+            return read_urdf(path)
+    raise ModelError(f"urdf: {str(name)!r} is not there; looked for in {', '.join(map(str, folders))}")
 
 
 def _battery(description: dict[str, Any]) -> BatteryModel:
@@ -207,18 +304,47 @@ def _positive(description: dict[str, Any], field: str) -> float:
     return value
 
 
-def _fill_body(record: np.void, description: dict[str, Any]) -> None:
-    record["mass"] = _positive(description, "mass")
-    for field, source in (("inertia", "inertia"), ("box", "collision_box")):
-        values = np.asarray(description[source], float)
+def _fill_body(record: np.void, description: dict[str, Any], urdf: Description) -> None:
+    weighed = _weighed(urdf) if URDF in (description["mass"], description["inertia"]) else None
+    record["mass"] = weighed[0] if weighed and description["mass"] == URDF else _positive(description, "mass")
+    inertia = weighed[1] if weighed and description["inertia"] == URDF else description["inertia"]
+    for field, source, given in (
+        ("inertia", "inertia", inertia),
+        ("box", "collision_box", description["collision_box"]),
+    ):
+        values = np.asarray(given, float)
         if values.shape != (3,) or not np.all(values > 0.0):
-            raise ModelError(f"{source}: {description[source]} is not allowed, three positive numbers")
+            raise ModelError(f"{source}: {given} is not allowed, three positive numbers")
         record[field] = values
     record["radius"] = 0.5 * float(np.linalg.norm(record["box"]))
     drag = float(description.get("linear_drag", 0.0))
     if not (np.isfinite(drag) and drag >= 0.0):
         raise ModelError(f"linear_drag: {drag} is not allowed, a number of at least 0")
     record["linear_drag"] = drag
+
+
+def _weighed(urdf: Description) -> tuple[float, list[float]]:
+    """Return mass, kg, and principal inertia, kg m^2, of the URDF's links.
+
+    Raises:
+        ModelError: nothing weighs anything; the centre of mass is not in the body's origin, or the principal axes are
+            not the body's, which the plant takes them for.
+    """
+    mass, centre, inertia = urdf.mass()
+    if mass <= 0.0:
+        raise ModelError(f"mass: {URDF} is not allowed, no link of the URDF has an <inertial>")
+    if np.abs(centre).max() > _MOST_OFFSET:
+        where = " ".join(f"{part:.4f}" for part in centre)
+        raise ModelError(
+            f"mass: {URDF}: the centre of mass at {where} m is not allowed, within {_MOST_OFFSET} of {urdf.root}"
+        )
+    products = np.abs(inertia - np.diag(np.diag(inertia))).max()
+    if products > _MOST_PRODUCT * np.diag(inertia).min():
+        raise ModelError(
+            f"inertia: {URDF}: products of inertia of {products:.2g} kg m^2 are too large, at most "
+            f"{_MOST_PRODUCT:g} of the least moment {np.diag(inertia).min():.2g}"
+        )
+    return mass, np.diag(inertia).tolist()
 
 
 def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
