@@ -287,7 +287,7 @@ def cylinder_boxes(
         heights, radii: (n,) or one, m.
     """
     camera = np.array([[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]])
-    projections = camera @ np.swapaxes(rotations, -1, -2)
+    projections = np.einsum("ij,...kj->...ik", camera, rotations)
     lower = np.einsum("...ij,...j->...i", projections, feet - positions)
     upper = lower + projections[..., 2] * np.asarray(heights)[..., None]
     rims = [_rim_boxes(projections, middles, np.asarray(radii, float)) for middles in (lower, upper)]
