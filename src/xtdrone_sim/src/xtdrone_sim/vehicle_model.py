@@ -305,9 +305,8 @@ def _positive(description: dict[str, Any], field: str) -> float:
 
 
 def _fill_body(record: np.void, description: dict[str, Any], urdf: Description) -> None:
-    weighed = _weighed(urdf) if URDF in (description["mass"], description["inertia"]) else None
-    record["mass"] = weighed[0] if weighed and description["mass"] == URDF else _positive(description, "mass")
-    inertia = weighed[1] if weighed and description["inertia"] == URDF else description["inertia"]
+    record["mass"] = _weighed(urdf)[0] if description["mass"] == URDF else _positive(description, "mass")
+    inertia = _weighed(urdf)[1] if description["inertia"] == URDF else description["inertia"]
     for field, source, given in (
         ("inertia", "inertia", inertia),
         ("box", "collision_box", description["collision_box"]),
