@@ -26,8 +26,9 @@ class Ground:
         for model in world.models:
             for link in model.links:
                 frame = compose(model.pose, link.pose)
-                for shape in (*link.visuals, *link.collisions):
-                    low, high = box_of(shape.geometry, compose(frame, shape.pose))
+                shapes = [(v.geometry, v.pose) for v in link.visuals] + [(c.geometry, c.pose) for c in link.collisions]
+                for geometry, pose in shapes:
+                    low, high = box_of(geometry, compose(frame, pose))
                     if high[2] > _FLAT:
                         boxes.append((low[0], low[1], high[0], high[1]))
         self._boxes: NDArray[np.float64] = np.array(boxes, float).reshape(-1, 4)
