@@ -1,0 +1,334 @@
+"""Paths along which a camera sees all of a piece of ground: parallel lanes, flown to and fro.
+
+The camera looks ahead of the vehicle, so a lane begins before what is to be seen and ends before its far side. Lanes
+lie in the direction that takes the least time, turns included; the directions tried are those of the sides of the
+piece's hull, among which is that of its least width. A piece with holes or bays is flown either in lanes straight
+across them, or cell by cell, whichever is quicker (H. Choset, "Coverage of known spaces: the boustrophedon cellular
+decomposition", Autonomous Robots 9, 2000).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import Polygon
+
+from xtdrone_control.checks import check_range
+from xtdrone_control.pinhole import Pinhole
+
+PERSON = 1.7  # m, the height that a person counts with
+_MOST_DIRECTIONS = 12
+_TURN = math.radians(30.0)  # a change of course from which on it is a turn
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """The ground on which a picture shows people well enough, seen from the point beneath the camera.
+
+    Attributes:
+        height: of the camera, m over the ground.
+        near, far: m ahead; the near one may be negative, behind.
+        half_near, half_far: half of its width there, m.
+    """
+
+    height: float
+    near: float
+    far: float
+    half_near: float
+    half_far: float
+
+    def half_at(self, ahead: float) -> float:
+        """Return half of its width ``ahead`` m ahead."""
+        share = (ahead - self.near) / (self.far - self.near)
+        return self.half_near + share * (self.half_far - self.half_near)
+
+    def band(self, depth: float) -> tuple[float, float]:
+        """Return where its farthest ``depth`` m begin, and half of the width there: all of it has at least that."""
+        near = max(self.near, self.far - depth)
+        return near, self.half_at(near)
+
+    def outline(self, x: float, y: float, heading: float) -> NDArray[np.float64]:
+        """Return its corners, (4, 2) m, for a camera over (x, y) that looks to ``heading``, rad from east (ENU)."""
+        corners = np.array(
+            [
+                (self.near, -self.half_near),
+                (self.far, -self.half_far),
+                (self.far, self.half_far),
+                (self.near, self.half_near),
+            ]
+        )
+        c, s = math.cos(heading), math.sin(heading)
+        return np.array([x, y]) + corners @ np.array([[c, s], [-s, c]])
+
+
+def footprint(
+    camera: Pinhole, height: float, pitch: float, *, pixels: float = 12.0, margin: float = 0.05, reach: float = 30.0
+) -> Footprint:
+    """Return the ground on which a camera shows standing people whole and large enough.
+
+    Args:
+        camera: its intrinsics.
+        height: m over the ground, 2 to 200.
+        pitch: of the gimbal, deg, negative down, -90 to -5.
+        pixels: least height of a person in the picture, from foot to head, 1 to 1000.
+        margin: share of the picture's width and height at each edge that does not count, 0 to 0.4.
+        reach: how far ahead the ground counts, m, 1 to 1000.
+
+    Raises:
+        ValueError: one is out of range, or a person is nowhere so large.
+    """
+    check_range("height", height, 2.0, 200.0, "m")
+    check_range("gimbal_pitch", pitch, -90.0, -5.0, "deg")
+    check_range("person_pixels", pixels, 1.0, 1000.0, "px")
+    check_range("picture_margin", margin, 0.0, 0.4)
+    check_range("reach", reach, 1.0, 1000.0, "m")
+    down = math.radians(-pitch)
+    ahead = np.arange(-height, reach + 0.005, 0.01)
+    foot, depth = _row(camera, ahead, height, down)
+    head, head_depth = _row(camera, ahead, height - PERSON, down)
+    upper, lower = margin * camera.height, (1.0 - margin) * camera.height
+    inside = (foot <= lower) & (head >= upper) & (depth > 0.0) & (head_depth > 0.0)
+    found = np.flatnonzero(inside & (foot - head >= pixels))
+    if not len(found):
+        largest = float(np.max(np.where(inside, foot - head, 0.0)))
+        raise ValueError(
+            f"height: {height:g} m: with the gimbal at {pitch:g} deg a person of {PERSON} m within {reach:g} m is at "
+            f"most {largest:.0f} px high, at least {pixels:g} px (person_pixels) are needed: fly lower or tilt the "
+            "camera up"
+        )
+    gaps = np.flatnonzero(np.diff(found) > 1)
+    first, last = found[gaps[-1] + 1 if len(gaps) else 0], found[-1]
+    side = (0.5 - margin) * camera.width / camera.fx
+    return Footprint(
+        height, float(ahead[first]), float(ahead[last]), float(side * depth[first]), float(side * depth[last])
+    )
+
+
+def _row(
+    camera: Pinhole, ahead: NDArray[np.float64], below: float, down: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the picture's row, px, and the depth, m, of points ``ahead`` and ``below`` the camera."""
+    depth = ahead * math.cos(down) + below * math.sin(down)
+    lower = below * math.cos(down) - ahead * math.sin(down)
+    return camera.fy * lower / np.where(depth > 0.0, depth, np.nan) + camera.cy, depth
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A place to fly to.
+
+    Attributes:
+        x, y: m, map frame, ENU.
+        heading: where the vehicle looks on the way there, rad from east (ENU).
+    """
+
+    x: float
+    y: float
+    heading: float
+
+
+@dataclass(frozen=True)
+class CoverageOptions:
+    """How lanes are laid.
+
+    Attributes:
+        overlap: share of the footprint's width that neighbouring lanes both see, 0 to 0.8.
+        depth: m along the lane, 1 to 100: for so long every place stays in the picture.
+        speed: m/s, 0.5 to 20.
+        turn_time: s that a turn costs, 0 to 60.
+    """
+
+    overlap: float = 0.2
+    depth: float = 10.0
+    speed: float = 5.0
+    turn_time: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Check them.
+
+        Raises:
+            ValueError: one is out of range.
+        """
+        check_range("overlap", self.overlap, 0.0, 0.8)
+        check_range("depth", self.depth, 1.0, 100.0, "m")
+        check_range("speed", self.speed, 0.5, 20.0, "m/s")
+        check_range("turn_time", self.turn_time, 0.0, 60.0, "s")
+
+
+def cover(piece: Polygon, seen: Footprint, options: CoverageOptions, home: Point | None = None) -> list[Waypoint]:
+    """Return the quickest path found along which the camera sees all of a piece.
+
+    Args:
+        piece: polygon, holes allowed, m ENU. The path may lead over holes and beyond its edges.
+        seen: the camera's footprint.
+        options: see :class:`CoverageOptions`.
+        home: where the vehicle comes from and returns to; None: that does not count.
+
+    Returns:
+        Waypoints, two a lane: its beginning, to which the vehicle flies looking along it already, and its end.
+    """
+    paths = [path for angle in _angles(piece) for path in _paths(piece, angle, seen, options)]
+    return min(paths, key=lambda path: _time(path, options, home))
+
+
+def length(path: Sequence[Waypoint], home: Point | None = None) -> float:
+    """Return a path's length, m, with the ways from and to ``home`` if it is given."""
+    places = [(w.x, w.y) for w in path]
+    if home is not None:
+        places = [home, *places, home]
+    return sum(math.dist(a, b) for a, b in pairwise(places))
+
+
+def turns(path: Sequence[Waypoint]) -> int:
+    """Return how often a path changes its course by more than 30 degrees."""
+    courses = [math.atan2(b.y - a.y, b.x - a.x) for a, b in pairwise(path) if math.dist((a.x, a.y), (b.x, b.y)) > 0.1]
+    return sum(abs(math.remainder(b - a, 2.0 * math.pi)) > _TURN for a, b in pairwise(courses))
+
+
+def sweep(path: Sequence[Waypoint], seen: Footprint, step: float = 1.0) -> shapely.Geometry:
+    """Return the ground that pictures taken every ``step`` m of a path show."""
+    outlines = []
+    for a, b in pairwise(path):
+        count = max(1, math.ceil(math.dist((a.x, a.y), (b.x, b.y)) / step))
+        for i in range(count + 1):
+            share = i / count
+            outlines.append(seen.outline(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), b.heading))
+    return shapely.union_all(shapely.polygons(outlines))
+
+
+def _time(path: Sequence[Waypoint], options: CoverageOptions, home: Point | None) -> float:
+    return length(path, home) / options.speed + turns(path) * options.turn_time
+
+
+def _angles(piece: Polygon) -> list[float]:
+    """Return directions of lanes to try, rad: along the hull's sides, the one of least width first."""
+    hull = shapely.get_coordinates(shapely.orient_polygons(piece.convex_hull))
+    found: list[tuple[float, float]] = []
+    for (x0, y0), (x1, y1) in pairwise(hull):
+        side = math.hypot(x1 - x0, y1 - y0)
+        if side == 0.0:
+            continue
+        angle = math.atan2(y1 - y0, x1 - x0) % math.pi
+        width = float(np.ptp(hull @ np.array([-math.sin(angle), math.cos(angle)])))
+        if all(abs(math.remainder(angle - other, math.pi)) > math.radians(1.0) for _, other in found):
+            found.append((width, angle))
+    return [angle for _, angle in sorted(found)[:_MOST_DIRECTIONS]]
+
+
+@dataclass(frozen=True)
+class _Strip:
+    """What of a piece one lane must show: its middle and from where to where, in the frame of the lanes."""
+
+    y: float
+    low: float
+    high: float
+
+
+_Cell = list[_Strip]
+
+
+def _paths(piece: Polygon, angle: float, seen: Footprint, options: CoverageOptions) -> Iterator[list[Waypoint]]:
+    """Yield the paths with lanes in one direction."""
+    c, s = math.cos(angle), math.sin(angle)
+    turned = shapely.transform(piece, lambda xy: xy @ np.array([[c, -s], [s, c]]))
+    rows = _rows(turned, seen, options)
+    across = [_Strip(row[0].y, row[0].low, row[-1].high) for row in rows if row]
+    layouts: list[list[_Cell]] = [[across]]
+    if any(len(row) > 1 for row in rows):
+        layouts.append(_cells(rows))
+    near, _ = seen.band(options.depth)
+    for cells in layouts:
+        for first in range(len(cells)):
+            for variant in range(4):
+                lanes = _tour(cells, first, variant, near, seen.far)
+                yield [
+                    Waypoint(c * x - s * y, s * x + c * y, angle if b > a else angle + math.pi)
+                    for a, b, y in lanes
+                    for x in (a, b)
+                ]
+
+
+def _rows(piece: Polygon, seen: Footprint, options: CoverageOptions) -> list[list[_Strip]]:
+    """Return for each lane what it must show: one strip, or several with wide gaps between them."""
+    _, half = seen.band(options.depth)
+    low_x, low_y, high_x, high_y = piece.bounds
+    width = 2.0 * half * (1.0 - options.overlap)
+    count = max(1, math.ceil((high_y - low_y) / width - 1e-9))
+    reach = max(half, 0.5 * (high_y - low_y) / count)  # a lane shows more than its own share of the width
+    spacing = (high_y - low_y) / count
+    rows = []
+    for i in range(count):
+        y = low_y + (i + 0.5) * spacing
+        box = shapely.box(low_x - 1.0, y - 0.5 * spacing, high_x + 1.0, y + 0.5 * spacing)
+        spans = sorted(
+            (part.bounds[0], part.bounds[2])
+            for part in shapely.get_parts(piece.intersection(box))
+            if isinstance(part, Polygon)
+        )
+        strips: list[_Strip] = []
+        for low, high in spans:
+            if strips and low - strips[-1].high < seen.far + reach:
+                strips[-1] = _Strip(y, strips[-1].low, max(high, strips[-1].high))
+            else:
+                strips.append(_Strip(y, low, high))
+        rows.append(strips)
+    return rows
+
+
+def _cells(rows: Sequence[Sequence[_Strip]]) -> list[_Cell]:
+    """Return strips of neighbouring lanes that lie side by side, until they split or meet."""
+    cells: list[_Cell] = []
+    open_cells: list[_Cell] = []
+    for row in rows:
+        beside = [[cell for cell in open_cells if _beside(cell[-1], strip)] for strip in row]
+        going_on: list[_Cell] = []
+        for strip, before in zip(row, beside, strict=True):
+            if len(before) == 1 and sum(_beside(before[0][-1], other) for other in row) == 1:
+                before[0].append(strip)
+                going_on.append(before[0])
+            else:
+                cell = [strip]
+                cells.append(cell)
+                going_on.append(cell)
+        open_cells = going_on
+    return cells
+
+
+def _beside(one: _Strip, other: _Strip) -> bool:
+    return one.low < other.high and other.low < one.high
+
+
+_Lane = tuple[float, float, float]  # x of its beginning and end, y
+
+
+def _tour(cells: Sequence[_Cell], first: int, variant: int, near: float, far: float) -> list[_Lane]:
+    """Return lanes that show all cells: each cell to and fro, from one to that which begins nearest to its end."""
+    lanes = _lanes(cells[first], variant, near, far)
+    left = [cell for i, cell in enumerate(cells) if i != first]
+    while left:
+        end = (lanes[-1][1], lanes[-1][2])
+        options = [(_lanes(cell, v, near, far), i) for i, cell in enumerate(left) for v in range(4)]
+        nearest, i = min(options, key=lambda option: math.dist(end, (option[0][0][0], option[0][0][2])))
+        lanes += nearest
+        left.pop(i)
+    return lanes
+
+
+def _lanes(cell: _Cell, variant: int, near: float, far: float) -> list[_Lane]:
+    """Return a cell's lanes; ``variant`` says from which of its four corners."""
+    strips = cell if variant < 2 else cell[::-1]
+    lanes = []
+    for i, strip in enumerate(strips):
+        if (i + variant) % 2 == 0:
+            lanes.append((strip.low - far, strip.high - near, strip.y))
+        else:
+            lanes.append((strip.high + far, strip.low + near, strip.y))
+    return lanes

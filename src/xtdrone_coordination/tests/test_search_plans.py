@@ -1,0 +1,63 @@
+"""Missions of a search: heights, places, and the plan files that carry them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from shapely.geometry import Polygon
+
+from xtdrone_control import qgc_plan
+from xtdrone_control.autopilot import plan
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_coordination.search import plans as search_plans
+from xtdrone_coordination.search.coverage import sweep
+from xtdrone_coordination.search.plans import Datum, SearchOptions, plan_search, write_plans
+
+CAMERA = Pinhole.of_view(640, 360, 2.0)
+REGION = Polygon([(0, 20), (180, 20), (180, 140), (0, 140)], [[(60, 60), (90, 60), (90, 90)]])
+HOMES = {f"typhoon_h480_{i}": (3.0 * (i % 3), 3.0 * (i // 3 + 1)) for i in range(6)}
+
+
+def test_six_vehicles_share_the_region_at_heights_of_their_own() -> None:
+    options = SearchOptions()
+    found = plan_search(REGION, HOMES, CAMERA, options)
+    assert list(found) == list(HOMES)
+    assert [vehicle.height for vehicle in found.values()] == [12.0, 13.0, 14.0, 15.0, 16.0, 17.0]
+    assert sum(vehicle.piece.area for vehicle in found.values()) == pytest.approx(REGION.area)
+    for vehicle in found.values():
+        assert sweep(vehicle.path, vehicle.seen).intersection(vehicle.piece).area > 0.99 * vehicle.piece.area
+
+
+def test_plan_files_carry_the_paths(tmp_path: Path) -> None:
+    options, datum = SearchOptions(speed=4.0, gimbal_pitch=-50.0, person_pixels=10.0), Datum(-33.9, 151.2, 30.0)
+    found = plan_search(REGION, HOMES, CAMERA, options)
+    files = write_plans(tmp_path / "plans", found, options, datum)
+    for name, vehicle in found.items():
+        mission = qgc_plan.read(files[name]).mission
+        takeoff, mount, speed, *path, end = mission
+        assert (takeoff.command, takeoff.z, takeoff.relative) == (plan.TAKEOFF, vehicle.height, True)
+        assert (mount.command, mount.params[0], mount.z) == (plan.MOUNT_CONTROL, -50.0, 2.0)
+        assert (speed.command, speed.params[1]) == (plan.CHANGE_SPEED, 4.0)
+        assert end.command == plan.RETURN
+        assert len(path) == len(vehicle.path)
+        for item, waypoint in zip(path, vehicle.path, strict=True):
+            assert (item.command, item.z, item.relative) == (plan.WAYPOINT, vehicle.height, True)
+            assert datum.local(item.x, item.y) == pytest.approx((waypoint.x, waypoint.y), abs=1e-6)
+            assert math.remainder(
+                math.radians(90.0 - item.params[3]) - waypoint.heading, 2.0 * math.pi
+            ) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    region = tmp_path / "region.yaml"
+    region.write_text("region: [[0, 20], [120, 20], [120, 100], [0, 100]]\n", encoding="utf-8")
+    arguments = [str(region), "--vehicles", "typhoon_h480:3", "--out", str(tmp_path / "out")]
+    assert search_plans.main(arguments) == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"typhoon_h480_{i}.plan" for i in range(3)]
+    assert "3200 m^2 at 14 m" in capsys.readouterr().out
+    assert search_plans.main([*arguments, "--height", "90"]) == 2
+    assert "height: 90 m: with the gimbal at -60 deg" in capsys.readouterr().err
+    assert search_plans.main([*arguments, "--speed", "40"]) == 2
+    assert "speed: 40.0 is not allowed, 0.5 to 15 m/s" in capsys.readouterr().err
