@@ -189,6 +189,11 @@ class Geolocator:
             return None
         return self._with_covariance(view, state, known, weight)
 
+    def foot(self, place: Array) -> Array:
+        """Return the point of the ground, (3,) m, at a place (2,)."""
+        x, y = float(place[0]), float(place[1])
+        return np.array([x, y, self._ground(x, y)])
+
     def _hit(self, view: View, pixel: tuple[float, float], above: float) -> Array | None:
         """Return where a ray is so much above the ground, m."""
         ray = view.rotation @ view.pinhole.rays(np.array([pixel], float))[0]
@@ -234,7 +239,7 @@ class Geolocator:
         return ((boxes[:6] - boxes[6:]) / (2.0 * _POSE_DELTA[:, None])).T
 
     def _with_covariance(self, view: View, state: Array, known: NDArray[np.bool_], weight: Array) -> GroundPoint | None:
-        foot = np.array([state[0], state[1], self._ground(float(state[0]), float(state[1]))])
+        foot = self.foot(state[:2])
         slope, pose_slope = self._linear(view, state)[1][known], self._pose_slope(view, foot, state)[known]
         if not (np.isfinite(slope).all() and np.isfinite(pose_slope).all()):
             return None

@@ -8,7 +8,7 @@ never differently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 class Done(NamedTuple):
     """Work that is done: the key it was given, and what its function returned."""
 
-    key: Hashable
+    key: Any
     result: Any
 
 
 class _Work(NamedTuple):
     due_us: int
     number: int
-    key: Hashable
+    key: Any
     future: Future[Any]
 
 
@@ -51,11 +51,11 @@ class Deferred:
         """Return how much has been put and not been taken."""
         return len(self._work)
 
-    def put(self, key: Hashable, due_us: int, function: Callable[..., Any], *arguments: Any) -> None:
+    def put(self, key: Any, due_us: int, function: Callable[..., Any], *arguments: Any) -> None:
         """Begin work.
 
         Args:
-            key: what the result is known by; need not be unlike others.
+            key: what the result is known by; nothing is done with it.
             due_us: simulated time from which on the result counts, microseconds.
             function: called with ``arguments`` by a worker.
             arguments: no other thread may change them meanwhile.

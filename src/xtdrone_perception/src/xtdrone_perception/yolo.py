@@ -1,0 +1,456 @@
+"""Detection as a ROS node: pictures of one or many vehicles in, boxes and places on the ground out.
+
+For each vehicle ``T`` (as ``typhoon_h480_0``) with the number ``i``:
+
+=======================================  ==============================  =============================================
+topic                                    type                            meaning
+=======================================  ==============================  =============================================
+/T/cgo3_camera/image_raw, camera_info    sensor_msgs/Image, CameraInfo   in: rgb8 or bgr8
+/T/mavros/local_position/pose            geometry_msgs/PoseStamped       in: where the vehicle was at the exposure
+/T/mavros/mount_control/orientation      geometry_msgs/Quaternion        in: where the gimbal pointed
+/T/mavros/state                          mavros_msgs/State               in: a camera may be silent while disarmed
+/uav_<i>/darknet_ros/bounding_boxes      darknet_ros_msgs/BoundingBoxes  out: a message a picture, as darknet_ros
+/uav_<i>/darknet_ros/found_object        darknet_ros_msgs/ObjectCount    out: number of boxes
+/uav_<i>/darknet_ros/detection_image     sensor_msgs/Image               out: with boxes; only while subscribed
+/xtdrone/T/objects                       xtdrone_msgs/ObjectsOnGround    out: tracked people on the ground, in map
+/xtdrone/T/camera_ok                     std_msgs/Bool                   out, latched: whether pictures come
+=======================================  ==============================  =============================================
+
+A picture's results are published a fixed simulated time (``~latency``) after its work began, whatever the work takes;
+flight goes on meanwhile. A vehicle has one picture in work; of those that come meanwhile the newest waits, the others
+are passed over and counted.
+"""
+
+from __future__ import annotations
+
+import queue
+import zlib
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import cv2
+import numpy as np
+import rospkg
+import rospy
+from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes, ObjectCount
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from mavros_msgs.msg import State
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Bool
+from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
+
+from xtdrone_control import lockstep
+from xtdrone_control.camera_pose import CameraPose, camera_link_pose, optical_pose
+from xtdrone_control.checks import check_range
+from xtdrone_control.communication.arguments import ArgumentError
+from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.pinhole import Pinhole
+
+from .detector import Detection, Detector, DetectorError, DetectorSettings, load_settings
+from .geolocation import Geolocator, Noise, Person, View
+from .history import History
+from .tracker import Find, Track, Tracker, TrackerSettings
+from .watch import CameraWatch
+
+RATE = 50.0  # Hz; the gimbal's orientation has no stamp, so it is as exact as the node's turns
+LATENCY = 0.1  # s
+CAMERA = "cgo3_camera"
+CAMERA_OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
+PERSONS = ("human", "person")  # classes that are put on the ground
+MARGIN = 8.0  # px; what should be nearer to the picture's edge may well be outside
+_MOST_WORKERS = 16
+_COLOUR = (255, 60, 60)
+
+_Kind = TypeVar("_Kind")
+
+
+class Options(NamedTuple):
+    """What all vehicles of a node have in common.
+
+    Attributes:
+        latency: s of simulated time from a picture's work to its results.
+        camera: its topics' name below the vehicle's.
+        offset: of the camera from base_link, m, FLU.
+        persons: names of the classes that are put on the ground.
+        locator: of places.
+        tracker: how tracks begin and end.
+    """
+
+    latency: float
+    camera: str
+    offset: tuple[float, float, float]
+    persons: tuple[str, ...]
+    locator: Geolocator
+    tracker: TrackerSettings
+
+
+class Picture(NamedTuple):
+    """A picture that waits or is in work."""
+
+    message: Image
+    rgb: NDArray[np.uint8]
+
+
+def read_options() -> Options:
+    """Return the options of the private parameters.
+
+    Raises:
+        ArgumentError: one is not allowed.
+    """
+    try:
+        offset = tuple(float(value) for value in rospy.get_param("~camera_offset", list(CAMERA_OFFSET)))
+        if len(offset) != 3 or not np.isfinite(offset).all():
+            raise ValueError(f"camera_offset: {offset!r} is not allowed, three numbers in m")
+        persons = rospy.get_param("~persons", list(PERSONS))
+        if not isinstance(persons, list) or not all(isinstance(name, str) for name in persons):
+            raise ValueError(f"persons: {persons!r} is not allowed, a list of names")
+        return Options(
+            check_range("latency", rospy.get_param("~latency", LATENCY), 0.0, 10.0, "s"),
+            str(rospy.get_param("~camera", CAMERA)),
+            (offset[0], offset[1], offset[2]),
+            tuple(persons),
+            Geolocator(
+                check_range("ground", rospy.get_param("~ground", 0.0), -1e4, 1e4, "m"),
+                _group(Person, "person"),
+                _group(Noise, "noise"),
+                farthest=rospy.get_param("~farthest", 200.0),
+            ),
+            _group(TrackerSettings, "tracker"),
+        )
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"parameter ~{error}") from error
+
+
+def _group(kind: type[_Kind], name: str) -> _Kind:
+    """Return a dataclass of the private parameters below a name.
+
+    Raises:
+        ValueError: one is unknown or not allowed.
+    """
+    values = rospy.get_param(f"~{name}", {})
+    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(values, dict) or not set(values) <= known:
+        raise ValueError(f"{name}: {values!r} is not allowed, a mapping with {', '.join(sorted(known))}")
+    return kind(**values)
+
+
+def read_detector() -> DetectorSettings:
+    """Return the settings of the network: the file that ``~detector`` names, and what private parameters replace.
+
+    Raises:
+        ArgumentError: the file or a value cannot be used.
+    """
+    name = str(rospy.get_param("~detector", "search"))
+    path = Path(name).expanduser()
+    if path.suffix != ".yaml":
+        path = Path(rospkg.RosPack().get_path("xtdrone_perception")) / "config" / "yolo" / f"{name}.yaml"
+    changes = {
+        field.name: rospy.get_param(f"~{field.name}")
+        for field in fields(DetectorSettings)
+        if rospy.has_param(f"~{field.name}")
+    }
+    try:
+        return load_settings(path, changes)
+    except DetectorError as error:
+        raise ArgumentError(f"parameter ~detector: {error}") from error
+
+
+class Detectors:
+    """Networks of the same file, one a worker, since a network runs one picture at a time."""
+
+    def __init__(self, settings: DetectorSettings, count: int) -> None:
+        """Read them.
+
+        Raises:
+            DetectorError: they cannot be used.
+        """
+        self._free: queue.SimpleQueue[Detector] = queue.SimpleQueue()
+        for _ in range(count):
+            self._free.put(Detector(settings))
+
+    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
+        """Return a picture's objects; for any thread."""
+        detector = self._free.get()
+        try:
+            return detector.detect(rgb)
+        finally:
+            self._free.put(detector)
+
+
+class VehicleEyes:
+    """Topics, tracks and the camera's state of one vehicle."""
+
+    def __init__(self, kind: str, index: int, options: Options) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``typhoon_h480``.
+            index: the vehicle's number.
+            options: of the node.
+        """
+        self.name = f"{kind}_{index}"
+        self._options = options
+        self._pinhole: Pinhole | None = None
+        self._poses, self._mounts = History(), History()
+        self._armed = False
+        self._begin_anew()
+        darknet = f"/uav_{index}/darknet_ros"
+        self._boxes = lockstep.Publisher(f"{darknet}/bounding_boxes", BoundingBoxes)
+        self._count = lockstep.Publisher(f"{darknet}/found_object", ObjectCount)
+        self._image = lockstep.Publisher(f"{darknet}/detection_image", Image, queue_size=1)
+        self._objects = lockstep.Publisher(f"/xtdrone/{self.name}/objects", ObjectsOnGround)
+        self._ok = lockstep.Publisher(f"/xtdrone/{self.name}/camera_ok", Bool, latch=True)
+        camera = f"/{self.name}/{options.camera}"
+        lockstep.Subscriber(f"/{self.name}/mavros/state", State, self._on_state)
+        lockstep.Subscriber(f"/{self.name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"/{self.name}/mavros/mount_control/orientation", Quaternion, self._on_mount)
+        lockstep.Subscriber(f"{camera}/camera_info", CameraInfo, self._on_info)
+        lockstep.Subscriber(f"{camera}/image_raw", Image, self._on_image, queue_size=2, buff_size=2**24)
+        lockstep.add_reset_hook(self._restart)
+
+    def _begin_anew(self) -> None:
+        self._tracker = Tracker(self._options.tracker)
+        self._watch = CameraWatch()
+        self._said_ok: bool | None = None
+        self._waiting: Picture | None = None
+        self._working = False
+        self._dropped = 0
+
+    def _restart(self) -> None:
+        self._poses.clear()
+        self._mounts.clear()
+        self._armed = False
+        self._begin_anew()
+
+    # messages
+
+    def _on_state(self, message: State) -> None:
+        self._armed = bool(message.armed)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        entry = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+        if _usable(entry):
+            self._poses.add(message.header.stamp.to_nsec(), entry)
+
+    def _on_mount(self, message: Quaternion) -> None:
+        entry = np.array([message.x, message.y, message.z, message.w])
+        if _usable(entry):
+            self._mounts.add(rospy.Time.now().to_nsec(), entry)
+
+    def _on_info(self, message: CameraInfo) -> None:
+        fx, fy, cx, cy = message.K[0], message.K[4], message.K[2], message.K[5]
+        if fx > 0.0 and fy > 0.0 and message.width and message.height:
+            self._pinhole = Pinhole(message.width, message.height, fx, fy, cx, cy)
+        else:
+            rospy.logwarn_throttle(10.0, f"{self.name}: camera_info without focal lengths or size is ignored")
+
+    def _on_image(self, message: Image) -> None:
+        try:
+            rgb = picture_of(message)
+        except ValueError as error:
+            rospy.logwarn_throttle(10.0, f"{self.name}: a picture is ignored: {error}")
+            return
+        last = self._poses.last
+        place = None if last is None else (float(last[0]), float(last[1]), float(last[2]))
+        content = zlib.crc32(message.data)
+        self._watch.picture(rospy.get_time(), message.header.stamp.to_sec(), content, place if self._armed else None)
+        if self._waiting is not None:
+            self._dropped += 1
+        self._waiting = Picture(message, rgb)
+
+    # turns
+
+    def take(self) -> Picture | None:
+        """Return the picture that is to be worked on now, None while there is none or one is in work."""
+        if self._working or self._waiting is None:
+            return None
+        picture, self._waiting = self._waiting, None
+        self._working = True
+        return picture
+
+    def look(self) -> None:
+        """Say on ``camera_ok`` whether the camera works, when that has changed."""
+        self._watch.look(rospy.get_time(), self._armed)
+        ok = not self._watch.fault
+        if ok == self._said_ok or not (self._watch.fault or self._watch.seen):
+            return
+        if not ok:
+            rospy.logwarn(f"{self.name}: the camera has failed: {self._watch.fault}")
+        elif self._said_ok is False:
+            rospy.loginfo(f"{self.name}: the camera works again")
+        self._said_ok = ok
+        self._ok.publish(Bool(ok))
+
+    def finish(self, picture: Picture, detections: Sequence[Detection]) -> None:
+        """Publish what a picture shows."""
+        self._working = False
+        header = picture.message.header
+        boxes = BoundingBoxes(image_header=header)
+        boxes.header.stamp = rospy.Time.now()
+        boxes.header.frame_id = header.frame_id
+        boxes.bounding_boxes = [box_message(entry) for entry in detections]
+        self._boxes.publish(boxes)
+        count = ObjectCount(count=min(len(detections), 127))
+        count.header = boxes.header
+        self._count.publish(count)
+        if self._image.get_num_connections():
+            self._image.publish(drawn(picture, detections))
+        self._place(header.stamp, detections)
+
+    def _place(self, stamp: Any, detections: Sequence[Detection]) -> None:
+        """Publish the tracks after a picture, if it is known where the camera was."""
+        camera = self._camera_at(stamp.to_nsec())
+        if camera is None or self._pinhole is None:
+            rospy.logwarn_throttle(
+                10.0, f"{self.name}: no places on the ground: pose, mount orientation or camera_info is missing"
+            )
+            return
+        view = View.of(self._pinhole, camera.position, camera.orientation)
+        finds = []
+        for entry in detections:
+            if entry.name not in self._options.persons:
+                continue
+            box = (entry.xmin, entry.ymin, entry.xmax, entry.ymax)
+            point = self._options.locator.locate(view, box)
+            if point is not None:
+                finds.append(Find(point, entry.name, entry.probability, box))
+        try:
+            tracks = self._tracker.update(stamp.to_sec(), finds, lambda place: in_view(view, place, self._options))
+        except ValueError as error:
+            rospy.logwarn_throttle(10.0, f"{self.name}: a picture's places are left out: {error}")
+            return
+        message = ObjectsOnGround(vehicle=self.name, dropped=self._dropped)
+        message.header.stamp, message.header.frame_id = stamp, "map"
+        message.camera = Pose(Point(*camera.position), Quaternion(*camera.orientation))
+        message.objects = [object_message(track) for track in tracks]
+        self._objects.publish(message)
+
+    def _camera_at(self, time_ns: int) -> CameraPose | None:
+        """Return the pose of the optical frame at a time, None where it is not known."""
+        pose, mount = self._poses.at(time_ns), self._mounts.at(time_ns)
+        if pose is None or mount is None:
+            return None
+        px, py, pz, qx, qy, qz, qw = pose.tolist()
+        mx, my, mz, mw = mount.tolist()
+        return optical_pose(
+            camera_link_pose((px, py, pz), (qx, qy, qz, qw), (mx, my, mz, mw), self._options.offset),
+        )
+
+
+class YoloNode:
+    """Detection of one or many vehicles in one process."""
+
+    def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: Options) -> None:
+        """Read the networks and declare the topics.
+
+        Args:
+            kind: vehicle type, as ``typhoon_h480``.
+            ids: the vehicles' numbers.
+            detector: the network.
+            options: of all vehicles.
+
+        Raises:
+            ArgumentError: the network cannot be used, or ``~workers`` is not allowed.
+        """
+        try:
+            workers = int(check_range("workers", rospy.get_param("~workers", 1), 1, _MOST_WORKERS))
+            self._detectors = Detectors(detector, workers)
+        except ValueError as error:
+            raise ArgumentError(f"parameter ~{error}") from error
+        self._latency_us = round(options.latency * 1e6)
+        self._work = Deferred(workers, wait=lockstep.is_active())
+        self._vehicles = [VehicleEyes(kind, index, options) for index in ids]
+        lockstep.add_reset_hook(self._work.clear)
+
+    def step(self) -> None:
+        """Publish what is due, and begin with what waits; call it at 50 Hz."""
+        now_us = rospy.Time.now().to_nsec() // 1000
+        for (vehicle, picture), detections in self._work.ready(now_us):
+            vehicle.finish(picture, detections)
+        for vehicle in self._vehicles:
+            picture = vehicle.take()
+            if picture is not None:
+                due_us = now_us + self._latency_us
+                self._work.put((vehicle, picture), due_us, self._detectors.detect, picture.rgb)
+            vehicle.look()
+
+    def close(self) -> None:
+        """End the workers."""
+        self._work.close()
+
+
+def picture_of(message: Image) -> NDArray[np.uint8]:
+    """Return a message's picture, (height, width, 3) red, green, blue.
+
+    Raises:
+        ValueError: its encoding is not known, or it has not as many bytes as it says.
+    """
+    if message.encoding not in ("rgb8", "bgr8"):
+        raise ValueError(f"encoding: {message.encoding!r} is not allowed, rgb8 or bgr8")
+    width, height, step = message.width, message.height, message.step
+    if not width or not height or step < 3 * width or len(message.data) != step * height:
+        raise ValueError(f"{width} x {height} px in rows of {step} bytes, but {len(message.data)} bytes")
+    rows = np.frombuffer(message.data, np.uint8).reshape(height, step)
+    rgb = rows[:, : 3 * width].reshape(height, width, 3)
+    return np.ascontiguousarray(rgb if message.encoding == "rgb8" else rgb[..., ::-1])
+
+
+def box_message(entry: Detection) -> BoundingBox:
+    """Return a detection as darknet_ros has it."""
+    return BoundingBox(
+        probability=entry.probability,
+        xmin=round(entry.xmin),
+        ymin=round(entry.ymin),
+        xmax=round(entry.xmax),
+        ymax=round(entry.ymax),
+        id=entry.class_id,
+        Class=entry.name,
+    )
+
+
+def object_message(track: Track) -> ObjectOnGround:
+    """Return a track as a message."""
+    xmin, ymin, xmax, ymax = track.last.box
+    box = Detection(0, track.object_class, track.last.probability, xmin, ymin, xmax, ymax)
+    return ObjectOnGround(
+        id=track.id,
+        object_class=track.object_class,
+        probability=track.probability,
+        hits=track.hits,
+        position=Point(*track.position.tolist()),
+        covariance=track.position_covariance.reshape(-1).tolist(),
+        velocity=Vector3(*track.velocity.tolist(), 0.0),
+        box=box_message(box),
+    )
+
+
+def in_view(view: View, place: NDArray[np.float64], options: Options) -> bool:
+    """Return whether a picture should show a person who stands at a place (2,), m."""
+    foot = options.locator.foot(place)
+    middle = foot + np.array([0.0, 0.0, 0.5 * options.locator.person.height])
+    x, y = view.pinhole.project(((middle - view.position) @ view.rotation)[None])[0]
+    return bool(MARGIN <= x <= view.pinhole.width - MARGIN and MARGIN <= y <= view.pinhole.height - MARGIN)
+
+
+def drawn(picture: Picture, detections: Sequence[Detection]) -> Image:
+    """Return a picture with boxes, as rgb8."""
+    rgb = picture.rgb.copy()
+    for entry in detections:
+        corners = (round(entry.xmin), round(entry.ymin)), (round(entry.xmax), round(entry.ymax))
+        cv2.rectangle(rgb, *corners, _COLOUR, 1)
+        text = f"{entry.name} {entry.probability:.2f}"
+        baseline = corners[0][1] - 3 if corners[0][1] > 14 else corners[1][1] + 12
+        cv2.putText(rgb, text, (corners[0][0], baseline), cv2.FONT_HERSHEY_SIMPLEX, 0.4, _COLOUR, 1, cv2.LINE_AA)
+    height, width = rgb.shape[:2]
+    message = Image(height=height, width=width, encoding="rgb8", step=3 * width, data=rgb.tobytes())
+    message.header = picture.message.header
+    return message
+
+
+def _usable(entry: NDArray[np.float64]) -> bool:
+    """Return whether an entry is finite and ends in a unit quaternion."""
+    return bool(np.isfinite(entry).all() and abs(entry[-4:] @ entry[-4:] - 1.0) < 0.01)

@@ -1,0 +1,76 @@
+"""Poses between messages, and what a camera that has failed looks like."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from xtdrone_perception.history import History
+from xtdrone_perception.watch import CameraWatch
+
+
+def yaw(angle: float) -> list[float]:
+    return [0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)]
+
+
+def test_between_two_entries_and_beyond_them():
+    history = History(reach=0.3)
+    assert history.at(0) is None
+    history.add(1_000_000_000, np.array([0.0, 0.0, 10.0, *yaw(0.0)]))
+    history.add(2_000_000_000, np.array([4.0, 0.0, 12.0, *(-np.array(yaw(0.4)))]))  # the same turn as its negative
+    history.add(1_500_000_000, np.array([9.0, 9.0, 9.0, *yaw(2.0)]))  # too late
+    middle = history.at(1_500_000_000)
+    assert middle[:3] == pytest.approx([2.0, 0.0, 11.0])
+    assert middle[3:] == pytest.approx(yaw(0.2))
+    assert history.at(2_250_000_000)[0] == 4.0
+    assert history.at(2_350_000_000) is None
+    assert history.at(600_000_000) is None
+    history.add(9_000_000_000, np.array([0.0, 0.0, 0.0, *yaw(0.0)]))
+    assert history.at(1_500_000_000) is None  # forgotten by now
+    history.clear()
+    assert history.last is None
+
+
+def watched(steps, picture):
+    """Return the faults after each of ``steps`` seconds of flight at 1 m/s; ``picture(t)``: stamp, content or None."""
+    watch, faults = CameraWatch(), []
+    for k in range(steps):
+        t = 0.5 * k
+        shown = picture(t)
+        if shown is not None:
+            watch.picture(t, *shown, (t, 0.0, 20.0))
+        watch.look(t, flying=True)
+        faults.append(watch.fault)
+    return faults
+
+
+def test_a_camera_that_works_has_no_fault():
+    assert set(watched(40, lambda t: (t, int(2 * t)))) == {""}
+
+
+def test_silence_old_stamps_and_pictures_that_never_change_are_faults():
+    for failed in (lambda t: None, lambda t: (5.0, 99)):
+        faults = watched(40, lambda t, failed=failed: (t, int(2 * t)) if t < 5.0 or t >= 15.0 else failed(t))
+        first = next(k for k, fault in enumerate(faults) if fault)
+        assert 0.5 * first == pytest.approx(8.0, abs=0.5)
+        assert "no picture for more than 3 s" in faults[first]
+        assert faults[30:] == [""] * 10
+    faults = watched(40, lambda t: (t, int(2 * min(t, 5.0)) if t < 15.0 else int(2 * t)))
+    first = next(k for k, fault in enumerate(faults) if fault)
+    assert 0.5 * first == pytest.approx(8.5)  # more than 3 m since 5 s
+    assert faults[29] == "its pictures have been the same since 5.0 s, in flight"
+    assert faults[30:] == [""] * 10
+
+
+def test_on_the_ground_a_camera_may_be_silent():
+    watch = CameraWatch()
+    for k in range(20):
+        watch.look(0.5 * k, flying=False)
+    assert (watch.fault, watch.seen) == ("", False)
+    for k in range(20, 26):
+        watch.look(0.5 * k, flying=True)
+        assert watch.fault == ""
+    watch.look(13.0, flying=True)
+    assert watch.fault
