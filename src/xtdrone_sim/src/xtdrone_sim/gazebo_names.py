@@ -10,14 +10,16 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 from numpy.typing import NDArray
 
 from .plant import rotate
+from .sdf import SdfModel
 
 
-def model_states(names: Sequence[str], plant: NDArray[np.void]) -> ModelStates:
-    """Return the true state of the ground plane and of every vehicle.
+def model_states(names: Sequence[str], plant: NDArray[np.void], models: Sequence[SdfModel] = ()) -> ModelStates:
+    """Return the true state of the ground plane, of every vehicle, and of what stands in the world.
 
     Args:
         names: model names.
         plant: (n,) ``PLANT``.
+        models: what stands in the world.
 
     Returns:
         Poses in the world frame (ENU, quaternion x, y, z, w) and twists in the world frame, as Gazebo gives them.
@@ -31,4 +33,8 @@ def model_states(names: Sequence[str], plant: NDArray[np.void]) -> ModelStates:
         message.pose.append(Pose(Point(*v["position"].tolist()), Quaternion(x, y, z, w)))
         spin = rotate(v["q"], *v["rates"].tolist())
         message.twist.append(Twist(Vector3(*v["velocity"].tolist()), Vector3(*spin)))
+    for model in models:
+        message.name.append(model.name)
+        message.pose.append(Pose(Point(*model.pose.position), Quaternion(*model.pose.orientation)))
+        message.twist.append(Twist())
     return message

@@ -21,6 +21,7 @@ from .gazebo_names import model_states
 from .hil import Hil
 from .mailbox import Mailbox
 from .scene import Idle
+from .sdf import world_file
 from .simulation import Simulation
 from .simulator_node import NodeSettings, choice, close_all, flag, integer, log, run_node
 
@@ -33,7 +34,7 @@ class Settings(NodeSettings):
         fleet: vehicles (``/xtdrone/fleet`` or ``~fleet``).
         rows: spawn grid (``~rows``).
         autopilot: "builtin" is ours; "hil" has PX4s connect to the vehicles' simulator links (``~autopilot``).
-        world: name or file (``~world``).
+        world: name or file (``~world``); its absolute path is set as ``/xtdrone/world`` for who draws it.
         seed: of the sensor noise (``~seed``).
         shared_datum: one local frame for all (``~shared_datum``).
         params: folder in which changed parameters outlive the simulator, empty for none (``~params``).
@@ -89,7 +90,10 @@ class FullScene:
             shared_datum=settings.shared_datum,
             autopilots=self._factory(settings),
         )
+        rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
         self.step_us = self._simulation.step_us
+        self._models = self._simulation.world.model.models
+        self.scenery: Sequence[str] = [model.name for model in self._models]
         self._autopilots = self._simulation.autopilots
         self._mavlink = MavlinkServer(
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
@@ -189,10 +193,10 @@ class FullScene:
 
     def model_states(self) -> ModelStates:
         """Return the plant as Gazebo has it."""
-        return model_states(self.names, self._simulation.world.plant)
+        return model_states(self.names, self._simulation.world.plant, self._models)
 
     def collisions(self) -> set[tuple[int, int]]:
-        """Return which vehicles have hit each other."""
+        """Return which vehicles have hit each other or something."""
         return self._simulation.world.collisions
 
     def restart(self, time_us: int) -> None:

@@ -11,11 +11,12 @@ _POOR = NetworkOptions(range=50.0, delay=0.05, loss=0.1, burst=0.1, bandwidth=1e
 
 
 def main() -> None:
-    """Fly one simulated second of two vehicles that stand on the ground, then simplified ones; every kernel is used."""
-    simulation = Simulation(parse_fleet("iris:2"))
-    simulation.autopilot.setpoint["armed"][0] = 1
-    simulation.run_until(1_000_000)
-    simulation.close()
+    """Fly two vehicles that stand on the ground for a moment, then simplified ones; every kernel is used."""
+    for world, seconds in (("empty", 1.0), ("outdoor", 0.1)):
+        simulation = Simulation(parse_fleet("iris:2"), world=world)
+        simulation.autopilot.setpoint["armed"][0] = 1
+        simulation.run_until(round(seconds * 1e6))
+        simulation.close()
     for network in (None, _POOR):
         swarm = Swarm(9, network=network)
         swarm.choose("cube")

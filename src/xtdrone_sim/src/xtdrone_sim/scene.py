@@ -22,10 +22,12 @@ class Scene(Protocol):
 
     Attributes:
         names: the vehicles', in order of their numbers.
+        scenery: of what else stands in the world, in the order of their numbers, which go on from the vehicles'.
         step_us: the base step, microseconds.
     """
 
     names: Sequence[str]
+    scenery: Sequence[str]
     step_us: int
 
     @property
@@ -82,7 +84,7 @@ class Scene(Protocol):
         """Return them as Gazebo has them."""
 
     def collisions(self) -> set[tuple[int, int]]:
-        """Return which vehicles have hit each other so far, by their numbers."""
+        """Return who has hit whom or what so far, by their numbers."""
 
     def restart(self, time_us: int) -> None:
         """Put all back to its start, with simulated time going on from ``time_us``."""

@@ -48,7 +48,7 @@ class Simulation:
         Args:
             fleet: see ``xtdrone_control.fleet.parse_fleet``.
             rows: vehicles side by side on the spawn grid.
-            world: a name in ``config/worlds`` or a file.
+            world: a name or a file, see ``sdf.load_world_file``.
             seed: of all sensor noise.
             shared_datum: every local frame starts at the world's origin; otherwise at each vehicle's first GPS fix.
             places: (x, y, z) m ENU a vehicle instead of the grid.

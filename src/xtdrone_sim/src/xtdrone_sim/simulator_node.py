@@ -213,7 +213,7 @@ class SimulatorNode:
         self._settings = settings
         self._scene = scene
         self._stop = stop
-        self._names = scene.names
+        self._names = [*scene.names, *scene.scenery]
         pacer = Pacer(settings.speed)
         host = lockstep.host()
         self._digests = _digest_file(settings, host)

@@ -1,8 +1,8 @@
 """The physical world: free flight by our own kernel, contacts by Bullet, behind one ``step``.
 
-A vehicle that is far from the ground and from every other body is integrated by ``plant.integrate_free``; near them
-Bullet integrates it, with the same wrench. A vehicle that rests on the ground with its motors off sleeps. Bullet's own
-gravity is off: weight is part of the wrench, so parked bodies stay where they are.
+A vehicle that is far from the ground, from obstacles and from every other vehicle is integrated by
+``plant.integrate_free``; near them Bullet integrates it, with the same wrench. A vehicle that rests with its motors off
+sleeps. Bullet's own gravity is off: weight is part of the wrench, so parked bodies stay where they are.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from xtdrone_control.autopilot.autopilot import Datum
 from . import plant as dynamics
 from .bullet import connect, pybullet
 from .kernel import kernel
+from .obstacles import Obstacles
 from .plant import ASLEEP, FREE, PLANT, TOUCHING
-from .vehicle_model import MODEL, ModelError, VehicleModel, read_description
+from .sdf import SdfModel, load_world_file
+from .vehicle_model import MODEL, VehicleModel
 
 _CHECK_STEPS = 5  # how often the contact sets are looked at; margins cover the motion in between
 _NEAR = 0.25  # m of clearance under which Bullet takes a body over
@@ -40,7 +42,8 @@ class WorldModel:
         magnetic_field: gauss, ENU.
         declination: degrees east.
         wind: m/s, ENU.
-        friction, restitution: of the ground.
+        friction, restitution: of the ground and of the models.
+        models: what stands there.
     """
 
     datum: Datum
@@ -50,41 +53,38 @@ class WorldModel:
     wind: NDArray[np.float64]
     friction: float
     restitution: float
+    models: tuple[SdfModel, ...] = ()
 
 
 def load_world(name: str) -> WorldModel:
-    """Return the world ``name`` (a file of ``config/worlds`` or a path).
+    """Return the world ``name``; see ``sdf.load_world_file``.
 
     Raises:
-        ModelError: unknown world or missing field.
+        ModelError: unknown world, missing field, or something that is not allowed.
     """
-    description = read_description("worlds", name)
-    try:
-        datum, field, ground = (description[key] for key in ("datum", "magnetic_field", "ground"))
-        declination, inclination = math.radians(field["declination"]), math.radians(field["inclination"])
-        horizontal = field["strength"] * math.cos(inclination)
-        return WorldModel(
-            Datum(datum["latitude"], datum["longitude"], datum["altitude"]),
-            float(description["gravity"]),
-            np.array(
-                [
-                    horizontal * math.sin(declination),
-                    horizontal * math.cos(declination),
-                    -field["strength"] * math.sin(inclination),
-                ]
-            ),
-            float(field["declination"]),
-            np.asarray(description["wind"], float),
-            float(ground["friction"]),
-            float(ground["restitution"]),
-        )
-    except (KeyError, TypeError) as error:
-        raise ModelError(f"world {name!r}: field {error} is missing or of the wrong kind") from error
+    world = load_world_file(name)
+    return WorldModel(
+        world.datum,
+        world.gravity,
+        np.array(world.magnetic_field),
+        world.declination,
+        np.array(world.wind),
+        world.friction,
+        world.restitution,
+        world.models,
+    )
 
 
 @kernel
 def sort_contacts(plant, models, armed, steps, dt, wanted):
-    """Fill ``wanted`` (n,) with FREE, TOUCHING or ASLEEP for every vehicle; return how many differ from now.
+    """Fill ``wanted`` (n,) with FREE, TOUCHING or ASLEEP for every vehicle; return how many differ from now."""
+    mark_near(plant, models, steps, dt, wanted)
+    return let_sleep(plant, models, armed, wanted)
+
+
+@kernel
+def mark_near(plant, models, steps, dt, wanted):
+    """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
 
     Spheres around the collision boxes, grown by the way that can be made until the next look.
     """
@@ -114,8 +114,13 @@ def sort_contacts(plant, models, armed, steps, dt, wanted):
             if clearance < (_NEAR if v.contact == FREE or o.contact == FREE else _FAR):
                 wanted[i] = TOUCHING
                 wanted[j] = TOUCHING
+
+
+@kernel
+def let_sleep(plant, models, armed, wanted):
+    """Set ``wanted`` (n,) to ASLEEP for those that may sleep; return how many differ from now."""
     changes = 0
-    for i in range(count):
+    for i in range(plant.shape[0]):
         v = plant[i]
         if v.contact == ASLEEP:
             wanted[i] = TOUCHING if armed[i] or _disturbed(plant, models, i) else ASLEEP
@@ -150,7 +155,8 @@ class World:
         plant: (n,) ``PLANT``, the vehicles' true state.
         models: (n,) ``MODEL``.
         time_step: s.
-        collisions: (vehicle, vehicle) pairs that have touched since the start, lower index first.
+        collisions: pairs that have touched since the start, lower index first: vehicles, and from n on the world's
+            models.
     """
 
     def __init__(
@@ -183,6 +189,9 @@ class World:
         self.plant["contact"] = TOUCHING
         self._wanted = np.full(count, TOUCHING)
         self._steps = 0
+        self._obstacles = Obstacles(model.models)
+        self._near_obstacles = 0
+        self._limits = np.array([_NEAR, _FAR])
         self._bullet = connect()
         self._load_bullet()
         self._touching = list(range(count))
@@ -210,6 +219,8 @@ class World:
             )
             self._bodies.append(body)
         self._index_of = {body: i for i, body in enumerate(self._bodies)}
+        owners = self._obstacles.load(client, self.model.friction, self.model.restitution)
+        self._index_of.update((body, len(self._bodies) + owner) for body, owner in owners.items())
 
     def step(self, actuators: NDArray[np.float64], armed: NDArray[np.int32]) -> None:
         """Advance the world by one time step under motor commands (n, MAX_ROTORS), 0..1, and armed flags (n,)."""
@@ -221,8 +232,7 @@ class World:
             self._step_bullet()
 
     def _sort_contacts(self, armed: NDArray[np.int32]) -> None:
-        changes = sort_contacts(self.plant, self.models, armed, _CHECK_STEPS, self.time_step, self._wanted)
-        if not changes:
+        if not self._changed_contacts(armed):
             return
         contact = self.plant["contact"]
         for i in np.flatnonzero(self._wanted != contact):
@@ -232,6 +242,16 @@ class World:
                 self._park(i, asleep=bool(self._wanted[i] == ASLEEP))
         contact[:] = self._wanted
         self._touching = np.flatnonzero(contact == TOUCHING).tolist()
+
+    def _changed_contacts(self, armed: NDArray[np.int32]) -> int:
+        """Say in ``_wanted`` who integrates each vehicle; return for how many that is new."""
+        plant, models, wanted = self.plant, self.models, self._wanted
+        if not self._obstacles.count:
+            return int(sort_contacts(plant, models, armed, _CHECK_STEPS, self.time_step, wanted))
+        mark_near(plant, models, _CHECK_STEPS, self.time_step, wanted)
+        horizon = _CHECK_STEPS * self.time_step
+        self._near_obstacles = self._obstacles.mark_near(plant, models, self._limits, horizon, wanted)
+        return int(let_sleep(plant, models, armed, wanted))
 
     def _hand_over(self, i: int) -> None:
         """Give body ``i`` to Bullet in its present state."""
@@ -278,7 +298,7 @@ class World:
             speed = max(*(abs(value) for value in velocity), *(abs(value) for value in spin))
             spinning = bool(v["rotor_speed"].max() > 1.0)
             v["still_steps"] = v["still_steps"] + 1 if speed < _REST_SPEED and not spinning else 0
-        if len(self._touching) > 1:
+        if len(self._touching) > 1 or self._near_obstacles:
             self._note_collisions()
 
     @staticmethod
@@ -286,7 +306,7 @@ class World:
         return dynamics.rotate(v["q"], *v["torque"].tolist())
 
     def _note_collisions(self) -> None:
-        """Remember which vehicles touch; the pairs are few, so only bodies in Bullet's care are asked."""
+        """Remember who touches whom or what; called only while that may be."""
         for point in self._bullet.getContactPoints():
             a, b = self._index_of.get(point[1]), self._index_of.get(point[2])
             if a is None or b is None or point[8] > 0.0:

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..sdf.uris import PACKAGE
+from ..package_files import MODELS
 from . import meshes, textures
 from .meshes import Triangles
 from .textures import Picture
 
-FOLDER = PACKAGE / "models" / "scenery"
+FOLDER = MODELS / "scenery"
 
 # maker, pixels, how many
 _TEXTURES: dict[str, tuple[Callable[[int, np.random.Generator], Picture], int, int]] = {

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..poses import compose
 from ..sdf import SdfWorld
 from ..sdf.bounds import box_of
-from ..sdf.poses import compose
 
 Rectangle = tuple[float, float, float, float]
 """x0, y0, x1, y1, m."""

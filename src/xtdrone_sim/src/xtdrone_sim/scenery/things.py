@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..sdf.poses import quaternion
+from ..poses import from_rpy
 from ..visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from . import assets
 from .kit import Kit
@@ -31,7 +31,7 @@ class Thing:
 
 
 def _at(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Pose:
-    return Pose((round(x, 4), round(y, 4), round(z, 4)), quaternion(roll, pitch, yaw))
+    return Pose((round(x, 4), round(y, 4), round(z, 4)), from_rpy(roll, pitch, yaw))
 
 
 def _solid(radius: float, *visuals: Visual) -> Thing:

@@ -1,7 +1,7 @@
 """Worlds from SDF files: a documented subset of what Gazebo Classic reads (see docs/worlds.md)."""
 
 from .types import Light, SdfActor, SdfError, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint
-from .worlds import load_world_file, read_world, world_names
+from .worlds import load_world_file, read_world, world_file, world_names
 from .writer import write_world
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Waypoint",
     "load_world_file",
     "read_world",
+    "world_file",
     "world_names",
     "write_world",
 ]

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..poses import rotate
 from ..visual import Box, Cylinder, Geometry, Pose, Sphere
-from .poses import rotate
 from .types import SdfError
 
 Array = NDArray[np.float64]

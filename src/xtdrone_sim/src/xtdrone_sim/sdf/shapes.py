@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from xml.sax.saxutils import escape
 
+from ..poses import compose
 from ..visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from .poses import compose, read_pose, write_pose
+from .poses import read_pose, write_pose
 from .tree import Element
 from .uris import resolve, uri_of
 

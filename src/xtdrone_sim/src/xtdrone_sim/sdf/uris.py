@@ -6,11 +6,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..vehicle_model import CONFIG
+from ..package_files import MODELS, PACKAGE
 from .tree import Element
-
-PACKAGE = CONFIG.parent
-"""Folder of xtdrone_sim, with ``models`` and ``worlds``."""
 
 _VARIABLES = ("XTDRONE_MODELS", "GAZEBO_MODEL_PATH")
 
@@ -23,7 +20,7 @@ def model_folders(beside: Path) -> Iterator[Path]:
         for folder in os.environ.get(variable, "").split(":"):
             if folder:
                 yield Path(folder).expanduser()
-    yield PACKAGE / "models"
+    yield MODELS
 
 
 def resolve(element: Element) -> Path:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from xtdrone_control.autopilot.autopilot import Datum
 
+from ..package_files import CONFIG, PACKAGE
 from ..vehicle_model import ModelError, available, read_description
 from .reader import parse_world
 from .tree import Element
 from .types import SdfError, SdfWorld
-from .uris import PACKAGE
 
 WORLDS = PACKAGE / "worlds"
 
@@ -34,6 +34,26 @@ def world_path(name: str, beside: Path | None = None) -> Path | None:
         return (beside or Path()).joinpath(Path(name).expanduser()).absolute()
     path = WORLDS / f"{name}.world"
     return path if path.is_file() else None
+
+
+def world_file(name: str) -> Path:
+    """Return the absolute path of the file that ``name`` means, SDF or YAML; see ``load_world_file``.
+
+    Raises:
+        ModelError: there is no world of this name.
+    """
+    path = world_path(name)
+    if path is None and name.endswith((".yaml", ".yml")):
+        path = Path(name).expanduser().absolute()
+    if path is None:
+        _check_known(name)
+        path = CONFIG / "worlds" / f"{name}.yaml"
+    return path
+
+
+def _check_known(name: str) -> None:
+    if name not in world_names():
+        raise ModelError(f"worlds: {name!r} is not known; there are {', '.join(world_names())}")
 
 
 def load_world_file(name: str) -> SdfWorld:
@@ -67,8 +87,8 @@ def _load(name: str, beside: Path | None, extending: tuple[Path, ...]) -> SdfWor
         return _read(_text(path), path, extending)
     if name.endswith((".yaml", ".yml")):
         name = str((beside or Path()).joinpath(Path(name).expanduser()))
-    elif name not in world_names():
-        raise ModelError(f"worlds: {name!r} is not known; there are {', '.join(world_names())}")
+    else:
+        _check_known(name)
     return _from_yaml(name)
 
 

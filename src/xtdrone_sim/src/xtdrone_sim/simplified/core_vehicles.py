@@ -127,9 +127,10 @@ class CoreVehicles:
 
     @property
     def collisions(self) -> list[str]:
-        """Which vehicles have touched each other since the start, in the simulator node's words."""
-        touched = sorted(self.simulation.world.collisions)
-        return [f"collision of {self.names[a]} and {self.names[b]}" for a, b in touched]
+        """Which vehicles have touched each other or something since the start, in the simulator node's words."""
+        world = self.simulation.world
+        names = [*self.names, *(model.name for model in world.model.models)]
+        return [f"collision of {names[a]} and {names[b]}" for a, b in sorted(world.collisions)]
 
     @property
     def _now(self) -> float:

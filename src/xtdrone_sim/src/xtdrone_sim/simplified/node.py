@@ -137,6 +137,7 @@ class SimplifiedScene:
 
     Attributes:
         names: the vehicles'.
+        scenery: none.
         step_us: base step, microseconds.
         gravity: m/s^2.
         need_time: services are answered at once.
@@ -154,6 +155,7 @@ class SimplifiedScene:
     ) -> None:
         """Take the vehicles; the rest as for ``VehicleTopics``."""
         self.names: Sequence[str] = vehicles.names
+        self.scenery: Sequence[str] = ()
         self.step_us = vehicles.step_us
         self._vehicles = vehicles
         self._options = {
@@ -251,7 +253,7 @@ class SimplifiedScene:
         return message
 
     def collisions(self) -> set[tuple[int, int]]:
-        """They fly through each other."""
+        """They fly through each other and everything."""
         return set()
 
     def restart(self, time_us: int) -> None:
