@@ -131,6 +131,18 @@ def test_a_strangers_ports_take_no_slot_from_the_living_and_no_memory(world, cli
     assert [len(named(messages, "ATTITUDE")) for messages in heard] == [100] * 4
 
 
+def test_stations_may_come_and_go_while_time_stands(world, monkeypatch):
+    wall = [0.0]
+    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    port = world.server.ports[1]
+    now_us = world.autopilot.time_us
+    for number in range(1000, 1000 + 10 * MAX_CLIENTS):
+        wall[0] += 1.0
+        link = port.link_of(("127.0.0.1", number), now_us)
+        assert link is not None
+        link.heard(now_us, 2)
+
+
 def test_strangers_that_have_gone_are_not_counted_for_ever(world):
     port = world.server.ports[0]
     for number in range(1000, 2000):

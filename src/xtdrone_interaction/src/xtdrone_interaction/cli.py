@@ -44,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("file", type=Path, help="flight.bag of a run, or flight.npz of one without ROS")
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
     commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
+    commands.add_parser("gcs", help="plans to vehicles and back, as a ground station (own options: gcs --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
     commands.add_parser("sweep", help="fly a study over parameters and seeds (own options: sweep --help)")
     commands.add_parser("compare-px4", help="fly our autopilot beside recorded flights of a real PX4")
@@ -140,6 +141,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from xtdrone_interaction import sim_cli
 
         return sim_cli.main(arguments[1:])
+    if arguments[:1] == ["gcs"]:
+        from xtdrone_interaction.gcs import command as gcs
+
+        return gcs.main(arguments[1:])
     if arguments[:1] == ["compare-px4"]:
         from xtdrone_interaction.compare_px4 import main as compare_px4
 

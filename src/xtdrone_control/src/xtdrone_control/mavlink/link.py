@@ -123,7 +123,12 @@ class Link:
         """Say whether the client has not spoken for 5 s, as the port's clock counts them."""
         if now_us - self._heard_us <= _SILENCE_US and self.has_spoken:
             return False
-        return not (self._port.by_wall and time.monotonic() - self._heard_wall <= _SILENCE_S)
+        return self.silent_by_wall or not self._port.by_wall
+
+    @property
+    def silent_by_wall(self) -> bool:
+        """Whether the client has not spoken for 5 s of wall time."""
+        return time.monotonic() - self._heard_wall > _SILENCE_S
 
     def send_message(self, message: Any) -> None:
         """Queue a pymavlink message object; ``flush`` sends it."""

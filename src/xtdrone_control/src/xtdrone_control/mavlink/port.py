@@ -236,6 +236,8 @@ class Port:
             return link
         if len(self._links) >= MAX_CLIENTS:
             self._forget_silent(now_us)
+        if len(self._links) >= MAX_CLIENTS and self.by_wall:
+            self._forget_silent(now_us, by_wall_alone=True)  # time may stand: stations come and go meanwhile
         if len(self._links) >= MAX_CLIENTS:
             self.refused += 1
             text = f"{sender[0]}:{sender[1]} is not served: there are {MAX_CLIENTS} clients already"
@@ -272,9 +274,12 @@ class Port:
             link.send_due(now_us, shared)
         self._next_due_us = None
 
-    def _forget_silent(self, now_us: int) -> None:
+    def _forget_silent(self, now_us: int, *, by_wall_alone: bool = False) -> None:
         """Forget silent clients; the first one goes on to hear heartbeats."""
-        for link in [link for link in self._links.values() if link.silent(now_us)]:
+        silent = [
+            link for link in self._links.values() if (link.silent_by_wall if by_wall_alone else link.silent(now_us))
+        ]
+        for link in silent:
             if link is self.default:
                 link.streams.stop()
             else:

@@ -1,0 +1,334 @@
+"""The ground station with real autopilots' MAVLink doors over UDP, while simulated time stands still."""
+
+from __future__ import annotations
+
+import json
+import random
+import selectors
+import socket
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from xtdrone_control import qgc_plan
+from xtdrone_control.autopilot import plan
+from xtdrone_control.autopilot.autopilot import Autopilot, Datum, RotorLayout
+from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.qgc_plan import Plan
+from xtdrone_interaction.gcs import GcsError, Peer, command, exchanges, peers_of, station, upload_plans
+
+FIRST = 200  # far from the ports of a running simulation, and of other tests
+COUNT = 3
+HOME = (47.397742, 8.545594)  # degrees
+NAN = float("nan")
+PATIENCE = 60.0  # s; only a broken run takes so long
+LAYOUT = RotorLayout(np.array([[0.2, 0.2, 0], [-0.2, -0.2, 0], [0.2, -0.2, 0], [-0.2, 0.2, 0]]),
+                     np.array([0.05, 0.05, -0.05, -0.05]))  # fmt: skip
+
+
+def waypoint(north, east=0.0, command_=plan.WAYPOINT, yaw=NAN):
+    return PlanItem(command_, 3, (0.0, 0.0, 0.0, yaw), HOME[0] + north * 1e-5, HOME[1] + east * 1e-5, 10.0)
+
+
+def survey(start):
+    """Return a plan with all kinds of lists, different for each ``start``."""
+    turns = [waypoint(start + 3 * i, 5 * (i % 2), yaw=-90.1) for i in range(6)]
+    jump = PlanItem(plan.JUMP, 2, (1.0, 2.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+    gimbal = PlanItem(plan.MOUNT_CONTROL, 2, (-60.0, 0.0, 0.0, NAN), 0.0, 0.0, 2.0)
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    fence = [PlanItem(plan.FENCE_INCLUSION, 0, (4.0, 0.0, 0.0, 0.0), HOME[0] + x, HOME[1] + y, 0.0, False)
+             for x, y in corners]  # fmt: skip
+    rally = PlanItem(plan.RALLY_POINT, 3, (0.0,) * 4, *HOME, 30.0, False)
+    return Plan((waypoint(start, command_=plan.TAKEOFF), gimbal, *turns, jump), tuple(fence), (rally,), (*HOME, 488.0))
+
+
+class Field:
+    """Vehicles whose time stands, with their MAVLink doors, served in a thread."""
+
+    def __init__(self):
+        self.vehicles = [Vehicle("typhoon_h480", i, FIRST + i) for i in range(COUNT)]
+        autopilot = Autopilot([LAYOUT] * COUNT, Datum(*HOME, 488.0))
+        self.commanders = [
+            Commander(vehicle, autopilot, Parameters({"MAV_SYS_ID": vehicle.system_id}), i)
+            for i, vehicle in enumerate(self.vehicles)
+        ]
+        self.server = MavlinkServer(self.vehicles, autopilot, self.commanders)
+        self.names = [vehicle.name for vehicle in self.vehicles]
+        self.ports = {vehicle.name: vehicle.gcs_local_port for vehicle in self.vehicles}
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self):
+        while not self._ended.is_set():
+            self.server.receive(0.01)
+
+    def lists(self, index):
+        return [len(items) for items in self.commanders[index].navigator.plans.items]
+
+    def peers(self):
+        return [Peer(v.name, v.system_id, "127.0.0.1", self.ports[v.name]) for v in self.vehicles]
+
+    def close(self):
+        self._ended.set()
+        self._thread.join()
+        self.server.close()
+
+
+class LossyLine:
+    """A UDP proxy before each port that loses datagrams both ways."""
+
+    def __init__(self, ports, loss, seed):
+        self._random = random.Random(seed)
+        self._loss = loss
+        self.lost = 0
+        self._selector = selectors.DefaultSelector()
+        self.ports = {}
+        self._clients = {}
+        for name, port in ports.items():
+            inner, outer = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+            inner.connect(("127.0.0.1", port))
+            outer.bind(("127.0.0.1", 0))
+            self.ports[name] = outer.getsockname()[1]
+            self._selector.register(outer, selectors.EVENT_READ, (inner, None))
+            self._selector.register(inner, selectors.EVENT_READ, (outer, outer))
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self):
+        while not self._ended.is_set():
+            for key, _ in self._selector.select(0.01):
+                target, outer = key.data
+                datagram, sender = key.fileobj.recvfrom(65535)
+                if outer is None:
+                    self._clients[key.fileobj] = sender
+                if self._random.random() < self._loss:
+                    self.lost += 1
+                elif outer is None:
+                    target.send(datagram)
+                else:
+                    outer.sendto(datagram, self._clients[outer])
+
+    def close(self):
+        self._ended.set()
+        self._thread.join()
+        for key in list(self._selector.get_map().values()):
+            key.fileobj.close()
+        self._selector.close()
+
+
+@pytest.fixture
+def field():
+    field = Field()
+    yield field
+    field.close()
+
+
+@pytest.fixture
+def as_named(field, monkeypatch):
+    """Let the field's vehicles be met under their names, whose ports would be others'."""
+    known = {peer.name: peer for peer in field.peers()}
+    monkeypatch.setattr(station, "peers_of", lambda names, *_: [known[name] for name in names])
+    return field
+
+
+def run(jobs, timeout=0.05):
+    return station.run(jobs, timeout=timeout, patience=PATIENCE)
+
+
+def test_all_vehicles_get_their_plans_and_tell_them_again(field, as_named):
+    plans = {name: survey(10 * i) for i, name in enumerate(field.names)}
+    seen = []
+    upload_plans(plans, watch=lambda *progress: seen.append(progress), patience=PATIENCE)
+    assert [field.lists(i) for i in range(COUNT)] == [[9, 4, 1]] * COUNT
+    assert {name for name, *_ in seen} == set(field.names)
+    assert {what for _, what, *_ in seen} >= {"sending mission", "reading mission", "sending fence"}
+    back = run({peer: exchanges.fetch_plan(peer.system) for peer in field.peers()})
+    for name, content in plans.items():
+        for kind in plan.KINDS:
+            assert exchanges.difference(content.items(kind), back[name].items(kind), kind) == ""
+    assert back[field.names[0]].mission[3].params[3] == pytest.approx(269.9)  # a PX4 tells headings so
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_it_works_over_a_line_that_loses_a_third(field, seed):
+    line = LossyLine(field.ports, 0.3, seed)
+    try:
+        peers = [Peer(v.name, v.system_id, "127.0.0.1", line.ports[v.name]) for v in field.vehicles]
+        plans = {peer: survey(10 * i) for i, peer in enumerate(peers)}
+        stored = run({peer: exchanges.store_plan(peer.system, plans[peer]) for peer in peers}, 0.02)
+        assert [str(result) for result in stored.values() if isinstance(result, GcsError)] == []
+        assert [field.lists(i) for i in range(COUNT)] == [[9, 4, 1]] * COUNT
+        for peer, found in run({peer: exchanges.fetch_plan(peer.system) for peer in peers}, 0.02).items():
+            assert isinstance(found, Plan), found
+            content = survey(10 * field.names.index(peer))
+            assert exchanges.difference(content.mission, found.mission, plan.MISSION) == ""
+        run({peer: exchanges.clear(peer.system) for peer in peers}, 0.02)
+        assert [field.lists(i) for i in range(COUNT)] == [[0, 0, 0]] * COUNT
+    finally:
+        line.close()
+    assert line.lost > 50
+
+
+def test_a_plan_that_is_there_is_replaced_whole(field):
+    (peer, *_) = field.peers()
+    run({peer: exchanges.store_plan(peer.system, survey(0))})
+    run({peer: exchanges.store_plan(peer.system, Plan((waypoint(1),)))})
+    assert field.lists(0) == [1, 0, 0]
+
+
+def test_what_a_vehicle_refuses_is_told_and_leaves_nothing_half_done(field):
+    (peer, *_) = field.peers()
+    bad = Plan((waypoint(0), PlanItem(183, 2, (0.0,) * 4, 0.0, 0.0, 0.0)))
+    (error,) = run({peer: exchanges.store_plan(peer.system, bad)}).values()
+    assert str(error) == ("typhoon_h480_0: mission: the vehicle refuses item 2 (command 183): MAV_MISSION_UNSUPPORTED")
+    assert field.lists(0) == [0, 0, 0]
+    (result,) = run({peer: exchanges.store_plan(peer.system, survey(0))}).values()
+    assert not isinstance(result, GcsError)
+
+
+def test_an_upload_that_somebody_left_off_does_not_block_the_next(field):
+    (peer, *_) = field.peers()
+
+    def interrupted():
+        exchange = exchanges.store_plan(peer.system, survey(0))
+        answer = yield next(exchange)
+        for _ in range(3):
+            answer = yield exchange.send(answer)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run({peer: interrupted()})
+    (result,) = run({peer: exchanges.store_plan(peer.system, survey(0))}).values()
+    assert not isinstance(result, GcsError)
+
+
+def test_a_vehicle_that_is_not_there_is_named(field):
+    nobody = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    nobody.bind(("127.0.0.1", 0))
+    port = nobody.getsockname()[1]
+    first = field.peers()[0]
+    peers = [Peer("iris_0", 9, "127.0.0.1", first.port), Peer("iris_1", 2, "127.0.0.1", port)]
+    found = station.run({peer: exchanges.fetch_plan(peer.system) for peer in peers}, timeout=0.02, patience=0.3)
+    nobody.close()
+    assert str(found["iris_1"]) == f"iris_1: UDP 127.0.0.1:{port}: no answer of system 2 within 0.3 s"
+    assert "no answer of system 9" in str(found["iris_0"])  # it is another's port
+    closed = station.run({peers[1]: exchanges.fetch_plan(2)}, timeout=0.02, patience=0.3)
+    assert "nobody listens there" in str(closed["iris_1"])
+
+
+@pytest.mark.parametrize(
+    ("names", "fleet", "where"),
+    [
+        (["iris_0", "iris_8"], "", [(1, 18570), (9, 18578)]),
+        (["typhoon_h480_1", "iris_2"], "iris:3,typhoon_h480:2", [(5, 18574), (3, 18572)]),
+    ],
+)
+def test_names_lead_to_ports(names, fleet, where):
+    assert [(peer.system, peer.port) for peer in peers_of(names, fleet)] == where
+
+
+@pytest.mark.parametrize(
+    ("names", "fleet", "message"),
+    [
+        (["iris"], "", "'iris' is not allowed, a type and a number"),
+        (["iris_0", "solo_0"], "", r"several types \(iris, solo\): say which fleet flies, as --fleet iris:1,solo:1"),
+        (["iris_3"], "iris:3", "'iris_3' is not allowed, one of the fleet iris:3"),
+    ],
+)
+def test_names_that_lead_nowhere(names, fleet, message):
+    with pytest.raises(GcsError, match=message):
+        peers_of(names, fleet)
+
+
+# ---- the command
+
+
+def write_plans(folder, field):
+    for i, name in enumerate(field.names):
+        qgc_plan.write(folder / f"{name}.plan", survey(10 * i))
+
+
+def test_the_command_uploads_downloads_and_clears(field, as_named, tmp_path, capsys):
+    write_plans(tmp_path, field)
+    assert command.main(["upload", str(tmp_path), "--patience", "60"]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].split(maxsplit=1) == [
+        "typhoon_h480_0", "9 items, 4 of fence, 1 of rally points: sent, and come back the same"
+    ]  # fmt: skip
+    assert len(shown) == COUNT
+    back = tmp_path / "back"
+    vehicles = ["--vehicle", ",".join(field.names), "--patience", "60"]
+    assert command.main(["download", *vehicles, "--to", str(back)]) == 0
+    for i, name in enumerate(field.names):
+        found = qgc_plan.read(back / f"{name}.plan")
+        assert exchanges.difference(survey(10 * i).mission, found.mission, plan.MISSION) == ""
+    assert command.main(["clear", *vehicles]) == 0
+    assert [field.lists(i) for i in range(COUNT)] == [[0, 0, 0]] * COUNT
+
+
+def test_one_file_goes_to_the_vehicle_that_is_named(field, as_named, tmp_path):
+    qgc_plan.write(tmp_path / "mine.plan", survey(0))
+    assert command.main(["upload", str(tmp_path / "mine.plan"), "--vehicle", field.names[1], "--patience", "60"]) == 0
+    assert [field.lists(i)[0] for i in range(COUNT)] == [0, 9, 0]
+
+
+def test_failures_are_told_by_the_exit_status(tmp_path, capsys):
+    qgc_plan.write(tmp_path / "iris_249.plan", survey(0))
+    assert command.main(["upload", str(tmp_path), "--patience", "0.2"]) == 1
+    caught = capsys.readouterr()
+    assert caught.out.split() == ["iris_249", "failed"]
+    assert "xtdrone gcs: iris_249: UDP 127.0.0.1:18819: nobody listens there" in caught.err
+
+
+def test_a_bad_file_keeps_all_at_home(field, as_named, tmp_path, capsys):
+    write_plans(tmp_path, field)
+    document = json.loads((tmp_path / "typhoon_h480_1.plan").read_text())
+    document["mission"]["items"][0]["frame"] = 10
+    (tmp_path / "typhoon_h480_1.plan").write_text(json.dumps(document))
+    assert command.main(["upload", str(tmp_path)]) == 2
+    assert "typhoon_h480_1.plan: mission: items: item 1: frame: 10 is not allowed" in capsys.readouterr().err
+    assert [field.lists(i) for i in range(COUNT)] == [[0, 0, 0]] * COUNT
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["upload", "{}/none.plan"], "none.plan: no such file or folder"),
+        (["upload", "{}"], "no .plan file is in this folder"),
+        (["download"], "which vehicles?"),
+        (["clear", "--fleet", "iris:0"], "1 to 250 vehicles in all are allowed"),
+        (["clear", "--vehicle", "iris"], "'iris' is not allowed"),
+    ],
+)
+def test_what_is_not_allowed_is_named(arguments, message, tmp_path, capsys):
+    assert command.main([argument.format(tmp_path) for argument in arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_check_says_what_px4_would(tmp_path, capsys):
+    qgc_plan.write(tmp_path / "good.plan", survey(0))
+    assert command.main(["check", str(tmp_path)]) == 0
+    assert "good.plan: 9 items, 4 of fence, 1 of rally points; 25 m of way" in capsys.readouterr().out
+    qgc_plan.write(tmp_path / "far.plan", Plan((waypoint(0), waypoint(1, command_=plan.TAKEOFF)), home=(*HOME, 0.0)))
+    assert command.main(["check", str(tmp_path / "far.plan")]) == 1
+    assert "Mission rejected: takeoff not first waypoint item" in capsys.readouterr().err
+
+
+def test_a_terminal_has_a_line_for_each_vehicle(capsys):
+    written = []
+    terminal = SimpleNamespace(write=written.append, flush=lambda: None, isatty=lambda: True)
+    display = command.Display(["iris_0", "iris_1"], terminal)
+    display.watch("iris_0", "sending mission", 3, 9)
+    display.end("iris_1", "failed")
+    text = "".join(written)
+    assert text.count("\x1b[2A") == 1  # drawn twice, the second time over the first
+    assert "iris_0  sending mission 3/9\n" in text
+    assert text.endswith("iris_1  failed\n")
