@@ -25,69 +25,18 @@ LIGHTS = ("noon", "morning", "evening", "overcast", "any")
 
 _MARGIN = 40.0  # m around the region where scenery goes on, thinner, for oblique views
 _GROUND = 256.0  # m, side of one piece of ground
-_LEVEL = 0.006  # m between layers of ground, so that far away they still hide each other rightly
-_LOWEST = -0.06  # m, the lowest layer; the highest is z = 0
+# m; layers of ground, so far apart that cameras with coarse depth tell them apart from some height
+_LAWN, _PATCH, _PATH, _ROAD = -0.12, -0.08, -0.04, 0.0
 _PATHS = 4
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# patches of ground from the lowest: texture, m^2 of region for each, least and largest radius in m
+# patches of ground: texture, m^2 of region for each, least and largest radius in m
 _PATCHES = (
-    ("meadow", 450.0, 6.0, 16.0),
-    ("grass", 700.0, 4.0, 10.0),
     ("crops", 1200.0, 8.0, 18.0),
-    ("gravel", 4000.0, 2.0, 5.0),
     ("water", 8000.0, 3.0, 7.0),
+    ("gravel", 4000.0, 2.0, 5.0),
+    ("meadow", 450.0, 5.0, 14.0),
+    ("grass", 700.0, 3.0, 8.0),
 )
-_TRIES = 60
-_PERSON = 0.5  # m, radius kept free for a person
-_DEGREES = math.pi / 180.0
-
-# how many in 1000 m^2, by default
-_DENSITY = {"tree": 7.0, "bush": 5.0, "house": 0.6, "street": 1.6, "yard": 4.0, "lookalike": 2.5, "car": 0.7}
-
-
-@dataclass(frozen=True)
-class Options:
-    """What a scene is to be like.
-
-    Attributes:
-        region: x0, y0, x1, y1, m ENU: where things and persons are.
-        clear: rectangle in which nothing stands; the vehicles start there.
-        persons: how many.
-        walking: they walk; else they stand.
-        skins: names of persons to choose from; empty: the actors' skins are left open.
-        split: of colours, textures and forms: all, train or test.
-        objects: factor on the number of things, 0 to 3.
-        light: noon, morning, evening, overcast or any.
-        person_distance: m that persons keep from ``clear``.
-    """
-
-    region: Rectangle = REGION
-    clear: Rectangle = CLEAR
-    persons: int = 1
-    walking: bool = False
-    skins: Sequence[str] = ()
-    split: str = "all"
-    objects: float = 1.0
-    light: str = "noon"
-    person_distance: float = 10.0
-
-
-def outdoor(seed: int, **options: object) -> SdfWorld:
-    """Return the scene of a seed; the same seed and options give the same world.
-
-    Args:
-        seed: 0 or more.
-        options: see ``Options``. People do not change where things are.
-
-    Raises:
-        ValueError: an option that is not allowed, or no free place for a person.
-    """
-    wanted = Options(**options)  # type: ignore[arg-type]
-    _check(seed, wanted)
-    scene = _Scene(seed, wanted)
-    scene.furnish()
-    world = replace(load_world_file("empty"), name=f"outdoor_{seed}", light=scene.light(), models=tuple(scene.models))
-    return replace(world, actors=tuple(_people(seed, wanted, world)))
 
 
 def _check(seed: int, options: Options) -> None:
@@ -155,17 +104,16 @@ class _Scene:
         x0, y0, x1, y1 = self._options.region
         visuals = self._lawn(kit)
         area = (x1 - x0) * (y1 - y0)
-        # each kind on a level of its own, so that patches that overlap do not flicker
-        for level, (kind, share, low, high) in enumerate(_PATCHES):
-            circles: list[tuple[float, float, float]] = []
+        circles: list[tuple[float, float, float]] = []
+        for kind, share, low, high in _PATCHES:
             for _ in range(max(1, round(area / share))):
                 size, turn = kit.uniform(low, high), kit.uniform(-3.14, 3.14)
                 x, y = kit.uniform(x0 - 20.0, x1 + 20.0), kit.uniform(y0 - 20.0, y1 + 20.0)
                 form = Mesh(kit.mesh("blob"), (size, round(size * kit.uniform(0.5, 1.0), 3), 1.0))
                 texture = kit.texture(kind)
-                if all(math.hypot(x - a, y - b) > 1.5 * (size + r) for a, b, r in circles):
+                if all(math.hypot(x - a, y - b) > 1.3 * (size + r) for a, b, r in circles):
                     circles.append((x, y, size))
-                    pose = Pose((x, y, round(_LOWEST + (level + 1) * _LEVEL, 4)), from_rpy(0.0, 0.0, turn))
+                    pose = Pose((x, y, _PATCH), from_rpy(0.0, 0.0, turn))
                     visuals.append(Visual(form, pose, _WHITE, texture))
         visuals += self._ways(kit)
         self.models.append(SdfModel("ground", links=(SdfLink("link", visuals=tuple(visuals)),)))
@@ -181,7 +129,7 @@ class _Scene:
                 place = (
                     round(0.5 * (x0 + x1) + (i - 0.5 * (across[0] - 1)) * _GROUND, 3),
                     round(0.5 * (y0 + y1) + (j - 0.5 * (across[1] - 1)) * _GROUND, 3),
-                    _LOWEST,
+                    _LAWN,
                 )
                 form = Mesh(assets.mesh("ground"), (_GROUND, _GROUND, 1.0))
                 pieces.append(Visual(form, Pose(place), _WHITE, texture))
@@ -195,14 +143,14 @@ class _Scene:
             low = high = y1 + 8.0
         self._road = kit.uniform(low, high)
         ways = []
-        level = _LOWEST + len(_PATCHES) * _LEVEL
-        for k in range(max(1, min(_PATHS, round((x1 - x0) * (y1 - y0) / 3500.0)))):
+        gravel = kit.texture("gravel")
+        for _ in range(max(1, min(_PATHS, round((x1 - x0) * (y1 - y0) / 3500.0)))):
             form = Mesh(kit.mesh("path"), (kit.uniform(40.0, 90.0), kit.uniform(1.0, 2.2), 1.0))
-            place = (kit.uniform(x0, x1), kit.uniform(y0, y1), round(level + (k + 1) * _LEVEL, 4))
+            place = (kit.uniform(x0, x1), kit.uniform(y0, y1), _PATH)
             pose = Pose(place, from_rpy(0.0, 0.0, kit.uniform(-3.14, 3.14)))
-            ways.append(Visual(form, pose, _WHITE, kit.texture("gravel")))
+            ways.append(Visual(form, pose, _WHITE, gravel))
         road = Mesh(assets.mesh("road"), (round(x1 - x0 + 2 * _MARGIN + 40.0, 3), 6.0, 1.0))
-        pose = Pose((round(0.5 * (x0 + x1), 3), self._road, 0.0))
+        pose = Pose((round(0.5 * (x0 + x1), 3), self._road, _ROAD))
         return [*ways, Visual(road, pose, _WHITE, kit.texture("asphalt"))]
 
     # things
