@@ -25,7 +25,7 @@ from reduction import reduce
 from wardrobe import PEOPLE, Figure
 
 FRAMES = 12
-_BODY, _HAIR, _SKIRT = 1500, 200, 260  # triangles
+_BODY, _SKIRT = 1500, 300  # triangles
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,6 @@ class Template:
     base: Base
     at: Marks
     body: np.ndarray
-    hair: np.ndarray
     skirt: np.ndarray
 
 
@@ -63,7 +62,6 @@ def make_template(data: Path) -> Template:
         base,
         marks(base),
         reduce(mean, base.triangles("body"), _BODY, importance),
-        reduce(mean, base.triangles("helper-hair"), _HAIR, np.ones(len(mean))),
         reduce(mean, base.triangles("helper-skirt"), _SKIRT, np.ones(len(mean))),
     )
 
@@ -77,6 +75,24 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         np.add.at(out, triangles[:, corner], faces)
     sizes = np.linalg.norm(out, axis=1, keepdims=True)
     return out / np.where(sizes > 0.0, sizes, 1.0)
+
+
+def ball(rings: int, sectors: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a sphere of radius 1: points (N, 3), triangles (T, 3)."""
+    polar = np.linspace(0.0, np.pi, rings + 1)[1:-1, None]
+    turn = np.linspace(0.0, 2.0 * np.pi, sectors, endpoint=False)[None, :]
+    belt = np.stack([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar) + 0.0 * turn], axis=-1)
+    points = np.concatenate([belt.reshape(-1, 3), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
+    triangles = []
+    top, bottom = len(points) - 2, len(points) - 1
+    for j in range(sectors):
+        k = (j + 1) % sectors
+        triangles.append((top, j, k))
+        triangles.append((bottom, (rings - 2) * sectors + k, (rings - 2) * sectors + j))
+        for i in range(rings - 2):
+            a, b, c, d = i * sectors + j, (i + 1) * sectors + j, (i + 1) * sectors + k, i * sectors + k
+            triangles += [(a, b, c), (a, c, d)]
+    return points, np.array(triangles)
 
 
 class Tailor:
@@ -123,7 +139,9 @@ class Tailor:
         figure, template = self._figure, self._template
         out = [self._surface(template.body, skirt=False)]
         if figure.cut == "long":
-            out.append(self._plain(template.hair, "hair"))
+            out.append(self._long_hair())
+        elif figure.cut == "bun":
+            out.append(self._bun())
         if figure.outfit.skirt:
             out.append(self._surface(template.skirt, skirt=True))
         if figure.outfit.hat in ("cap", "sunhat", "helmet"):
@@ -141,11 +159,38 @@ class Tailor:
         pixels = self._layout.pixels(corners.reshape(-1, 3), np.repeat(front, 3), skirt).reshape(-1, 3, 2)
         return Part(points, self._template.base.weights[rows], local, pixels)
 
-    def _plain(self, triangles: np.ndarray, cell: str) -> Part:
-        rows, local = np.unique(triangles, return_inverse=True)
-        local = local.reshape(triangles.shape)
-        pixels = cell_pixels(cell, local.size).reshape(-1, 3, 2)
-        return Part(self._points[rows], self._template.base.weights[rows], local, pixels)
+    def _scalp(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the middle and half the size, (3,) each, of the hair on the head."""
+        rows = np.unique(self._template.base.faces["body"])
+        at = self._template.at.take(rows)
+        scalp = self._points[rows[(at.head > 0.5) & (at.place[:, 2] > 0.68) & (at.place[:, 0] < 0.12)]]
+        return 0.5 * (scalp.max(axis=0) + scalp.min(axis=0)), 0.5 * (scalp.max(axis=0) - scalp.min(axis=0))
+
+    def _long_hair(self) -> Part:
+        """Return a curtain about the back of the head down to the shoulders, on both sides."""
+        middle, half = self._scalp()
+        angle = np.radians(np.linspace(80.0, 280.0, 13))
+        rows = []
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+            size = half[:2] * (0.93 + 0.16 * np.sin(np.pi * min(share, 0.6)))
+            around = middle[:2] + np.column_stack([np.cos(angle), np.sin(angle)]) * size
+            # Longer behind than beside the face, and off the back.
+            low = middle[2] + half[2] * (0.55 - share * (2.6 - 0.9 * np.cos(angle)))
+            rows.append(np.column_stack([around - [0.02 * share**2, 0.0], low]))
+        grid = np.array(rows)
+        index = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2])
+        a, b, c, d = (v.ravel() for v in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+        outside = np.concatenate([np.column_stack([a, d, c]), np.column_stack([a, c, b])])
+        inner = np.concatenate([grid.reshape(-1, 3), grid.reshape(-1, 3) * [1.0, 0.98, 1.0]])
+        both = np.concatenate([outside, outside[:, ::-1] + index.size])
+        return self._rigid("head", inner, both, "hair")
+
+    def _bun(self) -> Part:
+        """Return a knot of hair at the back of the head."""
+        middle, half = self._scalp()
+        points, triangles = ball(6, 8)
+        place = middle + np.array([-half[0] - 0.015, 0.0, 0.25 * half[2]])
+        return self._rigid("head", place + 0.042 * points, triangles, "hair")
 
     def _rigid(self, joint: str, points: np.ndarray, triangles: np.ndarray, cell: str) -> Part:
         weights = np.zeros((len(points), len(JOINTS)))

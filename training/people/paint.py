@@ -100,8 +100,8 @@ def regions(at: Marks, figure: Figure) -> np.ndarray:
     trunk = at.arm < 0.25
     waist = 0.12
     lower = (at.leg > 0.0) | (trunk & (z < waist))
-    if not outfit.skirt:
-        out[lower & (at.arm < 0.5) & (z < waist) & (at.leg < outfit.leg)] = Region.BOTTOM
+    length = outfit.leg if not outfit.skirt else 0.75 * min(1.0, 2.0 * outfit.skirt)  # what a skirt has beneath
+    out[lower & (at.arm < 0.5) & (z < waist) & (at.leg < length)] = Region.BOTTOM
     neckline = np.interp(x, [-0.06, 0.0, 0.06, 0.1], [0.585, 0.575, 0.555, 0.54])
     hem = waist if outfit.tucked or outfit.skirt else 0.015
     top = (
@@ -129,7 +129,7 @@ def thickness(at: Marks, figure: Figure) -> np.ndarray:
     outfit = figure.outfit
     where = regions(at, figure)
     hat = {"": 0.0, "cap": 0.020, "beanie": 0.022, "sunhat": 0.025, "helmet": 0.038}[outfit.hat]
-    hair = {"bald": 0.0, "cropped": 0.006, "short": 0.016, "long": 0.010}[figure.cut]
+    hair = {"bald": 0.0, "cropped": 0.006, "short": 0.016, "long": 0.014, "bun": 0.010}[figure.cut]
     depth = np.zeros(len(where))
     top = outfit.thick + (0.008 if outfit.vest else 0.0)
     for region, value in (
@@ -145,9 +145,8 @@ def thickness(at: Marks, figure: Figure) -> np.ndarray:
     ):
         depth[where == region] = value
     trousers = where == Region.BOTTOM
-    depth[trousers] = outfit.loose * (0.5 + 0.5 * np.clip(at.leg[trousers], 0.0, 1.6))
-    if figure.cut == "long":  # lies under the hair's own surface
-        depth[where == Region.HAIR] = 0.006
+    if not outfit.skirt:
+        depth[trousers] = outfit.loose * (0.5 + 0.5 * np.clip(at.leg[trousers], 0.0, 1.6))
     return depth
 
 

@@ -167,6 +167,25 @@ def test_textures_are_seen_the_right_way_round(renderer: Renderer, tmp_path: Pat
     assert not renderer.draw(pinhole, camera, light=night).rgb.any()
 
 
+def test_bodies_of_one_shape_and_those_after_them_keep_their_textures(renderer: Renderer, tmp_path: Path) -> None:
+    (tmp_path / "quad.obj").write_text(QUAD)
+    camera = Pose((0.0, 0.0, 5.0), _turn((1.0, 0.0, 0.0), math.pi))
+    pinhole = Pinhole(320, 240, 200.0, 200.0, 160.0, 120.0)
+    white = (1.0, 1.0, 1.0, 1.0)
+    colours = [(250, 0, 0), (0, 250, 0), (250, 0, 0), (0, 0, 250), (0, 250, 0)]
+    bodies = []
+    for colour in colours:
+        texture = tmp_path / f"{'_'.join(map(str, colour))}.png"
+        Image.fromarray(np.full((16, 16, 3), colour, np.uint8)).save(texture)
+        bodies.append(renderer.add([Visual(Mesh(tmp_path / "quad.obj"), Pose(), white, texture)]))
+        renderer.hide(renderer.add([Visual(Box((1.0, 1.0, 1.0)))]))
+    for body, colour in zip(bodies, colours, strict=True):
+        for other in bodies:
+            renderer.hide(other)
+        renderer.place(body, Pose())
+        assert renderer.draw(pinhole, camera, light=SKY).rgb[120, 160].astype(int) == pytest.approx(colour, abs=10)
+
+
 def test_what_is_hidden_comes_back(renderer: Renderer) -> None:
     pinhole, camera = Pinhole.of_view(64, 48, 1.0), Pose()
     body = renderer.add([Visual(Sphere(1.0), Pose((0.0, 0.0, 5.0)))])

@@ -68,6 +68,8 @@ class Renderer:
         self._triangles: dict[Geometry, Triangles] = {}
         self._files: dict[object, tuple[Path, ...]] = {}
         self._textures: dict[Path, int] = {}
+        self._all_parts: list[int] = []
+        self._shapes: dict[Path, int] = {}  # their numbers, in order of their first use
         self._places: dict[int, Pose | None] = {}
 
     def add(self, visuals: Iterable[Visual]) -> int:
@@ -86,13 +88,17 @@ class Renderer:
         parts = self._parts[body] = []
         for (colour, texture), group in groups.items():
             picture = None if texture is None else self._texture(texture)
-            for file in self._meshes(tuple((visual.geometry, visual.pose) for visual in group)):
+            for file in self._meshes(tuple((visual.geometry, visual.pose) for visual in group), texture):
                 shape = self._client.createVisualShape(
                     pybullet.GEOM_MESH, fileName=str(file), rgbaColor=colour, specularColor=(0.0, 0.0, 0.0)
                 )
                 part = self._client.createMultiBody(0.0, -1, shape)
+                self._all_parts.append(part)
+                number = self._shapes.setdefault(file, len(self._shapes))
                 if picture is not None:
-                    self._client.changeVisualShape(part, -1, textureUniqueId=picture)
+                    # The EGL plugin takes a part's number for that of its shape, which parts of one file share.
+                    bearer = self._all_parts[number] if self.backend == "egl" else part
+                    self._client.changeVisualShape(bearer, -1, textureUniqueId=picture)
                 parts.append(part)
         if parts:
             grown = np.full(max(parts) + 2, -1, np.int32)
@@ -112,9 +118,13 @@ class Renderer:
             self._textures[path] = number
         return self._textures[path]
 
-    def _meshes(self, shapes: tuple[tuple[Geometry, Pose], ...]) -> tuple[Path, ...]:
-        """Return files with all shapes in their places as one mesh, or as few as pybullet takes."""
-        if shapes not in self._files:
+    def _meshes(self, shapes: tuple[tuple[Geometry, Pose], ...], texture: Path | None) -> tuple[Path, ...]:
+        """Return files with all shapes in their places as one mesh, or as few as pybullet takes.
+
+        Each texture has files of its own: with EGL, bodies of one file share their texture.
+        """
+        key = (shapes, texture)
+        if key not in self._files:
             parts = []
             for geometry, pose in shapes:
                 if geometry not in self._triangles:
@@ -127,8 +137,8 @@ class Renderer:
                 file = Path(self._folder.name) / f"{len(self._files)}_{begin}.obj"
                 write_obj(file, Triangles(whole.points[some], whole.normals[some], whole.uv[some]))
                 files.append(file)
-            self._files[shapes] = tuple(files)
-        return self._files[shapes]
+            self._files[key] = tuple(files)
+        return self._files[key]
 
     def place(self, body: int, pose: Pose) -> None:
         """Put a body where it is to be seen; one that was hidden is seen again.
