@@ -37,6 +37,57 @@ _PATCHES = (
     ("meadow", 450.0, 5.0, 14.0),
     ("grass", 700.0, 3.0, 8.0),
 )
+_TRIES = 60
+_PERSON = 0.5  # m, radius kept free for a person
+_DEGREES = math.pi / 180.0
+
+# how many in 1000 m^2, by default
+_DENSITY = {"tree": 7.0, "bush": 5.0, "house": 0.6, "street": 1.6, "yard": 4.0, "lookalike": 2.5, "car": 0.7}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a scene is to be like.
+
+    Attributes:
+        region: x0, y0, x1, y1, m ENU: where things and persons are.
+        clear: rectangle in which nothing stands; the vehicles start there.
+        persons: how many.
+        walking: they walk; else they stand.
+        skins: names of persons to choose from; empty: the actors' skins are left open.
+        split: of colours, textures and forms: all, train or test.
+        objects: factor on the number of things, 0 to 3.
+        light: noon, morning, evening, overcast or any.
+        person_distance: m that persons keep from ``clear``.
+    """
+
+    region: Rectangle = REGION
+    clear: Rectangle = CLEAR
+    persons: int = 1
+    walking: bool = False
+    skins: Sequence[str] = ()
+    split: str = "all"
+    objects: float = 1.0
+    light: str = "noon"
+    person_distance: float = 10.0
+
+
+def outdoor(seed: int, **options: object) -> SdfWorld:
+    """Return the scene of a seed; the same seed and options give the same world.
+
+    Args:
+        seed: 0 or more.
+        options: see ``Options``. People do not change where things are.
+
+    Raises:
+        ValueError: an option that is not allowed, or no free place for a person.
+    """
+    wanted = Options(**options)  # type: ignore[arg-type]
+    _check(seed, wanted)
+    scene = _Scene(seed, wanted)
+    scene.furnish()
+    world = replace(load_world_file("empty"), name=f"outdoor_{seed}", light=scene.light(), models=tuple(scene.models))
+    return replace(world, actors=tuple(_people(seed, wanted, world)))
 
 
 def _check(seed: int, options: Options) -> None:
