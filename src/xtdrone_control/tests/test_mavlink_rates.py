@@ -88,6 +88,9 @@ NO_STREAMS = {"CURRENT_EVENT_SEQUENCE"}
 # Ours besides: PX4 sends the origin when it changes; here it also comes every 10 s, for whoever asks later.
 ONLY_WITH_A_SOURCE = {  # on by default in PX4 too; there was nothing to send
     "DISTANCE_SENSOR",
+    "GIMBAL_DEVICE_ATTITUDE_STATUS",
+    "GIMBAL_MANAGER_STATUS",
+    "MOUNT_ORIENTATION",
     "OPTICAL_FLOW_RAD",
     "POSITION_TARGET_GLOBAL_INT",
     "RC_CHANNELS",

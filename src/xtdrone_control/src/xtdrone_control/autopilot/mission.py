@@ -447,6 +447,7 @@ class Mission:
             self._roi_kind, self._roi_offset = _ROI_NEXT, 0.0
         elif item.command in (plan.SET_ROI_NONE, plan.SET_ROI):
             self._roi_kind = _ROI_NONE
+        self._payload.gimbal_manager.look_at(self._roi if self._roi_kind == _ROI_LOCATION else None)
 
     def _update_heading(self) -> None:
         """Look at the region of interest, or where the heading mode says."""

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from . import plan
+from .gimbal import GimbalManager
 from .vehicle_view import Vector, VehicleView
 
 _MAX_WAITING = 64
@@ -39,7 +40,7 @@ class Payload:
     """Camera trigger, gimbal set-point and actuators of one vehicle.
 
     Attributes:
-        gimbal: roll, pitch, yaw set-point, rad; pitch positive up, yaw from the heading. NaN: not controlled.
+        gimbal_manager: where the gimbal is told to look, and who may say so.
         gimbal_attitude: where the camera points, as the simulator or a driver writes it: roll and pitch from the
             horizon, yaw from the heading, rad; None when no gimbal is fitted.
         actuators: outputs of DO_SET_ACTUATOR, -1..1, NaN until set.
@@ -52,7 +53,7 @@ class Payload:
     def __init__(self, view: VehicleView) -> None:
         """Start with the camera off."""
         self._view = view
-        self.gimbal: Vector = (math.nan, math.nan, math.nan)
+        self.gimbal_manager = GimbalManager(view)
         self.gimbal_attitude: Vector | None = None
         self.actuators = [math.nan] * _ACTUATORS
         self.recording = False
@@ -65,6 +66,11 @@ class Payload:
         self._next_us = _NEVER_US
         self._left = _SHOTS_UNLIMITED
         self._paused = False
+
+    @property
+    def gimbal(self) -> Vector:
+        """Roll, pitch, yaw set-point of now, rad; pitch positive up, yaw from the heading. NaN: not controlled."""
+        return self.gimbal_manager.angles
 
     def obey(self, command: int, params: Sequence[float]) -> bool:
         """Obey a command for the payload; ``params`` are its seven, of which those that are not finite count as 0.
@@ -150,10 +156,10 @@ class Payload:
             self._distance = 0.0
 
     def _mount(self, p: Sequence[float]) -> None:
-        self.gimbal = (math.radians(p[1]), math.radians(p[0]), math.radians(p[2]))
+        self.gimbal_manager.mount(p)
 
     def _pitch_yaw(self, p: Sequence[float]) -> None:
-        self.gimbal = (0.0, math.radians(p[0]), math.radians(p[1]))
+        self.gimbal_manager.pitch_yaw(p)
 
     def _set_actuators(self, p: Sequence[float]) -> None:
         if p[6] == 0.0:

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander import CRITICAL, Result
+from xtdrone_control.autopilot.gimbal import GimbalManager
 from xtdrone_control.autopilot.plan import PlanItem
 
 from . import failures
@@ -44,8 +45,6 @@ _SILENT = frozenset(
     {
         mavlink.MAV_CMD_NAV_DELAY,
         mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
-        mavlink.MAV_CMD_DO_MOUNT_CONFIGURE,
-        mavlink.MAV_CMD_DO_MOUNT_CONTROL,
         mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
         mavlink.MAV_CMD_DO_GRIPPER,
         mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL,
@@ -58,8 +57,6 @@ _SILENT = frozenset(
         mavlink.MAV_CMD_SET_CAMERA_MODE,
         mavlink.MAV_CMD_SET_CAMERA_ZOOM,
         mavlink.MAV_CMD_SET_CAMERA_FOCUS,
-        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
-        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
         mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
         mavlink.MAV_CMD_LOGGING_STOP,
         mavlink.MAV_CMD_CONTROL_HIGH_LATENCY,
@@ -142,6 +139,10 @@ class CommandHandler:
             mavlink.MAV_CMD_DO_SET_HOME: self._set_home,
             mavlink.MAV_CMD_DO_CHANGE_ALTITUDE: self._change_altitude,
             mavlink.MAV_CMD_DO_SET_ACTUATOR: self._set_actuators,
+            mavlink.MAV_CMD_DO_MOUNT_CONFIGURE: lambda command, _: self._with_gimbal(lambda gimbal: Result.ACCEPTED),
+            mavlink.MAV_CMD_DO_MOUNT_CONTROL: self._mount,
+            mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: self._point_gimbal,
+            mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: self._configure_gimbal,
             mavlink.MAV_CMD_DO_LAND_START: self._start_landing,
             mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
             **dict.fromkeys(_ROI, self._set_roi),
@@ -261,6 +262,32 @@ class CommandHandler:
         self._commander.navigator.payload.obey(command.number, command.params)
         return Result.ACCEPTED
 
+    # the gimbal; without one nothing is acknowledged, as by a PX4 that does not run its driver
+
+    def _with_gimbal(self, act: Callable[[GimbalManager], Result]) -> Result | None:
+        payload = self._commander.navigator.payload
+        return None if payload.gimbal_attitude is None else act(payload.gimbal_manager)
+
+    def _mount(self, command: Command, _link: Link) -> Result | None:
+        params = [value if math.isfinite(value) else 0.0 for value in command.params]
+        return self._with_gimbal(lambda gimbal: Result.ACCEPTED if gimbal.mount(params) else Result.UNSUPPORTED)
+
+    def _point_gimbal(self, command: Command, link: Link) -> Result | None:
+        def act(gimbal: GimbalManager) -> Result:
+            if not gimbal.controlled_by(link.sender):
+                return Result.DENIED
+            gimbal.pitch_yaw(command.params)
+            return Result.ACCEPTED
+
+        return self._with_gimbal(act)
+
+    def _configure_gimbal(self, command: Command, link: Link) -> Result | None:
+        def act(gimbal: GimbalManager) -> Result:
+            gimbal.configure(link.sender, command.params)
+            return Result.ACCEPTED
+
+        return self._with_gimbal(act)
+
     # before flight
 
     def _calibrate(self, command: Command, _link: Link) -> Result:
@@ -312,8 +339,7 @@ class CommandHandler:
         """Send message ``number`` once; DENIED when there is none or nothing to tell, as in PX4."""
         answer = self._vehicle.on_request.get(number)
         if answer is not None:
-            answer(link)
-            return Result.ACCEPTED
+            return Result.DENIED if answer(link) is False else Result.ACCEPTED
         now_us = self._vehicle.now_us
         link.telemetry.refresh(now_us)
         found = link.streams.values(number, lambda text: link.warn("packing", text, now_us))

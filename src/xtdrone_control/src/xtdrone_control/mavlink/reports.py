@@ -9,7 +9,10 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from xtdrone_control.autopilot import geo
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control import frames
+from xtdrone_control.autopilot import geo, gimbal
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.manual_control import CHANNELS
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
@@ -42,6 +45,18 @@ _UINT16 = 65535
 _UNKNOWN_TIME = -1
 _FULL_SIGNAL = 100  # % of RC_CHANNELS.rssi
 _NAN = math.nan
+GIMBAL_DEVICE = 1  # id of a gimbal that is no MAVLink device but hangs on the autopilot
+GIMBAL_CAPABILITIES = (
+    mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_NEUTRAL
+    | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_ROLL_LOCK
+    | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_PITCH_AXIS
+    | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_PITCH_LOCK
+    | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_AXIS
+    | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_FOLLOW
+    | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_LOCK
+    | mavlink.GIMBAL_MANAGER_CAP_FLAGS_CAN_POINT_LOCATION_GLOBAL
+)
+GIMBAL_RANGE = (0.0, 0.0, -0.5 * math.pi, 0.5 * math.pi, -math.pi, math.pi)  # rad, least and largest roll, pitch, yaw
 _LASER, _DOWNWARD = 0, 25  # MAV_DISTANCE_SENSOR, MAV_SENSOR_ORIENTATION
 _FLOW_SPAN_US = 20_000
 _SENSOR_TIMEOUT_US = 500_000
@@ -57,14 +72,10 @@ SILENT = (
     "DEBUG_FLOAT_ARRAY",
     "DEBUG_VECT",
     "EFI_STATUS",
-    "GIMBAL_DEVICE_ATTITUDE_STATUS",
     "GIMBAL_DEVICE_SET_ATTITUDE",
-    "GIMBAL_MANAGER_INFORMATION",
-    "GIMBAL_MANAGER_STATUS",
     "GPS2_RAW",
     "GPS_STATUS",
     "MAG_CAL_REPORT",
-    "MOUNT_ORIENTATION",
     "NAMED_VALUE_FLOAT",
     "NAV_CONTROLLER_OUTPUT",
     "OBSTACLE_DISTANCE",
@@ -229,6 +240,43 @@ class Reports(Telemetry):
         """Say whether a sensor's sample, whose time the estimator keeps in ``field``, is less than 0.5 s old."""
         last = int(self._estimator[field])
         return last > 0 and self.time_us - last < _SENSOR_TIMEOUT_US
+
+    # the gimbal, while one is fitted
+
+    def mount_orientation(self) -> Values | None:
+        """Where the gimbal points, degrees: roll and pitch from the horizon, yaw from the heading and from north."""
+        attitude = self._commander.navigator.payload.gimbal_attitude
+        if attitude is None:
+            return None
+        roll, pitch, yaw = (math.degrees(angle) for angle in attitude)
+        return self.time_ms, roll, pitch, yaw, (yaw + math.degrees(self._commander.view.yaw)) % 360.0
+
+    def gimbal_device_attitude_status(self) -> Values | None:
+        """Where the gimbal points, as a quaternion; yaw from the heading, or from north when it is locked."""
+        payload = self._commander.navigator.payload
+        attitude = payload.gimbal_attitude
+        if attitude is None:
+            return None
+        flags, heading = payload.gimbal_manager.flags, self._commander.view.yaw
+        locked = bool(flags & gimbal.YAW_LOCK)
+        roll, pitch, yaw = attitude
+        q = frames.quaternion_from_rpy(roll, pitch, yaw + heading if locked else yaw)
+        flags |= gimbal.YAW_IN_EARTH_FRAME if locked else gimbal.YAW_IN_VEHICLE_FRAME
+        return self.time_ms, *q, _NAN, _NAN, _NAN, 0, flags, 0, 0, heading, _NAN, GIMBAL_DEVICE
+
+    def gimbal_manager_status(self) -> Values | None:
+        """Who is in control of the gimbal."""
+        payload = self._commander.navigator.payload
+        if payload.gimbal_attitude is None:
+            return None
+        manager = payload.gimbal_manager
+        return self.time_ms, manager.flags, GIMBAL_DEVICE, *manager.primary, *manager.secondary
+
+    def gimbal_manager_information(self) -> Values | None:
+        """What the gimbal can do, as PX4 says it of one that is no MAVLink device."""
+        if self._commander.navigator.payload.gimbal_attitude is None:
+            return None
+        return self.time_ms, GIMBAL_CAPABILITIES, *GIMBAL_RANGE, GIMBAL_DEVICE
 
     # the pilot
 

@@ -31,7 +31,8 @@ class Vehicle:
         system_id: MAVLink system id.
         now_us: simulated time, microseconds, of the message that is handled.
         clients: returns the links to everybody who listens, for what is for all.
-        on_request: message id to what answers a request for a message that is no stream; services fill it.
+        on_request: message id to what answers a request for a message that is no stream; services fill it. It may
+            return False when there is nothing to tell.
         capabilities: MAV_PROTOCOL_CAPABILITY bits of all services.
         files: path to the content of files that MAVLink FTP lets clients read beside the logs; services fill it.
     """
@@ -50,7 +51,7 @@ class Vehicle:
         self.system_id = commander.vehicle.system_id
         self.now_us = 0
         self.clients = clients
-        self.on_request: dict[int, Callable[[Link], None]] = {}
+        self.on_request: dict[int, Callable[[Link], bool | None]] = {}
         self.capabilities = 0
         self.files: dict[str, Callable[[], bytes]] = {}
         self._held: list[Callable[[], None]] | None = None

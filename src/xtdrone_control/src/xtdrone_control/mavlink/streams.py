@@ -61,6 +61,9 @@ ONBOARD_RATES: dict[str, float] = {
     "VIBRATION": 0.5,
 }
 
+# sent while a gimbal is fitted
+_GIMBAL_RATES = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 1.0, "GIMBAL_MANAGER_STATUS": 0.5, "MOUNT_ORIENTATION": 10.0}
+
 GCS_RATES: dict[str, float] = {
     "HEARTBEAT": 1.0,
     "ALTITUDE": 1.0,
@@ -96,9 +99,17 @@ GCS_RATES: dict[str, float] = {
 }
 
 # can be asked for, without a default rate
-_OTHERS = ("SCALED_IMU", "MANUAL_CONTROL", "ACTUATOR_CONTROL_TARGET", "ACTUATOR_OUTPUT_STATUS", *SILENT)
+_OTHERS = (
+    "SCALED_IMU",
+    "MANUAL_CONTROL",
+    "ACTUATOR_CONTROL_TARGET",
+    "ACTUATOR_OUTPUT_STATUS",
+    "GIMBAL_MANAGER_INFORMATION",
+    *SILENT,
+)
 FORMATS: dict[int, Format] = {
-    f.number: f for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_OTHERS]))
+    f.number: f
+    for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_GIMBAL_RATES, *_OTHERS]))
 }
 LINK_MESSAGES = ("PING", "LINK_NODE_STATUS")  # these tell of a link, all others of the vehicle
 HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
@@ -115,6 +126,8 @@ def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
 
 
 PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
+ONBOARD_RATES |= _GIMBAL_RATES  # not of the payload link: without a gimbal its rates would be others
+GCS_RATES |= _GIMBAL_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5}
 
 
 def _allowed(interval_us: float) -> int:

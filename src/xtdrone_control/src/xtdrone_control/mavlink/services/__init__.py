@@ -7,6 +7,7 @@ from xtdrone_control.mavlink.service import Service, Vehicle
 from .command import CommandService
 from .event import EventService
 from .ftp import FtpService
+from .gimbal import GimbalService
 from .log import LogService
 from .manual import ManualService
 from .metadata import MetadataService
@@ -38,4 +39,5 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         VersionService(vehicle),
         EventService(vehicle),
         VisionService(vehicle),
+        GimbalService(vehicle),
     ]

@@ -10,6 +10,7 @@ from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
 from xtdrone_control.mavros.plugins.imu import ImuPlugin
 from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
 from xtdrone_control.mavros.plugins.mocap_pose_estimate import MocapPlugin
+from xtdrone_control.mavros.plugins.mount_control import MountControlPlugin
 from xtdrone_control.mavros.plugins.odom import OdometryPlugin
 from xtdrone_control.mavros.plugins.param import ParamPlugin
 from xtdrone_control.mavros.plugins.rc_io import RcIoPlugin
@@ -43,4 +44,5 @@ PLUGINS: tuple[type[Plugin], ...] = (
     VisionPosePlugin,
     MocapPlugin,
     OdometryPlugin,
+    MountControlPlugin,
 )
