@@ -22,6 +22,7 @@ from .hil import Hil
 from .mailbox import Mailbox
 from .scene import Idle
 from .sdf import world_file
+from .scene_topics import SceneTopics
 from .simulation import Simulation
 from .simulator_node import NodeSettings, choice, close_all, flag, integer, log, run_node
 
@@ -147,6 +148,7 @@ class FullScene:
         self._idle = idle
         self._server = server
         self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
+        self._topics = SceneTopics(self._simulation, mailbox)
 
     def missing(self) -> str:
         """Say which autopilots have not connected."""
@@ -163,6 +165,10 @@ class FullScene:
     def next_due_us(self, now_us: int) -> int | None:
         """Streams are sent on the way."""
         return None
+
+    def next_told_us(self, now_us: int) -> int | None:
+        """Return when links are told of next."""
+        return self._topics.next_told_us(now_us)
 
     def advance(self, until_us: int) -> None:
         """Step, and send telemetry when it is due."""
@@ -181,7 +187,8 @@ class FullScene:
         self._simulation.step()
 
     def tick(self, idle: Idle) -> None:
-        """Run one barrier; set-points that come in it act after it."""
+        """Tell where links are, and run one barrier; set-points that come in it act after it."""
+        self._topics.publish()
         self._mavlink.hold_setpoints()
         self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)
         self._datagrams.wait()
@@ -202,6 +209,7 @@ class FullScene:
     def restart(self, time_us: int) -> None:
         """Reboot all autopilots at their spawn places."""
         self._simulation.restart(time_us)
+        self._topics.restart()
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
 
     def close(self) -> None:

@@ -68,6 +68,9 @@ class Scene(Protocol):
     def next_due_us(self, now_us: int) -> int | None:
         """Return the next time at which the scene itself is to be looked at, or None."""
 
+    def next_told_us(self, now_us: int) -> int | None:
+        """Return the next time at which ``tick`` tells something to those who listen, or None while nobody does."""
+
     def advance(self, until_us: int) -> None:
         """Step to ``until_us``, or beyond by less than a step."""
 

@@ -14,6 +14,7 @@ from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.fleet import Vehicle, spawn_grid
 
 from .autopilots import AutopilotsFactory, Builtin
+from .gimbal import Gimbals
 from .sensors import Sensors
 from .vehicle_model import load_vehicle
 from .world import World, load_world
@@ -24,7 +25,9 @@ class Simulation:
 
     Attributes:
         fleet: the vehicles, in order of their global index.
+        models: one a vehicle.
         world: bodies; ``world.plant`` is the truth.
+        gimbals: what holds their cameras.
         autopilots: who flies them.
         time_us: simulated time, microseconds.
         step_us: one step.
@@ -64,7 +67,7 @@ class Simulation:
         spawn = places if places is not None else spawn_grid(fleet, rows)
         self.fleet = fleet
         self._model = model
-        self._models = models
+        self.models = models
         self._spawn = spawn
         self._seed = seed
         self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None)
@@ -73,9 +76,10 @@ class Simulation:
     def _begin(self, time_us: int) -> None:
         """Make world, sensors and autopilots as they are at the start, at simulated time ``time_us``."""
         self.time_us = time_us
-        self.world = World(self._model, self._models, self._spawn, STEP_US * 1e-6)
+        self.world = World(self._model, self.models, self._spawn, STEP_US * 1e-6)
         self.autopilots.begin(self.world, time_us)
         self.sensors = Sensors(self.world, self.autopilot, self._seed)
+        self.gimbals = Gimbals(self.models)
         self._steps = 0
 
     @property
@@ -98,13 +102,15 @@ class Simulation:
         self.time_us += STEP_US
         self.sensors.sample(self._steps, self.time_us)
         self.autopilots.step()
+        if self.gimbals.any:
+            self.gimbals.step(self._steps, self.world.plant, self.commanders, self.world.time_step)
         self._steps += 1
 
     def restart(self, time_us: int = 0) -> None:
         """Put the fleet back to its start: spawn places, disarmed, estimators, modes and noise from the beginning.
 
         Parameters that were changed stay changed, as they do when an autopilot is rebooted. ``world``, ``autopilot``,
-        ``sensors`` and ``commanders`` are new objects.
+        ``sensors``, ``gimbals`` and ``commanders`` are new objects.
 
         Args:
             time_us: simulated time from which it goes on, microseconds; a multiple of ``step_us``. From 0 the same

@@ -231,6 +231,7 @@ class SimulatorNode:
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
+        self._looked_us = scene.time_us  # the last time that does not depend on who listens to what
         self._collisions: set[tuple[int, int]] = set()
         self._control = Control(
             pacer,
@@ -339,6 +340,7 @@ class SimulatorNode:
         scene = self._scene
         scene.restart(0 if kind is Reset.SIMULATION else scene.time_us)
         self._collisions.clear()
+        self._looked_us = scene.time_us
         if kind is Reset.SIMULATION:
             self._next_states_us = 0
             self._server.reset_time(0)
@@ -350,9 +352,10 @@ class SimulatorNode:
         scene = self._scene
         now = scene.time_us
         due = self._server.next_due_us(now)
-        times = (due, scene.next_due_us(now), now + _CHUNK_US)
-        until = min(time_us for time_us in times if time_us is not None)
-        is_tick = due is None or due == until
+        times = (due, scene.next_due_us(now), self._looked_us + _CHUNK_US)
+        regular = min(time_us for time_us in times if time_us is not None)
+        until = min([regular, *self._telling_us(now)])
+        is_regular = until == regular
         scene.advance(until)
         now = scene.time_us
         self._publish_clock()
@@ -360,12 +363,22 @@ class SimulatorNode:
         if now >= self._next_states_us:
             self._publish_states(now)
         self._serve(0.0)
-        if self._digests is not None:
+        if is_regular and self._digests is not None:
             self._digests.tick(now, scene.truth())
         scene.tick(self._serve_in_tick)
         self._report_collisions()
-        if is_tick:
-            self._control.ticked()
+        if is_regular:
+            self._looked_us = scene.time_us
+            if due is None or due == until:
+                self._control.ticked()
+
+    def _telling_us(self, now: int) -> list[int]:
+        """Return the next times at which something is told to those who listen: what nobody else takes for a tick."""
+        told = self._scene.next_told_us(now)
+        times = [] if told is None else [told]
+        if self._states.get_num_connections() and self._next_states_us > now:
+            times.append(self._next_states_us)
+        return times
 
     def _report_collisions(self) -> None:
         new = self._scene.collisions() - self._collisions
@@ -414,9 +427,7 @@ class SimulatorNode:
         self._clock.publish(Clock(clock=rospy.Time.from_sec(0) + rospy.Duration(0, self._scene.time_us * 1000)))
 
     def _publish_states(self, now: int) -> None:
-        self._next_states_us += self._states_period_us
-        if self._next_states_us <= now:
-            self._next_states_us = now + self._states_period_us
+        self._next_states_us = now - now % self._states_period_us + self._states_period_us
         if self._states.get_num_connections():
             self._states.publish(self._scene.model_states())
 

@@ -196,6 +196,10 @@ class SimplifiedScene:
         """Return the time of the next turn."""
         return self._schedule.after_us(now_us)
 
+    def next_told_us(self, now_us: int) -> int | None:
+        """Nothing is told but at ``next_due_us``."""
+        return None
+
     def advance(self, until_us: int) -> None:
         """Move on."""
         self._vehicles.advance(until_us - self._began_us)
