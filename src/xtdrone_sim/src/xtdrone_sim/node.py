@@ -149,6 +149,8 @@ class FullScene:
         self._server = server
         self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
         self._topics = SceneTopics(self._simulation, mailbox)
+        for name, model in zip(self.names, self._simulation.models, strict=True):
+            rospy.set_param(f"/{name}/robot_description", model.urdf.text)
 
     def missing(self) -> str:
         """Say which autopilots have not connected."""

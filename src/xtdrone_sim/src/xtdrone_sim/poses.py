@@ -20,6 +20,12 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
     )
 
 
+def from_axis_angle(axis: Vector, angle: float) -> Quaternion:
+    """Return the rotation by ``angle`` (rad) about a unit vector."""
+    s = math.sin(0.5 * angle)
+    return axis[0] * s, axis[1] * s, axis[2] * s, math.cos(0.5 * angle)
+
+
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     """Return the rotation ``b`` followed by ``a``."""
     ax, ay, az, aw = a
