@@ -382,6 +382,7 @@ def test_reset_world_puts_the_vehicle_back(stack: Stack) -> None:
     assert now(stack) >= before
     stack.wait(lambda: stack.height(0) < 0.2, "it is on the ground", sim=0.5)
     stack.wait_state(0, mode="AUTO.LOITER", armed=False)
+    stack.pass_time(2.0)  # rebooted, it knows where it is after a second
     place = stack.fly(0, HEIGHT)
     assert place[:2] == (0.0, 3.0)
 
