@@ -21,8 +21,8 @@ from .gazebo_names import model_states
 from .hil import Hil
 from .mailbox import Mailbox
 from .scene import Idle
-from .sdf import world_file
 from .scene_topics import SceneTopics
+from .sdf import world_file
 from .simulation import Simulation
 from .simulator_node import NodeSettings, choice, close_all, flag, integer, log, run_node
 
