@@ -6,28 +6,20 @@ Called as a program this file is one of the other nodes: ``eyes`` (a vehicle wit
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import signal
-import socket
-import subprocess
 import sys
-import time
-import xmlrpc.client
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from perception_stack import PATIENCE, ROSMASTER, Stack, wait_until
 from tiny_networks import write_darknet
 
 from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
-from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_perception.geolocation import Geolocator, View
 
-ROSMASTER = shutil.which("rosmaster")
 try:
     import rospy
     from darknet_ros_msgs.msg import BoundingBoxes, ObjectCount
@@ -47,7 +39,6 @@ PINHOLE = Pinhole.of_view(640, 360, 2.0)
 MOUNT = mount_orientation(0.0, -1.0, 0.0)
 SPEED = 2.0  # m/s, along x
 EXPOSURE = 0.05  # s before its message
-PATIENCE = 60.0  # s of wall time, for what should take none
 CELL = (12, 4)  # of the person, 32 px each, in the network's input
 
 
@@ -141,81 +132,6 @@ def recorder(file: str) -> None:
 # ---- the test's side ----
 
 
-class Stack:
-    """A master, the simulator's side of the lockstep, and the three nodes."""
-
-    def __init__(self, folder: Path) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        self.folder = folder
-        self.processes: dict[str, subprocess.Popen] = {}
-        paths = [str(Path(__file__).parent), *(path for path in sys.path if path)]
-        self.environment = {
-            **os.environ,
-            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
-            "ROS_HOSTNAME": "127.0.0.1",
-            "ROS_LOG_DIR": str(folder),
-            "PYTHONPATH": os.pathsep.join(paths),
-        }
-        self.start("master", str(ROSMASTER), "--core", "-p", str(port))
-        self.master = xmlrpc.client.ServerProxy(self.environment["ROS_MASTER_URI"])
-        wait_until(self._answers, "the master answers")
-        self.server = LockstepServer(hang_limit=PATIENCE)
-        self.set("/lockstep/uri", self.server.uri)
-
-    def _answers(self) -> bool:
-        try:
-            return self.master.getPid("/test")[0] == 1
-        except OSError:
-            return False
-
-    def set(self, name: str, value: object) -> None:
-        self.master.setParam("/test", name, value)
-
-    def start(self, name: str, *command: str) -> subprocess.Popen:
-        with open(self.folder / f"{name}.out", "w") as out:
-            self.processes[name] = subprocess.Popen(
-                command, env=self.environment, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT
-            )
-        return self.processes[name]
-
-    def output(self, name: str) -> str:
-        return (self.folder / f"{name}.out").read_text()
-
-    def lines(self) -> list[dict]:
-        return [json.loads(line) for line in (self.folder / "record").read_text().splitlines()]
-
-    def begin(self, phases: list) -> None:
-        """Start the nodes and wait for them."""
-        self.start("recorder", sys.executable, __file__, "recorder", str(self.folder / "record"))
-        self.start("eyes", sys.executable, __file__, "eyes", json.dumps(phases))
-        self.start("yolo", sys.executable, str(NODE), "typhoon_h480", "0", "__name:=yolo")
-        names = ["/eyes", "/recorder", "/yolo"]
-        assert self.server.wait_for(names, timeout=PATIENCE), (self.server.missing(names), self.output("yolo"))
-
-    def run(self, until: float) -> None:
-        """Let simulated time pass from where it is, or 0."""
-        now: int | None = self.server.next_due_us(-1)
-        while now is not None and now < until * 1e6:
-            self.server.tick(now)
-            now = self.server.next_due_us(now)
-        assert now is not None, self.output("yolo")
-
-    def stop(self) -> None:
-        self.server.close()
-        for process in self.processes.values():
-            process.kill()
-            process.wait()
-
-
-def wait_until(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, f"in vain waited until {what}"
-        time.sleep(0.02)
-
-
 @pytest.fixture
 def stack(tmp_path: Path) -> Iterator[Stack]:
     stack = Stack(tmp_path)
@@ -237,6 +153,14 @@ def network(stack: Stack) -> None:
     stack.set("/yolo/detector", str(settings))
 
 
+def begin(stack: Stack, phases: list) -> None:
+    """Start the nodes and wait for them."""
+    stack.start("recorder", sys.executable, __file__, "recorder", str(stack.record))
+    stack.start("eyes", sys.executable, __file__, "eyes", json.dumps(phases))
+    stack.start("yolo", sys.executable, str(NODE), "typhoon_h480", "0", "__name:=yolo")
+    stack.wait_for("/eyes", "/recorder", "/yolo")
+
+
 def expected_box() -> tuple[float, float, float, float]:
     x, y = 32 * CELL[0] + 16, 32 * CELL[1] + 16 - 12
     return x - 4.0, y - 6.0, x + 4.0, y + 6.0
@@ -249,7 +173,7 @@ def expected_place(stamp: float) -> np.ndarray:
 
 
 def test_each_picture_at_its_simulated_time_and_the_same_again_after_a_reset(stack, network):
-    stack.begin([[0.5, 10.0, 25]])  # 2 Hz
+    begin(stack, [[0.5, 10.0, 25]])  # 2 Hz
     stack.run(4.0)
     stack.server.reset_time(0)
     stack.run(4.0)
@@ -284,14 +208,11 @@ def test_each_picture_at_its_simulated_time_and_the_same_again_after_a_reset(sta
         assert error @ np.linalg.solve(covariance, error) < 4.0
     assert objects[-1]["objects"][0][2] == 7
 
-    stack.processes["yolo"].send_signal(signal.SIGINT)
-    stack.server.tick(4_000_000)
-    assert stack.processes["yolo"].wait(PATIENCE) == 0, stack.output("yolo")
-    assert "Traceback" not in stack.output("yolo")
+    stack.end("yolo")
 
 
 def test_pictures_that_come_too_fast_are_passed_over_and_a_silent_camera_is_told(stack, network):
-    stack.begin([[0.51, 2.51, 2]])  # 25 Hz, then none
+    begin(stack, [[0.51, 2.51, 2]])  # 25 Hz, then none
     stack.run(6.5)
     records = stack.lines()
     objects = [line for line in records if line["topic"] == "objects"]

@@ -1,0 +1,57 @@
+#!/usr/bin/env python3
+"""Follows a person whom the detection node has found: ``yolo_human_tracking.py typhoon_h480 0``.
+
+One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet). It
+needs ``yolo.py`` and the communication node; topics are listed in ``xtdrone_perception.human_tracking``.
+
+Parameters:
+    ~wait (default false): false to follow whoever is found first, true to follow only whom /xtdrone/T/follow names.
+    ~offboard (default: as ~wait): command OFFBOARD when following begins; else the user does, as in XTDrone.
+    ~gimbal (default true): point the gimbal at the person.
+    ~height (m, 2 to 200, default 15), ~distance (m, 0 to 200, default 10): from the person; the other fields of
+        ``xtdrone_perception.following.FollowSettings`` likewise: gains, limits, what is done after a loss.
+    /xtdrone/fleet (as ``typhoon_h480:6``): which vehicles there are; without it ids are not checked against a count.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import rospy
+
+from xtdrone_control import lockstep
+from xtdrone_control.communication.arguments import (
+    ArgumentError,
+    check_multirotor,
+    fleet_of,
+    parse_ids,
+    run_program,
+)
+from xtdrone_perception.human_tracking import RATE, HumanTracking, read_options
+
+USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Serve the vehicles that the arguments name until shutdown."""
+    if len(arguments) != 2:
+        raise ArgumentError(f"2 arguments are needed, {len(arguments)} were given")
+    kind, text = arguments
+    count = check_multirotor(kind, fleet_of(rospy.get_param("/xtdrone/fleet", None)))
+    ids = parse_ids(text, 0, None if count is None else count - 1)
+    name = f"{kind}_{ids[0]}" if len(ids) == 1 else f"{kind}_{ids[0]}_{ids[-1]}"
+    lockstep.init_node(f"{name}_yolo_human_tracking", rate=RATE)
+    options = read_options()
+    nodes = [HumanTracking(f"{kind}_{index}", options) for index in ids]
+
+    def step() -> None:
+        for node in nodes:
+            node.step()
+
+    lockstep.start()
+    lockstep.spin(step)
+
+
+if __name__ == "__main__":
+    sys.exit(run_program(main, sys.argv, USAGE))

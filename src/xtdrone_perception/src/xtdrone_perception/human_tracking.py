@@ -1,0 +1,180 @@
+"""Following people as a ROS node: tracked people on the ground in, velocities and the gimbal's orientation out.
+
+For each vehicle ``T`` (as ``typhoon_h480_0``):
+
+=====================================  ==========================  ==================================================
+topic                                  type                        meaning
+=====================================  ==========================  ==================================================
+/xtdrone/T/objects                     xtdrone_msgs/ObjectsOn..    in: what the detection node finds
+/T/mavros/local_position/pose          geometry_msgs/PoseStamped   in
+/xtdrone/T/follow                      std_msgs/Int32              in: id of the track to follow; -1: none any more
+/xtdrone/T/cmd_vel_flu                 geometry_msgs/Twist         out: while somebody is followed
+/xtdrone/T/cmd                         std_msgs/String             out: OFFBOARD at the beginning, HOVER at a loss
+/T/mavros/mount_control/command        mavros_msgs/MountControl    out: the gimbal, towards the person
+/xtdrone/T/follow_state                std_msgs/String             out, latched: idle, following, searching, lost
+=====================================  ==========================  ==================================================
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from typing import NamedTuple
+
+import rospy
+from geometry_msgs.msg import PoseStamped, Twist
+from mavros_msgs.msg import MountControl
+from std_msgs.msg import Int32, String
+from xtdrone_msgs.msg import ObjectsOnGround
+
+from xtdrone_control import lockstep
+from xtdrone_control.communication.arguments import ArgumentError
+
+from .following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen, heading_of
+
+RATE = 30.0  # Hz
+_MOUNT_PERIOD = 0.2  # s between commands to the gimbal, each of which is a command of MAVLink's
+_MOUNT_CHANGE = math.radians(0.5)
+
+
+class Options(NamedTuple):
+    """What all vehicles of a node have in common.
+
+    Attributes:
+        wait: True to follow only whom ``/xtdrone/T/follow`` names, False to follow whoever is found first.
+        offboard: whether to command OFFBOARD at the beginning.
+        gimbal: whether to point the gimbal.
+        settings: how to follow.
+    """
+
+    wait: bool
+    offboard: bool
+    gimbal: bool
+    settings: FollowSettings
+
+
+def read_options() -> Options:
+    """Return the options of the private parameters.
+
+    Raises:
+        ArgumentError: one is not allowed.
+    """
+    wait = _flag("wait", False)
+    values = {f.name: rospy.get_param(f"~{f.name}") for f in fields(FollowSettings) if rospy.has_param(f"~{f.name}")}
+    try:
+        return Options(wait, _flag("offboard", wait), _flag("gimbal", True), FollowSettings(**values))
+    except ValueError as error:
+        raise ArgumentError(f"parameter ~{error}") from error
+
+
+def _flag(name: str, default: bool) -> bool:
+    value = rospy.get_param(f"~{name}", default)
+    if not isinstance(value, bool):
+        raise ArgumentError(f"parameter ~{name}: {value!r} is not allowed, true or false")
+    return value
+
+
+class HumanTracking:
+    """Topics of one vehicle that follows."""
+
+    def __init__(self, vehicle: str, options: Options) -> None:
+        """Declare the topics.
+
+        Args:
+            vehicle: name, as ``typhoon_h480_0``.
+            options: of the node.
+        """
+        self.name = vehicle
+        self._options = options
+        self._restart()
+        self._velocity = lockstep.Publisher(f"/xtdrone/{vehicle}/cmd_vel_flu", Twist)
+        self._command = lockstep.Publisher(f"/xtdrone/{vehicle}/cmd", String)
+        self._mount = lockstep.Publisher(f"/{vehicle}/mavros/mount_control/command", MountControl)
+        self._state = lockstep.Publisher(f"/xtdrone/{vehicle}/follow_state", String, latch=True)
+        lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
+        lockstep.Subscriber(f"/xtdrone/{vehicle}/follow", Int32, self._on_follow)
+        lockstep.Subscriber(f"/xtdrone/{vehicle}/objects", ObjectsOnGround, self._on_objects)
+        lockstep.add_reset_hook(self._restart)
+
+    def _restart(self) -> None:
+        self._following = Following(self._options.settings)
+        if not self._options.wait:
+            self._following.follow(ANY)
+        self._pose: tuple[tuple[float, float, float], float] | None = None
+        self._begun = False
+        self._stopped = Command()
+        self._pointed: tuple[float, tuple[float, float]] | None = None
+        self._said = ""
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        self._pose = (p.x, p.y, p.z), heading_of((q.x, q.y, q.z, q.w))
+
+    def _on_follow(self, message: Int32) -> None:
+        if message.data > 0:
+            if message.data != self._following.target:
+                self._following.follow(message.data)
+                self._begun = False
+        elif message.data == -1:
+            self._stopped = self._following.stop()
+            self._begun = False
+        else:
+            rospy.logwarn(f"/xtdrone/{self.name}/follow: {message.data} is not allowed, a track's id from 1, or -1")
+
+    def _on_objects(self, message: ObjectsOnGround) -> None:
+        time = message.header.stamp.to_sec()
+        self._following.see(
+            [
+                Seen(
+                    entry.id,
+                    time,
+                    (entry.position.x, entry.position.y, entry.position.z),
+                    (entry.velocity.x, entry.velocity.y),
+                    entry.probability,
+                )
+                for entry in message.objects
+                if entry.probability > 0.0
+            ]
+        )
+
+    def step(self) -> None:
+        """Command the vehicle once; call it at 30 Hz."""
+        if self._stopped.order:
+            self._command.publish(String(self._stopped.order))
+            self._stopped = Command()
+        if self._pose is not None:
+            self._obey(self._following.update(rospy.get_time(), *self._pose))
+        if self._following.state != self._said:
+            if self._said:
+                rospy.loginfo(f"{self.name}: {self._following.state}, track {self._following.target}")
+            self._said = self._following.state
+            self._state.publish(String(self._said))
+
+    def _obey(self, command: Command) -> None:
+        if command.order:
+            self._command.publish(String(command.order))
+        if command.velocity is not None:
+            if not self._begun and self._following.state == FOLLOWING:
+                self._begun = True
+                if self._options.offboard:
+                    self._command.publish(String("OFFBOARD"))
+            twist = Twist()
+            twist.linear.x, twist.linear.y, twist.linear.z = command.velocity
+            twist.angular.z = command.yaw_rate
+            self._velocity.publish(twist)
+        if command.gimbal is not None and self._options.gimbal:
+            self._point(command.gimbal)
+
+    def _point(self, gimbal: tuple[float, float]) -> None:
+        """Command the gimbal where it is to turn by more than a little."""
+        now = rospy.get_time()
+        if self._pointed is not None:
+            then, last = self._pointed
+            change = max(abs(a - b) for a, b in zip(gimbal, last, strict=True))
+            if change < _MOUNT_CHANGE or 0.0 <= now - then < _MOUNT_PERIOD - 1e-6:
+                return
+        self._pointed = now, gimbal
+        message = MountControl(mode=MountControl.MAV_MOUNT_MODE_MAVLINK_TARGETING)
+        message.header.stamp = rospy.Time.now()
+        message.pitch, message.yaw = math.degrees(gimbal[0]), math.degrees(gimbal[1])
+        self._mount.publish(message)
