@@ -1,0 +1,95 @@
+"""What of a region the cameras have truly shown, picture by picture, on a grid of places."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import Polygon
+
+from xtdrone_control.pinhole import Pinhole
+
+from .coverage import PERSON
+
+_CELLS = 40_000  # at most; a wide region gets wider cells
+
+
+class Covered:
+    """The grid of places of a region, and which of them some picture has shown.
+
+    Attributes:
+        region_area: m^2.
+    """
+
+    def __init__(
+        self, region: Polygon, camera: Pinhole, *, ground: float = 0.0, pixels: float = 12.0, cell: float = 1.0
+    ) -> None:
+        """Begin with nothing seen.
+
+        Args:
+            region: m ENU.
+            camera: of all vehicles.
+            ground: height of the ground in the map frame, m.
+            pixels: least height of a person in the picture, px.
+            cell: distance between places, m; wider where the region would have more than 40000.
+        """
+        self.region_area = float(region.area)
+        low_x, low_y, high_x, high_y = region.bounds
+        cell = max(cell, ((high_x - low_x) * (high_y - low_y) / _CELLS) ** 0.5)
+        x, y = np.meshgrid(
+            np.arange(low_x + 0.5 * cell, high_x, cell), np.arange(low_y + 0.5 * cell, high_y, cell), indexing="ij"
+        )
+        inside = shapely.contains_xy(region, x, y)
+        places = np.column_stack([x[inside], y[inside]])
+        if not len(places):  # a sliver between the places of the grid
+            point = region.representative_point()
+            places = np.array([[point.x, point.y]])
+        self._feet = np.column_stack([places, np.full(len(places), ground)])
+        self._camera = camera
+        self._pixels = pixels
+        self._seen = np.zeros(len(places), bool)
+
+    def see(self, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+        """Take a picture's view.
+
+        Args:
+            position: (3,) of the camera, m, map.
+            rotation: (3, 3) from the optical frame (x right, y down, z ahead) to the map frame.
+        """
+        left = np.flatnonzero(~self._seen)
+        shown = shows(self._camera, position, rotation, self._feet[left], self._pixels)
+        self._seen[left[shown]] = True
+
+    @property
+    def fraction(self) -> float:
+        """The part of the region that was seen, 0 to 1."""
+        return float(np.mean(self._seen))
+
+    @property
+    def area(self) -> float:
+        """The area that was seen, m^2."""
+        return self.fraction * self.region_area
+
+
+def shows(
+    camera: Pinhole,
+    position: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    feet: NDArray[np.float64],
+    pixels: float = 0.0,
+) -> NDArray[np.bool_]:
+    """Return which places a picture shows, with a person there whole and at least so high.
+
+    Args:
+        camera: its intrinsics.
+        position: (3,) of the camera, m, map.
+        rotation: (3, 3) from the optical frame to the map frame.
+        feet: (n, 3) places on the ground, m, map.
+        pixels: least height of a person in the picture, px.
+    """
+    foot = camera.project((feet - position) @ rotation)
+    head = camera.project((feet - position + np.array([0.0, 0.0, PERSON])) @ rotation)
+    size = np.array([camera.width, camera.height])
+    with np.errstate(invalid="ignore"):  # NaN behind the camera: not inside
+        inside = np.all((foot >= 0.0) & (foot <= size) & (head >= 0.0) & (head <= size), axis=1)
+        return np.asarray(inside & (np.hypot(*(foot - head).T) >= pixels))
