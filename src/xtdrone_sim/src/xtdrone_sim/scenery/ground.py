@@ -38,7 +38,7 @@ class Ground:
         boxes = self._boxes
         dx = np.maximum(np.maximum(boxes[:, 0] - x, x - boxes[:, 2]), 0.0)
         dy = np.maximum(np.maximum(boxes[:, 1] - y, y - boxes[:, 3]), 0.0)
-        return not bool(np.any(dx * dx + dy * dy < radius * radius))
+        return not bool(np.any(dx * dx + dy * dy <= radius * radius))
 
     def is_free_way(self, start: tuple[float, float], end: tuple[float, float], radius: float) -> bool:
         """Say the same of every point between two, looked at every ``radius``."""

@@ -269,7 +269,8 @@ def _people(seed: int, options: Options, world: SdfWorld) -> list[SdfActor]:
     ground = Ground(world)
     actors: list[SdfActor] = []
     skins = list(options.skins)
-    order = rng.permutation(len(skins)) if skins else np.zeros(1, int)
+    # by itself: which people there are to choose from is no matter for where they are
+    order = np.random.default_rng((seed, 21)).permutation(len(skins))
     for k in range(options.persons):
         skin = skins[order[k % len(order)]] if skins else ""
         speed = round(float(rng.uniform(0.8, 1.4)), 2)

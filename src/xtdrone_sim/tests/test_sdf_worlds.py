@@ -1,0 +1,298 @@
+"""SDF worlds: read, written, refused with the place of what is wrong, warned of once."""
+
+from __future__ import annotations
+
+import logging
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xtdrone_control.autopilot.autopilot import Datum
+from xtdrone_sim.package_files import MODELS
+from xtdrone_sim.poses import from_rpy
+from xtdrone_sim.sdf import (
+    Light,
+    SdfActor,
+    SdfError,
+    SdfLink,
+    SdfModel,
+    SdfWorld,
+    Trajectory,
+    Waypoint,
+    load_world_file,
+    read_world,
+    world_file,
+    write_world,
+)
+from xtdrone_sim.sdf.bounds import box_of
+from xtdrone_sim.vehicle_model import CONFIG, ModelError
+from xtdrone_sim.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
+
+CONE = MODELS / "scenery" / "meshes" / "cone_0.obj"
+GRASS = MODELS / "scenery" / "textures" / "grass_0.jpg"
+FILE = Path("/nowhere/test.world")
+
+
+def world(inside: str, attributes: str = 'version="1.6"') -> str:
+    return f"<sdf {attributes}>\n<world name='w'>\n{inside}\n</world>\n</sdf>"
+
+
+def model(inside: str, name: str = "m", static: str = "<static>1</static>") -> str:
+    return f"<model name='{name}'>{static}<link name='l'>{inside}</link></model>"
+
+
+def visual(inside: str) -> str:
+    return model(f"<visual name='v'>{inside}</visual>")
+
+
+# any world that the types allow
+
+
+def numbers(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_nan=False)
+
+
+def triples(low: float, high: float) -> st.SearchStrategy[tuple[float, float, float]]:
+    return st.tuples(*[numbers(low, high)] * 3)
+
+
+ANGLES = numbers(-4.0, 4.0)
+QUATERNIONS = st.tuples(ANGLES, ANGLES, ANGLES).map(lambda angles: from_rpy(*angles))
+POSES = st.builds(Pose, triples(-1e4, 1e4), QUATERNIONS)
+COLOURS = st.tuples(*[numbers(0.0, 1.0)] * 4)
+GEOMETRIES = st.one_of(
+    st.builds(Box, triples(0.0, 100.0)),
+    st.builds(Cylinder, numbers(0.0, 10.0), numbers(0.0, 10.0)),
+    st.builds(Sphere, numbers(0.0, 10.0)),
+    st.builds(Mesh, st.just(CONE), triples(0.1, 10.0)),
+)
+VISUALS = st.builds(Visual, GEOMETRIES, POSES, COLOURS, st.sampled_from([None, GRASS]))
+NAMES = st.text("abcXYZ019_<>&'\"ä", min_size=1, max_size=6)
+LINKS = st.builds(
+    SdfLink,
+    NAMES,
+    POSES,
+    st.lists(VISUALS, max_size=2).map(tuple),
+    st.lists(st.builds(Collision, GEOMETRIES, POSES), max_size=2).map(tuple),
+)
+TRAJECTORIES = st.builds(
+    Trajectory,
+    st.lists(st.tuples(numbers(0.0, 1e3), POSES), min_size=1, max_size=3, unique_by=lambda pair: pair[0]).map(
+        lambda pairs: tuple(Waypoint(time, pose) for time, pose in sorted(pairs, key=lambda pair: pair[0]))
+    ),
+    st.booleans(),
+    numbers(0.0, 100.0),
+    st.booleans(),
+)
+ACTORS = st.builds(SdfActor, NAMES, st.sampled_from(["", "anna"]), POSES, st.none() | TRAJECTORIES, numbers(0.0, 10.0))
+LIGHTS = st.builds(
+    Light,
+    st.tuples(numbers(-1.0, 1.0), numbers(-1.0, 1.0), numbers(-1.0, -0.1)),
+    *[triples(0.0, 1.0)] * 3,
+    st.booleans(),
+)
+
+
+@st.composite
+def worlds(draw: st.DrawFn) -> SdfWorld:
+    names = draw(st.lists(NAMES, max_size=4, unique=True))
+    cut = draw(st.integers(0, len(names)))
+    models = tuple(SdfModel(n, draw(POSES), True, tuple(draw(st.lists(LINKS, max_size=2)))) for n in names[:cut])
+    return SdfWorld(
+        draw(NAMES),
+        Datum(draw(numbers(-90.0, 90.0)), draw(numbers(-180.0, 180.0)), draw(numbers(-1000.0, 9000.0))),
+        draw(numbers(0.1, 30.0)),
+        draw(triples(-30.0, 30.0)),
+        (draw(numbers(-1.0, 1.0)), draw(numbers(-1.0, 1.0)), draw(numbers(0.1, 1.0))),
+        draw(numbers(-180.0, 180.0)),
+        draw(numbers(0.0, 10.0)),
+        draw(numbers(0.0, 1.0)),
+        draw(LIGHTS),
+        models,
+        tuple(
+            SdfActor(name, *(getattr(draw(ACTORS), field) for field in ("skin", "pose", "trajectory", "speed")))
+            for name in names[cut:]
+        ),
+    )
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(worlds())
+def test_what_is_written_is_read_again(made: SdfWorld) -> None:
+    assert read_world(write_world(made), FILE) == made
+
+
+# what Gazebo's files have
+
+GAZEBO = world(
+    """
+    <include><uri>model://sun</uri></include>
+    <include><uri>model://ground_plane</uri></include>
+    <physics name="default_physics" default="0" type="ode"><max_step_size>0.004</max_step_size></physics>
+    <gravity>0 0 -9.8</gravity>
+    <magnetic_field>6e-06 2.3e-05 -4.2e-05</magnetic_field>
+    <wind><linear_velocity>1 2 0</linear_velocity></wind>
+    <spherical_coordinates>
+      <surface_model>EARTH_WGS84</surface_model>
+      <latitude_deg>47.3</latitude_deg><longitude_deg>8.5</longitude_deg><elevation>100</elevation>
+      <heading_deg>0</heading_deg>
+    </spherical_coordinates>
+    <scene><ambient>0.4 0.4 0.4 1</ambient><background>0.7 0.7 0.7 1</background><sky/></scene>
+    <light name="sun" type="directional"><direction>-0.5 0.1 -0.9</direction><diffuse>0.8 0.8 0.8 1</diffuse></light>
+    <model name="box">
+      <static>true</static>
+      <pose>1 2 0.5 0 0 1.5707963267948966</pose>
+      <link name="link">
+        <collision name="c"><geometry><box><size>1 2 1</size></box></geometry></collision>
+        <visual name="v">
+          <geometry><box><size>1 2 1</size></box></geometry>
+          <material><script><uri>file://media/materials/scripts/gazebo.material</uri><name>Gazebo/Red</name></script></material>
+        </visual>
+      </link>
+    </model>
+    <actor name="walker">
+      <skin><filename>walk.dae</filename></skin>
+      <animation name="walking"><filename>walk.dae</filename></animation>
+      <script>
+        <loop>true</loop><delay_start>1.5</delay_start><auto_start>true</auto_start>
+        <trajectory id="0" type="walking">
+          <waypoint><time>0</time><pose>0 2 0 0 0 -1.57</pose></waypoint>
+          <waypoint><time>2</time><pose>0 -2 0 0 0 -1.57</pose></waypoint>
+        </trajectory>
+      </script>
+    </actor>
+    """
+)
+
+
+def test_a_world_of_gazebos(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    read = read_world(GAZEBO, FILE)
+    assert read.gravity == 9.8
+    assert read.datum == Datum(47.3, 8.5, 100.0)
+    assert read.magnetic_field == (0.06, 0.23, -0.42)
+    assert read.declination == pytest.approx(math.degrees(math.atan2(0.06, 0.23)))
+    assert read.wind == (1.0, 2.0, 0.0)
+    assert read.light.direction == (-0.5, 0.1, -0.9)
+    (box,) = read.models
+    assert box.links[0].visuals[0].colour == (1.0, 0.0, 0.0, 1.0)
+    low, high = box_of(box.links[0].collisions[0].geometry, box.pose)
+    assert [*low, *high] == pytest.approx([0.0, 1.5, 0.0, 2.0, 2.5, 1.0])
+    (actor,) = read.actors
+    assert actor.skin == ""
+    assert actor.trajectory is not None
+    assert (actor.trajectory.delay_start, [point.time for point in actor.trajectory.waypoints]) == (1.5, [0.0, 2.0])
+    words = "\n".join(caplog.messages)
+    assert "line 15: <sky> is not supported" in words
+    assert "line 6: <physics>" in words
+    assert "'walk.dae' is not supported, skins are names of people" in words
+
+
+def test_what_the_file_is_silent_about_is_as_in_the_empty_world() -> None:
+    silent, empty = read_world(world(""), FILE), load_world_file("empty")
+    assert silent == SdfWorld(
+        "w",
+        empty.datum,
+        *(empty.gravity, empty.wind, empty.magnetic_field, empty.declination),
+        *(empty.friction, empty.restitution),
+    )
+
+
+def test_unsupported_things_are_named_once(caplog: pytest.LogCaptureFixture) -> None:
+    read_world(
+        world("\n".join([visual("<geometry><heightmap/></geometry>").replace("'m'", f"'m{k}'") for k in (1, 2)])), FILE
+    )
+    assert [message for message in caplog.messages if "heightmap" in message] == [
+        f"{FILE}: line 3: <heightmap> is not supported and ignored"
+    ]
+
+
+# what is wrong
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<sdf version='1.6'>\n<world name='w'>\n</sdf>", "line 3: not an XML file: mismatched tag"),
+        ("<robot/>", "line 1: <robot>: is not allowed as the outermost element, <sdf> is"),
+        (world("", 'version="2.0"'), "line 1: <sdf>: version '2.0' is not allowed, 1.5 to 1.7"),
+        ("<sdf version='1.6'/>", "line 1: <sdf>: has 0 <world>, one is needed"),
+        (world("<gravity>0 0 9.8</gravity>"), "line 3: <gravity>: '0 0 9.8' is not allowed, 0 0 and a number under 0"),
+        (world("<gravity>0 0</gravity>"), "line 3: <gravity>: '0 0' is not allowed, 3 finite numbers"),
+        (world("<magnetic_field>0 0 nan</magnetic_field>"), "<magnetic_field>: '0 0 nan' is not allowed, 3 finite"),
+        (world("\n" + model("", static="")), "line 4: <model>: 'm' is not static; allowed are models with"),
+        (world(model("", static="<static>yes</static>")), "<static>: 'yes' is not allowed, true or false"),
+        (world(model("") + "\n" + model("")), "line 2: <world>: two models or actors are called 'm'"),
+        (world("<model><static>1</static></model>"), '<model>: needs an attribute name="..."'),
+        (world(visual("<geometry/>")), "<geometry>: is empty, needs one of box, cylinder, sphere, mesh, plane"),
+        (world(visual("<geometry><box><size>1 -2 3</size></box></geometry>")), "<size>: '1 -2 3' is not allowed, 3"),
+        (world(visual("<geometry><sphere/></geometry>")), "<sphere>: needs a <radius>"),
+        (
+            world(visual("<geometry><mesh><uri>model://none/a.obj</uri></mesh></geometry>")),
+            "<uri>: 'model://none/a.obj' is in none of /nowhere, ",
+        ),
+        (world("<include><uri>a/b</uri></include>"), "<uri>: 'a/b': /nowhere/a/b does not exist"),
+        (world("<include><uri>http://x/y</uri></include>"), "<uri>: 'http://x/y' is not allowed, model://, package://"),
+        (world("<model name='m'><static>1</static><pose frame='x'>0 0 0 0 0 0</pose></model>"), "relative to 'x'"),
+        (
+            world("<actor name='a'><script><trajectory id='0' type='w'><waypoint><time>1</time><pose/></waypoint>\n"
+                  "<waypoint><time>1</time><pose/></waypoint></trajectory></script></actor>"),
+            "line 4: <time>: '1' is not allowed, more than the one before (1)",
+        ),
+        (world("<xtdrone:extends>mars</xtdrone:extends>"), "<xtdrone:extends>: worlds: 'mars' is not known; there are"),
+        (
+            world("<spherical_coordinates><latitude_deg>91</latitude_deg></spherical_coordinates>"),
+            "<latitude_deg>: '91' is not allowed, 1 finite number, at least -90, at most 90",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(text: str, words: str) -> None:
+    with pytest.raises(SdfError) as caught:
+        read_world(text, FILE)
+    assert str(caught.value).startswith(f"{FILE}: line ")
+    assert words in str(caught.value)
+
+
+# files beside the world
+
+
+def test_included_models_and_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "mine" / "hut"
+    folder.mkdir(parents=True)
+    (folder / "model.config").write_text("<model><sdf version='1.6'>hut.sdf</sdf></model>")
+    mesh = "<geometry><mesh><uri>hut.obj</uri></mesh></geometry>"
+    (folder / "hut.sdf").write_text(f"<sdf version='1.6'>{visual(mesh)}</sdf>")
+    (folder / "hut.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 2\nf 1 2 3\n")
+    monkeypatch.setenv("XTDRONE_MODELS", f"/none:{tmp_path / 'mine'}")
+    include = "<include><uri>model://hut</uri><name>hut_{}</name><pose>{} 0 0 0 0 0</pose></include>"
+    base, windy = tmp_path / "base.world", tmp_path / "windy.world"
+    base.write_text(world(include.format(1, 5) + "<gravity>0 0 -3.7</gravity>"))
+    windy.write_text(
+        world(
+            "<xtdrone:extends>base.world</xtdrone:extends>"
+            + include.format(2, 7)
+            + "<wind><linear_velocity>4 0 0</linear_velocity></wind>"
+        )
+    )
+    read = load_world_file(str(windy))
+    assert (read.gravity, read.wind) == (3.7, (4.0, 0.0, 0.0))
+    assert [(m.name, m.pose.position) for m in read.models] == [("hut_1", (5.0, 0.0, 0.0)), ("hut_2", (7.0, 0.0, 0.0))]
+    geometry = read.models[1].links[0].visuals[0].geometry
+    assert geometry == Mesh(folder / "hut.obj")
+    assert read_world(write_world(read), FILE) == read
+    base.write_text(world("<xtdrone:extends>windy.world</xtdrone:extends>"))
+    with pytest.raises(SdfError, match=r"windy\.world: line 3: .*'base\.world' leads back to this file"):
+        load_world_file(str(windy))
+
+
+def test_names_mean_files() -> None:
+    assert world_file("empty") == CONFIG / "worlds" / "empty.yaml"
+    assert world_file("outdoor").name == "outdoor.world"
+    assert load_world_file("outdoor").models
+    with pytest.raises(ModelError, match="'mars' is not known; there are empty, outdoor"):
+        world_file("mars")
+    with pytest.raises(ModelError, match=r"/none/x\.world: No such file"):
+        load_world_file("/none/x.world")
