@@ -1,0 +1,292 @@
+"""The cameras' node with a real master in lockstep; this file plays the simulator.
+
+Called as a program this file is one of the other nodes: ``teller`` (of the scene), ``taker`` (of one camera's pictures)
+or ``slow`` (the cameras' node with a drawer that waits for lines on standard input).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import xmlrpc.client
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from xtdrone_control import lockstep
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_sim.poses import from_rpy
+
+ROSMASTER = shutil.which("rosmaster")
+try:
+    import rospy
+    from geometry_msgs.msg import Point, Pose, Quaternion
+    from sensor_msgs.msg import CameraInfo, Image
+    from std_srvs.srv import SetBool
+    from xtdrone_msgs.msg import SceneState
+except ImportError:
+    rospy = None
+
+pytestmark = pytest.mark.skipif(ROSMASTER is None or rospy is None, reason="needs ROS 1 and the built workspace")
+
+NODE = Path(__file__).parents[1] / "nodes" / "cameras.py"
+FLEET = "typhoon_h480:2"
+CAMERA = "/typhoon_h480_0/cgo3_camera"
+RATE = 5.0
+PATIENCE = 60.0  # s of wall time, for what should take a few
+
+
+def teller() -> None:
+    """Says where the cameras are, which turn downwards, so that the horizon moves up in the picture."""
+    lockstep.init_node("teller", rate=50.0)
+    publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
+    links = [f"{vehicle.name}::cgo3_camera_link" for vehicle in parse_fleet(FLEET)]
+
+    def step() -> None:
+        now = rospy.Time.now()
+        message = SceneState(links=links)
+        message.header.stamp = now
+        for k in range(len(links)):
+            turn = Quaternion(*from_rpy(0.0, 0.3 * now.to_sec(), 0.0))
+            message.poses.append(Pose(Point(3.0 * k, 0.0, 2.0), turn))
+        publisher.publish(message)
+
+    lockstep.start()
+    lockstep.spin(step)
+
+
+def taker(file: str, freeze: str, thaw: str) -> None:
+    """Writes down what comes of the first camera, a JSON line a message; freezes and thaws it at these times, s."""
+    lockstep.init_node("taker", rate=50.0)
+    out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    def note(what: str, message: Any, **values: Any) -> None:
+        times = {"now": rospy.Time.now().to_nsec() // 1000, "stamp": message.header.stamp.to_nsec() // 1000}
+        print(json.dumps({"what": what, **times, "frame": message.header.frame_id, **values}), file=out)
+
+    def on_image(message: Image) -> None:
+        digest = hashlib.sha256(message.data).hexdigest()
+        form = [message.height, message.width, message.encoding, message.step, len(message.data)]
+        note("image", message, form=form, digest=digest)
+
+    keep = [
+        lockstep.Subscriber(f"{CAMERA}/image_raw", Image, on_image),
+        lockstep.Subscriber(f"{CAMERA}/camera_info", CameraInfo, lambda m: note("info", m, k=m.K, p=m.P)),
+    ]
+    lockstep.add_reset_hook(lambda: print(json.dumps({"what": "back"}), file=out))
+    lockstep.start()
+    switch = rospy.ServiceProxy(f"{CAMERA}/freeze", SetBool)
+
+    def step() -> None:
+        for at, frozen in ((freeze, True), (thaw, False)):
+            if rospy.Time.now() == rospy.Time.from_sec(float(at)):
+                assert switch(frozen).success
+        print(json.dumps({"what": "turn", "now": rospy.Time.now().to_nsec() // 1000}), file=out)
+
+    lockstep.spin(step)
+    del keep
+
+
+def slow(file: str) -> None:
+    """The cameras' node; each picture, of no content, takes a line of standard input."""
+    from xtdrone_sim.camera_node import CameraNode, Settings
+    from xtdrone_sim.cameras import cameras_of
+
+    out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
+
+    class Drawer:
+        ended, last_end = 0, ""
+
+        def draw(self, scene: Any, view: Any) -> bytes | None:
+            print(view.link, file=out)
+            return bytes(3 * 640 * 360) if sys.stdin.readline() else None
+
+        def close(self) -> None:
+            out.close()
+
+    lockstep.init_node("cameras", rate=10.0)
+    node = CameraNode(cameras_of(parse_fleet(FLEET)), Settings(rate=RATE, latency=0.3), 10.0)
+    lockstep.start()
+    node.begin(Drawer())
+    lockstep.spin(node.step)
+
+
+class Graph:
+    """A master of its own and the processes that a test starts."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as sock:
+            sock.bind(("127.0.0.1", 0))
+            port = sock.getsockname()[1]
+        self.folder = folder
+        self.processes: dict[str, subprocess.Popen] = {}
+        self.env = {
+            **os.environ,
+            "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
+            "ROS_HOSTNAME": "127.0.0.1",
+            "ROS_LOG_DIR": str(folder),
+            "ROS_HOME": str(folder),
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        }
+        self.start("master", str(ROSMASTER), "--core", "-p", str(port))
+        self.master = xmlrpc.client.ServerProxy(self.env["ROS_MASTER_URI"])
+        wait_until(self._master_answers, "the master answers")
+
+    def _master_answers(self) -> bool:
+        try:
+            return self.master.getPid("/test")[0] == 1
+        except OSError:
+            return False
+
+    def set_param(self, name: str, value: object) -> None:
+        self.master.setParam("/test", name, value)
+
+    def start(self, name: str, *command: str, stdin: int | None = None) -> subprocess.Popen:
+        with open(self.folder / f"{name}.out", "w") as out:
+            self.processes[name] = subprocess.Popen(
+                command, env=self.env, stdin=stdin, stdout=out, stderr=subprocess.STDOUT
+            )
+        return self.processes[name]
+
+    def role(self, name: str, *arguments: str, stdin: int | None = None) -> subprocess.Popen:
+        return self.start(name, sys.executable, __file__, name, *arguments, stdin=stdin)
+
+    def output(self) -> str:
+        return "\n".join(f"{path.name}: {path.read_text()[-1500:]}" for path in self.folder.glob("*.out"))
+
+    def stop(self) -> None:
+        for process in self.processes.values():
+            process.kill()
+        for process in self.processes.values():
+            process.wait()
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, f"in vain waited until {what}"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    graph = Graph(tmp_path)
+    yield graph
+    graph.stop()
+
+
+@pytest.fixture
+def server(graph: Graph) -> Iterator[LockstepServer]:
+    server = LockstepServer(hang_limit=PATIENCE)
+    graph.set_param("/lockstep/uri", server.uri)
+    graph.set_param("/xtdrone/fleet", FLEET)
+    graph.set_param("/xtdrone/world", "empty")
+    yield server
+    server.close()
+
+
+def run(graph: Graph, server: LockstepServer, begin_us: int, end_us: int) -> None:
+    now: int | None = begin_us
+    while now is not None and now < end_us:
+        server.tick(now)
+        assert len(server.participants) == 3, graph.output()
+        now = server.next_due_us(now)
+
+
+def wait_for_nodes(graph: Graph, server: LockstepServer) -> None:
+    names = ["/cameras", "/teller", "/taker"]
+    assert server.wait_for(names, timeout=PATIENCE), server.missing(names) + graph.output()
+
+
+def read(file: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
+def test_pictures_come_at_exact_times_and_are_the_same_after_a_reset(graph: Graph, server: LockstepServer) -> None:
+    graph.set_param("/cameras", {"rate": RATE, "backend": "tiny"})
+    file = graph.folder / "taker.json"
+    graph.start("cameras", sys.executable, str(NODE))
+    graph.role("teller")
+    graph.role("taker", str(file), "0.54", "0.86")
+    wait_for_nodes(graph, server)
+    length = 1_400_000
+    run(graph, server, 0, length)
+    server.reset_time(0)
+    run(graph, server, 0, length)
+    notes = read(file)
+    back = [note["what"] for note in notes].index("back")
+    flights = [[note for note in part if note["what"] == "image"] for part in (notes[:back], notes[back:])]
+    infos = [note for note in notes[:back] if note["what"] == "info"]
+    # Exposed at 0.1, 0.3, ... s, from the scene of 20 ms before; published 0.1 s later, taken in the next turn. It is
+    # frozen after the exposure at 0.5 s, between turns of the node, and that picture does not come either.
+    for images in flights:
+        assert [image["stamp"] for image in images] == [80_000, 280_000, 880_000, 1_080_000]
+        assert [image["now"] - image["stamp"] for image in images] == [140_000] * 4
+        assert {tuple(image["form"]) for image in images} == {(360, 640, "rgb8", 1920, 640 * 360 * 3)}
+        assert len({image["digest"] for image in images}) == 4  # no two are the same
+    assert [i["digest"] for i in flights[0]] == [i["digest"] for i in flights[1]]
+    assert [info["stamp"] for info in infos] == [image["stamp"] for image in flights[0]]
+    assert {note["frame"] for note in infos + flights[0]} == {"typhoon_h480_0/cgo3_camera_optical_frame"}
+    focal = 320.0 / math.tan(1.0)
+    assert infos[0]["k"] == pytest.approx([focal, 0, 320, 0, focal, 180, 0, 0, 1])
+    assert infos[0]["p"] == pytest.approx([focal, 0, 320, 0, 0, focal, 180, 0, 0, 0, 1, 0])
+
+
+def test_flight_goes_on_while_a_picture_is_drawn_and_nobody_draws_for_nobody(
+    graph: Graph, server: LockstepServer
+) -> None:
+    file, drawn = graph.folder / "taker.json", graph.folder / "drawn.txt"
+    drawing = graph.role("slow", str(drawn), stdin=subprocess.PIPE)
+    assert drawing.stdin is not None
+    graph.role("teller")
+    graph.role("taker", str(file), "99", "99")
+    wait_for_nodes(graph, server)
+    run(graph, server, 0, 400_000)  # ends though the picture exposed at 0.1 s, due at 0.4 s, is not drawn
+    wait_until(lambda: len(drawn.read_text().splitlines()) == 1, "the first picture is begun")
+    turns = [note["now"] for note in read(file) if note["what"] == "turn"]
+    assert turns[-1] == 380_000
+    drawing.stdin.write(b"\n" * 20)
+    drawing.stdin.flush()
+    run(graph, server, 400_000, 900_000)
+    notes = read(file)
+    images = [(note["now"], note["stamp"]) for note in notes if note["what"] == "image"]
+    assert images == [(420_000, 80_000), (620_000, 280_000), (820_000, 480_000)]
+    assert set(drawn.read_text().splitlines()) == {"typhoon_h480_0::cgo3_camera_link"}  # the other is not heard
+
+
+def test_a_fleet_without_cameras_is_named(graph: Graph) -> None:
+    graph.set_param("/cameras/fleet", "iris:2")
+    node = graph.start("cameras", sys.executable, str(NODE))
+    assert node.wait(PATIENCE) == 2
+    assert "no vehicle of 'iris:2' has a camera" in (graph.folder / "cameras.out").read_text()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"rate": 99}, "~rate: 99 is not allowed, 0.1 to 50 Hz"),
+        ({"rate": True}, "~rate: True is not allowed"),
+        ({"latency": -1.0}, "~latency: -1.0 is not allowed, 0 to 10 s"),
+        ({"backend": "gl"}, "~backend: 'gl' is not allowed, auto or egl or tiny"),
+    ],
+)
+def test_parameters_that_cannot_be_are_named(parameters: dict[str, Any], words: str) -> None:
+    from xtdrone_sim.camera_node import Settings
+
+    with pytest.raises(ValueError, match=re.escape(words)):
+        Settings.read(parameters)
+
+
+if __name__ == "__main__":
+    {"teller": teller, "taker": taker, "slow": slow}[sys.argv[1]](*sys.argv[2:])

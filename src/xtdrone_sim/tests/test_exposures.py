@@ -1,0 +1,95 @@
+"""Which camera exposes when; what becomes of the process that draws."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_sim.camera_worker import DrawingError, DrawingProcess, Drawn
+from xtdrone_sim.cameras import Exposures, cameras_of, turn_rate
+from xtdrone_sim.drawn_scene import SceneAt, View
+from xtdrone_sim.poses import from_rpy
+from xtdrone_sim.visual import Pose
+
+LINK = "typhoon_h480_0::cgo3_camera_link"
+VIEW = View(LINK, Pinhole.of_view(64, 36, 2.0), 0.1, 500.0)
+DOWN = SceneAt({LINK: Pose((1.0, 2.0, 20.0), from_rpy(0.0, 0.5 * math.pi, 0.0))}, {})
+
+
+@pytest.mark.parametrize(
+    ("rate", "turns"), [(10.0, 10.0), (2.0, 10.0), (3.0, 12.0), (7.0, 14.0), (0.7, 10.5), (30.0, 30.0)]
+)
+def test_turns_are_a_multiple_of_the_rate(rate: float, turns: float) -> None:
+    assert turn_rate([rate] * 6) == pytest.approx(turns)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 51.0, math.nan])
+def test_rates_that_cannot_be_are_refused(rate: float) -> None:
+    with pytest.raises(ValueError, match=r"rate: .* is not allowed, 0.1 to 50 Hz"):
+        turn_rate([rate])
+
+
+@pytest.mark.parametrize(("rate", "count"), [(2.0, 6), (5.0, 6), (10.0, 6), (3.0, 4), (0.5, 3)])
+def test_cameras_expose_evenly_at_their_rate_and_spread(rate: float, count: int) -> None:
+    turns = turn_rate([rate] * count)
+    exposures = Exposures([rate] * count, turns)
+    length = 8.0
+    times = [-(-k * 1_000_000 // round(turns * 1000) * 1000 // 4000) * 4000 for k in range(round(turns * length))]
+    due = [exposures.due(time) for time in times]
+    most = max(map(len, due))
+    assert most == math.ceil(count * rate / turns - 1e-9)  # no turn has more than its share
+    for camera in range(count):
+        at = [turn for turn, cameras in enumerate(due) if camera in cameras]
+        assert len(at) == round(rate * length)
+        assert set(np.diff(at)) == {round(turns / rate)}
+
+
+def test_rates_may_differ() -> None:
+    exposures = Exposures([10.0, 4.0], 10.0)
+    due = [exposures.due(round(k * 1e5)) for k in range(100)]
+    assert sum(0 in cameras for cameras in due) == 100
+    assert sum(1 in cameras for cameras in due) == 40
+
+
+def test_a_fleets_cameras_have_upstreams_names() -> None:
+    cameras = cameras_of(parse_fleet("iris:1,typhoon_h480:2"))
+    assert [camera.topics for camera in cameras] == ["/typhoon_h480_0/cgo3_camera", "/typhoon_h480_1/cgo3_camera"]
+    assert cameras[1].frame_id == "typhoon_h480_1/cgo3_camera_optical_frame"
+    assert cameras[1].view.link == "typhoon_h480_1::cgo3_camera_link"
+
+
+@pytest.fixture
+def process() -> Iterator[DrawingProcess]:
+    made = DrawingProcess(Drawn("empty", "typhoon_h480:1", "tiny"))
+    yield made
+    made.close()
+
+
+def test_a_drawing_process_that_is_killed_costs_its_picture_and_no_more(process: DrawingProcess) -> None:
+    first = process.draw(DOWN, VIEW)
+    assert first is not None
+    assert len(first) == 64 * 36 * 3
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.draw(DOWN, VIEW) is None
+    assert (process.ended, process.last_end) == (1, "signal 9")
+    assert process.draw(DOWN, VIEW) == first
+    with pytest.raises(DrawingError, match=r"camera's link: 'x::y' is not in the scene; there are typhoon_h480_0::"):
+        process.draw(DOWN, View("x::y", VIEW.pinhole, 0.1, 500.0))
+    assert process.draw(DOWN, VIEW) == first
+
+
+def test_a_world_that_cannot_be_drawn_is_named(tmp_path: Path) -> None:
+    process = DrawingProcess(Drawn(str(tmp_path / "none.world"), "typhoon_h480:1", "tiny"))
+    try:
+        with pytest.raises(DrawingError, match=r"none.world.*No such file"):
+            process.draw(DOWN, VIEW)
+    finally:
+        process.close()
