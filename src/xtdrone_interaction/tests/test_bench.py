@@ -48,7 +48,8 @@ TICKS = os.sysconf("SC_CLK_TCK")
     [
         (
             ["--only", "core,wings"],
-            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, barrier, stack, formation, free",
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, barrier, "
+            "stack, formation, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
@@ -60,11 +61,14 @@ TICKS = os.sysconf("SC_CLK_TCK")
             ["--only", "sweep", "--vehicles", "9"],
             "vehicles: '9' is for no part that is measured; workers are given as sweep=9",
         ),
+        (["--vehicles", "detector=100"], "widths of detector: 100 is not allowed; multiples of 32"),
+        (["--vehicles", "detector=0"], "widths of detector: '0' is not allowed; 32 to 2048"),
         (["--vehicles", "stack=9,many"], "vehicles of stack: 'many' is not allowed; 1 to 250"),
         (["--vehicles", "formation=1"], "vehicles of formation: '1' is not allowed; 2 to 250"),
         (
             ["--vehicles", "swarm=9"],
-            "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, simplified, drawing, sweep",
+            "vehicles: part 'swarm' in 'swarm=9' is not measured; measured are: core, simplified, drawing, sweep, "
+            "detector",
         ),
         (["--only", "core", "--vehicles", "stack=9"], "part 'stack' in 'stack=9' is not measured; measured are: core"),
         (["--vehicles", "barrier=-1"], "participants of barrier: '-1' is not allowed; 0 to 250"),
@@ -94,6 +98,7 @@ def test_vehicles_are_chosen_for_all_parts_or_for_one() -> None:
     assert bench.chosen_vehicles(["core", "stack"], ["9", "core=1,100,1"]) == {"core": (1, 100), "stack": (9,)}
     assert bench.chosen_vehicles(["simplified", "sweep"], ["9"]) == {"simplified": (9,), "sweep": (2,)}
     assert bench.chosen_vehicles(["simplified", "sweep"], ["9", "sweep=2,4"]) == {"simplified": (9,), "sweep": (2, 4)}
+    assert bench.chosen_vehicles(["detector", "core"], ["9"]) == {"detector": (320, 416, 640), "core": (9,)}
     assert bench.chosen_parts("formation, core") == ["core", "formation"]
 
 
@@ -104,6 +109,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
             "simplified": (1000,),
             "drawing": (9,),
             "sweep": (2,),
+            "detector": (640,),
             "barrier": (0, 9),
             "formation": (9,),
             "free": (9,),
@@ -123,6 +129,8 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "drawing, 9 vehicles, 2 of 2",
         "sweep, 2 workers, 1 of 2",
         "sweep, 2 workers, 2 of 2",
+        "detector, 640 px wide, 1 of 2",
+        "detector, 640 px wide, 2 of 2",
         "barrier, 0 participants, 1 of 2",
         "barrier, 0 participants, 2 of 2",
         "barrier, 9 participants, python, 1 of 2",
@@ -138,7 +146,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
     ]
     assert planned[-3][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
     assert planned[7][2] == {"workers": 2, "repeat": 2}
-    assert planned[13][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
+    assert planned[15][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc
@@ -591,6 +599,20 @@ def test_tables_of_barrier_and_comparison() -> None:
     assert "free, 30: free-running, nodes kept up at no speed that was tried" in flat
     assert bench_report.short_result(results["barrier"][0]) == "80 us per tick"
     assert bench_report.short_result(free) == "3.00 x real time, free-running 4.00 x"
+
+
+def test_table_of_the_detector() -> None:
+    row = {"width": 640, "height": 384, "milliseconds": 21.5}
+    results = {
+        "machine": {"load_before": [0.1, 0.1, 0.1]},
+        "detector": [row, row | {"milliseconds": 22.5}, {"width": 320, "error": "detector: ended with status 1"}],
+    }
+    text = _printed(results)
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["640 x 384", "22.00"] in lines
+    assert ["320", "failed"] in lines
+    assert "detector, 320 px wide: failed" in " ".join(text.split())
+    assert bench_report.short_result(row) == "21.5 ms a picture"
 
 
 def test_tables_of_drawing_and_sweep() -> None:

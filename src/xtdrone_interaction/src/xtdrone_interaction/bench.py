@@ -1,10 +1,10 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Eight parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
-against one, the lockstep's barrier alone, the stack without the swarm's own nodes, the whole formation flight, and the
-speed of that flight in lockstep compared with the same nodes running free. Prints tables and writes JSON with the
-machine's facts; the JSON is written after each measurement, so that nothing measured is lost. Exit status: 0, 1 when a
-measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+Nine parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
+against one, the detector of people, the lockstep's barrier alone, the stack without the swarm's own nodes, the whole
+formation flight, and the speed of that flight in lockstep compared with the same nodes running free. Prints tables and
+writes JSON with the machine's facts; the JSON is written after each measurement, so that nothing measured is lost. Exit
+status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from xtdrone_interaction.bench_flight import (
     Row,
     measure_barrier,
     measure_core,
+    measure_detector,
     measure_drawing,
     measure_formation,
     measure_simplified,
@@ -51,6 +52,7 @@ PARTS: dict[str, tuple[int, ...]] = {
     "simplified": (9, 100, 1000),
     "drawing": (9, 100, 1000),
     "sweep": (2,),
+    "detector": (320, 416, 640),
     "barrier": (0, 1, 9, 20, 60),
     "stack": (1, 9, 30),
     "formation": (9, 30),
@@ -61,12 +63,15 @@ _LEAST = {
     "simplified": 2,
     "drawing": 2,
     "sweep": 2,
+    "detector": 32,
     "barrier": 0,
     "stack": 1,
     "formation": 2,
     "free": 2,
 }
-_MOST = {"simplified": 10_000, "drawing": 10_000, "sweep": 64}  # of other parts MAX_VEHICLES
+_MOST = {"simplified": 10_000, "drawing": 10_000, "sweep": 64, "detector": 2048}  # of other parts MAX_VEHICLES
+_COUNTED = {"barrier": "participants", "sweep": "workers", "detector": "widths"}  # of other parts vehicles
+_OF_THEIR_OWN = ("sweep", "detector")  # parts whose numbers are given by name only
 _FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
@@ -97,8 +102,8 @@ class BenchSettings:
     """What is measured.
 
     Attributes:
-        vehicles: numbers of vehicles (barrier: of participants; sweep: of workers) by part; parts that
-            are not measured are left out.
+        vehicles: numbers of vehicles (barrier: of participants; sweep: of workers; detector: pixels of width) by part;
+            parts that are not measured are left out.
         modes: of the formation: ``per_uav``, ``shared``.
         repeat: how often each measurement is made.
         length: of the measurements.
@@ -125,8 +130,8 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--only", metavar="PARTS", help=f"parts to measure, with commas between, of {', '.join(PARTS)} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
-        help="numbers of vehicles (barrier: of participants; sweep: of workers), with commas between, for one part (as "
-        "core=1,100) or for all but the sweep (as 9); default: "
+        help="numbers of vehicles (barrier: of participants; sweep: of workers; detector: pixels of width), with "
+        "commas between, for one part (as core=1,100) or for all but sweep and detector (as 9); default: "
         + " ".join(f"{part}={','.join(map(str, counts))}" for part, counts in PARTS.items()))  # fmt: skip
     add("--processes", choices=list(_MODES), default="both",
         help="formation with a process per vehicle and role, with one per role, or both (default)")  # fmt: skip
@@ -184,21 +189,25 @@ def chosen_vehicles(parts: Sequence[str], texts: Sequence[str]) -> dict[str, tup
         name, equals, numbers = text.rpartition("=")
         if equals and name not in chosen:
             raise OptionError(f"vehicles: part {name!r} in {text!r} is not measured; measured are: {', '.join(chosen)}")
-        meant = [name] if equals else [part for part in parts if part != "sweep"]
+        meant = [name] if equals else [part for part in parts if part not in _OF_THEIR_OWN]
         if not meant:
-            raise OptionError(f"vehicles: {text!r} is for no part that is measured; workers are given as sweep={text}")
+            given = " and ".join(f"{_counted(part)} are given as {part}={text}" for part in parts)
+            raise OptionError(f"vehicles: {text!r} is for no part that is measured; {given}")
         for part in meant:
             counts = (
                 _whole_number(f"{_counted(part)} of {part}", n, _LEAST[part], _MOST.get(part, MAX_VEHICLES))
                 for n in numbers.split(",")
             )
             chosen[part] = tuple(dict.fromkeys(counts))
+    for width in chosen.get("detector", ()):
+        if width % 32:
+            raise OptionError(f"widths of detector: {width} is not allowed; multiples of 32")
     return chosen
 
 
 def _counted(part: str) -> str:
     """Return what a part has numbers of."""
-    return {"barrier": "participants", "sweep": "workers"}.get(part, "vehicles")
+    return _COUNTED.get(part, "vehicles")
 
 
 def _whole_number(thing: str, text: str, least: int, most: int) -> int:
@@ -246,6 +255,9 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
         return
     if part == "sweep":
         yield f"{count} workers", {"workers": count}, partial(measure_sweep, workers=count)
+        return
+    if part == "detector":
+        yield f"{count} px wide", {"width": count}, partial(measure_detector, width=count)
         return
     title, known = f"{count} {'vehicle' if count == 1 else 'vehicles'}", {"vehicles": count}
     if part == "formation":

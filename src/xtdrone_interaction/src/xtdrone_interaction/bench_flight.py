@@ -145,6 +145,24 @@ def measure_sweep(bench: Bench, workers: int) -> Row:
     return row | _run_program(bench, "sweep", f"sweep-{workers}", "xtdrone_interaction.sweep.benchmark", arguments)
 
 
+def measure_detector(bench: Bench, width: int) -> Row:
+    """Measure the detector of people on one core.
+
+    Args:
+        bench: what all measurements share.
+        width: of the network's input, pixels, a multiple of 32.
+
+    Returns:
+        width and height of the network's input, milliseconds a picture.
+
+    Raises:
+        BenchError: it failed.
+    """
+    row = {"load_before": os.getloadavg()[0]}
+    arguments = ["--width", str(width), "--seconds", str(bench.length.core_seconds)]
+    return row | _run_program(bench, "detector", f"detector-{width}", "xtdrone_perception.benchmark", arguments)[0]
+
+
 def measure_barrier(bench: Bench, participants: int, kind: str) -> Row:
     """Measure the lockstep's barrier with participants that do nothing, all due at every tick.
 

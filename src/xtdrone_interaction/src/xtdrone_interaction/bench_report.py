@@ -33,6 +33,7 @@ _TITLES = {
     "simplified": "Simplified simulator: vehicles, consensus, avoidance; no ROS, one core",
     "drawing": "Drawing of the simplified simulator, off-screen",
     "sweep": "Sweep: flights of nine simplified vehicles through three patterns",
+    "detector": "Detector of people on one core, by the width of its input",
     "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
     "formation": "Formation flight",
@@ -139,13 +140,15 @@ def short_result(row: Row) -> str:
         return f"{exact:.2f} x real time, free-running {free:.2f} x"
     if "pictures_per_second" in row:
         return f"{row['pictures_per_second']:.1f} pictures a second"
+    if "milliseconds" in row:
+        return f"{row['milliseconds']:.1f} ms a picture"
     if "speed_up" in row:
         return f"{row['runs_per_second']:.1f} runs a second, {row['speed_up']:.2f} x those of one worker"
     return f"{row['real_time_factor']:.2f} x real time"
 
 
 def grouped(rows: Iterable[Row]) -> list[list[Row]]:
-    """Return rows of equal vehicles (participants, workers) and mode (kind) together, in the order of their first."""
+    """Return rows of equal vehicles (participants, ...) and mode (kind) together, in the order of their first."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(_label("", row), []).append(row)
@@ -181,6 +184,8 @@ def _label(part: str, row: Row) -> str:
         words = [str(row["participants"]), row["kind"]]
     elif "workers" in row:
         words = [f"{row['workers']} workers"]
+    elif "width" in row:
+        words = [f"{row['width']} px wide"]
     else:
         words = [str(row["vehicles"]), row.get("mode", "").replace("_", "-")]
     return " ".join(([part] if part == "stack" else []) + [word for word in words if word])
@@ -196,6 +201,10 @@ def _vehicles(part: str, rows: Sequence[Row]) -> str:
 
 def _participants(_: str, rows: Sequence[Row]) -> str:
     return _label("", rows[0]) if rows[0]["participants"] else "0"
+
+
+def _input_size(_: str, rows: Sequence[Row]) -> str:
+    return " x ".join(str(rows[0][side]) for side in ("width", "height") if side in rows[0])
 
 
 def _workers(_: str, rows: Sequence[Row]) -> str:
@@ -262,6 +271,10 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
         ("with one\nworker", _range("one_worker")),
         ("speed-up", _range("speed_up", " x")),
         ("to\nreach", _goal),
+    ],
+    "detector": [
+        ("input\npx", _input_size),
+        ("ms/picture", _range("milliseconds")),
     ],
     "barrier": [
         ("participants", _participants),

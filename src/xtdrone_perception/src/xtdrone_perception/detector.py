@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import rospkg
 import yaml
 from numpy.typing import NDArray
 
@@ -100,6 +101,14 @@ class DetectorSettings:
             raise DetectorError("width and height: give both or neither")
         if not isinstance(self.letterbox, bool):
             raise DetectorError(f"letterbox: {self.letterbox!r} is not allowed, true or false")
+
+
+def settings_file(name: str) -> Path:
+    """Return the path of a settings file; ``name`` is a path that ends in .yaml, or a name in this package's config."""
+    path = Path(name).expanduser()
+    if path.suffix == ".yaml":
+        return path
+    return Path(rospkg.RosPack().get_path("xtdrone_perception")) / "config" / "yolo" / f"{name}.yaml"
 
 
 def load_settings(path: Path, changes: Mapping[str, Any] | None = None) -> DetectorSettings:

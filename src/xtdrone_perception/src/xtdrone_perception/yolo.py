@@ -27,12 +27,10 @@ import queue
 import zlib
 from collections.abc import Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
-import rospkg
 import rospy
 from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes, ObjectCount
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
@@ -49,7 +47,7 @@ from xtdrone_control.communication.arguments import ArgumentError
 from xtdrone_control.lockstep.deferred import Deferred
 from xtdrone_control.pinhole import Pinhole
 
-from .detector import Detection, Detector, DetectorError, DetectorSettings, load_settings
+from .detector import Detection, Detector, DetectorError, DetectorSettings, load_settings, settings_file
 from .geolocation import Geolocator, Noise, Person, View
 from .history import History
 from .tracker import Find, Track, Tracker, TrackerSettings
@@ -144,9 +142,7 @@ def read_detector() -> DetectorSettings:
         ArgumentError: the file or a value cannot be used.
     """
     name = str(rospy.get_param("~detector", "search"))
-    path = Path(name).expanduser()
-    if path.suffix != ".yaml":
-        path = Path(rospkg.RosPack().get_path("xtdrone_perception")) / "config" / "yolo" / f"{name}.yaml"
+    path = settings_file(name)
     changes = {
         field.name: rospy.get_param(f"~{field.name}")
         for field in fields(DetectorSettings)
