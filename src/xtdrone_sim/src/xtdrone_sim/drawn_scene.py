@@ -98,9 +98,9 @@ class DrawnScene:
         for vehicle in fleet:
             for part in types[vehicle.type].urdf.moving:
                 self._add_link(f"{vehicle.name}::{part.name}", part.visuals, None)
-        skins = people.names() if world.actors else []
-        for number, actor in enumerate(world.actors):
-            self._add_actor(actor, actor.skin or skins[number % len(skins)])
+        skins = people.skins([actor.skin for actor in world.actors])
+        for actor, skin in zip(world.actors, skins, strict=True):
+            self._add_actor(actor, skin)
 
     def _add_link(self, name: str, visuals: Sequence[Visual], pose: Pose | None) -> None:
         if not visuals:

@@ -15,6 +15,7 @@ from xtdrone_control.fleet import Vehicle, parse_fleet
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
+from .actor_topics import ActorTopics
 from .autopilots import AutopilotsFactory, Builtin
 from .datagrams import Datagrams
 from .gazebo_names import model_states
@@ -94,7 +95,8 @@ class FullScene:
         rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
         self.step_us = self._simulation.step_us
         self._models = self._simulation.world.model.models
-        self.scenery: Sequence[str] = [model.name for model in self._models]
+        actors = self._simulation.world.model.actors
+        self.scenery: Sequence[str] = [*(model.name for model in self._models), *(actor.name for actor in actors)]
         self._autopilots = self._simulation.autopilots
         self._mavlink = MavlinkServer(
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
@@ -151,6 +153,8 @@ class FullScene:
         self._topics = SceneTopics(self._simulation, mailbox)
         for name, model in zip(self.names, self._simulation.models, strict=True):
             rospy.set_param(f"/{name}/robot_description", model.urdf.text)
+        self._actors = ActorTopics(self._simulation.world.model.actors, lambda: self.time_us)
+        self._topics.providers.append(self._actors.tell)
 
     def missing(self) -> str:
         """Say which autopilots have not connected."""
@@ -193,6 +197,7 @@ class FullScene:
         self._topics.publish()
         self._mavlink.hold_setpoints()
         self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)
+        self._actors.receive()
         self._datagrams.wait()
         self._mavlink.release_setpoints()
 
@@ -202,7 +207,9 @@ class FullScene:
 
     def model_states(self) -> ModelStates:
         """Return the plant as Gazebo has it."""
-        return model_states(self.names, self._simulation.world.plant, self._models)
+        message = model_states(self.names, self._simulation.world.plant, self._models)
+        self._actors.add_to(message)
+        return message
 
     def collisions(self) -> set[tuple[int, int]]:
         """Return which vehicles have hit each other or something."""
@@ -211,6 +218,7 @@ class FullScene:
     def restart(self, time_us: int) -> None:
         """Reboot all autopilots at their spawn places."""
         self._simulation.restart(time_us)
+        self._actors.restart(time_us)
         self._topics.restart()
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
 

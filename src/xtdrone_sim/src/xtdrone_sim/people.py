@@ -13,6 +13,7 @@ import hashlib
 import os
 import shutil
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,6 +101,19 @@ def names(split: str | None = None) -> list[str]:
         return everybody
     check_choice("split", split, SPLITS)
     return [name for name in everybody if read(name).split == split]
+
+
+def skins(wanted: Sequence[str]) -> list[str]:
+    """Return whom each of several actors looks like: as wanted, and where that is empty, all people in turn.
+
+    Raises:
+        ValueError: nobody has that name.
+    """
+    everybody = names() if wanted else []
+    for name in wanted:
+        if name:
+            check_choice("skin", name, tuple(everybody))
+    return [name or everybody[number % len(everybody)] for number, name in enumerate(wanted)]
 
 
 def read(name: str) -> Body:

@@ -21,7 +21,7 @@ from .bullet import connect, pybullet
 from .kernel import kernel
 from .obstacles import Obstacles
 from .plant import ASLEEP, FREE, PLANT, TOUCHING
-from .sdf import SdfModel, load_world_file
+from .sdf import SdfActor, SdfModel, load_world_file
 from .vehicle_model import MODEL, VehicleModel
 
 _CHECK_STEPS = 5  # how often the contact sets are looked at; margins cover the motion in between
@@ -44,6 +44,7 @@ class WorldModel:
         wind: m/s, ENU.
         friction, restitution: of the ground and of the models.
         models: what stands there.
+        actors: people.
     """
 
     datum: Datum
@@ -54,6 +55,7 @@ class WorldModel:
     friction: float
     restitution: float
     models: tuple[SdfModel, ...] = ()
+    actors: tuple[SdfActor, ...] = ()
 
 
 def load_world(name: str) -> WorldModel:
@@ -72,6 +74,7 @@ def load_world(name: str) -> WorldModel:
         world.friction,
         world.restitution,
         world.models,
+        world.actors,
     )
 
 

@@ -1,0 +1,53 @@
+#!/usr/bin/env python3
+"""Sends a person of the world somewhere: ``control_actor.py id x y [v]``.
+
+``id`` is its number in the world's order, from 0; x, y where to, m, map; v its speed, m/s: 0: it stays where it is;
+left out or negative: the speed that the world gives it. The program ends when the simulator has been told.
+
+Exit status: 0, 1 when there is no such person (or the simulator has gone), 2 for bad arguments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import rospy
+from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
+
+from xtdrone_control import lockstep
+
+LIMIT = 3.0  # simulated s to find the person
+
+
+def main() -> int:
+    """Tell the simulator; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("id", type=int, help="number in the world's order, from 0")
+    parser.add_argument("x", type=float, help="m, map")
+    parser.add_argument("y", type=float, help="m, map")
+    parser.add_argument("v", type=float, nargs="?", default=-1.0, help="m/s")
+    options = parser.parse_args(rospy.myargv()[1:])
+    if options.id < 0:
+        parser.error(f"id: {options.id} is not allowed, at least 0")
+    lockstep.init_node(f"control_actor_{options.id}", rate=10.0)
+    topic = f"/actor_{options.id}/cmd_motion"
+    publisher = lockstep.Publisher(topic, ActorMotion)
+    lockstep.start()
+    rate = lockstep.Rate()
+    end = rospy.Time.now() + rospy.Duration.from_sec(LIMIT)
+    while not publisher.get_num_connections():
+        if rospy.Time.now() > end:
+            print(f"control_actor: nobody listens to {topic}: the world has no person {options.id}", file=sys.stderr)
+            return 1
+        rate.sleep()
+    publisher.publish(ActorMotion(options.x, options.y, options.v))
+    rate.sleep()
+    return lockstep.exit_status()
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except rospy.ROSInterruptException:
+        sys.exit(1)
