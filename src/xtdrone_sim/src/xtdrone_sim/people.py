@@ -85,7 +85,8 @@ class Person:
         return self.standing if phase < 0.0 else self.walk[round(phase * len(self.walk)) % len(self.walk)]
 
 
-def _folder() -> Path:
+def models_folder() -> Path:
+    """Return the folder with the people's bodies and textures."""
     source = Path(__file__).resolve().parents[2] / "models"
     return (source if source.is_dir() else Path(rospkg.RosPack().get_path("xtdrone_sim")) / "models") / "people"
 
@@ -96,7 +97,7 @@ def names(split: str | None = None) -> list[str]:
     Raises:
         ValueError: no such split.
     """
-    everybody = sorted(path.stem for path in _folder().glob("*.npz"))
+    everybody = sorted(path.stem for path in models_folder().glob("*.npz"))
     if split is None:
         return everybody
     check_choice("split", split, SPLITS)
@@ -122,9 +123,18 @@ def read(name: str) -> Body:
     Raises:
         ValueError: nobody has that name.
     """
-    path = _folder() / f"{name}.npz"
+    path = models_folder() / f"{name}.npz"
     if not path.is_file():
         raise ValueError(f"person: {name!r} is not known, there are {', '.join(names())}")
+    return read_file(path)
+
+
+def read_file(path: Path) -> Body:
+    """Read a body from its .npz.
+
+    Raises:
+        OSError: there is none.
+    """
     with np.load(path) as data:
         return Body(
             height=float(data["height"]),
@@ -151,7 +161,7 @@ def load(name: str) -> Person:
     """
     body = read(name)
     folder = _cached(name, body)
-    texture = _folder() / f"{name}.png"
+    texture = models_folder() / f"{name}.png"
     postures = [
         (Visual(Mesh(folder / _file(pose)), colour=(1.0, 1.0, 1.0, 1.0), texture=texture),)
         for pose in range(len(body.poses))
@@ -165,7 +175,7 @@ def _file(pose: int) -> str:
 
 def _cached(name: str, body: Body) -> Path:
     """Return the folder with a person's Wavefront files; it appears whole or not at all."""
-    digest = hashlib.sha256(_FORMAT + (_folder() / f"{name}.npz").read_bytes()).hexdigest()[:16]
+    digest = hashlib.sha256(_FORMAT + (models_folder() / f"{name}.npz").read_bytes()).hexdigest()[:16]
     above = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xtdrone" / "people"
     folder = above / f"{name}-{digest}"
     if folder.is_dir():
