@@ -194,7 +194,7 @@ def test_the_simulation_turns_the_gimbal_and_tells_the_autopilot():
     payload = simulation.commanders[1].navigator.payload
     simulation.run_until(100_000)
     assert payload.gimbal_attitude == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
-    payload.gimbal = (0.0, math.radians(-60.0), 0.0)
+    payload.gimbal_manager.look((0.0, math.radians(-60.0), 0.0))
     simulation.run_until(2_000_000)
     assert payload.gimbal_attitude == pytest.approx((0.0, math.radians(-60.0), 0.0), abs=1e-3)
     assert simulation.commanders[0].navigator.payload.gimbal_attitude is None, "the iris has none"

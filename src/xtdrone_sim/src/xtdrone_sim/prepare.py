@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from xtdrone_control.autopilot.state import FAILURE_SLOW
 from xtdrone_control.fleet import parse_fleet
 
+from .links import Links
 from .simplified import NetworkOptions, Swarm
 from .simulation import Simulation
 
@@ -13,9 +15,12 @@ _POOR = NetworkOptions(range=50.0, delay=0.05, loss=0.1, burst=0.1, bandwidth=1e
 def main() -> None:
     """Fly two vehicles that stand on the ground for a moment, then simplified ones; every kernel is used."""
     for world, seconds in (("empty", 1.0), ("outdoor", 0.1)):
-        simulation = Simulation(parse_fleet("iris:2"), world=world)
+        simulation = Simulation(parse_fleet("iris:1,typhoon_h480:1"), world=world)
         simulation.autopilot.setpoint["armed"][0] = 1
+        simulation.autopilot.failures["motor"][0, 0] = FAILURE_SLOW
         simulation.run_until(round(seconds * 1e6))
+        links = Links([vehicle.name for vehicle in simulation.fleet], simulation.models)
+        links.place(simulation.world.plant, simulation.gimbals.records)
         simulation.close()
     for network in (None, _POOR):
         swarm = Swarm(9, network=network)
