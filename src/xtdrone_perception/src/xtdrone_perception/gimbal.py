@@ -1,0 +1,182 @@
+"""A vehicle's gimbal as a ROS node: it is held at an angle, and where the camera is and looks is told.
+
+For each vehicle ``T`` (as ``typhoon_h480_0``):
+
+===================================  ===========================  ====================================================
+topic                                type                         meaning
+===================================  ===========================  ====================================================
+/xtdrone/T/gimbal_cmd                geometry_msgs/Vector3        in: roll, pitch, yaw, degrees; pitch negative is down
+/T/mavros/local_position/pose        geometry_msgs/PoseStamped    in: where the vehicle is
+/T/mavros/mount_control/orientation  geometry_msgs/Quaternion     in: where the gimbal points
+/gazebo/link_states                  gazebo_msgs/LinkStates       in: with ``~source`` gazebo, in place of those two
+/T/mavros/mount_control/command      mavros_msgs/MountControl     out: each turn
+/xtdrone/T/cam_pose                  geometry_msgs/PoseStamped    out: the camera's link in map, x ahead, z up
+===================================  ===========================  ====================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import rospy
+from gazebo_msgs.msg import LinkStates
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from mavros_msgs.msg import MountControl
+
+from xtdrone_control import lockstep
+from xtdrone_control.camera_pose import camera_link_pose
+from xtdrone_control.checks import check_choice, check_range
+from xtdrone_control.communication.arguments import ArgumentError
+
+RATE = 30.0  # Hz
+PITCH = -60.0  # degrees
+OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
+LINK = "cgo3_camera_link"
+_LARGEST_ANGLE = 180.0
+_SOURCES = ("vehicle", "gazebo")
+
+Angles = tuple[float, float, float]
+
+
+class Options(NamedTuple):
+    """What all vehicles of a node have in common.
+
+    Attributes:
+        angles: roll, pitch, yaw at the start, degrees.
+        source: ``vehicle``: the camera's pose from what the vehicle tells of itself; ``gazebo``: the true one.
+        offset: of the camera from base_link, m, FLU.
+        link: the camera's link, for ``gazebo``.
+    """
+
+    angles: Angles
+    source: str
+    offset: Angles
+    link: str
+
+
+def read_options() -> Options:
+    """Return the options of the private parameters.
+
+    Raises:
+        ArgumentError: one is not allowed.
+    """
+    try:
+        roll, pitch, yaw = (
+            check_range(name, rospy.get_param(f"~{name}", default), -_LARGEST_ANGLE, _LARGEST_ANGLE, "deg")
+            for name, default in (("roll", 0.0), ("pitch", PITCH), ("yaw", 0.0))
+        )
+        offset = rospy.get_param("~camera_offset", list(OFFSET))
+        if not isinstance(offset, list) or len(offset) != len(OFFSET):
+            raise ValueError(f"camera_offset: {offset!r} is not allowed, three numbers in m")
+        x, y, z = (check_range("camera_offset", value, -10.0, 10.0, "m") for value in offset)
+        source = check_choice("source", str(rospy.get_param("~source", _SOURCES[0])), _SOURCES)
+    except ValueError as error:
+        raise ArgumentError(f"parameter ~{error}") from error
+    return Options((roll, pitch, yaw), source, (x, y, z), str(rospy.get_param("~link", LINK)))
+
+
+class GimbalControl:
+    """The gimbal of one vehicle."""
+
+    def __init__(self, name: str, options: Options) -> None:
+        """Declare the topics of vehicle ``name``."""
+        self._name = name
+        self._options = options
+        self._angles = options.angles
+        self._pose: PoseStamped | None = None
+        self._mount: Quaternion | None = None
+        self._true: PoseStamped | None = None
+        self._command = lockstep.Publisher(f"/{name}/mavros/mount_control/command", MountControl)
+        self._cam_pose = lockstep.Publisher(f"/xtdrone/{name}/cam_pose", PoseStamped)
+        lockstep.Subscriber(f"/xtdrone/{name}/gimbal_cmd", Vector3, self._on_command)
+        if options.source == "vehicle":
+            lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
+            lockstep.Subscriber(f"/{name}/mavros/mount_control/orientation", Quaternion, self._on_mount)
+        lockstep.add_reset_hook(self._begin_anew)
+
+    def _begin_anew(self) -> None:
+        self._angles = self._options.angles
+        self._pose = self._mount = self._true = None
+
+    # messages
+
+    def _on_command(self, message: Vector3) -> None:
+        angles = (message.x, message.y, message.z)
+        if all(abs(angle) <= _LARGEST_ANGLE for angle in angles):  # not so for what is no number
+            self._angles = angles
+        else:
+            rospy.logwarn_throttle(
+                5.0, f"/xtdrone/{self._name}/gimbal_cmd: {angles} is not allowed, -180 to 180 deg each; it is ignored"
+            )
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self._pose = message
+
+    def _on_mount(self, message: Quaternion) -> None:
+        self._mount = message
+
+    def see(self, states: LinkStates, index: dict[str, int]) -> None:
+        """Take the true pose of the camera's link.
+
+        Args:
+            states: of all links.
+            index: where each link stands in them.
+        """
+        place = index.get(f"{self._name}::{self._options.link}")
+        if place is not None:
+            self._true = PoseStamped(pose=states.pose[place])
+            self._true.header.stamp = rospy.Time.now()
+            self._true.header.frame_id = "map"
+
+    # turns
+
+    def step(self) -> None:
+        """Say where to look, and where the camera is; call it at 30 Hz."""
+        roll, pitch, yaw = self._angles
+        command = MountControl(mode=MountControl.MAV_MOUNT_MODE_MAVLINK_TARGETING, roll=roll, pitch=pitch, yaw=yaw)
+        command.header.stamp = rospy.Time.now()
+        self._command.publish(command)
+        pose = self._true if self._options.source == "gazebo" else self._told()
+        if pose is not None:
+            self._cam_pose.publish(pose)
+
+    def _told(self) -> PoseStamped | None:
+        """Return the camera's pose of what the vehicle has told last, None before that."""
+        if self._pose is None or self._mount is None:
+            return None
+        p, q, m = self._pose.pose.position, self._pose.pose.orientation, self._mount
+        if not all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w, m.x, m.y, m.z, m.w))):
+            return None
+        found = camera_link_pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w), (m.x, m.y, m.z, m.w), self._options.offset)
+        message = PoseStamped(pose=Pose(Point(*found.position), Quaternion(*found.orientation)))
+        message.header.stamp = self._pose.header.stamp
+        message.header.frame_id = "map"
+        return message
+
+
+class GimbalNode:
+    """The gimbals of one or many vehicles in one process."""
+
+    def __init__(self, kind: str, ids: Sequence[int], options: Options) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: vehicle type, as ``typhoon_h480``.
+            ids: the vehicles' numbers.
+            options: of all vehicles.
+        """
+        self._gimbals = [GimbalControl(f"{kind}_{index}", options) for index in ids]
+        if options.source == "gazebo":
+            lockstep.Subscriber("/gazebo/link_states", LinkStates, self._on_links, queue_size=1)
+
+    def _on_links(self, states: LinkStates) -> None:
+        index = {name: i for i, name in enumerate(states.name)}
+        for gimbal in self._gimbals:
+            gimbal.see(states, index)
+
+    def step(self) -> None:
+        """Serve every vehicle; call it at 30 Hz."""
+        for gimbal in self._gimbals:
+            gimbal.step()
