@@ -202,6 +202,24 @@ def test_what_is_hidden_comes_back(renderer: Renderer) -> None:
     assert renderer.draw(pinhole, camera).labels is None
 
 
+def test_close_and_far_things_are_told_apart_at_once(renderer: Renderer) -> None:
+    """Whatever the depth buffer: two sheets 4 cm apart 60 m away, behind a thing at 0.3 m."""
+    green, blue = (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
+    sheets = [renderer.add([Visual(Box((80.0, 80.0, 0.001)), colour=colour)]) for colour in (green, blue)]
+    renderer.place(sheets[0], Pose((0.0, 0.0, 60.0)))
+    renderer.place(sheets[1], Pose((0.0, 0.0, 60.04)))
+    leg = renderer.add([Visual(Box((0.02, 1.0, 0.02)), Pose((0.1, 0.0, 0.3)), RED)])
+    renderer.add([Visual(Sphere(0.2), Pose((0.0, 0.0, -0.3)), RED)])
+    pinhole = Pinhole.of_view(160, 120, 1.0)
+    for shown in ({sheets[0], leg}, {sheets[0]}):
+        picture = renderer.draw(pinhole, Pose(), 0.05, 500.0, labels=True)
+        assert picture.labels is not None
+        assert set(np.unique(picture.labels)) == shown
+        assert (picture.rgb[picture.labels == sheets[0]][:, 2] == 0).all()
+        assert (picture.rgb[picture.labels == leg][:, 1] == 0).all()
+        renderer.hide(leg)
+
+
 def test_the_ground_is_seen_to_the_horizon(renderer: Renderer) -> None:
     ground = renderer.add([Visual(Box((500.0, 500.0, 0.02)), Pose((0.0, 0.0, -0.01)), (0.3, 0.5, 0.2, 1.0))])
     camera = Pose((0.0, 0.0, 5.0), _turn((-1.0, 0.0, 0.0), math.pi / 2))  # looks north, level

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from ..bullet import pybullet
 from ..sdf import Light
 from ..visual import Colour, Geometry, Pose, Visual
 from .backends import BACKENDS, Backend, RendererError
+from .ranges import Extents
 from .triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj
 
 __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]
@@ -62,15 +62,16 @@ class Renderer:
         self.backend = self._backend.name
         self._client = self._backend.client
         self._folder = tempfile.TemporaryDirectory(prefix="xtdrone-rendering-")
-        self._parts: dict[int, list[int]] = {}  # pybullet's bodies by ours
-        self._numbers = itertools.count()
+        self._parts: list[list[int]] = []  # pybullet's bodies of each of ours
         self._label_of = np.full(1, -1, np.int32)  # our body by pybullet's, and -1 at the end for none
         self._triangles: dict[Geometry, Triangles] = {}
         self._files: dict[object, tuple[Path, ...]] = {}
         self._textures: dict[Path, int] = {}
         self._all_parts: list[int] = []
         self._shapes: dict[Path, int] = {}  # their numbers, in order of their first use
-        self._places: dict[int, Pose | None] = {}
+        self._places: list[Pose | None] = []
+        self._points: dict[tuple[Path, ...], NDArray[np.float64]] = {}  # triangles' corners by their files
+        self._extents = Extents()
 
     def add(self, visuals: Iterable[Visual]) -> int:
         """Add a body at the origin and return its number.
@@ -79,34 +80,44 @@ class Renderer:
             MeshError: a mesh cannot be read.
             ValueError: a colour, texture or pose cannot be used; the text names it.
         """
-        body = next(self._numbers)
         groups: dict[tuple[Colour, Path | None], list[Visual]] = {}
         for visual in visuals:
             for value in visual.colour:
                 check_range("colour", value, 0.0, 1.0)
             groups.setdefault((visual.colour, visual.texture), []).append(visual)
-        parts = self._parts[body] = []
-        for (colour, texture), group in groups.items():
-            picture = None if texture is None else self._texture(texture)
-            for file in self._meshes(tuple((visual.geometry, visual.pose) for visual in group), texture):
-                shape = self._client.createVisualShape(
-                    pybullet.GEOM_MESH, fileName=str(file), rgbaColor=colour, specularColor=(0.0, 0.0, 0.0)
-                )
-                part = self._client.createMultiBody(0.0, -1, shape)
-                self._all_parts.append(part)
-                number = self._shapes.setdefault(file, len(self._shapes))
-                if picture is not None:
-                    # The EGL plugin takes a part's number for that of its shape, which parts of one file share.
-                    bearer = self._all_parts[number] if self.backend == "egl" else part
-                    self._client.changeVisualShape(bearer, -1, textureUniqueId=picture)
-                parts.append(part)
+        made = [
+            (
+                colour,
+                None if texture is None else self._texture(texture),
+                self._meshes(tuple((visual.geometry, visual.pose) for visual in group), texture),
+            )
+            for (colour, texture), group in groups.items()
+        ]
+        body = len(self._parts)
+        parts = [self._part(file, colour, picture) for colour, picture, files in made for file in files]
+        self._parts.append(parts)
+        self._places.append(Pose())
+        self._extents.add(np.concatenate([np.empty((0, 3, 3)), *(self._points[files] for _, _, files in made)]))
         if parts:
             grown = np.full(max(parts) + 2, -1, np.int32)
             grown[: len(self._label_of) - 1] = self._label_of[:-1]
             grown[parts] = body
             self._label_of = grown
-        self._places[body] = Pose()
         return body
+
+    def _part(self, file: Path, colour: Colour, picture: int | None) -> int:
+        """Return a new body of pybullet's: one mesh of one colour and texture."""
+        shape = self._client.createVisualShape(
+            pybullet.GEOM_MESH, fileName=str(file), rgbaColor=colour, specularColor=(0.0, 0.0, 0.0)
+        )
+        part = self._client.createMultiBody(0.0, -1, shape)
+        self._all_parts.append(part)
+        number = self._shapes.setdefault(file, len(self._shapes))
+        if picture is not None:
+            # The EGL plugin takes a part's number for that of its shape, which parts of one file share.
+            bearer = self._all_parts[number] if self.backend == "egl" else part
+            self._client.changeVisualShape(bearer, -1, textureUniqueId=picture)
+        return part
 
     def _texture(self, path: Path) -> int:
         if path not in self._textures:
@@ -138,7 +149,13 @@ class Renderer:
                 write_obj(file, Triangles(whole.points[some], whole.normals[some], whole.uv[some]))
                 files.append(file)
             self._files[key] = tuple(files)
+            self._points[self._files[key]] = whole.points
         return self._files[key]
+
+    def _parts_of(self, body: int) -> list[int]:
+        if not 0 <= body < len(self._parts):
+            raise KeyError(f"body {body!r} is not there")
+        return self._parts[body]
 
     def place(self, body: int, pose: Pose) -> None:
         """Put a body where it is to be seen; one that was hidden is seen again.
@@ -147,13 +164,14 @@ class Renderer:
             KeyError: there is no such body.
             ValueError: the orientation is not of length 1, or the position is not finite.
         """
-        parts = self._parts[body]
+        parts = self._parts_of(body)
         if self._places[body] == pose:
             return
         rotation_matrix(pose)
         if not np.all(np.isfinite(pose.position)):
             raise ValueError(f"position: {pose.position!r} is not allowed, finite numbers")
         self._places[body] = pose
+        self._extents.place(body, pose)
         for part in parts:
             self._client.resetBasePositionAndOrientation(part, pose.position, pose.orientation)
 
@@ -163,10 +181,11 @@ class Renderer:
         Raises:
             KeyError: there is no such body.
         """
-        parts = self._parts[body]
+        parts = self._parts_of(body)
         if self._places[body] is None:
             return
         self._places[body] = None
+        self._extents.place(body, None)
         for part in parts:
             self._client.resetBasePositionAndOrientation(part, _OUT_OF_SIGHT, (0.0, 0.0, 0.0, 1.0))
 
@@ -201,6 +220,7 @@ class Renderer:
             np.empty((pinhole.height, pinhole.width, 3), np.uint8),
             np.empty((pinhole.height, pinhole.width), np.int32) if labels else None,
         )
+        ranges = self._extents.ranges(pinhole, pose, near, far) if self.backend == "egl" else [(near, far)]
         step = _TILE if self.backend == "egl" else (pinhole.width, pinhole.height)
         for top in range(0, pinhole.height, step[1]):
             for left in range(0, pinhole.width, step[0]):
@@ -212,7 +232,8 @@ class Renderer:
                     pinhole.cx - left,
                     pinhole.cy - top,
                 )
-                self._draw_tile(picture, (top, left), tile, view, (near, far), light)
+                for number, limits in enumerate(ranges):
+                    self._draw_tile(picture, (top, left), tile, view, limits, light, over=number > 0)
         return picture
 
     def _draw_tile(
@@ -223,8 +244,9 @@ class Renderer:
         view: list[float],
         limits: tuple[float, float],
         light: Light,
+        over: bool,
     ) -> None:
-        """Draw a part of the picture into it."""
+        """Draw a part of the picture into it, or over what is there already."""
         if self.backend == "tiny":  # it looks at pixels' corners instead of their middles
             tile = Pinhole(tile.width, tile.height, tile.fx, tile.fy, tile.cx - 0.5, tile.cy + 0.5)
         towards = -np.asarray(light.direction, float)
@@ -249,12 +271,15 @@ class Renderer:
         if np.any(shade < 1.0):
             table = np.round(np.arange(256)[:, None] * shade).astype(np.uint8)
             colours = np.stack([table[:, k][colours[:, :, k]] for k in range(3)], axis=2)
-        sky = np.round(255.0 * np.asarray(light.background)).astype(np.uint8)
-        picture.rgb[rows, columns] = np.where(nothing[:, :, None], sky, colours)
+        if not over:
+            sky = np.round(255.0 * np.asarray(light.background)).astype(np.uint8)
+            picture.rgb[rows, columns] = np.where(nothing[:, :, None], sky, colours)
+        else:
+            np.copyto(picture.rgb[rows, columns], colours, where=~nothing[:, :, None])
         if picture.labels is not None:
             seen = np.asarray(segments).reshape(size)
-            found = self._label_of[np.where(seen >= 0, seen & _MASK, -1)]
-            picture.labels[rows, columns] = np.where(nothing, -1, found)
+            found = self._label_of[np.where(nothing | (seen < 0), -1, seen & _MASK)]
+            np.copyto(picture.labels[rows, columns], found, where=~nothing | (not over))
 
     def close(self) -> None:
         """End it; nothing can be drawn any more."""
