@@ -61,3 +61,16 @@ def test_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "height: 90 m: with the gimbal at -60 deg" in capsys.readouterr().err
     assert search_plans.main([*arguments, "--speed", "40"]) == 2
     assert "speed: 40.0 is not allowed, 0.5 to 15 m/s" in capsys.readouterr().err
+
+
+def test_the_plans_that_come_with_it_are_those_of_its_region(tmp_path: Path) -> None:
+    folder = Path(__file__).parents[1] / "config" / "search"
+    assert search_plans.main([str(folder / "region.yaml"), "--out", str(tmp_path)]) == 0
+    names = sorted(path.name for path in (folder / "plans").iterdir())
+    assert names == sorted(path.name for path in tmp_path.iterdir())
+    for name in names:
+        kept, made = (qgc_plan.read(place / name).mission for place in (folder / "plans", tmp_path))
+        assert [item.command for item in kept] == [item.command for item in made]
+        assert [(item.x, item.y, item.z) for item in kept] == [
+            pytest.approx((item.x, item.y, item.z), abs=1e-7) for item in made
+        ]

@@ -1,0 +1,95 @@
+"""The rest of a path in parts: all of it, in order, with loads evened out; what pictures say of a place."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_coordination.search.coverage import Waypoint, length
+from xtdrone_coordination.search.covered import Covered
+from xtdrone_coordination.search.evidence import Candidate, Evidence, nearest
+from xtdrone_coordination.search.plans import Datum
+from xtdrone_coordination.search.region import make_region
+from xtdrone_coordination.search.sharing import cut, share_out
+from xtdrone_coordination.search.vehicle import Vehicle
+
+REST = [
+    Waypoint(0.0, 0.0, 0.0),
+    Waypoint(100.0, 0.0, 0.0),
+    Waypoint(100.0, 20.0, math.pi),
+    Waypoint(0.0, 20.0, math.pi),
+]
+
+
+def test_parts_are_the_whole_path_and_even_out_the_loads() -> None:
+    loads = {"a": 0.0, "b": 60.0, "c": 500.0}
+    parts = share_out(REST, {"a": (0.0, 20.0), "b": (-5.0, 0.0), "c": (50.0, 0.0)}, loads)
+    assert list(parts) == ["b", "a"]  # b ends nearest to where the rest begins; c has enough to fly
+    assert {name: length(part) + loads[name] for name, part in parts.items()} == pytest.approx({"a": 140.0, "b": 140.0})
+    assert parts["b"][0] == REST[0]
+    assert parts["a"][-1] == REST[-1]
+    assert parts["b"][-1] == parts["a"][0] == Waypoint(80.0, 0.0, 0.0)
+
+
+def test_one_taker_gets_all() -> None:
+    assert share_out(REST, {"a": (0.0, 0.0)}, {"a": 1e4}) == {"a": REST}
+
+
+@pytest.mark.parametrize("at", [0.0, 30.0, 100.0, 150.0, 220.0])
+def test_cuts_keep_the_length_and_the_heading(at: float) -> None:
+    first, second = cut(REST, at)
+    assert length(first) == pytest.approx(at)
+    assert length(first) + length(second) == pytest.approx(length(REST))
+    assert (first[-1].x, first[-1].y) == (second[0].x, second[0].y)
+    for a, b in pairwise(first):
+        if math.dist((a.x, a.y), (b.x, b.y)) > 0.0 and a.y == b.y:
+            assert math.cos(b.heading) == pytest.approx(math.copysign(1.0, b.x - a.x))
+
+
+def test_evidence_adds_log_odds() -> None:
+    evidence = Evidence()
+    for probability in (0.9, 0.9, 1.0):
+        evidence.hit(probability)
+    evidence.miss()
+    assert evidence.log_odds == pytest.approx(2.0 * math.log(9.0) + math.log(19.0) - 1.5)  # 1 counts as 0.95
+    assert (evidence.pictures, evidence.hits, evidence.mean) == (4, 3, pytest.approx(0.7))
+
+
+def test_a_candidate_is_where_his_velocity_has_brought_him() -> None:
+    walker = Candidate((10.0, 0.0), (1.0, 0.0), (1.0, 0.0, 0.0, 1.0), seen_at=5.0)
+    assert walker.place(7.0) == (12.0, 0.0)
+    assert walker.place(60.0) == (13.0, 0.0)  # not believed for long
+    assert nearest([walker], (14.0, 0.0), 7.0, 3.0) is walker
+    assert nearest([walker], (16.0, 0.0), 7.0, 3.0) is None
+
+
+def test_covered_is_what_a_picture_straight_down_shows() -> None:
+    camera = Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0)  # 45 degrees to each side
+    down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # columns: right, down, ahead
+    region = make_region([(-20, -20), (20, -20), (20, 20), (-20, 20)])
+    covered = Covered(region, camera, pixels=0.0, cell=0.2)
+    covered.see(np.array([0.0, 0.0, 10.0]), down)
+    head = 10.0 - 1.7  # heads show where the ground 10 / 8.3 farther out would
+    assert covered.area == pytest.approx((2.0 * head) ** 2, rel=0.02)
+    assert covered.fraction == pytest.approx(covered.area / 1600.0)
+    before = covered.area
+    covered.see(np.array([0.0, 0.0, 10.0]), down)
+    assert covered.area == before
+
+
+def test_a_path_without_headings_looks_ahead() -> None:
+    datum = Datum()
+    places = [(10.0, 0.0), (10.0, 30.0), (-20.0, 30.0)]
+    items = tuple(PlanItem(16, 3, (0.0, 0.0, 0.0, math.nan), *datum.place(*place), 15.0) for place in places)
+    vehicle = Vehicle("iris_0", 0, datum)
+    vehicle.take_mission(items)
+    ahead = [(math.cos(waypoint.heading), math.sin(waypoint.heading)) for _, waypoint in vehicle.path]
+    assert np.allclose(ahead, [(0.0, 1.0), (0.0, 1.0), (-1.0, 0.0)], atol=1e-6)
+    assert (vehicle.height, vehicle.lowest, vehicle.end) == (15.0, 15.0, 3)
+    vehicle.progress = (1, (10.0, 20.0))
+    assert [(round(w.x, 6), round(w.y, 6)) for w in vehicle.rest] == [(10.0, 20.0), (10.0, 30.0), (-20.0, 30.0)]
