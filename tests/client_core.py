@@ -1,8 +1,8 @@
 """The simulation core with its MAVLink door, without ROS: what the tests with real clients connect to.
 
-``client_core.py COUNT FIRST SPEED [LOGS]``: COUNT iris from global index FIRST on (which fixes system ids and ports),
-at SPEED times real time (0: as fast as it goes), flight logs below the folder LOGS. Writes ``ready`` when it runs, and
-ends when its standard input does.
+``client_core.py COUNT FIRST SPEED [LOGS [TYPE]]``: COUNT vehicles of TYPE (iris) from global index FIRST on (which
+fixes system ids and ports), at SPEED times real time (0: as fast as it goes), flight logs below the folder LOGS. Writes
+``ready`` when it runs, and ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from xtdrone_sim.simulation import Simulation
 CHUNK_US = 8000  # simulated time between two looks at the sockets
 
 
-def main(count: int, first: int, speed: float, logs: str = "") -> None:
+def main(count: int, first: int, speed: float, logs: str = "", kind: str = "iris") -> None:
     """Run until standard input ends."""
-    fleet = tuple(Vehicle("iris", i, first + i) for i in range(count))
+    fleet = tuple(Vehicle(kind, i, first + i) for i in range(count))
     simulation = Simulation(fleet, seed=1, autopilots=partial(Builtin, logs=Path(logs) if logs else None))
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
     pacer = Pacer(speed)

@@ -23,7 +23,7 @@ class Core:
         logs: folder with flight logs.
     """
 
-    def __init__(self, first: int, logs: Path, count: int = 1, speed: float = 5.0) -> None:
+    def __init__(self, first: int, logs: Path, count: int = 1, speed: float = 5.0, kind: str = "iris") -> None:
         """Start it and wait until it runs.
 
         Args:
@@ -31,13 +31,14 @@ class Core:
             logs: folder for flight logs.
             count: number of vehicles.
             speed: simulated seconds a second of wall time.
+            kind: vehicle type.
         """
-        self.vehicles = [Vehicle("iris", i, first + i) for i in range(count)]
+        self.vehicles = [Vehicle(kind, i, first + i) for i in range(count)]
         self.logs = logs
         self._output = logs / "core.log"
         with self._output.open("wb") as output:
             self._process = subprocess.Popen(
-                [sys.executable, str(CORE), str(count), str(first), str(speed), str(logs)],
+                [sys.executable, str(CORE), str(count), str(first), str(speed), str(logs), kind],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=output,
