@@ -15,10 +15,11 @@ from rich.console import Console
 
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction import options
+from xtdrone_interaction import options, search_cli
 from xtdrone_interaction.formation_demo import DemoSettings, report_again, run_demo
 from xtdrone_interaction.launched import DemoError, master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
+from xtdrone_interaction.search_cli import add_search
 from xtdrone_interaction.simplified_cli import add_simplified, run_simplified
 
 
@@ -40,6 +41,14 @@ def _parser() -> argparse.ArgumentParser:
         "Leaves runs/<time>/ with report.json, pictures, the film, and flight.bag (ROS) or flight.npz (--without-ros).",
     )
     add_simplified(simplified)
+    search = demos.add_parser(
+        "search",
+        help="UAVs with cameras search a region for people",
+        description="Fly the cooperative search: the region is divided, the plans go to the vehicles from the ground "
+        "station, detectors look for people, a find is looked at again and followed. Leaves runs/<time>/ with "
+        "flight.bag, report.json, map.png, the views as pictures and film, the plans and the world.",
+    )
+    add_search(search)
     report = commands.add_parser("report", help="make report and pictures of a recorded flight again")
     report.add_argument("file", type=Path, help="flight.bag of a run, or flight.npz of one without ROS")
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
@@ -162,6 +171,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if parsed.command == "report":
             return report_again(parsed.file, console)
+        if parsed.demo == "search":
+            return search_cli.run(parsed, console)
         if parsed.demo == "simplified":
             return run_simplified(parsed, console)
         return run_demo(demo_settings(parsed), console)

@@ -1,0 +1,61 @@
+#!/usr/bin/env python3
+"""The ground station of a launch file: gives every vehicle its plan over MAVLink, then lets the paused time run.
+
+Services called:
+    /gazebo/unpause_physics (std_srvs/Empty): when all plans have been taken.
+
+Parameters:
+    /xtdrone/fleet (as ``typhoon_h480:6``): the vehicles.
+    ~plans: folder with VEHICLE.plan for each of them, as QGroundControl writes them.
+
+Exit status: 0 when all have their plans, 1 when a vehicle has refused or not answered (time stays paused), 2 for bad
+parameters or files.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import rospy
+from std_srvs.srv import Empty
+
+from xtdrone_control import qgc_plan
+from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_interaction.gcs import GcsError, upload_plans
+
+_RESUME = "/gazebo/unpause_physics"
+
+
+def main() -> int:
+    """Upload and return the exit status."""
+    rospy.init_node("upload_plans", disable_rostime=True)  # time stands still until it has done its work
+    try:
+        fleet = str(rospy.get_param("/xtdrone/fleet"))
+        folder = Path(str(rospy.get_param("~plans")))
+        plans = {vehicle.name: qgc_plan.read(folder / f"{vehicle.name}.plan") for vehicle in parse_fleet(fleet)}
+    except KeyError as error:
+        rospy.logfatal("ground station: parameter %s is not set", error)
+        return 2
+    except (FleetError, qgc_plan.PlanError, OSError) as error:
+        rospy.logfatal("ground station: %s", error)
+        return 2
+    rospy.wait_for_service(_RESUME)  # then the vehicles listen
+    try:
+        upload_plans(plans, fleet=fleet)
+    except GcsError as error:
+        rospy.logfatal("ground station: plans were not taken, time stays paused: %s", error)
+        return 1
+    rospy.loginfo("ground station: %d plans are uploaded, time runs", len(plans))
+    rospy.ServiceProxy(_RESUME, Empty)()
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except rospy.ROSInitException as error:
+        print(f"ground station: {error}", file=sys.stderr)
+        sys.exit(1)
+    except rospy.ROSException:  # the launch ends meanwhile
+        sys.exit(1)
