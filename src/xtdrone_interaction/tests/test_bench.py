@@ -48,7 +48,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
     [
         (
             ["--only", "core,wings"],
-            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, barrier, "
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, barrier, "
             "stack, formation, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
@@ -110,6 +110,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
             "drawing": (9,),
             "sweep": (2,),
             "detector": (640,),
+            "renderer": (640,),
             "barrier": (0, 9),
             "formation": (9,),
             "free": (9,),
@@ -131,6 +132,14 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "sweep, 2 workers, 2 of 2",
         "detector, 640 px wide, 1 of 2",
         "detector, 640 px wide, 2 of 2",
+        "renderer, 640 x 360 px, egl, 1 of 2",
+        "renderer, 640 x 360 px, egl, 2 of 2",
+        "renderer, 640 x 360 px, tiny, 1 of 2",
+        "renderer, 640 x 360 px, tiny, 2 of 2",
+        "renderer, 640 x 480 px, egl, 1 of 2",
+        "renderer, 640 x 480 px, egl, 2 of 2",
+        "renderer, 640 x 480 px, tiny, 1 of 2",
+        "renderer, 640 x 480 px, tiny, 2 of 2",
         "barrier, 0 participants, 1 of 2",
         "barrier, 0 participants, 2 of 2",
         "barrier, 9 participants, python, 1 of 2",
@@ -146,7 +155,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
     ]
     assert planned[-3][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
     assert planned[7][2] == {"workers": 2, "repeat": 2}
-    assert planned[15][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
+    assert planned[23][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc
@@ -613,6 +622,15 @@ def test_table_of_the_detector() -> None:
     assert ["320", "failed"] in lines
     assert "detector, 320 px wide: failed" in " ".join(text.split())
     assert bench_report.short_result(row) == "21.5 ms a picture"
+
+
+def test_table_of_the_renderer() -> None:
+    row = {"width": 640, "height": 360, "backend": "egl", "milliseconds": 30.0, "wall_milliseconds": 24.5}
+    results = {"machine": {"load_before": [0.1, 0.1, 0.1]}, "renderer": [row, row | {"backend": "tiny"}]}
+    text = _printed(results)
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["640 x 360 px, egl", "30.00", "24.50"] in lines
+    assert ["640 x 360 px, tiny", "30.00", "24.50"] in lines
 
 
 def test_tables_of_drawing_and_sweep() -> None:

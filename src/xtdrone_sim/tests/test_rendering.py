@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -230,8 +231,10 @@ def test_the_ground_is_seen_to_the_horizon(renderer: Renderer) -> None:
 
 
 def test_drawing_says_nothing_on_the_terminal(renderer: Renderer, capfd: pytest.CaptureFixture[str]) -> None:
-    for width in (64, 80):
+    renderer.add([Visual(Sphere(1.0))])
+    for width in (64, 64, 64, 80):
         renderer.draw(Pinhole.of_view(width, 48, 1.0), Pose())
+        ctypes.CDLL(None).fflush(None)
     assert capfd.readouterr() == ("", "")
 
 

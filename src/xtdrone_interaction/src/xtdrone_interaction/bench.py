@@ -1,10 +1,11 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Nine parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
-against one, the detector of people, the lockstep's barrier alone, the stack without the swarm's own nodes, the whole
-formation flight, and the speed of that flight in lockstep compared with the same nodes running free. Prints tables and
-writes JSON with the machine's facts; the JSON is written after each measurement, so that nothing measured is lost. Exit
-status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+Ten parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers against
+one, the detector of people, the cameras' renderer, the lockstep's barrier alone, the stack without the swarm's own
+nodes, the whole formation flight, and the speed of that flight in lockstep compared with the same nodes running free.
+Prints tables and writes JSON with the machine's facts; the JSON is written after each measurement, so that nothing
+measured is lost. Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped
+by signal n.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from xtdrone_interaction.bench_flight import (
     measure_detector,
     measure_drawing,
     measure_formation,
+    measure_renderer,
     measure_simplified,
     measure_stack,
     measure_sweep,
@@ -53,6 +55,7 @@ PARTS: dict[str, tuple[int, ...]] = {
     "drawing": (9, 100, 1000),
     "sweep": (2,),
     "detector": (320, 416, 640),
+    "renderer": (320, 640),
     "barrier": (0, 1, 9, 20, 60),
     "stack": (1, 9, 30),
     "formation": (9, 30),
@@ -64,14 +67,26 @@ _LEAST = {
     "drawing": 2,
     "sweep": 2,
     "detector": 32,
+    "renderer": 16,
     "barrier": 0,
     "stack": 1,
     "formation": 2,
     "free": 2,
 }
-_MOST = {"simplified": 10_000, "drawing": 10_000, "sweep": 64, "detector": 2048}  # of other parts MAX_VEHICLES
-_COUNTED = {"barrier": "participants", "sweep": "workers", "detector": "widths"}  # of other parts vehicles
-_OF_THEIR_OWN = ("sweep", "detector")  # parts whose numbers are given by name only
+_MOST = {
+    "simplified": 10_000,
+    "drawing": 10_000,
+    "sweep": 64,
+    "detector": 2048,
+    "renderer": 4096,
+}  # of other parts MAX_VEHICLES
+_COUNTED = {
+    "barrier": "participants",
+    "sweep": "workers",
+    "detector": "widths",
+    "renderer": "widths",
+}  # of other parts vehicles
+_OF_THEIR_OWN = ("sweep", "detector", "renderer")  # parts whose numbers are given by name only
 _FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
@@ -102,8 +117,8 @@ class BenchSettings:
     """What is measured.
 
     Attributes:
-        vehicles: numbers of vehicles (barrier: of participants; sweep: of workers; detector: pixels of width) by part;
-            parts that are not measured are left out.
+        vehicles: numbers of vehicles (barrier: of participants; sweep: of workers; detector, renderer: pixels of
+            width) by part; parts that are not measured are left out.
         modes: of the formation: ``per_uav``, ``shared``.
         repeat: how often each measurement is made.
         length: of the measurements.
@@ -130,8 +145,8 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--only", metavar="PARTS", help=f"parts to measure, with commas between, of {', '.join(PARTS)} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
-        help="numbers of vehicles (barrier: of participants; sweep: of workers; detector: pixels of width), with "
-        "commas between, for one part (as core=1,100) or for all but sweep and detector (as 9); default: "
+        help="numbers of vehicles (barrier: of participants; sweep: of workers; detector, renderer: pixels of width), "
+        "with commas between, for one part (as core=1,100) or for all but sweep, detector, renderer (as 9); default: "
         + " ".join(f"{part}={','.join(map(str, counts))}" for part, counts in PARTS.items()))  # fmt: skip
     add("--processes", choices=list(_MODES), default="both",
         help="formation with a process per vehicle and role, with one per role, or both (default)")  # fmt: skip
@@ -258,6 +273,13 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
         return
     if part == "detector":
         yield f"{count} px wide", {"width": count}, partial(measure_detector, width=count)
+        return
+    if part == "renderer":
+        for height in (count * 9 // 16, count * 3 // 4):
+            for backend in ("egl", "tiny"):
+                known = {"width": count, "height": height, "backend": backend}
+                measure = partial(measure_renderer, width=count, height=height, backend=backend)
+                yield f"{count} x {height} px, {backend}", known, measure
         return
     title, known = f"{count} {'vehicle' if count == 1 else 'vehicles'}", {"vehicles": count}
     if part == "formation":

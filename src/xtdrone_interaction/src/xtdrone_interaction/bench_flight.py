@@ -163,6 +163,27 @@ def measure_detector(bench: Bench, width: int) -> Row:
     return row | _run_program(bench, "detector", f"detector-{width}", "xtdrone_perception.benchmark", arguments)[0]
 
 
+def measure_renderer(bench: Bench, width: int, height: int, backend: str) -> Row:
+    """Measure the drawing of what cameras see.
+
+    Args:
+        bench: what all measurements share.
+        width, height: of the picture, pixels.
+        backend: ``egl`` or ``tiny``.
+
+    Returns:
+        milliseconds a picture, of processor time and of wall time.
+
+    Raises:
+        BenchError: it failed, or there is no such renderer here.
+    """
+    row = {"load_before": os.getloadavg()[0]}
+    arguments = ["--width", str(width), "--height", str(height), "--backend", backend]
+    arguments += ["--seconds", str(bench.length.core_seconds)]
+    name = f"renderer-{width}x{height}-{backend}"
+    return row | _run_program(bench, "renderer", name, "xtdrone_sim.rendering.benchmark", arguments)[0]
+
+
 def measure_barrier(bench: Bench, participants: int, kind: str) -> Row:
     """Measure the lockstep's barrier with participants that do nothing, all due at every tick.
 

@@ -34,6 +34,7 @@ _TITLES = {
     "drawing": "Drawing of the simplified simulator, off-screen",
     "sweep": "Sweep: flights of nine simplified vehicles through three patterns",
     "detector": "Detector of people on one core, by the width of its input",
+    "renderer": "Pictures of the world outdoor, one process",
     "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
     "formation": "Formation flight",
@@ -184,6 +185,8 @@ def _label(part: str, row: Row) -> str:
         words = [str(row["participants"]), row["kind"]]
     elif "workers" in row:
         words = [f"{row['workers']} workers"]
+    elif "backend" in row:
+        words = [f"{row['width']} x {row['height']} px,", row["backend"]]
     elif "width" in row:
         words = [f"{row['width']} px wide"]
     else:
@@ -201,6 +204,10 @@ def _vehicles(part: str, rows: Sequence[Row]) -> str:
 
 def _participants(_: str, rows: Sequence[Row]) -> str:
     return _label("", rows[0]) if rows[0]["participants"] else "0"
+
+
+def _label_only(_: str, rows: Sequence[Row]) -> str:
+    return _label("", rows[0])
 
 
 def _input_size(_: str, rows: Sequence[Row]) -> str:
@@ -275,6 +282,11 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
     "detector": [
         ("input\npx", _input_size),
         ("ms/picture", _range("milliseconds")),
+    ],
+    "renderer": [
+        ("picture", _label_only),
+        ("CPU\nms/picture", _range("milliseconds")),
+        ("wall\nms/picture", _range("wall_milliseconds")),
     ],
     "barrier": [
         ("participants", _participants),

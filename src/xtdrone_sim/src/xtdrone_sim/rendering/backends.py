@@ -21,6 +21,7 @@ BACKENDS = ("auto", "egl", "tiny")
 _log = logging.getLogger(__name__)
 _PLUGIN = "eglRenderer"
 _CHATTER = (b"Loaded EGL", b"GL_", b"Version =", b"Vendor =", b"Renderer =", b"ven =", b"EGL device", b"Destroy EGL")
+_TALKS = 3  # first pictures of a size, over some of which the plugin talks
 _TRIAL_LIMIT = 60.0  # s of wall time
 _one = threading.Lock()  # the plugin draws for one physics server of a process
 
@@ -51,7 +52,8 @@ class Backend:
         self.client: BulletClient = connect()
         self.name = "tiny"
         self._plugin = -1
-        self._size = (0, 0)  # of the last picture: the plugin talks about a change
+        self._size = (0, 0)  # of the last picture
+        self._talks = 0  # pictures yet to come over which the plugin may talk
         if wanted == "tiny":
             return
         problem = self._load()
@@ -84,8 +86,10 @@ class Backend:
         """Return what pybullet's getCameraImage does."""
         if self.name == "tiny":
             return self.client.getCameraImage(width, height, renderer=pybullet.ER_TINY_RENDERER, **how)
-        with without_lines(_CHATTER) if (width, height) != self._size else contextlib.nullcontext():
-            self._size = (width, height)
+        if (width, height) != self._size:
+            self._size, self._talks = (width, height), _TALKS
+        self._talks -= 1
+        with without_lines(_CHATTER) if self._talks >= 0 else contextlib.nullcontext():
             return self.client.getCameraImage(width, height, renderer=pybullet.ER_BULLET_HARDWARE_OPENGL, **how)
 
     def close(self) -> None:
