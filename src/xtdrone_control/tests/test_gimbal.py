@@ -213,7 +213,11 @@ def test_mavros_sends_the_command(bench):
 
 
 def test_mavros_tells_the_orientation(bench):
+    bench.uas.set_connected(True)
+    bench.received()
     bench.take("mount_control/orientation")
+    asked = [(m.param1, m.param2) for m in bench.received() if m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL]
+    assert (mavlink.MAVLINK_MSG_ID_MOUNT_ORIENTATION, 20_000.0) in asked  # pictures are put on the ground by it
     bench.send(mavlink.MAVLink_mount_orientation_message(1000, 10.0, -60.0, 30.0, 90.0))
     [found] = bench.published("mount_control/orientation")
     assert type(found) is Quaternion

@@ -26,6 +26,8 @@ log = logging.getLogger("rosout.mavros")
 
 _NS = 1_000_000_000
 _REFRESH_PERIOD = 0.5  # s of ROS time between looks at the subscribers
+# Hz, where PX4's own rate is too slow: pictures are put on the ground by where the gimbal pointed
+_RATES = {"MOUNT_ORIENTATION": 50.0}
 _HEARTBEAT = MESSAGE_ID["HEARTBEAT"]
 
 
@@ -103,8 +105,7 @@ class Uas:
         self._attitude_of: Any = None
         self._attitude: tuple[frames.Quaternion, frames.Vector] | None = None
         self._attitude_slot = self._slot("ATTITUDE_QUATERNION")
-        rates = params.get("stream_rates", {})
-        self.streams = Streams(self._request_interval, rates)
+        self.streams = Streams(self._request_interval, _RATES | params.get("stream_rates", {}))
         self._manage_streams = params.get("manage_streams", True)
         blacklist = params.get("plugin_blacklist", [])
         self.plugins = [kind(self) for kind in plugins if not _listed(kind.name, blacklist)]
