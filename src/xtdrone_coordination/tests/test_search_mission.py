@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from search_world import World, decoy, person
+from search_world import Thing, World, decoy, person
 
+from xtdrone_control.autopilot import plan
+from xtdrone_coordination.search.evidence import Sighting
 from xtdrone_coordination.search.mission import MissionSettings
 from xtdrone_coordination.search.vehicle import State
 
@@ -165,6 +168,71 @@ def test_a_walking_person_is_found_and_followed() -> None:
     at = end["found_time"]
     assert math.dist(end["position"], (70.0 + 0.3 * at, -10.0 + 0.4 * at)) < 0.5
     assert world.named("follow_ended")[0]["reason"] == "time"
+
+
+def test_somebody_beside_the_followed_person_does_not_take_his_place() -> None:
+    """His track goes on being followed, also where he has run farther than ``same_place`` between two pictures."""
+    world = World(things=[person(100.0, 10.0)], follow_time=20.0)
+    world.run(lambda w: w.named("following"))
+    (begun,) = world.named("following")
+    ran = {"at": begun["time"] + 5.0}
+    world.things[0].at = lambda t: (100.0, 10.0) if t < ran["at"] else (100.0, 17.0)
+    world.things.append(Thing(lambda t: (world.things[0].at(t)[0] + 2.0, world.things[0].at(t)[1])))
+    world.run(lambda w: w.named("follow_ended"))
+    (ended,) = world.named("follow_ended")
+    assert (ended["reason"], ended["duration"]) == ("time", pytest.approx(20.0, abs=0.2))
+    assert len(world.named("following")) == len(world.named("second_look")) == 1
+    (followed,) = world.control.candidates
+    assert followed.track[begun["vehicle"]] == begun["track"]
+
+
+def test_what_others_see_does_not_keep_a_follower_from_losing_the_person() -> None:
+    world = World(things=[person(100.0, 10.0)], on_find="hold", lose_time=4.0)
+    world.run(lambda w: w.named("following"))
+    finder = world.named("following")[0]["vehicle"]
+    begun = world.time
+    see = world.control.on_picture
+
+    def blinded(name: str, time: float, position: Any, rotation: Any, sightings: Any, now: float) -> None:
+        see(name, time, position, rotation, [] if name == finder else [Sighting(1, (100.0, 10.0))], now)
+
+    world.control.on_picture = blinded  # type: ignore[method-assign]
+    world.run(lambda w: w.named("follow_ended"))
+    assert world.named("follow_ended")[0]["reason"] == "lost"
+    assert world.time - begun == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_path_that_climbs_is_flown() -> None:
+    world = World(count=1)
+    body = world[0]
+    takeoff = [k for k, item in enumerate(body.items) if item.command == plan.TAKEOFF]
+    body.items = tuple(replace(item, z=3.0) if k in takeoff else item for k, item in enumerate(body.items))
+    world.control.on_mission("typhoon_h480_0", body.items)
+    end = _finished(world)
+    assert (end["lost"], end["outcome"]) == ([], "not found")
+
+
+def test_one_that_falls_in_a_second_look_is_lost() -> None:
+    world = World(things=[person(100.0, 10.0)])
+    world.run(lambda w: w.named("second_look"))
+    (look,) = world.named("second_look")
+    body = world.bodies[look["vehicle"]]
+    body.z, body.no_offboard, body.goal = 0.4, True, None
+    body.move = lambda target, speed: False  # type: ignore[method-assign]
+    end = _finished(world)
+    assert world.named("lost_vehicle")[0]["reason"] == "has fallen to 0.4 m"
+    assert (end["outcome"], end["lost"]) == ("found", [look["vehicle"]])
+
+
+def test_a_rest_is_given_away_once() -> None:
+    def vanish(world: World) -> None:
+        assert world.state(0) is State.RETURNING
+        world[0].dead = True
+
+    world = World(at={30.0: lambda w: setattr(w[0], "no_camera", True), 37.0: vanish})
+    end = _finished(world)
+    assert [event["vehicle"] for event in world.named("reassigned")] == ["typhoon_h480_0"]
+    assert (end["lost"], end["covered_fraction"] > 0.98) == (["typhoon_h480_0"], True)
 
 
 def test_another_takes_over_when_the_follower_loses_the_person() -> None:

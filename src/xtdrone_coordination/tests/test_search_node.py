@@ -225,6 +225,11 @@ def test_a_search_from_takeoff_to_landing(master: xmlrpc.client.ServerProxy, tmp
         assert (end["outcome"], end["lost"]) == ("found", [])
         assert end["position"] == pytest.approx([100.0, 10.0], abs=0.5)
         assert end["covariance"] == [0.25, 0.0, 0.0, 0.25]
+        last = 2_000_000 + now if now is not None else 0
+        while now is not None and now < last:
+            server.tick(now)
+            now = server.next_due_us(now)
+        assert nodes[1].wait(PATIENCE) == 0, "it does not end by itself"
     finally:
         server.close()
         statuses = [node.wait(PATIENCE) for node in nodes]

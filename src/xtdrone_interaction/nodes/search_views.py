@@ -100,11 +100,13 @@ def main() -> int:
     lockstep.init_node("search_views", rate=_RATE)
     try:
         names = [vehicle.name for vehicle in parse_fleet(str(rospy.get_param("/xtdrone/fleet")))]
-        recorder = Recorder(names, Path(rospy.get_param("~out")), bool(rospy.get_param("~film", True)))
+        out = Path(rospy.get_param("~out"))
+        out.mkdir(parents=True, exist_ok=True)
+        recorder = Recorder(names, out, bool(rospy.get_param("~film", True)))
     except KeyError as error:
         rospy.logfatal("views: parameter %s is not set", error)
         return 2
-    except (ValueError, FleetError, FilmError) as error:
+    except (ValueError, OSError, FleetError, FilmError) as error:
         rospy.logfatal("views: %s", error)
         return 2
     lockstep.start()

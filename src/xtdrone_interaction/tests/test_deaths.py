@@ -66,6 +66,14 @@ def test_a_window_may_be_closed_and_the_flight_is_as_good_without_one_that_died(
     assert [death.matters for death in deaths.look(3.0)] == [True]
 
 
+def test_the_ground_station_may_go_when_it_has_done_its_work(log: Path) -> None:
+    deaths = Deaths(log)
+    add(log, "[upload_plans-9] process has finished cleanly\n")
+    assert deaths.look(1.0) == []
+    add(log, "[upload_plans-9] process has died [pid 7, exit code 1, cmd x].\n")
+    assert [death.matters for death in deaths.look(2.0)] == [True]
+
+
 @pytest.mark.parametrize("line", ["[leader-5] killing on exit\n", "Initiating shutdown!\n"])
 def test_what_ends_with_the_flight_is_no_death(log: Path, line: str) -> None:
     add(log, line + KILLED)

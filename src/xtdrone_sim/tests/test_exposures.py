@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -84,6 +85,17 @@ def test_a_drawing_process_that_is_killed_costs_its_picture_and_no_more(process:
     with pytest.raises(DrawingError, match=r"camera's link: 'x::y' is not in the scene; there are typhoon_h480_0::"):
         process.draw(DOWN, View("x::y", VIEW.pinhole, 0.1, 500.0))
     assert process.draw(DOWN, VIEW) == first
+
+
+def test_closing_over_a_picture_starts_no_other_process(process: DrawingProcess) -> None:
+    assert process.draw(DOWN, VIEW) is not None
+    os.kill(process.pid, signal.SIGSTOP)
+    drawn: list[bytes | None] = []
+    thread = threading.Thread(target=lambda: drawn.append(process.draw(DOWN, VIEW)))
+    thread.start()
+    process.close()
+    thread.join()
+    assert (drawn, process.ended) == ([None], 0)
 
 
 def test_a_world_that_cannot_be_drawn_is_named(tmp_path: Path) -> None:

@@ -58,6 +58,7 @@ PROGRESS_TOPIC = "/xtdrone/search/progress"
 RATE = 10  # Hz
 _PULL_PERIOD = 2.0  # s between questions for the mission of a vehicle that has none yet
 _PROGRESS_PERIOD = 1.0  # s
+_LAST_TURNS = 10  # after the end, in which whoever records the search gets the last events
 
 Outcome = tuple[bool, str]
 
@@ -203,15 +204,23 @@ class SearchNode:
         self._progress = lockstep.Publisher(PROGRESS_TOPIC, String)
         self._pulled = -math.inf
         self._told = -math.inf
+        self._left = _LAST_TURNS
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
         self.control = self._make()
         self._pulled = self._told = -math.inf
+        self._left = _LAST_TURNS
+
+    @property
+    def over(self) -> bool:
+        """Whether the search has ended, and all have had the time to hear of it."""
+        return self._left <= 0
 
     def step(self) -> None:
         """Take what has come and let the mission control decide."""
         now = _now()
+        self._left -= self.control.finished
         for link in self._links.values():
             link.calls.finish()
         self._pull(now)
@@ -389,7 +398,7 @@ def _mapping(name: str, value: Any) -> dict[str, Any]:
 
 
 def run(arguments: Sequence[str]) -> None:
-    """Run the node until it is shut down.
+    """Run the node until the search is over, or it is shut down.
 
     Raises:
         ArgumentError: an argument or a parameter is not allowed.
@@ -408,6 +417,8 @@ def run(arguments: Sequence[str]) -> None:
     names = [vehicle.name for vehicle in fleet]
     settings, camera, datum = settings_of(rospy.get_param), camera_of(rospy.get_param), datum_of(rospy.get_param)
     out = str(rospy.get_param("~out", ""))
+    if out:
+        Path(out).mkdir(parents=True, exist_ok=True)
     node = SearchNode(
         lambda: SearchMission(names, region, camera, settings, datum),
         thing=str(rospy.get_param("~class", "human")),
@@ -415,7 +426,12 @@ def run(arguments: Sequence[str]) -> None:
         in_lockstep=lockstep.is_active(),
     )
     lockstep.start()
+    rate = lockstep.Rate()
     try:
-        lockstep.spin(node.step)
+        while not (rospy.is_shutdown() or node.over):
+            node.step()
+            rate.sleep()
+    except rospy.ROSInterruptException:
+        pass  # it is to end
     finally:
         node.close()

@@ -21,6 +21,7 @@ _CRASHED = re.compile(r"^it (?:has )?crashed: ")
 _DIED = "has died"
 _BY_ITSELF = "has ended by itself"
 _ONLOOKER = "visualize"  # the live window, which may be closed at any time
+_MAY_END = (_ONLOOKER, "upload_plans")  # a ground station that has done its work
 _ALL_END = re.compile(r"^\[[^\]]+-\d+\] killing on exit|Initiating shutdown|REQUIRED process")
 
 
@@ -75,7 +76,7 @@ class Deaths:
         for line in self._lines():
             self._closed = self._closed or _ALL_END.search(line) is not None
             death = None if self._closed else self._death(line, sim_time)
-            if death is None or (death.node == _ONLOOKER and death.how == _BY_ITSELF):
+            if death is None or (death.node in _MAY_END and death.how == _BY_ITSELF):
                 continue
             if death.node not in self.found:
                 new.append(death.node)

@@ -20,6 +20,7 @@ from xtdrone_interaction.search_report import make_report, print_report
 
 _START_LIMIT = 90.0  # wall s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
 _START_LIMIT_VEHICLE = 5.0
+_BELOW = 1.0  # m from the lowest vehicle's height down to that of one which follows
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ def flight(settings: SearchSettings, prepared: Prepared) -> Flight:
             "region": prepared.region_file,
             "on_find": settings.on_find,
             "follow_time": settings.follow_time,
+            "follow_height": settings.height - _BELOW,
             "time_limit": settings.time_limit,
             "camera_rate": settings.camera_rate,
             "film": str(settings.film).lower(),
@@ -133,9 +135,9 @@ _WORDS = {
     "following": "{vehicle} follows",
     "follow_ended": "{vehicle} has ended following: {reason}",
     "lost_vehicle": "[red]{vehicle} is lost[/red]: {reason}",
-    "reassigned": "{vehicle} takes over a part of the search",
+    "reassigned": "what is left of {vehicle}'s part goes to {others}",
     "camera_silent": "[red]{vehicle}'s camera is silent[/red]",
-    "returning": "returning: {reason}",
+    "returning": "{vehicle} returns: {reason}",
 }
 
 
@@ -146,7 +148,12 @@ def show_event(event: dict[str, Any], display: Display) -> None:
         return
     position = event.get("position")
     place = "" if position is None else f"({position[0]:.1f}, {position[1]:.1f}) m"
-    fields = {"vehicle": event.get("vehicle", ""), "reason": escape(str(event.get("reason", ""))), "place": place}
+    fields = {
+        "vehicle": event.get("vehicle", ""),
+        "reason": escape(str(event.get("reason", ""))),
+        "place": place,
+        "others": ", ".join(event.get("to", ())) or "nobody",
+    }
     display.note(f"  {event['time']:6.1f} s  {words.format(**fields)}")
 
 

@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
@@ -56,6 +57,8 @@ class DrawingProcess:
         self.last_end = ""
         self._drawn = drawn
         self._fruitless = 0
+        self._lock = threading.Lock()  # over which process it is: close() may come while one draws
+        self._closed = False
         self._start()
 
     def _start(self) -> None:
@@ -104,7 +107,12 @@ class DrawingProcess:
         return picture
 
     def _replace(self) -> None:
-        """Start another process in place of one that has ended."""
+        """Start another process in place of one that has ended, but for one that was to end."""
+        with self._lock:
+            if not self._closed:
+                self._start_another()
+
+    def _start_another(self) -> None:
         self._connection.close()
         status = self._process.wait()
         self.ended += 1
@@ -117,10 +125,11 @@ class DrawingProcess:
         self._start()
 
     def close(self) -> None:
-        """End the process."""
-        self._connection.close()
-        self._process.kill()
-        self._process.wait()
+        """End the process, from any thread; a picture that it is drawing is lost."""
+        with self._lock:
+            self._closed = True
+            self._process.kill()
+            self._process.wait()
 
 
 def _serve(connection: Connection) -> None:

@@ -61,7 +61,7 @@ _CLEAR = 6.0  # m; nobody changes his height nearer than this to one that is in 
 _NEAREST_CIRCLE, _WIDEST_CIRCLE = 3.0, 25.0  # m, radius of a second look
 _FASTEST_TURN = 0.35  # rad/s around a candidate
 _LEAD = 4.0  # m that a set-point goes ahead of its vehicle at most
-_FALLEN = 0.3  # part of the search height below which a vehicle is no longer flying it
+_FALLEN = 0.3  # part of the height of takeoff or second look below which a vehicle no longer flies
 _STEPS = ("waiting", "taking off", "searching", "second look", "following", "returning", "finished")
 _BUSY = (State.WAITING, State.STARTING, State.SEARCHING, State.LOOKING, State.REJOINING, State.FOLLOWING)
 _OFFBOARD_STATES = (State.LOOKING, State.REJOINING, State.FOLLOWING)
@@ -324,7 +324,12 @@ class SearchMission:
         assert vehicle.position is not None
         if vehicle.state is State.SEARCHING:
             vehicle.progress = (vehicle.seq, vehicle.position[:2])
-        shown = {id(c): s.probability for s in sightings if (c := self._candidate(vehicle, time, s)) is not None}
+        followed = vehicle.following.track if vehicle.following is not None else 0
+        # The one who is followed last: where he is counts, not where somebody near him is.
+        ordered = sorted(sightings, key=lambda sighting: sighting.id == followed)
+        shown = {id(c): s.probability for s in ordered if (c := self._candidate(vehicle, time, s)) is not None}
+        if vehicle.following is not None and id(vehicle.following.candidate) in shown:
+            vehicle.following.seen = time
         look = vehicle.look
         if look is None or look.stage not in (Stage.DOWN, Stage.CIRCLE) or vehicle.state is not State.LOOKING:
             return
@@ -340,7 +345,11 @@ class SearchMission:
         x, y = sighting.position
         if not sighting.probability > 0.0 or not (math.isfinite(x) and math.isfinite(y)):
             return None
-        found = nearest(self.candidates, sighting.position, time, self.settings.same_place)
+        following = vehicle.following
+        if following is not None and sighting.id == following.track:
+            found: Candidate | None = following.candidate  # the camera's track knows better than his place
+        else:
+            found = nearest(self.candidates, sighting.position, time, self.settings.same_place)
         if found is None:
             if not shapely.contains_xy(self._region, x, y):
                 return None
@@ -480,7 +489,12 @@ class SearchMission:
                 self._land(vehicle)
                 return ""
             return f"is disarmed at {height:.1f} m"
-        if vehicle.state is State.SEARCHING and not vehicle.path_done and height < _FALLEN * vehicle.height:
+        low = -math.inf  # below which it has fallen
+        if vehicle.state is State.SEARCHING and not vehicle.path_done:
+            low = _FALLEN * vehicle.takeoff_height  # of a path that may begin with a climb
+        elif vehicle.state in _OFFBOARD_STATES:
+            low = _FALLEN * min(self.look_height(vehicle), vehicle.height)
+        if height < low:
             return f"has fallen to {height:.1f} m"
         return ""
 
@@ -550,6 +564,7 @@ class SearchMission:
         rest = [] if vehicle.path_done or self._found else vehicle.rest
         if len(rest) > 1:
             self._rests.append((vehicle.name, rest))
+            vehicle.path = []  # it is others' now, whatever becomes of this vehicle on its way home
 
     @property
     def _found(self) -> bool:
@@ -829,7 +844,7 @@ class SearchMission:
             else:
                 self._go_back(vehicle, following.look)
             return
-        if self._now - max(candidate.seen_at, following.since) > self.settings.lose_time:
+        if self._now - max(following.seen, following.since) > self.settings.lose_time:
             left = following.until - self._now
             self._end_following(vehicle, "lost")
             self._give_up(candidate, vehicle)

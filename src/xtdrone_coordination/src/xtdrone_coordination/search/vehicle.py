@@ -75,13 +75,22 @@ class Look:
 
 @dataclass
 class Following:
-    """The following of a find: whom, from and until when, s, as which track, and the look that found him."""
+    """The following of a find.
+
+    Attributes:
+        candidate: whom.
+        since, until: s.
+        track: his id with the vehicle that follows.
+        look: which found him.
+        seen: time of the newest picture of this vehicle that showed him, s.
+    """
 
     candidate: Candidate
     since: float
     until: float
     track: int
     look: Look
+    seen: float = -math.inf
 
 
 class Vehicle:
