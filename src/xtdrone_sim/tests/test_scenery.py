@@ -13,6 +13,7 @@ from xtdrone_sim.package_files import MODELS
 from xtdrone_sim.poses import compose, from_rpy
 from xtdrone_sim.scenery import Ground, is_free, outdoor
 from xtdrone_sim.scenery import __main__ as program
+from xtdrone_sim.scenery.things import HIGHEST
 from xtdrone_sim.sdf import SdfWorld, load_world_file, read_world, write_world
 from xtdrone_sim.sdf.bounds import box_of
 from xtdrone_sim.visual import Box, Mesh, Pose
@@ -36,9 +37,19 @@ def test_the_same_seed_gives_the_same_world(scene: SdfWorld) -> None:
 
 
 def test_the_shipped_world_is_that_of_seed_0() -> None:
-    shipped, made = load_world_file("outdoor"), outdoor(0)
+    """Around the region that launch/search.launch has searched."""
+    shipped, made = load_world_file("outdoor"), outdoor(0, region=(10.0, -35.0, 120.0, 35.0), walking=True)
     assert shipped.models == made.models
     assert shipped.actors[0].pose == made.actors[0].pose
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_reaches_to_where_vehicles_look_for_people(seed: int) -> None:
+    visuals = [
+        (link, visual) for model in outdoor(seed, objects=2.0).models for link in model.links for visual in link.visuals
+    ]
+    tops = [box_of(visual.geometry, compose(link.pose, visual.pose))[1][2] for link, visual in visuals]
+    assert max(tops) < HIGHEST + 0.5  # the last twig of a crown
 
 
 def collision_circles(world: SdfWorld) -> np.ndarray:

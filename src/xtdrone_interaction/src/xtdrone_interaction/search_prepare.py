@@ -19,7 +19,7 @@ from xtdrone_coordination.search.plans import Datum, SearchOptions, plan_search,
 from xtdrone_coordination.search.region import read_region, region_data
 from xtdrone_interaction.options import OptionError, repository
 from xtdrone_sim import people, scenery
-from xtdrone_sim.sdf import SdfActor, SdfWorld, load_world_file, write_world
+from xtdrone_sim.sdf import SdfWorld, load_world_file, write_world
 from xtdrone_sim.vehicle_model import load_vehicle
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ CAMERA = "cgo3_camera"  # whose pictures the detector gets
 ROWS = 3  # vehicles side by side on the spawn grid
 _MARGIN = 5.0  # m of scenery around the region's bounds
 _EDGE = 3.0  # m that people keep from the region's edge
-_WORLDS = 100  # tries for a world whose people are all in the region
 
 
 @dataclass(frozen=True)
@@ -111,23 +110,14 @@ def _made(settings: SearchSettings, region: Polygon) -> SdfWorld:
     low_x, low_y, high_x, high_y = region.bounds
     bounds = (low_x - _MARGIN, low_y - _MARGIN, high_x + _MARGIN, high_y + _MARGIN)
     inner = region.buffer(-_EDGE)
-    for attempt in range(_WORLDS):
-        world = scenery.outdoor(
-            settings.seed + attempt * 1_000_003,
-            region=bounds,
-            persons=settings.persons,
-            walking=settings.walking,
-            skins=people.names(),
-        )
-        if all(inner.contains(place) for actor in world.actors for place in _places(actor)):
-            return world
-    raise OptionError(f"persons: {settings.persons} do not fit into the region; choose fewer, or a larger region")
-
-
-def _places(actor: SdfActor) -> list[Point]:
-    """Return where an actor stands, or turns on its way."""
-    way = actor.trajectory.waypoints if actor.trajectory else ()
-    return [Point(pose.position[:2]) for pose in (actor.pose, *(waypoint.pose for waypoint in way))]
+    return scenery.outdoor(
+        settings.seed,
+        region=bounds,
+        persons=settings.persons,
+        walking=settings.walking,
+        skins=people.names(),
+        within=lambda x, y: inner.contains(Point(x, y)),
+    )
 
 
 def _camera(vehicle_type: str) -> Pinhole:

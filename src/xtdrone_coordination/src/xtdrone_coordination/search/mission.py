@@ -106,7 +106,7 @@ class MissionSettings:
     candidate_probability: float = 0.5
     same_place: float = 6.0
     margin: float = 5.0
-    look_height: float = 8.0
+    look_height: float = 9.5
     look_step: float = 0.5
     look_speed: float = 3.0
     look_arc: float = 60.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,6 +59,7 @@ class Options:
         objects: factor on the number of things, 0 to 3.
         light: noon, morning, evening, overcast or any.
         person_distance: m that persons keep from ``clear``.
+        within: tells whether people may stand or turn at x, y; None: anywhere in ``region``.
     """
 
     region: Rectangle = REGION
@@ -70,6 +71,7 @@ class Options:
     objects: float = 1.0
     light: str = "noon"
     person_distance: float = 10.0
+    within: Callable[[float, float], bool] | None = None
 
 
 def outdoor(seed: int, **options: object) -> SdfWorld:
@@ -289,6 +291,7 @@ def _place(
         x, y = _anywhere(rng, options.region)
         if (
             _distance(options.clear, x, y) >= options.person_distance
+            and (options.within is None or options.within(x, y))
             and ground.is_free(x, y, _PERSON)
             and all(math.hypot(x - a, y - b) >= 2.0 for a, b, _ in others)
         ):
@@ -322,6 +325,7 @@ def _way(
             for value in (corners[-1][0] + length * math.cos(angle), corners[-1][1] + length * math.sin(angle))
         )
         inside = x0 <= x <= x1 and y0 <= y <= y1 and _distance(options.clear, x, y) >= 0.5 * options.person_distance
+        inside = inside and (options.within is None or options.within(x, y))
         if inside and ground.is_free_way(corners[-1], (x, y), _PERSON):
             corners.append((x, y))
         if len(corners) >= 3 and ground.is_free_way(corners[-1], start, _PERSON) and rng.uniform() < 0.5:

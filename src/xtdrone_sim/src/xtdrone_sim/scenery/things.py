@@ -14,6 +14,8 @@ from ..visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sph
 from . import assets
 from .kit import Kit
 
+HIGHEST = 8.5  # m, of all things: vehicles that look for people fly above them
+
 
 @dataclass(frozen=True)
 class Thing:
@@ -53,8 +55,9 @@ def _cylinder(radius: float, height: float, colour: Colour, z: float = 0.0) -> V
 def leafy_tree(kit: Kit) -> Thing:
     """Return a tree with a round, broad or slender crown."""
     radius = kit.uniform(1.2, 3.2)
-    half = round(radius * kit.uniform(0.75, 1.5), 3)
+    half = radius * kit.uniform(0.75, 1.5)
     trunk = kit.uniform(1.2, 2.6)
+    half = round(min(half, (HIGHEST - trunk) / 1.85), 3)
     thick = round(0.07 * radius + kit.uniform(0.03, 0.1), 3)
     top = Visual(
         Mesh(kit.mesh("crown"), (radius, radius, half)),
@@ -69,7 +72,7 @@ def leafy_tree(kit: Kit) -> Thing:
 
 def conifer(kit: Kit) -> Thing:
     """Return a spruce."""
-    radius, height, foot = kit.uniform(1.0, 2.2), kit.uniform(4.0, 9.0), kit.uniform(0.3, 1.0)
+    radius, height, foot = kit.uniform(1.0, 2.2), kit.uniform(4.0, HIGHEST - 1.0), kit.uniform(0.3, 1.0)
     stem = _cylinder(kit.uniform(0.1, 0.2), foot + 0.3 * height, kit.brown())
     top = Visual(
         Mesh(kit.mesh("conifer"), (radius, radius, height)),

@@ -1,0 +1,106 @@
+"""What ``demo search`` refuses, and what it writes before it flies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapely.geometry import Point
+from shapely.ops import unary_union
+
+from xtdrone_control import qgc_plan
+from xtdrone_interaction import cli, options, search_demo
+from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.search_demo import SearchSettings
+from xtdrone_interaction.search_prepare import prepare
+from xtdrone_sim.sdf import load_world_file
+
+REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [30, 0], [30, 5], [25, 5]]]\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--n", "0"], "number of vehicles: '0' is not allowed; a whole number from 1 to 12"),
+        (["--n", "two"], "number of vehicles: 'two' is not allowed"),
+        (["--height", "3"], "height: '3' is not allowed; 6 to 25 m"),
+        (["--camera-rate", "nan"], "camera rate: 'nan' is not allowed; 0.5 to 10 Hz"),
+        (["--persons", "-1"], "persons: '-1' is not allowed"),
+        (["--plans", "nowhere"], "plans: 'nowhere' does not exist"),
+        (["--region", "nowhere.yaml"], "region: 'nowhere.yaml' does not exist"),
+        (["--world", "outdoor", "--persons", "3"], "persons: they are in the world's file"),
+    ],
+)
+def test_what_is_not_allowed_is_named(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
+    try:
+        status = cli.main(["demo", "search", *arguments])
+    except SystemExit as ended:  # argparse
+        status = ended.code
+    assert status == 2
+    assert message in capfd.readouterr().err
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> SearchSettings:
+    region = tmp_path / "region.yaml"
+    region.write_text(REGION, encoding="utf-8")
+    out = tmp_path / "out"
+    out.mkdir()
+    return SearchSettings(
+        n=3, type="typhoon_h480", region=str(region), plans="", world="", persons=2, walking=True, height=12.0,
+        on_find="hold", follow_time=60.0, time_limit=900.0, camera_rate=2.0, film=True, seed=5, speed=0.0, out=out,
+        master_port=11311, headless=True, logs=False,
+    )  # fmt: skip
+
+
+def test_people_walk_inside_the_region(settings: SearchSettings) -> None:
+    prepared = prepare(settings)
+    world = load_world_file(str(prepared.world_file))
+    assert prepared.persons == ("person_0", "person_1")
+    for actor in world.actors:
+        way = actor.trajectory.waypoints if actor.trajectory else ()
+        assert all(prepared.region.contains(Point(w.pose.position[:2])) for w in way)
+
+
+def test_the_same_seed_makes_the_same_search(settings: SearchSettings, tmp_path: Path) -> None:
+    again = replace(settings, out=tmp_path / "again")
+    again.out.mkdir()
+    one, other = prepare(settings), prepare(again)
+    assert one.world_file.read_bytes() == other.world_file.read_bytes()
+    assert all(np.array_equal(one.ways[name], other.ways[name]) for name in one.names)
+    different = prepare(replace(again, seed=6))
+    assert different.world_file.read_bytes() != one.world_file.read_bytes()
+
+
+def test_each_vehicle_gets_a_piece_and_its_plan(settings: SearchSettings) -> None:
+    prepared = prepare(settings)
+    assert unary_union(prepared.pieces).area == pytest.approx(prepared.region.area)
+    for name in prepared.names:
+        plan = qgc_plan.read(prepared.plans_folder / f"{name}.plan")
+        assert sum(item.command == 16 for item in plan.mission) == len(prepared.ways[name]) >= 2
+
+
+def test_plans_of_ones_own_are_read(settings: SearchSettings) -> None:
+    made = prepare(settings)
+    own = prepare(replace(settings, plans=str(made.plans_folder)))
+    assert own.pieces == ()
+    for name in made.names:
+        assert own.ways[name] == pytest.approx(made.ways[name], abs=0.05)
+    (made.plans_folder / "typhoon_h480_2.plan").unlink()
+    with pytest.raises(OptionError, match=r"typhoon_h480_2\.plan' does not exist"):
+        prepare(replace(settings, plans=str(made.plans_folder)))
+
+
+def test_a_vehicle_without_the_camera_is_refused(settings: SearchSettings) -> None:
+    with pytest.raises(OptionError, match="'iris' has no camera cgo3_camera"):
+        prepare(replace(settings, type="iris"))
+
+
+def test_the_launch_file_is_told(settings: SearchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("xtdrone_interaction.launched.shutil.which", lambda program: program)
+    command = search_demo.flight(settings, prepare(settings)).command()
+    assert "on_find:=hold" in command
+    assert f"plans:={settings.out}/plans" in command
+    assert options.repository() / "launch" / "search.launch" == Path(command[command.index("11311") + 1])

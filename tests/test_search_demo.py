@@ -1,0 +1,156 @@
+"""The cooperative search through the whole stack, from the command to the report: needs the built workspace.
+
+Two UAVs search a small region; the tests look at what the flight left behind.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from xtdrone_control import qgc_plan
+from xtdrone_interaction.search_record import SearchRecord, read_search
+
+NAMES = ("typhoon_h480_0", "typhoon_h480_1")
+REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\n"
+FLIGHT_LIMIT = 900.0  # s of wall time
+
+
+def _built() -> bool:
+    """Whether roslaunch and the workspace's packages are there."""
+    if shutil.which("roslaunch") is None:
+        return False
+    import rospkg
+
+    return "xtdrone_perception" in rospkg.RosPack().list()
+
+
+pytestmark = [
+    pytest.mark.skipif(not _built(), reason="the workspace is not built and sourced"),
+    pytest.mark.timeout(2 * FLIGHT_LIMIT),
+]
+
+
+def _command(folder: Path, *arguments: str) -> list[str]:
+    region = folder.parent / "region.yaml"
+    region.write_text(REGION, encoding="utf-8")
+    return [
+        sys.executable, "-m", "xtdrone_interaction.cli", "demo", "search", "--n", "2", "--region", str(region),
+        "--standing", "--seed", "1", "--follow-time", "10", "--headless", "--out", str(folder), *arguments,
+    ]  # fmt: skip
+
+
+def _processes_with(text: str) -> list[str]:
+    """Command lines of all processes whose environment or command line has ``text``, ours left out."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit() or int(entry.name) == os.getpid():
+            continue
+        try:
+            command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if text in command or text.encode() in (entry / "environ").read_bytes():
+                found.append(command)
+        except OSError:  # it ended, or is somebody else's
+            continue
+    return found
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What a flight left behind."""
+
+    folder: Path
+    output: str
+    status: int
+
+    @property
+    def report(self) -> dict[str, Any]:
+        return json.loads((self.folder / "report.json").read_text(encoding="utf-8"))
+
+    @property
+    def record(self) -> SearchRecord:
+        return read_search(self.folder / "flight.bag", NAMES, ("person_0",))
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    folder = tmp_path_factory.mktemp("search") / "out"
+    result = subprocess.run(_command(folder), capture_output=True, text=True, timeout=FLIGHT_LIMIT, check=False)
+    return Flight(folder, result.stdout + result.stderr, result.returncode)
+
+
+def test_the_search_comes_to_its_end(flight: Flight) -> None:
+    assert (flight.folder / "report.json").is_file(), flight.output
+    report = flight.report
+    assert report["outcome"] in ("found", "not found"), flight.output
+    assert flight.status == (1 if report["shortcomings"] else 0), flight.output
+    assert report["died"] == report["lost"] == report["collisions"] == [], flight.output
+
+
+def test_what_is_found_is_where_the_person_is(flight: Flight) -> None:
+    """Whether the detector sees this person is its own matter; a find of nobody is not."""
+    report = flight.report
+    for find in report["finds"]:
+        assert find["error"] < 2.0, flight.output
+    if report["outcome"] == "not found":
+        assert report["covered"]["fraction"] > 0.95, flight.output
+
+
+def test_no_picture_is_lost(flight: Flight) -> None:
+    """In lockstep time waits for cameras and detector: two pictures a second of each, none passed over."""
+    record = flight.record
+    for name in NAMES:
+        sights = record.sights[name]
+        assert len(sights) > 20
+        assert sights[-1].dropped == 0
+        gaps = [round(b.time - a.time, 6) for a, b in itertools.pairwise(sights)]
+        assert set(gaps) == {0.5}
+
+
+def test_each_vehicle_flew_its_own_plan(flight: Flight) -> None:
+    record = flight.record
+    for index, name in enumerate(NAMES):
+        plan = qgc_plan.read(flight.folder / "plans" / f"{name}.plan")
+        heights = [item.z for item in plan.mission if item.command == 16]
+        assert len(heights) >= 2
+        assert abs(record.position[:, index, 2].max() - heights[0]) < 3.0
+
+
+def test_pictures_and_film_are_there(flight: Flight) -> None:
+    for name in ("map.png", "views.png"):
+        picture = cv2.imread(str(flight.folder / name))
+        assert picture.std() > 10.0, name
+    film = cv2.VideoCapture(str(flight.folder / "views.mp4"))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) > 40
+    film.release()
+
+
+def test_nothing_is_left_running(flight: Flight) -> None:
+    assert _processes_with(str(flight.folder)) == []
+
+
+def test_an_interrupted_search_leaves_a_bag_and_no_process(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    with subprocess.Popen(_command(folder), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        lines = []
+        for line in process.stdout:
+            lines.append(line)
+            if "searching" in line:
+                process.send_signal(signal.SIGINT)
+                break
+        rest = process.stdout.read()
+        assert process.wait(FLIGHT_LIMIT) == 128 + signal.SIGINT, "".join(lines) + rest
+    assert _processes_with(str(folder)) == []
+    assert read_search(folder / "flight.bag", NAMES, ("person_0",)).events[0]["event"] == "started"
