@@ -71,6 +71,7 @@ class Body:
     no_camera: bool = False
     no_offboard: bool = False
     return_height: float = 30.0
+    pitch: float = -60.0
     tracks: dict[int, int] = field(default_factory=dict)
 
     def move(self, target: tuple[float, float, float], speed: float) -> bool:
@@ -205,7 +206,7 @@ class World:
         body.turn(away + math.pi)
 
     def _picture(self, name: str, body: Body) -> None:
-        down, c, s = math.radians(60.0), math.cos(body.yaw), math.sin(body.yaw)
+        down, c, s = math.radians(-body.pitch), math.cos(body.yaw), math.sin(body.yaw)
         ahead = np.array([c * math.cos(down), s * math.cos(down), -math.sin(down)])
         right = np.array([s, -c, 0.0])
         rotation = np.column_stack([right, np.cross(ahead, right), ahead])
@@ -244,6 +245,9 @@ class World:
                 body.goal, body.goal_yaw = position, yaw
             case control.Follow(track=track):
                 body.follows = track
+                body.pitch = -50.0 if track > 0 else body.pitch
+            case control.Aim(pitch=pitch):
+                body.pitch = pitch
             case control.ReturnHeight(height=height):
                 body.return_height = height
         self.control.on_result(action, True)

@@ -58,6 +58,7 @@ def test_a_find_is_confirmed_by_a_second_look_and_followed(on_find: str) -> None
     (ended,) = world.named("follow_ended")
     assert (ended["reason"], ended["duration"]) == ("time", pytest.approx(20.0, abs=0.2))
     if on_find == "continue":
+        assert world.bodies[finder].pitch == -60.0  # as before the following
         assert end["covered_fraction"] > 0.99
         assert len(world.named("second_look")) == 1
     assert world.nearest > 0.9

@@ -78,9 +78,14 @@ def test_a_search_without_find_says_so_only_where_somebody_is() -> None:
 
 
 def test_losses_and_collisions_are_named() -> None:
-    bad = record(position=[10.0, 0.0], lost=["typhoon_h480_1"])
+    silent = {"event": "camera_silent", "time": 20.0, "vehicle": "typhoon_h480_0", "position": [20.0, 0.0]}
+    bad = record(silent, position=[10.0, 0.0], lost=["typhoon_h480_1"])
     bad.collisions.append("collision of typhoon_h480_1 and house_3")
-    assert make_report(bad, {})["shortcomings"] == ["lost: typhoon_h480_1", "1 collisions"]
+    assert make_report(bad, {})["shortcomings"] == [
+        "lost: typhoon_h480_1",
+        "silent cameras: typhoon_h480_0",
+        "1 collisions",
+    ]
 
 
 def test_a_record_without_end_or_bag_is_refused(tmp_path: Path) -> None:

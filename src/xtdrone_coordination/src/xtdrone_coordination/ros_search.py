@@ -12,6 +12,7 @@ topic or service                    type                           meaning
 /xtdrone/T/objects                  xtdrone_msgs/ObjectsOnGround   in: what its camera shows
 /xtdrone/T/cmd_pose_enu             geometry_msgs/Pose             out: set-points of a second look
 /xtdrone/T/follow                   std_msgs/Int32                 out: the track to follow, -1 for none
+/T/mavros/mount_control/command     mavros_msgs/MountControl       out: the camera down, for a look and after it
 /T/mavros/set_mode, cmd/arming      SetMode, CommandBool           called
 /T/mavros/mission/{pull,push,..}    WaypointPull, WaypointPush     called: the mission that it has; more to fly
 /T/mavros/param/set                 ParamSet                       called: the height of its return
@@ -34,7 +35,7 @@ from typing import Any
 import numpy as np
 import rospy
 from geometry_msgs.msg import Pose, PoseStamped
-from mavros_msgs.msg import ParamValue, State, Waypoint, WaypointList, WaypointReached
+from mavros_msgs.msg import MountControl, ParamValue, State, Waypoint, WaypointList, WaypointReached
 from mavros_msgs.srv import CommandBool, ParamSet, SetMode, WaypointPull, WaypointPush, WaypointSetCurrent
 from numpy.typing import NDArray
 from std_msgs.msg import Int32, String
@@ -116,6 +117,7 @@ class VehicleLink:
         self._setpoint = lockstep.Publisher(f"/xtdrone/{name}/cmd_pose_enu", Pose)
         self._follow = lockstep.Publisher(f"/xtdrone/{name}/follow", Int32)
         base = f"/{name}/mavros"
+        self._mount = lockstep.Publisher(f"{base}/mount_control/command", MountControl)
         for topic, kind, callback in (
             (f"{base}/state", State, node.on_state),
             (f"{base}/local_position/pose", PoseStamped, node.on_pose),
@@ -143,6 +145,8 @@ class VehicleLink:
                 self._setpoint.publish(_pose(action))
             case control.Follow(track=track):
                 self._follow.publish(Int32(data=track))
+            case control.Aim(pitch=pitch):
+                self._mount.publish(MountControl(mode=MountControl.MAV_MOUNT_MODE_MAVLINK_TARGETING, pitch=pitch))
             case _:
                 self.calls.submit(partial(self._call, action), lambda outcome: on_result(action, *outcome))
 

@@ -39,6 +39,7 @@ def make_report(record: SearchRecord, settings: dict[str, Any]) -> dict[str, Any
         },
         "possible": end.get("possible", []),
         "lost": end.get("lost", []),
+        "silent_cameras": [event["vehicle"] for event in record.events if event["event"] == "camera_silent"],
         "rejected": sum(event["event"] == "rejected" for event in record.events),
         "second_looks": sum(event["event"] == "second_look" for event in record.events),
         "simulated_time": float(record.time[-1]),
@@ -132,6 +133,8 @@ def shortcomings(report: dict[str, Any], persons: int) -> list[str]:
             )
     if report["lost"]:
         found.append(f"lost: {', '.join(report['lost'])}")
+    if report["silent_cameras"]:
+        found.append(f"silent cameras: {', '.join(report['silent_cameras'])}")
     if report["collisions"]:
         found.append(f"{len(report['collisions'])} collisions")
     return found

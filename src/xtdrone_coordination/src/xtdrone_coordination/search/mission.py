@@ -206,6 +206,14 @@ class Follow:
 
 
 @dataclass(frozen=True)
+class Aim:
+    """Point a vehicle's camera ahead, by a pitch in deg, negative down."""
+
+    vehicle: str
+    pitch: float
+
+
+@dataclass(frozen=True)
 class ReturnHeight:
     """Set the least height of a vehicle's return, m over home, so that returns cross at different heights."""
 
@@ -213,7 +221,7 @@ class ReturnHeight:
     height: float
 
 
-Action = SetMode | Arm | Push | GoTo | Follow | ReturnHeight
+Action = SetMode | Arm | Push | GoTo | Follow | Aim | ReturnHeight
 Event = dict[str, Any]
 
 
@@ -687,6 +695,7 @@ class SearchMission:
         off = math.dist(vehicle.position[:2], target[:2])
         if look.stage is Stage.OVER and off < 3.0:
             look.stage = Stage.DOWN
+            self._actions.append(Aim(vehicle.name, settings.gimbal_pitch))
         elif look.stage is Stage.DOWN and abs(vehicle.position[2] - target[2]) < 1.0:
             look.stage = Stage.CIRCLE
         self._judge(vehicle, look)
@@ -737,6 +746,7 @@ class SearchMission:
         if self._found or self._ending is not None:
             self._stand_by(vehicle)
         elif look.came_from is State.SEARCHING:
+            self._actions.append(Aim(vehicle.name, self.settings.gimbal_pitch))
             vehicle.want(MISSION, self._now)
             vehicle.enter(State.SEARCHING, self._now)
         else:
