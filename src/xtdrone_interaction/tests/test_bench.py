@@ -12,7 +12,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,10 +30,12 @@ from xtdrone_interaction import (
     bench_machine,
     bench_processes,
     bench_report,
+    bench_search,
     bus_statistics,
     cli,
     options,
     scripted_launch,
+    search_probe,
     speed_search,
 )
 
@@ -49,7 +51,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
         (
             ["--only", "core,wings"],
             "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, barrier, "
-            "stack, formation, free",
+            "stack, formation, search, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
@@ -63,6 +65,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
         ),
         (["--vehicles", "detector=100"], "widths of detector: 100 is not allowed; multiples of 32"),
         (["--vehicles", "detector=0"], "widths of detector: '0' is not allowed; 32 to 2048"),
+        (["--vehicles", "search=11"], "rates of search: '11' is not allowed; 1 to 10"),
         (["--vehicles", "stack=9,many"], "vehicles of stack: 'many' is not allowed; 1 to 250"),
         (["--vehicles", "formation=1"], "vehicles of formation: '1' is not allowed; 2 to 250"),
         (
@@ -113,6 +116,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
             "renderer": (640,),
             "barrier": (0, 9),
             "formation": (9,),
+            "search": (5,),
             "free": (9,),
         },
         ("per_uav", "shared"),
@@ -150,10 +154,13 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "formation, 9 vehicles, processes per uav, 2 of 2",
         "formation, 9 vehicles, processes shared, 1 of 2",
         "formation, 9 vehicles, processes shared, 2 of 2",
+        "search, 5 Hz, 1 of 2",
+        "search, 5 Hz, 2 of 2",
         "free, 9 vehicles, 1 of 2",
         "free, 9 vehicles, 2 of 2",
     ]
-    assert planned[-3][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
+    assert planned[-3][2] == {"vehicles": 6, "repeat": 2, "camera_rate": 5}
+    assert planned[-5][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
     assert planned[7][2] == {"workers": 2, "repeat": 2}
     assert planned[23][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
@@ -283,6 +290,106 @@ def test_stack_figures() -> None:
         "processes": 6,
         "startup_seconds": 3.0,
     }
+
+
+# ---- search
+
+FLYING = {"typhoon_h480_0": "searching", "typhoon_h480_1": "second look"}
+
+
+def _probed(
+    monkeypatch: pytest.MonkeyPatch, messages: list[tuple[float, float, str, dict[str, str]]]
+) -> tuple[int, list[dict[str, Any]]]:
+    """Return the exit status and the events of a probe that measures 10 s; before each message two pictures came."""
+    samples = iter([({1: ("yolo", 1.0)}, 10.0), ({1: ("yolo", 7.0)}, 20.0)])
+    monkeypatch.setattr(search_probe.CpuSample, "take", lambda root: bench_processes.CpuSample(*next(samples)))
+    monkeypatch.setattr(search_probe, "process_tree", lambda root: [root, 2, 3])
+    monkeypatch.setattr(search_probe, "memory", lambda pids: 1000 * len(pids))
+    pictures = search_probe.Pictures(FLYING)
+
+    def feed() -> Iterator[search_probe.Progress]:
+        for number, (sim_time, wall, phase, states) in enumerate(messages):
+            for name in FLYING:
+                pictures.count(name, number // 2)
+            said = {"sim_time": sim_time, "phase": phase, "vehicles": states, "covered_fraction": 0.5}
+            yield search_probe.Progress.read(json.dumps(said), wall)
+
+    written = io.StringIO()
+    status = search_probe.SearchProbe(10.0, pictures, written).run(feed())
+    return status, [json.loads(line) for line in written.getvalue().splitlines()]
+
+
+def test_search_is_measured_while_all_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    climbing = FLYING | {"typhoon_h480_1": "taking off"}
+    status, events = _probed(
+        monkeypatch,
+        [
+            (5.0, 90.0, "searching", climbing),
+            (6.0, 100.0, "second look", FLYING),
+            (12.0, 103.0, "searching", FLYING),
+            (16.0, 104.0, "searching", FLYING),
+            (17.0, 105.0, "finished", FLYING),  # too late to matter
+        ],
+    )
+    assert status == 0
+    assert [event["event"] for event in events] == ["start", *["progress"] * 4, "window", "done"]
+    assert [event.get("phase") for event in events[1:3]] == ["searching", "second look"]
+    assert bench_search.search_figures(events) == {
+        "real_time_factor": 2.5,
+        "window": {"simulated": 10.0, "elapsed": 4.0},
+        "pictures_per_simulated_second": 0.4,
+        "dropped": 2,
+        "cpu_per_simulated_second": {"yolo": pytest.approx(0.6)},
+        "cpu_share": {"cameras": 0.0, "yolo": 1.0, "simulator": 0.0, "mavros": 0.0, "others": 0.0},
+        "others_cpu": 1.0,
+        "memory_bytes": 3000,
+        "processes": 3,
+    }
+
+
+@pytest.mark.parametrize(
+    ("last", "reason"),
+    [
+        (
+            [(9.0, 2.0, "returning", FLYING | {"typhoon_h480_0": "lost"})],
+            "search: returning before 10 s were measured; typhoon_h480_0 lost, typhoon_h480_1 second look",
+        ),
+        ([], "search: the launch ended before 10 s were measured"),
+    ],
+)
+def test_search_that_ends_too_early_is_no_measurement(
+    monkeypatch: pytest.MonkeyPatch, last: list[tuple[float, float, str, dict[str, str]]], reason: str
+) -> None:
+    status, events = _probed(monkeypatch, [(6.0, 1.0, "searching", FLYING), *last])
+    assert (status, events[-1]["event"], events[-1]["reason"]) == (1, "failed", reason)
+
+
+def test_shares_of_the_cpu_time() -> None:
+    cpu = {"cameras": 1.0, "xtdrone_sim.camera_worker": 3.0, "simulator": 2.0, "record": 1.0, "search_mission": 1.0}
+    assert bench_search.shares(cpu) == {"cameras": 0.5, "yolo": 0.0, "simulator": 0.25, "mavros": 0.0, "others": 0.25}
+    assert sum(bench_search.shares({}).values()) == 0.0
+
+
+def test_table_of_the_search() -> None:
+    row = {
+        "vehicles": 6,
+        "camera_rate": 2,
+        "real_time_factor": 1.25,
+        "dropped": 3,
+        "cpu_per_simulated_second": {"cameras": 0.5, "yolo": 0.25},
+        "cpu_share": {"cameras": 0.5, "yolo": 0.25, "simulator": 0.125, "mavros": 0.0, "others": 0.125},
+    }
+    failed = {"vehicles": 6, "camera_rate": 5, "error": "search: returning"}
+    text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "search": [row, failed]})
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["2 Hz", "1.25 x", "1 x", "50%", "25%", "12%", "0%", "12%"] in lines
+    assert ["5 Hz", *["failed"] * 7] in lines
+    assert ["cameras", "0.500"] in lines
+    assert "…" not in text  # it fits a terminal of 80 columns
+    flat = " ".join(text.split())
+    assert "search, 2 Hz: the detector passed over 3 of the pictures" in flat
+    assert "search, 5 Hz: failed: search: returning" in flat
+    assert bench_report.short_result(row) == "1.25 x real time"
 
 
 # ---- barrier
@@ -721,7 +828,9 @@ FAKE_ROSLAUNCH = """\
 # Starts a node in a session of its own, as roslaunch does, and then what the test wants.
 import json, os, signal, subprocess, sys, time
 subprocess.Popen([sys.executable, "-c", "MARK = {mark!r}; import time; time.sleep(600)"], start_new_session=True)
-out = next(word[5:] for word in sys.argv if word.startswith("out:="))
+def argument(name):
+    return next(word.partition(":=")[2] for word in sys.argv if word.startswith(name + ":="))
+out = argument("out")
 def event(name, **values):
     with open(out + "/events.jsonl", "a") as file:
         print(json.dumps(dict(event=name, time=1.0, wall=time.time(), **values)), file=file)
@@ -740,14 +849,53 @@ def event(name, **values):
     ],
 )
 def test_nothing_is_left_running(tmp_path: Path, then: str, status: int, message: str) -> None:
-    mark = f"xtdrone-test-{os.getpid()}-{tmp_path.name}"
-    path = fake_roslaunch.install(tmp_path, FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, then=then))
-    file = tmp_path / "b.json"
+    done, results, left = _bench_with_fake_roslaunch(tmp_path, then, ["--only", "stack", "--vehicles", "1"])
+    assert done.returncode == status, done.stdout + done.stderr
+    assert message in " ".join(done.stdout.split())
+    assert left == []
+    assert (results["finished"] is None) == (status > 128)
+
+
+SEARCH_FLIGHT = """
+import glob
+plans = sorted(os.path.basename(path) for path in glob.glob(argument("plans") + "/*.plan"))
+assert plans == [f"typhoon_h480_{i}.plan" for i in range(6)], plans
+assert "<actor" not in open(argument("world")).read()
+assert (argument("camera_rate"), argument("window")) == ("5", "10.0"), sys.argv
+open(out + "/flight/flight.bag", "w").write("large")
+event("start")
+event("progress", phase="searching")
+event("window", simulated=10.0, elapsed=4.0, pictures=300, dropped=0, cpu={"yolo": 3.0, "record": 1.0}, others=0.4,
+      memory=5, processes=6)
+event("done")
+"""
+
+
+def test_search_flies_over_a_world_without_people(tmp_path: Path) -> None:
+    arguments = ["--only", "search", "--vehicles", "search=5", "--quick"]
+    done, results, left = _bench_with_fake_roslaunch(tmp_path, SEARCH_FLIGHT, arguments)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert left == []
+    (row,) = results["search"]
+    assert (row["vehicles"], row["camera_rate"], row["real_time_factor"]) == (6, 5, 2.5)
+    assert row["pictures_per_simulated_second"] == 30.0
+    assert row["cpu_share"]["yolo"] == 0.75
+    assert "search, 5 Hz: 2.50 x real time" in " ".join(done.stdout.split())
+    assert list((tmp_path / "b-logs" / "search-5" / "flight").iterdir()) == []  # no bag is left
+
+
+def _bench_with_fake_roslaunch(
+    folder: Path, then: str, arguments: list[str]
+) -> tuple[subprocess.CompletedProcess[str], dict[str, Any], list[str]]:
+    """Run the benchmark with a roslaunch that does ``then``; return its end, its results and what still runs of it."""
+    mark = f"xtdrone-test-{os.getpid()}-{folder.name}"
+    path = fake_roslaunch.install(folder, FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, then=then))
+    file = folder / "b.json"
     program = textwrap.dedent(f"""
         import sys
         from xtdrone_interaction import bench, bench_flight, options
         options.check_vehicle_ports = lambda fleet: None
-        sys.exit(bench.main(["--only", "stack", "--vehicles", "1", "--json", {str(file)!r}]))
+        sys.exit(bench.main([*{arguments!r}, "--json", {str(file)!r}]))
     """)
     done = subprocess.run(
         [sys.executable, "-c", program],
@@ -758,7 +906,4 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, status: int, message
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         check=False,
     )
-    assert done.returncode == status, done.stdout + done.stderr
-    assert message in " ".join(done.stdout.split())
-    assert fake_roslaunch.running(mark) == []
-    assert (json.loads(file.read_text())["finished"] is None) == (status > 128)
+    return done, json.loads(file.read_text()), fake_roslaunch.running(mark)

@@ -1,11 +1,11 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Ten parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers against
-one, the detector of people, the cameras' renderer, the lockstep's barrier alone, the stack without the swarm's own
-nodes, the whole formation flight, and the speed of that flight in lockstep compared with the same nodes running free.
-Prints tables and writes JSON with the machine's facts; the JSON is written after each measurement, so that nothing
-measured is lost. Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped
-by signal n.
+Eleven parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
+against one, the detector of people, the cameras' renderer, the lockstep's barrier alone, the stack without the swarm's
+own nodes, the whole formation flight, the cooperative search by the rate of its cameras, and the speed of the formation
+flight in lockstep compared with the same nodes running free. Prints tables and writes JSON with the machine's facts;
+the JSON is written after each measurement, so that nothing measured is lost. Exit status: 0, 1 when a measurement
+failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from xtdrone_interaction.bench_flight import (
 from xtdrone_interaction.bench_free import measure_free
 from xtdrone_interaction.bench_machine import machine_facts
 from xtdrone_interaction.bench_report import print_results, short_result
+from xtdrone_interaction.bench_search import SEARCHERS, measure_search
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.scripted_launch import LaunchError, Stopped, StopRequest
 
@@ -59,6 +60,7 @@ PARTS: dict[str, tuple[int, ...]] = {
     "barrier": (0, 1, 9, 20, 60),
     "stack": (1, 9, 30),
     "formation": (9, 30),
+    "search": (2, 5),
     "free": (9, 30),
 }
 _LEAST = {
@@ -71,6 +73,7 @@ _LEAST = {
     "barrier": 0,
     "stack": 1,
     "formation": 2,
+    "search": 1,
     "free": 2,
 }
 _MOST = {
@@ -79,14 +82,16 @@ _MOST = {
     "sweep": 64,
     "detector": 2048,
     "renderer": 4096,
+    "search": 10,
 }  # of other parts MAX_VEHICLES
 _COUNTED = {
     "barrier": "participants",
     "sweep": "workers",
     "detector": "widths",
     "renderer": "widths",
+    "search": "rates",
 }  # of other parts vehicles
-_OF_THEIR_OWN = ("sweep", "detector", "renderer")  # parts whose numbers are given by name only
+_OF_THEIR_OWN = ("sweep", "detector", "renderer", "search")  # parts whose numbers are given by name only
 _FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
@@ -100,6 +105,7 @@ FULL = Length(
     window=20.0,
     patterns=("cube", "pyramid", "triangle"),
     free_window=5.0,
+    search_window=30.0,
 )
 QUICK = Length(
     core_seconds=1.0,
@@ -109,6 +115,7 @@ QUICK = Length(
     window=5.0,
     patterns=("cube",),
     free_window=2.0,
+    search_window=10.0,
 )
 
 
@@ -118,7 +125,7 @@ class BenchSettings:
 
     Attributes:
         vehicles: numbers of vehicles (barrier: of participants; sweep: of workers; detector, renderer: pixels of
-            width) by part; parts that are not measured are left out.
+            width; search: pictures a second of each camera) by part; parts that are not measured are left out.
         modes: of the formation: ``per_uav``, ``shared``.
         repeat: how often each measurement is made.
         length: of the measurements.
@@ -145,8 +152,9 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--only", metavar="PARTS", help=f"parts to measure, with commas between, of {', '.join(PARTS)} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
-        help="numbers of vehicles (barrier: of participants; sweep: of workers; detector, renderer: pixels of width), "
-        "with commas between, for one part (as core=1,100) or for all but sweep, detector, renderer (as 9); default: "
+        help="numbers of vehicles (barrier: of participants; sweep: of workers; detector, renderer: pixels of width; "
+        "search: pictures a second of each camera), with commas between, for one part (as core=1,100) or for all but "
+        "sweep, detector, renderer, search (as 9); default: "
         + " ".join(f"{part}={','.join(map(str, counts))}" for part, counts in PARTS.items()))  # fmt: skip
     add("--processes", choices=list(_MODES), default="both",
         help="formation with a process per vehicle and role, with one per role, or both (default)")  # fmt: skip
@@ -168,6 +176,8 @@ def bench_settings(arguments: argparse.Namespace) -> BenchSettings:
     for count in {*vehicles.get("formation", ()), *vehicles.get("free", ())}:
         options.swarm_patterns(count, list(length.patterns))
     flown = max((count for part in _FLOWN for count in vehicles.get(part, ())), default=0)
+    if "search" in vehicles:
+        flown = max(flown, SEARCHERS)
     if flown:
         options.check_vehicle_ports(parse_fleet(f"{TYPE}:{flown}"))
     repeat = _whole_number("repeat", arguments.repeat, 1, _MAX_REPEATS)
@@ -280,6 +290,10 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
                 known = {"width": count, "height": height, "backend": backend}
                 measure = partial(measure_renderer, width=count, height=height, backend=backend)
                 yield f"{count} x {height} px, {backend}", known, measure
+        return
+    if part == "search":
+        known = {"vehicles": SEARCHERS, "camera_rate": count}
+        yield f"{count} Hz", known, partial(measure_search, camera_rate=count)
         return
     title, known = f"{count} {'vehicle' if count == 1 else 'vehicles'}", {"vehicles": count}
     if part == "formation":

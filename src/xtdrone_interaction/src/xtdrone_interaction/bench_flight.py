@@ -59,6 +59,7 @@ class Length:
         window: measured simulated time of the stack, s.
         patterns: that the formation flies.
         free_window: wall time for which each speed of the free-running flight is measured, s.
+        search_window: measured simulated time of the search, s.
     """
 
     core_seconds: float
@@ -68,6 +69,7 @@ class Length:
     window: float
     patterns: tuple[str, ...]
     free_window: float
+    search_window: float
 
 
 @dataclass

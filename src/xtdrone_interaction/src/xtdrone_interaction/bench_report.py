@@ -12,8 +12,8 @@ from rich.table import Table
 Row = dict[str, Any]
 _Cell = Callable[[str, Sequence[Row]], str]
 
-# To reach, by part, number of vehicles (workers) and processes: real-time factors; of the drawing pictures a second, of
-# the sweep the speed-up, of the free part the share of the free speed.
+# To reach, by part, number of vehicles (workers, Hz) and processes: real-time factors; of the drawing pictures a
+# second, of the sweep the speed-up, of the free part the share of the free speed.
 GOALS: dict[tuple[str, int, str | None], float] = {
     ("core", 9, None): 30.0,
     ("core", 100, None): 6.0,
@@ -24,6 +24,7 @@ GOALS: dict[tuple[str, int, str | None], float] = {
     ("stack", 9, None): 10.0,
     ("formation", 9, "per_uav"): 3.0,
     ("formation", 30, "per_uav"): 1.0,
+    ("search", 2, None): 1.0,
     ("free", 9, None): 0.7,
 }
 LEAST_CPU = 0.005  # CPU s per simulated s; programs that never use more have no column
@@ -38,6 +39,7 @@ _TITLES = {
     "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
     "formation": "Formation flight",
+    "search": "Search with six cameras, film and bag; shares of its CPU time",
     "free": "Formation in lockstep, and free-running",
 }
 
@@ -125,6 +127,8 @@ def caveats(results: dict[str, Any]) -> list[str]:
                 lines.append(f"{label}: other programs took {row['others_cpu']:.1f} cores meanwhile")
             if row.get("exact_share", 1.0) is None:
                 lines.append(f"{label}: free-running, nodes kept up at no speed that was tried")
+            if row.get("dropped"):
+                lines.append(f"{label}: the detector passed over {row['dropped']} of the pictures")
             if row.get("unsettled"):
                 lines.append(f"{label}: did not settle: {', '.join(row['unsettled'])}")
     return lines
@@ -160,7 +164,7 @@ def _cpu_groups(results: dict[str, Any]) -> list[tuple[str, list[Row]]]:
     """Return heading and rows with ``cpu_per_simulated_second`` of each flight or stack that was measured."""
     groups = [
         (_label(part, rows[0]), rows)
-        for part in ("stack", "formation")
+        for part in ("stack", "formation", "search")
         for group in grouped(results.get(part, []))
         if (rows := [row for row in group if "cpu_per_simulated_second" in row])
     ]
@@ -187,11 +191,13 @@ def _label(part: str, row: Row) -> str:
         words = [f"{row['workers']} workers"]
     elif "backend" in row:
         words = [f"{row['width']} x {row['height']} px,", row["backend"]]
+    elif "camera_rate" in row:
+        words = [f"{row['camera_rate']} Hz"]
     elif "width" in row:
         words = [f"{row['width']} px wide"]
     else:
         words = [str(row["vehicles"]), row.get("mode", "").replace("_", "-")]
-    return " ".join(([part] if part == "stack" else []) + [word for word in words if word])
+    return " ".join(([part] if part in ("stack", "search") else []) + [word for word in words if word])
 
 
 def _escape(text: str) -> str:
@@ -233,7 +239,8 @@ def _with_range(key: str, rows: Sequence[Row], unit: str) -> str:
 
 def _goal(part: str, rows: Sequence[Row]) -> str:
     row = rows[0]
-    goal = GOALS.get((part, row["workers"] if part == "sweep" else row["vehicles"], row.get("mode")))
+    count = row[{"sweep": "workers", "search": "camera_rate"}.get(part, "vehicles")]
+    goal = GOALS.get((part, count, row.get("mode")))
     if goal is None:
         return ""
     return {"drawing": "{:g}", "free": "{:.2f}"}.get(part, "{:g} x").format(goal)
@@ -248,6 +255,10 @@ def _median(key: str, form: str, scale: float = 1.0) -> _Cell:
         return format(statistics.median(row[key] for row in rows) * scale, form)
 
     return cell
+
+
+def _share(key: str) -> _Cell:
+    return lambda _, rows: f"{statistics.median(row['cpu_share'][key] for row in rows):.0%}"
 
 
 def _flown(_: str, rows: Sequence[Row]) -> str:
@@ -299,6 +310,12 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
     ],
     "stack": [*_SPEED, ("messages/s", _median("messages_per_second", ".0f")), *_PROCESSES],
     "formation": [*_SPEED, ("simulated\ns", _flown), *_PROCESSES],
+    "search": [
+        ("rate", _label_only),
+        ("real-time\nfactor", _factor),
+        ("to\nreach", _goal),
+        *((name, _share(name)) for name in ("cameras", "yolo", "simulator", "mavros", "others")),
+    ],
     "free": [
         ("vehicles", _vehicles),
         ("in lockstep", _range("exact_real_time_factor", " x")),

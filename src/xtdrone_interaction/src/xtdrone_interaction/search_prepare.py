@@ -76,7 +76,7 @@ def prepare(settings: SearchSettings) -> Prepared:
         options = SearchOptions(height=settings.height, picture_rate=settings.camera_rate)
         places = spawn_grid(fleet, ROWS)
         homes = {name: (x, y) for name, (x, y, _) in zip(names, places, strict=True)}
-        plans = plan_search(region, homes, _camera(settings.type), options)
+        plans = plan_search(region, homes, camera_of(settings.type), options)
         folder = settings.out / "plans"
         write_plans(folder, plans, options, datum)
         pieces = tuple(plans[name].piece for name in names)
@@ -100,27 +100,35 @@ def shipped_region() -> Path:
 
 def _world(settings: SearchSettings, region: Polygon) -> tuple[SdfWorld, Path]:
     """Return the user's world, or one made from the seed, whose people are in the region, and its file."""
-    world = load_world_file(settings.world) if settings.world else _made(settings, region)
+    if settings.world:
+        world = load_world_file(settings.world)
+    else:
+        world = made_world(region, settings.seed, settings.persons, walking=settings.walking)
     file = settings.out / "search.world"
     file.write_text(write_world(world), encoding="utf-8")
     return world, file
 
 
-def _made(settings: SearchSettings, region: Polygon) -> SdfWorld:
+def made_world(region: Polygon, seed: int, persons: int, *, walking: bool = True) -> SdfWorld:
+    """Return a world with scenery in and around the region, whose people are all in it.
+
+    Raises:
+        ValueError: so many people do not fit into the region.
+    """
     low_x, low_y, high_x, high_y = region.bounds
     bounds = (low_x - _MARGIN, low_y - _MARGIN, high_x + _MARGIN, high_y + _MARGIN)
     inner = region.buffer(-_EDGE)
     return scenery.outdoor(
-        settings.seed,
+        seed,
         region=bounds,
-        persons=settings.persons,
-        walking=settings.walking,
+        persons=persons,
+        walking=walking,
         skins=people.names(),
         within=lambda x, y: inner.contains(Point(x, y)),
     )
 
 
-def _camera(vehicle_type: str) -> Pinhole:
+def camera_of(vehicle_type: str) -> Pinhole:
     """Return the camera's picture.
 
     Raises:
