@@ -10,7 +10,7 @@ import pytest
 from search_world import Thing, World, decoy, person
 
 from xtdrone_control.autopilot import plan
-from xtdrone_coordination.search.evidence import Sighting
+from xtdrone_coordination.search.evidence import Candidate, Sighting
 from xtdrone_coordination.search.mission import MissionSettings
 from xtdrone_coordination.search.vehicle import State
 
@@ -185,6 +185,18 @@ def test_somebody_beside_the_followed_person_does_not_take_his_place() -> None:
     assert len(world.named("following")) == len(world.named("second_look")) == 1
     (followed,) = world.control.candidates
     assert followed.track[begun["vehicle"]] == begun["track"]
+
+
+def test_of_two_tracks_in_one_place_the_surer_is_the_person() -> None:
+    candidate = Candidate((0.0, 0.0), (0.0, 0.0), (1.0, 0.0, 0.0, 1.0), 0.0)
+    somebody, post = Sighting(6, (0.0, 0.0), probability=0.8), Sighting(9, (1.3, 0.0), probability=0.5)
+    candidate.see("a", 0.0, post, {9})
+    for k in range(1, 8):
+        for sighting in (somebody, post) if k != 6 else (post,):  # one picture misses him
+            candidate.see("a", 0.5 * k, sighting, {6, 9})
+    assert (candidate.track, candidate.position, candidate.seen_at) == ({"a": 6}, (0.0, 0.0), 3.5)
+    candidate.see("a", 4.0, post, {9})  # his track has ended
+    assert (candidate.track, candidate.position) == ({"a": 9}, (1.3, 0.0))
 
 
 def test_what_others_see_does_not_keep_a_follower_from_losing_the_person() -> None:

@@ -25,6 +25,7 @@ from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_interaction.gcs import GcsError, upload_plans
 
 _RESUME = "/gazebo/unpause_physics"
+_PATIENCE = 60.0  # s of wall time that a vehicle may be silent: the simulator may still be loading
 
 
 def main() -> int:
@@ -42,7 +43,7 @@ def main() -> int:
         return 2
     rospy.wait_for_service(_RESUME)  # then the vehicles listen
     try:
-        upload_plans(plans, fleet=fleet)
+        upload_plans(plans, fleet=fleet, patience=_PATIENCE)
     except GcsError as error:
         rospy.logfatal("ground station: plans were not taken, time stays paused: %s", error)
         return 1

@@ -20,7 +20,7 @@ from xtdrone_interaction.search_report import make_report, print_report
 
 _START_LIMIT = 90.0  # wall s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
 _START_LIMIT_VEHICLE = 5.0
-_BELOW = 1.0  # m from the lowest vehicle's height down to that of one which follows
+_LOOK_BELOW, _FOLLOW_BELOW = 1.5, 1.0  # m from the lowest vehicle's height down to those of looks and following
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,8 @@ def flight(settings: SearchSettings, prepared: Prepared) -> Flight:
             "region": prepared.region_file,
             "on_find": settings.on_find,
             "follow_time": settings.follow_time,
-            "follow_height": settings.height - _BELOW,
+            "look_height": settings.height - _LOOK_BELOW,
+            "follow_height": settings.height - _FOLLOW_BELOW,
             "time_limit": settings.time_limit,
             "camera_rate": settings.camera_rate,
             "film": str(settings.film).lower(),

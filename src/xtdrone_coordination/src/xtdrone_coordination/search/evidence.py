@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
 from .coverage import Point
@@ -74,11 +74,12 @@ class Candidate:
     Attributes:
         position, velocity, covariance: of the newest picture that showed him.
         seen_at: its time, s.
-        track: his id with each vehicle.
+        track: his id with each vehicle; of several tracks in one place the surest is he.
         hits, total: pictures that showed him and their probabilities' sum, by vehicle.
         status: ``seen``, ``looked at``, ``rejected`` or ``confirmed``.
         looked_by: vehicles that have had a second look.
         found: whether a second look has ever confirmed him.
+        weight: sum of the probabilities of each track that was taken for him, by vehicle and id.
     """
 
     position: Point
@@ -91,14 +92,27 @@ class Candidate:
     status: str = "seen"
     looked_by: set[str] = field(default_factory=set)
     found: bool = False
+    weight: dict[tuple[str, int], float] = field(default_factory=dict)
 
-    def see(self, vehicle: str, time: float, sighting: Sighting) -> None:
-        """Take a picture of a vehicle that shows him."""
+    def see(self, vehicle: str, time: float, sighting: Sighting, tracked: Collection[int] = ()) -> None:
+        """Take a picture of a vehicle that shows him.
+
+        Args:
+            vehicle: its name.
+            time: of the exposure, s.
+            sighting: what is taken for him.
+            tracked: all tracks that the vehicle's camera has.
+        """
+        self.hits[vehicle] = self.hits.get(vehicle, 0) + 1
+        self.total[vehicle] = self.total.get(vehicle, 0.0) + sighting.probability
+        mine = vehicle, sighting.id
+        self.weight[mine] = self.weight.get(mine, 0.0) + sighting.probability
+        known = self.track.get(vehicle, sighting.id)
+        if known in tracked and self.weight[vehicle, known] > self.weight[mine]:
+            return  # something beside him
         self.position, self.velocity, self.covariance = sighting.position, sighting.velocity, sighting.covariance
         self.seen_at = time
         self.track[vehicle] = sighting.id
-        self.hits[vehicle] = self.hits.get(vehicle, 0) + 1
-        self.total[vehicle] = self.total.get(vehicle, 0.0) + sighting.probability
 
     def place(self, time: float) -> Point:
         """Return where he is at a time, if he goes on as he was seen."""

@@ -30,7 +30,7 @@ finished       ``outcome`` (found, not found, failed), ``vehicle``, ``position``
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -309,7 +309,7 @@ class SearchMission:
         time: float,
         position: NDArray[np.float64],
         rotation: NDArray[np.float64],
-        sightings: Iterable[Sighting],
+        sightings: Sequence[Sighting],
         now: float,
     ) -> None:
         """Take what the detector says of a picture.
@@ -332,12 +332,15 @@ class SearchMission:
         assert vehicle.position is not None
         if vehicle.state is State.SEARCHING:
             vehicle.progress = (vehicle.seq, vehicle.position[:2])
-        followed = vehicle.following.track if vehicle.following is not None else 0
-        # The one who is followed last: where he is counts, not where somebody near him is.
-        ordered = sorted(sightings, key=lambda sighting: sighting.id == followed)
-        shown = {id(c): s.probability for s in ordered if (c := self._candidate(vehicle, time, s)) is not None}
-        if vehicle.following is not None and id(vehicle.following.candidate) in shown:
-            vehicle.following.seen = time
+        tracked = {sighting.id: sighting.probability for sighting in sightings}
+        shown: dict[int, float] = {}
+        for sighting in sightings:
+            candidate = self._candidate(vehicle, time, sighting, tracked)
+            if candidate is not None:
+                shown[id(candidate)] = max(shown.get(id(candidate), 0.0), sighting.probability)
+        following = vehicle.following
+        if following is not None and tracked.get(following.candidate.track.get(name, 0), 0.0) > 0.0:
+            following.seen = time
         look = vehicle.look
         if look is None or look.stage not in (Stage.DOWN, Stage.CIRCLE) or vehicle.state is not State.LOOKING:
             return
@@ -348,8 +351,17 @@ class SearchMission:
             if shows(self._camera, position, rotation, np.array([[x, y, self.settings.ground]]))[0]:
                 look.evidence.miss()
 
-    def _candidate(self, vehicle: Vehicle, time: float, sighting: Sighting) -> Candidate | None:
-        """Return whom a picture shows, None for what it does not show or nobody looks for."""
+    def _candidate(
+        self, vehicle: Vehicle, time: float, sighting: Sighting, tracked: Collection[int]
+    ) -> Candidate | None:
+        """Return whom a picture shows, None for what it does not show or nobody looks for.
+
+        Args:
+            vehicle: whose camera.
+            time: of the exposure, s.
+            sighting: one thing of the picture.
+            tracked: all tracks that the camera has.
+        """
         x, y = sighting.position
         if not sighting.probability > 0.0 or not (math.isfinite(x) and math.isfinite(y)):
             return None
@@ -363,7 +375,10 @@ class SearchMission:
                 return None
             found = Candidate(sighting.position, sighting.velocity, sighting.covariance, time)
             self.candidates.append(found)
-        found.see(vehicle.name, time, sighting)
+        beside = following is not None and found is following.candidate and sighting.id != following.track
+        if beside and following is not None and following.track in tracked:
+            return found
+        found.see(vehicle.name, time, sighting, tracked)
         hits = found.hits[vehicle.name]
         if hits == self.settings.candidate_hits and sum(found.hits.values()) == hits and found.status == "seen":
             probability = round(found.probability, 3)
