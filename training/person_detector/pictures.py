@@ -134,7 +134,7 @@ class Cropper:
     def add(self, picture: Picture, sprites: list[Sprite]) -> None:
         """Take a picture in; ``ready`` after the last one."""
         heights = picture.boxes[:, 3] - picture.boxes[:, 1]
-        picture.weights = np.where(picture.certain, np.where(heights < 22, 1.6, 1.0), 0.0)
+        picture.weights = np.where(picture.certain, np.where((heights < 22) | (heights > 36), 1.6, 1.0), 0.0)
         self.pictures.append(picture)
         self.sprites += sprites
 
@@ -150,7 +150,7 @@ class Cropper:
         """Return a picture and the middle of a crop in it."""
         random = self.random
         lot = random.random()
-        if self.hard and lot < 0.4 * self.negatives:
+        if self.hard and lot < 0.6 * self.negatives:
             index, x, y = self.hard[random.integers(len(self.hard))]
             jitter = 0.35 * self.size
             return self.pictures[index], x + random.uniform(-jitter, jitter), y + random.uniform(-jitter, jitter)
