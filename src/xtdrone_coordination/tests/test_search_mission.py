@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from search_world import Thing, World, decoy, person
 
@@ -213,6 +214,20 @@ def test_what_others_see_does_not_keep_a_follower_from_losing_the_person() -> No
     world.run(lambda w: w.named("follow_ended"))
     assert world.named("follow_ended")[0]["reason"] == "lost"
     assert world.time - begun == pytest.approx(4.0, abs=0.5)
+
+
+def test_what_the_camera_shows_before_it_is_pointed_does_not_count() -> None:
+    world = World(count=1)
+    name, body, first = "typhoon_h480_0", world[0], world.control.vehicles["typhoon_h480_0"].path[0][0]
+    level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    while body.seq < first:
+        world.step()
+        if world.state(0) is State.STARTING:
+            place = np.array([body.x, body.y, body.z])
+            world.control.on_picture(name, world.time - 0.01, place, level, [Sighting(1, (40.0, 3.0))], world.time)
+    assert body.z > 0.8 * world.control.vehicles[name].takeoff_height
+    assert (world.control.candidates, world.control.covered.fraction) == ([], 0.0)
+    world.run(lambda w: w.state(0) is State.SEARCHING, limit=world.time + 1.0)
 
 
 def test_a_path_that_climbs_is_flown() -> None:

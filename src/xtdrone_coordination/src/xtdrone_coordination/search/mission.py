@@ -326,8 +326,8 @@ class SearchMission:
         if time <= vehicle.picture:
             return  # a camera that hangs tells the same picture again
         vehicle.picture, vehicle.picture_heard = time, now
-        if not vehicle.flies:
-            return
+        if not vehicle.flies or vehicle.state is State.STARTING:
+            return  # its mission has not pointed the camera yet
         self.covered.see(position, rotation)
         assert vehicle.position is not None
         if vehicle.state is State.SEARCHING:
@@ -621,7 +621,8 @@ class SearchMission:
         if self._started_at is None:
             self._started_at = self._now
             self._tell("started", vehicles=list(self.vehicles))
-        if vehicle.position[2] - vehicle.home[2] >= 0.8 * vehicle.takeoff_height:
+        first = vehicle.path[0][0] if vehicle.path else 0
+        if vehicle.seq >= first and vehicle.position[2] - vehicle.home[2] >= 0.8 * vehicle.takeoff_height:
             vehicle.enter(State.SEARCHING, self._now)
 
     def _return(self, vehicle: Vehicle, reason: str) -> None:
