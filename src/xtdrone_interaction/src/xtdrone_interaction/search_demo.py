@@ -20,7 +20,7 @@ from xtdrone_interaction.search_report import make_report, print_report
 
 _START_LIMIT = 90.0  # wall s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
 _START_LIMIT_VEHICLE = 5.0
-_LOOK_BELOW, _FOLLOW_BELOW = 1.5, 1.0  # m from the lowest vehicle's height down to those of looks and following
+_LOOK_BELOW, _FOLLOW_BELOW = 2.5, 1.0  # m from the lowest vehicle's height down to those of looks and following
 
 
 @dataclass(frozen=True)
