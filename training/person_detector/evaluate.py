@@ -26,7 +26,7 @@ from xtdrone_perception.scoring import Scene, at_threshold, average_precision, b
 SETTINGS = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.yaml"
 LOWEST = 12.0  # px
 HIDDEN = 0.6
-LEAST = 0.05  # probability of the boxes that are looked at
+LEAST = 0.01  # probability of the boxes that are looked at
 BANDS = ((12.0, 20.0), (20.0, 40.0), (40.0, math.inf), (12.0, math.inf))
 
 
