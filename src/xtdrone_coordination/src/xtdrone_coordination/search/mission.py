@@ -103,7 +103,7 @@ class MissionSettings:
     gimbal_pitch: float = -60.0
     person_pixels: float = 12.0
     candidate_hits: int = 3
-    candidate_probability: float = 0.5
+    candidate_probability: float = 0.55
     same_place: float = 6.0
     margin: float = 5.0
     look_height: float = 9.5
@@ -114,7 +114,7 @@ class MissionSettings:
     look_apart: float = 30.0
     confirm_log_odds: float = 8.0
     confirm_hits: int = 5
-    confirm_probability: float = 0.5
+    confirm_probability: float = 0.62
     reject_log_odds: float = -8.0
     follow_time: float = 60.0
     lose_time: float = 8.0
