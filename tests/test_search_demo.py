@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import shutil
 import signal
@@ -98,11 +99,14 @@ def test_the_search_comes_to_its_end(flight: Flight) -> None:
     assert report["died"] == report["lost"] == report["collisions"] == [], flight.output
 
 
-def test_what_is_found_is_where_the_person_is(flight: Flight) -> None:
-    """Whether the detector sees this person is its own matter; a find of nobody is not."""
-    report = flight.report
+def test_the_report_knows_how_far_a_find_is_from_the_person(flight: Flight) -> None:
+    """Whom the detector takes for a person is its own matter; the report says it when that is nobody."""
+    record, report = flight.record, flight.report
     for find in report["finds"]:
-        assert find["error"] < 2.0, flight.output
+        x, y, _ = record.person_at("person_0", find["time"])
+        assert find["error"] == pytest.approx(math.hypot(find["position"][0] - x, find["position"][1] - y))
+    wrong = report["outcome"] == "found" and report["find"]["error"] > 2.0
+    assert any("is no person" in text for text in report["shortcomings"]) == wrong, flight.output
     if report["outcome"] == "not found":
         assert report["covered"]["fraction"] > 0.95, flight.output
 
