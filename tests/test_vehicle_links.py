@@ -47,7 +47,7 @@ def test_the_scene_is_told_at_exact_times(stack: Stack) -> None:
     assert stamps == sorted(set(stamps))
     last = scene.last
     assert last.header.frame_id == "map"
-    assert len(last.links) == len(last.poses) == 8
+    assert len(last.links) == len(last.poses) == 12
     height = last.poses[last.links.index(f"{NAME}::base_link")].position.z
     assert height == pytest.approx(0.18, abs=0.02), "it stands on its legs"
     assert last.poses[last.links.index(CAMERA)].position.z == pytest.approx(height - 0.122, abs=0.02)
@@ -77,11 +77,12 @@ def test_one_link_seen_from_another(stack: Stack) -> None:
     assert "'typhoon_h480_7::base_link' is not there; there are typhoon_h480_0::base_link" in refused.status_message
 
 
-def test_joint_states_are_those_of_the_gimbal(stack: Stack) -> None:
+def test_joint_states_are_those_of_gimbal_and_legs(stack: Stack) -> None:
     heard = stack.graph.hear(f"/{NAME}/joint_states", JointState)
     joints = stack.wait(lambda: heard.last, "joint_states come")
-    assert joints.name == ["cgo3_vertical_arm_joint", "cgo3_horizontal_arm_joint", "cgo3_camera_joint"]
-    assert joints.position == pytest.approx([0.0, 0.0, 0.0], abs=0.05)
+    gimbal, legs = ("vertical_arm", "horizontal_arm", "camera"), ("left", "right")
+    assert joints.name == [*(f"cgo3_{part}_joint" for part in gimbal), *(f"{side}_leg_joint" for side in legs)]
+    assert joints.position == pytest.approx([0.0] * 5, abs=0.05)
 
 
 def test_tf_leads_from_the_map_to_the_optical_frame(stack: Stack) -> None:

@@ -1,4 +1,4 @@
-"""Gimbals against the law that they keep, links against the poses that their URDF gives."""
+"""Gimbals against the law that they keep, links against the poses that their URDF gives, landing gears in flight."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from xtdrone_control.autopilot import modes
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.gimbal import Gimbals
+from xtdrone_sim.landing_gear import LandingGears
 from xtdrone_sim.links import Links
 from xtdrone_sim.plant import PLANT
 from xtdrone_sim.poses import compose, from_rpy, rotate
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicle_model import load_vehicle
+from xtdrone_sim.vehicle_model import ModelError, load_vehicle
 from xtdrone_sim.visual import Pose
 
 STEP = 0.004
@@ -32,6 +34,7 @@ class Rig:
         self.payload = SimpleNamespace(gimbal=(math.nan,) * 3, gimbal_attitude=None)
         self.gimbals = Gimbals([MODEL])
         self.links = Links(["typhoon_h480_0"], [MODEL])
+        self.gears = LandingGears([MODEL]).records
         self._commanders = [SimpleNamespace(navigator=SimpleNamespace(payload=self.payload))]
         self.turn(0.0, 0.0, 0.0)
 
@@ -45,7 +48,7 @@ class Rig:
             self.gimbals.step(step, self.plant, self._commanders, STEP)
 
     def camera(self) -> Pose:
-        state = self.links.place(self.plant, self.gimbals.records)[self.links.find(CAMERA)]
+        state = self.links.place(self.plant, self.gimbals.records, self.gears)[self.links.find(CAMERA)]
         w, x, y, z = state["q"].tolist()
         return Pose(tuple(state["position"].tolist()), (x, y, z, w))
 
@@ -151,7 +154,7 @@ def test_velocities_of_links_are_those_of_their_poses():
     rig.gimbals.records["joint"] = (0.5, -0.2, 0.9)
     rig.gimbals.records["joint_rate"] = (1.0, 0.5, -0.7)
     number = rig.links.find(CAMERA)
-    told = rig.links.place(rig.plant, rig.gimbals.records)[number].copy()
+    told = rig.links.place(rig.plant, rig.gimbals.records, rig.gears)[number].copy()
     before = rig.camera()
     dt = 1e-6
     rig.plant["position"] += dt * rig.plant["velocity"]
@@ -183,7 +186,7 @@ def test_links_of_a_mixed_fleet_and_of_a_fixed_camera(tmp_path: Path):
     plant = np.zeros(2, PLANT)
     plant["q"][:, 0] = 1.0
     plant["position"][1] = (5.0, 0.0, 2.0)
-    state = links.place(plant, Gimbals([MODEL, eyed]).records)[-1]
+    state = links.place(plant, Gimbals([MODEL, eyed]).records, LandingGears([MODEL, eyed]).records)[-1]
     np.testing.assert_allclose(state["position"], (5.0, 0.0, 1.95))
     w, x, y, z = state["q"].tolist()
     np.testing.assert_allclose(rotate((x, y, z, w), (1.0, 0.0, 0.0)), (0.0, 0.0, -1.0), atol=1e-9)
@@ -202,3 +205,54 @@ def test_the_simulation_turns_the_gimbal_and_tells_the_autopilot():
     simulation.run_until(20_000)
     assert simulation.commanders[1].navigator.payload.gimbal_attitude[1] == pytest.approx(0.0, abs=0.05)
     simulation.close()
+
+
+def test_legs_that_are_up_are_where_their_joints_turn_them():
+    rig = Rig()
+    rig.turn(0.2, -0.3, 0.7)
+    rig.gears["raised"], rig.gears["rate"] = 0.6, 0.5
+    states = rig.links.place(rig.plant, rig.gimbals.records, rig.gears)
+    body = Pose(orientation=from_rpy(0.2, -0.3, 0.7))
+    for name, side in (("left", 1.0), ("right", -1.0)):
+        joint = MODEL.urdf.joint(f"{name}_leg_joint")
+        angle = 0.6 * joint.upper * side
+        wanted = compose(compose(body, joint.pose), Pose(orientation=from_rpy(angle, 0.0, 0.0)))
+        state = states[rig.links.find(f"typhoon_h480_0::{name}_leg")]
+        np.testing.assert_allclose(state["position"], wanted.position, atol=1e-12)
+        w, x, y, z = state["q"].tolist()
+        assert abs(np.dot((x, y, z, w), wanted.orientation)) == pytest.approx(1.0, abs=1e-12)
+        turn = rotate(body.orientation, (0.5 * joint.upper * side, 0.0, 0.0))
+        np.testing.assert_allclose(state["spin"], turn, atol=1e-12)
+
+
+def _raised(simulation: Simulation) -> float:
+    return float(simulation.landing_gears.records["raised"][0])
+
+
+def test_the_landing_gear_is_up_in_flight_and_down_to_land():
+    """As PX4 has it: up in AUTO modes from 2 m above home on, down as soon as it lands, else left alone."""
+    simulation = Simulation(parse_fleet("typhoon_h480:1"), seed=2)
+    commander = simulation.commanders[0]
+    commander.parameters.set("MIS_TAKEOFF_ALT", 6.0)
+    simulation.run_until(8_000_000)
+    commander.request(modes.AUTO_TAKEOFF)
+    commander.arm_disarm(True)
+    plant = simulation.world.plant
+    while plant["position"][0, 2] < 1.8:
+        simulation.run_until(simulation.time_us + 100_000)
+        assert _raised(simulation) == 0.0
+        assert simulation.time_us < 30_000_000, "it does not take off"
+    simulation.run_until(simulation.time_us + 6_000_000)
+    assert _raised(simulation) == 1.0
+    commander.request(modes.AUTO_LAND)
+    simulation.run_until(simulation.time_us + 2_500_000)
+    assert _raised(simulation) == 0.0
+    assert plant["position"][0, 2] > 0.5, "down before it is on the ground"
+    simulation.close()
+
+
+@pytest.mark.parametrize("joints", ["left_leg_joint", [7], ["rotor_0_joint"], ["cgo3_vertical_arm_joint"]])
+def test_a_landing_gear_of_other_joints_is_refused(tmp_path: Path, joints):
+    (tmp_path / "odd.yaml").write_text(f"extends: typhoon_h480\nlanding_gear: {joints}\n")
+    with pytest.raises(ModelError, match=r"landing_gear: .*(not allowed|not there)"):
+        load_vehicle(str(tmp_path / "odd.yaml"))

@@ -110,7 +110,8 @@ def test_typhoon_is_fitted_as_upstream():
     assert model.record["rotor_count"] == 6
     assert model.record["mass"] == pytest.approx(2.02 + 0.4 + 0.2 + 6 * 0.005)
     names = [link.name for link in model.urdf.moving]
-    assert names == ["base_link", "cgo3_vertical_arm_link", "cgo3_horizontal_arm_link", "cgo3_camera_link"]
+    legs, gimbal = ["left_leg", "right_leg"], ["vertical_arm", "horizontal_arm", "camera"]
+    assert names == ["base_link", *legs, *(f"cgo3_{part}_link" for part in gimbal)]
     for i, place in enumerate(model.record["rotor_position"][:6]):  # what is seen of a rotor is where it pulls
         np.testing.assert_allclose(model.urdf.joint(f"rotor_{i}_joint").pose.position, place)
 

@@ -1,4 +1,4 @@
-"""Where the moving links of all vehicles are: bodies, what gimbals turn, and cameras."""
+"""Where the moving links of all vehicles are: bodies, what gimbals turn, legs, and cameras."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from xtdrone_control.autopilot.rotation import exponential, multiply, rotate
 from .kernel import kernel
 from .mounts import GimbalMount
 from .poses import compose
+from .poses import rotate as rotate_by
 from .vehicle_model import VehicleModel
-from .visual import Pose
+from .visual import Pose, Vector
 
 _BODY = -1  # as parent: the vehicle's own body
 _STILL = -1  # as joint: not turned by the gimbal
@@ -24,8 +25,9 @@ _TABLE = np.dtype(
         ("parent", "i8"),  # entry, or _BODY where this is it
         ("position", "f8", 3),  # m, parent's frame, joint at 0
         ("q", "f8", 4),  # (w, x, y, z)
-        ("axis", "f8", 3),  # of the joint, turned by ``q`` already
+        ("axis", "f8", 3),  # of the joint, parent's frame
         ("joint", "i8"),  # of the gimbal: 0 yaw, 1 roll, 2 pitch, or _STILL
+        ("raised", "f8"),  # rad: the angle of a landing gear's joint when it is up, else 0
     ],
     align=True,
 )
@@ -44,8 +46,8 @@ _AXES = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))  # of the gimbal's j
 
 
 @kernel
-def place_all(links, table, plant, gimbals):
-    """Fill ``links`` (m,) ``LINK`` of ``table`` (m,) ``_TABLE`` from the vehicles' and gimbals' records (n,)."""
+def place_all(links, table, plant, gimbals, gears):
+    """Fill ``links`` (m,) ``LINK`` of ``table`` (m,) ``_TABLE`` from vehicles', gimbals' and gears' records (n,)."""
     for i in range(table.shape[0]):
         t, link = table[i], links[i]
         v = plant[t.vehicle]
@@ -62,11 +64,13 @@ def place_all(links, table, plant, gimbals):
         arm = rotate(parent.q, t.position[0], t.position[1], t.position[2])
         axis = rotate(parent.q, t.axis[0], t.axis[1], t.axis[2])
         q = multiply(parent.q, t.q)
-        rate = 0.0
+        angle, rate = 0.0, 0.0
         if t.joint >= 0:
             g = gimbals[t.vehicle]
-            angle = g.joint[t.joint]
-            rate = g.joint_rate[t.joint]
+            angle, rate = g.joint[t.joint], g.joint_rate[t.joint]
+        elif t.raised != 0.0:
+            angle, rate = t.raised * gears[t.vehicle].raised, t.raised * gears[t.vehicle].rate
+        if angle != 0.0:
             q = multiply(exponential(axis[0] * angle, axis[1] * angle, axis[2] * angle), q)
         px, py, pz = parent.spin[0], parent.spin[1], parent.spin[2]
         sweep = (py * arm[2] - pz * arm[1], pz * arm[0] - px * arm[2], px * arm[1] - py * arm[0])
@@ -101,7 +105,10 @@ class Links:
             entry: dict[str, int] = {}
             for link, parent, pose, joint in _entries(model):
                 entry[link] = len(rows)
-                rows.append(_row(vehicle, _BODY if parent is None else entry[parent], pose, joint))
+                raised, axis = _gear_joint(model, link, pose) if joint == _STILL else (0.0, _AXES[joint])
+                x, y, z, w = pose.orientation
+                above = _BODY if parent is None else entry[parent]
+                rows.append((vehicle, above, pose.position, (w, x, y, z), axis, joint, raised))
                 self.names.append(f"{name}::{link}")
                 self.vehicles.append(vehicle)
         self._table = np.array(rows, _TABLE)
@@ -110,17 +117,18 @@ class Links:
             self._numbers.setdefault(name, self._numbers[f"{name}::{model.urdf.root}"])
         self.states = np.zeros(len(rows), LINK)
 
-    def place(self, plant: NDArray[np.void], gimbals: NDArray[np.void]) -> NDArray[np.void]:
+    def place(self, plant: NDArray[np.void], gimbals: NDArray[np.void], gears: NDArray[np.void]) -> NDArray[np.void]:
         """Return where all links are.
 
         Args:
             plant: (n,) ``PLANT``.
             gimbals: (n,) ``gimbal.GIMBAL``.
+            gears: (n,) ``landing_gear.GEAR``.
 
         Returns:
             (m,) ``LINK``, the same array at every call.
         """
-        place_all(self.states, self._table, plant, gimbals)
+        place_all(self.states, self._table, plant, gimbals, gears)
         return self.states
 
     def find(self, name: str) -> int | None:
@@ -151,7 +159,9 @@ def _gimbal_joint(gimbal: GimbalMount | None, name: str) -> int:
     return names.index(name) if name in names else _STILL
 
 
-def _row(vehicle: int, parent: int, pose: Pose, joint: int) -> tuple[object, ...]:
-    x, y, z, w = pose.orientation
-    axis = _AXES[joint] if joint != _STILL else (0.0, 0.0, 0.0)
-    return vehicle, parent, pose.position, (w, x, y, z), axis, joint
+def _gear_joint(model: VehicleModel, link: str, pose: Pose) -> tuple[float, Vector]:
+    """Return angle when up (rad) and axis (parent's frame) of a link's joint of the landing gear; 0 for all others."""
+    for joint in model.landing_gear:
+        if joint.child == link:
+            return joint.upper, rotate_by(pose.orientation, joint.axis)
+    return 0.0, (0.0, 0.0, 0.0)

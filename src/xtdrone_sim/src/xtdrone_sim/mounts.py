@@ -1,4 +1,4 @@
-"""Cameras and gimbals that a vehicle's YAML fits to the links and joints of its URDF."""
+"""Cameras, gimbals and landing gears that a vehicle's YAML fits to the links and joints of its URDF."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ALIGNED = 1e-6
 
 
 class MountError(ValueError):
-    """A camera or gimbal that cannot be used; the text names field, value and what is allowed."""
+    """A camera, gimbal or landing gear that cannot be used; the text names field, value and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +128,34 @@ def read_gimbal(gimbal: Any, urdf: Description) -> GimbalMount | None:
                 f"gimbal: joint {inner.name!r} is not allowed on link {inner.parent!r}, on {outer.child!r}"
             )
     return GimbalMount((yaw, roll, pitch), (signs[0], signs[1], signs[2]), rate)
+
+
+def read_landing_gear(joints: Any, urdf: Description) -> tuple[Joint, ...]:
+    """Return the joints of a YAML's list ``landing_gear:``: at 0 the vehicle stands on them, at their upper limits they
+    are out of the camera's way.
+
+    Args:
+        joints: their names; None for a vehicle whose legs do not move.
+        urdf: the vehicle's joints.
+
+    Raises:
+        MountError: no list, or a joint that is not there or has no limits of angle and speed.
+    """
+    if not isinstance(joints or [], list):
+        raise MountError(f"landing_gear: {joints!r} is not allowed, a list of joints")
+    found = []
+    for name in joints or []:
+        try:
+            joint = urdf.joint(str(name))
+        except UrdfError as error:
+            raise MountError(f"landing_gear: {error}") from error
+        if joint.kind != "revolute" or not (0.0 < joint.upper < math.inf and 0.0 < joint.velocity < math.inf):
+            raise MountError(
+                f"landing_gear: joint {joint.name!r} of type {joint.kind}, upper {joint.upper:g}, velocity "
+                f"{joint.velocity:g} is not allowed, revolute with limits above 0"
+            )
+        found.append(joint)
+    return tuple(found)
 
 
 def _sign(joint: Joint, name: str, urdf: Description) -> float:

@@ -20,7 +20,7 @@ def main() -> None:
         simulation.autopilot.failures["motor"][0, 0] = FAILURE_SLOW
         simulation.run_until(round(seconds * 1e6))
         links = Links([vehicle.name for vehicle in simulation.fleet], simulation.models)
-        links.place(simulation.world.plant, simulation.gimbals.records)
+        links.place(simulation.world.plant, simulation.gimbals.records, simulation.landing_gears.records)
         simulation.close()
     for network in (None, _POOR):
         swarm = Swarm(9, network=network)

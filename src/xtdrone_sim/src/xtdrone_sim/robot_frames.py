@@ -42,7 +42,8 @@ class RobotFrames:
             model: its type.
         """
         urdf = model.urdf
-        told = {joint.name for joint in model.gimbal.joints} if model.gimbal else set()
+        gimbal = model.gimbal.joints if model.gimbal else ()
+        told = {joint.name for joint in (*gimbal, *model.landing_gear)}
         self.body = f"{name}/{urdf.root}"
         self._name = name
         self._turning = {joint.name: joint for joint in urdf.joints if joint.kind != FIXED and joint.name in told}

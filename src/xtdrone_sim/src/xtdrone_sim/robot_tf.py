@@ -50,7 +50,7 @@ class RobotTf:
             fixed += [transform(frame, rospy.Time()) for frame in frames.fixed]
             pose_topic = f"/{name}/mavros/local_position/pose"
             lockstep.Subscriber(pose_topic, PoseStamped, partial(self._on_pose, frames.body))
-            if model.gimbal is not None:
+            if model.gimbal is not None or model.landing_gear:
                 lockstep.Subscriber(f"/{name}/joint_states", JointState, partial(self._on_joints, frames))
         self._static.publish(TFMessage(fixed))
 

@@ -3,7 +3,7 @@
 =========================  ===========================  =================================================
 /xtdrone/scene             xtdrone_msgs/SceneState      what cameras see move; 50 Hz of simulated time
 /gazebo/link_states        gazebo_msgs/LinkStates       the same links, with velocities; 50 Hz
-/VEHICLE/joint_states      sensor_msgs/JointState       of the gimbal, where there is one; 50 Hz
+/VEHICLE/joint_states      sensor_msgs/JointState       of gimbal and landing gear, if any; 50 Hz
 /gazebo/get_link_state     gazebo_msgs/GetLinkState     one link, seen from another one or from the world
 =========================  ===========================  =================================================
 """
@@ -62,7 +62,7 @@ class SceneTopics:
         self._joints = [
             (i, lockstep.Publisher(f"/{name}/joint_states", JointState))
             for i, (name, model) in enumerate(zip(names, simulation.models, strict=True))
-            if model.gimbal is not None
+            if model.gimbal is not None or model.landing_gear
         ]
         self._publishers = [self._scene, self._states, *(publisher for _, publisher in self._joints)]
         self._published_us = -1
@@ -93,7 +93,7 @@ class SceneTopics:
 
     def _place(self) -> np.ndarray:
         simulation = self._simulation
-        return self._links.place(simulation.world.plant, simulation.gimbals.records)
+        return self._links.place(simulation.world.plant, simulation.gimbals.records, simulation.landing_gears.records)
 
     def _publish_links(self, header: Header) -> None:
         states = self._place()
@@ -110,12 +110,20 @@ class SceneTopics:
             self._states.publish(LinkStates(names, [still, *poses], [Twist(), *twists]))
 
     def _joint_state(self, vehicle: int, header: Header) -> JointState:
-        gimbal = self._simulation.models[vehicle].gimbal
-        assert gimbal is not None
-        record = self._simulation.gimbals.records[vehicle]
-        signs = np.array(gimbal.signs)
-        names = [joint.name for joint in gimbal.joints]
-        angles, rates = (signs * record["joint"]).tolist(), (signs * record["joint_rate"]).tolist()
+        simulation, model = self._simulation, self._simulation.models[vehicle]
+        names: list[str] = []
+        angles: list[float] = []
+        rates: list[float] = []
+        if model.gimbal is not None:
+            record = simulation.gimbals.records[vehicle]
+            signs = np.array(model.gimbal.signs)
+            names += [joint.name for joint in model.gimbal.joints]
+            angles += (signs * record["joint"]).tolist()
+            rates += (signs * record["joint_rate"]).tolist()
+        gear = simulation.landing_gears.records[vehicle]
+        names += [joint.name for joint in model.landing_gear]
+        angles += [joint.upper * float(gear["raised"]) for joint in model.landing_gear]
+        rates += [joint.upper * float(gear["rate"]) for joint in model.landing_gear]
         return JointState(Header(stamp=header.stamp), names, angles, rates, [])
 
     def _get_link_state(self, request: Any) -> GetLinkStateResponse:

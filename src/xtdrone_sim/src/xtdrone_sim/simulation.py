@@ -15,6 +15,7 @@ from xtdrone_control.fleet import Vehicle, spawn_grid
 
 from .autopilots import AutopilotsFactory, Builtin
 from .gimbal import Gimbals
+from .landing_gear import LandingGears
 from .sensors import Sensors
 from .vehicle_model import load_vehicle
 from .world import World, load_world
@@ -28,6 +29,7 @@ class Simulation:
         models: one a vehicle.
         world: bodies; ``world.plant`` is the truth.
         gimbals: what holds their cameras.
+        landing_gears: what they stand on.
         autopilots: who flies them.
         time_us: simulated time, microseconds.
         step_us: one step.
@@ -80,6 +82,7 @@ class Simulation:
         self.autopilots.begin(self.world, time_us)
         self.sensors = Sensors(self.world, self.autopilot, self._seed)
         self.gimbals = Gimbals(self.models)
+        self.landing_gears = LandingGears(self.models)
         self._steps = 0
 
     @property
@@ -104,13 +107,14 @@ class Simulation:
         self.autopilots.step()
         if self.gimbals.any:
             self.gimbals.step(self._steps, self.world.plant, self.commanders, self.world.time_step)
+        self.landing_gears.step(self._steps, self.commanders, self.world.time_step)
         self._steps += 1
 
     def restart(self, time_us: int = 0) -> None:
         """Put the fleet back to its start: spawn places, disarmed, estimators, modes and noise from the beginning.
 
         Parameters that were changed stay changed, as they do when an autopilot is rebooted. ``world``, ``autopilot``,
-        ``sensors``, ``gimbals`` and ``commanders`` are new objects.
+        ``sensors``, ``gimbals``, ``landing_gears`` and ``commanders`` are new objects.
 
         Args:
             time_us: simulated time from which it goes on, microseconds; a multiple of ``step_us``. From 0 the same

@@ -19,9 +19,9 @@ from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
 
 from .battery import BatteryModel
-from .mounts import CameraMount, GimbalMount, MountError, read_cameras, read_gimbal
+from .mounts import CameraMount, GimbalMount, MountError, read_cameras, read_gimbal, read_landing_gear
 from .package_files import CONFIG, MODELS
-from .urdf import Description, Link, UrdfError, read_urdf
+from .urdf import Description, Joint, Link, UrdfError, read_urdf
 from .visual import Box, Collision, Visual
 
 __all__ = [
@@ -128,6 +128,7 @@ class VehicleModel:
         urdf: its links and joints; the root is the body, with the centre of mass in its origin, x ahead, z up.
         cameras: what it sees with.
         gimbal: what holds a camera; None: no gimbal is fitted.
+        landing_gear: joints that are at 0 on the ground and at their upper limits in flight.
     """
 
     name: str
@@ -138,6 +139,7 @@ class VehicleModel:
     assumed_layout: RotorLayout | None = None
     cameras: tuple[CameraMount, ...] = ()
     gimbal: GimbalMount | None = None
+    landing_gear: tuple[Joint, ...] = ()
 
     @property
     def rotor_layout(self) -> RotorLayout:
@@ -251,13 +253,14 @@ def load_vehicle(name: str) -> VehicleModel:
         assumed = _assumed_layout(record, description.get("control_allocation"))
         cameras = read_cameras(description.get("cameras"), urdf)
         gimbal = read_gimbal(description.get("gimbal"), urdf)
+        gear = read_landing_gear(description.get("landing_gear"), urdf)
     except (KeyError, TypeError) as error:
         raise ModelError(f"vehicle {name!r}: field {error} is missing or of the wrong kind") from error
     except (MountError, UrdfError) as error:
         raise ModelError(f"vehicle {name!r}: {error}") from error
     parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
     battery = _battery(description.get("battery", {}))
-    return VehicleModel(Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal)
+    return VehicleModel(Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear)
 
 
 def _description(description: dict[str, Any], folder: Path) -> Description:

@@ -43,6 +43,7 @@ _CHECK_INTERVAL_US = 1_000_000
 _OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
 _THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # of the stick, above and below which arming looks at it
 _STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 3, 4, 5, 8, 0  # MAV_STATE
+_GEAR_HEIGHT = 2.0  # m above home
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
 CommandListener = Callable[[int, Sequence[float], tuple[int, int], int | None], None]
@@ -65,6 +66,7 @@ class Commander(FlightCommands):
         on_command: called with each MAV_CMD that has come, when it is not None: number, parameters 1 to 7, sender
             (system, component), MAV_RESULT or None where there is no answer. The logger.
         rebooting: a reboot was asked for; whoever holds the commander carries it out.
+        gear_up: whether the landing gear, if there is one, is to be up.
         armed: whether it is armed; motors run unless it has been killed or terminated.
         flights: how often it has been armed and disarmed.
     """
@@ -95,6 +97,7 @@ class Commander(FlightCommands):
         self.on_command: CommandListener | None = None
         self.rebooting = False
         self.armed = False
+        self.gear_up = False
         self.flights = 0
         self._mode = modes.AUTO_LOITER  # what was asked for
         self._mode_after_disarming = modes.AUTO_LOITER
@@ -572,9 +575,18 @@ class Commander(FlightCommands):
             self._checks.follow_innovations()
         take_over = self._look_at_sticks()
         self._decide(sticks=take_over, flags=flags)
+        self._move_gear()
         self._tell_checks(flags)
         if self.armed:
             self._go_on()
+
+    def _move_gear(self) -> None:
+        """Have the landing gear up in AUTO modes well above home and down to land, else as it is (FlightTaskAuto)."""
+        if self.landed_state in (_ON_GROUND, _LANDING):
+            self.gear_up = False
+        elif self._flown.auto and self.home is not None:
+            height = self.home.position[2] - self.view.position[2]
+            self.gear_up = self.gear_up or height > _GEAR_HEIGHT
 
     def _go_on(self) -> None:
         """Let pilot and navigator go on with the mode that is flown."""
