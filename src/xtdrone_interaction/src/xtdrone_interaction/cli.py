@@ -54,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
     commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
     commands.add_parser("gcs", help="plans to vehicles and back, as a ground station (own options: gcs --help)")
+    commands.add_parser("analyse", help="report and pictures of any bag (own options: analyse --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
     commands.add_parser("sweep", help="fly a study over parameters and seeds (own options: sweep --help)")
     commands.add_parser("compare-px4", help="fly our autopilot beside recorded flights of a real PX4")
@@ -158,6 +159,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from xtdrone_interaction.compare_px4 import main as compare_px4
 
         return compare_px4.main(arguments[1:])
+    if arguments[:1] == ["analyse"]:
+        from xtdrone_interaction.analysis import command as analysis
+
+        return analysis.main(arguments[1:])
     if arguments[:1] == ["bench"]:
         from xtdrone_interaction import bench
 

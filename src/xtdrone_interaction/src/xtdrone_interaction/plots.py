@@ -34,7 +34,7 @@ _MAX_PANELS = 3  # formations side by side
 _LEAST_ERROR = 1e-3  # m; simplified vehicles know exactly where they are
 _LEADER_COLOUR = "black"
 _MAX_NAME = 120  # characters of a file's name
-_STYLE = {
+STYLE: dict[str, Any] = {
     "font.size": 9,
     "axes.titlesize": 10,
     "axes.grid": True,
@@ -52,7 +52,7 @@ def save_plots(record: FlightRecord, folder: str | Path) -> list[Path]:
     Raises:
         RecordError: there is nothing to draw.
     """
-    return save_figures(_figures(record), folder)
+    return save_figures(figures(record), folder)
 
 
 def save_figures(figures: Iterable[tuple[str, Figure]], folder: str | Path) -> list[Path]:
@@ -63,21 +63,22 @@ def save_figures(figures: Iterable[tuple[str, Figure]], folder: str | Path) -> l
         folder: where they go.
     """
     paths = []
-    with plt.rc_context(_STYLE):
+    with plt.rc_context(STYLE):
         for name, figure in figures:
-            paths.append(Path(folder) / _file_name(name))
+            paths.append(Path(folder) / file_name(name))
             figure.savefig(paths[-1], dpi=DPI)
             plt.close(figure)
     return paths
 
 
-def _file_name(name: str) -> str:
+def file_name(name: str) -> str:
     """A name that every file system takes: names of patterns may hold words and paths."""
     stem, dot, ending = name.rpartition(".")
     return re.sub(r"[^\w.+-]+", "-", stem)[:_MAX_NAME] + dot + ending
 
 
-def _figures(record: FlightRecord) -> Iterator[tuple[str, Figure]]:
+def figures(record: FlightRecord) -> Iterator[tuple[str, Figure]]:
+    """Yield all pictures of ``record``, each with its file's name, drawn as they are asked for."""
     before = None
     for number, window in enumerate(record.windows):
         if before is not None:

@@ -1,0 +1,376 @@
+"""Takes fields out of many raw ROS 1 messages at once, by the definition that came with them.
+
+A message lies in memory as its fields in order, little-endian, without gaps; a text or a list begins with its length.
+So all messages of a batch are walked through together: fixed stretches are taken as one record each, texts and lists
+are stepped over by their lengths. Only lists of things whose own length varies (but texts) cannot be walked through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+Rows = NDArray[np.int64]
+
+_DTYPES = {
+    "bool": "u1",
+    "byte": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "uint16": "<u2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "int64": "<i8",
+    "uint64": "<u8",
+    "float32": "<f4",
+    "float64": "<f8",
+}
+HEADER = "std_msgs/msg/Header"
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+
+
+class LayoutError(ValueError):
+    """A definition of a message that makes no sense."""
+
+
+@dataclass
+class Fixed:
+    """Fields of a fixed size, one behind the other.
+
+    Attributes:
+        fields: path, number's type, how many (1, or the length of an array).
+    """
+
+    fields: list[tuple[str, str, int]] = field(default_factory=list)
+
+    def dtype(self) -> np.dtype[Any]:
+        """Return all of them as a packed record."""
+        return np.dtype([(path, kind) if count == 1 else (path, kind, (count,)) for path, kind, count in self.fields])
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text."""
+
+    path: str
+
+
+@dataclass(frozen=True)
+class Texts:
+    """A list of texts; ``count`` of them, or as many as the message says for 0."""
+
+    path: str
+    count: int
+
+
+@dataclass(frozen=True)
+class List:
+    """A list, of a length that the message says, of records of a fixed size."""
+
+    path: str
+    item: Fixed
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What cannot be walked through, with all behind it."""
+
+    path: str
+
+
+Part = Fixed | Text | Texts | List | Unknown
+
+
+@dataclass(frozen=True)
+class Span:
+    """Where a text or a list lies in each message.
+
+    Attributes:
+        start: first byte of the content, shape (n,).
+        count: bytes of the text, or entries of the list, shape (n,).
+        end: behind it, shape (n,).
+    """
+
+    start: Rows
+    count: Rows
+    end: Rows
+
+
+class Layout:
+    """How messages of one type lie in memory.
+
+    Attributes:
+        type: as ``geometry_msgs/msg/PoseStamped``.
+        store: knows the types of one bag's connection.
+        parts: in order.
+    """
+
+    def __init__(self, type_name: str, definition: str) -> None:
+        """Read a definition, as bags have it: with those of all types that it needs.
+
+        Raises:
+            LayoutError: it makes no sense.
+        """
+        self.type = type_name if "/msg/" in type_name else type_name.replace("/", "/msg/")
+        try:
+            self.store = get_typestore(Stores.EMPTY)
+            self.store.register(get_types_from_msg(definition, self.type))
+            self.parts = list(_merged(_walk(self.store, self.type, "")))
+        except Exception as error:  # the parser of definitions raises many kinds
+            raise LayoutError(f"definition of {type_name!r}: {error}") from error
+
+    @classmethod
+    def of_store(cls, type_name: str, store: Typestore) -> Layout:
+        """Return the layout of a type that a store knows."""
+        made = cls.__new__(cls)
+        made.type, made.store = type_name, store
+        made.parts = list(_merged(_walk(store, type_name, "")))
+        return made
+
+    @property
+    def fields(self) -> dict[str, tuple[str, int]]:
+        """Numbers outside of lists by path: number's type and how many."""
+        fixed = [part for part in self.parts if isinstance(part, Fixed)]
+        return {path: (kind, count) for part in fixed for path, kind, count in part.fields}
+
+    @property
+    def texts(self) -> list[str]:
+        """Paths of the texts."""
+        return [part.path for part in self.parts if isinstance(part, Text)]
+
+    @property
+    def stamped(self) -> bool:
+        """Whether messages begin with a header."""
+        return all(path in self.fields for path in STAMP)
+
+    @property
+    def walkable(self) -> bool:
+        """Whether all can be walked through."""
+        return not any(isinstance(part, Unknown) for part in self.parts)
+
+    def decode(self, data: NDArray[np.uint8], offset: Rows, length: Rows, wanted: Collection[str]) -> Decoded:
+        """Take fields out of messages.
+
+        Args:
+            data: bytes, shape (m,).
+            offset: where each message begins, shape (n,).
+            length: bytes of each, shape (n,).
+            wanted: paths.
+
+        Returns:
+            What was found; messages that are shorter than they say, or longer, are left out.
+        """
+        kept = np.arange(len(offset))
+        at, end = offset, offset + length
+        found: dict[str, Any] = {}
+
+        def keep(good: NDArray[np.bool_]) -> None:
+            nonlocal kept, at, end
+            kept, at, end = kept[good], at[good], end[good]
+            for path, value in found.items():
+                found[path] = Span(*(v[good] for v in vars(value).values())) if isinstance(value, Span) else value[good]
+
+        def count_at(entry: int) -> Rows:
+            nonlocal at
+            if not (good := at + 4 <= end).all():
+                keep(good)
+            count = _records(data, at, np.dtype("<u4")).astype(np.int64)
+            at = at + 4
+            if not (good := at + count * entry <= end).all():
+                keep(good)
+                count = count[good]
+            return count
+
+        for part in self.parts:
+            if isinstance(part, Unknown) or not len(at):
+                break
+            if isinstance(part, Fixed):
+                record = part.dtype()
+                if not (good := at + record.itemsize <= end).all():
+                    keep(good)
+                if any(path in wanted for path, _, _ in part.fields):
+                    values = _records(data, at, record)
+                    found |= {path: values[path] for path, _, _ in part.fields if path in wanted}
+                at = at + record.itemsize
+                continue
+            if isinstance(part, Texts):
+                number = np.full(len(at), part.count) if part.count else count_at(4)
+                start = at
+                for i in range(int(number.max(initial=0))):
+                    more = number > i
+                    good = ~more | (at + 4 <= end)
+                    size = np.zeros(len(at), np.int64)
+                    taken = more & good
+                    size[taken] = _records(data, at[taken], np.dtype("<u4"))
+                    good &= at + 4 * more + size <= end
+                    at = at + 4 * more + size
+                    if not good.all():
+                        keep(good)
+                        number, start = number[good], start[good]
+            else:
+                entry = 1 if isinstance(part, Text) else part.item.dtype().itemsize
+                number = count_at(entry)
+                start = at
+                at = at + number * entry
+            if part.path in wanted:
+                found[part.path] = Span(start, number, at)
+        else:
+            if not (good := at == end).all():
+                keep(good)
+        if not len(kept):
+            found = {}
+        return Decoded(data, kept, found)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """Fields of many messages.
+
+    Attributes:
+        data: the bytes that they were taken from.
+        kept: which of the messages were whole, as rows, shape (n,).
+        found: by path: numbers, shape (n,) or (n, k), or where a text or list lies.
+    """
+
+    data: NDArray[np.uint8]
+    kept: Rows
+    found: dict[str, Any]
+
+    def numbers(self, paths: Collection[str]) -> NDArray[np.float64]:
+        """Return fields side by side, shape (n, k)."""
+        values = np.empty((len(self.kept), len(paths)))
+        for column, path in enumerate(paths):
+            values[:, column] = self.found[path] if len(self.kept) else 0.0
+        return values
+
+    def stamps(self) -> NDArray[np.int64]:
+        """Return the headers' stamps, ns, shape (n,)."""
+        if not len(self.kept):
+            return np.empty(0, np.int64)
+        return self.found[STAMP[0]].astype(np.int64) * 1_000_000_000 + self.found[STAMP[1]].astype(np.int64)
+
+    def texts(self, path: str) -> list[str]:
+        """Return a text of each message."""
+        if not len(self.kept):
+            return []
+        span: Span = self.found[path]
+        if (span.count == span.count[0]).all():  # the same most often, like the same mode or frame
+            size = int(span.count[0])
+            if not size:
+                return [""] * len(span.start)
+            raw = _records(self.data, span.start, np.dtype(f"V{size}"))
+            unique, which = np.unique(raw.view(f"S{size}").reshape(-1), return_inverse=True)
+            words = [bytes(word).decode(errors="replace") for word in unique]
+            return [words[i] for i in which.tolist()]
+        ends = span.start + span.count
+        return [
+            self.data[start:end].tobytes().decode(errors="replace")
+            for start, end in zip(span.start.tolist(), ends.tolist(), strict=True)
+        ]
+
+    def entries(self, path: str, item: Fixed) -> list[NDArray[Any]]:
+        """Return a list's records of each message."""
+        if not len(self.kept):
+            return []
+        span: Span = self.found[path]
+        record = item.dtype()
+        return [
+            np.frombuffer(self.data, record, int(count), int(start)) if count else np.empty(0, record)
+            for start, count in zip(span.start.tolist(), span.count.tolist(), strict=True)
+        ]
+
+    def text_lists(self, path: str) -> list[tuple[str, ...]]:
+        """Return a list of texts of each message."""
+        if not len(self.kept):
+            return []
+        span: Span = self.found[path]
+        known: dict[bytes, tuple[str, ...]] = {}
+        lists = []
+        for start, end, count in zip(span.start.tolist(), span.end.tolist(), span.count.tolist(), strict=True):
+            raw = self.data[start:end].tobytes()
+            if raw not in known:
+                known[raw] = _split(raw, count)
+            lists.append(known[raw])
+        return lists
+
+
+def records_at(data: NDArray[np.uint8], at: Rows, record: np.dtype[Any]) -> NDArray[Any]:
+    """Return the records that begin at bytes ``at``, of any shape; all must lie within ``data``."""
+    return _records(data, at, record)
+
+
+def _records(data: NDArray[np.uint8], at: Rows, record: np.dtype[Any]) -> NDArray[Any]:
+    if not at.size:
+        return np.empty(at.shape, record)
+    everywhere: NDArray[Any] = np.ndarray((len(data) - record.itemsize + 1,), record, data, strides=(1,))
+    return everywhere[at]
+
+
+def _split(raw: bytes, count: int) -> tuple[str, ...]:
+    texts, at = [], 0
+    for _ in range(count):
+        size = int.from_bytes(raw[at : at + 4], "little")
+        texts.append(raw[at + 4 : at + 4 + size].decode(errors="replace"))
+        at += 4 + size
+    return tuple(texts)
+
+
+def _walk(store: Typestore, type_name: str, prefix: str) -> Iterator[Part]:
+    """Yield the parts of a type."""
+    for name, (node, what) in store.fielddefs[type_name][1]:
+        path = f"{prefix}{name}"
+        if node == Nodetype.NAME:
+            yield from _walk(store, str(what), f"{path}.")
+        elif node == Nodetype.BASE:
+            yield _base(path, what[0])
+        else:
+            yield from _several(store, path, what, fixed=node == Nodetype.ARRAY)
+
+
+def _base(path: str, kind: Any) -> Part:
+    return Text(path) if kind == "string" else Fixed([(path, _DTYPES[str(kind)], 1)])
+
+
+def _several(store: Typestore, path: str, what: Any, *, fixed: bool) -> Iterator[Part]:
+    """Yield the parts of an array or a list."""
+    (node, inner), count = what
+    if node == Nodetype.BASE and inner[0] == "string":
+        yield Texts(path, count if fixed else 0)
+        return
+    if node == Nodetype.BASE and fixed:
+        yield Fixed([(path, _DTYPES[inner[0]], count)]) if count else Fixed()
+        return
+    item = [Fixed([("value", _DTYPES[inner[0]], 1)])] if node == Nodetype.BASE else list(_walk(store, str(inner), ""))
+    if not all(isinstance(part, Fixed) for part in item):
+        yield Unknown(path)
+        return
+    fields = [entry for part in item if isinstance(part, Fixed) for entry in part.fields]
+    if not fixed:
+        yield List(path, Fixed(fields))
+        return
+    for i in range(count):
+        yield Fixed([(f"{path}.{i}.{name}", kind, number) for name, kind, number in fields])
+
+
+def _merged(parts: Iterator[Part]) -> Iterator[Part]:
+    """Yield the parts, neighbours of fixed size as one."""
+    fixed = Fixed()
+    for part in parts:
+        if isinstance(part, Fixed):
+            fixed.fields.extend(part.fields)
+            continue
+        if fixed.fields:
+            yield fixed
+            fixed = Fixed()
+        yield part
+    if fixed.fields:
+        yield fixed

@@ -1,0 +1,324 @@
+"""Pictures of the flight in a recording: places, velocities, modes, topology, avoidance, set-points, batteries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from xtdrone_interaction.analysis.columns import Array, Series
+from xtdrone_interaction.analysis.drawing import (
+    NO_MODE,
+    Picture,
+    colours_of,
+    line,
+    mark_times,
+    name_lines,
+    panels,
+    shades,
+    spans,
+)
+from xtdrone_interaction.analysis.flight import Flight, Vehicle
+from xtdrone_interaction.geometry import least_distances
+from xtdrone_interaction.plots import figures
+from xtdrone_interaction.record import FlightRecord
+from xtdrone_interaction.report import DISTANCE_LIMIT
+
+_RESPONSES = 4  # vehicles whose set-points are drawn beside what they did
+_MOST_MODES = 14  # in the legend
+# PositionTarget: bits of the type mask that say that a position or velocity is none
+_NO_POSITION, _NO_VELOCITY = 0b000_111, 0b111_000
+
+
+def _colours(flight: Flight) -> dict[str, Any]:
+    """Return each vehicle's colour, the same in all pictures."""
+    return dict(zip((v.name for v in flight.vehicles), shades(len(flight.vehicles)), strict=True))
+
+
+def pictures(flight: Flight, record: FlightRecord | None) -> Iterator[Picture]:
+    """Yield all pictures that a recording has something for, drawn as they are asked for.
+
+    Args:
+        flight: what the recording says.
+        record: its formation flight, if it is one.
+    """
+    placed = [vehicle for vehicle in flight.vehicles if vehicle.position is not None and len(vehicle.position)]
+    marks = [(window.start, window.pattern) for window in record.windows] if record is not None else []
+    if placed:
+        yield Picture("positions", "Positions", positions(flight, placed, marks))
+        yield Picture("tracks", "Tracks from above", tracks(flight, placed))
+    if any("velocity" in vehicle.series for vehicle in placed):
+        yield Picture("velocities", "Velocities", velocities(flight, placed, marks))
+    if record is not None and record.windows:
+        for name, figure in figures(record):
+            stem = name.removesuffix(".png")
+            yield Picture(stem, stem.replace("_", " ").capitalize(), figure)
+    elif len(placed) > 1 and (found := nearest(placed)) is not None:
+        yield Picture("distances", "Least distance between vehicles", distances(flight, found))
+    if any(vehicle.modes or vehicle.armed for vehicle in flight.vehicles):
+        yield Picture("modes", "Flight modes", modes(flight, marks))
+    if any(_activity(vehicle) for vehicle in flight.vehicles) or flight.topologies:
+        yield Picture("activity", "Commands, avoidance and topology", activity(flight, marks))
+    followed = [vehicle for vehicle in placed if _wanted(vehicle)][:_RESPONSES]
+    for vehicle in followed:
+        yield Picture(f"set-points_{vehicle.name}", f"Set-points and response of {vehicle.name}",
+                      response(flight, vehicle))  # fmt: skip
+    if any(_has_battery(vehicle) for vehicle in flight.vehicles):
+        yield Picture("batteries", "Batteries", batteries(flight))
+
+
+def positions(flight: Flight, vehicles: list[Vehicle], marks: list[tuple[float, str]]) -> Figure:
+    """Draw x, y and z of all vehicles against time."""
+    figure, axes = panels(3)
+    colour = _colours(flight)
+    for vehicle in vehicles:
+        shade = colour[vehicle.name]
+        place = vehicle.position
+        assert place is not None
+        for axis, panel in enumerate(axes):
+            line(panel, place.time, place.value[:, axis], color=shade, lw=1.1, label=vehicle.name)
+    for panel, letter in zip(axes, ("x, east", "y, north", "z, up"), strict=True):
+        panel.set_ylabel(f"{letter} [m]")
+    axes[-1].set_xlabel(flight.time_name)
+    mark_times(axes, marks)
+    figure.suptitle(f"Positions of {_fleet(vehicles)} (estimates, ENU)")
+    name_lines(figure, axes[0])
+    return _with_room(figure, marks)
+
+
+def tracks(flight: Flight, vehicles: list[Vehicle]) -> Figure:
+    """Draw the ways of all vehicles from above."""
+    figure, panel = plt.subplots(figsize=(8.0, 6.4))
+    figure.subplots_adjust(left=0.1, right=0.8, top=0.92, bottom=0.09)
+    colour = _colours(flight)
+    for vehicle in vehicles:
+        shade = colour[vehicle.name]
+        place = vehicle.position
+        assert place is not None
+        step = max(1, len(place) // 4000)
+        way = place.value[::step]
+        panel.plot(way[:, 0], way[:, 1], color=shade, lw=1.0, label=vehicle.name)
+        panel.plot(*place.value[0, :2], marker="o", ms=5, mfc="white", mec=shade)
+        panel.plot(*place.value[-1, :2], marker="s", ms=5, color=shade)
+    panel.set(xlabel="x, east [m]", ylabel="y, north [m]")
+    panel.set_aspect("equal", adjustable="datalim")
+    name_lines(figure, panel, 0.81)
+    figure.suptitle(f"Tracks of {_fleet(vehicles)} from above (circle: first place, square: last)")
+    return figure
+
+
+def velocities(flight: Flight, vehicles: list[Vehicle], marks: list[tuple[float, str]]) -> Figure:
+    """Draw the horizontal and the vertical speed of all vehicles against time."""
+    figure, axes = panels(2, 2.6)
+    colour = _colours(flight)
+    for vehicle in vehicles:
+        shade = colour[vehicle.name]
+        if (series := vehicle.series.get("velocity")) is None or not len(series):
+            continue
+        speed = np.hypot(series.value[:, 0], series.value[:, 1])
+        line(axes[0], series.time, speed, color=shade, lw=1.0, label=vehicle.name)
+        line(axes[1], series.time, series.value[:, 2], color=shade, lw=1.0)
+    axes[0].set_ylabel("horizontal speed [m/s]")
+    axes[1].set(ylabel="climb [m/s]", xlabel=flight.time_name)
+    mark_times(axes, marks)
+    figure.suptitle(f"Velocities of {_fleet(vehicles)}")
+    name_lines(figure, axes[0])
+    return _with_room(figure, marks)
+
+
+def nearest(vehicles: list[Vehicle]) -> Series | None:
+    """Return the least distance between any two vehicles, m, while all of them are known; None if they never are."""
+    places = [place for vehicle in vehicles if (place := vehicle.position) is not None]
+    first, last = max(place.time[0] for place in places), min(place.time[-1] for place in places)
+    grid = max(places, key=len).time
+    grid = grid[(grid >= first) & (grid <= last)]
+    if not len(grid):
+        return None
+    rows = np.stack([place.at(grid) for place in places], axis=1)
+    return Series(grid, least_distances(rows)[:, None])
+
+
+def distances(flight: Flight, found: Series) -> Figure:
+    """Draw the least distance between any two vehicles."""
+    figure, (panel,) = panels(1, 3.2, 0.97)
+    line(panel, found.time, found.value[:, 0], color="tab:blue", lw=1.1)
+    panel.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
+    panel.set(ylabel="least distance [m]", xlabel=flight.time_name, ylim=(0.0, None))
+    panel.legend(loc="upper right")
+    figure.suptitle("Least distance between any two vehicles")
+    return figure
+
+
+def modes(flight: Flight, marks: list[tuple[float, str]]) -> Figure:
+    """Draw in which mode each vehicle was, and when it was armed."""
+    shown = [vehicle for vehicle in flight.vehicles if vehicle.modes or vehicle.armed]
+    end = _end(flight)
+    colour = colours_of([mode for vehicle in shown for _, mode in vehicle.modes])
+    height = min(0.42, 9.0 / len(shown)) * len(shown)
+    figure, (panel,) = panels(1, height + 0.3, 0.78)
+    for row, vehicle in enumerate(shown):
+        for start, stop, mode in spans(vehicle.modes, end):
+            panel.barh(row, stop - start, 0.62, start, color=colour.get(mode, NO_MODE), lw=0)
+        for start, stop, armed in spans(vehicle.armed, end):
+            if armed:
+                panel.plot([start, stop], [row + 0.38] * 2, color="black", lw=1.6, solid_capstyle="butt")
+    step = max(1, len(shown) // 40)
+    panel.set_yticks(range(0, len(shown), step), [vehicle.name for vehicle in shown[::step]])
+    panel.set(ylim=(len(shown) - 0.4, -0.6), xlabel=flight.time_name)
+    panel.grid(axis="y", visible=False)
+    mark_times([panel], marks)
+    handles = [Patch(color=shade) for shade in colour.values()][:_MOST_MODES]
+    labels = list(colour)[:_MOST_MODES]
+    handles.append(Line2D([], [], color="black", lw=1.6))  # type: ignore[arg-type]
+    figure.legend(handles, [*labels, "armed"], loc="upper left", bbox_to_anchor=(0.79, 0.97), fontsize=8)
+    figure.suptitle("Flight modes")
+    return _with_room(figure, marks)
+
+
+def activity(flight: Flight, marks: list[tuple[float, str]]) -> Figure:
+    """Draw how much vehicles were commanded, how much they avoided each other, and how the topology changed."""
+    shown = [vehicle for vehicle in flight.vehicles if _activity(vehicle)]
+    commanded = [what for what in _COMMANDED if any(what in vehicle.series for vehicle in shown)]
+    avoided = any("avoidance" in vehicle.series for vehicle in shown)
+    rows = bool(commanded) + avoided + bool(flight.topologies)
+    figure, axes = panels(rows, 2.2)
+    free, colour = list(axes), _colours(flight)
+    for what, title in ((commanded, "command"), (["avoidance"] if avoided else [], "avoidance")):
+        if not what:
+            continue
+        panel = free.pop(0)
+        for vehicle in shown:
+            for name in what:
+                if (series := vehicle.series.get(name)) is not None and len(series):
+                    size = np.linalg.norm(series.value, axis=1)
+                    line(panel, series.time, size, color=colour[vehicle.name], lw=1.0, label=vehicle.name)
+        unit = "m/s²" if "acceleration" in what[0] else "m/s"
+        panel.set_ylabel(f"{title} [{unit}]" if title == "command" else "avoidance, size")
+    if flight.topologies:
+        _draw_links(free.pop(0), flight)
+    axes[-1].set_xlabel(flight.time_name)
+    mark_times(axes, marks)
+    figure.suptitle("Velocity commands, avoidance, and links of the communication topology")
+    name_lines(figure, axes[0])
+    return _with_room(figure, marks)
+
+
+_COMMANDED = ("command", "body command", "acceleration command", "body acceleration command")
+
+
+def _activity(vehicle: Vehicle) -> bool:
+    return any(what in vehicle.series for what in (*_COMMANDED, "avoidance"))
+
+
+def _draw_links(panel: plt.Axes, flight: Flight) -> None:
+    """Draw how many links the topology has, and how many of them are new at each change."""
+    times = np.array([change.time for change in flight.topologies])
+    matrices = [change.value > 0 for change in flight.topologies]
+    counts = np.array([int(matrix.sum()) for matrix in matrices])
+    new = [
+        int((now & ~before).sum()) if now.shape == before.shape else int(now.sum())
+        for before, now in zip([matrices[0], *matrices[:-1]], matrices, strict=True)
+    ]
+    end = max(_end(flight), float(times[-1]))
+    panel.step(np.append(times, end), np.append(counts, counts[-1]), where="post", color="tab:blue", label="links")
+    panel.plot(times, new, color="tab:orange", marker="o", ls="", ms=4, label="new at the change")
+    panel.set(ylabel="links", ylim=(0, None))
+    panel.legend(loc="center right", fontsize=8)
+
+
+def _wanted(vehicle: Vehicle) -> bool:
+    names = ("set-point", "target", "position set-point", "velocity set-point", "command")
+    return any(len(vehicle.series.get(name, ())) > 1 for name in names)
+
+
+def _set_points(vehicle: Vehicle) -> tuple[Series | None, Series | None]:
+    """Return the wanted places and velocities, with gaps (NaN) where there was none."""
+    place, velocity = vehicle.series.get("position set-point"), vehicle.series.get("velocity set-point")
+    raw = vehicle.series.get("set-point") or vehicle.series.get("target")
+    if raw is not None:
+        mask = raw.value[:, 0].astype(np.int64)
+        wanted = np.where((mask & _NO_POSITION == _NO_POSITION)[:, None], np.nan, raw.value[:, 1:4])
+        moving = np.where((mask & _NO_VELOCITY == _NO_VELOCITY)[:, None], np.nan, raw.value[:, 4:7])
+        place = place or Series(raw.time, wanted)
+        velocity = velocity or Series(raw.time, moving)
+    return place, velocity or vehicle.series.get("command")
+
+
+def response(flight: Flight, vehicle: Vehicle) -> Figure:
+    """Draw what a vehicle was told beside what it did."""
+    place, velocity = _set_points(vehicle)
+    rows: list[tuple[str, Series, Series | None]] = []
+    known, speed = vehicle.position, vehicle.series.get("velocity")
+    if known is not None and place is not None and np.isfinite(place.value).any():
+        rows += [(f"{axis} [m]", _axis(known, i), _axis(place, i)) for i, axis in enumerate("xyz")]
+    if speed is not None and velocity is not None and np.isfinite(velocity.value).any():
+        rows += [(f"v{axis} [m/s]", _axis(speed, i), _axis(velocity, i)) for i, axis in enumerate("xyz")]
+    if not rows and known is not None:
+        rows = [(f"{axis} [m]", _axis(known, i), None) for i, axis in enumerate("xyz")]
+    figure, axes = panels(len(rows), 1.9, 0.97)
+    for panel, (name, did, told) in zip(axes, rows, strict=True):
+        line(panel, did.time, did.value[:, 0], color="tab:blue", lw=1.1, label="response")
+        if told is not None:
+            panel.plot(*_thin_gaps(told), color="tab:orange", lw=1.0, label="set-point", zorder=3)
+        panel.set_ylabel(name)
+    axes[0].legend(loc="upper right", ncol=2, fontsize=8)
+    axes[-1].set_xlabel(flight.time_name)
+    figure.suptitle(f"Set-points and response of {vehicle.name}")
+    return figure
+
+
+def _thin_gaps(series: Series) -> tuple[Array, Array]:
+    """Return a line with gaps kept, of not too many points."""
+    step = max(1, len(series) // 8000)
+    return series.time[::step], series.value[::step, 0]
+
+
+def _axis(series: Series, column: int) -> Series:
+    return Series(series.time, series.value[:, column : column + 1])
+
+
+def _has_battery(vehicle: Vehicle) -> bool:
+    series = vehicle.series.get("battery")
+    return series is not None and len(series) > 1
+
+
+def batteries(flight: Flight) -> Figure:
+    """Draw voltage and charge of all vehicles' batteries."""
+    shown = [vehicle for vehicle in flight.vehicles if _has_battery(vehicle)]
+    figure, axes = panels(2)
+    colour = _colours(flight)
+    for vehicle in shown:
+        shade = colour[vehicle.name]
+        series = vehicle.series["battery"]
+        line(axes[0], series.time, series.value[:, 0], color=shade, lw=1.0, label=vehicle.name)
+        line(axes[1], series.time, 100.0 * series.value[:, 1], color=shade, lw=1.0)
+    axes[0].set_ylabel("voltage [V]")
+    axes[1].set(ylabel="charge [%]", xlabel=flight.time_name)
+    figure.suptitle("Batteries")
+    name_lines(figure, axes[0])
+    return figure
+
+
+def _fleet(vehicles: list[Vehicle]) -> str:
+    return vehicles[0].name if len(vehicles) == 1 else f"{len(vehicles)} vehicles"
+
+
+def _end(flight: Flight) -> float:
+    """Return the time of the last that is known."""
+    ends = [series.time[-1] for vehicle in flight.vehicles for series in vehicle.series.values() if len(series)]
+    ends += [changes[-1][0] for vehicle in flight.vehicles for changes in (vehicle.modes, vehicle.armed) if changes]
+    return float(max(ends, default=0.0))
+
+
+def _with_room(figure: Figure, marks: list[tuple[float, str]]) -> Figure:
+    """Give the names of marks room between the title and the first panel."""
+    if marks:
+        width, height = figure.get_size_inches()
+        figure.set_size_inches(width, height + 0.45)
+        figure.subplots_adjust(top=1 - 0.95 / (height + 0.45))
+    return figure

@@ -1,0 +1,330 @@
+"""Reads ROS 1 bags (format 2.0) from front to back, by their records alone: with an index, without, cut off anywhere.
+
+A bag is a sequence of records; messages lie in chunks, packed or not. The recorder writes the index only when it ends
+in peace. So the index is never asked: what is whole is read, what is not is said in :attr:`BagFile.notes`. A chunk that
+was being written when the recorder died has no size yet, and goes on to the end of the file.
+
+The format: wiki.ros.org/Bags/Format/2.0.
+"""
+
+from __future__ import annotations
+
+import bz2
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from lz4.frame import LZ4FrameDecompressor
+from numpy.typing import NDArray
+
+from xtdrone_interaction.analysis.scan import CONNECTION, scan_records
+
+MAGIC = b"#ROSBAG V"
+_VERSION = b"#ROSBAG V2.0\n"
+_MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
+_PIECE = 4 << 20  # bytes unpacked at once
+_LONGEST_HEADER = 1 << 24  # bytes; definitions of messages stand in the data, not in a header
+_RECORDS = 1 << 16  # found at once
+_CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
+_BEFORE_MARK = (0, 20, 19)  # bytes of a chunk's header before its op: nothing, compression=none, compression=lz4 or bz2
+
+
+class BagError(ValueError):
+    """A file of which nothing can be read as a bag."""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A publisher's topic.
+
+    Attributes:
+        topic: name.
+        type: of the messages, as ``geometry_msgs/PoseStamped``.
+        definition: text of the message's definition with all those it needs.
+        md5: of the definition.
+        latching: whether late subscribers got the last message.
+    """
+
+    topic: str
+    type: str
+    definition: str
+    md5: str
+    latching: bool = False
+
+
+class Batch(NamedTuple):
+    """Messages as they lie in memory.
+
+    Attributes:
+        data: bytes, shape (m,).
+        connection: number of each message's connection, shape (n,).
+        time: when each was recorded, ns, shape (n,).
+        offset: where each begins in ``data``, shape (n,).
+        length: how many bytes each has, shape (n,).
+    """
+
+    data: NDArray[np.uint8]
+    connection: NDArray[np.int64]
+    time: NDArray[np.int64]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int64]
+
+
+class BagFile:
+    """A ROS 1 bag.
+
+    Attributes:
+        path: of the file.
+        size: bytes.
+        connections: by number; filled while the bag is read.
+        notes: what could not be read, and why, in words; filled while the bag is read.
+        whole: whether everything could be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Look at the beginning of a bag.
+
+        Raises:
+            BagError: it is no bag of format 2.0.
+        """
+        self.path = path
+        self.connections: dict[int, Connection] = {}
+        self.notes: list[str] = []
+        self.indexed = True
+        try:
+            self.size = path.stat().st_size
+            with path.open("rb") as file:
+                first = file.read(len(_VERSION))
+        except OSError as error:
+            raise BagError(f"bag: {str(path)!r} cannot be read: {error.strerror}") from error
+        if not self.size:
+            raise BagError(f"bag: {str(path)!r} is empty")
+        if not first.startswith(MAGIC):
+            raise BagError(f"bag: {str(path)!r} is no bag: it begins with {first!r}, not with {MAGIC.decode()!r}")
+        if first != _VERSION:
+            version = first[len(MAGIC) :].split(b"\n")[0].decode(errors="replace")
+            raise BagError(
+                f"bag: {str(path)!r} has version {version!r}; 2.0 can be read, and 'rosbag fix' makes it of older ones"
+            )
+
+    @property
+    def whole(self) -> bool:
+        """Whether everything could be read."""
+        return not self.notes
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield all messages, in the order of the file.
+
+        Raises:
+            BagError: the bag is encrypted.
+        """
+        self.notes.clear()
+        with self.path.open("rb") as file:
+            file.seek(len(_VERSION))
+            while (at := file.tell()) < self.size:
+                header = _read_header(file, self.size)
+                if header is None:
+                    if not self._found_next_chunk(file, at):
+                        return
+                    continue
+                fields, size = header
+                kind = fields.get(b"op", b"\0")[0]
+                begin = file.tell()
+                if kind == _CHUNK:
+                    yield from self._chunk(file, fields, begin, size)
+                    continue
+                if begin + size > self.size:
+                    self._note_cut(at)
+                    return
+                if kind == _CONNECTION:
+                    self._add_connection(fields, file.read(size))
+                elif kind == _BAG_HEADER:
+                    self._look_at(fields)
+                file.seek(begin + size)
+        if not self.indexed:
+            self.notes.append("the recorder did not end it: there is no index; it was read by its records")
+
+    def _look_at(self, fields: dict[bytes, bytes]) -> None:
+        """Look at the bag's own header.
+
+        Raises:
+            BagError: the bag is encrypted.
+        """
+        if fields.get(b"encryptor"):
+            name = fields[b"encryptor"].decode(errors="replace")
+            raise BagError(f"bag: {str(self.path)!r} is encrypted ({name}); 'rosbag decrypt' makes it readable")
+        self.indexed = any(fields.get(b"index_pos", b""))
+
+    def _note_cut(self, at: int) -> None:
+        self.notes.append(f"it is cut off: the record at byte {at} of {self.size} is not whole; all before it was read")
+
+    def _found_next_chunk(self, file: BinaryIO, at: int) -> bool:
+        """Say that the record at ``at`` makes no sense, and go to the next chunk; False if there is none."""
+        begin = at + 1
+        while begin < self.size:
+            file.seek(begin)
+            part = file.read(_PIECE)
+            for mark in _places(part, _CHUNK_MARK):
+                for before in _BEFORE_MARK:
+                    place = begin + mark - before - 4
+                    file.seek(max(place, 0))
+                    if place > at and (found := _read_header(file, self.size)) and found[0].get(b"op") == b"\x05":
+                        self.notes.append(f"bytes {at} to {place} of {self.size} are damaged and left out")
+                        file.seek(place)
+                        return True
+            if len(part) < _PIECE:
+                break
+            begin += _PIECE - len(_CHUNK_MARK)
+        self._note_cut(at)
+        return False
+
+    def _chunk(self, file: BinaryIO, fields: dict[bytes, bytes], begin: int, size: int) -> Iterator[Batch]:
+        """Yield a chunk's messages, and go behind it."""
+        packing = fields.get(b"compression", b"none")
+        open_end = size == 0 and fields.get(b"size", b"\0" * 4) == b"\0" * 4
+        if open_end:  # the recorder fills the size in when the chunk is full
+            size = self.size - begin
+        end = min(begin + size, self.size)
+        rest = b""
+        damage = ""
+        pieces = _unpacked(file, packing, end - begin)
+        while True:
+            try:
+                piece = next(pieces, None)
+            except (OSError, RuntimeError, EOFError, ValueError) as error:
+                damage = f"cannot be unpacked further ({error})"
+                break
+            if piece is None:
+                break
+            data = np.frombuffer(rest + piece if rest else piece, np.uint8)
+            at = 0
+            while True:
+                batch, at, full = self._records(data, at)
+                if len(batch.connection):
+                    yield batch
+                if not full:
+                    break
+            rest = data[at:].tobytes()
+        if end < begin + size or open_end:
+            if open_end or rest or damage:
+                self.notes.append(
+                    f"it is cut off in the chunk at byte {begin} of {self.size}: of that the messages up to there "
+                    "were read"
+                )
+            else:
+                self._note_cut(begin)
+        elif damage:
+            self.notes.append(f"the chunk at byte {begin} {damage}; its messages before that and the rest were read")
+        elif rest:
+            self.notes.append(f"the chunk at byte {begin} ends with {len(rest)} bytes that are no record; left out")
+        file.seek(end)
+
+    def _records(self, data: NDArray[np.uint8], at: int) -> tuple[Batch, int, bool]:
+        """Return the messages from ``at`` on, where they end, and whether there may be more than fit."""
+        connection, time, offset, length = (np.empty(_RECORDS, np.int64) for _ in range(4))
+        count, at = scan_records(data, at, connection, time, offset, length)
+        connection, time, offset, length = connection[:count], time[:count], offset[:count], length[:count]
+        for i in np.flatnonzero(connection == CONNECTION).tolist():
+            record = data[offset[i] : offset[i] + length[i]].tobytes()
+            header_size = int.from_bytes(record[:4], "little")
+            self._add_connection(_fields(record[4 : 4 + header_size]) or {}, record[8 + header_size :])
+        known = connection >= 0
+        if not known.all():
+            connection, time, offset, length = connection[known], time[known], offset[known], length[known]
+        return Batch(data, connection, time, offset, length), at, count == _RECORDS
+
+    def _add_connection(self, fields: dict[bytes, bytes], data: bytes) -> None:
+        number = fields.get(b"conn", b"")
+        more = _fields(data)
+        if len(number) != 4 or more is None or b"type" not in more:
+            return  # its messages are then of an unknown connection, which the reader of topics says
+        topic = "/" + "/".join(part for part in fields.get(b"topic", b"").decode(errors="replace").split("/") if part)
+        self.connections.setdefault(
+            int.from_bytes(number, "little"),
+            Connection(
+                topic=topic,
+                type=more[b"type"].decode(errors="replace"),
+                definition=more.get(b"message_definition", b"").decode(errors="replace"),
+                md5=more.get(b"md5sum", b"").decode(errors="replace"),
+                latching=more.get(b"latching") == b"1",
+            ),
+        )
+
+
+def _places(data: bytes, mark: bytes) -> Iterator[int]:
+    at = data.find(mark)
+    while at >= 0:
+        yield at
+        at = data.find(mark, at + 1)
+
+
+def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int] | None:
+    """Return a record's header and the length of its data; None if it is cut off or makes no sense."""
+    raw = file.read(4)
+    if len(raw) < 4:
+        return None
+    size = int.from_bytes(raw, "little")
+    if size > min(_LONGEST_HEADER, end - file.tell()):
+        return None
+    fields = _fields(file.read(size))
+    raw = file.read(4)
+    if fields is None or b"op" not in fields or len(fields[b"op"]) != 1 or len(raw) < 4:
+        return None
+    return fields, struct.unpack("<I", raw)[0]
+
+
+def _fields(data: bytes) -> dict[bytes, bytes] | None:
+    """Return the fields of a header by name; None if they make no sense."""
+    fields = {}
+    at = 0
+    while at < len(data):
+        size = int.from_bytes(data[at : at + 4], "little")
+        name, sign, value = data[at + 4 : at + 4 + size].partition(b"=")
+        at += 4 + size
+        if not sign or at > len(data):
+            return None
+        fields[name] = value
+    return fields
+
+
+def _unpacked(file: BinaryIO, packing: bytes, size: int) -> Iterator[bytes]:
+    """Yield the next ``size`` bytes of the file unpacked, in pieces.
+
+    Raises:
+        OSError, RuntimeError, EOFError: they are damaged.
+        ValueError: the packing is unknown.
+    """
+    if packing == b"none":
+        while size > 0 and (piece := file.read(min(size, _PIECE))):
+            size -= len(piece)
+            yield piece
+        return
+    if packing not in (b"lz4", b"bz2"):
+        raise ValueError(f"packing {packing.decode(errors='replace')!r}; there are none, lz4, bz2")
+    unpacker: Any = LZ4FrameDecompressor() if packing == b"lz4" else bz2.BZ2Decompressor()
+    while size > 0 and not unpacker.eof and (packed := file.read(min(size, _PIECE))):
+        size -= len(packed)
+        piece = unpacker.decompress(packed, _PIECE)
+        while piece:
+            yield piece
+            piece = b"" if unpacker.eof or unpacker.needs_input else unpacker.decompress(b"", _PIECE)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a file says that it is a ROS 1 bag."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
+
+
+def file_size(path: Path) -> int:
+    """Return the bytes of a file, or of all files of a folder."""
+    if path.is_dir():
+        return sum(os.path.getsize(part) for part in path.rglob("*") if part.is_file())
+    return path.stat().st_size

@@ -1,0 +1,179 @@
+"""Recordings of any kind as batches of raw ROS 1 messages: ROS 1 bags whole or cut off, ROS 2 bags by rosbags."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from xtdrone_interaction.analysis.layout import HEADER, Layout, LayoutError
+from xtdrone_interaction.analysis.ros1bag import BagError, BagFile, Batch, Connection, file_size
+
+BATCH = 16 << 20  # bytes of messages handled at once
+_ROS2 = (".mcap", ".db3")
+
+
+class Source(Protocol):
+    """A recording.
+
+    Attributes:
+        path: of the file or folder.
+        size: bytes.
+        connections: by number; filled while it is read.
+        notes: what could not be read, in words; filled while it is read.
+        indexed: whether the recorder ended in peace.
+    """
+
+    path: Path
+    size: int
+    connections: dict[int, Connection]
+    notes: list[str]
+    indexed: bool
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield all messages."""
+        ...
+
+
+class Ros2Bag:
+    """A ROS 2 bag, whose messages are given as ROS 1 has them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.size = file_size(path)
+        self.connections: dict[int, Connection] = {}
+        self.notes: list[str] = []
+        self.indexed = True
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield all messages.
+
+        Raises:
+            BagError: it cannot be opened.
+        """
+        self.notes.clear()
+        try:
+            with AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+                yield from self._batches(reader)
+        except BagError:
+            raise
+        except Exception as error:  # rosbags raises many kinds for a damaged file
+            if not self.connections:
+                raise BagError(f"bag: {str(self.path)!r} cannot be read: {error}") from error
+            self.notes.append(f"it cannot be read to its end: {error}")
+
+    def _batches(self, reader: AnyReader) -> Iterator[Batch]:
+        store = get_typestore(Stores.EMPTY)
+        header = get_typestore(Stores.ROS1_NOETIC).fielddefs[HEADER]
+        store.register({**reader.typestore.fielddefs, HEADER: header})
+        numbers = {}
+        for number, connection in enumerate(reader.connections):
+            definition, md5 = store.generate_msgdef(connection.msgtype)
+            kind = connection.msgtype.replace("/msg/", "/")
+            self.connections[number] = Connection(connection.topic, kind, definition, md5)
+            numbers[connection.id, connection.owner] = number
+        collected: list[tuple[int, int, bytes]] = []
+        size = 0
+        for connection, time, raw in reader.messages():
+            data = bytes(reader.typestore.cdr_to_ros1(raw, connection.msgtype))
+            collected.append((numbers[connection.id, connection.owner], time, data))
+            size += len(data)
+            if size >= BATCH:
+                yield _batch(collected)
+                collected, size = [], 0
+        if collected:
+            yield _batch(collected)
+
+
+def _batch(messages: list[tuple[int, int, bytes]]) -> Batch:
+    length = np.array([len(data) for _, _, data in messages], np.int64)
+    return Batch(
+        data=np.frombuffer(b"".join(data for _, _, data in messages), np.uint8),
+        connection=np.array([number for number, _, _ in messages], np.int64),
+        time=np.array([time for _, time, _ in messages], np.int64),
+        offset=np.cumsum(length) - length,
+        length=length,
+    )
+
+
+def open_source(path: Path) -> Source:
+    """Return a recording: a ROS 1 bag, or a ROS 2 bag (its folder, or its .mcap or .db3).
+
+    Raises:
+        BagError: there is none.
+    """
+    if not path.exists():
+        raise BagError(f"bag: {str(path)!r} does not exist")
+    if path.suffix in _ROS2 or path.is_dir():
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise BagError(f"bag: folder {str(path)!r} has no metadata.yaml, so it is no ROS 2 bag")
+        return Ros2Bag(path)
+    return BagFile(path)
+
+
+def large_batches(source: Source) -> Iterator[Batch]:
+    """Yield the messages in batches of about BATCH bytes: few, so that handling each topic costs little."""
+    waiting: list[Batch] = []
+    size = 0
+    for batch in source.batches():
+        waiting.append(batch)
+        size += len(batch.data)
+        if size >= BATCH:
+            yield _joined(waiting)
+            waiting, size = [], 0
+    if waiting:
+        yield _joined(waiting)
+
+
+def _joined(batches: list[Batch]) -> Batch:
+    if len(batches) == 1:
+        return batches[0]
+    starts = np.cumsum([0, *(len(batch.data) for batch in batches[:-1])])
+    return Batch(
+        data=np.concatenate([batch.data for batch in batches]),
+        connection=np.concatenate([batch.connection for batch in batches]),
+        time=np.concatenate([batch.time for batch in batches]),
+        offset=np.concatenate([batch.offset + start for batch, start in zip(batches, starts, strict=True)]),
+        length=np.concatenate([batch.length for batch in batches]),
+    )
+
+
+def by_connection(batch: Batch) -> Iterator[tuple[int, Batch]]:
+    """Yield the messages of each connection in a batch, in order."""
+    if not len(batch.connection):
+        return
+    order = np.argsort(batch.connection, kind="stable")
+    numbers = batch.connection[order]
+    borders = np.flatnonzero(np.diff(numbers)) + 1
+    for rows in np.split(order, borders):
+        yield (
+            int(batch.connection[rows[0]]),
+            Batch(batch.data, batch.connection[rows], batch.time[rows], batch.offset[rows], batch.length[rows]),
+        )
+
+
+class Layouts:
+    """Layouts of the connections of a recording, each definition read once.
+
+    Attributes:
+        failed: what is wrong with those that cannot be read, by type.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, str], Layout | None] = {}
+        self.failed: dict[str, str] = {}
+
+    def of(self, connection: Connection) -> Layout | None:
+        """Return the layout of a connection's messages; None if its definition makes no sense."""
+        key = connection.type, connection.definition
+        if key not in self._known:
+            try:
+                self._known[key] = Layout(*key)
+            except LayoutError as error:
+                self._known[key] = None
+                self.failed[connection.type] = str(error)
+        return self._known[key]
