@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
     commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
     commands.add_parser("gcs", help="plans to vehicles and back, as a ground station (own options: gcs --help)")
-    commands.add_parser("analyse", help="report and pictures of any bag (own options: analyse --help)")
+    commands.add_parser("analyse", help="report and pictures of any bag or flight log (own options: analyse --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
     commands.add_parser("sweep", help="fly a study over parameters and seeds (own options: sweep --help)")
     commands.add_parser("compare-px4", help="fly our autopilot beside recorded flights of a real PX4")

@@ -1,4 +1,4 @@
-"""``./xtdrone analyse FILE``: report and pictures of a bag or a flight log.
+"""``./xtdrone analyse FILE``: report and pictures of a bag or of a flight log.
 
 Exit status: 0 when a report was written, 1 when nothing can be read, 2 for a value that is not allowed, 128 + n when
 stopped by signal n.
@@ -19,6 +19,7 @@ from rich.table import Table as RichTable
 
 from xtdrone_interaction.analysis.page import Page, save_page
 from xtdrone_interaction.analysis.ros1bag import BagError
+from xtdrone_interaction.analysis.ulog import LogError, is_log, read_log
 from xtdrone_interaction.options import OptionError
 
 _PRINTED_ROWS = 40  # of a table on the terminal
@@ -31,7 +32,7 @@ def _parser() -> argparse.ArgumentParser:
         "pictures as PNG, and report.json. No ROS is needed.",
     )
     add = parser.add_argument
-    add("file", type=Path, help="ROS 1 bag (also one that a crash cut off), or ROS 2 bag")
+    add("file", type=Path, help="ROS 1 bag or ULog, also one that a crash cut off, or ROS 2 bag")
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")
     return parser
 
@@ -54,11 +55,14 @@ def output_folder(wanted: Path | None, file: Path, ending: str) -> Path:
 
 
 def analyse(file: Path, folder: Path, console: Console) -> None:
-    """Write the report of a recording, and print what it says.
+    """Write the report of a bag or a flight log, and print what it says.
 
     Raises:
-        BagError: nothing can be read of it.
+        BagError, LogError: nothing can be read of it.
     """
+    if is_log(file) or file.suffix == ".ulg":
+        _analyse_log(file, folder, console)
+        return
     from xtdrone_interaction.analysis.flight import read_flight  # these take a while to import
     from xtdrone_interaction.analysis.formation import formation_record
     from xtdrone_interaction.analysis.pictures import pictures
@@ -70,6 +74,16 @@ def analyse(file: Path, folder: Path, console: Console) -> None:
     page = flight_page(flight, figures)
     shown = pictures(flight, record if figures["formation"] else None)
     finish(page, figures, save_page(page, shown, folder), folder, console)
+
+
+def _analyse_log(file: Path, folder: Path, console: Console) -> None:
+    from xtdrone_interaction.analysis.ulog_pictures import pictures
+    from xtdrone_interaction.analysis.ulog_summary import log_page, summarise
+
+    log = read_log(file)
+    figures = summarise(log)
+    page = log_page(log, figures)
+    finish(page, figures, save_page(page, pictures(log), folder), folder, console)
 
 
 def finish(page: Page, figures: object, paths: Sequence[Path], folder: Path, console: Console) -> None:
@@ -109,7 +123,7 @@ def main(argv: Sequence[str]) -> int:
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
-    except BagError as error:
+    except (BagError, LogError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 1
     except OSError as error:

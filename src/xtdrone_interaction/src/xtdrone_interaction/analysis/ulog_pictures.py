@@ -1,0 +1,282 @@
+"""The plots that PX4's users know, of a flight log: set-points and response, sensors, spectra, estimator, batteries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
+
+from xtdrone_interaction.analysis.columns import Array, Series
+from xtdrone_interaction.analysis.drawing import Picture, colours_of, line, panels, shades, spans
+from xtdrone_interaction.analysis.tracking import Tracking, spectrogram, spectrum, tracking
+from xtdrone_interaction.analysis.ulog import FlightLog, euler
+
+_TIME = "time since the log began [s]"
+_AXES = ("x", "y", "z")
+
+
+class Pair(NamedTuple):
+    """A quantity and what it should be.
+
+    Attributes:
+        name: with its unit.
+        actual: response, (t, 1).
+        wanted: set-point, (t, 1).
+        turn: of a full turn, for angles.
+    """
+
+    name: str
+    actual: Series
+    wanted: Series | None
+    turn: float = 0.0
+
+
+def pairs(log: FlightLog) -> dict[str, list[Pair]]:
+    """Return all responses with their set-points, by what they are."""
+    found: dict[str, list[Pair]] = {"Position": [], "Velocity": [], "Attitude": [], "Rates": []}
+    place, told = log.series("vehicle_local_position", *_AXES), log.series("vehicle_local_position_setpoint", *_AXES)
+    moving = log.series("vehicle_local_position", "vx", "vy", "vz")
+    told_moving = log.series("vehicle_local_position_setpoint", "vx", "vy", "vz")
+    signs = (1.0, 1.0, -1.0)
+    for i, (name, sign) in enumerate(zip(("north [m]", "east [m]", "up [m]"), signs, strict=True)):
+        if place is not None:
+            found["Position"].append(Pair(name, _column(place, i, sign), _column_or_none(told, i, sign)))
+    for i, (name, sign) in enumerate(zip(("north [m/s]", "east [m/s]", "up [m/s]"), signs, strict=True)):
+        if moving is not None:
+            found["Velocity"].append(Pair(name, _column(moving, i, sign), _column_or_none(told_moving, i, sign)))
+    attitude, wanted = _angles(log, "vehicle_attitude", "q"), _angles(log, "vehicle_attitude_setpoint", "q_d")
+    for i, name in enumerate(("roll [°]", "pitch [°]", "yaw [°]")):
+        if attitude is not None:
+            found["Attitude"].append(Pair(name, _column(attitude, i), _column_or_none(wanted, i), 360.0))
+    rates, wanted = log.array("vehicle_angular_velocity", "xyz", 3), log.series(
+        "vehicle_rates_setpoint", "roll", "pitch", "yaw"
+    )  # fmt: skip
+    degrees = float(np.degrees(1.0))
+    for i, name in enumerate(("roll [°/s]", "pitch [°/s]", "yaw [°/s]")):
+        if rates is not None:
+            found["Rates"].append(Pair(name, _column(rates, i, degrees), _column_or_none(wanted, i, degrees)))
+    return {what: group for what, group in found.items() if group}
+
+
+def trackings(log: FlightLog) -> list[tuple[str, Tracking]]:
+    """Return how all responses follow their set-points, from the first arming to the last disarming."""
+    rows = []
+    for what, group in pairs(log).items():
+        for pair in group:
+            if pair.wanted is not None:
+                found = tracking(pair.name, pair.wanted, pair.actual, *log.flown, pair.turn)
+                if found is not None:
+                    rows.append((what, found))
+    return rows
+
+
+def pictures(log: FlightLog) -> Iterator[Picture]:
+    """Yield all pictures that a log has something for, drawn as they are asked for."""
+    place = log.series("vehicle_local_position", *_AXES)
+    if place is not None:
+        yield Picture("track", "Track from above", track(log, place))
+    for what, group in pairs(log).items():
+        yield Picture(what.lower(), f"{what}: set-point and response", responses(log, what, group))
+    yield from _sensors(log)
+    yield from _spectra(log)
+    yield from _health(log)
+
+
+def track(log: FlightLog, place: Series) -> Figure:
+    """Draw the way from above, and where it should have gone."""
+    figure, panel = plt.subplots(figsize=(7.4, 6.4))
+    figure.subplots_adjust(left=0.12, right=0.96, top=0.92, bottom=0.09)
+    wanted = log.series("vehicle_local_position_setpoint", *_AXES)
+    if wanted is not None and np.isfinite(wanted.value[:, :2]).any():
+        step = max(1, len(wanted) // 8000)
+        panel.plot(wanted.value[::step, 1], wanted.value[::step, 0], color="tab:orange", lw=1.0, label="set-point")
+    step = max(1, len(place) // 8000)
+    panel.plot(place.value[::step, 1], place.value[::step, 0], color="tab:blue", lw=1.1, label="estimate")
+    panel.plot(place.value[0, 1], place.value[0, 0], marker="o", ms=6, mfc="white", mec="tab:blue", ls="")
+    panel.plot(place.value[-1, 1], place.value[-1, 0], marker="s", ms=6, color="tab:blue", ls="")
+    panel.set(xlabel="east [m]", ylabel="north [m]")
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.legend(loc="best")
+    figure.suptitle("Track from above (circle: first place, square: last)")
+    return figure
+
+
+def responses(log: FlightLog, what: str, group: Sequence[Pair]) -> Figure:
+    """Draw responses and set-points one above the other."""
+    figure, axes = panels(len(group), 2.2, 0.8)
+    for panel, pair in zip(axes, group, strict=True):
+        line(panel, pair.actual.time, pair.actual.value[:, 0], color="tab:blue", lw=1.0, label="response")
+        if pair.wanted is not None and np.isfinite(pair.wanted.value).any():
+            step = max(1, len(pair.wanted) // 20000)
+            panel.plot(pair.wanted.time[::step], pair.wanted.value[::step, 0], color="tab:orange", lw=0.9,
+                       label="set-point", zorder=3)  # fmt: skip
+        panel.set_ylabel(pair.name)
+    return _finished(log, figure, axes, f"{what}: set-point and response")
+
+
+def _sensors(log: FlightLog) -> Iterator[Picture]:
+    """Yield what the sensors measured and the motors were told."""
+    acceleration, gyro = log.array("sensor_combined", "accelerometer_m_s2", 3), log.array(
+        "sensor_combined", "gyro_rad", 3
+    )  # fmt: skip
+    rows = []
+    if acceleration is not None:
+        rows.append(("acceleration [m/s²]", acceleration))
+    if gyro is not None:
+        rows.append(("rate [°/s]", Series(gyro.time, np.degrees(gyro.value))))
+    if rows:
+        yield Picture("imu", "Raw acceleration and rates", _several(log, rows, _AXES, "Raw acceleration and rates"))
+    motors = _motors(log)
+    if motors is not None:
+        names = [str(i + 1) for i in range(motors[1].value.shape[1])]
+        yield Picture("motors", "Motors", _several(log, [motors], names, "What the motors were told"))
+
+
+def _motors(log: FlightLog) -> tuple[str, Series] | None:
+    """Return what the motors that are used were told."""
+    for topic, name, count, unit in (
+        ("actuator_motors", "control", 12, "motor, share of full"),
+        ("actuator_outputs", "output", 16, "output"),
+    ):
+        series = log.array(topic, name, count)
+        if series is None:
+            continue
+        used = np.isfinite(series.value).any(axis=0) & (np.nan_to_num(series.value) != 0).any(axis=0)
+        if used.any():
+            return unit, Series(series.time, series.value[:, used])
+    return None
+
+
+def _spectra(log: FlightLog) -> Iterator[Picture]:
+    """Yield the frequency content of rates and accelerations."""
+    start, end = log.flown
+    rates = log.array("vehicle_angular_velocity", "xyz", 3) or log.array("sensor_combined", "gyro_rad", 3)
+    acceleration = log.array("sensor_combined", "accelerometer_m_s2", 3)
+    wanted = log.series("vehicle_rates_setpoint", "roll", "pitch", "yaw")
+    shown: list[tuple[str, Series, tuple[str, ...]]] = []
+    if rates is not None:
+        shown.append(("rates [(°/s)²/Hz]", Series(rates.time, np.degrees(rates.value)), ("roll", "pitch", "yaw")))
+    if wanted is not None:
+        degrees = Series(wanted.time, np.degrees(wanted.value))
+        shown.append(("rate set-points [(°/s)²/Hz]", degrees, ("roll", "pitch", "yaw")))
+    if acceleration is not None:
+        shown.append(("acceleration [(m/s²)²/Hz]", acceleration, _AXES))
+    made = [(name, found, names) for name, series, names in shown if (found := spectrum(series, start, end))]
+    if made:
+        yield Picture("spectra", "Frequency content of rates and vibration", _densities(made))
+    for name, what, series in (("rates", "the rates", rates), ("acceleration", "the acceleration", acceleration)):
+        heat = None if series is None else spectrogram(series, start, end)
+        if heat is not None:
+            title = f"Spectrogram of {what}"
+            yield Picture(f"spectrogram_{name}", title, _heat(*heat, title))
+
+
+def _densities(made: Sequence[tuple[str, tuple[Array, Array], Sequence[str]]]) -> Figure:
+    figure, axes = plt.subplots(len(made), 1, figsize=(9.0, 1.1 + 2.4 * len(made)), squeeze=False)
+    figure.subplots_adjust(left=0.12, right=0.97, hspace=0.35, top=1 - 0.5 / (1.1 + 2.4 * len(made)), bottom=0.09)
+    for panel, (name, (frequency, density), names) in zip(axes[:, 0], made, strict=True):
+        for i, (axis, shade) in enumerate(zip(names, shades(3), strict=True)):
+            panel.semilogy(frequency[1:], density[1:, i], color=shade, lw=1.0, label=axis)
+        panel.set_ylabel(name)
+        panel.margins(x=0.01)
+        panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))  # the log scale's own is mathtext
+        panel.legend(loc="upper right", ncol=3, fontsize=8)
+    axes[-1, 0].set_xlabel("frequency [Hz]")
+    figure.suptitle("Power spectral density while armed (Welch, median)")
+    return figure
+
+
+def _heat(time: Array, frequency: Array, density: Array, title: str) -> Figure:
+    figure, (panel,) = panels(1, 3.4, 0.98)
+    level = 10.0 * np.log10(np.maximum(density, density[density > 0].min(initial=1e-12)))
+    least, most = np.percentile(level, [5, 99.5])
+    panel.grid(visible=False)
+    mesh = panel.pcolormesh(time, frequency, level, shading="nearest", vmin=least, vmax=most, cmap="viridis",
+                            rasterized=True)  # fmt: skip
+    panel.set(xlabel=_TIME, ylabel="frequency [Hz]")
+    figure.colorbar(mesh, ax=panel, label="power density, all axes [dB]", pad=0.01)
+    figure.suptitle(title)
+    return figure
+
+
+def _health(log: FlightLog) -> Iterator[Picture]:
+    """Yield vibration metrics, the estimator's checks, GPS and batteries."""
+    rows = []
+    for instance in range(4):
+        metric = log.series("vehicle_imu_status", "accel_vibration_metric", instance=instance)
+        if metric is not None:
+            rows.append((f"IMU {instance} [m/s²]", metric))
+    if rows:
+        yield Picture("vibration", "Vibration metrics", _several(log, rows, ("acceleration",), "Vibration metrics"))
+    fields = ("vel_test_ratio", "pos_test_ratio", "hgt_test_ratio", "mag_test_ratio")
+    ratios = log.series("estimator_status", *fields)
+    if ratios is not None:
+        names = ("velocity", "position", "height", "heading")
+        figure, axes = _started([("test ratio", ratios)], names)
+        axes[0].axhline(1.0, color="tab:red", lw=0.9, ls="--")
+        yield Picture("estimator", "Estimator: test ratios",
+                      _finished(log, figure, axes, "Estimator: test ratios, rejected above 1"))  # fmt: skip
+    gps = log.series("sensor_gps", "eph", "epv") or log.series("vehicle_gps_position", "eph", "epv")
+    if gps is not None:
+        figure, axes = _started([("accuracy [m]", gps)], ("horizontal", "vertical"))
+        yield Picture("gps", "GPS", _finished(log, figure, axes, "GPS: accuracy that it states"))
+    battery = log.series("battery_status", "voltage_v", "current_a", "remaining")
+    if battery is not None:
+        units = (("voltage [V]", 1.0), ("current [A]", 1.0), ("charge [%]", 100.0))
+        known = Series(battery.time, np.where(battery.value < 0, np.nan, battery.value))  # PX4 says -1 for unknown
+        parts = [
+            (name, _column(known, i, scale))
+            for i, (name, scale) in enumerate(units)
+            if np.isfinite(known.value[:, i]).any()
+        ]
+        yield Picture("battery", "Battery", _several(log, parts, ("battery",), "Battery"))
+
+
+def _several(log: FlightLog, rows: Sequence[tuple[str, Series]], names: Sequence[str], title: str) -> Figure:
+    figure, axes = _started(rows, names)
+    return _finished(log, figure, axes, title)
+
+
+def _started(rows: Sequence[tuple[str, Series]], names: Sequence[str]) -> tuple[Figure, list[Axes]]:
+    """Draw columns against time, a panel for each row."""
+    figure, axes = panels(len(rows), 2.4, 0.8)
+    for panel, (unit, series) in zip(axes, rows, strict=True):
+        for i, shade in enumerate(shades(series.value.shape[1])):
+            line(panel, series.time, series.value[:, i], color=shade, lw=0.9, label=names[i])
+        panel.set_ylabel(unit)
+    return figure, axes
+
+
+def _finished(log: FlightLog, figure: Figure, axes: Sequence[Axes], title: str) -> Figure:
+    """Put the flight modes behind the panels, the legends beside them, and the title above."""
+    colours = colours_of([mode for _, mode in log.modes])
+    for start, end, mode in spans(log.modes, log.duration):
+        for panel in axes:
+            panel.axvspan(start, end, color=colours[mode], alpha=0.13, lw=0, zorder=0)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.81, 0.96), fontsize=8)
+    if colours:
+        figure.legend([Patch(color=shade, alpha=0.3) for shade in colours.values()], list(colours), fontsize=8,
+                      loc="lower left", bbox_to_anchor=(0.81, 0.05), title="mode")  # fmt: skip
+    axes[-1].set_xlabel(_TIME)
+    figure.suptitle(title)
+    return figure
+
+
+def _column(series: Series, column: int, scale: float = 1.0) -> Series:
+    return Series(series.time, scale * series.value[:, column : column + 1])
+
+
+def _column_or_none(series: Series | None, column: int, scale: float = 1.0) -> Series | None:
+    return None if series is None else _column(series, column, scale)
+
+
+def _angles(log: FlightLog, topic: str, name: str) -> Series | None:
+    quaternion = log.array(topic, name, 4)
+    return None if quaternion is None else Series(quaternion.time, euler(quaternion.value))
