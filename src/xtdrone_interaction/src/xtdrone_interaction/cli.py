@@ -55,6 +55,9 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
     commands.add_parser("gcs", help="plans to vehicles and back, as a ground station (own options: gcs --help)")
     commands.add_parser("analyse", help="report and pictures of any bag or flight log (own options: analyse --help)")
+    commands.add_parser("compare", help="runs on the same axes (own options: compare --help)")
+    commands.add_parser("convert", help="bags as ROS 2 bags, MCAP, CSV, Parquet (own options: convert --help)")
+    commands.add_parser("record", help="record a running flight by a profile (own options: record --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
     commands.add_parser("sweep", help="fly a study over parameters and seeds (own options: sweep --help)")
     commands.add_parser("compare-px4", help="fly our autopilot beside recorded flights of a real PX4")
@@ -163,6 +166,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         from xtdrone_interaction.analysis import command as analysis
 
         return analysis.main(arguments[1:])
+    if arguments[:1] == ["compare"]:
+        from xtdrone_interaction.analysis import compare
+
+        return compare.main(arguments[1:])
+    if arguments[:1] == ["convert"]:
+        from xtdrone_interaction.analysis import convert
+
+        return convert.main(arguments[1:])
+    if arguments[:1] == ["record"]:
+        from xtdrone_interaction import recording
+
+        return recording.main(arguments[1:])
     if arguments[:1] == ["bench"]:
         from xtdrone_interaction import bench
 

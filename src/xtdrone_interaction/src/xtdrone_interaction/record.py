@@ -192,7 +192,7 @@ def read_record(file: str | Path) -> FlightRecord:
     except RecordError:
         raise
     except Exception as error:  # rosbags raises many kinds for a damaged file
-        raise RecordError(f"bag: {path} cannot be read ({error}); 'rosbag reindex' may mend it") from error
+        raise RecordError(f"bag: {path} cannot be read ({error}); './xtdrone analyse' shows what is left") from error
 
 
 def save_record(record: FlightRecord, path: str | Path) -> None:

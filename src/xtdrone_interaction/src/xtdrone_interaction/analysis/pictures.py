@@ -133,7 +133,11 @@ def velocities(flight: Flight, vehicles: list[Vehicle], marks: list[tuple[float,
 
 def nearest(vehicles: list[Vehicle]) -> Series | None:
     """Return the least distance between any two vehicles, m, while all of them are known; None if they never are."""
-    places = [place for vehicle in vehicles if (place := vehicle.position) is not None]
+    return nearest_of([place for vehicle in vehicles if (place := vehicle.position) is not None])
+
+
+def nearest_of(places: list[Series]) -> Series | None:
+    """Return the same of places, m, each (t, 3)."""
     first, last = max(place.time[0] for place in places), min(place.time[-1] for place in places)
     grid = max(places, key=len).time
     grid = grid[(grid >= first) & (grid <= last)]
@@ -161,6 +165,8 @@ def modes(flight: Flight, marks: list[tuple[float, str]]) -> Figure:
     colour = colours_of([mode for vehicle in shown for _, mode in vehicle.modes])
     height = min(0.42, 9.0 / len(shown)) * len(shown)
     figure, (panel,) = panels(1, height + 0.3, 0.78)
+    longest = max(len(vehicle.name) for vehicle in shown)
+    figure.subplots_adjust(left=min(0.3, max(0.09, 0.025 + 0.0085 * longest)))
     for row, vehicle in enumerate(shown):
         for start, stop, mode in spans(vehicle.modes, end):
             panel.barh(row, stop - start, 0.62, start, color=colour.get(mode, NO_MODE), lw=0)

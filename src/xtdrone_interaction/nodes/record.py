@@ -1,0 +1,9 @@
+#!/usr/bin/env python3
+"""Records a flight with rosbag, by a profile; see ``xtdrone_interaction.recording``."""
+
+import sys
+
+from xtdrone_interaction.recording import main
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

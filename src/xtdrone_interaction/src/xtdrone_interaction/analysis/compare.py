@@ -1,0 +1,271 @@
+"""``./xtdrone compare A B ...``: two or more runs, or a run and a reference, on the same axes.
+
+Exit status: 0 when a report was written, 1 when a run cannot be read, 2 for a value that is not allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from xtdrone_interaction.analysis.columns import Array, Series
+from xtdrone_interaction.analysis.command import finish, output_folder
+from xtdrone_interaction.analysis.drawing import Picture, line, name_lines, panels, shades
+from xtdrone_interaction.analysis.page import Page, Table, save_page
+from xtdrone_interaction.analysis.pictures import nearest_of
+from xtdrone_interaction.analysis.ros1bag import BagError
+from xtdrone_interaction.analysis.runs import ALIGNMENTS, CompareError, Run, aligned, matched, read_run
+from xtdrone_interaction.analysis.summary import way_length
+from xtdrone_interaction.analysis.ulog import LogError
+from xtdrone_interaction.analysis.ulog_pictures import Pair, pairs
+from xtdrone_interaction.options import OptionError
+
+_MOST_VEHICLES = 9  # drawn one by one
+_MOST_RUNS = 12
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far a run is from the first one, while both know all places.
+
+    Attributes:
+        time: shape (t,), s.
+        distance: of each vehicle from its place in the first run, m, shape (t, n).
+    """
+
+    time: Array
+    distance: Array
+
+
+def difference(first: Run, other: Run) -> Difference | None:
+    """Return how far ``other`` is from ``first``; None if they have no time in common."""
+    both = [(first.places[name], other.places[name]) for name in first.places]
+    start = max(float(series.time[0]) for pair in both for series in pair)
+    end = min(float(series.time[-1]) for pair in both for series in pair)
+    grid = both[0][0].time
+    grid = grid[(grid >= start) & (grid <= end)]
+    if not len(grid):
+        return None
+    away = [np.linalg.norm(theirs.at(grid) - ours.at(grid), axis=1) for ours, theirs in both]
+    return Difference(grid, np.stack(away, axis=1))
+
+
+def compare(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return figures of runs as plain data: each by itself, and beside the first.
+
+    Returns:
+        For each: name, duration (s), way (m, of all vehicles), greatest_speed (m/s), least_distance (m), and
+        difference_rms, difference_greatest (m), difference_time (s, of the greatest); what is not known is None.
+    """
+    rows = []
+    for run in runs:
+        ends = [float(series.time[-1]) for series in run.places.values()]
+        close = nearest_of(list(run.places.values())) if len(run.places) > 1 else None
+        row: dict[str, Any] = {
+            "name": run.name,
+            "duration": max(ends) - run.start,
+            "way": sum(way_length(series) for series in run.places.values()),
+            "greatest_speed": max(float(_speed(series).value.max()) for series in run.places.values()),
+            "least_distance": None if close is None else float(close.value.min()),
+            **dict.fromkeys(("difference_rms", "difference_greatest", "difference_time")),
+        }
+        found = None if run is runs[0] else difference(runs[0], run)
+        if found is not None:
+            row |= {
+                "difference_rms": float(np.sqrt(np.mean(found.distance**2))),
+                "difference_greatest": float(found.distance.max()),
+                "difference_time": float(found.time[found.distance.max(axis=1).argmax()]),
+            }
+        rows.append(row)
+    return rows
+
+
+def _speed(series: Series) -> Series:
+    """Return how fast a vehicle is, m/s, shape (t, 1), smoothed over a fifth of a second."""
+    time, rows = np.unique(series.time, return_index=True)
+    if len(time) < 3:
+        return Series(time, np.zeros((len(time), 1)))
+    grid = np.arange(time[0], time[-1], max(0.1, float(np.median(np.diff(time)))))
+    if len(grid) < 3:
+        return Series(time, np.zeros((len(time), 1)))
+    places = Series(time, series.value[rows]).at(grid)
+    return Series(grid, np.linalg.norm(np.gradient(places, grid, axis=0), axis=1)[:, None])
+
+
+def pictures(runs: Sequence[Run], time_name: str) -> Iterator[Picture]:
+    """Yield the pictures of runs on the same axes."""
+    for name in list(runs[0].places)[:_MOST_VEHICLES]:
+        yield Picture(f"positions_{name}", f"Positions of {name}", _positions(runs, name, time_name))
+    found = [(run, made) for run in runs[1:] if (made := difference(runs[0], run)) is not None]
+    if found:
+        yield Picture("difference", f"Distance from {runs[0].name}", _differences(runs, found, time_name))
+    if len(runs[0].places) > 1:
+        yield Picture("distances", "Least distance between vehicles", _distances(runs, time_name))
+    logs = [run for run in runs if run.log is not None]
+    if len(logs) == len(runs):
+        for what in ("Velocity", "Attitude", "Rates"):
+            groups = [pairs(run.log).get(what, []) for run in logs if run.log is not None]
+            if all(groups):
+                yield Picture(what.lower(), what, _responses(logs, groups, what))
+
+
+def _positions(runs: Sequence[Run], vehicle: str, time_name: str) -> Figure:
+    figure, axes = panels(4, 2.0, 0.8)
+    for run, shade in zip(runs, shades(len(runs)), strict=True):
+        series = run.places[vehicle]
+        for axis in range(3):
+            line(axes[axis], series.time, series.value[:, axis], color=shade, lw=1.1, label=run.name)
+        speed = _speed(series)
+        line(axes[3], speed.time, speed.value[:, 0], color=shade, lw=1.0)
+    for panel, name in zip(axes, ("x, east [m]", "y, north [m]", "z, up [m]", "speed [m/s]"), strict=True):
+        panel.set_ylabel(name)
+    axes[-1].set_xlabel(time_name)
+    figure.suptitle(f"Positions and speed of {vehicle}")
+    name_lines(figure, axes[0], 0.81)
+    return figure
+
+
+def _differences(runs: Sequence[Run], found: Sequence[tuple[Run, Difference]], time_name: str) -> Figure:
+    several = len(runs[0].places) > 1
+    figure, axes = panels(1 + several, 2.6, 0.8)
+    colour = dict(zip([run.name for run in runs], shades(len(runs)), strict=True))
+    for run, made in found:
+        line(axes[0], made.time, made.distance.max(axis=1), color=colour[run.name], lw=0.9, label=run.name)
+        if several:
+            line(axes[1], made.time, made.distance.mean(axis=1), color=colour[run.name], lw=0.9)
+    axes[0].set(ylabel="greatest [m]" if several else "distance [m]", ylim=(0.0, None))
+    if several:
+        axes[1].set(ylabel="mean of the vehicles [m]", ylim=(0.0, None))
+    axes[-1].set_xlabel(time_name)
+    figure.suptitle(f"Distance from the places in {runs[0].name}")
+    name_lines(figure, axes[0], 0.81)
+    return figure
+
+
+def _distances(runs: Sequence[Run], time_name: str) -> Figure:
+    figure, (panel,) = panels(1, 3.2, 0.8)
+    for run, shade in zip(runs, shades(len(runs)), strict=True):
+        close = nearest_of(list(run.places.values()))
+        if close is not None:
+            line(panel, close.time, close.value[:, 0], color=shade, lw=1.1, label=run.name)
+    panel.set(ylabel="least distance [m]", xlabel=time_name, ylim=(0.0, None))
+    figure.suptitle("Least distance between any two vehicles")
+    name_lines(figure, panel, 0.81)
+    return figure
+
+
+def _responses(runs: Sequence[Run], groups: Sequence[Sequence[Pair]], what: str) -> Figure:
+    """Draw responses of flight logs on the same axes, from each one's arming on."""
+    figure, axes = panels(len(groups[0]), 2.2, 0.8)
+    for run, group, shade in zip(runs, groups, shades(len(runs)), strict=True):
+        zero = run.log.flown[0] if run.log is not None else 0.0
+        for panel, pair in zip(axes, group, strict=True):
+            line(panel, pair.actual.time - zero, pair.actual.value[:, 0], color=shade, lw=1.0, label=run.name)
+            panel.set_ylabel(pair.name)
+    axes[-1].set_xlabel("time since the first arming [s]")
+    figure.suptitle(f"{what}, responses")
+    name_lines(figure, axes[0], 0.81)
+    return figure
+
+
+def compare_page(runs: Sequence[Run], figures: Sequence[dict[str, Any]], note: str) -> Page:
+    """Return the words of a comparison."""
+    vehicles = list(runs[0].places)
+    what = vehicles[0] if len(vehicles) == 1 else f"{len(vehicles)} vehicles"
+    page = Page(f"Comparison of {', '.join(run.name for run in runs)}", f"{what}; {note}. Beside {runs[0].name}.")
+    page.notes += [f"{run.name}: {text}" for run in runs for text in run.notes]
+    if len(vehicles) > _MOST_VEHICLES:
+        page.notes.append(f"of {len(vehicles)} vehicles the first {_MOST_VEHICLES} are drawn one by one")
+
+    def number(value: float | None) -> str:
+        return "" if value is None else f"{value:.2f}"
+
+    keys = ("duration", "way", "greatest_speed", "least_distance", "difference_rms", "difference_greatest",
+            "difference_time")  # fmt: skip
+    rows = [(row["name"], *(number(row[key]) for key in keys)) for row in figures]
+    head = ("run", "time (s)", "way (m)", "fastest (m/s)", "least distance (m)", "difference, RMS (m)", "greatest (m)",
+            "at (s)")  # fmt: skip
+    page.tables.append(Table("Runs", head, rows))
+    flown = [run for run in runs if run.patterns]
+    if flown:
+        most = max(flown, key=lambda run: len(run.patterns))
+        lines = []
+        for i, item in enumerate(most.patterns):
+            cells = [_settled(run.patterns[i]) if i < len(run.patterns) else "" for run in flown]
+            lines.append((str(item["pattern"]), *cells))
+        names = ("pattern", *(run.name for run in flown))
+        page.tables.append(Table("Settled after (s), steady error (m)", names, lines))
+    return page
+
+
+def _settled(item: dict[str, Any]) -> str:
+    after = "never" if item["settling_time"] is None else f"{item['settling_time']:.2f}"
+    return f"{after}, {item['steady_error_mean']:.3f}"
+
+
+def names_of(files: Sequence[Path], names: str | None) -> list[str]:
+    """Return a name for each run: those given, else the shortest end of its path that tells it from the others.
+
+    Raises:
+        OptionError: another number of names, or one twice.
+    """
+    if names is not None:
+        given = [name.strip() for name in names.split(",")]
+        if len(given) != len(files) or len(set(given)) != len(files) or not all(given):
+            raise OptionError(f"names: {names!r} is not allowed; {len(files)} different names with commas between")
+        return given
+    paths = [file.resolve() for file in files]
+    for length in range(1, max(len(path.parts) for path in paths) + 1):
+        found = ["/".join(path.parts[-length:]) for path in paths]
+        if len(set(found)) == len(found):
+            return found
+    return [f"{number}: {path.name}" for number, path in enumerate(paths, 1)]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command and return its exit status."""
+    parser = argparse.ArgumentParser(
+        prog="xtdrone compare",
+        description="Draw runs on the same axes and say how far they are from the first: report.html, pictures, "
+        "report.json. Runs are bags, ULogs, flight.npz, or tables (.csv: time, x, y, z in s and m ENU, vehicle).",
+    )
+    add = parser.add_argument
+    add("files", type=Path, nargs="+", metavar="FILE", help="two or more runs; the first is what the others are "
+        "compared with")  # fmt: skip
+    add("--names", metavar="NAMES", help="of the runs, with commas between (default: from their paths)")
+    add("--align", choices=ALIGNMENTS, default="motion",
+        help="what times count from (default: the first motion of any vehicle)")  # fmt: skip
+    add("--vehicle", metavar="NAME", help="compare this vehicle alone; in a run with a single one, that one")
+    add("--from-place", action="store_true", help="count places from where each vehicle was at time 0")
+    add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: comparison, beside the first run)")
+    arguments = parser.parse_args(argv)
+    try:
+        if not 2 <= len(arguments.files) <= _MOST_RUNS:
+            raise OptionError(f"compare: {len(arguments.files)} runs are not allowed; 2 to {_MOST_RUNS}")
+        names = names_of(arguments.files, arguments.names)
+        folder = output_folder(arguments.out, arguments.files[0].with_name("comparison"), "")
+        read = [read_run(file, name) for file, name in zip(arguments.files, names, strict=True)]
+        runs, time_name = aligned(matched(read, arguments.vehicle), arguments.align)
+        if arguments.from_place:
+            runs = [run.from_places() for run in runs]
+        figures = compare(runs)
+        page = compare_page(runs, figures, time_name.removesuffix(" [s]"))
+        finish(page, figures, save_page(page, pictures(runs, time_name), folder), folder, Console())
+    except OptionError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    except (BagError, LogError, CompareError) as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1
+    return 0

@@ -1,0 +1,358 @@
+"""``./xtdrone convert FILE --to FORMAT``: bags as ROS 2 bags, MCAP, CSV, Parquet, or as a whole bag again.
+
+Exit status: 0 when all that can be read was converted, 1 when nothing can be read, 2 for a value that is not allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import fnmatch
+import io
+import json
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from rich.console import Console
+from rosbags.convert import ConverterError
+from rosbags.convert.converter import convert as rosbags_convert
+from rosbags.rosbag1 import Writer
+
+from xtdrone_interaction.analysis.layout import Decoded, Layout, List, Text, Texts
+from xtdrone_interaction.analysis.ros1bag import BagError, BagFile, Batch, Connection
+from xtdrone_interaction.analysis.source import Layouts, Source, by_connection, large_batches, open_source
+from xtdrone_interaction.options import OptionError
+
+FORMATS = {
+    "mcap": "ROS 2 bag with MCAP inside, which Foxglove opens",
+    "ros2": "ROS 2 bag with SQLite inside",
+    "bag": "ROS 1 bag, whole and indexed, of one that is cut off",
+    "csv": "a table for each topic",
+    "parquet": "a table for each topic, typed and packed",
+}
+_AT_ONCE = 200  # tables open together; of more topics, the bag is read several times
+_ROWS = 50_000  # of a table, at least, before they are written
+_TIME = "bag_time_ns"
+_BYTES = "u1"
+
+
+def chosen(patterns: Sequence[str] | None) -> Callable[[str], bool]:
+    """Return whether a topic is wanted: all without patterns, else those that match one, as /iris_*/mavros/*."""
+    return lambda topic: not patterns or any(fnmatch.fnmatchcase(topic, pattern) for pattern in patterns)
+
+
+def rewrite(source: Source, target: Path, wanted: Callable[[str], bool]) -> int:
+    """Write what can be read of a recording as a ROS 1 bag, with an index, packed by LZ4; return its messages."""
+    count = 0
+    writer = Writer(target)
+    writer.set_compression(Writer.CompressionFormat.LZ4)
+    with writer:
+        made: dict[Connection, Any] = {}
+        for batch in large_batches(source):
+            rows = zip(
+                batch.connection.tolist(),
+                batch.time.tolist(),
+                batch.offset.tolist(),
+                batch.length.tolist(),
+                strict=True,
+            )
+            for number, time, offset, length in rows:
+                connection = source.connections.get(number)
+                if connection is None or not wanted(connection.topic):
+                    continue
+                if connection not in made:
+                    made[connection] = writer.add_connection(
+                        connection.topic,
+                        connection.type.replace("/", "/msg/") if "/msg/" not in connection.type else connection.type,
+                        msgdef=connection.definition,
+                        md5sum=connection.md5,
+                        latching=int(connection.latching),
+                    )
+                writer.write(made[connection], time, batch.data[offset : offset + length].tobytes())
+                count += 1
+    return count
+
+
+def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | None) -> None:
+    """Write a recording as a ROS 2 bag.
+
+    Args:
+        source: what is read; a bag that is cut off, or of which some topics are wanted, is first written whole.
+        target: folder that does not exist yet.
+        storage: ``mcap`` or ``sqlite3``.
+        topics: patterns of those that are wanted; None for all.
+
+    Raises:
+        BagError: rosbags cannot convert it.
+    """
+    if topics is None and isinstance(source, BagFile):
+        with contextlib.suppress(ConverterError):
+            _convert(source.path, target, storage)
+            return
+        shutil.rmtree(target, ignore_errors=True)
+    whole = target.with_name(f".{target.name}.whole.bag")
+    whole.unlink(missing_ok=True)
+    try:
+        if not rewrite(source, whole, chosen(topics)):
+            raise BagError(f"convert: {str(source.path)!r} has no messages of the topics that are wanted")
+        _convert(whole, target, storage)
+    except ConverterError as error:
+        shutil.rmtree(target, ignore_errors=True)
+        raise BagError(f"convert: {str(source.path)!r}: {error}") from error
+    finally:
+        whole.unlink(missing_ok=True)
+
+
+def _convert(bag: Path, target: Path, storage: str) -> None:
+    """Convert a ROS 1 bag that is whole."""
+    with contextlib.redirect_stdout(io.StringIO()):  # it names every type that ROS 2 does not know
+        rosbags_convert([bag], target, storage, 8, None, "file", None, None, (), (), (), ())
+
+
+class _Table:
+    """Rows of one topic, written in parts."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        self.path = path
+        self.kind = kind
+        self.rows = 0
+        self._waiting: list[pa.Table] = []
+        self._writer: Any = None
+        self._schema: pa.Schema | None = None
+
+    def add(self, table: pa.Table) -> None:
+        """Add rows."""
+        self.rows += len(table)
+        self._waiting.append(table)
+        if sum(len(part) for part in self._waiting) >= _ROWS:
+            self._write()
+
+    def _write(self) -> None:
+        if not self._waiting:
+            return
+        table = pa.concat_tables(self._waiting)
+        self._waiting = []
+        if self._writer is None:
+            self._schema = table.schema
+            make = pa.parquet.ParquetWriter if self.kind == "parquet" else pa.csv.CSVWriter
+            self._writer = make(str(self.path), table.schema)
+        self._writer.write_table(table)
+
+    def close(self) -> None:
+        """Write what waits."""
+        self._write()
+        if self._writer is not None:
+            self._writer.close()
+
+
+def to_tables(source: Source, folder: Path, kind: str, wanted: Callable[[str], bool]) -> list[tuple[str, Path, int]]:
+    """Write a table for each topic and type of its messages.
+
+    Args:
+        source: what is read.
+        folder: where they go.
+        kind: ``csv`` or ``parquet``.
+        wanted: topics.
+
+    Returns:
+        Topic, path and rows of each table.
+    """
+    layouts = Layouts()
+    tables: dict[tuple[str, str], _Table] = {}
+    done: set[tuple[str, str]] = set()
+    names: set[str] = set()
+    written = []
+    while True:
+        waiting = False
+        for batch in large_batches(source):
+            for number, messages in by_connection(batch):
+                connection = source.connections.get(number)
+                if connection is None or not wanted(connection.topic):
+                    continue
+                key = connection.topic, connection.md5
+                if key in done:
+                    continue
+                if key not in tables and len(tables) >= _AT_ONCE:
+                    waiting = True
+                    continue
+                layout = layouts.of(connection)
+                if layout is None:
+                    continue
+                if key not in tables:
+                    tables[key] = _Table(folder / f"{_file_name(connection.topic, names)}.{kind}", kind)
+                if (made := columns(layout, messages, kind)) is not None:
+                    tables[key].add(made)
+        for key, table in tables.items():
+            table.close()
+            written.append((key[0], table.path, table.rows))
+        done |= tables.keys()
+        tables.clear()
+        if not waiting:
+            source.notes += [f"{text}; its messages are left out" for text in layouts.failed.values()]
+            return sorted(written)
+
+
+def _file_name(topic: str, taken: set[str]) -> str:
+    """Return a name for a topic's table that no other has."""
+    stem = re.sub(r"[^\w.-]+", "_", topic.strip("/")) or "topic"
+    name, number = stem, 1
+    while name in taken:
+        number += 1
+        name = f"{stem}_{number}"
+    taken.add(name)
+    return name
+
+
+def columns(layout: Layout, batch: Batch, kind: str) -> pa.Table | None:
+    """Return messages as a table: when each was recorded, then its fields by path; None if no message is whole.
+
+    Arrays of numbers are a column for each element. Lists are lists in Parquet, texts in CSV; raw bytes (pictures) are
+    bytes in Parquet and only counted in CSV. Of types that cannot be walked through, each field is JSON.
+    """
+    if not layout.walkable:
+        return _by_message(layout, batch)
+    paths = {part.path for part in layout.parts if isinstance(part, Text | Texts | List)} | layout.fields.keys()
+    decoded = layout.decode(batch.data, batch.offset, batch.length, paths)
+    table: dict[str, Any] = {_TIME: batch.time[decoded.kept]}
+    if not len(decoded.kept):
+        return None
+    for part in layout.parts:
+        if isinstance(part, Text):
+            table[part.path] = pa.array(decoded.texts(part.path), pa.string())
+        elif isinstance(part, Texts):
+            table |= _lists(part.path, [list(texts) for texts in decoded.text_lists(part.path)], kind, pa.string())
+        elif isinstance(part, List):
+            table |= _records(decoded, part, kind)
+        else:
+            for path, _, count in getattr(part, "fields", ()):
+                values = decoded.found[path]
+                if count == 1:
+                    table[path] = np.ascontiguousarray(values)
+                else:
+                    table |= {f"{path}.{i}": np.ascontiguousarray(values[:, i]) for i in range(count)}
+    return pa.table(table)
+
+
+def _records(decoded: Decoded, part: List, kind: str) -> dict[str, Any]:
+    """Return the columns of a list of records: one for each of their fields."""
+    entries = decoded.entries(part.path, part.item)
+    found: dict[str, Any] = {}
+    for name, number, _ in part.item.fields:
+        path = part.path if name == "value" and len(part.item.fields) == 1 else f"{part.path}.{name}"
+        if number == _BYTES and path == part.path:
+            if kind == "csv":
+                found[f"{path}.size"] = np.array([len(rows) for rows in entries])
+            else:
+                found[path] = pa.array([rows[name].tobytes() for rows in entries], pa.binary())
+            continue
+        found |= _lists(path, [rows[name].ravel().tolist() for rows in entries], kind, pa.from_numpy_dtype(number))
+    return found
+
+
+def _lists(path: str, values: list[list[Any]], kind: str, entry: pa.DataType) -> dict[str, Any]:
+    if kind == "csv":
+        return {path: pa.array([json.dumps(value) for value in values], pa.string())}
+    return {path: pa.array(values, pa.list_(entry))}
+
+
+def _by_message(layout: Layout, batch: Batch) -> pa.Table | None:
+    """Return messages as a table, one by one: a column for each of the type's own fields, as JSON."""
+    names = [name for name, _ in layout.store.fielddefs[layout.type][1]]
+    times: list[int] = []
+    rows: dict[str, list[str]] = {name: [] for name in names}
+    for time, offset, length in zip(batch.time.tolist(), batch.offset.tolist(), batch.length.tolist(), strict=True):
+        raw = batch.data[offset : offset + length].tobytes()
+        try:
+            message = layout.store.deserialize_ros1(raw, layout.type)
+        except Exception:  # rosbags raises many kinds for a damaged message
+            continue
+        times.append(time)
+        for name in names:
+            rows[name].append(json.dumps(_plain(getattr(message, name))))
+    if not times:
+        return None
+    return pa.table({_TIME: pa.array(times, pa.int64()), **{k: pa.array(v, pa.string()) for k, v in rows.items()}})
+
+
+def _plain(value: Any) -> Any:
+    """Return a field as JSON can have it."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, list):
+        return [_plain(entry) for entry in value]
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "__msgtype__"}
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="xtdrone convert",
+        description="Convert a bag, also one that a crash cut off: "
+        + "; ".join(f"{k}: {v}" for k, v in FORMATS.items()),
+    )
+    add = parser.add_argument
+    add("file", type=Path, help="ROS 1 bag, or ROS 2 bag")
+    add("--to", choices=FORMATS, required=True, help="what it becomes")
+    add("--topics", nargs="+", metavar="TOPIC", help="only these; * and ? stand for anything (default: all)")
+    add("--out", type=Path, metavar="PATH", help="file or folder that does not exist yet (default: beside the bag)")
+    return parser
+
+
+def convert(file: Path, form: str, out: Path | None, topics: Sequence[str] | None) -> Iterator[str]:
+    """Convert a recording, and yield what is to be said of it.
+
+    Raises:
+        OptionError: the target exists or cannot be made.
+        BagError: nothing can be read.
+    """
+    source = open_source(file)
+    target = out or file.with_name(f"{file.stem}-{form}" if form != "bag" else f"{file.stem}-whole.bag")
+    if target.exists():
+        raise OptionError(f"out: {str(target)!r} exists already; choose another --out")
+    wanted = chosen(topics)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if form in ("csv", "parquet"):
+            target.mkdir()
+            tables = to_tables(source, target, form, wanted)
+            if not tables:
+                target.rmdir()
+                raise BagError(f"convert: {str(file)!r} has no messages of the topics that are wanted")
+            yield f"{len(tables)} tables, {sum(rows for _, _, rows in tables)} rows"
+        elif form == "bag":
+            yield f"{rewrite(source, target, wanted)} messages"
+        else:
+            to_ros2(source, target, "mcap" if form == "mcap" else "sqlite3", topics)
+            if form == "mcap":
+                yield str(next(target.glob("*.mcap"), target))
+    except OSError as error:
+        raise OptionError(f"out: {str(target)!r} cannot be written: {error.strerror or error}") from error
+    yield str(target)
+    yield from (f"Note: {note}" for note in source.notes)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command and return its exit status."""
+    arguments = _parser().parse_args(argv)
+    console = Console()
+    try:
+        for text in convert(arguments.file, arguments.to, arguments.out, arguments.topics):
+            console.print(text, highlight=False, soft_wrap=True, markup=False)
+    except OptionError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    except BagError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    return 0

@@ -1,0 +1,158 @@
+"""``./xtdrone record PROFILE``: rosbag record with the topics, packing and splitting of a profile.
+
+Exit status: rosbag's; 2 for a value that is not allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from xtdrone_interaction import options
+from xtdrone_interaction.options import OptionError
+
+PROFILES = Path("src") / "xtdrone_interaction" / "config" / "recording"
+_PACKINGS = {"none": [], "lz4": ["--lz4"], "bz2": ["--bz2"]}
+_KEYS = frozenset({"topics", "exclude", "compression", "split", "buffer"})
+_MOST = 1 << 20  # MB
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What is recorded.
+
+    Attributes:
+        topics: regular expressions; a topic is recorded whose whole name one matches.
+        exclude: likewise; such a topic is not.
+        compression: ``none``, ``lz4`` or ``bz2``.
+        split: MB of a file, after which the next begins.
+        buffer: MB of messages that may wait for the disk.
+    """
+
+    topics: tuple[str, ...]
+    exclude: tuple[str, ...]
+    compression: str
+    split: int
+    buffer: int
+
+    def takes(self, topic: str) -> bool:
+        """Return whether a topic is recorded."""
+        return any(re.fullmatch(p, topic) for p in self.topics) and not any(
+            re.fullmatch(p, topic) for p in self.exclude
+        )
+
+
+def read_profile(name: str) -> Profile:
+    """Read a shipped profile by its name, or any by the path of its YAML file.
+
+    Raises:
+        OptionError: there is none, or it has something that is not allowed.
+    """
+    folder = options.repository() / PROFILES
+    path = Path(name) if name.endswith((".yaml", ".yml")) else folder / f"{name}.yaml"
+    try:
+        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError:
+        shipped = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
+        raise OptionError(f"profile: {name!r} is unknown; there are: {shipped}, and YAML files of your own") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise OptionError(f"profile: {str(path)!r} cannot be read: {error}") from error
+    if not isinstance(raw, dict) or not raw.keys() <= _KEYS:
+        odd = sorted(map(str, raw.keys() - _KEYS)) if isinstance(raw, dict) else [type(raw).__name__]
+        raise OptionError(f"profile: {str(path)!r}: {odd[0]!r} is not allowed; {', '.join(sorted(_KEYS))}")
+    packing = raw.get("compression", "lz4")
+    if packing not in _PACKINGS:
+        raise OptionError(f"profile: {str(path)!r}: compression {packing!r} is not allowed; {', '.join(_PACKINGS)}")
+    topics = _expressions(path, raw, "topics")
+    if not topics:
+        raise OptionError(f"profile: {str(path)!r} has no topics")
+    split, buffer = _megabytes(path, raw, "split", 1024), _megabytes(path, raw, "buffer", 256)
+    return Profile(topics, _expressions(path, raw, "exclude"), packing, split, buffer)
+
+
+def _expressions(path: Path, raw: dict[str, Any], key: str) -> tuple[str, ...]:
+    found = raw.get(key) or []
+    if not isinstance(found, list) or not all(isinstance(entry, str) for entry in found):
+        raise OptionError(f"profile: {str(path)!r}: {key} is not a list of regular expressions")
+    for entry in found:
+        try:
+            re.compile(entry)
+        except re.error as error:
+            raise OptionError(f"profile: {str(path)!r}: {key}: {entry!r} is no regular expression: {error}") from error
+    return tuple(found)
+
+
+def _megabytes(path: Path, raw: dict[str, Any], key: str, usual: int) -> int:
+    value = raw.get(key, usual)
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= _MOST:
+        raise OptionError(f"profile: {str(path)!r}: {key} {value!r} is not allowed; 1 to {_MOST} MB")
+    return value
+
+
+def rosbag_arguments(profile: Profile, out: str, more: Sequence[str] = ()) -> list[str]:
+    """Return what ``rosbag`` is called with.
+
+    Args:
+        profile: what is recorded.
+        out: of the files, without number and ending.
+        more: further arguments.
+    """
+    arguments = ["record", "-e", "-O", out, f"--buffsize={profile.buffer}", "--split", f"--size={profile.split}"]
+    arguments += _PACKINGS[profile.compression]
+    if profile.exclude:
+        arguments += ["-x", "|".join(f"({entry})" for entry in profile.exclude)]
+    return [*arguments, *more, *profile.topics]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Become rosbag, or return an exit status."""
+    parser = argparse.ArgumentParser(
+        prog="xtdrone record",
+        description="Record a running flight with rosbag, until Ctrl-C. Profiles: light, full (all but pictures), "
+        "cameras, or a YAML file of your own.",
+    )
+    add = parser.add_argument
+    add("profile", help="light, full, cameras, or FILE.yaml")
+    add("--out", metavar="NAME", help="of the files, without number and ending (default: runs/<time>-<profile>)")
+    add("--split", metavar="MB", type=int, help="begin a new file after so many MB (default: the profile's)")
+    add("--duration", metavar="TIME", help="stop after so long: 30, 5m, 2h (default: until Ctrl-C)")
+    arguments, ros = parser.parse_known_args(argv)
+    try:
+        odd = [argument for argument in ros if ":=" not in argument]
+        if odd:
+            raise OptionError(f"record: {odd[0]!r} is not allowed; see record --help")
+        profile = read_profile(arguments.profile)
+        if arguments.split is not None:
+            if not 1 <= arguments.split <= _MOST:
+                raise OptionError(f"split: {arguments.split} is not allowed; 1 to {_MOST} MB")
+            profile = Profile(profile.topics, profile.exclude, profile.compression, arguments.split, profile.buffer)
+        if arguments.duration and not re.fullmatch(r"[0-9]+[smh]?", arguments.duration):
+            raise OptionError(f"duration: {arguments.duration!r} is not allowed; as 30, 5m, 2h")
+        out = Path(arguments.out or f"runs/{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.profile).stem}")
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OptionError(f"out: {str(out)!r} cannot be written to: {error.strerror}") from error
+        program = shutil.which("rosbag")
+        if program is None:
+            raise OptionError("record: rosbag is not installed; './xtdrone setup' installs it")
+    except OptionError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    more = [f"--duration={arguments.duration}"] if arguments.duration else []
+    sys.stdout.flush()
+    os.execv(program, [program, *rosbag_arguments(profile, str(out), [*more, *ros])])
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
