@@ -99,16 +99,18 @@ def _megabytes(path: Path, raw: dict[str, Any], key: str, usual: int) -> int:
     return value
 
 
-def rosbag_arguments(profile: Profile, out: str, more: Sequence[str] = ()) -> list[str]:
+def rosbag_arguments(profile: Profile, out: str, duration: str | None = None, more: Sequence[str] = ()) -> list[str]:
     """Return what ``rosbag`` is called with.
 
     Args:
         profile: what is recorded.
         out: of the files, without number and ending.
+        duration: after which it stops; None for never. Then it is one file: where files are split, rosbag takes a
+            duration for that of each.
         more: further arguments.
     """
-    arguments = ["record", "-e", "-O", out, f"--buffsize={profile.buffer}", "--split", f"--size={profile.split}"]
-    arguments += _PACKINGS[profile.compression]
+    arguments = ["record", "-e", "-O", out, f"--buffsize={profile.buffer}", *_PACKINGS[profile.compression]]
+    arguments += ["--split", f"--size={profile.split}"] if duration is None else [f"--duration={duration}"]
     if profile.exclude:
         arguments += ["-x", "|".join(f"({entry})" for entry in profile.exclude)]
     return [*arguments, *more, *profile.topics]
@@ -125,13 +127,15 @@ def main(argv: Sequence[str]) -> int:
     add("profile", help="light, full, cameras, or FILE.yaml")
     add("--out", metavar="NAME", help="of the files, without number and ending (default: runs/<time>-<profile>)")
     add("--split", metavar="MB", type=int, help="begin a new file after so many MB (default: the profile's)")
-    add("--duration", metavar="TIME", help="stop after so long: 30, 5m, 2h (default: until Ctrl-C)")
+    add("--duration", metavar="TIME", help="one file of so long: 30, 5m, 2h (default: until Ctrl-C)")
     arguments, ros = parser.parse_known_args(argv)
     try:
         odd = [argument for argument in ros if ":=" not in argument]
         if odd:
             raise OptionError(f"record: {odd[0]!r} is not allowed; see record --help")
         profile = read_profile(arguments.profile)
+        if arguments.split is not None and arguments.duration is not None:
+            raise OptionError("split: not with --duration, which makes one file")
         if arguments.split is not None:
             if not 1 <= arguments.split <= _MOST:
                 raise OptionError(f"split: {arguments.split} is not allowed; 1 to {_MOST} MB")
@@ -149,9 +153,8 @@ def main(argv: Sequence[str]) -> int:
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
-    more = [f"--duration={arguments.duration}"] if arguments.duration else []
     sys.stdout.flush()
-    os.execv(program, [program, *rosbag_arguments(profile, str(out), [*more, *ros])])
+    os.execv(program, [program, *rosbag_arguments(profile, str(out), arguments.duration, ros)])
 
 
 if __name__ == "__main__":
