@@ -1,5 +1,9 @@
-"""The ground station: plans to and from vehicles over MAVLink, as QGroundControl does it."""
+"""A ground station for many vehicles over MAVLink: their state, commands, plans, as QGroundControl has them.
 
-from .station import GcsError, Peer, peers_of, upload_plans
+``GroundStation`` is the library; ``command`` and the ``..._command`` modules are the command line around it.
+"""
 
-__all__ = ["GcsError", "Peer", "peers_of", "upload_plans"]
+from .peers import GcsError, Peer, peers_of
+from .station import GroundStation, upload_plans
+
+__all__ = ["GcsError", "GroundStation", "Peer", "peers_of", "upload_plans"]

@@ -12,32 +12,48 @@ for last comes also the one behind it, for the vehicle's request for that may be
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Generator, Iterable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import plan
 from xtdrone_control.autopilot.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.mavlink import mission_items
+from xtdrone_control.mavlink.dialect import MESSAGE_ID
 from xtdrone_control.qgc_plan import Place, Plan
 
 SYSTEM, COMPONENT = 254, mavlink.MAV_COMP_ID_MISSIONPLANNER
 """Who we are; 255 is QGroundControl's system id, which may be there too."""
 
 ANSWERS = (
+    "AUTOPILOT_VERSION",
     "COMMAND_ACK",
+    "ESTIMATOR_STATUS",
+    "EXTENDED_SYS_STATE",
+    "GLOBAL_POSITION_INT",
+    "GPS_GLOBAL_ORIGIN",
+    "GPS_RAW_INT",
+    "HEARTBEAT",
     "HOME_POSITION",
+    "LOG_DATA",
+    "LOG_ENTRY",
+    "LOCAL_POSITION_NED",
     "MISSION_ACK",
     "MISSION_COUNT",
     "MISSION_ITEM_INT",
     "MISSION_REQUEST",
     "MISSION_REQUEST_INT",
+    "PARAM_VALUE",
+    "STATUSTEXT",
+    "SYS_STATUS",
+    "TIMESYNC",
 )
 KINDS = ("mission", "fence", "rally points")  # by MAV_MISSION_TYPE
 
 _AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _ATTEMPTS = 10
+_REQUESTS = 100  # of a message, until it counts as one that the vehicle does not have
 _PATIENT_REPEATS = 8  # requests without an answer until a download begins anew: the vehicle may have given it up
 _RETRIED = (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_INVALID_SEQUENCE, mavlink.MAV_MISSION_OPERATION_CANCELLED)
 _ALL = plan.ALL_KINDS
@@ -52,8 +68,31 @@ T = TypeVar("T")
 Exchange = Generator[list[Any], Any, T]
 
 
+class Beat(NamedTuple):
+    """A vehicle's HEARTBEAT, as an exchange is given it: who it is of, and what it is.
+
+    Attributes:
+        system: MAVLink system id.
+        autopilot: MAV_AUTOPILOT.
+        kind: MAV_TYPE.
+        base_mode, custom_mode: its mode.
+    """
+
+    system: int
+    autopilot: int
+    kind: int
+    base_mode: int
+    custom_mode: int
+
+
+class Heard(NamedTuple):
+    """A vehicle's TIMESYNC, as an exchange is given it: it is there."""
+
+    system: int
+
+
 class RefusalError(Exception):
-    """The vehicle does not take a list.
+    """The vehicle does not do what it was asked for.
 
     Attributes:
         final: whether to try again is of no use.
@@ -67,6 +106,77 @@ class RefusalError(Exception):
 
 def nobody(_what: str, _done: int, _total: int) -> None:
     """Take progress for somebody who wants to know of none."""
+
+
+def hello() -> list[Any]:
+    """Return what makes a vehicle whose system id is not known speak to us; it has no part in the flight."""
+    return [mavlink.MAVLink_timesync_message(0, 1)]
+
+
+def greet(system: int = 0) -> Exchange[Beat]:
+    """Return what the heartbeat of a vehicle tells; ``system``: its id, 0 when that is not known yet."""
+    answer = yield [*hello(), *([ask_for(system, mavlink.MAVLINK_MSG_ID_HEARTBEAT)] if system else [])]
+    while not isinstance(answer, Beat):
+        if isinstance(answer, Heard):
+            system = answer.system
+        ask = [ask_for(system, mavlink.MAVLINK_MSG_ID_HEARTBEAT)] if system else hello()
+        answer = yield ask if answer is None or isinstance(answer, Heard) else []
+    return answer
+
+
+def ask_for(system: int, number: int) -> Any:
+    """Return the request for a message that the vehicle sends once."""
+    return mavlink.MAVLink_command_long_message(
+        system, _AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, number, *[0.0] * 6
+    )
+
+
+def request(system: int, name: str) -> Exchange[Any]:
+    """Return a message that the vehicle sends when it is asked for it, None when it does not have it."""
+    ask = ask_for(system, MESSAGE_ID[name])
+    answer = yield [ask]
+    for _ in range(_REQUESTS):
+        while answer is not None:
+            if _is(answer, name):
+                return answer
+            denied = _is(answer, "COMMAND_ACK") and answer.command == mavlink.MAV_CMD_REQUEST_MESSAGE
+            if denied and answer.result != mavlink.MAV_RESULT_ACCEPTED:
+                return None
+            answer = yield []
+        answer = yield [ask]
+    return None
+
+
+_LOOKED_AT = (
+    "SYS_STATUS",
+    "EXTENDED_SYS_STATE",
+    "GLOBAL_POSITION_INT",
+    "LOCAL_POSITION_NED",
+    "GPS_RAW_INT",
+    "ESTIMATOR_STATUS",
+)
+_FRUITLESS = 4  # requests in a row without an answer until nothing more is hoped for
+
+
+def look(beat: Beat) -> Exchange[None]:
+    """Have a vehicle tell its state once, also while its time stands; what it does not have it does not tell."""
+    missing = dict.fromkeys(_LOOKED_AT)
+    fruitless = 0
+    outgoing = _ask_all(beat.system, missing)
+    while missing and fruitless < _FRUITLESS:
+        answer = yield outgoing
+        outgoing = []
+        name = type(answer).__name__
+        if name in missing:
+            del missing[name]
+            fruitless = 0
+        elif answer is None:
+            fruitless += 1
+            outgoing = _ask_all(beat.system, missing)
+
+
+def _ask_all(system: int, names: Iterable[str]) -> list[Any]:
+    return [ask_for(system, MESSAGE_ID[name]) for name in names]
 
 
 def to_message(item: PlanItem, seq: int, kind: int, system: int) -> Any:
@@ -312,17 +422,8 @@ def fetch_plan(system: int, progress: Progress = nobody) -> Exchange[Plan]:
 
 def _fetch_home(system: int) -> Exchange[Place]:
     """Return the vehicle's home: latitude, longitude, degrees, m AMSL; zeros when it has none."""
-    ask = mavlink.MAVLink_command_long_message(
-        system, _AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_HOME_POSITION, *[0.0] * 6
-    )
-    answer = yield [ask]
-    while True:
-        if _is(answer, "HOME_POSITION"):
-            return answer.latitude * 1e-7, answer.longitude * 1e-7, answer.altitude * 1e-3
-        denied = _is(answer, "COMMAND_ACK") and answer.command == mavlink.MAV_CMD_REQUEST_MESSAGE
-        if denied and answer.result != mavlink.MAV_RESULT_ACCEPTED:
-            return 0.0, 0.0, 0.0
-        answer = yield [ask] if answer is None else []
+    home = yield from request(system, "HOME_POSITION")
+    return (0.0, 0.0, 0.0) if home is None else (home.latitude * 1e-7, home.longitude * 1e-7, home.altitude * 1e-3)
 
 
 def clear(system: int, progress: Progress = nobody) -> Exchange[None]:

@@ -1,0 +1,156 @@
+"""What the commands of ``xtdrone gcs`` share: which vehicles they are for, and how they are reached."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol, TypeVar
+
+from xtdrone_control.fleet import FleetError, parse_fleet
+
+from . import station
+from .exchanges import Exchange
+from .peers import ANY, LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
+from .station import Job
+
+T = TypeVar("T")
+Runner = Callable[[argparse.Namespace], int]
+
+
+class UsageError(ValueError):
+    """What was asked for is not allowed."""
+
+
+class Adder(Protocol):
+    """What adds a command; ``for_vehicles``: it is for vehicles, and has the options that say for which."""
+
+    def __call__(self, name: str, run: Runner, text: str, for_vehicles: bool = True) -> argparse.ArgumentParser:
+        """Return the command's parser."""
+
+    def group(self, name: str, text: str) -> Adder:
+        """Return what adds commands below one."""
+
+
+def seconds(text: str) -> float:
+    """Return a number of seconds that an option gives.
+
+    Raises:
+        ArgumentTypeError: it is none, or not of 0.1 to 3600.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.1 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; a number of seconds from 0.1 to 3600")
+    return value
+
+
+def common() -> argparse.ArgumentParser:
+    """Return the options that say which vehicles are meant."""
+    parser = argparse.ArgumentParser(add_help=False)
+    group = parser.add_argument_group("vehicles")
+    group.add_argument("--vehicle", nargs="+", default=[], metavar="V",
+                       help="only these: names as iris_0, numbers as 0 2 or 0-5, or all that are there")  # fmt: skip
+    group.add_argument("--fleet", default="", metavar="TYPE:COUNT,...",
+                       help="the fleet that flies, needed for names where it has several types, since ports and "
+                       "system ids follow from it")  # fmt: skip
+    group.add_argument("--host", default=LOOPBACK, help="machine of the autopilots (default: %(default)s)")
+    group.add_argument("--connect", metavar="ADDRESS",
+                       help="any autopilot: udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT; numbers of vehicles "
+                       "are MAVLink system ids then")  # fmt: skip
+    group.add_argument("--patience", type=seconds, default=station.PATIENCE, metavar="S",
+                       help="give a vehicle up that is silent for so long (default: %(default)g s)")  # fmt: skip
+    return parser
+
+
+def named(names: Iterable[str], arguments: argparse.Namespace) -> list[Peer]:
+    """Return where the vehicles of these names are met.
+
+    Raises:
+        UsageError: a name that leads nowhere.
+    """
+    try:
+        return station.peers_of(names, arguments.fleet, arguments.host)
+    except (GcsError, FleetError) as error:
+        raise UsageError(str(error)) from error
+
+
+def chosen(arguments: argparse.Namespace, *, or_all: bool = False) -> list[Peer]:
+    """Return the vehicles of --vehicle, else all of --fleet or --connect.
+
+    Args:
+        arguments: of the command line.
+        or_all: without any of these all that are there are meant.
+
+    Raises:
+        UsageError: it is not said which, or what is said leads nowhere.
+        GcsError: no vehicle is there.
+    """
+    words = [word for text in arguments.vehicle for word in text.split(",") if word]
+    if not words and not (arguments.fleet or arguments.connect or or_all):
+        raise UsageError("which vehicles? --vehicle NAME ..., --vehicle all or --fleet TYPE:COUNT")
+    if arguments.connect:
+        return _connected(words or ["all"], arguments)
+    found: dict[tuple[str, str, int], Peer] = {}
+    try:
+        for word in words or ["all"]:
+            found.update({peer.line: peer for peer in _of_word(word, words, arguments)})
+    except FleetError as error:
+        raise UsageError(str(error)) from error
+    return list(found.values())
+
+
+def _of_word(word: str, words: list[str], arguments: argparse.Namespace) -> list[Peer]:
+    """Return the vehicles that a word means.
+
+    Raises:
+        UsageError, FleetError: it leads nowhere.
+        GcsError: no vehicle is there.
+    """
+    fleet, host = arguments.fleet, arguments.host
+    if word == "all":
+        return named([vehicle.name for vehicle in parse_fleet(fleet)], arguments) if fleet else _all(host)
+    try:
+        numbers = numbers_of(word)
+        if numbers is not None:
+            return [numbered(number, fleet, host) for number in numbers]
+    except GcsError as error:
+        raise UsageError(str(error)) from error
+    # together, since they have to be of one type where no fleet is given
+    return named([other for other in words if other != "all" and numbers_of(other) is None], arguments)
+
+
+def _all(host: str) -> list[Peer]:
+    peers = station.find(host)
+    if not peers:
+        raise GcsError(f"no vehicle answers at {host}, UDP ports {numbered(0).port} and above; does the simulation "
+                       "run? Other autopilots: --connect ADDRESS")  # fmt: skip
+    return peers
+
+
+def _connected(words: list[str], arguments: argparse.Namespace) -> list[Peer]:
+    try:
+        address = parse_address(arguments.connect)
+    except GcsError as error:
+        raise UsageError(str(error)) from error
+    found = station.listen(address)
+    if not found:
+        raise GcsError(f"{arguments.connect}: no autopilot's heartbeat has come over it")
+    try:
+        return choose_systems(words, found)
+    except GcsError as error:
+        raise UsageError(str(error)) from error
+
+
+def of_system(peer: Peer, make: Callable[[int], Exchange[T]]) -> Job[T]:
+    """Return an exchange with a vehicle, given what makes it of its system id."""
+    return make(peer.system) if peer.system != ANY else lambda beat: make(beat.system)
+
+
+def run(
+    jobs: Mapping[Peer, Job[T]], arguments: argparse.Namespace, closing: station.Closing = station.no_closing
+) -> dict[str, T | GcsError]:
+    """Run exchanges with the patience that the command line says; see ``station.run``."""
+    return station.run(jobs, patience=arguments.patience, closing=closing)

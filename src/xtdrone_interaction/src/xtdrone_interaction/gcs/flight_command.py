@@ -1,0 +1,120 @@
+"""``xtdrone gcs arm``, ``takeoff``, ``goto`` and what else a vehicle is told in flight."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from . import flight
+from .arguments import Adder, UsageError, chosen, run
+from .display import Display
+from .exchanges import Beat, Exchange
+from .flight import Target
+from .peers import Peer
+
+_FAR = 100_000.0  # m
+
+
+def _number(name: str, low: float, high: float) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not allowed; {name}, {low:g} to {high:g}")
+        return value
+
+    return parse
+
+
+Action = Callable[[Beat], Exchange[None]]
+
+
+def _all(arguments: argparse.Namespace, action: Action, done: str) -> int:
+    """Do it with all vehicles; return the exit status."""
+    return _each(arguments, dict.fromkeys(chosen(arguments), action), done)
+
+
+def _each(arguments: argparse.Namespace, actions: Mapping[Peer, Action], done: str) -> int:
+    display = Display([peer.name for peer in actions])
+    return display.results(list(actions), run(actions, arguments), lambda *_: done)
+
+
+def _arm(arguments: argparse.Namespace) -> int:
+    return _all(arguments, partial(flight.arm, armed=True, force=arguments.force), "armed")
+
+
+def _disarm(arguments: argparse.Namespace) -> int:
+    return _all(arguments, partial(flight.arm, armed=False, force=arguments.force), "disarmed")
+
+
+def _takeoff(arguments: argparse.Namespace) -> int:
+    height = arguments.height
+    return _all(arguments, partial(flight.take_off, height=height), f"armed, takes off to {height:g} m")
+
+
+def _goto(arguments: argparse.Namespace) -> int:
+    target = _target(arguments)
+    peers = chosen(arguments)
+    if len(peers) > 1 and arguments.spacing is None:
+        raise UsageError(
+            f"goto: {len(peers)} vehicles would meet there; --spacing M keeps so many metres between heights"
+        )
+    heights = [i * (arguments.spacing or 0.0) for i in range(len(peers))]
+    actions = {
+        peer: partial(flight.go_to, target=target.raised(height)) for peer, height in zip(peers, heights, strict=True)
+    }
+    return _each(arguments, actions, "goes there")
+
+
+def _target(arguments: argparse.Namespace) -> Target:
+    """Return where the command line sends the vehicles.
+
+    Raises:
+        UsageError: it says it by halves, or twice.
+    """
+    globe = [arguments.lat, arguments.lon]
+    heights = [arguments.alt, arguments.height]
+    if arguments.place:
+        if len(arguments.place) != 3 or any(value is not None for value in (*globe, *heights)):
+            raise UsageError("goto: X Y Z, m, or --lat, --lon and one of --alt and --height")
+        x, y, z = arguments.place
+        return Target(local=(x, y, z), speed=arguments.speed)
+    if None in globe or heights.count(None) != 1:
+        raise UsageError("goto: X Y Z, m, or --lat, --lon and one of --alt and --height")
+    over_home = arguments.alt is None
+    altitude = arguments.height if over_home else arguments.alt
+    return Target(None, (arguments.lat, arguments.lon), altitude, over_home, arguments.speed)
+
+
+def _mode(arguments: argparse.Namespace) -> int:
+    return _all(arguments, partial(flight.set_mode, name=arguments.name), f"in mode {arguments.name}")
+
+
+def add_to(add: Adder) -> None:
+    """Add these commands to the command line."""
+    force = "also where the vehicle's checks speak against it"
+    add("arm", _arm, "arm").add_argument("--force", action="store_true", help=force)
+    force = "also in flight: the motors stop and the vehicle falls"
+    add("disarm", _disarm, "disarm").add_argument("--force", action="store_true", help=force)
+    takeoff = add("takeoff", _takeoff, "arm and climb straight up")
+    takeoff.add_argument("height", type=_number("m over the ground", 0.1, _FAR), help="m over where it stands")
+    goto = add("goto", _goto, "fly to a place and stay there; the vehicle has to be in the air")
+    goto.add_argument("place", nargs="*", type=_number("m", -_FAR, _FAR), metavar="X Y Z",
+                      help="m east, north, up from the local frame's origin (the simulator's map frame)")  # fmt: skip
+    goto.add_argument("--lat", type=_number("degrees", -90.0, 90.0), metavar="DEG", help="latitude")
+    goto.add_argument("--lon", type=_number("degrees", -180.0, 180.0), metavar="DEG", help="longitude")
+    goto.add_argument("--alt", type=_number("m over the sea", -_FAR, _FAR), metavar="M", help="m over the sea")
+    goto.add_argument("--height", type=_number("m over home", -_FAR, _FAR), metavar="M", help="m over home")
+    goto.add_argument("--speed", type=_number("m/s", 0.1, 1000.0), default=math.nan, metavar="M/S",
+                      help="over ground (default: the vehicle's own)")  # fmt: skip
+    goto.add_argument("--spacing", type=_number("m", 0.5, 1000.0), metavar="M",
+                      help="several vehicles: each so much higher than the one before")  # fmt: skip
+    mode = add("mode", _mode, "fly in a mode, by PX4's or ArduPilot's name, as MISSION, POSCTL, GUIDED")
+    mode.add_argument("name", metavar="NAME", help="the mode")
+    add("hold", lambda arguments: _all(arguments, flight.hold, "holds"), "stay where it is")
+    add("rtl", lambda arguments: _all(arguments, flight.rtl, "returns home"), "return home")
+    add("land", lambda arguments: _all(arguments, flight.land, "lands"), "land where it is")

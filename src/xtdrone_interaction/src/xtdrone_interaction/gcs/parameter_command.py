@@ -1,0 +1,136 @@
+"""``xtdrone gcs params``: parameters of vehicles, one by one and as QGroundControl's .params files."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from . import parameters, station
+from .arguments import Adder, UsageError, chosen, run
+from .display import Display, tell_errors
+from .exchanges import Beat, Exchange
+from .parameter_text import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
+from .peers import GcsError, Peer
+
+_WILD = frozenset("*?[")
+
+
+def _fetch(beat: Beat, names: Sequence[str]) -> Exchange[dict[str, Value]]:
+    """Return the parameters of these names, which may have wildcards; all without any."""
+    if names and not any(_WILD & set(name) for name in names):
+        return (yield from parameters.fetch(beat, names))
+    present = yield from parameters.fetch_all(beat)
+    return {name: present[name] for name in sorted(present)
+            if not names or any(fnmatchcase(name, pattern) for pattern in names)}  # fmt: skip
+
+
+def _get(arguments: argparse.Namespace) -> int:
+    peers = chosen(arguments)
+    results = run(dict.fromkeys(peers, partial(_fetch, names=arguments.names)), arguments)
+    for peer in peers:
+        found = results[peer.name]
+        for name, value in ({} if isinstance(found, GcsError) else found).items():
+            print(f"{peer.name}  {name:<16}  {shown(*value)}")
+    return tell_errors(results.values())
+
+
+def _set(arguments: argparse.Namespace) -> int:
+    peers = chosen(arguments)
+    display = Display([peer.name for peer in peers])
+    name = arguments.name
+    results = run(dict.fromkeys(peers, partial(parameters.change, name=name, value=arguments.value)), arguments)
+    return display.results(peers, results, lambda _, found: f"{name}: {shown(*found[1])}, was {shown(*found[0])}")
+
+
+def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> dict[str, ParameterFile]:
+    """Return what is in the file, or in that of each vehicle's name in the folder.
+
+    Raises:
+        UsageError: one is missing, or is no parameter file.
+    """
+    path: Path = arguments.file
+    try:
+        if path.is_dir():
+            return {peer.name: read(path / f"{peer.name}{SUFFIX}") for peer in peers}
+        return dict.fromkeys((peer.name for peer in peers), read(path))
+    except ParameterFileError as error:
+        raise UsageError(str(error)) from error
+
+
+def _diff(arguments: argparse.Namespace) -> int:
+    peers = chosen(arguments)
+    files = _files(arguments, peers)
+    results = run(dict.fromkeys(peers, parameters.fetch_all), arguments)
+    different = False
+    for peer in peers:
+        found = results[peer.name]
+        if isinstance(found, GcsError):
+            continue
+        for name, (value, there) in parameters.differences(files[peer.name], found).items():
+            different = True
+            print(f"{peer.name}  {name:<16}  {'none' if there is None else shown(*there)}  file: {shown(*value)}")
+    return tell_errors(results.values()) or int(different)
+
+
+def _load(arguments: argparse.Namespace) -> int:
+    peers = chosen(arguments)
+    files = _files(arguments, peers)
+    display = Display([peer.name for peer in peers])
+    jobs = {
+        peer: partial(
+            parameters.load,
+            content=files[peer.name],
+            of_another=arguments.of_another,
+            progress=station.progress_of(peer.name, display.watch),
+        )
+        for peer in peers
+    }
+    results = run(jobs, arguments)
+    status = display.results(peers, results, lambda _, changed: f"{len(changed)} parameters set, the rest is the same")
+    for peer in peers:
+        changed = results[peer.name]
+        for name, (old, new) in ({} if isinstance(changed, GcsError) else changed).items():
+            print(f"{peer.name}  {name:<16}  {shown(*new)}, was {shown(*old)}")
+    return status
+
+
+def _save(arguments: argparse.Namespace) -> int:
+    peers = chosen(arguments)
+    path: Path = arguments.file
+    into_folder = path.is_dir() or len(peers) > 1
+    if into_folder and path.exists() and not path.is_dir():
+        raise UsageError(f"{path}: a folder is needed for {len(peers)} vehicles")
+    display = Display([peer.name for peer in peers])
+    jobs = {peer: partial(parameters.save, progress=station.progress_of(peer.name, display.watch)) for peer in peers}
+    results: dict[str, Any] = run(jobs, arguments)
+    paths = {peer.name: path / f"{peer.name}{SUFFIX}" if into_folder else path for peer in peers}
+    for name, found in results.items():
+        if isinstance(found, GcsError):
+            continue
+        try:
+            write(paths[name], found)
+        except OSError as error:
+            results[name] = GcsError(f"{name}: {paths[name]} cannot be written: {error.strerror}")
+    return display.results(peers, results, lambda name, found: f"{len(found.values)} parameters: {paths[name]}")
+
+
+def add_to(add: Adder) -> None:
+    """Add these commands to the command line."""
+    add_group = add.group("params", "parameters: get, set, diff, load, save")
+    get = add_group("get", _get, "show parameters")
+    get.add_argument("names", nargs="*", metavar="NAME", help="names, as MPC_XY_VEL_MAX or 'MPC_*' (default: all)")
+    set_ = add_group("set", _set, "set a parameter")
+    set_.add_argument("name", metavar="NAME", help="its name")
+    set_.add_argument("value", type=float, metavar="VALUE", help="its value")
+    diff = add_group("diff", _diff, "show what vehicles have otherwise than a file; exit status 1 where they do")
+    load = add_group("load", _load, "give vehicles what a file holds, all of it or, if it is not theirs, nothing")
+    load.add_argument("--of-another", action="store_true",
+                      help="also the file of another vehicle, without what says who it is")  # fmt: skip
+    save = add_group("save", _save, "write all parameters of vehicles")
+    for one in (diff, load):
+        one.add_argument("file", type=Path, metavar="FILE", help="file, or folder with NAME.params for each vehicle")
+    save.add_argument("file", type=Path, metavar="FILE", help="file, or folder for NAME.params of each vehicle")

@@ -1,0 +1,154 @@
+"""Which vehicles a ground station speaks to, and where they are met."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from xtdrone_control.fleet import MAX_VEHICLES, Vehicle, parse_fleet
+
+LOOPBACK = "127.0.0.1"
+SCHEMES = ("udpout", "udpin", "tcp")
+ANY = 0
+"""System id of a vehicle that is still to say which it has."""
+
+_NAME = re.compile(r"([a-z][a-z0-9_]*)_(\d+)")
+_NUMBERS = re.compile(r"(\d+)(?:-(\d+))?")
+_UNNAMED = "vehicle"  # type of a vehicle of which only the number is known
+_LAST_PORT = 65535
+_LAST_SYSTEM = 255
+
+
+class GcsError(Exception):
+    """What was asked for could not be done; the message says of which vehicle and why."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """Where a vehicle is met.
+
+    Attributes:
+        name: as ``typhoon_h480_0``.
+        system: MAVLink system id; ``ANY``: that of the autopilot that answers there.
+        host, port: of its ground-station link; of this end where the scheme is ``udpin``.
+        scheme: one of ``SCHEMES``: speak to a UDP port, wait at one of ours, connect over TCP.
+    """
+
+    name: str
+    system: int
+    host: str
+    port: int
+    scheme: str = "udpout"
+
+    @staticmethod
+    def of(vehicle: Vehicle, host: str = LOOPBACK) -> Peer:
+        """Return where ``vehicle`` is met on the machine ``host``."""
+        return Peer(vehicle.name, vehicle.system_id, host, vehicle.gcs_local_port)
+
+    @property
+    def line(self) -> tuple[str, str, int]:
+        """Scheme, host and port; vehicles with the same share a line."""
+        return self.scheme, self.host, self.port
+
+
+def peers_of(names: Iterable[str], fleet: str = "", host: str = LOOPBACK) -> list[Peer]:
+    """Return where vehicles are met.
+
+    Args:
+        names: the vehicles'.
+        fleet: the fleet that flies, as ``iris:3,typhoon_h480:2``; empty: all are of one type, and so is the fleet.
+        host: the machine on which they fly.
+
+    Raises:
+        GcsError: a name that is none, or is not in the fleet; names of several types without a fleet.
+        FleetError: the fleet is none.
+    """
+    names = list(names)
+    known = parse_fleet(fleet) if fleet else ()
+    by_name = {vehicle.name: vehicle for vehicle in known}
+    parts = [_NAME.fullmatch(name) for name in names]
+    types = {part[1] for part in parts if part}
+    found = []
+    for name, part in zip(names, parts, strict=True):
+        if part is None:
+            raise GcsError(f"vehicle: {name!r} is not allowed, a type and a number, as typhoon_h480_0")
+        if not known and len(types) > 1:
+            raise GcsError(f"vehicles of several types ({', '.join(sorted(types))}): say which fleet flies, as "
+                           f"--fleet {','.join(f'{kind}:1' for kind in sorted(types))}")  # fmt: skip
+        if known and name not in by_name:
+            raise GcsError(f"vehicle: {name!r} is not allowed, one of the fleet {fleet}")
+        number = int(part[2])
+        vehicle = by_name.get(name) or parse_fleet(f"{part[1]}:{number + 1}")[number]
+        found.append(Peer.of(vehicle, host))
+    return found
+
+
+def numbers_of(word: str) -> range | None:
+    """Return the numbers that a word as ``3`` or ``0-5`` names, None when it is no such word.
+
+    Raises:
+        GcsError: the second is less than the first.
+    """
+    match = _NUMBERS.fullmatch(word)
+    if match is None:
+        return None
+    first, last = int(match[1]), int(match[2] or match[1])
+    if last < first:
+        raise GcsError(f"vehicle: {word!r} is not allowed, the lower number first")
+    return range(first, last + 1)
+
+
+def numbered(number: int, fleet: str = "", host: str = LOOPBACK) -> Peer:
+    """Return where the vehicle of a global number is met; without a fleet its name and system id are not known.
+
+    Raises:
+        GcsError: there is no such number.
+        FleetError: the fleet is none.
+    """
+    vehicles = parse_fleet(fleet) if fleet else ()
+    count = len(vehicles) or MAX_VEHICLES
+    if number >= count:
+        raise GcsError(f"vehicle: {number} is not allowed, 0 to {count - 1}")
+    if vehicles:
+        return Peer.of(vehicles[number], host)
+    return Peer(f"{_UNNAMED}_{number}", ANY, host, Vehicle(_UNNAMED, number, number).gcs_local_port)
+
+
+def parse_address(text: str) -> tuple[str, str, int]:
+    """Return scheme, host and port of an address as ``udpin:0.0.0.0:14550``.
+
+    Raises:
+        GcsError: it is none.
+    """
+    scheme, _, rest = text.partition(":")
+    host, _, port = rest.rpartition(":")
+    number = int(port) if port.isascii() and port.isdecimal() else 0
+    if scheme not in SCHEMES or not host or not 1 <= number <= _LAST_PORT:
+        raise GcsError(f"connect: {text!r} is not allowed, {' or '.join(SCHEMES)} with host and port, "
+                       "as udpin:127.0.0.1:14550")  # fmt: skip
+    return scheme, host, number
+
+
+def choose_systems(words: Sequence[str], found: Sequence[Peer]) -> list[Peer]:
+    """Return those of the vehicles on a line that ``words`` name: ``all``, names, or system ids as ``1`` and ``2-4``.
+
+    Raises:
+        GcsError: a word that names none of them.
+    """
+    chosen: dict[Peer, None] = {}
+    by_system = {peer.system: peer for peer in found}
+    by_name = {peer.name: peer for peer in found}
+    there = ", ".join(str(system) for system in by_system)
+    for word in words:
+        if word == "all":
+            chosen |= dict.fromkeys(found)
+            continue
+        numbers = numbers_of(word)
+        if numbers is not None and numbers[-1] > _LAST_SYSTEM:
+            raise GcsError(f"vehicle: {word!r} is not allowed, system ids are 1 to {_LAST_SYSTEM}")
+        wanted = [by_name.get(word)] if numbers is None else [by_system.get(number) for number in numbers]
+        if None in wanted:
+            raise GcsError(f"vehicle: {word!r} is not allowed, of the systems on this line: {there}")
+        chosen |= dict.fromkeys(peer for peer in wanted if peer is not None)
+    return list(chosen)

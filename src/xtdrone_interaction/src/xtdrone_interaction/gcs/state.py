@@ -1,0 +1,191 @@
+"""What a vehicle tells of itself, as it stands now."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot import modes
+
+TELEMETRY = (
+    "HEARTBEAT",
+    "SYS_STATUS",
+    "EXTENDED_SYS_STATE",
+    "GLOBAL_POSITION_INT",
+    "LOCAL_POSITION_NED",
+    "GPS_RAW_INT",
+    "ESTIMATOR_STATUS",
+    "STATUSTEXT",
+)
+"""The messages that are looked at."""
+
+_FIXES = ("no GPS", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")  # by GPS_FIX_TYPE
+_LANDED = ("", "landed", "in air", "taking off", "landing")  # by MAV_LANDED_STATE
+_AHRS = mavlink.MAV_SYS_STATUS_AHRS
+_PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+_UNKNOWN_U8, _UNKNOWN_U16 = 0xFF, 0xFFFF
+_MUST = (  # bits of ESTIMATOR_STATUS_FLAGS of which one has to be set, and what is missing without
+    (mavlink.ESTIMATOR_ATTITUDE, "no attitude"),
+    (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_POS_HORIZ_REL, "no position"),
+    (mavlink.ESTIMATOR_POS_VERT_ABS, "no height"),
+)
+_MUST_NOT = ((mavlink.ESTIMATOR_GPS_GLITCH, "GPS glitch"), (mavlink.ESTIMATOR_ACCEL_ERROR, "acceleration error"))
+_TEXTS_KEPT = 20
+
+
+@cache
+def _ardupilot_modes(kind: int) -> dict[int, str]:
+    from pymavlink import mavutil  # takes long to load, and only ArduPilots need it
+
+    return dict(mavutil.mode_mapping_bynumber(kind) or {})
+
+
+_PX4_MODES = {mode.custom_mode: mode.name for mode in reversed(modes.SUPPORTED)} | {
+    4 << 16 | 8 << 24: "AUTO.FOLLOW_TARGET",
+    3 << 16 | 1 << 24: "ORBIT",
+}
+
+
+def modes_of(autopilot: int, kind: int) -> dict[int, str]:
+    """Return the names of an autopilot's modes by ``custom_mode``; none when it is neither PX4 nor ArduPilot.
+
+    Args:
+        autopilot: MAV_AUTOPILOT.
+        kind: MAV_TYPE.
+    """
+    if autopilot == mavlink.MAV_AUTOPILOT_PX4:
+        return _PX4_MODES
+    return _ardupilot_modes(kind) if autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA else {}
+
+
+def _named(enumeration: str, number: int) -> str:
+    """Return the name of a MAVLink constant without its enumeration's, in lower case."""
+    entry = mavlink.enums[enumeration].get(number)
+    return str(number) if entry is None else entry.name.removeprefix(f"{enumeration}_").lower()
+
+
+@dataclass
+class VehicleState:
+    """One vehicle; None is what it has not told (yet).
+
+    Attributes:
+        name: as it is called here.
+        system: MAVLink system id; 0 while it is not known.
+        heard: wall time of the last message, s of the monotonic clock.
+        told: the same of the last one that is neither a heartbeat nor a text.
+        kind: MAV_TYPE in words, as ``quadrotor``.
+        autopilot: MAV_AUTOPILOT in words, as ``px4``.
+        armed: whether its motors may turn.
+        ready: whether its checks before arming are passed.
+        mode: by PX4's or ArduPilot's name.
+        landed: MAV_LANDED_STATE in words.
+        latitude, longitude: degrees.
+        altitude: m AMSL.
+        height: m over home.
+        local: place in its local frame, m, ENU.
+        speed: m/s over ground.
+        climb: m/s upwards.
+        heading: degrees from north to the east.
+        battery: per cent.
+        voltage: V.
+        gps: kind of fix.
+        satellites: how many.
+        estimator: "ok", or what is wrong.
+        texts: the last of them, the newest last, each with its MAV_SEVERITY.
+    """
+
+    name: str
+    system: int = 0
+    heard: float = -math.inf
+    told: float = -math.inf
+    kind: str | None = None
+    autopilot: str | None = None
+    armed: bool | None = None
+    ready: bool | None = None
+    mode: str | None = None
+    landed: str | None = None
+    latitude: float | None = None
+    longitude: float | None = None
+    altitude: float | None = None
+    height: float | None = None
+    local: tuple[float, float, float] | None = None
+    speed: float | None = None
+    climb: float | None = None
+    heading: float | None = None
+    battery: int | None = None
+    voltage: float | None = None
+    gps: str | None = None
+    satellites: int | None = None
+    estimator: str | None = None
+    texts: list[tuple[int, str]] = field(default_factory=list)
+    _parts: tuple[int, int] = (0, 0)  # id of a text that comes in parts, and the number of the next one
+    _told_by_estimator: bool = False
+
+    def take(self, name: str, message: Any, now: float) -> None:
+        """Take a message of this vehicle, one of ``TELEMETRY``; ``now``: wall time, s."""
+        self.heard = now
+        if name not in ("HEARTBEAT", "STATUSTEXT"):
+            self.told = now
+        getattr(self, f"_{name.lower()}")(message)
+
+    def as_json(self, now: float) -> dict[str, Any]:
+        """Return what is known, for JSON; ``age``: s since the last message, null when there was none."""
+        found = {key: value for key, value in asdict(self).items() if not key.startswith("_")}
+        heard = found.pop("heard")
+        del found["told"]
+        found["age"] = round(max(now - heard, 0.0), 3) if math.isfinite(heard) else None
+        found["texts"] = [{"severity": severity, "text": text} for severity, text in self.texts]
+        return found
+
+    # one method a message
+
+    def _heartbeat(self, m: Any) -> None:
+        self.kind = _named("MAV_TYPE", m.type)
+        self.autopilot = _named("MAV_AUTOPILOT", m.autopilot)
+        self.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.mode = modes_of(m.autopilot, m.type).get(m.custom_mode, f"mode {m.custom_mode}")
+
+    def _sys_status(self, m: Any) -> None:
+        self.battery = m.battery_remaining if 0 <= m.battery_remaining <= 100 else None
+        self.voltage = None if m.voltage_battery in (0, _UNKNOWN_U16) else round(m.voltage_battery * 1e-3, 3)
+        if m.onboard_control_sensors_enabled & _PREARM or self.autopilot == "px4":  # which does not say that it has it
+            self.ready = bool(m.onboard_control_sensors_health & _PREARM)
+        if not self._told_by_estimator and m.onboard_control_sensors_present & _AHRS:
+            self.estimator = "ok" if m.onboard_control_sensors_health & _AHRS else "unhealthy"
+
+    def _extended_sys_state(self, m: Any) -> None:
+        self.landed = _LANDED[m.landed_state] if m.landed_state < len(_LANDED) else None
+
+    def _global_position_int(self, m: Any) -> None:
+        self.latitude, self.longitude = m.lat * 1e-7, m.lon * 1e-7
+        self.altitude, self.height = m.alt * 1e-3, m.relative_alt * 1e-3
+        self.speed, self.climb = math.hypot(m.vx, m.vy) * 1e-2, -m.vz * 1e-2
+        self.heading = None if m.hdg == _UNKNOWN_U16 else m.hdg * 1e-2
+
+    def _local_position_ned(self, m: Any) -> None:
+        self.local = (round(m.y, 3), round(m.x, 3), round(-m.z, 3))
+        if self.latitude is None:  # it may fly without a place on the globe
+            self.speed, self.climb = math.hypot(m.vx, m.vy), -m.vz
+
+    def _gps_raw_int(self, m: Any) -> None:
+        self.gps = _FIXES[m.fix_type] if m.fix_type < len(_FIXES) else str(m.fix_type)
+        self.satellites = None if m.satellites_visible == _UNKNOWN_U8 else m.satellites_visible
+
+    def _estimator_status(self, m: Any) -> None:
+        wrong = [text for bit, text in _MUST if not m.flags & bit] + [text for bit, text in _MUST_NOT if m.flags & bit]
+        self.estimator = ", ".join(wrong) or "ok"
+        self._told_by_estimator = True
+
+    def _statustext(self, m: Any) -> None:
+        text = str(m.text).split("\0", 1)[0].rstrip("\t\r\n ")  # a tab at the end: it is told as an event, too
+        text = "".join(letter if letter.isprintable() else "?" for letter in text)
+        goes_on = m.id != 0 and self._parts == (m.id, m.chunk_seq) and self.texts
+        if goes_on:
+            self.texts = [*self.texts[:-1], (m.severity, self.texts[-1][1] + text)]
+        else:
+            self.texts = [*self.texts, (m.severity, text)][-_TEXTS_KEPT:]
+        self._parts = (m.id, m.chunk_seq + 1)

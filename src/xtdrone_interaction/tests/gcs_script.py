@@ -1,0 +1,41 @@
+"""Exchanges of the ground station with scripted vehicles, without sockets."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavlink.codec import decoder
+from xtdrone_interaction.gcs.exchanges import Beat
+
+PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+COPTER, ROVER, PLANE = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_FIXED_WING
+_MAV = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+
+
+def beat(autopilot=PX4, kind=COPTER):
+    return Beat(7, autopilot, kind, 1, 0)
+
+
+def told(message):
+    """Return a message as it comes out of the wire."""
+    return decoder(message.msgname)(bytes(message.pack(_MAV)))
+
+
+def ack(number, result=mavlink.MAV_RESULT_ACCEPTED):
+    return told(mavlink.MAVLink_command_ack_message(number, result))
+
+
+def talk(exchange, vehicle, limit=10_000):
+    """Run an exchange with ``vehicle``, which returns what it answers to a message; return the exchange's result."""
+    arriving = deque()
+    try:
+        outgoing = next(exchange)
+        for _ in range(limit):
+            for message in outgoing:
+                arriving.extend(vehicle(message))
+            outgoing = exchange.send(arriving.popleft() if arriving else None)
+    except StopIteration as end:
+        return end.value
+    raise AssertionError("the exchange does not end")

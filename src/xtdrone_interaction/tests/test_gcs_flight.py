@@ -1,0 +1,215 @@
+"""What the ground station tells vehicles in flight: to PX4 and ArduPilot, and to real doors while time stands."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from gcs_field import FIRST, Field, LossyLine
+from gcs_script import ARDUPILOT, COPTER, PLANE, PX4, ROVER, ack, beat, talk, told
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_interaction.gcs import GcsError, Peer, command, flight, station
+from xtdrone_interaction.gcs.exchanges import RefusalError
+from xtdrone_interaction.gcs.flight import Target
+
+PATIENCE = 60.0  # s; only a broken run takes so long
+ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488_000, 0)
+HOME = mavlink.MAVLink_home_position_message(473977420, 85455940, 490_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+HERE = mavlink.MAVLink_global_position_int_message(0, 473977420, 85455940, 489_000, 1_000, 0, 0, 0, 0)
+KNOWN = {message.id: message for message in (ORIGIN, HOME, HERE)}
+
+
+class Obedient:
+    """A vehicle that accepts everything."""
+
+    def __init__(self, known=KNOWN):
+        self.obeyed = []
+        self._known = known
+
+    def __call__(self, message):
+        if message.command != mavlink.MAV_CMD_REQUEST_MESSAGE:
+            self.obeyed.append(message)
+            return [ack(message.command)]
+        found = self._known.get(int(message.param1))
+        if found is None:
+            return [ack(message.command, mavlink.MAV_RESULT_DENIED)]
+        return [ack(message.command), told(found)]
+
+    @property
+    def numbers(self):
+        return [message.command for message in self.obeyed]
+
+
+def test_a_px4_takes_off_to_an_altitude_and_is_armed_then():
+    vehicle = Obedient()
+    talk(flight.take_off(beat(), 5.0), vehicle)
+    assert vehicle.numbers == [mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_COMPONENT_ARM_DISARM]
+    assert vehicle.obeyed[0].param7 == 494.0
+    assert math.isnan(vehicle.obeyed[0].param5)
+
+
+def test_an_ardupilot_is_guided_and_armed_and_takes_off_to_a_height():
+    vehicle = Obedient()
+    talk(flight.take_off(beat(ARDUPILOT), 5.0), vehicle)
+    assert vehicle.numbers == [
+        mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF
+    ]  # fmt: skip
+    assert (vehicle.obeyed[0].param2, vehicle.obeyed[2].param7) == (4.0, 5.0)
+
+
+def test_nobody_takes_off_twice():
+    flying = mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR)
+    vehicle = Obedient(KNOWN | {flying.id: flying})
+    with pytest.raises(RefusalError, match="in the air"):
+        talk(flight.take_off(beat(), 5.0), vehicle)
+    assert vehicle.obeyed == []
+
+
+@pytest.mark.parametrize(
+    ("target", "altitude"),
+    [
+        (Target(local=(0.0, 0.0, 7.0)), 495.0),
+        (Target(place=(47.397742, 8.545594), altitude=500.0), 500.0),
+        (Target(place=(47.397742, 8.545594), altitude=3.0, over_home=True), 493.0),
+    ],
+)
+def test_places_are_told_over_the_sea(target, altitude):
+    vehicle = Obedient()
+    talk(flight.go_to(beat(), target), vehicle)
+    (message,) = vehicle.obeyed
+    assert (message.command, message.x, message.y, message.z) == (
+        mavlink.MAV_CMD_DO_REPOSITION, 473977420, 85455940, altitude
+    )  # fmt: skip
+
+
+def test_local_places_are_east_north_up():
+    vehicle = Obedient()
+    talk(flight.go_to(beat(), Target(local=(0.0, 100.0, 0.0), speed=2.0)), vehicle)
+    (message,) = vehicle.obeyed
+    assert message.x - 473977420 == pytest.approx(100.0 / 6371000.0 * 180.0 / math.pi * 1e7, abs=2)
+    assert (message.y, message.param1) == (85455940, 2.0)
+
+
+@pytest.mark.parametrize("target", [Target(local=(0.0, 0.0, 0.0)), Target(place=(1.0, 1.0), over_home=True)])
+def test_what_a_vehicle_does_not_know_of_itself_is_told(target):
+    with pytest.raises(RefusalError, match="has no"):
+        talk(flight.go_to(beat(), target), Obedient({}))
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "kind", "name", "params"),
+    [
+        (PX4, COPTER, "auto.mission", (4, 4)),
+        (PX4, COPTER, "LOITER", (4, 3)),
+        (PX4, COPTER, "position", (3, 0)),
+        (ARDUPILOT, COPTER, "RTL", (6, 0)),
+        (ARDUPILOT, PLANE, "rtl", (11, 0)),
+    ],
+)
+def test_modes_by_name(autopilot, kind, name, params):
+    vehicle = Obedient()
+    talk(flight.set_mode(beat(autopilot, kind), name), vehicle)
+    (message,) = vehicle.obeyed
+    assert (message.param1, message.param2, message.param3) == (1, *params)
+
+
+def test_a_mode_that_is_none():
+    with pytest.raises(RefusalError, match=r"mode: 'GUIDED' is not allowed, one of the vehicle's: ACRO, ALTCTL, AUTO"):
+        talk(flight.set_mode(beat(), "GUIDED"), Obedient())
+    with pytest.raises(RefusalError, match="neither PX4 nor ArduPilot"):
+        talk(flight.set_mode(beat(0), "GUIDED"), Obedient())
+
+
+@pytest.mark.parametrize(("kind", "mode"), [(COPTER, 17), (ROVER, 4), (PLANE, 12)])
+def test_each_ardupilot_holds_in_its_own_way(kind, mode):
+    vehicle = Obedient()
+    talk(flight.hold(beat(ARDUPILOT, kind)), vehicle)
+    assert vehicle.obeyed[0].param2 == mode
+
+
+def test_a_refusal_says_why_and_an_end_is_waited_for():
+    why = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, b"Arming denied: no GPS\t")
+    busy, denied = mavlink.MAV_RESULT_IN_PROGRESS, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+    text = r"arm: the vehicle says TEMPORARILY_REJECTED \(Arming denied: no GPS\)"
+    with pytest.raises(RefusalError, match=text):
+        talk(flight.arm(beat()), lambda _: [ack(number, busy), ack(512, 0), ack(number, denied), told(why)])
+
+
+def test_a_vehicle_that_never_comes_to_an_end_is_left():
+    number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+    with pytest.raises(RefusalError, match="does not tell how it ends"):
+        talk(flight.arm(beat()), lambda _: [ack(number, mavlink.MAV_RESULT_IN_PROGRESS)])
+
+
+# ---- real doors, while time stands
+
+
+@pytest.fixture(scope="module")
+def field():
+    field = Field()
+    field.autopilot.estimator["initialised"] = True  # or nothing can be armed
+    yield field
+    field.close()
+
+
+def test_one_of_three_refuses(field, capsys):
+    """Arming by force does not ask for checks."""
+    vehicles = [str(vehicle.id) for vehicle in field.vehicles]
+    assert command.main(["arm", "--force", "--vehicle", *vehicles[:2]]) == 0
+    assert [commander.armed for commander in field.commanders] == [True, True, False]
+    assert command.main(["disarm", "--vehicle", vehicles[0]]) == 0
+    capsys.readouterr()
+    assert command.main(["arm", "--vehicle", *vehicles[1:]]) == 1  # what is armed stays so, the other's checks fail
+    caught = capsys.readouterr()
+    assert [line.split(maxsplit=1) for line in caught.out.splitlines()] == [
+        [f"vehicle_{FIRST + 1}", "armed"], [f"vehicle_{FIRST + 2}", "failed"]
+    ]  # fmt: skip
+    assert f"xtdrone gcs: vehicle_{FIRST + 2}: arm: the vehicle says " in caught.err
+    assert command.main(["disarm", "--force", "--vehicle", *vehicles]) == 0
+    assert [commander.armed for commander in field.commanders] == [False] * 3
+
+
+def test_commands_over_a_line_that_loses_a_third(field):
+    line = LossyLine(field.ports, 0.3, 5)
+    try:
+        peers = [Peer(name, 0, "127.0.0.1", port) for name, port in line.ports.items()]
+        for armed in (True, False):
+            jobs = dict.fromkeys(peers, lambda beat, armed=armed: flight.arm(beat, armed, force=True))
+            results = station.run(jobs, timeout=0.05, patience=PATIENCE, closing=station.no_closing)
+            assert set(results.values()) == {None}
+            assert [commander.armed for commander in field.commanders] == [armed] * 3
+    finally:
+        line.close()
+
+
+def test_a_goto_on_the_ground_is_refused(field):
+    peer = field.peers()[0]
+    job = {peer: lambda beat: flight.go_to(beat, Target(place=(47.0, 8.0), altitude=500.0))}
+    (result,) = station.run(job, closing=station.no_closing).values()
+    assert isinstance(result, GcsError)
+    assert "goto: the vehicle says TEMPORARILY_REJECTED" in str(result)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["goto", "1", "2", "--vehicle", "0"], "goto: X Y Z, m, or"),
+        (["goto", "1", "2", "3", "--lat", "4", "--vehicle", "0"], "goto: X Y Z, m, or"),
+        (["goto", "--lat", "4", "--lon", "4", "--vehicle", "0"], "one of --alt and --height"),
+        (["goto", "1", "2", "3", "--vehicle", "0-2"], "3 vehicles would meet there"),
+        (["land"], "which vehicles?"),
+    ],
+)
+def test_what_is_said_by_halves(arguments, message, capsys):
+    assert command.main(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["takeoff", "nan"], ["takeoff", "-1"], ["goto", "1", "2", "far"]])
+def test_numbers_that_are_none(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        command.main([*arguments, "--vehicle", "0"])
+    assert ended.value.code == 2
+    assert "is not allowed" in capsys.readouterr().err

@@ -1,0 +1,258 @@
+"""Parameters by the ground station: files, encodings, and real doors while time stands."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from gcs_field import FIRST, Field, LossyLine
+from gcs_script import ARDUPILOT, PX4, beat, talk, told
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.parameters import NAMES
+from xtdrone_interaction.gcs import GcsError, Peer, command, parameter_text, parameters, station
+from xtdrone_interaction.gcs.exchanges import RefusalError
+from xtdrone_interaction.gcs.parameter_text import LIMITS, REAL32, ParameterFile, ParameterFileError
+
+PATIENCE = 60.0  # s; only a broken run takes so long
+INT32 = 6
+
+floats = st.floats(width=32, allow_nan=False, allow_infinity=False).map(lambda value: (value, REAL32))
+whole = st.sampled_from(sorted(LIMITS)).flatmap(
+    lambda kind: st.integers(*LIMITS[kind]).map(lambda value: (value, kind))
+)
+values = st.one_of(floats, whole)
+names = st.from_regex(r"[A-Z][A-Z0-9_]{0,15}", fullmatch=True)
+files = st.builds(
+    ParameterFile, st.integers(1, 255), st.dictionaries(names, values, min_size=1), st.sampled_from(["", "PX4 Pro"])
+)
+
+
+# ---- files
+
+
+@settings(max_examples=100, deadline=None)
+@given(files)
+def test_what_is_written_is_read_again(content):
+    assert parameter_text.parse(parameter_text.text_of(content)) == content
+
+
+def test_a_file_of_qgroundcontrol_is_read(tmp_path):
+    path = tmp_path / "a.params"
+    path.write_text(
+        "# Onboard parameters for Vehicle 1\n#\n# Stack: PX4 Pro\n# Vehicle: Multi-Rotor\n# Version: 1.14.3 \n#\n"
+        "# Vehicle-Id Component-Id Name Value Type\n"
+        "1\t1\tMPC_XY_VEL_MAX\t12.000000000000000000\t9\n1\t1\tSYS_AUTOSTART\t4001\t6\n"
+    )
+    content = parameter_text.read(path)
+    assert content == ParameterFile(1, {"MPC_XY_VEL_MAX": (12.0, 9), "SYS_AUTOSTART": (4001, 6)}, "PX4 Pro")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no parameters are in it"),
+        ("1 1 A 1 9", "line 1: 1 columns are not allowed, 5 with tabs between"),
+        ("1\t1\tA\t1\t9\n2\t1\tB\t1\t9", "parameters of several vehicles: 1, 2"),
+        ("1\t1\tA\t1\t9\n1\t1\tA\t2\t9", "line 2: A stands there a second time"),
+        ("0\t1\tA\t1\t9", "vehicle id '0' is not allowed, 1 to 255"),
+        ("1\t1\tA B\t1\t9", "name 'A B' is not allowed"),
+        ("1\t1\tA\tnan\t9", "A: 'nan' of type '9' is not allowed, a finite number"),
+        ("1\t1\tA\t1e60\t9", "a finite number of 32 bits"),
+        ("1\t1\tA\t1.5\t6", "a whole number from -2147483648 to 2147483647"),
+        ("1\t1\tA\tinf\t6", "a whole number"),
+        ("1\t1\tA\tx\t6", "a whole number"),
+        ("1\t1\tA\t300\t2", "a whole number from -128 to 127"),
+        ("1\t1\tA\t1\t10", "a type of 1, 2, 3, 4, 5, 6 or 9"),
+        ("1\t1\tA\t1\tfloat", "a type of"),
+    ],
+)
+def test_files_that_are_none(text, message):
+    with pytest.raises(ParameterFileError) as error:
+        parameter_text.parse(text, "a.params")
+    assert message in str(error.value)
+    assert str(error.value).startswith("a.params")
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
+        parameter_text.read(tmp_path / "none.params")
+
+
+# ---- encodings
+
+
+@settings(max_examples=100, deadline=None)
+@given(values, st.booleans())
+def test_a_value_is_the_same_on_both_ends(value, bytewise):
+    number, kind = value
+    if not bytewise and kind != REAL32:
+        number %= 1 << 24  # what a float holds exactly
+        number = min(number, LIMITS[kind][1])
+    if bytewise and kind != REAL32 and struct.unpack("<I", struct.pack("<q", number)[:4])[0] & 0x7F800000 == 0x7F800000:
+        number = 5  # a NaN's bits may change on the way through a float
+    sent = parameters.encode((number, kind), bytewise)
+    message = mavlink.MAVLink_param_value_message(b"A", sent, kind, 1, 0)
+    assert parameters.decode(told(message), bytewise) == (number, kind)
+
+
+# ---- another kind of autopilot, and how a load is judged
+
+
+def _text(name):
+    return name.decode() if isinstance(name, bytes) else name
+
+
+class Store:
+    """A vehicle with parameters, one that says integers by their numbers, as ArduPilot; some cannot be set."""
+
+    def __init__(self, values, fixed=()):
+        self.values = dict(values)
+        self._fixed = fixed
+        self.sets = 0
+
+    def __call__(self, message):
+        name = _text(getattr(message, "param_id", ""))
+        if message.msgname == "PARAM_REQUEST_LIST":
+            return [self._told(each) for each in list(self.values)[:-1]]  # the last is lost
+        if message.msgname == "PARAM_REQUEST_READ" and message.param_index >= 0:
+            name = list(self.values)[message.param_index]
+        if name not in self.values:
+            return []
+        if message.msgname == "PARAM_SET":
+            self.sets += 1
+            if name not in self._fixed:
+                self.values[name] = message.param_value, self.values[name][1]
+        return [self._told(name)]
+
+    def _told(self, name):
+        value, kind = self.values[name]
+        index = list(self.values).index(name)
+        return told(mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.values), index))
+
+
+def ardupilot(**values):
+    return Store({"SYSID_THISMAV": (7, 4), "WPNAV_SPEED": (500.0, 9), "RTL_ALT": (1500, INT32), **values})
+
+
+def test_an_ardupilot_is_read_and_set():
+    vehicle = ardupilot()
+    content = talk(parameters.save(beat(ARDUPILOT)), vehicle)
+    assert content == ParameterFile(7, vehicle.values, "ArduPilot")
+    talk(parameters.change(beat(ARDUPILOT), "RTL_ALT", 2000), vehicle)
+    assert vehicle.values["RTL_ALT"] == (2000, INT32)
+
+
+def test_what_a_vehicle_does_not_take_is_told():
+    vehicle = Store({"A": (1, INT32), "B": (1, INT32)}, fixed="A")
+    with pytest.raises(RefusalError, match="A: 5 is not taken, 1 stays"):
+        talk(parameters.change(beat(ARDUPILOT), "A", 5), vehicle)
+    with pytest.raises(RefusalError, match=r"A: 1\.5 is not allowed, a whole number"):
+        talk(parameters.change(beat(ARDUPILOT), "A", 1.5), vehicle)
+    with pytest.raises(RefusalError, match="the vehicle tells nothing of NO_SUCH"):
+        talk(parameters.change(beat(ARDUPILOT), "NO_SUCH", 1), vehicle)
+    content = ParameterFile(7, {"A": (2, INT32), "B": (2, INT32)})
+    with pytest.raises(RefusalError, match="1 of 2 parameters are set; A: 2 is not taken, 1 stays"):
+        talk(parameters.load(beat(ARDUPILOT), content, False), vehicle)
+    assert vehicle.values["B"] == (2, INT32)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (ParameterFile(7, {"RTL_ALT": (1, INT32)}, "PX4 Pro"), "the file is of PX4 Pro, this is ArduPilot"),
+        (ParameterFile(3, {"RTL_ALT": (1, INT32)}), "the file is of vehicle 3, this is system 7"),
+        (ParameterFile(7, {"RTL_ALT": (1, INT32), "MPC_Z": (1.0, 9)}), "the vehicle has no MPC_Z"),
+        (ParameterFile(7, {"RTL_ALT": (1.0, 9)}), "RTL_ALT is of type 9 in the file, of type 6 in the vehicle"),
+    ],
+)
+def test_a_file_of_another_vehicle_sets_nothing(content, message):
+    vehicle = ardupilot()
+    with pytest.raises(RefusalError, match=message):
+        talk(parameters.load(beat(ARDUPILOT), content, False), vehicle)
+    assert vehicle.sets == 0
+
+
+def test_another_vehicles_file_does_not_make_it_that_vehicle():
+    vehicle = ardupilot()
+    content = ParameterFile(3, {"SYSID_THISMAV": (3, 4), "RTL_ALT": (1, INT32)})
+    changed = talk(parameters.load(beat(ARDUPILOT), content, True), vehicle)
+    assert changed == {"RTL_ALT": ((1500, INT32), (1, INT32))}
+    assert vehicle.values["SYSID_THISMAV"] == (7, 4)
+
+
+# ---- real doors
+
+
+@pytest.fixture(scope="module")
+def field():
+    field = Field()
+    yield field
+    field.close()
+
+
+def vehicles(field, count=3):
+    return ["--vehicle", *[str(vehicle.id) for vehicle in field.vehicles[:count]]]
+
+
+def test_parameters_are_shown_and_set(field, capsys):
+    assert command.main(["params", "set", "MIS_TAKEOFF_ALT", "6.5", *vehicles(field, 2)]) == 0
+    assert command.main(["params", "set", "NAV_DLL_ACT", "2", *vehicles(field, 1)]) == 0
+    capsys.readouterr()
+    assert command.main(["params", "get", "MIS_TAKEOFF_ALT", "NAV_DLL_ACT", *vehicles(field)]) == 0
+    assert [line.split()[1:] for line in capsys.readouterr().out.splitlines()] == [
+        ["MIS_TAKEOFF_ALT", "6.5"], ["NAV_DLL_ACT", "2"],
+        ["MIS_TAKEOFF_ALT", "6.5"], ["NAV_DLL_ACT", "0"],
+        ["MIS_TAKEOFF_ALT", "2.5"], ["NAV_DLL_ACT", "0"],
+    ]  # fmt: skip
+    assert command.main(["params", "get", "MPC_XY_*", *vehicles(field, 1)]) == 0
+    assert "MPC_XY_VEL_MAX" in capsys.readouterr().out
+
+
+def test_parameters_are_saved_compared_and_loaded(field, tmp_path, capsys):
+    one = vehicles(field, 1)
+    path = tmp_path / "mine.params"
+    assert command.main(["params", "save", str(path), *one]) == 0
+    content = parameter_text.read(path)
+    assert set(content.values) == set(NAMES)
+    assert (content.system, content.stack) == (FIRST + 1, "PX4 Pro")
+    assert command.main(["params", "diff", str(path), *one]) == 0
+    old = field.commanders[0].parameters.get("MPC_Z_VEL_MAX_UP")
+    field.commanders[0].parameters.set("MPC_Z_VEL_MAX_UP", 1.25)
+    capsys.readouterr()
+    assert command.main(["params", "diff", str(path), *one]) == 1
+    assert capsys.readouterr().out.split() == [f"vehicle_{FIRST}", "MPC_Z_VEL_MAX_UP", "1.25", "file:", f"{old:g}"]
+    assert command.main(["params", "load", str(path), *one]) == 0
+    assert f"MPC_Z_VEL_MAX_UP  {old:g}, was 1.25" in capsys.readouterr().out
+    assert field.commanders[0].parameters.get("MPC_Z_VEL_MAX_UP") == old
+    assert command.main(["params", "load", str(path), *vehicles(field, 2)]) == 1  # the second is another
+    assert f"the file is of vehicle {FIRST + 1}, this is system {FIRST + 2}" in capsys.readouterr().err
+    assert command.main(["params", "save", str(path), *vehicles(field, 2)]) == 2
+    assert "a folder is needed for 2 vehicles" in capsys.readouterr().err
+    assert command.main(["params", "save", str(tmp_path), *vehicles(field, 2)]) == 0
+    assert command.main(["params", "load", str(tmp_path), *vehicles(field, 2)]) == 0
+
+
+def test_over_a_line_that_loses_a_third(field):
+    line = LossyLine(field.ports, 0.3, 4)
+    try:
+        peers = [Peer(name, 0, "127.0.0.1", port) for name, port in line.ports.items()]
+        limits = {"timeout": 0.05, "patience": PATIENCE, "closing": station.no_closing}
+        for found in station.run(dict.fromkeys(peers, parameters.fetch_all), **limits).values():
+            assert not isinstance(found, GcsError), found
+            assert set(found) == set(NAMES)
+        new = {name: (value, 9) for value, name in enumerate(("MPC_XY_P", "MPC_Z_P", "MPC_TILTMAX_AIR"), 1)}
+        results = station.run(dict.fromkeys(peers, lambda beat: parameters.store(beat, new)), **limits)
+        assert list(results.values()) == [{}] * 3
+        assert [commander.parameters.get("MPC_Z_P") for commander in field.commanders] == [2.0] * 3
+    finally:
+        line.close()
+
+
+def test_bytes_or_numbers_by_what_the_autopilot_says():
+    version = mavlink.MAVLink_autopilot_version_message(16, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+    assert talk(parameters.bytewise_of(beat(PX4)), lambda _: [])
+    assert not talk(parameters.bytewise_of(beat(ARDUPILOT)), lambda _: [])
+    assert talk(parameters.bytewise_of(beat(0)), lambda _: [told(version)])

@@ -1,0 +1,215 @@
+"""What the ground station's status tells of vehicles, and the lines over which it hears them."""
+
+from __future__ import annotations
+
+import io
+import json
+import socket
+import threading
+from types import SimpleNamespace
+
+import pytest
+from gcs_field import FIRST, Field, LossyLine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_interaction.gcs import GcsError, Peer, command, exchanges, station, status_command
+from xtdrone_interaction.gcs.lines import cut, open_line
+from xtdrone_interaction.gcs.peers import choose_systems, numbered, parse_address
+from xtdrone_interaction.gcs.state import VehicleState
+from xtdrone_interaction.gcs.station import GroundStation
+
+PATIENCE = 60.0  # s; only a broken run takes so long
+
+
+@pytest.fixture(scope="module")
+def field():
+    field = Field()
+    yield field
+    field.close()
+
+
+@pytest.fixture
+def lossy(field):
+    line = LossyLine(field.ports, 0.3, 3)
+    yield line
+    line.close()
+
+
+def words(field):
+    return [str(vehicle.id) for vehicle in field.vehicles]
+
+
+def test_all_that_are_there_are_found_with_their_system_ids(field):
+    found = {peer.port: peer for peer in station.find(limit=PATIENCE)}
+    assert [found[v.gcs_local_port].system for v in field.vehicles] == [v.system_id for v in field.vehicles]
+    assert found[field.vehicles[0].gcs_local_port].name == f"vehicle_{FIRST}"
+
+
+def test_status_once_while_time_stands(field, capsys):
+    assert command.main(["status", "--once", "--vehicle", *words(field)]) == 0
+    titles, *rows = capsys.readouterr().out.splitlines()
+    assert titles.split()[:4] == ["VEHICLE", "SYS", "TYPE", "ARMED"]
+    assert [row.split()[:4] for row in rows] == [
+        [f"vehicle_{v.id}", str(v.system_id), "quadrotor", "no"] for v in field.vehicles
+    ]
+
+
+def test_status_as_json(field, capsys):
+    assert command.main(["status", "--once", "--json", "--vehicle", f"{FIRST}-{FIRST + 1}"]) == 0
+    first, second = json.loads(capsys.readouterr().out)
+    assert (first["system"], second["system"]) == (FIRST + 1, FIRST + 2)
+    assert first["autopilot"] == "px4"
+    assert first["armed"] is False
+    assert first["age"] < PATIENCE
+
+
+def test_a_vehicle_that_is_silent_is_named_and_the_others_are_told(field, capsys):
+    assert command.main(["status", "--once", "--patience", "3", "--vehicle", str(FIRST), "240"]) == 1
+    caught = capsys.readouterr()
+    assert f"vehicle_{FIRST} " in caught.out
+    assert "nothing heard yet" in caught.out
+    assert "vehicle_240: UDP 127.0.0.1:18810: nobody listens there" in caught.err
+
+
+def test_status_over_a_line_that_loses_a_third(field, lossy):
+    peers = [Peer(name, 0, "127.0.0.1", port) for name, port in lossy.ports.items()]
+    with GroundStation(peers) as ground:
+        results = ground.run(dict.fromkeys(peers, exchanges.look), timeout=0.05, patience=PATIENCE)
+        assert set(results.values()) == {None}
+        assert [state.system for state in ground.states()] == [v.system_id for v in field.vehicles]
+
+
+def test_a_station_with_a_thread_of_its_own_tells_changes_and_beats(field):
+    heard = threading.Event()
+    peers = field.peers()
+    before = [commander.health._gcs_us for commander in field.commanders]
+    station_ = GroundStation(peers, heartbeat=True, on_change=lambda state: state.mode and heard.set())
+    station_.start()
+    futures = [station_.submit(peer, exchanges.look, patience=PATIENCE) for peer in peers]
+    assert [future.result(PATIENCE) for future in futures] == [None] * len(peers)
+    assert heard.wait(PATIENCE)
+    station_.close()
+    assert before == [None] * len(peers)
+    assert all(commander.health._gcs_us is not None for commander in field.commanders)
+    with pytest.raises(GcsError, match="the station is closed"):
+        station_.submit(peers[0], exchanges.look)
+
+
+def test_several_vehicles_over_one_line(field):
+    """Frames of all vehicles come to one port, as from a router."""
+    mav = [mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (3, 7)]
+    beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1 | 128, 5, 4, 3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    ended = threading.Event()
+
+    def fly():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as router:
+            while not ended.wait(0.02):
+                for each in mav:
+                    router.sendto(beat.pack(each), ("127.0.0.1", port))
+
+    thread = threading.Thread(target=fly)
+    thread.start()
+    try:
+        peers = station.listen(("udpin", "127.0.0.1", port), 2.0)
+        assert [peer.system for peer in peers] == [3, 7]
+        with GroundStation(peers) as ground:
+            greeted = ground.run({peer: exchanges.greet(peer.system) for peer in peers}, patience=PATIENCE)
+            assert [beat.system for beat in greeted.values()] == [3, 7]
+            states = ground.states()
+    finally:
+        ended.set()
+        thread.join()
+    assert [(state.mode, state.armed, state.autopilot) for state in states] == [("LOITER", True, "ardupilotmega")] * 2
+
+
+def test_a_tcp_line_that_ends(field):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        peer = Peer("a", 1, "127.0.0.1", server.getsockname()[1], "tcp")
+        with GroundStation([peer]) as ground:
+            future = ground.submit(peer, exchanges.look)
+            connection, _ = server.accept()
+            ground.poll(0.0)
+            connection.close()
+            while not future.done():
+                ground.poll(1.0)
+        with pytest.raises(GcsError, match=r"the other end has closed the connection|is broken"):
+            future.result()
+    with pytest.raises(GcsError, match="cannot be reached"):
+        open_line(*peer.line)
+
+
+# ---- what a vehicle tells
+
+
+def message(text, part=0, number=0):
+    return SimpleNamespace(severity=3, text=text, id=number, chunk_seq=part)
+
+
+def test_texts_in_parts_are_put_together_and_made_fit_to_show():
+    state = VehicleState("a")
+    for part in (message("Preflight Fail: ", 0, 5), message("no GPS\t", 1, 5), message("\x1b[2Jother")):
+        state.take("STATUSTEXT", part, 1.0)
+    assert [text for _, text in state.texts] == ["Preflight Fail:no GPS", "?[2Jother"]
+
+
+def test_a_screen_draws_in_place_and_cuts_what_has_no_room(monkeypatch):
+    monkeypatch.setattr(status_command.shutil, "get_terminal_size", lambda: SimpleNamespace(lines=4, columns=10))
+    written = io.StringIO()
+    screen = status_command._Screen(written)
+    screen.draw(["x" * 30])
+    screen.draw(["a", "b", "c", "d"])
+    assert written.getvalue() == (
+        "\x1b[2K" + "x" * 9 + "\n\x1b[J" + "\x1b[1A\x1b[2Ka\n\x1b[2Kb\n\x1b[2K... and 2\n\x1b[J"
+    )
+
+
+# ---- words and lines
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--vehicle", "5-2"], "'5-2' is not allowed, the lower number first"),
+        (["--vehicle", "250"], "250 is not allowed, 0 to 249"),
+        (["--vehicle", "3", "--fleet", "iris:3"], "3 is not allowed, 0 to 2"),
+        (["--connect", "udp:1:2"], "'udp:1:2' is not allowed, udpout or udpin or tcp with host and port"),
+        (["--connect", "tcp:host:0"], "'tcp:host:0' is not allowed"),
+    ],
+)
+def test_vehicles_that_lead_nowhere(arguments, message, capsys):
+    assert command.main(["status", "--once", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_numbers_and_systems():
+    assert numbered(4, "iris:3,solo:2").name == "solo_1"
+    assert parse_address("tcp:localhost:5760") == ("tcp", "localhost", 5760)
+    found = [Peer(f"system_{system}", system, "h", 1) for system in (1, 2, 5)]
+    assert choose_systems(["1-2", "system_5", "1"], found) == found
+    with pytest.raises(GcsError, match="of the systems on this line: 1, 2, 5"):
+        choose_systems(["3"], found)
+
+
+FRAMES = [
+    mavlink.MAVLink_heartbeat_message(2, 12, 0, custom, 4, 3).pack(mavlink.MAVLink(None, srcSystem=1))
+    for custom in range(4)
+]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.sampled_from(FRAMES)), st.lists(st.integers(1, 30), min_size=1), st.binary(max_size=5))
+def test_a_stream_is_cut_into_its_frames_however_it_comes(frames, sizes, noise):
+    stream = bytes(set(noise) - {0xFD, 0xFE}) + b"".join(frames)
+    found, rest = [], b""
+    while stream:
+        size = sizes[len(found) % len(sizes)]
+        part, stream = stream[:size], stream[size:]
+        new, rest = cut(rest + part)
+        found += new
+    assert found == frames
+    assert rest == b""

@@ -1,0 +1,85 @@
+"""The project's own ground station flies three vehicles: one flight, test by test in the order of this file."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from client_world import CLIENT_LIMIT, Core
+
+from xtdrone_interaction.gcs import GroundStation, Peer, command
+from xtdrone_interaction.gcs.state import VehicleState
+
+FIRST = 230
+COUNT = 3
+VEHICLES = [str(FIRST + i) for i in range(COUNT)]
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Core]:
+    core = Core(FIRST, tmp_path_factory.mktemp("gcs_core"), COUNT)
+    yield core
+    core.close()
+
+
+@pytest.fixture(scope="module")
+def until(core: Core) -> Iterator[Callable[[Callable[[list[VehicleState]], bool], str], None]]:
+    """Yield what waits until the vehicles' states are as wanted."""
+    peers = [Peer.of(vehicle) for vehicle in core.vehicles]
+
+    with GroundStation(peers, heartbeat=True) as station:
+
+        def wait(condition: Callable[[list[VehicleState]], bool], what: str) -> None:
+            end = time.monotonic() + CLIENT_LIMIT
+            while True:
+                station.poll(0.2)
+                states = station.states()
+                if all(state.landed and state.local for state in states) and condition(states):
+                    return
+                assert core.alive
+                assert time.monotonic() < end, (what, [(s.height, s.armed, s.mode, s.landed, s.local) for s in states])
+
+        yield wait
+
+
+def gcs(*arguments: str) -> int:
+    """Run a command for all vehicles."""
+    return command.main([*arguments, "--vehicle", *VEHICLES])
+
+
+def test_all_take_off(until):
+    until(lambda states: all(state.ready for state in states), "ready")
+    assert gcs("takeoff", "4") == 0
+    until(lambda states: all(state.height > 3.0 and state.armed for state in states), "up")
+
+
+def test_all_go_to_a_place_of_the_map(until):
+    assert gcs("goto", "6", "-8", "5", "--speed", "6") == 2  # all at one place
+    assert gcs("goto", "6", "-8", "5", "--speed", "6", "--spacing", "3") == 0
+    until(
+        lambda states: all(math.dist(s.local, (6.0, -8.0, 5.0 + 3.0 * i)) < 1.0 for i, s in enumerate(states)), "there"
+    )
+    until(lambda states: all(state.mode == "AUTO.LOITER" for state in states), "loiter")
+
+
+def test_one_that_has_landed_refuses_and_the_others_go_on(until, capsys):
+    assert command.main(["land", "--vehicle", VEHICLES[0]]) == 0  # the lowest: the others are above it
+    until(lambda states: not states[0].armed, "landed")
+    capsys.readouterr()
+    assert gcs("goto", "0", "0", "6", "--spacing", "3") == 1
+    caught = capsys.readouterr()
+    assert [line.split(maxsplit=1)[1] for line in caught.out.splitlines()] == ["failed", "goes there", "goes there"]
+    assert f"vehicle_{VEHICLES[0]}: goto: the vehicle says TEMPORARILY_REJECTED" in caught.err
+    until(lambda states: all(math.dist(states[i].local, (0.0, 0.0, 6.0 + 3.0 * i)) < 1.0 for i in (1, 2)), "there")
+
+
+def test_hold_mode_and_return(until):
+    flying = ["--vehicle", *VEHICLES[1:]]
+    assert command.main(["hold", *flying]) == 0
+    assert command.main(["takeoff", "9", *flying]) == 1  # they fly already
+    assert command.main(["mode", "LAND", "--vehicle", VEHICLES[1]]) == 0
+    assert command.main(["rtl", "--vehicle", VEHICLES[2]]) == 0
+    until(lambda states: (states[1].mode, states[2].mode) == ("AUTO.LAND", "AUTO.RTL"), "modes")
+    until(lambda states: not any(state.armed for state in states), "all are down")
