@@ -97,6 +97,30 @@ def test_a_station_with_a_thread_of_its_own_tells_changes_and_beats(field):
         station_.submit(peers[0], exchanges.look)
 
 
+def test_what_waits_can_be_cancelled_and_what_runs_ends_with_the_station(field):
+    def endless(beat):
+        while True:
+            yield []
+
+    def broken(beat):
+        yield []
+        raise ZeroDivisionError
+
+    with GroundStation(field.peers()) as ground:
+        first, second = ground.peers[:2]
+        running = ground.submit(first, endless, patience=PATIENCE)
+        waiting = ground.submit(first, exchanges.look)
+        flawed = ground.submit(second, broken)
+        fine = ground.submit(second, exchanges.look, patience=PATIENCE)
+        ground.poll(0.0)
+        assert waiting.cancel()
+        while not fine.done():
+            ground.poll(0.1)
+    assert isinstance(flawed.exception(), ZeroDivisionError)
+    with pytest.raises(GcsError, match="the station is closed"):
+        running.result(0.0)
+
+
 def test_several_vehicles_over_one_line(field):
     """Frames of all vehicles come to one port, as from a router."""
     mav = [mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (3, 7)]

@@ -161,8 +161,8 @@ class VehicleState:
         self.landed = _LANDED[m.landed_state] if m.landed_state < len(_LANDED) else None
 
     def _global_position_int(self, m: Any) -> None:
-        self.latitude, self.longitude = m.lat * 1e-7, m.lon * 1e-7
-        self.altitude, self.height = m.alt * 1e-3, m.relative_alt * 1e-3
+        self.latitude, self.longitude = round(m.lat * 1e-7, 7), round(m.lon * 1e-7, 7)
+        self.altitude, self.height = round(m.alt * 1e-3, 3), round(m.relative_alt * 1e-3, 3)
         self.speed, self.climb = math.hypot(m.vx, m.vy) * 1e-2, -m.vz * 1e-2
         self.heading = None if m.hdg == _UNKNOWN_U16 else m.hdg * 1e-2
 

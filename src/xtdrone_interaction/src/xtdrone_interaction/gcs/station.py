@@ -109,7 +109,11 @@ class _Contact:
             self._begin()
 
     def _begin(self) -> None:
-        """Begin the exchange that is the next."""
+        """Begin the exchange that is the next, of those that nobody has cancelled."""
+        while self.runs and not self.runs[0].future.set_running_or_notify_cancel():
+            self.runs.popleft()
+        if not self.runs:
+            return
         run = self.runs[0]
         run.deadline = run.heard = time.monotonic()
         self._advance(run, lambda: next(run.exchange))
@@ -125,10 +129,10 @@ class _Contact:
         except StopIteration as end:
             result = end.value
             self._end(run, lambda: run.future.set_result(result))
-        except RefusalError as error:
-            self.fail(run, f"{self.peer.name}: {error}")
-        except GcsError as error:
-            self.fail(run, f"{self.peer.name}: {error}")
+        except (RefusalError, GcsError) as error:
+            self.fail(run, GcsError(f"{self.peer.name}: {error}"))
+        except Exception as error:  # a flaw of this exchange; the others go on
+            self.fail(run, error)
         else:
             if outgoing:
                 run.deadline = time.monotonic() + run.timeout
@@ -139,10 +143,10 @@ class _Contact:
         if self.runs:
             self._begin()
 
-    def fail(self, run: _Run[Any], text: str) -> None:
+    def fail(self, run: _Run[Any], error: Exception) -> None:
         """End an exchange by an error."""
         self.break_off(run)
-        self._end(run, lambda: run.future.set_exception(GcsError(text)))
+        self._end(run, lambda: run.future.set_exception(error))
 
     def break_off(self, run: _Run[Any]) -> None:
         """End an exchange with the vehicle; nothing is left half done there."""
@@ -187,7 +191,7 @@ class _Contact:
         run = self.runs[0]
         run.deadline = now + run.timeout
         if now - run.heard > run.patience:
-            self.fail(run, self._silence(run.patience))
+            self.fail(run, GcsError(self._silence(run.patience)))
         else:
             self._advance(run, lambda: run.exchange.send(None))
 
@@ -287,7 +291,7 @@ class GroundStation:
             closing: returns what ends it there when it is broken off.
 
         Returns:
-            What will have the result, or a GcsError.
+            What will have the result, or a GcsError. It can be cancelled until the exchange begins.
 
         Raises:
             GcsError: the vehicle cannot be spoken to, or the station is closed.
@@ -322,10 +326,12 @@ class GroundStation:
             self._wake()
             self._thread.join()
         for contact in self._contacts.values():
-            for i, run in enumerate(contact.runs):
-                if i == 0:
+            for run in contact.runs:
+                if run.future.running():
                     contact.break_off(run)
-                run.future.cancel()
+                    run.future.set_exception(GcsError(f"{contact.peer.name}: the station is closed"))
+                else:
+                    run.future.cancel()
         for _, run in self._arrived:
             run.future.cancel()
         for line in self._lines.values():
@@ -408,7 +414,7 @@ class GroundStation:
         self._selector.unregister(line)
         for contact in self._by_line.pop(line):
             while contact.runs:
-                contact.fail(contact.runs[0], f"{contact.peer.name}: {error}")
+                contact.fail(contact.runs[0], GcsError(f"{contact.peer.name}: {error}"))
             self.errors[contact.peer.name] = GcsError(f"{contact.peer.name}: {error}")
             del self._contacts[contact.peer]
 
