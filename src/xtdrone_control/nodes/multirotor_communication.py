@@ -6,8 +6,8 @@ Topics are listed in ``xtdrone_control.communication.multirotor``; all names are
 in any namespace.
 
 Parameters:
-    ~hover_speed (m/s, default 0.02 as XTDrone): a velocity (or acceleration, m/s^2) not above this on any axis means
-        HOVER. It freezes formations a little beside their slots; for them choose 0.001 or less.
+    ~hover_speed (m/s, default 0.001): a velocity (or acceleration, m/s^2) not above this on any axis means HOVER.
+        XTDrone's 0.02 swallows the first two presses of its keyboard, and freezes formations beside their slots.
     ~cmd_timeout (s, default 0): a velocity or acceleration that is not renewed for this long turns into HOVER;
         0 keeps the last one for ever, as XTDrone does.
     /xtdrone/fleet (as ``iris:9``): which vehicles there are; without it ids are not checked against a count.

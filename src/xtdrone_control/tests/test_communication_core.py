@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from xtdrone_control.communication.core import STATE_GRACE, MultirotorCore
+from xtdrone_control.communication.core import HOVER_SPEED, STATE_GRACE, MultirotorCore
 from xtdrone_control.communication.setpoint import Setpoint, yaw_of
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -157,14 +157,27 @@ def test_hover_before_a_pose_warns_and_can_be_repeated(core: MultirotorCore, log
         ((0.0, 0.0, -0.021), 0.0, False),
     ],
 )
-def test_dead_zone(
-    core: MultirotorCore, kind: str, vector: tuple[float, float, float], yaw_rate: float, hovers: bool
-) -> None:
+def test_dead_zone(log: Recorder, kind: str, vector: tuple[float, float, float], yaw_rate: float, hovers: bool) -> None:
+    core = MultirotorCore("iris_0", log, hover_speed=0.02)
     core.on_pose((1.0, 2.0, 3.0), LEVEL)
     send(core, kind, True, (1.0, 0.0, 0.0), 0.0)
     send(core, kind, True, vector, yaw_rate)
     assert core.hovering is hovers
     assert (core.tick(0.0).frame == 1) is hovers
+
+
+@pytest.mark.parametrize("kind", ["velocity", "acceleration"])
+@pytest.mark.parametrize("axis", range(4))
+def test_a_press_of_the_keyboard_is_no_hover(core: MultirotorCore, kind: str, axis: int) -> None:
+    core.on_pose((1.0, 2.0, 3.0), LEVEL)
+    x, y, z, turn = (0.01 if i == axis else 0.0 for i in range(4))
+    send(core, kind, True, (x, y, z), turn)
+    told = core.tick(0.0)
+    assert not core.hovering
+    assert (told.velocity if kind == "velocity" else told.acceleration) == (x, y, z)
+    assert told.yaw_rate == turn
+    send(core, kind, True, (HOVER_SPEED, 0.0, 0.0), 0.0)
+    assert core.hovering, "what is as good as nothing still is"
 
 
 def test_dead_zone_can_be_narrowed(log: Recorder) -> None:

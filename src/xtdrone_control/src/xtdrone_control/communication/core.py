@@ -42,7 +42,7 @@ PX4_MODES = (
 
 OWN_COMMANDS = ("ARM", "DISARM", "HOVER")
 
-HOVER_SPEED = 0.02  # m/s (m/s^2 for accelerations), on each axis: XTDrone's dead zone
+HOVER_SPEED = 0.001  # m/s (m/s^2 for accelerations), on each axis: a tenth of a press of the keyboard; XTDrone: 0.02
 HOVER_YAW_RATE = 0.005  # rad/s
 STATE_GRACE = 2.5  # s; mavros/state follows the 1 Hz heartbeat, one of which may be lost
 
@@ -115,8 +115,9 @@ class MultirotorCore:
             name: the vehicle, as ``iris_0``, for messages.
             log: where messages go.
             hover_speed: m/s (m/s^2 for accelerations); an input that is not above it on any axis, and turns no faster
-                than 0.005 rad/s, means HOVER. XTDrone's 0.02 freezes a formation up to 2 cm per axis and layer of the
-                topology away from its slots; 0 leaves only the exact zero as HOVER.
+                than 0.005 rad/s, means HOVER. XTDrone's 0.02 swallows the first two presses of its keyboard and
+                freezes a formation up to 2 cm per axis and layer of the topology away from its slots; 0 leaves only
+                the exact zero as HOVER.
             cmd_timeout: s; a velocity or acceleration that is not renewed for this long turns into HOVER; 0 keeps it
                 for ever, as XTDrone does.
 

@@ -19,7 +19,7 @@ import numpy as np
 from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander import Result
-from xtdrone_control.communication.core import OWN_COMMANDS, PX4_MODES, MultirotorCore, Request
+from xtdrone_control.communication.core import HOVER_SPEED, OWN_COMMANDS, PX4_MODES, MultirotorCore, Request
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule
@@ -30,7 +30,6 @@ from ..simulation import Simulation
 from .vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
 
 STREAM_RATE = 30  # Hz, of the set-points
-HOVER_SPEED = 0.001  # m/s, as launch/include/formation_communication.yaml has it
 _TO_ENU = np.array([1.0, 1.0, -1.0])
 
 _KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)

@@ -13,7 +13,7 @@ Parameters, besides those of every simulator (``xtdrone_sim.simulator_node.NodeS
     ~airborne (false): start armed, in OFFBOARD, ~altitude (10 m) above these places.
     ~view: a live window (``visualize.py``, in a process of its own that ends with this one); by default where there is
         a display.
-    ~hover_speed (m/s, 0.02 as XTDrone), ~cmd_timeout (s, 0): of XTDrone's commands, see multirotor_communication.py.
+    ~hover_speed (m/s, 0.001), ~cmd_timeout (s, 0): of XTDrone's commands, see multirotor_communication.py.
     ~setpoint_timeout (s, 1 as PX4's COM_OF_LOSS_T): a vehicle whose set-points stop goes from OFFBOARD to POSCTL, which
         holds; 0: it keeps the last one for ever.
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xtdrone_control.communication.core import HOVER_YAW_RATE, OWN_COMMANDS, PX4_MODES
+from xtdrone_control.communication.core import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS, PX4_MODES
 from xtdrone_coordination.patterns import PITCH, origin_columns
 
 from . import pilot
@@ -17,7 +17,6 @@ from .model import Model, load_model
 from .vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
 
 STEP_US = 4000
-HOVER_SPEED = 0.001  # m/s, as launch/include/formation_communication.yaml has it
 
 _KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)
 _SUCCESSORS = {"AUTO.TAKEOFF": "AUTO.LOITER"}  # modes entered by themselves when the commanded one has done its work
