@@ -72,7 +72,7 @@ class Patterns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the patterns that need no more than their name, XTDrone's first, as the keyboard's digits."""
+        """Names of the patterns that need no more than their name, XTDrone's first, in its order."""
         return tuple(dict.fromkeys([*self._tables, *_GENERATED, *_SHAPES]))
 
     def offsets(self, name: str) -> Offsets:

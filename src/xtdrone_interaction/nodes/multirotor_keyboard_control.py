@@ -1,0 +1,21 @@
+#!/usr/bin/env python3
+"""Steer vehicles by keys: ``multirotor_keyboard_control.py iris 9 vel`` (type, number, vel or accel).
+
+The keys are XTDrone's and stand on the screen; topics are listed in ``xtdrone_interaction.keyboard.node``. A mixed
+fleet is given as ``iris:3,typhoon_h480:2``. Any terminal will do, also over ssh.
+
+Parameters:
+    ~patterns: the leader's YAML file with more patterns, for the digits.
+    /xtdrone/fleet (as ``iris:9``): which vehicles there are; without it the number is not checked.
+"""
+
+import signal
+import sys
+
+if __name__ == "__main__":
+    # The imports take a second and some of them swallow a KeyboardInterrupt.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    from xtdrone_interaction.keyboard.node import main
+
+    sys.exit(main())
