@@ -109,7 +109,8 @@ def test_damage_costs_what_is_damaged_alone(tmp_path: Path, packing: str) -> Non
     ("content", "words"),
     [
         (b"", "is empty"),
-        (b"ULog\x01\x12\x35\x01", "is no bag"),
+        (b"PK\x03\x04 an archive", "is no bag"),
+        (b"ULog\x01\x12\x35\x01", "Header too short"),  # a flight log, whatever its name
         (b"#ROSBAG V1.2\n" + bytes(100), "version '1.2'"),
         (
             b"#ROSBAG V2.0\n\x2e\0\0\0\x10\0\0\0encryptor=secret\x04\0\0\0op=\x03\x0e\0\0\0index_pos=abcd\0\0\0\0",
