@@ -50,8 +50,8 @@ TICKS = os.sysconf("SC_CLK_TCK")
     [
         (
             ["--only", "core,wings"],
-            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, barrier, "
-            "stack, formation, search, free",
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, analyse, "
+            "barrier, stack, formation, search, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
@@ -114,6 +114,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
             "sweep": (2,),
             "detector": (640,),
             "renderer": (640,),
+            "analyse": (100,),
             "barrier": (0, 9),
             "formation": (9,),
             "search": (5,),
@@ -144,6 +145,8 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "renderer, 640 x 480 px, egl, 2 of 2",
         "renderer, 640 x 480 px, tiny, 1 of 2",
         "renderer, 640 x 480 px, tiny, 2 of 2",
+        "analyse, bag of 100 MB, 1 of 2",
+        "analyse, bag of 100 MB, 2 of 2",
         "barrier, 0 participants, 1 of 2",
         "barrier, 0 participants, 2 of 2",
         "barrier, 9 participants, python, 1 of 2",
@@ -162,7 +165,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
     assert planned[-3][2] == {"vehicles": 6, "repeat": 2, "camera_rate": 5}
     assert planned[-5][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
     assert planned[7][2] == {"workers": 2, "repeat": 2}
-    assert planned[23][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
+    assert planned[25][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc
@@ -738,6 +741,21 @@ def test_table_of_the_renderer() -> None:
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
     assert ["640 x 360 px, egl", "30.00", "24.50"] in lines
     assert ["640 x 360 px, tiny", "30.00", "24.50"] in lines
+
+
+def test_table_of_the_analysis() -> None:
+    row = {
+        "megabytes": 1000,
+        "megabytes_per_second": 250.0,
+        "cpu_seconds": 4.5,
+        "messages": 5_000_000,
+        "memory_bytes": 6e8,
+        "report_seconds": 12.34,
+    }
+    text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "analyse": [row]})
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["1000 MB", "250.00", "100", "4.50", "5000000", "600", "12.3"] in lines
+    assert bench_report.short_result(row) == "250 MB/s, 600 MB of memory"
 
 
 def test_tables_of_drawing_and_sweep() -> None:

@@ -1,11 +1,11 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Eleven parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
-against one, the detector of people, the cameras' renderer, the lockstep's barrier alone, the stack without the swarm's
-own nodes, the whole formation flight, the cooperative search by the rate of its cameras, and the speed of the formation
-flight in lockstep compared with the same nodes running free. Prints tables and writes JSON with the machine's facts;
-the JSON is written after each measurement, so that nothing measured is lost. Exit status: 0, 1 when a measurement
-failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+Twelve parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
+against one, the detector of people, the cameras' renderer, the reading of a large bag, the lockstep's barrier alone,
+the stack without the swarm's own nodes, the whole formation flight, the cooperative search by the rate of its cameras,
+and the speed of the formation flight in lockstep compared with the same nodes running free. Prints tables and writes
+JSON with the machine's facts; the JSON is written after each measurement, so that nothing measured is lost. Exit
+status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from xtdrone_interaction.bench_flight import (
     Bench,
     Length,
     Row,
+    measure_analysis,
     measure_barrier,
     measure_core,
     measure_detector,
@@ -57,6 +58,7 @@ PARTS: dict[str, tuple[int, ...]] = {
     "sweep": (2,),
     "detector": (320, 416, 640),
     "renderer": (320, 640),
+    "analyse": (1000,),
     "barrier": (0, 1, 9, 20, 60),
     "stack": (1, 9, 30),
     "formation": (9, 30),
@@ -70,6 +72,7 @@ _LEAST = {
     "sweep": 2,
     "detector": 32,
     "renderer": 16,
+    "analyse": 1,
     "barrier": 0,
     "stack": 1,
     "formation": 2,
@@ -82,6 +85,7 @@ _MOST = {
     "sweep": 64,
     "detector": 2048,
     "renderer": 4096,
+    "analyse": 20_000,
     "search": 10,
 }  # of other parts MAX_VEHICLES
 _COUNTED = {
@@ -89,9 +93,10 @@ _COUNTED = {
     "sweep": "workers",
     "detector": "widths",
     "renderer": "widths",
+    "analyse": "megabytes",
     "search": "rates",
 }  # of other parts vehicles
-_OF_THEIR_OWN = ("sweep", "detector", "renderer", "search")  # parts whose numbers are given by name only
+_OF_THEIR_OWN = ("sweep", "detector", "renderer", "analyse", "search")  # parts whose numbers are given by name only
 _FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
@@ -125,7 +130,8 @@ class BenchSettings:
 
     Attributes:
         vehicles: numbers of vehicles (barrier: of participants; sweep: of workers; detector, renderer: pixels of
-            width; search: pictures a second of each camera) by part; parts that are not measured are left out.
+            width; analyse: MB of the bag; search: pictures a second of each camera) by part; parts that are not
+            measured are left out.
         modes: of the formation: ``per_uav``, ``shared``.
         repeat: how often each measurement is made.
         length: of the measurements.
@@ -153,8 +159,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--only", metavar="PARTS", help=f"parts to measure, with commas between, of {', '.join(PARTS)} (default: all)")
     add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
         help="numbers of vehicles (barrier: of participants; sweep: of workers; detector, renderer: pixels of width; "
-        "search: pictures a second of each camera), with commas between, for one part (as core=1,100) or for all but "
-        "sweep, detector, renderer, search (as 9); default: "
+        "analyse: MB of the bag; search: pictures a second of each camera), with commas between, for one part (as "
+        "core=1,100) or for all but sweep, detector, renderer, analyse, search (as 9); default: "
         + " ".join(f"{part}={','.join(map(str, counts))}" for part, counts in PARTS.items()))  # fmt: skip
     add("--processes", choices=list(_MODES), default="both",
         help="formation with a process per vehicle and role, with one per role, or both (default)")  # fmt: skip
@@ -290,6 +296,9 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
                 known = {"width": count, "height": height, "backend": backend}
                 measure = partial(measure_renderer, width=count, height=height, backend=backend)
                 yield f"{count} x {height} px, {backend}", known, measure
+        return
+    if part == "analyse":
+        yield f"bag of {count} MB", {"megabytes": count}, partial(measure_analysis, megabytes=count)
         return
     if part == "search":
         known = {"vehicles": SEARCHERS, "camera_rate": count}

@@ -186,6 +186,27 @@ def measure_renderer(bench: Bench, width: int, height: int, backend: str) -> Row
     return row | _run_program(bench, "renderer", name, "xtdrone_sim.rendering.benchmark", arguments)[0]
 
 
+def measure_analysis(bench: Bench, megabytes: int) -> Row:
+    """Measure the reading of a large bag and its report.
+
+    Args:
+        bench: what all measurements share.
+        megabytes: of the bag, which is made for it and removed.
+
+    Returns:
+        megabytes, messages, seconds, cpu_seconds, megabytes_per_second (of the reading), memory_bytes (the process's
+        most), report_seconds (with pictures and page).
+
+    Raises:
+        BenchError: it failed.
+    """
+    row = {"load_before": os.getloadavg()[0]}
+    name = f"analyse-{megabytes}"
+    folder = fresh_folder(bench, name)
+    arguments = ["--megabytes", str(megabytes), "--folder", str(folder)]
+    return row | _run_program(bench, "analyse", name, "xtdrone_interaction.analysis.benchmark", arguments)
+
+
 def measure_barrier(bench: Bench, participants: int, kind: str) -> Row:
     """Measure the lockstep's barrier with participants that do nothing, all due at every tick.
 

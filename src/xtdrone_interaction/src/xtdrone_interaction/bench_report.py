@@ -13,7 +13,7 @@ Row = dict[str, Any]
 _Cell = Callable[[str, Sequence[Row]], str]
 
 # To reach, by part, number of vehicles (workers, Hz) and processes: real-time factors; of the drawing pictures a
-# second, of the sweep the speed-up, of the free part the share of the free speed.
+# second, of the sweep the speed-up, of the analysis MB a second, of the free part the share of the free speed.
 GOALS: dict[tuple[str, int, str | None], float] = {
     ("core", 9, None): 30.0,
     ("core", 100, None): 6.0,
@@ -21,6 +21,7 @@ GOALS: dict[tuple[str, int, str | None], float] = {
     ("simplified", 1000, None): 1.0,
     ("drawing", 100, None): 15.0,
     ("sweep", 2, None): 1.7,
+    ("analyse", 1000, None): 100.0,
     ("stack", 9, None): 10.0,
     ("formation", 9, "per_uav"): 3.0,
     ("formation", 30, "per_uav"): 1.0,
@@ -36,6 +37,7 @@ _TITLES = {
     "sweep": "Sweep: flights of nine simplified vehicles through three patterns",
     "detector": "Detector of people on one core, by the width of its input",
     "renderer": "Pictures of the world outdoor, one process",
+    "analyse": "Analysis of a bag of poses, velocities and states, not packed",
     "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
     "formation": "Formation flight",
@@ -147,6 +149,8 @@ def short_result(row: Row) -> str:
         return f"{row['pictures_per_second']:.1f} pictures a second"
     if "milliseconds" in row:
         return f"{row['milliseconds']:.1f} ms a picture"
+    if "megabytes_per_second" in row:
+        return f"{row['megabytes_per_second']:.0f} MB/s, {row['memory_bytes'] * 1e-6:.0f} MB of memory"
     if "speed_up" in row:
         return f"{row['runs_per_second']:.1f} runs a second, {row['speed_up']:.2f} x those of one worker"
     return f"{row['real_time_factor']:.2f} x real time"
@@ -191,6 +195,8 @@ def _label(part: str, row: Row) -> str:
         words = [f"{row['workers']} workers"]
     elif "backend" in row:
         words = [f"{row['width']} x {row['height']} px,", row["backend"]]
+    elif "megabytes" in row:
+        words = [f"{row['megabytes']} MB"]
     elif "camera_rate" in row:
         words = [f"{row['camera_rate']} Hz"]
     elif "width" in row:
@@ -239,11 +245,11 @@ def _with_range(key: str, rows: Sequence[Row], unit: str) -> str:
 
 def _goal(part: str, rows: Sequence[Row]) -> str:
     row = rows[0]
-    count = row[{"sweep": "workers", "search": "camera_rate"}.get(part, "vehicles")]
+    count = row[{"sweep": "workers", "search": "camera_rate", "analyse": "megabytes"}.get(part, "vehicles")]
     goal = GOALS.get((part, count, row.get("mode")))
     if goal is None:
         return ""
-    return {"drawing": "{:g}", "free": "{:.2f}"}.get(part, "{:g} x").format(goal)
+    return {"drawing": "{:g}", "analyse": "{:g}", "free": "{:.2f}"}.get(part, "{:g} x").format(goal)
 
 
 def _range(key: str, unit: str = "") -> _Cell:
@@ -298,6 +304,15 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
         ("picture", _label_only),
         ("CPU\nms/picture", _range("milliseconds")),
         ("wall\nms/picture", _range("wall_milliseconds")),
+    ],
+    "analyse": [
+        ("bag", _label_only),
+        ("reading\nMB/s", _range("megabytes_per_second")),
+        ("to\nreach", _goal),
+        ("CPU\ns", _range("cpu_seconds")),
+        ("messages", _median("messages", ".0f")),
+        ("memory\nMB", _median("memory_bytes", ".0f", 1e-6)),
+        ("report\ns", _median("report_seconds", ".1f")),
     ],
     "barrier": [
         ("participants", _participants),

@@ -81,8 +81,9 @@ class Column:
         self.stride *= 2
 
     def series(self) -> Series:
-        """Return what was kept, in order of time."""
+        """Return what was kept, in order of time, and forget it."""
         whole = np.concatenate(self._parts) if self._parts else np.empty((0, self.width + 1))
+        self._parts = []
         if (np.diff(whole[:, 0]) < 0).any():
             whole = whole[np.argsort(whole[:, 0], kind="stable")]
         return Series(whole[:, 0].copy(), whole[:, 1:])
@@ -119,5 +120,5 @@ class Columns:
         self.most = max(self.most, 2 * self._values)  # thousands of short topics: no more can be saved
 
     def series(self) -> dict[tuple[str, ...], Series]:
-        """Return all columns by key."""
+        """Return all columns by key, and forget them."""
         return {key: column.series() for key, column in self._columns.items()}
