@@ -60,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("record", help="record a running flight by a profile (own options: record --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
     commands.add_parser("sweep", help="fly a study over parameters and seeds (own options: sweep --help)")
+    commands.add_parser("record-view", help="film a flight as rviz shows it (own options: record-view --help)")
     commands.add_parser("compare-px4", help="fly our autopilot beside recorded flights of a real PX4")
     return parser
 
@@ -178,6 +179,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from xtdrone_interaction import recording
 
         return recording.main(arguments[1:])
+    if arguments[:1] == ["record-view"]:
+        from xtdrone_interaction.rviz import record_view
+
+        return record_view.main(arguments[1:])
     if arguments[:1] == ["bench"]:
         from xtdrone_interaction import bench
 

@@ -1,0 +1,123 @@
+"""A recorded flight as a source of messages in simulated time."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rosbag
+import roslib.message
+
+from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
+
+_POSE = re.compile(r"/(?P<type>\w+)_(?P<index>\d+)/mavros/local_position/pose")
+
+
+class BagError(ValueError):
+    """A bag that cannot be shown; the message says why."""
+
+
+class Timed(NamedTuple):
+    """A message of a bag.
+
+    Attributes:
+        time_us: simulated time at which it was sent, microseconds.
+        topic: name.
+        message: of the type that this workspace has.
+    """
+
+    time_us: int
+    topic: str
+    message: Any
+
+
+class FlightBag:
+    """A bag with vehicles' poses.
+
+    The times at which the recorder noted messages may be wrong by seconds. So the time of a message is its own stamp;
+    where it has none, the newest stamp of a pose that was recorded before it.
+
+    Attributes:
+        fleet: as ``iris:9``.
+        vehicles: of the fleet.
+        types: message type of each topic.
+        begin_us, end_us: simulated times of the first and of the last pose, microseconds.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a bag.
+
+        Raises:
+            BagError: it cannot be read, or has no poses.
+        """
+        if not path.is_file():
+            raise BagError(f"bag: {path} does not exist")
+        try:
+            self._bag = rosbag.Bag(str(path))
+            found = self._bag.get_type_and_topic_info()
+        except (rosbag.ROSBagException, OSError, ValueError) as error:
+            raise BagError(f"bag: {path} cannot be read ({error}); 'rosbag reindex' may mend it") from error
+        self._path = path
+        self.types = {topic: info.msg_type for topic, info in found.topics.items()}
+        self._md5sums = {topic: found.msg_types[kind] for topic, kind in self.types.items()}
+        self._poses = {topic: match for topic in self.types if (match := _POSE.fullmatch(topic))}
+        self.fleet = self._fleet()
+        self.vehicles: tuple[Vehicle, ...] = parse_fleet(self.fleet)
+        times = [time_us for time_us, *_ in self._raw({topic: self._message_class(topic) for topic in self._poses})]
+        self.begin_us, self.end_us = min(times), max(times)
+
+    def _fleet(self) -> str:
+        counts: dict[str, int] = {}
+        for found in self._poses.values():
+            counts[found["type"]] = max(counts.get(found["type"], 0), int(found["index"]) + 1)
+        text = ",".join(f"{kind}:{count}" for kind, count in sorted(counts.items()))
+        try:
+            vehicles = parse_fleet(text) if text else ()
+        except FleetError as error:
+            raise BagError(f"bag: {self._path}: {error}") from error
+        if not vehicles or len(vehicles) != len(self._poses):
+            raise BagError(
+                f"bag: {self._path} has no /VEHICLE_<i>/mavros/local_position/pose of each vehicle from 0 on"
+            )
+        return text
+
+    def messages(self, topics: Collection[str]) -> Iterator[Timed]:
+        """Yield the messages of ``topics`` in the order of their times.
+
+        Raises:
+            BagError: the bag is damaged, or a message is of another type than this workspace has under that name.
+        """
+        classes = {topic: self._message_class(topic) for topic in topics if topic in self.types}
+        for time_us, _, topic, data in sorted(self._raw(classes)):
+            yield Timed(time_us, topic, classes[topic]().deserialize(data))
+
+    def _message_class(self, topic: str) -> Any:
+        kind = self.types[topic]
+        cls = roslib.message.get_message_class(kind)
+        if cls is None or cls._md5sum != self._md5sums[topic]:
+            raise BagError(f"bag: {self._path}: {topic} has another {kind} than this workspace")
+        return cls
+
+    def _raw(self, classes: Mapping[str, Any]) -> Iterator[tuple[int, int, str, bytes]]:
+        """Yield time (us), number, topic and content of all messages from the first pose on, as they were recorded."""
+        newest_us = -1
+        try:
+            read = self._bag.read_messages(topics=[*{*classes, *self._poses}], raw=True)
+            for number, (topic, (_, data, *_), _) in enumerate(read):
+                own_us = -1
+                if topic in self._poses or classes[topic]._has_header:
+                    _, seconds, nanoseconds = struct.unpack_from("<III", data)  # the header is a message's first field
+                    own_us = seconds * 1_000_000 + nanoseconds // 1000
+                if topic in self._poses:
+                    newest_us = max(newest_us, own_us)
+                if topic in classes and newest_us >= 0:
+                    yield own_us if own_us > 0 else newest_us, number, topic, data
+        except (rosbag.ROSBagException, OSError, struct.error) as error:
+            raise BagError(f"bag: {self._path} is damaged: {error}") from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._bag.close()

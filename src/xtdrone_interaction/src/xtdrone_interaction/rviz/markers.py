@@ -1,0 +1,304 @@
+"""What rviz shows of a swarm besides the vehicles themselves: marker arrays made of states. No ROS node is needed.
+
+Everything is in the ``map`` frame, ENU, metres. One namespace for each kind of thing, so that rviz can switch it off:
+
+=============  ==============  =====================================================================================
+namespace      type            what it shows
+=============  ==============  =====================================================================================
+names          text            each vehicle's name above it
+trails         line strip      where each vehicle was in the last seconds
+slots          spheres         the places that the pattern gives the followers, about the leader
+topology       line list       who hears whom: from the vehicle that is heard (dark) to the one that listens (bright)
+avoidance      arrow           the avoidance of each vehicle, before its gain
+views          line strip      what each camera sees of the ground
+detections     cylinder        things that cameras show and where they stand, as high as a person
+sightlines     line list       from each camera to what it shows
+finds          cylinder, text  what the search has confirmed
+=============  ==============  =====================================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from numpy.typing import NDArray
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+Array = NDArray[np.float64]
+
+FRAME = "map"
+TRAIL = 6.0  # s
+LABEL = 0.4  # m
+_TRAIL_STEP = 0.15  # m between two points of a trail
+_TRAIL_POINTS = 400
+_LEAST_ARROW = 0.05  # m; shorter avoidance is none
+_PERSON = (0.6, 1.8)  # m, width and height of a detection's cylinder
+_FIND = (1.2, 30.0)  # m: a find is seen from afar
+_MOST_VIEW = 150.0  # m from the camera to a corner of its view of the ground; beyond, or above the horizon: no view
+
+_DARK = ColorRGBA(0.10, 0.12, 0.16, 1.0)
+_SLOT = ColorRGBA(0.10, 0.60, 0.25, 0.30)
+_HEARD = ColorRGBA(0.35, 0.40, 0.55, 0.9)
+_LISTENS = ColorRGBA(0.25, 0.60, 1.00, 0.9)
+_AVOIDS = ColorRGBA(0.90, 0.10, 0.10, 1.0)
+_DETECTED = ColorRGBA(0.95, 0.50, 0.00, 0.9)
+_FOUND = ColorRGBA(0.85, 0.05, 0.25, 0.6)
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A thing that a camera shows.
+
+    Attributes:
+        position: of its foot on the ground, m ENU.
+        label: its class.
+    """
+
+    position: tuple[float, float, float]
+    label: str
+
+
+@dataclass
+class _Vehicle:
+    position: tuple[float, float, float] | None = None
+    trail: deque[tuple[float, tuple[float, float, float]]] = field(default_factory=lambda: deque(maxlen=_TRAIL_POINTS))
+    avoidance: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera: tuple[float, float, float] | None = None
+    detections: tuple[Detection, ...] = ()
+    view: Array = field(default_factory=lambda: np.empty((0, 3)))
+
+
+def ground_view(
+    position: Sequence[float], orientation: Sequence[float], focal: tuple[float, float], size: tuple[int, int]
+) -> Array:
+    """Return the corners of what a camera sees of the ground z = 0, shape (4, 3), m; shape (0, 3) if a corner has none.
+
+    Args:
+        position: of the camera, m ENU.
+        orientation: (x, y, z, w) of its optical frame: z ahead, x right, y down.
+        focal: focal lengths along x and y, pixels.
+        size: width and height of the picture, pixels; the optical axis goes through its middle.
+    """
+    x, y, z, w = orientation
+    right, down = 0.5 * size[0] / focal[0], 0.5 * size[1] / focal[1]
+    rotation = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    rays = np.array([[-right, -down, 1.0], [right, -down, 1.0], [right, down, 1.0], [-right, down, 1.0]]) @ rotation.T
+    height = float(position[2])
+    if height <= 0.0 or not (rays[:, 2] < 0.0).all():
+        return np.empty((0, 3))
+    reach = -height / rays[:, 2]
+    if (reach * np.linalg.norm(rays, axis=1)).max() > _MOST_VIEW:
+        return np.empty((0, 3))
+    corners = np.asarray(position, dtype=float) + reach[:, None] * rays
+    corners[:, 2] = 0.0
+    return corners
+
+
+class SwarmMarkers:
+    """Collects the newest of everything and makes markers of it.
+
+    Attributes:
+        names: of the vehicles; the first leads a formation.
+    """
+
+    def __init__(self, names: Sequence[str], trail: float = TRAIL, label: float = LABEL) -> None:
+        """Know nothing yet.
+
+        Args:
+            names: of the vehicles.
+            trail: length of the trails, s; 0 for none.
+            label: height of the letters of names, m.
+
+        Raises:
+            ValueError: no vehicles, or a length that is not allowed.
+        """
+        if not names:
+            raise ValueError("markers: there are no vehicles")
+        if not (math.isfinite(trail) and trail >= 0.0):
+            raise ValueError(f"markers: trail of {trail!r} s is not allowed, 0 or more")
+        self.names = tuple(names)
+        if not (math.isfinite(label) and label > 0.0):
+            raise ValueError(f"markers: letters of {label!r} m are not allowed, above 0")
+        self._trail = trail
+        self._colours = [_colour(i) for i in range(len(names))]
+        self._label = label
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: time has gone back. The next array takes away what is shown."""
+        self._vehicles = {name: _Vehicle() for name in self.names}
+        self._offsets: Array = np.empty((0, 3))
+        self._edges: list[tuple[str, str]] = []
+        self._finds: list[tuple[tuple[float, float], str]] = []
+        self._clear = True
+        self._things_shown = 0
+
+    # what is told
+
+    def on_position(self, name: str, time: float, position: tuple[float, float, float]) -> None:
+        """Take a vehicle's place, m ENU, at a time, s."""
+        vehicle = self._vehicles[name]
+        vehicle.position = position
+        last = vehicle.trail[-1][1] if vehicle.trail else (math.inf,) * 3
+        if math.dist(last, position) >= _TRAIL_STEP:
+            vehicle.trail.append((time, position))
+
+    def on_pattern(self, offsets: Array) -> None:
+        """Take the followers' slots relative to the leader, shape (n - 1, 3), m; shape (0, 3): no pattern."""
+        self._offsets = np.asarray(offsets, dtype=float).reshape(-1, 3)
+
+    def on_topology(self, adjacency: Array) -> None:
+        """Take who hears whom.
+
+        Args:
+            adjacency: shape (n, n), row i: whom vehicle i listens to; empty: nobody.
+
+        Raises:
+            ValueError: it is for another number of vehicles.
+        """
+        count = len(self.names)
+        if adjacency.size not in (0, count * count):
+            raise ValueError(f"topology: {adjacency.size} values are not allowed, {count} x {count} for these vehicles")
+        matrix = adjacency.reshape(-1, count)
+        self._edges = [(self.names[j], self.names[i]) for i, j in np.argwhere(matrix)]
+
+    def on_avoidance(self, name: str, vector: tuple[float, float, float]) -> None:
+        """Take a vehicle's avoidance, ENU."""
+        self._vehicles[name].avoidance = vector
+
+    def on_detections(self, name: str, camera: tuple[float, float, float], things: Sequence[Detection]) -> None:
+        """Take what a vehicle's newest picture shows, and where its camera was, m ENU."""
+        self._vehicles[name].camera = camera
+        self._vehicles[name].detections = tuple(things)
+
+    def on_view(self, name: str, corners: Array) -> None:
+        """Take what a vehicle's camera sees of the ground, shape (4, 3), m ENU; shape (0, 3): nothing."""
+        self._vehicles[name].view = corners
+
+    def on_find(self, place: tuple[float, float], words: str) -> None:
+        """Take a confirmed find, x and y in m ENU."""
+        self._finds.append((place, words))
+
+    # what is shown
+
+    def array(self, time: float) -> MarkerArray:
+        """Return all markers.
+
+        Args:
+            time: stamp, s.
+        """
+        stamp = rospy.Time.from_sec(time)
+        markers: list[Marker] = []
+        if self._clear:
+            self._clear = False
+            markers.append(Marker(action=Marker.DELETEALL))
+        markers += [self._slots(), self._topology(), self._sightlines()]
+        for number, (name, vehicle) in enumerate(self._vehicles.items()):
+            if vehicle.position is not None:
+                markers += self._of_vehicle(number, name, vehicle, time)
+        markers += self._things()
+        for number, (place, words) in enumerate(self._finds):
+            markers += _find(number, place, words)
+        for marker in markers:
+            marker.header = Header(stamp=stamp, frame_id=FRAME)
+        return MarkerArray(markers)
+
+    def _of_vehicle(self, number: int, name: str, vehicle: _Vehicle, time: float) -> list[Marker]:
+        assert vehicle.position is not None
+        colour = self._colours[number]
+        x, y, z = vehicle.position
+        text = _marker("names", number, Marker.TEXT_VIEW_FACING, _DARK, Vector3(0.0, 0.0, self._label))
+        text.pose.position = Point(x, y, z + 0.3 + 0.75 * self._label)
+        text.text = name
+        made = [text]
+        if self._trail > 0.0:
+            while vehicle.trail and vehicle.trail[0][0] < time - self._trail:
+                vehicle.trail.popleft()
+            trail = _marker("trails", number, Marker.LINE_STRIP, colour, Vector3(0.05, 0.0, 0.0))
+            trail.points = [*(Point(*place) for _, place in vehicle.trail), Point(x, y, z)]
+            made.append(_or_none(trail, len(trail.points) > 1))
+        arrow = _marker("avoidance", number, Marker.ARROW, _AVOIDS, Vector3(0.06, 0.16, 0.0))
+        dx, dy, dz = vehicle.avoidance
+        arrow.points = [Point(x, y, z), Point(x + dx, y + dy, z + dz)]
+        made.append(_or_none(arrow, math.hypot(dx, dy, dz) >= _LEAST_ARROW))
+        view = _marker("views", number, Marker.LINE_STRIP, colour, Vector3(0.15, 0.0, 0.0))
+        view.points = [Point(*corner) for corner in (*vehicle.view, *vehicle.view[:1])]
+        made.append(_or_none(view, len(vehicle.view) > 0))
+        return made
+
+    def _slots(self) -> Marker:
+        slots = _marker("slots", 0, Marker.SPHERE_LIST, _SLOT, Vector3(0.7, 0.7, 0.7))
+        leader = self._vehicles[self.names[0]].position
+        if leader is not None:
+            slots.points = [Point(*place) for place in np.add(leader, self._offsets)]
+        return _or_none(slots, len(slots.points) > 0)
+
+    def _topology(self) -> Marker:
+        lines = _marker("topology", 0, Marker.LINE_LIST, _LISTENS, Vector3(0.04, 0.0, 0.0))
+        for heard, listener in self._edges:
+            begin, end = self._vehicles[heard].position, self._vehicles[listener].position
+            if begin is not None and end is not None:
+                lines.points += [Point(*begin), Point(*end)]
+                lines.colors += [_HEARD, _LISTENS]
+        return _or_none(lines, len(lines.points) > 0)
+
+    def _sightlines(self) -> Marker:
+        lines = _marker("sightlines", 0, Marker.LINE_LIST, _DETECTED, Vector3(0.08, 0.0, 0.0))
+        for vehicle in self._vehicles.values():
+            for thing in vehicle.detections:
+                if vehicle.camera is not None:
+                    lines.points += [Point(*vehicle.camera), Point(*thing.position)]
+        return _or_none(lines, len(lines.points) > 0)
+
+    def _things(self) -> list[Marker]:
+        """Return a cylinder for each detection, and take away those that are no more."""
+        things = [thing for vehicle in self._vehicles.values() for thing in vehicle.detections]
+        width, height = _PERSON
+        gone = range(len(things), self._things_shown)
+        made = [Marker(ns="detections", id=number, action=Marker.DELETE) for number in gone]
+        self._things_shown = len(things)
+        for number, thing in enumerate(things):
+            body = _marker("detections", number, Marker.CYLINDER, _DETECTED, Vector3(width, width, height))
+            x, y, z = thing.position
+            body.pose.position = Point(x, y, z + 0.5 * height)
+            body.text = thing.label
+            made.append(body)
+        return made
+
+
+def _find(number: int, place: tuple[float, float], words: str) -> list[Marker]:
+    width, height = _FIND
+    column = _marker("finds", 2 * number, Marker.CYLINDER, _FOUND, Vector3(width, width, height))
+    column.pose.position = Point(*place, 0.5 * height)
+    text = _marker("finds", 2 * number + 1, Marker.TEXT_VIEW_FACING, _DARK, Vector3(0.0, 0.0, 3.0))
+    text.pose.position = Point(*place, height + 2.5)
+    text.text = words
+    return [column, text]
+
+
+def _marker(namespace: str, number: int, kind: int, colour: ColorRGBA, scale: Vector3) -> Marker:
+    pose = Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+    return Marker(ns=namespace, id=number, type=kind, action=Marker.ADD, pose=pose, scale=scale, color=colour)
+
+
+def _or_none(marker: Marker, shown: bool) -> Marker:
+    """Return the marker, or what takes it away: rviz complains of lists without points."""
+    return marker if shown else Marker(ns=marker.ns, id=marker.id, type=marker.type, action=Marker.DELETE)
+
+
+def _colour(number: int) -> ColorRGBA:
+    """Return a vehicle's colour; hues by the golden ratio, so that neighbours differ."""
+    hue = (0.6 + number * 0.618034) % 1.0
+    red, green, blue = (0.75 * min(1.0, max(0.0, abs(((hue + k / 3.0) % 1.0) * 6.0 - 3.0) - 1.0)) for k in (3, 2, 1))
+    return ColorRGBA(red, green, blue, 1.0)

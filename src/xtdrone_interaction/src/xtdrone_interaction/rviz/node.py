@@ -1,0 +1,108 @@
+"""The node that publishes a swarm's markers; see ``nodes/swarm_markers.py``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import PoseStamped, Vector3
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
+from visualization_msgs.msg import MarkerArray
+from xtdrone_msgs.msg import ObjectsOnGround
+
+from xtdrone_control import lockstep
+from xtdrone_control.checks import check_range
+from xtdrone_control.communication.arguments import ArgumentError, fleet_of
+from xtdrone_control.lockstep.names import future_name
+from xtdrone_interaction.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
+from xtdrone_interaction.rviz.markers import LABEL, TRAIL, Detection, SwarmMarkers, ground_view
+
+NAME = "swarm_markers"
+TOPIC = "/xtdrone/markers"
+SEARCH_EVENTS = "/xtdrone/search/event"
+CAMERA = "cgo3_camera"  # of the vehicles that search
+_RATE = 30.0  # Hz
+_PARAMETER = "/xtdrone/fleet"
+
+
+class MarkersNode:
+    """Topics of the markers."""
+
+    def __init__(self, markers: SwarmMarkers) -> None:
+        """Advertise and subscribe."""
+        self._markers = markers
+        self._lenses: dict[str, CameraInfo] = {}
+        self._publisher = lockstep.Publisher(TOPIC, MarkerArray)
+        for name in markers.names:
+            lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, partial(self._on_pose, name))
+            for mode in ("vel", "accel"):
+                lockstep.Subscriber(f"/xtdrone/{name}/avoid_{mode}", Vector3, partial(self._on_avoidance, name))
+            lockstep.Subscriber(f"/xtdrone/{name}/objects", ObjectsOnGround, partial(self._on_objects, name))
+            lockstep.Subscriber(f"/{name}/{CAMERA}/camera_info", CameraInfo, partial(self._lenses.__setitem__, name))
+        lockstep.Subscriber(PATTERN_TOPIC, Float32MultiArray, self._on_pattern)
+        lockstep.Subscriber(TOPOLOGY_TOPIC, Int32MultiArray, self._on_topology)
+        lockstep.Subscriber(SEARCH_EVENTS, String, self._on_search_event)
+        lockstep.add_reset_hook(markers.restart)
+
+    def step(self) -> None:
+        """Publish all markers if somebody listens."""
+        if self._publisher.get_num_connections():
+            self._publisher.publish(self._markers.array(rospy.get_time()))
+
+    def _on_pose(self, name: str, message: PoseStamped) -> None:
+        p = message.pose.position
+        self._markers.on_position(name, message.header.stamp.to_sec(), (p.x, p.y, p.z))
+
+    def _on_avoidance(self, name: str, message: Vector3) -> None:
+        self._markers.on_avoidance(name, (message.x, message.y, message.z))
+
+    def _on_pattern(self, message: Float32MultiArray) -> None:
+        self._markers.on_pattern(offsets_from_message(message.data))
+
+    def _on_topology(self, message: Int32MultiArray) -> None:
+        self._markers.on_topology(np.asarray(message.data))
+
+    def _on_objects(self, name: str, message: Any) -> None:
+        p, q = message.camera.position, message.camera.orientation
+        things = [Detection((o.position.x, o.position.y, o.position.z), o.object_class) for o in message.objects]
+        self._markers.on_detections(name, (p.x, p.y, p.z), things)
+        lens = self._lenses.get(name)
+        if lens is not None:
+            size = (lens.width, lens.height)
+            corners = ground_view((p.x, p.y, p.z), (q.x, q.y, q.z, q.w), (lens.K[0], lens.K[4]), size)
+            self._markers.on_view(name, corners)
+
+    def _on_search_event(self, message: String) -> None:
+        event = json.loads(message.data)
+        if event.get("event") == "confirmed":
+            x, y = event["position"][:2]
+            self._markers.on_find((x, y), f"found by {event['vehicle']}")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Serve the fleet until shutdown.
+
+    Raises:
+        ArgumentError: an argument, no fleet, or a parameter that is not allowed.
+    """
+    if arguments:
+        raise ArgumentError(f"no arguments are needed, {len(arguments)} were given")
+    fleet = fleet_of(rospy.get_param(_PARAMETER, None))
+    if fleet is None:
+        raise ArgumentError(f"parameter {_PARAMETER} is not set: which vehicles there are, as iris:9")
+    private = future_name(NAME)
+    try:
+        rate = check_range("~rate", rospy.get_param(f"{private}/rate", _RATE), 0.1, 50.0, "Hz")
+        trail = check_range("~trail", rospy.get_param(f"{private}/trail", TRAIL), 0.0, 60.0, "s")
+        label = check_range("~label", rospy.get_param(f"{private}/label", LABEL), 0.05, 20.0, "m")
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+    lockstep.init_node(NAME, rate=rate)
+    node = MarkersNode(SwarmMarkers([vehicle.name for vehicle in fleet], trail, label))
+    lockstep.start()
+    lockstep.spin(node.step)

@@ -1,0 +1,165 @@
+"""Configurations of rviz for a fleet: one vehicle, the formation, the search.
+
+``python -m xtdrone_interaction.rviz.views`` writes those that are shipped, ``xtdrone_rviz/config/*.rviz``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction.options import OptionError, repository
+
+Config = dict[str, Any]
+
+MARKERS_TOPIC = "/xtdrone/markers"
+SHIPPED = {"vehicle": "iris:1", "formation": "iris:9", "search": "typhoon_h480:6"}
+"""The views by name, and for which fleet they are shipped."""
+
+LABELS = {"search": 2.5}
+"""Height of the names' letters where a view is taken from afar, m."""
+
+_BACKGROUND = "232; 236; 242"
+_GRID = "165; 172; 184"
+
+
+def shipped_folder() -> Path:
+    """Return the folder of the shipped .rviz files."""
+    return repository() / "src" / "xtdrone_rviz" / "config"
+
+
+def make_view(name: str, vehicles: Sequence[str]) -> str:
+    """Return an .rviz file's text.
+
+    Args:
+        name: of SHIPPED.
+        vehicles: names, as ``iris_0``; the first is looked at, or leads.
+
+    Raises:
+        OptionError: no such view.
+    """
+    if name not in _VIEWS:
+        raise OptionError(f"view: {name!r} is unknown; there are: {', '.join(_VIEWS)}")
+    return _text(_VIEWS[name](list(vehicles)))
+
+
+def _vehicle(vehicles: list[str]) -> Config:
+    hidden = {"slots": False, "topology": False}
+    return _config(vehicles, _grid(20, 1.0), hidden, _orbit(f"{vehicles[0]}/base_link", 4.0, 0.35, 3.9))
+
+
+def _formation(vehicles: list[str]) -> Config:
+    distance = 4.0 + 4.0 * len(vehicles) ** 0.5
+    return _config(vehicles, _grid(60, 2.0), {}, _orbit(f"{vehicles[0]}/base_link", distance, 0.42, 3.55))
+
+
+def _search(vehicles: list[str]) -> Config:
+    hidden = {"slots": False, "topology": False, "avoidance": False}
+    return _config(vehicles, _grid(40, 5.0), hidden, _orbit("map", 95.0, 0.75, 4.4))
+
+
+_VIEWS: dict[str, Callable[[list[str]], Config]] = {"vehicle": _vehicle, "formation": _formation, "search": _search}
+
+
+def _config(vehicles: Sequence[str], grid: Config, namespaces: Config, view: Config) -> Config:
+    displays = [grid, _markers(namespaces), *(_robot(vehicle) for vehicle in vehicles)]
+    return {
+        "Panels": [
+            {"Class": "rviz/Displays", "Name": "Displays"},
+            {"Class": "rviz/Views", "Name": "Views"},
+            {"Class": "rviz/Time", "Name": "Time"},
+        ],
+        "Visualization Manager": {
+            "Class": "",
+            "Displays": displays,
+            "Enabled": True,
+            "Global Options": {
+                "Background Color": _BACKGROUND,
+                "Default Light": True,
+                "Fixed Frame": "map",
+                "Frame Rate": 30,
+            },
+            "Name": "root",
+            "Tools": [{"Class": "rviz/MoveCamera"}, {"Class": "rviz/Select"}, {"Class": "rviz/Measure"}],
+            "Value": True,
+            "Views": {"Current": view, "Saved": None},
+        },
+        "Window Geometry": {"Width": 1400, "Height": 900},
+    }
+
+
+def _grid(cells: int, size: float) -> Config:
+    return {
+        "Class": "rviz/Grid",
+        "Name": "Ground",
+        "Enabled": True,
+        "Plane": "XY",
+        "Plane Cell Count": cells,
+        "Cell Size": size,
+        "Color": _GRID,
+        "Alpha": 0.7,
+        "Line Style": {"Value": "Lines"},
+        "Reference Frame": "map",
+        "Value": True,
+    }
+
+
+def _markers(namespaces: Config) -> Config:
+    # The queue holds single markers: all of an array must find room.
+    return {
+        "Class": "rviz/MarkerArray",
+        "Name": "Swarm",
+        "Enabled": True,
+        "Marker Topic": MARKERS_TOPIC,
+        "Namespaces": namespaces,
+        "Queue Size": 10_000,
+        "Value": True,
+    }
+
+
+def _robot(vehicle: str) -> Config:
+    return {
+        "Class": "rviz/RobotModel",
+        "Name": vehicle,
+        "Enabled": True,
+        "Robot Description": f"/{vehicle}/robot_description",
+        "TF Prefix": vehicle,
+        "Update Interval": 0,
+        "Visual Enabled": True,
+        "Collision Enabled": False,
+        "Alpha": 1,
+        "Value": True,
+    }
+
+
+def _orbit(target: str, distance: float, pitch: float, yaw: float) -> Config:
+    return {
+        "Class": "rviz/Orbit",
+        "Name": "Current View",
+        "Distance": round(distance, 2),
+        "Focal Point": {"X": 0, "Y": 0, "Z": 0},
+        "Near Clip Distance": 0.05,
+        "Pitch": pitch,
+        "Target Frame": target,
+        "Value": "Orbit (rviz)",
+        "Yaw": yaw,
+    }
+
+
+def _text(config: Config) -> str:
+    return yaml.safe_dump(config, sort_keys=False, width=120)
+
+
+def main() -> None:
+    """Write the shipped files."""
+    for name, fleet in SHIPPED.items():
+        vehicles = [vehicle.name for vehicle in parse_fleet(fleet)]
+        (shipped_folder() / f"{name}.rviz").write_text(make_view(name, vehicles), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""What rviz shows of a swarm, and the configurations that show it."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+from visualization_msgs.msg import Marker
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.rviz.markers import Detection, SwarmMarkers, ground_view
+from xtdrone_interaction.rviz.views import MARKERS_TOPIC, SHIPPED, make_view, shipped_folder
+
+NAMES = ["iris_0", "iris_1", "iris_2"]
+PLACES = [(0.0, 0.0, 5.0), (3.0, 0.0, 5.0), (0.0, 3.0, 5.5)]
+
+
+def shown(markers, time=0.0):
+    """What rviz has on its screen after the arrays so far: by namespace and number."""
+    screen = {}
+    for array in [markers.array(time)] if isinstance(markers, SwarmMarkers) else markers:
+        for marker in array.markers:
+            if marker.action == Marker.DELETEALL:
+                screen.clear()
+            elif marker.action == Marker.DELETE:
+                screen.pop((marker.ns, marker.id), None)
+            else:
+                screen[marker.ns, marker.id] = marker
+    return screen
+
+
+def points(marker):
+    return [(p.x, p.y, p.z) for p in marker.points]
+
+
+@pytest.fixture
+def markers():
+    made = SwarmMarkers(NAMES)
+    for name, place in zip(NAMES, PLACES, strict=True):
+        made.on_position(name, 0.0, place)
+    return made
+
+
+def test_names_stand_above_their_vehicles(markers):
+    screen = shown(markers)
+    for number, (name, place) in enumerate(zip(NAMES, PLACES, strict=True)):
+        label = screen["names", number]
+        position = label.pose.position
+        assert label.text == name
+        assert (position.x, position.y) == place[:2]
+        assert 0.0 < position.z - place[2] < 1.5
+
+
+def test_slots_stand_about_the_leader(markers):
+    markers.on_pattern(np.array([[3.0, 0.0, 0.0], [0.0, 3.0, 1.0]]))
+    assert points(shown(markers)["slots", 0]) == [(3.0, 0.0, 5.0), (0.0, 3.0, 6.0)]
+    markers.on_position("iris_0", 1.0, (10.0, 0.0, 5.0))
+    assert points(shown(markers)["slots", 0]) == [(13.0, 0.0, 5.0), (10.0, 3.0, 6.0)]
+
+
+def test_an_edge_goes_from_who_is_heard_to_who_listens(markers):
+    adjacency = np.zeros((3, 3), int)
+    adjacency[2, 1] = 1  # 2 listens to 1
+    markers.on_topology(adjacency)
+    assert points(shown(markers)["topology", 0]) == [PLACES[1], PLACES[2]]
+
+
+def test_a_topology_for_another_swarm_is_refused(markers):
+    with pytest.raises(ValueError, match="16 values are not allowed, 3 x 3"):
+        markers.on_topology(np.zeros(16, int))
+
+
+def test_avoidance_is_an_arrow_that_goes_when_it_ends(markers):
+    markers.on_avoidance("iris_1", (0.0, -1.0, 0.5))
+    first = markers.array(0.0)
+    assert points(shown([first])["avoidance", 1]) == [PLACES[1], (3.0, -1.0, 5.5)]
+    markers.on_avoidance("iris_1", (0.0, 0.0, 0.0))
+    assert ("avoidance", 1) not in shown([first, markers.array(0.1)])
+
+
+def test_a_trail_is_as_long_as_asked_and_ends_at_the_vehicle():
+    markers = SwarmMarkers(NAMES, trail=2.0)
+    for k in range(100):
+        markers.on_position("iris_0", 0.1 * k, (0.3 * k, 0.0, 5.0))
+    trail = points(shown(markers, 9.9)["trails", 0])
+    assert trail[-1] == pytest.approx((29.7, 0.0, 5.0))
+    assert trail[0][0] == pytest.approx(0.3 * 79, abs=0.31)
+
+
+def test_detections_come_and_go(markers):
+    things = [Detection((5.0, 6.0, 0.0), "human"), Detection((7.0, 6.0, 0.0), "human")]
+    arrays = []
+    for time, seen in enumerate([things, things[:1], []]):
+        markers.on_detections("iris_0", (0.0, 0.0, 5.0), seen)
+        arrays.append(markers.array(float(time)))
+        screen = shown(arrays)
+        bodies = sorted(key for key in screen if key[0] == "detections")
+        assert [screen[key].pose.position.x for key in bodies] == [thing.position[0] for thing in seen]
+        assert (("sightlines", 0) in screen) == bool(seen)
+    assert points(shown(arrays[:1])["sightlines", 0])[:2] == [(0.0, 0.0, 5.0), (5.0, 6.0, 0.0)]
+
+
+def test_a_find_stays_until_time_goes_back(markers):
+    markers.on_find((5.0, 6.0), "found by iris_0")
+    first = markers.array(0.0)
+    assert shown([first])["finds", 1].text == "found by iris_0"
+    markers.restart()
+    assert shown([first, markers.array(0.0)]) == {}
+
+
+def test_a_list_without_points_is_never_shown_and_no_marker_twice(markers):
+    for state in (SwarmMarkers(NAMES), markers):
+        seen = set()
+        for number, marker in enumerate(state.array(0.0).markers):
+            assert marker.header.frame_id == "map"
+            if marker.action == Marker.DELETEALL:
+                assert number == 0  # rviz wants it first
+                continue
+            assert (marker.ns, marker.id) not in seen
+            seen.add((marker.ns, marker.id))
+            if marker.action == Marker.ADD and marker.type in (Marker.LINE_LIST, Marker.LINE_STRIP, Marker.SPHERE_LIST):
+                assert marker.points
+                assert len(marker.colors) in (0, len(marker.points))
+
+
+@pytest.mark.parametrize("trail", [-1.0, math.nan, math.inf])
+def test_a_trail_of_no_length_is_refused(trail):
+    with pytest.raises(ValueError, match="0 or more"):
+        SwarmMarkers(NAMES, trail)
+
+
+def test_no_vehicles_are_refused():
+    with pytest.raises(ValueError, match="no vehicles"):
+        SwarmMarkers([])
+
+
+def test_a_camera_that_looks_down_sees_a_rectangle_below():
+    # optical frame: z ahead (down), x right (east), y down in the picture (south)
+    corners = ground_view((10.0, 20.0, 8.0), (1.0, 0.0, 0.0, 0.0), (400.0, 400.0), (800, 400))
+    assert corners == pytest.approx(np.array([[2, 24, 0], [18, 24, 0], [18, 16, 0], [2, 16, 0]], float))
+
+
+def test_a_camera_that_sees_the_horizon_has_no_view():
+    half = math.sqrt(0.5)
+    assert len(ground_view((0.0, 0.0, 8.0), (-half, 0.0, 0.0, half), (400.0, 400.0), (800, 400))) == 0
+    assert len(ground_view((0.0, 0.0, -1.0), (1.0, 0.0, 0.0, 0.0), (400.0, 400.0), (800, 400))) == 0
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_views_are_those_that_are_made(name):
+    vehicles = [vehicle.name for vehicle in parse_fleet(SHIPPED[name])]
+    text = (shipped_folder() / f"{name}.rviz").read_text(encoding="utf-8")
+    assert text == make_view(name, vehicles), "python -m xtdrone_interaction.rviz.views writes them"
+    displays = yaml.safe_load(text)["Visualization Manager"]["Displays"]
+    assert [d["TF Prefix"] for d in displays if d["Class"] == "rviz/RobotModel"] == vehicles
+    assert MARKERS_TOPIC in [d.get("Marker Topic") for d in displays]
+
+
+def test_an_unknown_view_is_refused():
+    with pytest.raises(OptionError, match="'top' is unknown; there are: vehicle, formation, search"):
+        make_view("top", NAMES)

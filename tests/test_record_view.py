@@ -1,0 +1,286 @@
+"""Films of flights as rviz shows them, without a screen: what the pictures show, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from conftest import Graph
+
+NAMES = ("iris_0", "iris_1", "iris_2")
+STEP = 0.04  # s, a multiple of the simulator's step
+COUNT = 16  # poses, and so frames
+SIZE = (960, 540)  # larger than a window is at first
+DISTANCE, PITCH, YAW = 9.0, 0.6, 0.8  # the view's
+FIELD = math.pi / 4.0  # rad, vertical, rviz's own
+BACKGROUND = (232, 236, 242)
+LIMIT = 280.0  # s of wall time for one film
+
+
+def place(number: int, time: float) -> np.ndarray:
+    """Where a vehicle is: far enough from the others, and fast enough that a frame's delay would be seen."""
+    x = 2.5 * (number - 1)
+    return np.array([x, 3.0 * (time - 1.3) * (-1.0) ** number, 0.4 * number])
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recorded flight; the recorder's times are wrong, as they may be."""
+    import rosbag
+    import rospy
+    from geometry_msgs.msg import PoseStamped
+
+    path = tmp_path_factory.mktemp("recorded") / "flight.bag"
+    with rosbag.Bag(str(path), "w") as file:
+        for k in range(COUNT):
+            time = 1.0 + STEP * k
+            for number, name in enumerate(NAMES):
+                message = PoseStamped()
+                message.header.stamp = rospy.Time.from_sec(time)
+                message.header.frame_id = "map"
+                p, q = message.pose.position, message.pose.orientation
+                (p.x, p.y, p.z), q.w = place(number, time), 1.0
+                noted = rospy.Time.from_sec(0.7 + 0.2 * (k // 5))
+                file.write(f"/{name}/mavros/local_position/pose", message, noted)
+    return path
+
+
+@pytest.fixture(scope="module")
+def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A view of the robot models alone: whatever is not background is a vehicle."""
+    robots = [
+        {
+            "Class": "rviz/RobotModel",
+            "Name": name,
+            "Enabled": True,
+            "Robot Description": f"/{name}/robot_description",
+            "TF Prefix": name,
+            "Update Interval": 0,
+        }
+        for name in NAMES
+    ]
+    orbit = {
+        "Class": "rviz/Orbit",
+        "Distance": DISTANCE,
+        "Focal Point": {"X": 0, "Y": 0, "Z": 0},
+        "Near Clip Distance": 0.05,
+        "Pitch": PITCH,
+        "Yaw": YAW,
+        "Target Frame": "map",
+    }
+    manager = {
+        "Displays": robots,
+        "Global Options": {"Background Color": "; ".join(map(str, BACKGROUND)), "Fixed Frame": "map"},
+        "Views": {"Current": orbit},
+    }
+    path = tmp_path_factory.mktemp("view") / "models.rviz"
+    path.write_text(yaml.safe_dump({"Visualization Manager": manager}), encoding="utf-8")
+    return path
+
+
+def project(point: np.ndarray) -> np.ndarray:
+    """Return the pixel, x and y, at which the view's camera sees a point, m ENU."""
+    away = np.array([math.cos(YAW) * math.cos(PITCH), math.sin(YAW) * math.cos(PITCH), math.sin(PITCH)])
+    ahead = -away
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    relative = point - DISTANCE * away
+    focal = 0.5 * SIZE[1] / math.tan(0.5 * FIELD)
+    depth = relative @ ahead
+    return np.array([
+        0.5 * SIZE[0] + focal * (relative @ right) / depth,
+        0.5 * SIZE[1] + focal * (relative @ np.cross(ahead, right)) / depth,
+    ])  # fmt: skip
+
+
+def record(*arguments: Any, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run ``xtdrone record-view``."""
+    command = [sys.executable, "-m", "xtdrone_interaction", "record-view", *map(str, arguments)]
+    return subprocess.run(
+        command, env={**os.environ, **environment}, capture_output=True, text=True, timeout=LIMIT, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def film(bag: Path, view: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with film.mp4 and its frames."""
+    folder = tmp_path_factory.mktemp("film")
+    size = "x".join(map(str, SIZE))
+    done = record(view, "--bag", bag, "--fps", "25", "--size", size, "--out", folder / "film.mp4",
+                  "--frames", folder / "frames")  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def test_vehicles_are_seen_where_they_are_in_each_frame_and_nothing_is_seen_elsewhere(film: Path) -> None:
+    files = sorted((film / "frames").iterdir())
+    assert len(files) >= COUNT
+    for k, file in enumerate(files[:COUNT]):
+        picture = cv2.imread(str(file))[..., ::-1].astype(int)
+        assert picture.shape == (SIZE[1], SIZE[0], 3)
+        seen = np.abs(picture - BACKGROUND).max(axis=2) > 12
+        rows, columns = np.nonzero(seen)
+        pixels = np.stack([columns, rows], axis=1) + 0.5
+        places = np.array([project(place(number, 1.0 + STEP * k)) for number in range(len(NAMES))])
+        distances = np.linalg.norm(pixels[:, None] - places, axis=2)
+        nearest = distances.argmin(axis=1)
+        assert distances.min(axis=1).max() < 45.0, f"frame {k}: something is where no vehicle is"
+        for number in range(len(NAMES)):
+            own = pixels[nearest == number]
+            assert len(own) > 150, f"frame {k}: {NAMES[number]} is not seen at {places[number]}"
+            # A frame later it is 5 to 9 pixels away.
+            assert np.linalg.norm(own.mean(axis=0) - places[number]) < 2.5, (k, number, own.mean(axis=0), places)
+
+
+def test_the_film_has_the_frames(film: Path) -> None:
+    capture = cv2.VideoCapture(str(film / "film.mp4"))
+    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(25.0)
+    frames = []
+    while (read := capture.read())[0]:
+        frames.append(read[1])
+    files = sorted((film / "frames").iterdir())
+    assert len(frames) == len(files)
+    for frame, file in zip(frames, files, strict=True):
+        assert np.abs(frame.astype(int) - cv2.imread(str(file))).mean() < 3.0
+
+
+def test_nothing_is_left(film: Path) -> None:
+    assert sorted(path.name for path in film.iterdir()) == ["film.mp4", "frames"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["sideways"], "view: 'sideways' is neither an .rviz file nor one of vehicle, formation, search"),
+        (["formation", "--bag", "nowhere.bag"], "bag: nowhere.bag does not exist"),
+        (["formation", "--out", "film.avi"], "out: 'film.avi' is not allowed; a film ends with .mp4"),
+        (["formation", "--out", "nowhere/film.mp4"], "nowhere is no folder"),
+        (["formation", "--size", "1280"], "size: '1280' is not allowed; WIDTHxHEIGHT"),
+        (["formation", "--fps", "60"], "60 frames a simulated second are not allowed; 1 to 50"),
+        (["formation", "--faster", "0"], "faster: '0' is not allowed; a number above 0"),
+        (["formation", "--from", "9", "--to", "3"], "from, to: 9 s is not before 3 s"),
+        (["formation", "--", "--n", "3"], "'--n': options of a demo are for --demo only"),
+    ],
+)
+def test_what_is_not_allowed_is_named(
+    arguments: list[str],
+    message: str,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    from xtdrone_interaction import cli
+
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = cli.main(["record-view", *arguments])
+    except SystemExit as ended:  # argparse
+        status = int(str(ended.code))
+    assert status == 2
+    assert message in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_options_after_two_dashes_are_the_demos(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from xtdrone_interaction.rviz.record_view import film_settings
+
+    monkeypatch.chdir(tmp_path)
+    settings = film_settings(["search", "--demo", "formation", "--faster", "2", "--", "--n", "3", "--headless"])
+    assert settings.demo_options == ("--n", "3", "--headless")
+    assert (settings.view, settings.demo, settings.rate) == ("search", "formation", 15.0)
+
+
+def test_a_file_that_is_no_bag_is_named(tmp_path: Path) -> None:
+    (tmp_path / "flight.bag").write_text("no bag", encoding="utf-8")
+    done = record("formation", "--bag", tmp_path / "flight.bag")
+    assert done.returncode == 1
+    assert "flight.bag cannot be read" in done.stderr
+    assert not (tmp_path / "formation.mp4").exists()
+
+
+def test_without_xvfb_the_message_says_what_to_install(bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "ffmpeg").symlink_to(shutil.which("ffmpeg") or "")
+    done = record("formation", "--bag", bag, "--out", tmp_path / "film.mp4", PATH=str(tmp_path))
+    assert done.returncode == 1
+    assert "Xvfb: not found; install it (Debian: apt-get install xvfb)" in done.stderr
+
+
+# ---- the node itself
+
+
+def drawer() -> str:
+    import roslib.packages
+
+    return str(roslib.packages.find_node("xtdrone_rviz", "rviz_offscreen")[0])
+
+
+def run_drawer(graph: Graph, config: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [drawer(), f"_config:={config}", *arguments]
+    environment = {**os.environ, **graph.environment, **environment}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Visualization Manager: [", "cannot be read"),
+        ("Background\\ ColorR=0.1\nFixed\\ Frame=/map\n", "is no .rviz file of rviz 1.x"),
+        ("Panels: []\n", "it has no 'Visualization Manager'"),
+        ("Visualization Manager:\n  Tools: []\n", "has no list 'Displays'"),
+        (
+            "Visualization Manager:\n  Displays:\n    - Class: rviz_default_plugins/Grid\n      Name: Grid\n",
+            "is of ROS 2's rviz (it has a rviz_default_plugins/Grid)",
+        ),
+    ],
+    ids=["broken", "old", "something-else", "no-displays", "ros2"],
+)
+def test_a_configuration_that_cannot_be_used_is_named(graph: Graph, tmp_path: Path, text: str, message: str) -> None:
+    config = tmp_path / "bad.rviz"
+    config.write_text(text, encoding="utf-8")
+    done = run_drawer(graph, config)
+    assert done.returncode == 2, done.stderr
+    assert f"configuration {config}: " in done.stderr
+    assert message in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("argument", "status", "message"),
+    [
+        ("_rate:=0", 2, "/rviz_offscreen/rate: '0' is not allowed, a number from 0.1 to 50"),
+        ("_width:=high", 2, "/rviz_offscreen/width: 'high' is not allowed, a whole number from 64 to 4096"),
+        ("_film:=/tmp/film.gif", 2, "'/tmp/film.gif' is not allowed, it ends with .mp4"),
+        ("_frames:=/nowhere", 2, "~frames: /nowhere is no folder"),
+        ("_film:=/nowhere/film.mp4", 1, "film /nowhere/film.mp4: cannot be written: No such file or directory"),
+        ("_display:=:7797", 1, "~display: no X server answers at ':7797'"),
+    ],
+)
+def test_a_parameter_that_is_not_allowed_is_named(
+    graph: Graph, view: Path, argument: str, status: int, message: str
+) -> None:
+    graph.forget_parameters()
+    done = run_drawer(graph, view, argument)
+    graph.forget_parameters()
+    assert done.returncode == status
+    assert message in done.stderr
+
+
+def test_without_a_master_the_node_says_so() -> None:
+    environment = {**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:1"}
+    done = subprocess.run([drawer()], env=environment, capture_output=True, text=True, timeout=LIMIT, check=False)
+    assert done.returncode == 1
+    assert "no ROS master at http://127.0.0.1:1" in done.stderr
+
+
+def test_the_node_itself_misses_xvfb_by_name(graph: Graph, view: Path) -> None:
+    done = run_drawer(graph, view, PATH="/nowhere")
+    assert done.returncode == 1
+    assert "Xvfb: cannot be started: No such file or directory; install it" in done.stderr
