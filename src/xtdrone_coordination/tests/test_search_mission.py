@@ -66,7 +66,7 @@ def test_a_find_is_confirmed_by_a_second_look_and_followed(on_find: str) -> None
 
 
 def test_a_false_candidate_is_rejected_and_the_search_goes_on() -> None:
-    world = World(things=[decoy(80.0, 12.0)])
+    world = World(things=[decoy(80.0, 12.0)], look_pitch=-60.0)
     end = _finished(world)
     assert end["outcome"] == "not found"
     rejected = world.named("rejected")

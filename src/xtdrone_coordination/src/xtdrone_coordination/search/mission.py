@@ -81,6 +81,7 @@ class MissionSettings:
         margin: how far outside the region candidates count, m, 0 to 100.
         look_height: of the second look, m over the ground, 3 to 50; lower than any path by at least 1 m.
         look_step: how much higher each further vehicle looks, m, 0 to 5.
+        look_pitch: of the camera at a second look, deg, -90 to -5; the radius of its circle follows from it.
         look_speed: set-points move so fast, m/s, 0.5 to 10.
         look_arc: least way on the circle before somebody is confirmed, deg, 0 to 360.
         look_time: after so long without a decision a candidate is rejected, s, 5 to 600.
@@ -108,6 +109,7 @@ class MissionSettings:
     margin: float = 5.0
     look_height: float = 9.5
     look_step: float = 0.5
+    look_pitch: float = -45.0
     look_speed: float = 3.0
     look_arc: float = 60.0
     look_time: float = 60.0
@@ -145,6 +147,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "margin": (0.0, 100.0, "m"),
     "look_height": (3.0, 50.0, "m"),
     "look_step": (0.0, 5.0, "m"),
+    "look_pitch": (-90.0, -5.0, "deg"),
     "look_speed": (0.5, 10.0, "m/s"),
     "look_arc": (0.0, 360.0, "deg"),
     "look_time": (5.0, 600.0, "s"),
@@ -697,7 +700,7 @@ class SearchMission:
         assert look is not None
         settings = self.settings
         height = self.look_height(vehicle)
-        radius = height / math.tan(math.radians(max(-settings.gimbal_pitch, 1.0)))
+        radius = height / math.tan(math.radians(-settings.look_pitch))
         radius = min(max(radius, _NEAREST_CIRCLE), _WIDEST_CIRCLE)
         if look.stage is Stage.CIRCLE:
             step = min(settings.look_speed / radius, _FASTEST_TURN) * dt
@@ -711,7 +714,7 @@ class SearchMission:
         off = math.dist(vehicle.position[:2], target[:2])
         if look.stage is Stage.OVER and off < 3.0:
             look.stage = Stage.DOWN
-            self._actions.append(Aim(vehicle.name, settings.gimbal_pitch))
+            self._actions.append(Aim(vehicle.name, settings.look_pitch))
         elif look.stage is Stage.DOWN and abs(vehicle.position[2] - target[2]) < 1.0:
             look.stage = Stage.CIRCLE
         self._judge(vehicle, look)
