@@ -10,6 +10,7 @@ from xtdrone_control.communication.arguments import (
     fleet_of,
     parse_count,
     parse_ids,
+    served_vehicles,
 )
 
 
@@ -53,3 +54,13 @@ def test_types() -> None:
         check_multirotor("typhoon_h480", fleet)
     with pytest.raises(ArgumentError, match="/xtdrone/fleet"):
         fleet_of("iris:zero")
+
+
+def test_served_vehicles() -> None:
+    assert served_vehicles(["solo", "1"], "iris:3,solo:2") == ("solo", [1], "solo_1")
+    assert served_vehicles(["iris", "all"], "iris:3,solo:2") == ("iris", [0, 1, 2], "iris_0_2")
+    assert served_vehicles(["iris", "7-8"], None) == ("iris", [7, 8], "iris_7_8")
+    with pytest.raises(ArgumentError, match="2 arguments are needed, 1 were given"):
+        served_vehicles(["iris"], None)
+    with pytest.raises(ArgumentError, match="id: 3 is out of range"):
+        served_vehicles(["iris", "3"], "iris:3")

@@ -21,13 +21,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import (
-    ArgumentError,
-    check_multirotor,
-    fleet_of,
-    parse_ids,
-    run_program,
-)
+from xtdrone_control.communication.arguments import run_program, served_vehicles
 from xtdrone_perception.human_tracking import RATE, HumanTracking, read_options
 
 USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
@@ -35,12 +29,7 @@ USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
 def main(arguments: Sequence[str]) -> None:
     """Serve the vehicles that the arguments name until shutdown."""
-    if len(arguments) != 2:
-        raise ArgumentError(f"2 arguments are needed, {len(arguments)} were given")
-    kind, text = arguments
-    count = check_multirotor(kind, fleet_of(rospy.get_param("/xtdrone/fleet", None)))
-    ids = parse_ids(text, 0, None if count is None else count - 1)
-    name = f"{kind}_{ids[0]}" if len(ids) == 1 else f"{kind}_{ids[0]}_{ids[-1]}"
+    kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     lockstep.init_node(f"{name}_yolo_human_tracking", rate=RATE)
     options = read_options()
     nodes = [HumanTracking(f"{kind}_{index}", options) for index in ids]

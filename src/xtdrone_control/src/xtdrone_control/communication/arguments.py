@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, Vehicle, parse_fleet
 
@@ -90,6 +91,38 @@ def check_multirotor(kind: str, fleet: tuple[Vehicle, ...] | None) -> int | None
         types = ", ".join(sorted({vehicle.type for vehicle in fleet}))
         raise ArgumentError(f"type: {kind!r} is not in the fleet (/xtdrone/fleet); it has {types}")
     return count
+
+
+class Served(NamedTuple):
+    """The vehicles that one process serves.
+
+    Attributes:
+        type: of all of them.
+        ids: ascending.
+        name: ``iris_0`` for one, ``iris_0_8`` for the first and last of several: how its node's name begins.
+    """
+
+    type: str
+    ids: list[int]
+    name: str
+
+
+def served_vehicles(arguments: Sequence[str], fleet: str | None) -> Served:
+    """Return the vehicles that a command line ``TYPE ID`` names.
+
+    Args:
+        arguments: the two; ID is as in :func:`parse_ids`.
+        fleet: the parameter ``/xtdrone/fleet``, None when it is not set.
+
+    Raises:
+        ArgumentError: they are not two, or one of them or the fleet is not allowed.
+    """
+    if len(arguments) != 2:
+        raise ArgumentError(f"2 arguments are needed, {len(arguments)} were given")
+    kind, text = arguments
+    count = check_multirotor(kind, fleet_of(fleet))
+    ids = parse_ids(text, 0, None if count is None else count - 1)
+    return Served(kind, ids, f"{kind}_{ids[0]}" if len(ids) == 1 else f"{kind}_{ids[0]}_{ids[-1]}")
 
 
 def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str], usage: str) -> int:
