@@ -91,24 +91,18 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     return Flight(folder, result.stdout + result.stderr, result.returncode)
 
 
-def test_the_search_comes_to_its_end(flight: Flight) -> None:
+def test_the_person_is_found_and_followed(flight: Flight) -> None:
     assert (flight.folder / "report.json").is_file(), flight.output
-    report = flight.report
-    assert report["outcome"] in ("found", "not found"), flight.output
-    assert flight.status == (1 if report["shortcomings"] else 0), flight.output
-    assert report["died"] == report["lost"] == report["collisions"] == [], flight.output
-
-
-def test_the_report_knows_how_far_a_find_is_from_the_person(flight: Flight) -> None:
-    """Whom the detector takes for a person is its own matter; the report says it when that is nobody."""
+    assert flight.status == 0, flight.output
     record, report = flight.record, flight.report
-    for find in report["finds"]:
-        x, y, _ = record.person_at("person_0", find["time"])
-        assert find["error"] == pytest.approx(math.hypot(find["position"][0] - x, find["position"][1] - y))
-    wrong = report["outcome"] == "found" and report["find"]["error"] > 2.0
-    assert any("is no person" in text for text in report["shortcomings"]) == wrong, flight.output
-    if report["outcome"] == "not found":
-        assert report["covered"]["fraction"] > 0.95, flight.output
+    assert report["outcome"] == "found"
+    (find,) = report["finds"]
+    x, y, _ = record.person_at("person_0", find["time"])
+    assert math.dist(find["position"], (x, y)) < 2.0
+    assert find["error"] == pytest.approx(math.dist(find["position"], (x, y)))
+    assert report["died"] == report["lost"] == report["collisions"] == report["shortcomings"] == []
+    (following,) = [event for event in record.events if event["event"] == "follow_ended"]
+    assert (following["reason"], following["duration"]) == ("time", pytest.approx(10.0, abs=0.3))
 
 
 def test_no_picture_is_lost(flight: Flight) -> None:

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""False finds a minute: the detector looks along lanes of a search over scenes of the test split without people.
+"""False finds a minute: the detector looks along lanes of a search over scenes of the test split, as the search does.
 
-    flights.py --minutes 10
-    flights.py --minutes 10 --weights RUN/last.weights --keep FOLDER    # keeps the pictures with false boxes
+    flights.py --minutes 30
+    flights.py --minutes 30 --weights RUN/last.weights --keep FOLDER    # keeps the pictures with false boxes
 
-Counts boxes a minute by threshold of probability; those that last: at the same place on the ground, within 2 m, in
-three pictures in a row; and places that the search's rule would confirm from the boxes: five of them within 2 m with
-log-odds of 8 in all. Runs in `./xtdrone shell`.
+Counts boxes a minute by threshold of probability where nobody is, and what the search makes of them by its own rule
+and settings: candidates, second looks on a circle (two pictures a second), false finds and people found. Vehicles,
+wind and tracks are left out: poses are exact, and what is within ``same_place`` is one. Runs in `./xtdrone shell`.
 """
 
 from __future__ import annotations
@@ -15,27 +15,34 @@ import argparse
 import json
 import math
 import multiprocessing
+import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from evaluate import SETTINGS, detector_of
-from make_data import REGION, Scene, View
+from make_data import REGION, Scene, View, people_of
 
-from xtdrone_sim.poses import rotate
-from xtdrone_sim.scenery import outdoor
-from xtdrone_sim.visual import Pose
+from xtdrone_coordination.search.evidence import Candidate, Evidence, Sighting, nearest
+from xtdrone_coordination.search.mission import MissionSettings
+from xtdrone_sim import people
+from xtdrone_sim.poses import from_rpy, rotate
+from xtdrone_sim.scenery import Ground, outdoor
+from xtdrone_sim.sdf import SdfWorld
+from xtdrone_sim.visual import Mesh, Pose, Visual
 
 RATE = 2.0  # pictures a second
 SPEED = 4.0  # m/s
 LANE = 14.0  # m between lanes
-THRESHOLDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-SAME = 2.0  # m
-HITS, LOG_ODDS = 5, 8.0  # confirm_hits and confirm_log_odds of the search
+THRESHOLDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+RIGHT = 2.0  # m: a find so near to a person is right
+FREE = 0.5  # m around a person
+CAMERA = "camera"
 
-Find = tuple[float, float, float]
-"""x, y on the ground, m, and probability."""
+Place = tuple[float, float]
+"""x, y on the ground, m."""
 
 
 def lanes(height: float, pitch: float) -> list[View]:
@@ -61,24 +68,156 @@ def on_ground(pose: Pose, pinhole: Any, u: float, v: float) -> tuple[float, floa
     return pose.position[0] + way * ray[0], pose.position[1] + way * ray[1]
 
 
-def fly(seed: int, options: argparse.Namespace) -> list[list[Find]]:
-    """Return what is found in each picture of a search over a scene."""
-    world = outdoor(seed, region=REGION, persons=0, split="test", light="any")
-    scene = Scene(world, options.backend)
-    detector = detector_of(options.settings, options.weights, min(THRESHOLDS))
-    found: list[list[Find]] = []
-    for index, view in enumerate(lanes(options.height, -math.radians(options.pitch))):
-        picture = scene.draw(view, labels=False)
-        pose, places = scene.pose(view), []
-        hits = detector.detect(picture.rgb)
-        for hit in hits:
-            place = on_ground(pose, scene.camera.pinhole, 0.5 * (hit.xmin + hit.xmax), hit.ymax)
-            places.append((*(place or (math.inf, math.inf)), hit.probability))
-        found.append(places)
-        if options.keep and hits:
-            _keep(options.keep / f"{seed}_{index:03d}.png", picture.rgb, hits)
-    scene.renderer.close()
-    return found
+def put_people(scene: Scene, seed: int, count: int, folder: Path, options: argparse.Namespace) -> list[Place]:
+    """Put people of the test split on free ground, walking or standing; return where."""
+    random = np.random.default_rng((7, seed))
+    ground, bodies = Ground(outdoor_world(seed)), people_of("test", options.people)
+    x0, y0, x1, y1 = REGION
+    places: list[Place] = []
+    while len(places) < count:
+        x, y = float(random.uniform(x0 + 5, x1 - 5)), float(random.uniform(y0 + 5, y1 - 5))
+        if not ground.is_free(x, y, FREE) or any(math.dist((x, y), other) < 15.0 for other in places):
+            continue
+        _, body, texture = bodies[random.integers(len(bodies))]
+        posture = 0 if random.random() < 0.35 else int(random.integers(1, len(body.poses)))
+        file = folder / f"{len(places)}.obj"
+        file.write_text(people.wavefront(body, posture))
+        number = scene.renderer.add([Visual(Mesh(file), texture=texture)])
+        scene.renderer.place(number, Pose((x, y, 0.0), from_rpy(0.0, 0.0, random.uniform(-math.pi, math.pi))))
+        places.append((x, y))
+    return places
+
+
+def outdoor_world(seed: int) -> SdfWorld:
+    """Return a scene without people."""
+    return outdoor(seed, region=REGION, persons=0, split="test", light="any")
+
+
+class Flight:
+    """A search over one scene.
+
+    Attributes:
+        boxes: probabilities of the boxes of all pictures of the lanes that are on nobody.
+        pictures: how many there were.
+        people: where they are, m.
+        candidates: what the pictures of the lanes have shown often enough.
+        looks: (evidence, place, right) of the second looks.
+    """
+
+    def __init__(self, seed: int, options: argparse.Namespace, folder: Path):
+        self.options, self.settings = (
+            options,
+            MissionSettings(
+                look_pitch=-options.look_pitch, look_arc=options.look_arc, candidate_probability=options.candidate
+            ),
+        )
+        self.scene = Scene(outdoor_world(seed), options.backend)
+        self.detector = detector_of(options.settings, options.weights, min(THRESHOLDS))
+        self.people = put_people(self.scene, seed, options.persons, folder, options)
+        self.boxes: list[float] = []
+        self.pictures = 0
+        self.candidates: list[Candidate] = []
+        self.looks: list[tuple[Evidence, Place, bool]] = []
+        self._name = str(seed)
+        for view in lanes(options.height, -math.radians(options.pitch)):
+            self._search(view)
+        for candidate in self.candidates:
+            hits = candidate.hits[CAMERA] >= self.settings.candidate_hits
+            if hits and candidate.mean(CAMERA) >= self.settings.candidate_probability:
+                evidence, place = self._look(candidate)
+                self.looks.append((evidence, place, self._right(place)))
+        self.scene.renderer.close()
+
+    def _right(self, place: Place) -> bool:
+        return any(math.dist(place, person) <= RIGHT for person in self.people)
+
+    def _hits(self, view: View) -> list[tuple[float, Place]]:
+        """Return probability and place on the ground of what is found from a view."""
+        pose, found = self.scene.pose(view), []
+        picture = self.scene.draw(view, labels=False)
+        false = []
+        for hit in self.detector.detect(picture.rgb):
+            place = on_ground(pose, self.scene.camera.pinhole, 0.5 * (hit.xmin + hit.xmax), hit.ymax)
+            if place is None:
+                continue
+            found.append((hit.probability, place))
+            if not self._right(place):
+                false.append(hit)
+        if self.options.keep and false:
+            _keep(self.options.keep / f"{self._name}_{self.pictures:03d}.png", picture.rgb, false)
+        return found
+
+    def _search(self, view: View) -> None:
+        settings, time = self.settings, self.pictures / RATE
+        self.pictures += 1
+        for probability, place in self._hits(view):
+            if not self._right(place):
+                self.boxes.append(probability)
+            if probability < self.options.confidence:
+                continue
+            candidate = nearest(self.candidates, place, time, settings.same_place)
+            sighting = Sighting(0, place, probability=probability)
+            if candidate is None:
+                candidate = Candidate(place, (0.0, 0.0), sighting.covariance, time)
+                self.candidates.append(candidate)
+            candidate.see(CAMERA, time, sighting)
+
+    def _look(self, candidate: Candidate) -> tuple[Evidence, Place]:
+        """Fly a second look as ``search.mission`` does; return what came of it, and where it ended."""
+        settings, options, evidence = self.settings, self.options, Evidence()
+        height = settings.look_height
+        radius = height / math.tan(math.radians(options.look_pitch))
+        step = min(settings.look_speed / radius, 0.35) / RATE
+        angle, place = 0.0, candidate.position
+        for number in range(round(settings.look_time * RATE)):
+            x, y = place[0] + radius * math.cos(angle), place[1] + radius * math.sin(angle)
+            tilt = (0.0, math.radians(3.0))
+            view = View((x, y, height), angle + math.pi, -math.radians(options.look_pitch), 0.0, tilt)
+            near = [
+                (math.dist(place, there), there, probability)
+                for probability, there in self._hits(view)
+                if probability >= options.confidence and math.dist(place, there) <= settings.same_place
+            ]
+            if near:
+                evidence.hit(max(probability for _, _, probability in near))
+                place = min(near)[1]
+            else:
+                evidence.miss()
+            angle += step
+            if evidence.log_odds <= settings.reject_log_odds:
+                break
+            if number * step >= math.radians(settings.look_arc) and evidence.log_odds >= settings.confirm_log_odds:
+                break
+        return evidence, place
+
+
+def fly(seed: int, options: argparse.Namespace) -> dict[str, Any]:
+    """Return what came of a search over a scene."""
+    with tempfile.TemporaryDirectory() as folder:
+        flight = Flight(seed, options, Path(folder))
+    settings = flight.settings
+    return {
+        "pictures": flight.pictures,
+        "boxes": flight.boxes,
+        "people": flight.people,
+        "candidates": [
+            {"place": c.position, "hits": c.hits[CAMERA], "mean": c.mean(CAMERA)}
+            for c in flight.candidates
+            if c.hits[CAMERA] >= settings.candidate_hits
+        ],
+        "looks": [
+            {
+                "place": place,
+                "right": right,
+                "pictures": evidence.pictures,
+                "hits": evidence.hits,
+                "mean": evidence.mean,
+                "log_odds": evidence.log_odds,
+                "sure": evidence.log_odds >= settings.confirm_log_odds and evidence.hits >= settings.confirm_hits,
+            }
+            for evidence, place, right in flight.looks
+        ],
+    }
 
 
 def _keep(path: Path, rgb: Any, hits: list[Any]) -> None:
@@ -91,36 +230,29 @@ def _keep(path: Path, rgb: Any, hits: list[Any]) -> None:
     cv2.imwrite(str(path), image)
 
 
-def lasting(pictures: list[list[Find]], threshold: float) -> int:
-    """Return how many finds are at the same place in three pictures in a row, each counted once."""
-    count, runs = 0, []
-    for picture in pictures:
-        now = []
-        for x, y, probability in picture:
-            if probability < threshold or not math.isfinite(x):
-                continue
-            before = [length for a, b, length in runs if math.hypot(x - a, y - b) <= SAME]
-            length = 1 + max(before, default=0)
-            count += length == 3
-            now.append((x, y, length))
-        runs = now
-    return count
+def found(flight: dict[str, Any], least: float) -> int:
+    """Return how many of a flight's people are found by looks with at least this mean probability."""
+    places = [look["place"] for look in flight["looks"] if look["sure"] and look["mean"] >= least]
+    return sum(any(math.dist(place, person) <= RIGHT for place in places) for person in flight["people"])
 
 
-def confirmed(pictures: list[list[Find]], threshold: float) -> int:
-    """Return how many places of a flight have boxes enough to be confirmed."""
-    places: list[list[float]] = []  # x, y, log-odds, hits
-    for x, y, probability in (find for picture in pictures for find in picture):
-        if probability < threshold or not math.isfinite(x):
-            continue
-        odds = math.log(probability / (1.0 - probability))
-        near = [place for place in places if math.hypot(x - place[0], y - place[1]) <= SAME]
-        if near:
-            near[0][2] += odds
-            near[0][3] += 1
-        else:
-            places.append([x, y, odds, 1])
-    return sum(place[3] >= HITS and place[2] >= LOG_ODDS for place in places)
+def print_tables(flights: list[dict[str, Any]]) -> None:
+    """Print false boxes by threshold, and false and right finds by the mean probability that is asked for."""
+    minutes = sum(flight["pictures"] for flight in flights) / RATE / 60
+    people = sum(len(flight["people"]) for flight in flights)
+    looks = [look for flight in flights for look in flight["looks"]]
+    print(f"\n{minutes:.1f} minutes of search over {len(flights)} scenes with {people} people in all\n")
+    print("| probability | false boxes a minute |\n|---|---|")
+    for threshold in THRESHOLDS:
+        boxes = sum(probability >= threshold for flight in flights for probability in flight["boxes"])
+        print(f"| {threshold:g} | {boxes / minutes:.2f} |")
+    wrong = [look for look in looks if not look["right"]]
+    print(f"\n{len(looks)} second looks, {len(wrong)} of them where nobody is\n")
+    print("| mean probability of the look | false finds | a minute | people found |\n|---|---|---|---|")
+    for least in np.arange(0.50, 0.86, 0.05):
+        false = sum(look["sure"] and look["mean"] >= least for look in wrong)
+        right = sum(found(flight, least) for flight in flights)
+        print(f"| {least:.2f} | {false} | {false / minutes:.3f} | {right} of {people} |")
 
 
 def main() -> None:
@@ -129,34 +261,33 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0, help="of search (%(default)s)")
     parser.add_argument("--height", type=float, default=12.0, help="m (%(default)s)")
     parser.add_argument("--pitch", type=float, default=60.0, help="degrees down (%(default)s)")
+    rule = MissionSettings()
+    parser.add_argument("--look-pitch", type=float, default=-rule.look_pitch, help="of second looks (%(default)s)")
+    parser.add_argument("--look-arc", type=float, default=rule.look_arc, help="deg on the circle (%(default)s)")
+    parser.add_argument("--persons", type=int, default=3, help="in each scene (%(default)s)")
+    parser.add_argument("--people", type=Path, action="append", default=[], help="folder of figures.py")
+    parser.add_argument("--confidence", type=float, default=0.5, help="least probability of a box (%(default)s)")
+    least = rule.candidate_probability
+    parser.add_argument("--candidate", type=float, default=least, help="least mean of a candidate's (%(default)s)")
     parser.add_argument("--seed", type=int, default=900_000, help="of the first scene (%(default)s)")
     parser.add_argument("--settings", type=Path, default=SETTINGS)
     parser.add_argument("--weights", type=Path, help="in place of the settings' ones")
     parser.add_argument("--keep", type=Path, help="folder for pictures with false boxes")
     parser.add_argument("--out", type=Path, help="JSON to write")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (%(default)s)")
     parser.add_argument("--backend", default="auto")
     options = parser.parse_args()
     if options.keep:
         options.keep.mkdir(parents=True, exist_ok=True)
-    flights: list[list[list[Find]]] = []
-    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
-        while sum(map(len, flights)) < options.minutes * 60 * RATE:
-            flights.append(pool.apply(fly, (options.seed + len(flights), options)))
-            print(f"{sum(map(len, flights))} pictures of {len(flights)} scenes", flush=True)
-    minutes = sum(map(len, flights)) / RATE / 60
-    rows = {}
-    print(f"\n{minutes:.1f} minutes of search without people\n")
-    print("| probability | false boxes | a minute | lasting ones | a minute | confirmed | a minute |")
-    print("|---|---|---|---|---|---|---|")
-    for threshold in THRESHOLDS:
-        boxes = sum(probability >= threshold for flight in flights for picture in flight for *_, probability in picture)
-        last = sum(lasting(flight, threshold) for flight in flights)
-        sure = sum(confirmed(flight, threshold) for flight in flights)
-        rows[str(threshold)] = {"boxes": boxes, "lasting": last, "confirmed": sure}
-        counts = " | ".join(f"{count} | {count / minutes:.2f}" for count in (boxes, last, sure))
-        print(f"| {threshold:g} | {counts} |")
-    if options.out:
-        options.out.write_text(json.dumps({"minutes": minutes, "thresholds": rows}, indent=1) + "\n")
+    count = math.ceil(options.minutes * 60 * RATE / len(lanes(options.height, -1.0)))
+    flights: list[dict[str, Any]] = []
+    with multiprocessing.get_context("spawn").Pool(options.jobs, maxtasksperchild=1) as pool:
+        for flight in pool.imap(partial(fly, options=options), range(options.seed, options.seed + count)):
+            flights.append(flight)
+            print(f"{len(flights)} of {count} scenes", flush=True)
+            if options.out:
+                options.out.write_text(json.dumps(flights) + "\n")
+    print_tables(flights)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import fcntl
+import itertools
 import json
 import math
 import multiprocessing
@@ -33,10 +34,14 @@ from xtdrone_sim.poses import compose, from_rpy, rotate
 from xtdrone_sim.rendering import Renderer
 from xtdrone_sim.scenery import Ground, outdoor
 from xtdrone_sim.sdf import SdfWorld
+from xtdrone_sim.urdf import Description
 from xtdrone_sim.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.visual import Mesh, Pose, Visual
 
 VEHICLE = "typhoon_h480"
+HEIGHTS = ((8, 15), (15, 25), (5, 8), (0.4, 5))  # m
+SHARES = (0.70, 0.12, 0.14, 0.04)  # of the views
+OTHERS = 5  # vehicles of the swarm
 NEARS = (0.05, 0.1, 0.3, 0.5)  # m; the ground's layers blend more or less
 FAR = 500.0
 REGION = (-10.0, -10.0, 90.0, 50.0)
@@ -75,9 +80,10 @@ class Scene:
         self.model = load_vehicle(VEHICLE)
         self.camera = self.model.cameras[0]
         self.offset = camera_offset(self.model)
-        self.own = self.renderer.add(self.model.urdf.moving[0].visuals)
+        whole = all_visuals(self.model.urdf)
+        self.others = [self.renderer.add(whole) for _ in range(OTHERS)]
         self.show(True)
-        self.renderer.hide(self.own)
+        self.put_others([])
 
     def show(self, shown: bool) -> None:
         """Put all that stands in the scene in its place, or away."""
@@ -87,22 +93,35 @@ class Scene:
             else:
                 self.renderer.hide(body)
 
+    def put_others(self, poses: list[Pose]) -> None:
+        """Put other vehicles of the swarm in their places, and those that are left over away."""
+        for body, pose in itertools.zip_longest(self.others, poses):
+            if pose is None:
+                self.renderer.hide(body)
+            else:
+                self.renderer.place(body, pose)
+
     def pose(self, view: View) -> Pose:
-        """Return the camera's optical frame in a view, and put the vehicle where it is then."""
+        """Return the camera's optical frame in a view."""
         attitude = from_rpy(view.tilt[0], view.tilt[1], view.yaw)
-        self.own_pose = Pose(view.position, attitude)
         mount = mount_orientation(view.roll, view.pitch, 0.0)
         found = optical_pose(camera_link_pose(view.position, attitude, mount, self.offset))
         return Pose(found.position, found.orientation)
 
-    def draw(self, view: View, labels: bool, own: bool = True) -> Any:
-        """Return the picture of a view."""
-        pose = self.pose(view)
-        if own:
-            self.renderer.place(self.own, self.own_pose)
-        else:
-            self.renderer.hide(self.own)
-        return self.renderer.draw(self.camera.pinhole, pose, view.near, FAR, self.light, labels)
+    def draw(self, view: View, labels: bool) -> Any:
+        """Return the picture of a view; of the vehicle itself nothing is seen, for its legs are up in flight."""
+        return self.renderer.draw(self.camera.pinhole, self.pose(view), view.near, FAR, self.light, labels)
+
+
+def all_visuals(urdf: Description) -> list[Visual]:
+    """Return what is seen of a vehicle, all joints at rest, in its body's frame."""
+    found = []
+    for part in urdf.moving:
+        pose, link = Pose(), part.name
+        while (joint := urdf.holder(link)) is not None:
+            pose, link = compose(joint.pose, pose), joint.parent
+        found += [replace(visual, pose=compose(pose, visual.pose)) for visual in part.visuals]
+    return found
 
 
 def camera_offset(model: VehicleModel) -> tuple[float, float, float]:
@@ -115,7 +134,7 @@ def camera_offset(model: VehicleModel) -> tuple[float, float, float]:
 
 def random_view(random: np.random.Generator) -> View:
     """Return a view as in a search: mostly 8 to 15 m high, 35 to 60 degrees down."""
-    low, high = ((8, 15), (15, 25), (5, 8))[random.choice(3, p=[0.7, 0.15, 0.15])]
+    low, high = HEIGHTS[random.choice(len(HEIGHTS), p=SHARES)]
     height = random.uniform(low, high)
     pitch = random.uniform(35, 60) if random.random() < 0.7 else random.uniform(25, 75)
     x0, y0, x1, y1 = REGION
@@ -127,6 +146,21 @@ def random_view(random: np.random.Generator) -> View:
         (math.radians(random.normal(0, 5)), math.radians(random.normal(2, 5))),
         float(random.choice(NEARS)),
     )
+
+
+def random_others(view: View, random: np.random.Generator) -> list[Pose]:
+    """Return where other vehicles of the swarm fly: in half of the views, about as high, some of them in sight."""
+    count = int(random.integers(1, OTHERS + 1)) if random.random() < 0.5 else 0
+    x, y, z = view.position
+    found = []
+    for _ in range(count):
+        away = random.uniform(2.0, 30.0)
+        bearing = view.yaw + random.uniform(-1.2, 1.2)
+        height = max(0.2, z + random.uniform(-1.0, 0.15) * min(away, 8.0))
+        place = (x + away * math.cos(bearing), y + away * math.sin(bearing), height)
+        tilt = random.normal(0, 0.1, 2)
+        found.append(Pose(place, from_rpy(tilt[0], tilt[1], random.uniform(-math.pi, math.pi))))
+    return found
 
 
 def random_light(light: Any, random: np.random.Generator) -> Any:
@@ -239,14 +273,16 @@ def make_scene(number: int, options: argparse.Namespace) -> int:
             count = 0 if random.random() < options.empty else int(random.integers(3, options.crowd))
             places = crowd.put(view, ground, count)
             crowd.show(places)
+            scene.put_others(random_others(view, random))
             scene.light = random_light(light, random)
             drawn.append(scene.draw(view, labels=True))
             views.append((view, places))
         scene.show(False)
+        scene.put_others([])
         whole = []
         for view, places in views:
             crowd.show(places)
-            whole.append(scene.draw(view, labels=True, own=False).labels if places else None)
+            whole.append(scene.draw(view, labels=True).labels if places else None)
         scene.renderer.close()
     known = {index: name for name, index, _ in crowd.members}
     for index, (picture, alone, (view, places)) in enumerate(zip(drawn, whole, views, strict=True)):

@@ -102,7 +102,7 @@ def seal(network: Darknet) -> None:
 
 def tensor(images: np.ndarray) -> torch.Tensor:
     """Return crops (n, h, w, 3) uint8 as (n, 3, h, w) 0..1."""
-    return torch.from_numpy(images).permute(0, 3, 1, 2).to(torch.float32).div_(255)
+    return torch.from_numpy(images).permute(0, 3, 1, 2).to(torch.float32, memory_format=torch.channels_last).div_(255)
 
 
 def find(network: Darknet, image: np.ndarray, least: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
@@ -270,7 +270,8 @@ class Trainer:
     def step(self) -> dict[str, float]:
         """Learn from one batch; return the loss and its parts."""
         images, people = self.feeder.queue.get()
-        outputs = self.network(tensor(images))
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.options.bf16):
+            outputs = [output.float() for output in self.network(tensor(images))]
         loss, parts = detection_loss(self.network.heads, outputs, torch.from_numpy(people))
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -370,6 +371,7 @@ def main() -> None:
     parser.add_argument("--paste", type=float, default=0.5, help="part of crops with people pasted in (%(default)s)")
     parser.add_argument("--judge", type=float, default=4.0, help="minutes between two looks at val/ (%(default)s)")
     parser.add_argument("--val", type=int, default=120, help="pictures of val/ looked at (%(default)s)")
+    parser.add_argument("--bf16", action="store_true", help="compute in bfloat16: faster where the processor has it")
     parser.add_argument("--processes", type=int, default=2, help="that share a batch (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()

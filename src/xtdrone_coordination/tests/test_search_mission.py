@@ -281,6 +281,21 @@ def test_another_takes_over_when_the_follower_loses_the_person() -> None:
     assert end["possible"] == []
 
 
+def test_who_takes_over_finds_a_person_who_has_walked_on_unseen() -> None:
+    world = World(things=[person(100.0, 10.0)], follow_time=60.0)
+    world.run(lambda w: w.named("following"))
+    world.run(lambda w: w.time > w.named("following")[0]["time"] + 5.0)
+    finder, blind = world.named("confirmed")[0]["vehicle"], world.time
+    world.bodies[finder].no_camera = True
+    world.things[0].at = lambda t: (100.0, 10.0 - min(max(1.2 * (t - blind), 0.0), 14.0))
+    _finished(world)
+    first, second = world.named("following")
+    assert first["vehicle"] == finder != second["vehicle"]
+    assert math.dist(second["position"], (100.0, -4.0)) < 1.0
+    assert [event["reason"] for event in world.named("follow_ended")] == ["the camera is silent", "time"]
+    assert not world.named("rejected")
+
+
 def test_the_follower_looks_again_when_nobody_else_can() -> None:
     hidden = {"now": False}
     somebody = person(100.0, 10.0)

@@ -1,4 +1,4 @@
-"""The network that comes with the package, on a few pictures of scenes and people that it was not trained on."""
+"""The network that comes with the package, on pictures of scenes and people that it was not trained on."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from xtdrone_perception.detector import Detection, Detector, load_settings
-from xtdrone_perception.scoring import overlaps
+from xtdrone_perception.detector import Detector, load_settings
+from xtdrone_perception.scoring import Scene, at_threshold, average_precision, match
 
 PACKAGE = Path(__file__).resolve().parents[1]
 PICTURES = Path(__file__).resolve().parent / "pictures"
@@ -19,33 +19,37 @@ PEOPLE: dict[str, dict[str, list[list[float]]]] = json.loads((PICTURES / "people
 
 @pytest.fixture(scope="module")
 def detector() -> Detector:
-    return Detector(load_settings(PACKAGE / "config/yolo/search.yaml", {"confidence": 0.45}))
+    return Detector(load_settings(PACKAGE / "config/yolo/search.yaml", {"confidence": 0.02}))
 
 
-def look(detector: Detector, name: str) -> list[Detection]:
+def look(detector: Detector, name: str) -> Scene:
+    """Return what is found in a picture, and who is there."""
     image = cv2.imread(str(PICTURES / name))
     assert image is not None
     assert image.shape == (360, 640, 3)
-    return detector.detect(np.ascontiguousarray(image[:, :, ::-1]))
+    found = detector.detect(np.ascontiguousarray(image[:, :, ::-1]))
+    certain, others = PEOPLE[name]["certain"], PEOPLE[name]["others"]
+    return Scene(
+        np.array([[d.xmin, d.ymin, d.xmax, d.ymax] for d in found], float).reshape(-1, 4),
+        np.array([d.probability for d in found], float),
+        np.array(certain + others, float).reshape(-1, 4),
+        np.arange(len(certain) + len(others)) < len(certain),
+    )
 
 
-def boxes_of(found: list[Detection]) -> np.ndarray:
-    return np.array([[d.xmin, d.ymin, d.xmax, d.ymax] for d in found], float).reshape(-1, 4)
+def test_finds_people_and_little_else(detector: Detector):
+    """The first picture of each of eight scenes; over the whole test split AP50 is 0.97 (training/person_detector)."""
+    matches = match([look(detector, name) for name in PEOPLE])
+    assert matches.there == 58
+    assert average_precision(matches) > 0.9
+    precision, recall, _ = at_threshold(matches, detector_threshold())
+    assert precision > 0.8
+    assert recall > 0.8
 
 
-@pytest.mark.parametrize("name", sorted(PEOPLE))
-def test_finds_those_who_are_there_and_nobody_else(detector: Detector, name: str):
-    certain = np.array(PEOPLE[name]["certain"], float).reshape(-1, 4)
-    everybody = np.concatenate([certain, np.array(PEOPLE[name]["others"], float).reshape(-1, 4)])
-    found = boxes_of(look(detector, name))
-    union, _ = overlaps(everybody, found)
-    assert (union[: len(certain)].max(axis=1, initial=0.0) >= 0.5).all()
-    assert (union.max(axis=0, initial=0.0) >= 0.3).all()
-
-
-def test_pictures_show_people_and_nobody():
-    assert sum(len(people["certain"]) for people in PEOPLE.values()) >= 12
-    assert any(not people["certain"] + people["others"] for people in PEOPLE.values())
+def detector_threshold() -> float:
+    """Return the probability from which on the shipped detector tells of a box."""
+    return load_settings(PACKAGE / "config/yolo/search.yaml", {}).confidence
 
 
 def test_size_and_names(detector: Detector):

@@ -10,7 +10,7 @@ from .coverage import Point
 
 _SURE = 0.95  # what a detector's probability counts at most with: its errors do not come one by one
 _MISS = -1.5  # of a picture that shows the place and nobody there: about one in four shows a person and misses him
-_AHEAD = 3.0  # s for which a velocity is believed
+AHEAD = 3.0  # s for which a velocity is believed
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Candidate:
 
     def place(self, time: float) -> Point:
         """Return where he is at a time, if he goes on as he was seen."""
-        ahead = min(max(time - self.seen_at, 0.0), _AHEAD)
+        ahead = min(max(time - self.seen_at, 0.0), AHEAD)
         return self.position[0] + ahead * self.velocity[0], self.position[1] + ahead * self.velocity[1]
 
     def mean(self, vehicle: str) -> float:

@@ -45,7 +45,7 @@ from xtdrone_control.pinhole import Pinhole
 
 from .coverage import Point, Waypoint, length
 from .covered import Covered, shows
-from .evidence import Candidate, Sighting, nearest
+from .evidence import AHEAD, Candidate, Sighting, nearest
 from .plans import Datum
 from .sharing import share_out
 from .vehicle import Following, Look, Place, Stage, State, Vehicle
@@ -60,6 +60,7 @@ _OFFBOARD_DELAY = 0.3  # s in which the first set-point gets through before the 
 _CLEAR = 6.0  # m; nobody changes his height nearer than this to one that is in between
 _NEAREST_CIRCLE, _WIDEST_CIRCLE = 3.0, 25.0  # m, radius of a second look
 _FASTEST_TURN = 0.35  # rad/s around a candidate
+_WALK = 1.5  # m/s that somebody may move while nobody sees him
 _LEAD = 4.0  # m that a set-point goes ahead of its vehicle at most
 _FALLEN = 0.3  # part of the height of takeoff or second look below which a vehicle no longer flies
 _STEPS = ("waiting", "taking off", "searching", "second look", "following", "returning", "finished")
@@ -103,20 +104,20 @@ class MissionSettings:
     on_find: str = "hold"
     gimbal_pitch: float = -60.0
     person_pixels: float = 12.0
-    candidate_hits: int = 3
-    candidate_probability: float = 0.55
+    candidate_hits: int = 4
+    candidate_probability: float = 0.62
     same_place: float = 6.0
     margin: float = 5.0
     look_height: float = 9.5
     look_step: float = 0.5
-    look_pitch: float = -45.0
+    look_pitch: float = -50.0
     look_speed: float = 3.0
     look_arc: float = 60.0
     look_time: float = 60.0
     look_apart: float = 30.0
     confirm_log_odds: float = 8.0
     confirm_hits: int = 5
-    confirm_probability: float = 0.62
+    confirm_probability: float = 0.55
     reject_log_odds: float = -8.0
     follow_time: float = 60.0
     lose_time: float = 8.0
@@ -349,7 +350,7 @@ class SearchMission:
             return
         if id(look.candidate) in shown:
             look.evidence.hit(shown[id(look.candidate)])
-        else:
+        elif look.takes_over is None or time - look.candidate.seen_at <= AHEAD:  # else he may be anywhere near
             x, y = look.candidate.place(time)
             if shows(self._camera, position, rotation, np.array([[x, y, self.settings.ground]]))[0]:
                 look.evidence.miss()
@@ -373,6 +374,8 @@ class SearchMission:
             found: Candidate | None = following.candidate  # the camera's track knows better than his place
         else:
             found = nearest(self.candidates, sighting.position, time, self.settings.same_place)
+            if found is None or found.status == "seen":
+                found = self._sought(vehicle, time, sighting) or found
         if found is None:
             if not shapely.contains_xy(self._region, x, y):
                 return None
@@ -387,6 +390,16 @@ class SearchMission:
             probability = round(found.probability, 3)
             self._tell("candidate", vehicle, position=_xy(found.position), probability=probability, hits=hits)
         return found
+
+    def _sought(self, vehicle: Vehicle, time: float, sighting: Sighting) -> Candidate | None:
+        """Return whom a vehicle is to follow in another's place, if a sighting may be he: he walks on unseen."""
+        look, settings = vehicle.look, self.settings
+        if look is None or look.takes_over is None or sighting.probability < settings.candidate_probability:
+            return None
+        unseen = max(time - look.candidate.seen_at, 0.0)
+        reach = min(settings.same_place + _WALK * unseen, settings.look_apart)
+        apart = math.dist(look.candidate.place(time), sighting.position)
+        return look.candidate if apart <= reach else None
 
     def on_result(self, action: Action, accepted: bool, reason: str = "") -> None:
         """Take what came of an action; only refusals matter."""
