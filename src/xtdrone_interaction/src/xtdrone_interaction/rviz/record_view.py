@@ -356,8 +356,11 @@ def _play(settings: FilmSettings, bag: Any, work: Path, console: Console) -> Non
                 topic: lockstep.Publisher(topic, roslib.message.get_message_class(bag.types[topic])) for topic in topics
             }
             server.wait_for(nodes, _JOIN_LIMIT, idle)
+            began = time.monotonic()
             ticks = _run(settings, bag, server, publishers, idle, console)
+            rate = ticks / (time.monotonic() - began)
             stage.finish()
+            console.print(f"film: {ticks} frames, {rate:.1f} a second of wall time", highlight=False)
             if not settings.out.is_file():
                 raise StageError(f"no frame was drawn in {ticks} turns: {stage.last_words(DRAWER)}")
     finally:
