@@ -140,6 +140,15 @@ def test_a_silent_camera_is_told_and_its_rest_is_flown_by_others() -> None:
     assert end["lost"] == []
 
 
+def test_pictures_that_do_not_change_count_as_none() -> None:
+    world = World(at={30.0: lambda w: w.control.on_camera("typhoon_h480_0", False)})
+    end = _finished(world)
+    (silent,) = world.named("camera_silent")
+    assert silent["vehicle"] == "typhoon_h480_0"
+    assert silent["time"] == pytest.approx(35.0, abs=1.0)
+    assert end["covered_fraction"] > 0.98
+
+
 def test_without_any_camera_the_search_has_failed() -> None:
     def dark(world: World) -> None:
         for body in world.bodies.values():

@@ -10,6 +10,7 @@ topic or service                    type                           meaning
 /T/mavros/mission/waypoints         mavros_msgs/WaypointList       in: which item it flies
 /T/mavros/mission/reached           mavros_msgs/WaypointReached    in
 /xtdrone/T/objects                  xtdrone_msgs/ObjectsOnGround   in: what its camera shows
+/xtdrone/T/camera_ok                std_msgs/Bool                  in: whether its pictures are new ones
 /xtdrone/T/cmd_pose_enu             geometry_msgs/Pose             out: set-points of a second look
 /xtdrone/T/follow                   std_msgs/Int32                 out: the track to follow, -1 for none
 /T/mavros/mount_control/command     mavros_msgs/MountControl       out: the camera down, for a look and after it
@@ -38,7 +39,7 @@ from geometry_msgs.msg import Pose, PoseStamped
 from mavros_msgs.msg import MountControl, ParamValue, State, Waypoint, WaypointList, WaypointReached
 from mavros_msgs.srv import CommandBool, ParamSet, SetMode, WaypointPull, WaypointPush, WaypointSetCurrent
 from numpy.typing import NDArray
-from std_msgs.msg import Int32, String
+from std_msgs.msg import Bool, Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
@@ -124,6 +125,7 @@ class VehicleLink:
             (f"{base}/mission/waypoints", WaypointList, node.on_waypoints),
             (f"{base}/mission/reached", WaypointReached, node.on_reached),
             (f"/xtdrone/{name}/objects", ObjectsOnGround, node.on_objects),
+            (f"/xtdrone/{name}/camera_ok", Bool, node.on_camera),
         ):
             lockstep.Subscriber(topic, kind, partial(callback, name))
         self._services = {
@@ -282,6 +284,10 @@ class SearchNode:
     def on_reached(self, name: str, message: WaypointReached) -> None:
         """Take mavros/mission/reached."""
         self.control.on_reached(name, message.wp_seq)
+
+    def on_camera(self, name: str, message: Bool) -> None:
+        """Take whether the detector gets new pictures."""
+        self.control.on_camera(name, message.data)
 
     def on_objects(self, name: str, message: ObjectsOnGround) -> None:
         """Take what the detector says of a picture."""

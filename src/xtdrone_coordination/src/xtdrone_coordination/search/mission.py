@@ -307,6 +307,10 @@ class SearchMission:
         """Take the index of the mission item that a vehicle has reached."""
         self.vehicles[name].reached = index
 
+    def on_camera(self, name: str, works: bool) -> None:
+        """Take whether a vehicle's camera works: the pictures of one that does not show nothing new."""
+        self.vehicles[name].camera_works = works
+
     def on_picture(
         self,
         name: str,
@@ -327,8 +331,8 @@ class SearchMission:
             now: s.
         """
         vehicle = self.vehicles[name]
-        if time <= vehicle.picture:
-            return  # a camera that hangs tells the same picture again
+        if time <= vehicle.picture or not vehicle.camera_works:
+            return  # a camera that hangs tells the same picture again, with the old time or a new one
         vehicle.picture, vehicle.picture_heard = time, now
         if not vehicle.flies or vehicle.state is State.STARTING:
             return  # its mission has not pointed the camera yet

@@ -111,6 +111,7 @@ class Vehicle:
         picture: time of the newest picture, s, and ``picture_heard`` when it came.
         wanted: the mode it is to be in, empty while nothing is asked of it.
         arm_asked: whether it was asked to arm.
+        camera_works: whether its pictures are new ones.
         blind: its camera is silent.
     """
 
@@ -143,6 +144,7 @@ class Vehicle:
         self.refusal = ""
         self.wrong_since: float | None = None
         self.pushes = 0
+        self.camera_works = True
         self.blind = False
         self.arm_asked = False
         self.look: Look | None = None
