@@ -15,6 +15,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.options import OptionError, repository
 
 Config = dict[str, Any]
+Point = tuple[float, float, float]
 
 MARKERS_TOPIC = "/xtdrone/markers"
 SHIPPED = {"vehicle": "iris:1", "formation": "iris:9", "search": "typhoon_h480:6"}
@@ -22,6 +23,9 @@ SHIPPED = {"vehicle": "iris:1", "formation": "iris:9", "search": "typhoon_h480:6
 
 LABELS = {"search": 2.5}
 """Height of the names' letters where a view is taken from afar, m."""
+
+_REGION_MIDDLE = (60.0, 0.0, 0.0)
+"""About the middle of the region that comes with the search, m, map."""
 
 _BACKGROUND = "232; 236; 242"
 _GRID = "165; 172; 184"
@@ -59,7 +63,7 @@ def _formation(vehicles: list[str]) -> Config:
 
 def _search(vehicles: list[str]) -> Config:
     hidden = {"slots": False, "topology": False, "avoidance": False}
-    return _config(vehicles, _grid(40, 5.0), hidden, _orbit("map", 95.0, 0.75, 4.4))
+    return _config(vehicles, _grid(60, 5.0), hidden, _orbit("map", 115.0, 0.75, 4.4, _REGION_MIDDLE))
 
 
 _VIEWS: dict[str, Callable[[list[str]], Config]] = {"vehicle": _vehicle, "formation": _formation, "search": _search}
@@ -136,12 +140,12 @@ def _robot(vehicle: str) -> Config:
     }
 
 
-def _orbit(target: str, distance: float, pitch: float, yaw: float) -> Config:
+def _orbit(target: str, distance: float, pitch: float, yaw: float, focus: Point = (0.0, 0.0, 0.0)) -> Config:
     return {
         "Class": "rviz/Orbit",
         "Name": "Current View",
         "Distance": round(distance, 2),
-        "Focal Point": {"X": 0, "Y": 0, "Z": 0},
+        "Focal Point": dict(zip("XYZ", focus, strict=True)),
         "Near Clip Distance": 0.05,
         "Pitch": pitch,
         "Target Frame": target,
