@@ -11,11 +11,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import ImageGrab
 
 from xtdrone_interaction import cli, formation_demo, launched, options, simplified_demo
 from xtdrone_interaction.formation_demo import DemoSettings
+from xtdrone_interaction.record import Change, FlightRecord, Track
 
 DEMO = ["demo", "simplified"]
 PATIENCE = 120.0  # s; bounds a broken test
@@ -288,3 +290,27 @@ def test_help_says_each_default_once_as_it_is_typed(capsys: pytest.CaptureFixtur
     said = " ".join(capsys.readouterr().out.split())
     assert "(default: cube,pyramid,triangle)" in said
     assert not any(word in said for word in ("None", "False", "['"))
+
+
+def test_a_film_is_made_of_a_record_that_misses_a_topology() -> None:
+    times = np.arange(0.0, 9.0, 0.1)
+    slots = [np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])]
+    links = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    events = [
+        {"event": "phase", "time": 1.0, "phase": "pattern one", "pattern": "one"},
+        {"event": "assigned", "time": 1.0, "pattern": "one", "offsets": slots[0].tolist()},
+        {"event": "phase", "time": 5.0, "phase": "pattern two", "pattern": "two"},
+        {"event": "assigned", "time": 5.0, "pattern": "two", "offsets": slots[1].tolist()},
+        {"event": "done", "time": 9.0},
+    ]
+    record = FlightRecord(
+        ("iris_0", "iris_1", "iris_2"),
+        Track("made up", times, np.zeros((len(times), 3, 3))),
+        None,
+        [Change(1.0, slots[0]), Change(5.0, slots[1])],
+        [Change(5.1, links)],
+        events,
+    )
+    frames = list(simplified_demo.film_frames(record))
+    assert frames[0].edges is None
+    assert len(frames[-1].edges) == 2

@@ -353,13 +353,15 @@ def film_frames(record: FlightRecord) -> Iterator[Any]:
     speed = max(_FILM_SPEED, float(track.time[-1] - track.time[0]) / _FILM_LENGTH)
     step = max(1, math.ceil(speed / _FILM_RATE / float(np.median(np.diff(track.time))) - 0.5))
     names = {round(w.start, 3): w.pattern for w in record.windows}
-    pattern, number = "", -1
+    pattern, number, links = "", -1, -1  # links: which topology; the recorder may have missed one
     edges = None
     for k in range(0, len(track.time), step):
         now, places = float(track.time[k]), track.position[k]
         while number + 1 < len(record.patterns) and record.patterns[number + 1].time <= now:
             number += 1
-            edges = _edges(record.topologies[number].value)
+        while links + 1 < len(record.topologies) and record.topologies[links + 1].time <= now:
+            links += 1
+            edges = _edges(record.topologies[links].value)
         pattern = next((name for start, name in reversed(names.items()) if start <= now), pattern)
         slots = None
         if number >= 0:
