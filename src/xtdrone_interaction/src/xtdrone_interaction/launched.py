@@ -189,7 +189,7 @@ def run_flight(flight: Flight, console: Console, conclude: Callable[[Deaths], in
 def _how_to_control(flight: Flight) -> str:
     uri = flight.master_uri
     return (
-        f"ROS master {uri}; './xtdrone sim --master {flight.master_port or uri} pause' (step, speed, ...) controls it"
+        f"ROS master {uri}; './xtdrone sim pause --master {flight.master_port or uri}' (step, speed, ...) controls it"
     )
 
 
