@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
-from bags import helix, make_flight
+from bags import Bag, helix, make_flight
 from rosbags.highlevel import AnyReader
 
 from xtdrone_interaction import cli
@@ -79,6 +79,40 @@ def test_tables_hold_the_same(bag: Path, flight_bag: Path, tmp_path: Path, form:
     assert len(load(models["pose.position.x"])) == 10
     pattern = read(out / f"xtdrone_formation_pattern.{form}").slice(0, 1).to_pylist()[0]
     assert len(json.loads(pattern["data"])) == 24  # layout.dim has texts in a list: field by field as JSON
+
+
+def test_damaged_messages_are_left_out_and_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A text whose length is beyond its message, a pattern with half its layout, and one with bytes too many."""
+    path = tmp_path / "flight.bag"
+    kind = "std_msgs/msg/Float32MultiArray"
+    with Bag(path) as bag:
+        layout = bag.type("std_msgs/msg/MultiArrayLayout")(dim=[], data_offset=0)
+        good = bag.type(kind)(layout=layout, data=np.arange(6, dtype=np.float32))
+        for k in range(4):
+            bag.text("/words", "word", k)
+            bag.write("/pattern", kind, good, k)
+        raw = bytes(bag.store.serialize_ros1(good, kind))
+        words, pattern = bag.connections["/words", "std_msgs/msg/String"], bag.connections["/pattern", kind]
+        for time, connection, bad in ((4, words, b"\xff\0\0\0abc"), (5, words, b""), (6, pattern, raw[:6])):
+            bag.writer.write(connection, time * 10**9, bad)
+        bag.text("/words", "last", 7)
+        bag.writer.write(words, 8 * 10**9, b"\x01\0\0\0abc")
+        only = bag.writer.add_connection("/only", "std_msgs/msg/String", typestore=bag.store)
+        bag.writer.write(only, 9 * 10**9, b"x")
+    for form in ("csv", "parquet", "mcap"):
+        assert cli.main(["convert", str(path), "--to", form]) == 0
+        out = capfd.readouterr().out
+        assert "Note: 3 messages of /words are not as their definition says; left out (the first at 4.000 s" in out
+        assert "Note: 1 messages of /pattern are not as their definition says; left out (the first at 6.000 s" in out
+        assert "its 6 bytes are no std_msgs/Float32MultiArray" in out
+        assert "Note: 1 messages of /only" in out
+    assert pyarrow.csv.read_csv(tmp_path / "flight-csv" / "words.csv")["data"].to_pylist() == ["word"] * 4 + ["last"]
+    assert len(pyarrow.parquet.read_table(tmp_path / "flight-parquet" / "pattern.parquet")) == 4
+    assert sorted(table.stem for table in (tmp_path / "flight-csv").iterdir()) == ["pattern", "words"]
+    with AnyReader([tmp_path / "flight-mcap"]) as reader:
+        assert len(list(reader.messages())) == 9
+    assert cli.main(["convert", str(path), "--to", "csv", "--topics", "/only", "--out", str(tmp_path / "none")]) == 1
+    assert "that can be read; 1 messages of /only" in capfd.readouterr().err
 
 
 def test_wrong_conversions_are_said(bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

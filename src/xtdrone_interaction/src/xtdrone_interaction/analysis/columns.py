@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 MOST_VALUES = 24_000_000
 """Numbers kept of one recording, 192 MB; of longer ones every second, fourth, ... message is kept."""
 _SHORT = 5_000  # rows; a topic with fewer is not thinned
+_FIRST_ROOM = 64  # rows
 
 
 @dataclass(frozen=True)
@@ -48,45 +49,47 @@ class Column:
     Attributes:
         width: numbers in a row, without its time.
         stride: of so many messages one is kept.
+        rows: how many are kept.
     """
 
     def __init__(self, width: int) -> None:
         self.width = width
         self.stride = 1
-        self._parts: list[Array] = []
+        self.rows = 0
+        self._room = np.empty((_FIRST_ROOM, width + 1))  # grows by doubling, and is never handed out in parts
         self._skip = 0  # messages until the next that is kept
-
-    @property
-    def rows(self) -> int:
-        """How many rows are kept."""
-        return sum(len(part) for part in self._parts)
 
     def add(self, time: Array, value: Array) -> int:
         """Add rows, shapes (n,) s and (n, width), and return how many numbers are kept of them."""
-        part = np.column_stack([time, value])
-        if self.stride > 1:
-            kept = part[self._skip :: self.stride]
-            self._skip = (self._skip - len(part)) % self.stride
-            part = kept
-        if len(part):
-            self._parts.append(part)
-        return part.size
+        kept = slice(self._skip, None, self.stride)
+        self._skip = (self._skip - len(time)) % self.stride
+        count = len(time[kept])
+        if (end := self.rows + count) > len(self._room):
+            room = np.empty((max(end, 2 * len(self._room)), self.width + 1))
+            room[: self.rows] = self._room[: self.rows]
+            self._room = room
+        self._room[self.rows : end, 0] = time[kept]
+        self._room[self.rows : end, 1:] = value[kept]
+        self.rows = end
+        return count * (self.width + 1)
 
     def thin(self) -> None:
         """Drop every second row, and of what comes too."""
-        whole = np.concatenate(self._parts)
-        if len(whole) % 2:
+        if self.rows % 2:
             self._skip += self.stride  # the last one stays, so the next would be dropped
-        self._parts = [whole[::2].copy()]
+        whole = self._room[: self.rows]
+        self.rows = len(whole[::2])
+        whole[: self.rows] = whole[::2]
         self.stride *= 2
 
     def series(self) -> Series:
         """Return what was kept, in order of time, and forget it."""
-        whole = np.concatenate(self._parts) if self._parts else np.empty((0, self.width + 1))
-        self._parts = []
+        whole = self._room[: self.rows]
         if (np.diff(whole[:, 0]) < 0).any():
             whole = whole[np.argsort(whole[:, 0], kind="stable")]
-        return Series(whole[:, 0].copy(), whole[:, 1:])
+        found = Series(whole[:, 0].copy(), whole[:, 1:].copy())
+        self._room, self.rows = self._room[:0], 0
+        return found
 
 
 class Columns:

@@ -21,14 +21,23 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
+from numpy.typing import NDArray
 from rich.console import Console
 from rosbags.convert import ConverterError
 from rosbags.convert.converter import convert as rosbags_convert
 from rosbags.rosbag1 import Writer
 
-from xtdrone_interaction.analysis.layout import Decoded, Layout, List, Text, Texts
+from xtdrone_interaction.analysis.layout import Decoded, Layout, List, MessageError, Rows, Text, Texts
 from xtdrone_interaction.analysis.ros1bag import BagError, BagFile, Batch, Connection
-from xtdrone_interaction.analysis.source import Layouts, Source, by_connection, large_batches, open_source
+from xtdrone_interaction.analysis.source import (
+    Layouts,
+    Losses,
+    Source,
+    by_connection,
+    large_batches,
+    open_source,
+    whole_messages,
+)
 from xtdrone_interaction.options import OptionError
 
 FORMATS = {
@@ -39,7 +48,7 @@ FORMATS = {
     "parquet": "a table for each topic, typed and packed",
 }
 _AT_ONCE = 200  # tables open together; of more topics, the bag is read several times
-_ROWS = 50_000  # of a table, at least, before they are written
+_WAITING = 4_000_000  # bytes of a table, at least, before they are written
 _TIME = "bag_time_ns"
 _BYTES = "u1"
 
@@ -49,14 +58,24 @@ def chosen(patterns: Sequence[str] | None) -> Callable[[str], bool]:
     return lambda topic: not patterns or any(fnmatch.fnmatchcase(topic, pattern) for pattern in patterns)
 
 
-def rewrite(source: Source, target: Path, wanted: Callable[[str], bool]) -> int:
-    """Write what can be read of a recording as a ROS 1 bag, with an index, packed by LZ4; return its messages."""
+def rewrite(source: Source, target: Path, wanted: Callable[[str], bool], losses: Losses, *, check: bool = False) -> int:
+    """Write what can be read of a recording as a ROS 1 bag, with an index, packed by LZ4; return its messages.
+
+    Args:
+        source: what is read.
+        target: path of the bag.
+        wanted: topics.
+        losses: gets what is left out.
+        check: whether messages that are not as their definition says are left out.
+    """
     count = 0
     writer = Writer(target)
     writer.set_compression(Writer.CompressionFormat.LZ4)
+    layouts = Layouts()
     with writer:
         made: dict[Connection, Any] = {}
         for batch in large_batches(source):
+            good = _good(source, batch, layouts, losses, wanted) if check else None
             rows = zip(
                 batch.connection.tolist(),
                 batch.time.tolist(),
@@ -64,9 +83,12 @@ def rewrite(source: Source, target: Path, wanted: Callable[[str], bool]) -> int:
                 batch.length.tolist(),
                 strict=True,
             )
-            for number, time, offset, length in rows:
+            for row, (number, time, offset, length) in enumerate(rows):
                 connection = source.connections.get(number)
-                if connection is None or not wanted(connection.topic):
+                if connection is None:
+                    losses.unknown += 1
+                    continue
+                if not wanted(connection.topic) or (good is not None and not good[row]):
                     continue
                 if connection not in made:
                     made[connection] = writer.add_connection(
@@ -78,17 +100,36 @@ def rewrite(source: Source, target: Path, wanted: Callable[[str], bool]) -> int:
                     )
                 writer.write(made[connection], time, batch.data[offset : offset + length].tobytes())
                 count += 1
+    losses.failed = layouts.failed
     return count
 
 
-def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | None) -> None:
+def _good(
+    source: Source, batch: Batch, layouts: Layouts, losses: Losses, wanted: Callable[[str], bool]
+) -> NDArray[np.bool_]:
+    """Return which messages of a batch are as their definitions say, shape (n,)."""
+    good = np.zeros(len(batch.connection), bool)
+    for number in np.unique(batch.connection).tolist():
+        connection = source.connections.get(number)
+        if connection is None or not wanted(connection.topic) or (layout := layouts.of(connection)) is None:
+            continue
+        rows = np.flatnonzero(batch.connection == number)
+        part = Batch(batch.data, batch.connection[rows], batch.time[rows], batch.offset[rows], batch.length[rows])
+        kept = whole_messages(layout, part)
+        losses.add(connection, layout, part, kept)
+        good[rows[kept]] = True
+    return good
+
+
+def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | None, losses: Losses) -> None:
     """Write a recording as a ROS 2 bag.
 
     Args:
-        source: what is read; a bag that is cut off, or of which some topics are wanted, is first written whole.
+        source: what is read; a bag that is damaged, or of which some topics are wanted, is first written whole.
         target: folder that does not exist yet.
         storage: ``mcap`` or ``sqlite3``.
         topics: patterns of those that are wanted; None for all.
+        losses: gets what is left out.
 
     Raises:
         BagError: rosbags cannot convert it.
@@ -101,14 +142,20 @@ def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | 
     whole = target.with_name(f".{target.name}.whole.bag")
     whole.unlink(missing_ok=True)
     try:
-        if not rewrite(source, whole, chosen(topics)):
-            raise BagError(f"convert: {str(source.path)!r} has no messages of the topics that are wanted")
+        if not rewrite(source, whole, chosen(topics), losses, check=True):
+            raise BagError(_nothing(source, losses))
         _convert(whole, target, storage)
     except ConverterError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise BagError(f"convert: {str(source.path)!r}: {error}") from error
     finally:
         whole.unlink(missing_ok=True)
+
+
+def _nothing(source: Source, losses: Losses) -> str:
+    """Return what to say when no message could be converted."""
+    text = f"convert: {str(source.path)!r} has no messages of the topics that are wanted"
+    return "; ".join([f"{text} that can be read" if losses.notes() else text, *losses.notes()])
 
 
 def _convert(bag: Path, target: Path, storage: str) -> None:
@@ -132,7 +179,7 @@ class _Table:
         """Add rows."""
         self.rows += len(table)
         self._waiting.append(table)
-        if sum(len(part) for part in self._waiting) >= _ROWS:
+        if sum(part.nbytes for part in self._waiting) >= _WAITING:
             self._write()
 
     def _write(self) -> None:
@@ -153,7 +200,9 @@ class _Table:
             self._writer.close()
 
 
-def to_tables(source: Source, folder: Path, kind: str, wanted: Callable[[str], bool]) -> list[tuple[str, Path, int]]:
+def to_tables(
+    source: Source, folder: Path, kind: str, wanted: Callable[[str], bool], losses: Losses
+) -> list[tuple[str, Path, int]]:
     """Write a table for each topic and type of its messages.
 
     Args:
@@ -161,6 +210,7 @@ def to_tables(source: Source, folder: Path, kind: str, wanted: Callable[[str], b
         folder: where they go.
         kind: ``csv`` or ``parquet``.
         wanted: topics.
+        losses: gets what is left out.
 
     Returns:
         Topic, path and rows of each table.
@@ -172,13 +222,15 @@ def to_tables(source: Source, folder: Path, kind: str, wanted: Callable[[str], b
     written = []
     while True:
         waiting = False
+        losses.unknown = 0
         for batch in large_batches(source):
             for number, messages in by_connection(batch):
                 connection = source.connections.get(number)
-                if connection is None or not wanted(connection.topic):
+                if connection is None:
+                    losses.unknown += len(messages.time)
                     continue
                 key = connection.topic, connection.md5
-                if key in done:
+                if not wanted(connection.topic) or key in done:
                     continue
                 if key not in tables and len(tables) >= _AT_ONCE:
                     waiting = True
@@ -188,15 +240,18 @@ def to_tables(source: Source, folder: Path, kind: str, wanted: Callable[[str], b
                     continue
                 if key not in tables:
                     tables[key] = _Table(folder / f"{_file_name(connection.topic, names)}.{kind}", kind)
-                if (made := columns(layout, messages, kind)) is not None:
+                made, kept = columns(layout, messages, kind)
+                losses.add(connection, layout, messages, kept)
+                if made is not None:
                     tables[key].add(made)
         for key, table in tables.items():
             table.close()
-            written.append((key[0], table.path, table.rows))
+            if table.rows:
+                written.append((key[0], table.path, table.rows))
         done |= tables.keys()
         tables.clear()
         if not waiting:
-            source.notes += [f"{text}; its messages are left out" for text in layouts.failed.values()]
+            losses.failed = layouts.failed
             return sorted(written)
 
 
@@ -211,8 +266,10 @@ def _file_name(topic: str, taken: set[str]) -> str:
     return name
 
 
-def columns(layout: Layout, batch: Batch, kind: str) -> pa.Table | None:
+def columns(layout: Layout, batch: Batch, kind: str) -> tuple[pa.Table | None, Rows]:
     """Return messages as a table: when each was recorded, then its fields by path; None if no message is whole.
+
+    Also returned is which of the messages are in it, as rows of the batch.
 
     Arrays of numbers are a column for each element. Lists are lists in Parquet, texts in CSV; raw bytes (pictures) are
     bytes in Parquet and only counted in CSV. Of types that cannot be walked through, each field is JSON.
@@ -223,7 +280,7 @@ def columns(layout: Layout, batch: Batch, kind: str) -> pa.Table | None:
     decoded = layout.decode(batch.data, batch.offset, batch.length, paths)
     table: dict[str, Any] = {_TIME: batch.time[decoded.kept]}
     if not len(decoded.kept):
-        return None
+        return None, decoded.kept
     for part in layout.parts:
         if isinstance(part, Text):
             table[part.path] = pa.array(decoded.texts(part.path), pa.string())
@@ -238,7 +295,7 @@ def columns(layout: Layout, batch: Batch, kind: str) -> pa.Table | None:
                     table[path] = np.ascontiguousarray(values)
                 else:
                     table |= {f"{path}.{i}": np.ascontiguousarray(values[:, i]) for i in range(count)}
-    return pa.table(table)
+    return pa.table(table), decoded.kept
 
 
 def _records(decoded: Decoded, part: List, kind: str) -> dict[str, Any]:
@@ -263,23 +320,24 @@ def _lists(path: str, values: list[list[Any]], kind: str, entry: pa.DataType) ->
     return {path: pa.array(values, pa.list_(entry))}
 
 
-def _by_message(layout: Layout, batch: Batch) -> pa.Table | None:
+def _by_message(layout: Layout, batch: Batch) -> tuple[pa.Table | None, Rows]:
     """Return messages as a table, one by one: a column for each of the type's own fields, as JSON."""
     names = [name for name, _ in layout.store.fielddefs[layout.type][1]]
-    times: list[int] = []
+    kept: list[int] = []
     rows: dict[str, list[str]] = {name: [] for name in names}
-    for time, offset, length in zip(batch.time.tolist(), batch.offset.tolist(), batch.length.tolist(), strict=True):
-        raw = batch.data[offset : offset + length].tobytes()
+    for number, (offset, length) in enumerate(zip(batch.offset.tolist(), batch.length.tolist(), strict=True)):
         try:
-            message = layout.store.deserialize_ros1(raw, layout.type)
-        except Exception:  # rosbags raises many kinds for a damaged message
+            message = layout.message(batch.data[offset : offset + length].tobytes())
+        except MessageError:
             continue
-        times.append(time)
+        kept.append(number)
         for name in names:
             rows[name].append(json.dumps(_plain(getattr(message, name))))
-    if not times:
-        return None
-    return pa.table({_TIME: pa.array(times, pa.int64()), **{k: pa.array(v, pa.string()) for k, v in rows.items()}})
+    which = np.array(kept, np.int64)
+    if not kept:
+        return None, which
+    fields = {name: pa.array(column, pa.string()) for name, column in rows.items()}
+    return pa.table({_TIME: batch.time[which], **fields}), which
 
 
 def _plain(value: Any) -> Any:
@@ -321,25 +379,26 @@ def convert(file: Path, form: str, out: Path | None, topics: Sequence[str] | Non
     if target.exists():
         raise OptionError(f"out: {str(target)!r} exists already; choose another --out")
     wanted = chosen(topics)
+    losses = Losses()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         if form in ("csv", "parquet"):
             target.mkdir()
-            tables = to_tables(source, target, form, wanted)
+            tables = to_tables(source, target, form, wanted, losses)
             if not tables:
                 target.rmdir()
-                raise BagError(f"convert: {str(file)!r} has no messages of the topics that are wanted")
+                raise BagError(_nothing(source, losses))
             yield f"{len(tables)} tables, {sum(rows for _, _, rows in tables)} rows"
         elif form == "bag":
-            yield f"{rewrite(source, target, wanted)} messages"
+            yield f"{rewrite(source, target, wanted, losses)} messages"
         else:
-            to_ros2(source, target, "mcap" if form == "mcap" else "sqlite3", topics)
+            to_ros2(source, target, "mcap" if form == "mcap" else "sqlite3", topics, losses)
             if form == "mcap":
                 yield str(next(target.glob("*.mcap"), target))
     except OSError as error:
         raise OptionError(f"out: {str(target)!r} cannot be written: {error.strerror or error}") from error
     yield str(target)
-    yield from (f"Note: {note}" for note in source.notes)
+    yield from (f"Note: {note}" for note in [*source.notes, *losses.notes()])
 
 
 def main(argv: Sequence[str]) -> int:

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_interaction.analysis.columns import MOST_VALUES, Array, Columns, Series
-from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, List, Texts, records_at
+from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
 from xtdrone_interaction.analysis.ros1bag import Batch, Connection
-from xtdrone_interaction.analysis.source import Layouts, Source, by_connection, large_batches, open_source
+from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_source
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
 from xtdrone_interaction.record import COLLISION, LOG_TOPIC, Change, regular_times
 
@@ -209,14 +209,14 @@ class _Reading:
         self.collisions: list[str] = []
         self.changes: dict[str, list[tuple[float, Any]]] = {PATTERN_TOPIC: [], TOPOLOGY_TOPIC: []}
         self.last_raw: dict[str, bytes] = {}
-        self.unknown = self.damaged = 0
+        self.losses = Losses()
         self.strange: dict[str, str] = {}
 
     def take(self, number: int, batch: Batch) -> None:
         """Take the messages of a connection."""
         connection = self.source.connections.get(number)
         if connection is None:
-            self.unknown += len(batch.time)
+            self.losses.unknown += len(batch.time)
             return
         topic = self.topics.setdefault(connection.topic, Topic(connection.topic, connection.type))
         topic.publishers += number not in self.seen
@@ -256,7 +256,7 @@ class _Reading:
         """Return fields of messages, and their times, s."""
         wanted = {*paths, *STAMP} if layout.stamped else set(paths)
         decoded = layout.decode(batch.data, batch.offset, batch.length, wanted)
-        self.damaged += len(batch.time) - len(decoded.kept)
+        self.losses.add(connection, layout, batch, decoded.kept)
         time = batch.time[decoded.kept] * 1e-9
         if layout.stamped:
             stamp = decoded.stamps() * 1e-9
@@ -345,17 +345,19 @@ class _Reading:
     def _take_changes(self, connection: Connection, layout: Layout, batch: Batch) -> None:
         """Take the assigned offsets or topologies that differ from those before."""
         rows = self.changes[connection.topic]
-        offset, length = batch.offset.tolist(), batch.length.tolist()
-        for at, start, size in zip((batch.time * 1e-9).tolist(), offset, length, strict=True):
+        kept = []
+        times = (batch.time * 1e-9).tolist()
+        for row, (start, size) in enumerate(zip(batch.offset.tolist(), batch.length.tolist(), strict=True)):
             raw = batch.data[start : start + size].tobytes()
-            if raw == self.last_raw.get(connection.topic):
-                continue
-            self.last_raw[connection.topic] = raw
-            try:
-                message: Any = layout.store.deserialize_ros1(raw, layout.type)
-                rows.append((at, np.asarray(message.data)))
-            except Exception:  # rosbags raises many kinds for a damaged message
-                self.damaged += 1
+            if raw != self.last_raw.get(connection.topic):
+                try:
+                    message = layout.message(raw)
+                except MessageError:
+                    continue
+                self.last_raw[connection.topic] = raw
+                rows.append((times[row], np.asarray(message.data)))
+            kept.append(row)
+        self.losses.add(connection, layout, batch, np.array(kept, np.int64))
 
     def _take_models(self, connection: Connection, layout: Layout, batch: Batch) -> None:
         """Take the true places of all models."""
@@ -365,7 +367,7 @@ class _Reading:
             self.strange[connection.topic] = connection.type
             return
         decoded = layout.decode(batch.data, batch.offset, batch.length, ("name", "pose"))
-        self.damaged += len(batch.time) - len(decoded.kept)
+        self.losses.add(connection, layout, batch, decoded.kept)
         time = batch.time[decoded.kept] * 1e-9
         lists = decoded.text_lists("name")
         order: dict[tuple[str, ...], list[int]] = {}
@@ -413,13 +415,9 @@ class _Reading:
 
     def _notes(self) -> list[str]:
         """Return what the messages themselves put in doubt."""
-        notes = []
-        if self.unknown:
-            notes.append(f"{self.unknown} messages are of topics whose description is lost; they are left out")
-        if self.damaged:
-            notes.append(f"{self.damaged} messages are not as their definition says; they are left out")
+        self.losses.failed = self.layouts.failed
+        notes = self.losses.notes()
         notes += [f"topic {name} of type {kind} is not MAVROS's; left out" for name, kind in self.strange.items()]
-        notes += [f"{text}; its messages are left out" for text in self.layouts.failed.values()]
         if self.columns.stride > 1:
             notes.append(
                 f"it is long: of the fastest topics one message in {self.columns.stride} is shown, so what happened "

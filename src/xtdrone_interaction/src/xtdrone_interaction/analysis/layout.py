@@ -42,6 +42,10 @@ class LayoutError(ValueError):
     """A definition of a message that makes no sense."""
 
 
+class MessageError(ValueError):
+    """A message that is not as its definition says."""
+
+
 @dataclass
 class Fixed:
     """Fields of a fixed size, one behind the other.
@@ -156,6 +160,18 @@ class Layout:
     def walkable(self) -> bool:
         """Whether all can be walked through."""
         return not any(isinstance(part, Unknown) for part in self.parts)
+
+    def message(self, raw: bytes) -> Any:
+        """Return one message as rosbags has it.
+
+        Raises:
+            MessageError: it is not as the definition says.
+        """
+        try:
+            return self.store.deserialize_ros1(raw, self.type)
+        except Exception as error:  # rosbags raises many kinds, some without words
+            why = f": {error}" if str(error) else ""
+            raise MessageError(f"its {len(raw)} bytes are no {self.type.replace('/msg/', '/')}{why}") from error
 
     def decode(self, data: NDArray[np.uint8], offset: Rows, length: Rows, wanted: Collection[str]) -> Decoded:
         """Take fields out of messages.

@@ -10,7 +10,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from xtdrone_interaction.analysis.layout import HEADER, Layout, LayoutError
+from xtdrone_interaction.analysis.layout import HEADER, Layout, LayoutError, MessageError, Rows
 from xtdrone_interaction.analysis.ros1bag import BagError, BagFile, Batch, Connection, file_size
 
 BATCH = 16 << 20  # bytes of messages handled at once
@@ -177,3 +177,54 @@ class Layouts:
                 self._known[key] = None
                 self.failed[connection.type] = str(error)
         return self._known[key]
+
+
+def whole_messages(layout: Layout, batch: Batch) -> Rows:
+    """Return which messages of a connection are as its definition says, as rows of the batch."""
+    if layout.walkable:
+        return layout.decode(batch.data, batch.offset, batch.length, ()).kept
+    return np.array([row for row in range(len(batch.time)) if _fault(layout, batch, row) is None], np.int64)
+
+
+def _fault(layout: Layout, batch: Batch, row: int) -> str | None:
+    """Return what is wrong with a message; None if nothing is."""
+    start = int(batch.offset[row])
+    try:
+        layout.message(batch.data[start : start + int(batch.length[row])].tobytes())
+    except MessageError as error:
+        return str(error)
+    return None
+
+
+class Losses:
+    """Messages that are left out, and why.
+
+    Attributes:
+        unknown: how many are of topics whose description is lost.
+        failed: what is wrong with definitions that make no sense, by type.
+    """
+
+    def __init__(self) -> None:
+        self.unknown = 0
+        self.failed: dict[str, str] = {}
+        self._damaged: dict[str, tuple[int, str]] = {}  # by topic: how many, and of the first when and why
+
+    def add(self, connection: Connection, layout: Layout, batch: Batch, kept: Rows) -> None:
+        """Take down those messages of a connection that were not kept; ``kept``: rows of the batch."""
+        if len(kept) == len(batch.time):
+            return
+        count, first = self._damaged.get(connection.topic, (0, ""))
+        if not count:
+            row = int(np.setdiff1d(np.arange(len(batch.time)), kept)[0])
+            why = _fault(layout, batch, row) or f"its {batch.length[row]} bytes are more than {connection.type} has"
+            first = f"at {batch.time[row] * 1e-9:.3f} s of the recorder's clock: {why}"
+        self._damaged[connection.topic] = count + len(batch.time) - len(kept), first
+
+    def notes(self) -> list[str]:
+        """Return what was left out, in words."""
+        notes = []
+        if self.unknown:
+            notes.append(f"{self.unknown} messages are of topics whose description is lost; they are left out")
+        for topic, (count, first) in sorted(self._damaged.items()):
+            notes.append(f"{count} messages of {topic} are not as their definition says; left out (the first {first})")
+        return notes + [f"{text}; its messages are left out" for text in self.failed.values()]
