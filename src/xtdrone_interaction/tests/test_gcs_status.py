@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import pty
+import selectors
 import socket
 import threading
+import tty
 from types import SimpleNamespace
 
 import pytest
@@ -121,6 +125,85 @@ def test_what_waits_can_be_cancelled_and_what_runs_ends_with_the_station(field):
         running.result(0.0)
 
 
+def test_a_watcher_that_fails_is_logged_and_the_station_goes_on(field, caplog):
+    def fail(state):
+        raise ZeroDivisionError("a fault of the caller's")
+
+    peers = field.peers()
+    with GroundStation(peers, on_change=fail) as ground:
+        ground.start()
+        futures = [ground.submit(peer, exchanges.look, patience=PATIENCE) for peer in peers]
+        assert [future.result(PATIENCE) for future in futures] == [None] * len(peers)
+    assert "typhoon_h480_0: on_change of the ground station has failed" in caplog.text
+    with GroundStation(peers, on_change=fail) as ground, pytest.raises(ZeroDivisionError):  # the caller's own thread
+        ground.run({peers[0]: exchanges.look}, patience=PATIENCE)
+
+
+class Cable:
+    """A serial line, in fact a pseudo-terminal, to a vehicle's UDP port."""
+
+    def __init__(self, port):
+        self._vehicle, self._device = pty.openpty()
+        tty.setraw(self._device)
+        self.device = os.ttyname(self._device)
+        self._rest = b""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.connect(("127.0.0.1", port))
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self):
+        with selectors.DefaultSelector() as selector:
+            for source in (self._vehicle, self._socket):
+                selector.register(source, selectors.EVENT_READ)
+            while not self._ended.is_set():
+                for key, _ in selector.select(0.01):
+                    if key.fileobj is self._socket:
+                        os.write(self._vehicle, self._socket.recv(65535))
+                        continue
+                    frames, self._rest = cut(self._rest + os.read(self._vehicle, 4096))
+                    for frame in frames:
+                        self._socket.send(frame)
+
+    def pull(self):
+        """Take the device away."""
+        self._ended.set()
+        self._thread.join()
+        os.close(self._device)
+        os.close(self._vehicle)
+        self._socket.close()
+
+
+def test_a_serial_line_that_is_pulled_in_the_end(field, capsys):
+    cable = Cable(field.vehicles[1].gcs_local_port)
+    address = f"serial:{cable.device}:57600"
+    try:
+        wanted = ["--connect", address, "--vehicle", str(FIRST + 2)]
+        assert command.main(["status", "--once", *wanted]) == 0
+        assert f"system_{FIRST + 2}  {FIRST + 2}" in capsys.readouterr().out
+        assert command.main(["params", "get", "MAV_SYS_ID", *wanted]) == 0
+        assert capsys.readouterr().out.split() == [f"system_{FIRST + 2}", "MAV_SYS_ID", str(FIRST + 2)]
+        peer = Peer("radio", FIRST + 2, cable.device, 57600, "serial")
+        with GroundStation([peer]) as ground:
+            assert str(GroundStation([peer]).errors["radio"]).startswith(
+                f"radio: {cable.device} at 57600 baud cannot be"
+            )
+            ground.run({peer: exchanges.look}, patience=PATIENCE)
+            future = ground.submit(peer, exchanges.look)
+            cable.pull()
+            while not future.done():
+                ground.poll(1.0)
+            assert ground.states() == []
+        with pytest.raises(GcsError, match=rf"radio: {cable.device} at 57600 baud: the device"):
+            future.result()
+    finally:
+        if not cable._ended.is_set():
+            cable.pull()
+    assert command.main(["status", "--once", *wanted]) == 1
+    assert f"{cable.device} at 57600 baud cannot be opened: No such file" in capsys.readouterr().err
+
+
 def test_several_vehicles_over_one_line(field):
     """Frames of all vehicles come to one port, as from a router."""
     mav = [mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (3, 7)]
@@ -201,7 +284,8 @@ def test_a_screen_draws_in_place_and_cuts_what_has_no_room(monkeypatch):
         (["--vehicle", "5-2"], "'5-2' is not allowed, the lower number first"),
         (["--vehicle", "250"], "250 is not allowed, 0 to 249"),
         (["--vehicle", "3", "--fleet", "iris:3"], "3 is not allowed, 0 to 2"),
-        (["--connect", "udp:1:2"], "'udp:1:2' is not allowed, udpout or udpin or tcp with host and port"),
+        (["--connect", "udp:1:2"], "'udp:1:2' is not allowed, udpout, udpin or tcp with host and port"),
+        (["--connect", "serial:/dev/ttyACM0"], "or serial:DEVICE:BAUD"),
         (["--connect", "tcp:host:0"], "'tcp:host:0' is not allowed"),
     ],
 )
@@ -210,9 +294,17 @@ def test_vehicles_that_lead_nowhere(arguments, message, capsys):
     assert message in capsys.readouterr().err
 
 
+def test_a_host_that_is_none(capsys):
+    assert command.main(["status", "--once", "--host", "a..b"]) == 1
+    assert capsys.readouterr().err.startswith("xtdrone gcs: a..b: no such machine: ")
+    assert command.main(["status", "--once", "--connect", "udpout:a..b:14550"]) == 1
+    assert "UDP a..b:14550 cannot be reached" in capsys.readouterr().err
+
+
 def test_numbers_and_systems():
     assert numbered(4, "iris:3,solo:2").name == "solo_1"
     assert parse_address("tcp:localhost:5760") == ("tcp", "localhost", 5760)
+    assert parse_address("serial:/dev/ttyUSB0:921600") == ("serial", "/dev/ttyUSB0", 921600)
     found = [Peer(f"system_{system}", system, "h", 1) for system in (1, 2, 5)]
     assert choose_systems(["1-2", "system_5", "1"], found) == found
     with pytest.raises(GcsError, match="of the systems on this line: 1, 2, 5"):

@@ -58,8 +58,8 @@ def common() -> argparse.ArgumentParser:
                        "system ids follow from it")  # fmt: skip
     group.add_argument("--host", default=LOOPBACK, help="machine of the autopilots (default: %(default)s)")
     group.add_argument("--connect", metavar="ADDRESS",
-                       help="any autopilot: udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT; numbers of vehicles "
-                       "are MAVLink system ids then")  # fmt: skip
+                       help="any autopilot: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD; "
+                       "numbers of vehicles are MAVLink system ids then")  # fmt: skip
     group.add_argument("--patience", type=seconds, default=station.PATIENCE, metavar="S",
                        help="give a vehicle up that is silent for so long (default: %(default)g s)")  # fmt: skip
     return parser
@@ -133,9 +133,12 @@ def _all(host: str) -> list[Peer]:
 def _connected(words: list[str], arguments: argparse.Namespace) -> list[Peer]:
     try:
         address = parse_address(arguments.connect)
+        numbers = [numbers_of(word) for word in words]
     except GcsError as error:
         raise UsageError(str(error)) from error
-    found = station.listen(address)
+    named_all = None not in numbers
+    wanted = {system for part in numbers if part is not None for system in part} if named_all else ()
+    found = station.listen(address, wanted=wanted)
     if not found:
         raise GcsError(f"{arguments.connect}: no autopilot's heartbeat has come over it")
     try:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from collections.abc import Callable
 from typing import Protocol
+
+import serial
 
 from .peers import ANY, GcsError
 
 _RECEIVE_BUFFER = 1 << 20  # whoever speaks to a vehicle hears its telemetry, too
 _LARGEST_DATAGRAM = 65535
-_CONNECT_LIMIT = 5.0  # s for a TCP connection
+_OPENING_LIMIT = 5.0  # s for a TCP connection, and for a serial port to take a frame
 _MOST_DATAGRAMS = 4096  # read at a time, so that a flood holds nobody up
 _MAGIC = {0xFD: (10, 12), 0xFE: (6, 8)}  # a frame's first byte: what its header has, what it has besides its payload
 _SIGNED, _SIGNATURE = 0x01, 13
@@ -51,38 +54,45 @@ class Line(Protocol):
 def open_line(scheme: str, host: str, port: int) -> Line:
     """Open a line.
 
+    Args:
+        scheme: one of ``SCHEMES``.
+        host, port: name or address and port; with ``serial`` the device and its baud rate.
+
     Raises:
         GcsError: it cannot be opened.
     """
     try:
         return _KINDS[scheme](host, port)
-    except OSError as error:
-        where = f"{'TCP' if scheme == 'tcp' else 'UDP'} {host}:{port}"
-        reason = error.strerror or str(error)
-        raise GcsError(f"{where} cannot be {'bound' if scheme == 'udpin' else 'reached'}: {reason}") from error
+    except (OSError, ValueError) as error:  # ValueError: no such baud rate, nor a host's name
+        number = getattr(error, "errno", None)
+        reason = os.strerror(number) if number and number > 0 else str(error)  # those below are of name resolution
+        verb = {"udpin": "bound", "serial": "opened"}.get(scheme, "reached")
+        raise GcsError(f"{_where(scheme, host, port)} cannot be {verb}: {reason}") from error
 
 
-def _udp_socket() -> socket.socket:
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-    sock.setblocking(False)
-    return sock
+def _where(scheme: str, host: str, port: int) -> str:
+    if scheme == "serial":
+        return f"{host} at {port} baud"
+    words = {"udpout": "UDP", "udpin": "UDP port", "tcp": "TCP"}
+    return f"{words[scheme]} {host}:{port}"
 
 
-class UdpOut:
-    """We speak first, to one port; see ``Line``."""
+class _Udp:
+    """A UDP socket; see ``Line``."""
 
-    def __init__(self, host: str, port: int) -> None:
-        """Open it.
+    def __init__(self, where: str, attach: Callable[[socket.socket], None]) -> None:
+        """Open it; ``attach`` connects or binds it.
 
         Raises:
-            OSError: there is no way to the host.
+            OSError: that cannot be.
         """
-        self.where = f"UDP {host}:{port}"
+        self.where = where
         self.unreachable = False
-        self._socket = _udp_socket()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.connect((host, port))
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            self._socket.setblocking(False)
+            attach(self._socket)
         except OSError:
             self._socket.close()
             raise
@@ -96,14 +106,36 @@ class UdpOut:
         found: list[bytes] = []
         while len(found) < _MOST_DATAGRAMS:
             try:
-                found.append(self._socket.recv(_LARGEST_DATAGRAM))
-            except ConnectionRefusedError:
+                datagram, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
+            except ConnectionRefusedError:  # what was sent before found nobody
                 self.unreachable = True
             except OSError:
                 break
+            else:
+                self._note(datagram, sender)
+                found.append(datagram)
         if found:
             self.unreachable = False
         return found
+
+    def _note(self, datagram: bytes, sender: tuple[str, int]) -> None:
+        """Take note of who has sent a datagram."""
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class UdpOut(_Udp):
+    """We speak first, to one port; see ``Line``."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Open it.
+
+        Raises:
+            OSError: there is no way to the host.
+        """
+        super().__init__(_where("udpout", host, port), lambda sock: sock.connect((host, port)))
 
     def send(self, data: bytes, _system: int) -> None:
         """Send a datagram.
@@ -120,12 +152,8 @@ class UdpOut:
         except OSError as error:
             raise GcsError(f"{self.where} cannot be reached: {error.strerror}") from error
 
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
 
-
-class UdpIn:
+class UdpIn(_Udp):
     """Vehicles speak first, to our port; see ``Line``."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -134,35 +162,13 @@ class UdpIn:
         Raises:
             OSError: it is taken, or there is no such address here.
         """
-        self.where = f"UDP port {host}:{port}"
-        self.unreachable = False
+        super().__init__(_where("udpin", host, port), lambda sock: sock.bind((host, port)))
         self._ways: dict[int, tuple[str, int]] = {}
-        self._socket = _udp_socket()
-        try:
-            self._socket.bind((host, port))
-        except OSError:
-            self._socket.close()
-            raise
 
-    def fileno(self) -> int:
-        """Return the socket's descriptor."""
-        return self._socket.fileno()
-
-    def receive(self) -> list[bytes]:
-        """Return the datagrams that have come."""
-        found: list[bytes] = []
-        while len(found) < _MOST_DATAGRAMS:
-            try:
-                datagram, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
-            except ConnectionRefusedError:
-                continue
-            except OSError:
-                break
-            system = _system_of(datagram)
-            if system:
-                self._ways[system] = sender
-            found.append(datagram)
-        return found
+    def _note(self, datagram: bytes, sender: tuple[str, int]) -> None:
+        system = _system_of(datagram)
+        if system:
+            self._ways[system] = sender
 
     def send(self, data: bytes, system: int) -> None:
         """Send a datagram where that system has spoken from; nowhere while it has not, everywhere for ``ANY``."""
@@ -172,10 +178,6 @@ class UdpIn:
                 self._socket.sendto(data, way)
             except OSError:  # it is gone; its silence is told of
                 continue
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
 
 
 def _system_of(datagram: bytes) -> int:
@@ -193,10 +195,10 @@ class Tcp:
         Raises:
             OSError: nobody takes the connection.
         """
-        self.where = f"TCP {host}:{port}"
+        self.where = _where("tcp", host, port)
         self.unreachable = False
         self._rest = b""
-        self._socket = socket.create_connection((host, port), timeout=_CONNECT_LIMIT)
+        self._socket = socket.create_connection((host, port), timeout=_OPENING_LIMIT)
 
     def fileno(self) -> int:
         """Return the socket's descriptor."""
@@ -233,7 +235,60 @@ class Tcp:
         self._socket.close()
 
 
-_KINDS: dict[str, Callable[[str, int], Line]] = {"udpout": UdpOut, "udpin": UdpIn, "tcp": Tcp}
+class SerialPort:
+    """A telemetry radio, or an autopilot's USB port; see ``Line``."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        """Open it, for nobody else.
+
+        Raises:
+            OSError: there is no such device, it may not be used, or somebody else has it.
+            ValueError: it does not run at this baud rate.
+        """
+        self.where = _where("serial", device, baud)
+        self.unreachable = False
+        self._rest = b""
+        self._port = serial.Serial(device, baud, timeout=0.0, write_timeout=_OPENING_LIMIT, exclusive=True)
+
+    def fileno(self) -> int:
+        """Return the device's descriptor."""
+        return int(self._port.fileno())
+
+    def receive(self) -> list[bytes]:
+        """Return the frames that have come.
+
+        Raises:
+            GcsError: the device is gone.
+        """
+        try:
+            data = self._port.read(_LARGEST_DATAGRAM)
+        except OSError as error:
+            raise GcsError(f"{self.where}: the device is gone: {error}") from error
+        frames, self._rest = cut(self._rest + data)
+        return frames
+
+    def send(self, data: bytes, _system: int) -> None:
+        """Send a frame; waits for room a few seconds at most.
+
+        Raises:
+            GcsError: the device is gone, or takes nothing.
+        """
+        try:
+            self._port.write(data)
+        except OSError as error:
+            raise GcsError(f"{self.where}: the device takes nothing: {error}") from error
+
+    def close(self) -> None:
+        """Close the device."""
+        self._port.close()
+
+
+_KINDS: dict[str, Callable[[str, int], Line]] = {
+    "udpout": UdpOut,
+    "udpin": UdpIn,
+    "tcp": Tcp,
+    "serial": SerialPort,
+}
 
 
 def cut(stream: bytes) -> tuple[list[bytes], bytes]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from xtdrone_control.fleet import MAX_VEHICLES, Vehicle, parse_fleet
 
 LOOPBACK = "127.0.0.1"
-SCHEMES = ("udpout", "udpin", "tcp")
+SCHEMES = ("udpout", "udpin", "tcp", "serial")
 ANY = 0
 """System id of a vehicle that is still to say which it has."""
 
@@ -17,6 +17,7 @@ _NAME = re.compile(r"([a-z][a-z0-9_]*)_(\d+)")
 _NUMBERS = re.compile(r"(\d+)(?:-(\d+))?")
 _UNNAMED = "vehicle"  # type of a vehicle of which only the number is known
 _LAST_PORT = 65535
+_FASTEST = 10_000_000  # baud
 _LAST_SYSTEM = 255
 
 
@@ -31,8 +32,9 @@ class Peer:
     Attributes:
         name: as ``typhoon_h480_0``.
         system: MAVLink system id; ``ANY``: that of the autopilot that answers there.
-        host, port: of its ground-station link; of this end where the scheme is ``udpin``.
-        scheme: one of ``SCHEMES``: speak to a UDP port, wait at one of ours, connect over TCP.
+        host, port: of its ground-station link; of this end where the scheme is ``udpin``; where it is ``serial``, the
+            device and its baud rate.
+        scheme: one of ``SCHEMES``: speak to a UDP port, wait at one of ours, connect over TCP, open a device.
     """
 
     name: str
@@ -116,7 +118,7 @@ def numbered(number: int, fleet: str = "", host: str = LOOPBACK) -> Peer:
 
 
 def parse_address(text: str) -> tuple[str, str, int]:
-    """Return scheme, host and port of an address as ``udpin:0.0.0.0:14550``.
+    """Return scheme, host and port of an address as ``udpin:0.0.0.0:14550``, or ``serial:/dev/ttyACM0:57600``.
 
     Raises:
         GcsError: it is none.
@@ -124,9 +126,9 @@ def parse_address(text: str) -> tuple[str, str, int]:
     scheme, _, rest = text.partition(":")
     host, _, port = rest.rpartition(":")
     number = int(port) if port.isascii() and port.isdecimal() else 0
-    if scheme not in SCHEMES or not host or not 1 <= number <= _LAST_PORT:
-        raise GcsError(f"connect: {text!r} is not allowed, {' or '.join(SCHEMES)} with host and port, "
-                       "as udpin:127.0.0.1:14550")  # fmt: skip
+    if scheme not in SCHEMES or not host or not 1 <= number <= (_FASTEST if scheme == "serial" else _LAST_PORT):
+        raise GcsError(f"connect: {text!r} is not allowed, udpout, udpin or tcp with host and port, as "
+                       "udpin:127.0.0.1:14550, or serial:DEVICE:BAUD")  # fmt: skip
     return scheme, host, number
 
 

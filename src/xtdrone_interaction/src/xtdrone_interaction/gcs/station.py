@@ -8,13 +8,14 @@ stand still meanwhile.
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import selectors
 import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from copy import copy
 from typing import Any, Generic, TypeVar
@@ -52,6 +53,7 @@ PATIENCE = 10.0
 BEAT_PERIOD = 1.0
 """s between two heartbeats of ours."""
 
+_LOG = logging.getLogger(__name__)
 _FIND_LIMIT = 3.0  # s in which vehicles that are looked for have to answer
 _AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _NAMES = {MESSAGE_ID[name]: name for name in (*exchanges.ANSWERS, *TELEMETRY)}
@@ -225,7 +227,7 @@ class GroundStation:
             heartbeat: tell them each second that a ground station is there. An autopilot may be set to act when that
                 ends (PX4's NAV_DLL_ACT), so only who stays should do it; without it they are greeted all the same.
             on_change: called with a copy of a vehicle's state after each message that changes it, in the thread that
-                polls.
+                polls. What it raises comes out of ``poll``, or is logged where the station has a thread of its own.
         """
         self.errors: dict[str, GcsError] = {}
         self._heartbeat = heartbeat
@@ -406,8 +408,18 @@ class GroundStation:
                 continue
             with self._lock:
                 changed = contact.take(number, system, frame, now)
-            if changed and self._on_change is not None:
-                self._on_change(copy(contact.state))
+            if changed:
+                self._tell_change(contact)
+
+    def _tell_change(self, contact: _Contact) -> None:
+        if self._on_change is None:
+            return
+        try:
+            self._on_change(copy(contact.state))
+        except Exception:
+            if self._thread is None:
+                raise
+            _LOG.exception("%s: on_change of the ground station has failed; the station goes on", contact.peer.name)
 
     def _lose(self, line: Line, error: GcsError) -> None:
         """Take note that a line has ended."""
@@ -415,8 +427,9 @@ class GroundStation:
         for contact in self._by_line.pop(line):
             while contact.runs:
                 contact.fail(contact.runs[0], GcsError(f"{contact.peer.name}: {error}"))
-            self.errors[contact.peer.name] = GcsError(f"{contact.peer.name}: {error}")
-            del self._contacts[contact.peer]
+            with self._lock:
+                self.errors[contact.peer.name] = GcsError(f"{contact.peer.name}: {error}")
+                del self._contacts[contact.peer]
 
     def run(self, jobs: Mapping[Peer, Job[T]], **limits: Any) -> dict[str, T | GcsError]:
         """Run exchanges with vehicles, all at once; see ``submit`` for ``limits``.
@@ -469,8 +482,15 @@ def find(host: str = LOOPBACK, limit: float = _FIND_LIMIT) -> list[Peer]:
     Args:
         host: the machine on which they fly.
         limit: s in which they have to answer; a port that nobody has says so at once where the machine tells it.
+
+    Raises:
+        GcsError: there is no such machine.
     """
-    peers = [numbered(number, host=host) for number in range(MAX_VEHICLES)]
+    try:
+        address = socket.gethostbyname(host)  # once for all
+    except (OSError, UnicodeError) as error:
+        raise GcsError(f"{host}: no such machine: {getattr(error, 'strerror', None) or error}") from error
+    peers = [numbered(number, host=address) for number in range(MAX_VEHICLES)]
     with GroundStation(peers) as station:
         futures = {peer: station.submit(peer, exchanges.greet(), patience=limit) for peer in station.peers}
         end = time.monotonic() + limit
@@ -482,8 +502,13 @@ def find(host: str = LOOPBACK, limit: float = _FIND_LIMIT) -> list[Peer]:
         return [Peer(peer.name, futures[peer].result().system, host, peer.port) for peer in done]
 
 
-def listen(address: tuple[str, str, int], limit: float = _FIND_LIMIT) -> list[Peer]:
-    """Return the vehicles of which heartbeats come over a line within ``limit`` s, by their system ids.
+def listen(address: tuple[str, str, int], limit: float = _FIND_LIMIT, wanted: Collection[int] = ()) -> list[Peer]:
+    """Return the vehicles of which heartbeats come over a line, by their system ids.
+
+    Args:
+        address: scheme, host and port.
+        limit: s in which they have to come.
+        wanted: system ids; when all of these are there no more are waited for. Empty: all that come in time.
 
     Raises:
         GcsError: the line cannot be opened, or ends.
@@ -496,7 +521,7 @@ def listen(address: tuple[str, str, int], limit: float = _FIND_LIMIT) -> list[Pe
         with selectors.DefaultSelector() as selector:
             selector.register(line, selectors.EVENT_READ)
             end = time.monotonic() + limit
-            while (now := time.monotonic()) < end:
+            while (now := time.monotonic()) < end and not (wanted and found.issuperset(wanted)):
                 for message in exchanges.hello():
                     line.send(message.pack(mav), ANY)
                 if not selector.select(min(TIMEOUT, end - now)):
