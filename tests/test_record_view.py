@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import shutil
@@ -207,6 +208,35 @@ def test_a_file_that_is_no_bag_is_named(tmp_path: Path) -> None:
     assert not (tmp_path / "formation.mp4").exists()
 
 
+def test_a_part_of_which_the_bag_has_nothing_is_named(bag: Path, tmp_path: Path) -> None:
+    done = record("formation", "--bag", bag, "--from", 30, "--out", tmp_path / "film.mp4")
+    assert done.returncode == 2
+    assert "from, to: nothing of the flight is in that part; " in done.stderr
+    assert "has 1.0 to 1.6 s" in done.stderr
+
+
+def test_no_frame_is_no_film_even_where_an_older_one_is(bag: Path, tmp_path: Path) -> None:
+    nowhere = {"Displays": [{"Class": "rviz/Grid"}], "Global Options": {"Fixed Frame": "elsewhere"}}
+    config = tmp_path / "nowhere.rviz"
+    config.write_text(yaml.safe_dump({"Visualization Manager": nowhere}), encoding="utf-8")
+    (tmp_path / "film.mp4").write_text("older", encoding="utf-8")
+    done = record(config, "--bag", bag, "--fps", 25, "--size", "64x64", "--out", tmp_path / "film.mp4")
+    assert done.returncode == 1
+    assert "no frame was drawn" in done.stderr
+    assert (tmp_path / "film.mp4").read_text(encoding="utf-8") == "older"
+
+
+def test_the_benchmark_films_vehicles_that_circle(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "xtdrone_interaction.rviz.benchmark", "--vehicles", "2", "--width", "320",
+               "--height", "180", "--rough", "--seconds", "0.5", "--json", tmp_path / "row.json"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+    assert done.returncode == 0, done.stderr
+    row = json.loads((tmp_path / "row.json").read_text(encoding="utf-8"))
+    assert row["frames"] > 0
+    assert row["frames_per_second"] == pytest.approx(row["frames"] / row["elapsed"])
+    assert {"rviz_offscreen", "ffmpeg", "robot_tf", "swarm_markers"} <= row["cpu_per_frame"].keys()
+
+
 def test_without_xvfb_the_message_says_what_to_install(bag: Path, tmp_path: Path) -> None:
     (tmp_path / "ffmpeg").symlink_to(shutil.which("ffmpeg") or "")
     done = record("formation", "--bag", bag, "--out", tmp_path / "film.mp4", PATH=str(tmp_path))
@@ -257,6 +287,7 @@ def test_a_configuration_that_cannot_be_used_is_named(graph: Graph, tmp_path: Pa
     [
         ("_rate:=0", 2, "/rviz_offscreen/rate: '0' is not allowed, a number from 0.1 to 50"),
         ("_width:=high", 2, "/rviz_offscreen/width: 'high' is not allowed, a whole number from 64 to 4096"),
+        ("_antialiasing:=2", 2, "/rviz_offscreen/antialiasing: '2' is not allowed, true or false"),
         ("_film:=/tmp/film.gif", 2, "'/tmp/film.gif' is not allowed, it ends with .mp4"),
         ("_frames:=/nowhere", 2, "~frames: /nowhere is no folder"),
         ("_film:=/nowhere/film.mp4", 1, "film /nowhere/film.mp4: cannot be written: No such file or directory"),

@@ -50,7 +50,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
     [
         (
             ["--only", "core,wings"],
-            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, analyse, "
+            "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rviz, analyse, "
             "barrier, stack, formation, search, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
@@ -114,6 +114,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
             "sweep": (2,),
             "detector": (640,),
             "renderer": (640,),
+            "rviz": (30,),
             "analyse": (100,),
             "barrier": (0, 9),
             "formation": (9,),
@@ -145,6 +146,12 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "renderer, 640 x 480 px, egl, 2 of 2",
         "renderer, 640 x 480 px, tiny, 1 of 2",
         "renderer, 640 x 480 px, tiny, 2 of 2",
+        "rviz, 30 vehicles, 1280 x 720 px, 1 of 2",
+        "rviz, 30 vehicles, 1280 x 720 px, 2 of 2",
+        "rviz, 30 vehicles, 1280 x 720 px, rough, 1 of 2",
+        "rviz, 30 vehicles, 1280 x 720 px, rough, 2 of 2",
+        "rviz, 30 vehicles, 640 x 360 px, 1 of 2",
+        "rviz, 30 vehicles, 640 x 360 px, 2 of 2",
         "analyse, bag of 100 MB, 1 of 2",
         "analyse, bag of 100 MB, 2 of 2",
         "barrier, 0 participants, 1 of 2",
@@ -165,7 +172,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
     assert planned[-3][2] == {"vehicles": 6, "repeat": 2, "camera_rate": 5}
     assert planned[-5][2] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
     assert planned[7][2] == {"workers": 2, "repeat": 2}
-    assert planned[25][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
+    assert planned[31][2] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
 
 # ---- /proc
@@ -741,6 +748,18 @@ def test_table_of_the_renderer() -> None:
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
     assert ["640 x 360 px, egl", "30.00", "24.50"] in lines
     assert ["640 x 360 px, tiny", "30.00", "24.50"] in lines
+
+
+def test_table_of_films() -> None:
+    use = {"rviz_offscreen": 28.0, "ffmpeg": 18.5, "robot_tf": 1.0, "swarm_markers": 1.5}
+    smooth = {"vehicles": 9, "width": 1280, "height": 720, "antialiasing": True, "frames_per_second": 31.25,
+              "cpu_per_frame": use}  # fmt: skip
+    rough = smooth | {"antialiasing": False, "frames_per_second": 50.0}
+    text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "rviz": [smooth, rough]})
+    lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
+    assert ["9 vehicles, 1280 x 720 px", "31.25", "28.0", "18.5", "2.5"] in lines
+    assert ["9 vehicles, 1280 x 720 px,", "50.00", "28.0", "18.5", "2.5"] in lines
+    assert ["rough", "", "", "", ""] in lines
 
 
 def test_table_of_the_analysis() -> None:

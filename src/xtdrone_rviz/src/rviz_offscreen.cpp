@@ -5,6 +5,7 @@
 ///   ~config: the .rviz file.
 ///   ~rate (Hz of simulated time, 0.1 to 50, default 30): frames a simulated second.
 ///   ~width, ~height (pixels, 64 to 4096, default 1280 and 720).
+///   ~antialiasing (default true): smooth edges, which takes about half of the time.
 ///   ~film: file that ends with .mp4; empty: none.
 ///   ~fps (0.1 to 120, default ~rate): frames a second of the film when it is played.
 ///   ~frames: folder, which is there, for a PNG of each frame, 000000.png and so on; empty: none.
@@ -293,7 +294,7 @@ int run(int argc, char** argv) {
   Recorder recorder(settings);
   lockstep::init(argc, argv, NAME, settings.rate);
   {
-    Scene scene(settings.config, settings.width, settings.height);
+    Scene scene(settings.config, settings.width, settings.height, settings.antialiasing);
     OffscreenNode node(settings, scene, recorder);
     lockstep::start();
     lockstep::spin([&node] { node.step(); });

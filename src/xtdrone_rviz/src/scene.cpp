@@ -14,6 +14,7 @@
 #include <rviz/display_group.h>
 #include <rviz/failed_display.h>
 #include <rviz/failed_view_controller.h>
+#include <rviz/ogre_helpers/render_system.h>
 #include <rviz/render_panel.h>
 #include <rviz/view_manager.h>
 #include <rviz/visualization_manager.h>
@@ -170,7 +171,7 @@ struct Scene::Parts {
   }
 };
 
-Scene::Scene(const std::string& config, unsigned width, unsigned height) : parts_(std::make_unique<Parts>()) {
+Scene::Scene(const std::string& config, unsigned width, unsigned height, bool antialiasing) : parts_(std::make_unique<Parts>()) {
   Parts& parts = *parts_;
   parts.path = config;
   parts.config = readConfig(config);
@@ -178,6 +179,9 @@ Scene::Scene(const std::string& config, unsigned width, unsigned height) : parts
   parts.fixed_frame = stringOf(parts.config.mapGetChild("Global Options"), "Fixed Frame");
   if (parts.fixed_frame.empty()) {
     parts.fixed_frame = "map";
+  }
+  if (!antialiasing) {
+    rviz::RenderSystem::disableAntiAliasing();
   }
   try {
     parts.application = std::make_unique<QApplication>(parts.argc, parts.argv);
@@ -197,7 +201,8 @@ Scene::Scene(const std::string& config, unsigned width, unsigned height) : parts
     QCoreApplication::processEvents();
     parts.manager->initialize();
     parts.panel->getRenderWindow()->setAutoUpdated(false);
-    for (int round = 0; round < SIZE_ROUNDS; ++round) {  // until the window has its size everywhere
+    // Until the window has its size everywhere: Mesa looks how large it is when the buffers are swapped.
+    for (int round = 0; round < SIZE_ROUNDS; ++round) {
       QCoreApplication::processEvents();
       parts.panel->getRenderWindow()->update(true);
     }
@@ -278,13 +283,12 @@ void Scene::draw(Picture& picture) {
   manager.queueRender();
   // What rviz's own timer calls: the displays take in what has come.
   QMetaObject::invokeMethod(&manager, "onUpdate", Qt::DirectConnection);
-  // Not with OGRE's own round, which swaps the buffers: what the X server then shows may be a picture of before. They
-  // are swapped all the same, afterwards: only then does Mesa look how large the window is.
+  // Not with OGRE's own round, which swaps the buffers: what the X server then shows may be a picture of before, and
+  // nobody looks at it.
   Ogre::RenderWindow& window = *parts_->panel->getRenderWindow();
   window.update(false);
   const Ogre::PixelBox pixels(picture.width, picture.height, 1, Ogre::PF_BYTE_RGB, picture.data.data());
   window.copyContentsToMemory(Ogre::Box(0, 0, picture.width, picture.height), pixels, Ogre::RenderTarget::FB_BACK);
-  window.swapBuffers();
 }
 
 Camera Scene::camera() const {

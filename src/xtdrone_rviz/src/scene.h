@@ -39,10 +39,11 @@ class Scene {
  public:
   /// Opens a window on the display that the environment variable DISPLAY names; ROS must be started.
   ///
-  /// @param config  The .rviz file.
+  /// @param config        The .rviz file.
+  /// @param antialiasing  Whether edges are smoothed.
   /// @throws ConfigError   The file cannot be used.
   /// @throws DisplayError  OpenGL cannot be had there.
-  Scene(const std::string& config, unsigned width, unsigned height);
+  Scene(const std::string& config, unsigned width, unsigned height, bool antialiasing);
   ~Scene();
   Scene(const Scene&) = delete;
   Scene& operator=(const Scene&) = delete;

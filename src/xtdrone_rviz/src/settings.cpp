@@ -39,6 +39,17 @@ double number(const std::string& name, double otherwise, double least, double mo
   return found;
 }
 
+bool flag(const std::string& name, bool otherwise) {
+  XmlRpc::XmlRpcValue value;
+  if (!ros::param::get(name, value)) {
+    return otherwise;
+  }
+  if (value.getType() != XmlRpc::XmlRpcValue::TypeBoolean) {
+    refuse(name, value, "true or false");
+  }
+  return static_cast<bool>(value);
+}
+
 std::string text(const std::string& name) {
   XmlRpc::XmlRpcValue value;
   if (!ros::param::get(name, value)) {
@@ -64,6 +75,7 @@ Settings Settings::fromParameters() {
   }
   settings.width = static_cast<unsigned>(number("~width", 1280.0, LEAST_SIZE, MOST_SIZE, true));
   settings.height = static_cast<unsigned>(number("~height", 720.0, LEAST_SIZE, MOST_SIZE, true));
+  settings.antialiasing = flag("~antialiasing", true);
   settings.rate = number("~rate", 30.0, LEAST_RATE, MOST_RATE);
   settings.fps = number("~fps", settings.rate, LEAST_RATE, MOST_FPS);
   settings.film = text("~film");

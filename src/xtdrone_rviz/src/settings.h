@@ -16,6 +16,7 @@ struct Settings {
   std::string config;   ///< ~config: the .rviz file
   unsigned width = 0;   ///< ~width: pixels
   unsigned height = 0;  ///< ~height: pixels
+  bool antialiasing = true;  ///< ~antialiasing: whether edges are smoothed
   double rate = 0.0;    ///< ~rate: frames a simulated second, Hz
   std::string film;     ///< ~film: file that ends with .mp4; empty: none
   double fps = 0.0;     ///< ~fps: frames a second of the film when it is played; by default ~rate

@@ -1,11 +1,12 @@
 """``./xtdrone bench``: how fast this machine simulates, what it takes, and how long a flight takes to begin.
 
-Twelve parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
-against one, the detector of people, the cameras' renderer, the reading of a large bag, the lockstep's barrier alone,
-the stack without the swarm's own nodes, the whole formation flight, the cooperative search by the rate of its cameras,
-and the speed of the formation flight in lockstep compared with the same nodes running free. Prints tables and writes
-JSON with the machine's facts; the JSON is written after each measurement, so that nothing measured is lost. Exit
-status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+Thirteen parts: the core alone (no ROS), the simplified simulator (no ROS), its drawing, a sweep with several workers
+against one, the detector of people, the cameras' renderer, films of rviz without a screen, the reading of a large bag,
+the lockstep's barrier alone, the stack without the swarm's own nodes, the whole formation flight, the cooperative
+search by the rate of its cameras, and the speed of the formation flight in lockstep compared with the same nodes
+running free. Prints tables and writes JSON with the machine's facts; the JSON is written after each measurement, so
+that nothing measured is lost. Exit status: 0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n
+when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from xtdrone_interaction.bench_flight import (
     measure_drawing,
     measure_formation,
     measure_renderer,
+    measure_rviz,
     measure_simplified,
     measure_stack,
     measure_sweep,
@@ -58,6 +60,7 @@ PARTS: dict[str, tuple[int, ...]] = {
     "sweep": (2,),
     "detector": (320, 416, 640),
     "renderer": (320, 640),
+    "rviz": (9, 30),
     "analyse": (1000,),
     "barrier": (0, 1, 9, 20, 60),
     "stack": (1, 9, 30),
@@ -72,6 +75,7 @@ _LEAST = {
     "sweep": 2,
     "detector": 32,
     "renderer": 16,
+    "rviz": 1,
     "analyse": 1,
     "barrier": 0,
     "stack": 1,
@@ -98,6 +102,7 @@ _COUNTED = {
 }  # of other parts vehicles
 _OF_THEIR_OWN = ("sweep", "detector", "renderer", "analyse", "search")  # parts whose numbers are given by name only
 _FLOWN = ("stack", "formation", "free")
+_FILMS = ((1280, 720, True), (1280, 720, False), (640, 360, True))  # width and height in pixels, smooth edges
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
 _MAX_REPEATS = 20
 
@@ -296,6 +301,12 @@ def _variants(part: str, count: int, modes: Sequence[str]) -> Iterator[tuple[str
                 known = {"width": count, "height": height, "backend": backend}
                 measure = partial(measure_renderer, width=count, height=height, backend=backend)
                 yield f"{count} x {height} px, {backend}", known, measure
+        return
+    if part == "rviz":
+        for width, height, smooth in _FILMS:
+            known = {"vehicles": count, "width": width, "height": height, "antialiasing": smooth}
+            measure = partial(measure_rviz, vehicles=count, width=width, height=height, antialiasing=smooth)
+            yield f"{count} vehicles, {width} x {height} px{'' if smooth else ', rough'}", known, measure
         return
     if part == "analyse":
         yield f"bag of {count} MB", {"megabytes": count}, partial(measure_analysis, megabytes=count)

@@ -1,7 +1,7 @@
 """The benchmark's measurements: each runs a program or a launch file to its end and returns a row of figures.
 
 A row has ``vehicles``, ``load_before`` (the machine's load average over the last minute) and the figures that
-:func:`measure_core`, :func:`measure_simplified`, :func:`measure_drawing`, :func:`measure_sweep`,
+:func:`measure_core`, :func:`measure_simplified`, :func:`measure_drawing`, :func:`measure_sweep`, :func:`measure_rviz`,
 :func:`measure_barrier`, :func:`measure_stack` and :func:`measure_formation` list. In place of ``vehicles`` a row of the
 barrier has ``participants`` and ``kind``, one of the sweep ``workers``.
 """
@@ -52,7 +52,7 @@ class Length:
     """How long the measurements are.
 
     Attributes:
-        core_seconds: least wall time of one core, simplified or drawing measurement, s.
+        core_seconds: least wall time of one core, simplified, drawing, detector, renderer or rviz measurement, s.
         sweep_seconds: least wall time of a sweep's measurement with one worker, and of that with all, s.
         barrier_seconds: least wall time of one barrier measurement, s.
         barrier_ticks: least number of ticks of one barrier measurement.
@@ -184,6 +184,28 @@ def measure_renderer(bench: Bench, width: int, height: int, backend: str) -> Row
     arguments += ["--seconds", str(bench.length.core_seconds)]
     name = f"renderer-{width}x{height}-{backend}"
     return row | _run_program(bench, "renderer", name, "xtdrone_sim.rendering.benchmark", arguments)[0]
+
+
+def measure_rviz(bench: Bench, vehicles: int, width: int, height: int, antialiasing: bool) -> Row:
+    """Measure the making of a film of rviz without a screen, from the bag's messages to the file.
+
+    Args:
+        bench: what all measurements share.
+        vehicles: how many the view of the formation shows.
+        width, height: of a frame, pixels.
+        antialiasing: whether edges are smoothed.
+
+    Returns:
+        See :func:`xtdrone_interaction.rviz.benchmark.measure`.
+
+    Raises:
+        BenchError: it failed, or a program that it needs is not there.
+    """
+    row = {"load_before": os.getloadavg()[0]}
+    arguments = ["--vehicles", str(vehicles), "--width", str(width), "--height", str(height)]
+    arguments += ["--seconds", str(bench.length.core_seconds)] + ([] if antialiasing else ["--rough"])
+    name = f"rviz-{vehicles}-{width}x{height}{'' if antialiasing else '-rough'}"
+    return row | _run_program(bench, "rviz", name, "xtdrone_interaction.rviz.benchmark", arguments)
 
 
 def measure_analysis(bench: Bench, megabytes: int) -> Row:

@@ -37,6 +37,7 @@ _TITLES = {
     "sweep": "Sweep: flights of nine simplified vehicles through three patterns",
     "detector": "Detector of people on one core, by the width of its input",
     "renderer": "Pictures of the world outdoor, one process",
+    "rviz": "Films of rviz without a screen, the formation's view; CPU ms per frame",
     "analyse": "Analysis of a bag of poses, velocities and states, not packed",
     "barrier": "Barrier of the lockstep, participants that do nothing: us per tick",
     "stack": "Stack: simulator, MAVROS layer, one client",
@@ -147,6 +148,8 @@ def short_result(row: Row) -> str:
         return f"{exact:.2f} x real time, free-running {free:.2f} x"
     if "pictures_per_second" in row:
         return f"{row['pictures_per_second']:.1f} pictures a second"
+    if "frames_per_second" in row:
+        return f"{row['frames_per_second']:.1f} frames a second"
     if "milliseconds" in row:
         return f"{row['milliseconds']:.1f} ms a picture"
     if "megabytes_per_second" in row:
@@ -195,6 +198,10 @@ def _label(part: str, row: Row) -> str:
         words = [f"{row['workers']} workers"]
     elif "backend" in row:
         words = [f"{row['width']} x {row['height']} px,", row["backend"]]
+    elif "antialiasing" in row:
+        words = [
+            f"{row['vehicles']} vehicles, {row['width']} x {row['height']} px{'' if row['antialiasing'] else ', rough'}"
+        ]
     elif "megabytes" in row:
         words = [f"{row['megabytes']} MB"]
     elif "camera_rate" in row:
@@ -267,10 +274,21 @@ def _share(key: str) -> _Cell:
     return lambda _, rows: f"{statistics.median(row['cpu_share'][key] for row in rows):.0%}"
 
 
+def _frame_cpu(*programs: str) -> _Cell:
+    """Return the CPU time of a frame in some programs; without names, in all others."""
+
+    def of(row: Row) -> float:
+        use = row["cpu_per_frame"]
+        return sum(use[name] for name in use if (name in programs if programs else name not in _DRAWERS))
+
+    return lambda _, rows: f"{statistics.median(map(of, rows)):.1f}"
+
+
 def _flown(_: str, rows: Sequence[Row]) -> str:
     return f"{statistics.median(row['flight']['simulated'] for row in rows):.1f}"
 
 
+_DRAWERS = ("rviz_offscreen", "ffmpeg")
 _SPEED: list[tuple[str, _Cell]] = [("vehicles", _vehicles), ("real-time\nfactor", _factor), ("to\nreach", _goal)]
 _PROCESSES: list[tuple[str, _Cell]] = [
     ("start-up\ns", _median("startup_seconds", ".1f")),
@@ -304,6 +322,12 @@ _COLUMNS: dict[str, list[tuple[str, _Cell]]] = {
         ("picture", _label_only),
         ("CPU\nms/picture", _range("milliseconds")),
         ("wall\nms/picture", _range("wall_milliseconds")),
+    ],
+    "rviz": [
+        ("film", _label_only),
+        ("frames/s", _range("frames_per_second")),
+        *((name, _frame_cpu(name)) for name in _DRAWERS),
+        ("others", _frame_cpu()),
     ],
     "analyse": [
         ("bag", _label_only),

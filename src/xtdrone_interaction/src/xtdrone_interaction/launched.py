@@ -210,7 +210,7 @@ def _fly(flight: Flight, console: Console, deaths: Deaths) -> None:
     try:
         _watch(tree, flight, display, deaths)
     finally:
-        with _signals_wait():
+        with signals_wait():
             display.close()
             _close_feed()
             tree.stop(_PATIENCE)
@@ -293,7 +293,7 @@ def _watch(tree: ProcessTree, flight: Flight, display: Display, deaths: Deaths) 
             raise DemoError(f"{what} within {limit:.0f} s of wall time")
     _show_deaths(deaths, sim_time, display)
     if outcome in flight.last_events:
-        with _signals_wait():
+        with signals_wait():
             _close_feed()
             tree.wait(_PATIENCE)
     events = flight.events()
@@ -372,7 +372,7 @@ def signals_raise() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _signals_wait() -> Iterator[None]:
+def signals_wait() -> Iterator[None]:
     """Let signals wait until the block has ended: cleaning up must not be cut short."""
     pending: list[int] = []
     with _handlers(lambda number, _: pending.append(number)):

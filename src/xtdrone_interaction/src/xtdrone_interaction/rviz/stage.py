@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
 
 import rosgraph
 import roslib.packages
 
-from xtdrone_interaction.launched import DemoError
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_interaction.launched import DemoError, signals_wait
 from xtdrone_interaction.processes import ProcessTree
+from xtdrone_interaction.rviz.film_options import FilmSettings
+from xtdrone_interaction.rviz.views import LABELS, SHIPPED, make_view
+from xtdrone_sim.vehicle_model import load_vehicle
 
 DRAWER = "rviz_offscreen"
+TF, MARKERS = "robot_tf", "swarm_markers"
+NODES = tuple(f"/{name}" for name in (TF, MARKERS, DRAWER))
 _PATIENCE = 30.0  # wall s for the film to be finished
 _LAST_LINES = 6
+_DRAWN = re.compile(rf"^{DRAWER}: (\d+) frames drawn$", re.MULTILINE)  # what it says last
 
 
 class StageError(DemoError):
@@ -53,16 +61,53 @@ def check_tools() -> None:
 class Stage:
     """Nodes as processes; as a context manager it ends them all, the one that draws first."""
 
-    def __init__(self, environment: Mapping[str, str], logs: Path) -> None:
+    def __init__(self, environment: Mapping[str, str], work: Path) -> None:
         """Start nothing yet.
 
         Args:
             environment: of the nodes; it names the master.
-            logs: folder, which is there, for what they write.
+            work: folder, which is there, for what they read and write.
         """
         self._environment = dict(environment)
-        self._logs = logs
+        self._work = work
+        self._master = rosgraph.Master("/record_view", master_uri=self._environment["ROS_MASTER_URI"])
         self._nodes: dict[str, ProcessTree] = {}
+
+    def start_all(self, settings: FilmSettings, fleet: str, running: Container[str] = ()) -> None:
+        """Start the nodes that are not running yet, with what they find on the master.
+
+        Args:
+            settings: of the film.
+            fleet: as ``iris:9``.
+            running: names of the nodes that are there, as ``/robot_tf``.
+
+        Raises:
+            StageError: a program is not there.
+        """
+        vehicles = parse_fleet(fleet)
+        for vehicle in vehicles:
+            # The simplified simulator, and a bag, tell nobody what vehicles look like.
+            if not self._master.hasParam(f"/{vehicle.name}/robot_description"):
+                self._master.setParam(f"/{vehicle.name}/robot_description", load_vehicle(vehicle.type).urdf.text)
+        config = Path(settings.view)
+        if settings.view in SHIPPED:
+            config = self._work / f"{settings.view}.rviz"
+            config.write_text(make_view(settings.view, [vehicle.name for vehicle in vehicles]), encoding="utf-8")
+        if f"/{TF}" not in running:
+            self.start("xtdrone_sim", TF, {"rate": settings.rate})
+        if f"/{MARKERS}" not in running:
+            label = LABELS.get(settings.view)
+            self.start("xtdrone_interaction", MARKERS, {"rate": settings.rate, "label": label})
+        self.start("xtdrone_rviz", DRAWER, {
+            "config": config,
+            "rate": settings.rate,
+            "fps": settings.fps,
+            "width": settings.size[0],
+            "height": settings.size[1],
+            "antialiasing": settings.antialiasing,
+            "film": settings.out,
+            "frames": settings.frames,
+        })  # fmt: skip
 
     def start(self, package: str, name: str, parameters: Mapping[str, Any]) -> None:
         """Start a node of the name ``name``; its program has that name too, with .py where it is Python's.
@@ -78,19 +123,14 @@ class Stage:
         file = name if name == DRAWER else f"{name}.py"
         command = [program(package, file), f"__name:={name}"]
         # Not on the command line: some nodes look before rospy has read that.
-        master = rosgraph.Master("/record_view", master_uri=self._environment["ROS_MASTER_URI"])
         for key, value in parameters.items():
             if value is not None:
-                master.setParam(f"/{name}/{key}", str(value) if isinstance(value, Path) else value)
+                self._master.setParam(f"/{name}/{key}", str(value) if isinstance(value, Path) else value)
         self._nodes[name] = ProcessTree(command, self._environment, self.log(name))
 
     def log(self, name: str) -> Path:
         """Return the file of what a node writes."""
-        return self._logs / f"{name}.log"
-
-    def ended(self, name: str) -> bool:
-        """Whether a node has ended."""
-        return self._nodes[name].wait(0.0)
+        return self._work / f"{name}.log"
 
     def wait(self, name: str, timeout: float) -> bool:
         """Wait up to ``timeout`` s for a node's end; return whether it has ended."""
@@ -106,16 +146,26 @@ class Stage:
             if tree.wait(0.0):
                 raise StageError(f"{name} has ended (status {tree.process.returncode}): {self.last_words(name)}")
 
-    def last_words(self, name: str) -> str:
+    def check_others(self) -> None:
+        """Check that no node beside the drawing one has failed; one that has ended in order is right.
+
+        Raises:
+            StageError: one has.
+        """
+        for name, tree in self._nodes.items():
+            if name != DRAWER and tree.wait(0.0) and tree.process.returncode != 0:
+                raise StageError(f"{name} has failed (status {tree.process.returncode}): {self.last_words(name)}")
+
+    def last_words(self, name: str = DRAWER) -> str:
         """Return the end of what a node wrote."""
         lines = self.log(name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return "\n".join(lines[-_LAST_LINES:]) or "it said nothing"
 
-    def finish(self) -> None:
-        """Have the drawing node end in an orderly way, so that the film is finished.
+    def finish(self) -> int:
+        """Have the drawing node end in an orderly way, so that the film is finished; return how many frames it has.
 
         Raises:
-            StageError: it failed.
+            StageError: it failed, or there is no frame.
         """
         tree = self._nodes[DRAWER]
         if tree.process.poll() is None:
@@ -123,12 +173,16 @@ class Stage:
         if not tree.wait(_PATIENCE):
             raise StageError(f"{DRAWER} has not ended within {_PATIENCE:g} s")
         if tree.process.returncode != 0:
-            raise StageError(f"{DRAWER} has failed (status {tree.process.returncode}): {self.last_words(DRAWER)}")
+            raise StageError(f"{DRAWER} has failed (status {tree.process.returncode}): {self.last_words()}")
+        drawn = _DRAWN.search(self.log(DRAWER).read_text(encoding="utf-8", errors="replace"))
+        frames = int(drawn[1]) if drawn else 0
+        if frames == 0:
+            raise StageError(f"no frame was drawn: {self.last_words()}")
+        return frames
 
     def close(self) -> None:
         """End all nodes."""
-        order: Sequence[str] = sorted(self._nodes, key=lambda name: name != DRAWER)
-        for name in order:
+        for name in sorted(self._nodes, key=lambda name: name != DRAWER):
             process = self._nodes[name].process
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -143,7 +197,8 @@ class Stage:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
+        with signals_wait():
+            self.close()
 
 
 def node_environment(master: str) -> dict[str, str]:
