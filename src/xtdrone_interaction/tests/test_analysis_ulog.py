@@ -12,7 +12,8 @@ import pytest
 from xtdrone_control.autopilot.logger.messages import message_format
 from xtdrone_control.autopilot.logger.ulog import UlogWriter, data_template, logged_string
 from xtdrone_interaction import cli
-from xtdrone_interaction.analysis.tracking import spectrum
+from xtdrone_interaction.analysis.columns import Series
+from xtdrone_interaction.analysis.tracking import spectrum, tracking
 from xtdrone_interaction.analysis.ulog import LogError, euler, read_log
 from xtdrone_interaction.analysis.ulog_pictures import trackings
 from xtdrone_interaction.analysis.ulog_summary import summarise
@@ -21,6 +22,7 @@ SECONDS, RATE = 20.0, 250.0
 PITCHING, LATE, AMPLITUDE = 3.0, 0.048, 0.4  # Hz, s, rad/s
 SHAKING = 40.0  # Hz
 START_US = 5_000_000
+LOST = 0.5  # s; until then the estimator does not know where it is
 
 
 def block(topic: str, number: int, time: np.ndarray, **values: object) -> bytes:
@@ -44,10 +46,13 @@ def make_log() -> bytes:
     climb = np.select([(slow >= 2) & (slow < 8), (slow > 12) & (slow <= 18)], [1.0, -1.0], 0.0)
     states = {"nav_state": np.array([4, 4, 14, 18, 18]), "arming_state": np.array([1, 2, 2, 1, 1])}
     place = {"x": 3.0 * slow, "z": -height, "vx": 3.0, "vz": -climb}
+    place |= {name: slow >= LOST for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")}
     blocks: dict[str, dict[str, object]] = {
         "vehicle_status": {"time": status, **states},
         "vehicle_local_position": {"time": slow, **place},
         "vehicle_local_position_setpoint": {"time": slow, "x": 3.0 * slow + 0.25, "z": np.nan, "vx": 3.5, "vz": np.nan},
+        "mission_result": {"time": np.array([5000.0])},  # stored before; its time is of nothing in this log
+        "manual_control_setpoint": {"time": np.array([-4.0, -3.0, 5.0]), "roll": np.array([0.1, 0.2, 0.3])},
         "vehicle_rates_setpoint": {"time": time, "pitch": AMPLITUDE * np.sin(angle)},
         "vehicle_angular_velocity": {"time": time, "xyz": rates},
         "sensor_combined": {"time": time, "accelerometer_m_s2": acceleration, "gyro_rad": rates},
@@ -55,13 +60,14 @@ def make_log() -> bytes:
     sink = io.BytesIO()
     writer = UlogWriter(sink, START_US)
     writer.add_info("char", "sys_name", "PX4")
+    writer.add_info("uint32_t", "ver_sw_release", 0x010E03C0)
     writer.add_parameter("MPC_XY_P", 1.5)
     writer.add_default_parameter("MPC_XY_P", 0.95, 1)
     for topic in blocks:
         writer.add_format(message_format(topic))
     for number, topic in enumerate(blocks):
         writer.subscribe(number, message_format(topic))
-    writer.add_messages(logged_string(4, START_US + 1_500_000, "Something odd"))
+    writer.add_messages(logged_string(4, START_US + 1_500_000, "\x1b[31mSomething odd\x1b[0m\t"))
     for number, (topic, values) in enumerate(blocks.items()):
         writer.add_messages(block(topic, number, **values))  # type: ignore[arg-type]
     writer.flush()
@@ -98,6 +104,45 @@ def test_figures_are_those_of_the_motion(tmp_path: Path, data: bytes) -> None:
     assert rows["Position", "north [m]"].rms == pytest.approx(0.25, abs=1e-4)
     assert rows["Velocity", "north [m/s]"].greatest == pytest.approx(0.5)
     assert ("Position", "up [m]") not in rows  # it was never told a height
+
+
+def test_what_the_log_does_not_know_is_not_shown(tmp_path: Path, data: bytes) -> None:
+    """The estimator's place before it has one, a message alone with a time of its own, sticks of before the log."""
+    log = read_log(write(tmp_path / "log.ulg", data))
+    assert log.duration == pytest.approx(SECONDS)
+    place = log.series("vehicle_local_position", "x", "z", "vx", "vz")
+    assert place is not None
+    np.testing.assert_array_equal(np.isfinite(place.value).all(axis=1), place.time >= LOST)
+    sticks = log.series("manual_control_setpoint", "roll")
+    assert sticks is not None
+    np.testing.assert_allclose(np.column_stack([sticks.time, sticks.value]), [[0.0, 0.2], [5.0, 0.3]], atol=1e-6)
+    assert log.info["release"] == "v1.14.3 (release candidate)"
+
+
+def test_data_appended_after_a_crash_are_read(tmp_path: Path, data: bytes) -> None:
+    """PX4 appends what it saved of a crash: at an offset that the flags tell, behind a message that is not whole."""
+    text = logged_string(4, START_US + 19_000_000, "hard fault")
+    bad = bytearray(data[:-5])
+    flags = 16 + 3
+    assert bad[18:19] == b"B"
+    bad[flags + 8] |= 1
+    bad[flags + 16 : flags + 24] = len(bad).to_bytes(8, "little")
+    log = read_log(write(tmp_path / "log.ulg", bytes(bad) + text))
+    assert log.notes == []
+    assert log.texts[-1] == (19.0, "WARNING", "hard fault")
+    assert read_log(write(tmp_path / "log.ulg", bytes(bad) + text[:-1])).cut
+
+
+def test_a_response_that_does_not_follow_has_no_delay() -> None:
+    time = np.arange(0.0, 20.0, 0.01)
+    told, noise = np.sin(2 * time), np.random.default_rng(0).standard_normal(len(time))
+    wanted = Series(time, told[:, None])
+    late = tracking("late", wanted, Series(time, np.sin(2 * (time - 0.3))[:, None] + 0.2 * noise[:, None]), 0.0, 20.0)
+    assert late is not None
+    assert late.delay == pytest.approx(0.3, abs=0.03)
+    lost = tracking("lost", wanted, Series(time, noise[:, None]), 0.0, 20.0)
+    assert lost is not None
+    assert lost.delay is None
 
 
 def test_the_spectrum_has_the_vibration_with_its_power(tmp_path: Path, data: bytes) -> None:

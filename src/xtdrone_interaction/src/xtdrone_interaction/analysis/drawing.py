@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from xtdrone_interaction.analysis.columns import Array
 
 _POINTS = 4000  # drawn of a line; of more, the least and the greatest value of each part
+_LEAST_MAP = 2.0  # m shown
 MOST_NAMED = 18  # vehicles; more are not named one by one
 NO_MODE = "0.85"
 
@@ -72,6 +73,15 @@ def panels(count: int, height: float = 2.3, side: float = 0.83) -> tuple[Figure,
     for panel in axes[:, 0]:
         panel.margins(x=0.01)
     return figure, list(axes[:, 0])
+
+
+def same_scale(panel: Axes) -> None:
+    """Give both axes of a map the same scale, and of a vehicle that hardly moves no more than a few metres' detail."""
+    for low, high, limit in ((*panel.get_xlim(), panel.set_xlim), (*panel.get_ylim(), panel.set_ylim)):
+        if high - low < _LEAST_MAP:
+            middle = (low + high) / 2
+            limit(middle - _LEAST_MAP / 2, middle + _LEAST_MAP / 2)
+    panel.set_aspect("equal", adjustable="datalim")
 
 
 def name_lines(figure: Figure, panel: Axes, left: float = 0.84) -> None:

@@ -27,8 +27,10 @@ h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bo
 table { border-collapse: collapse; margin: 0.6rem 0; } caption { text-align: left; color: #555; }
 th, td { padding: 0.15rem 0.7rem; text-align: right; border-bottom: 1px solid #eee; vertical-align: top; }
 th:first-child, td:first-child { text-align: left; } tbody tr:hover { background: #f6f8fa; }
-td.text { text-align: left; } ul.notes { background: #fff7e0; padding: 0.6rem 2rem; } img { max-width: 100%; }
-nav a { margin-right: 0.9rem; white-space: nowrap; } details summary { cursor: pointer; }
+th.text, td.text { text-align: left; } td.text { overflow-wrap: anywhere; }
+ul.notes { background: #fff7e0; padding: 0.6rem 2rem; } img { max-width: 100%; }
+nav { display: flex; flex-wrap: wrap; gap: 0 0.9rem; margin-bottom: 0.8rem; } nav a { white-space: nowrap; }
+details summary { cursor: pointer; }
 </style>
 </head>
 <body>
@@ -39,7 +41,9 @@ nav a { margin-right: 0.9rem; white-space: nowrap; } details summary { cursor: p
 {% for table in page.tables %}
 <details{% if not table.long %} open{% endif %}><summary><h2 style="display:inline">{{ table.title }}</h2></summary>
 <table>
-<thead><tr>{% for head in table.head %}<th>{{ head }}</th>{% endfor %}</tr></thead>
+<thead><tr>
+{%- for cell in table.head %}<th{% if loop.index0 in table.texts %} class="text"{% endif %}>{{ cell }}</th>{% endfor -%}
+</tr></thead>
 <tbody>{% for row in table.rows %}
 <tr>{% for cell in row %}<td{% if loop.index0 in table.texts %} class="text"{% endif %}>{{ cell }}</td>{% endfor %}</tr>
 {%- endfor %}

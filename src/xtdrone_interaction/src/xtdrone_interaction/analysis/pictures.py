@@ -20,6 +20,7 @@ from xtdrone_interaction.analysis.drawing import (
     mark_times,
     name_lines,
     panels,
+    same_scale,
     shades,
     spans,
 )
@@ -106,7 +107,7 @@ def tracks(flight: Flight, vehicles: list[Vehicle]) -> Figure:
         panel.plot(*place.value[0, :2], marker="o", ms=5, mfc="white", mec=shade)
         panel.plot(*place.value[-1, :2], marker="s", ms=5, color=shade)
     panel.set(xlabel="x, east [m]", ylabel="y, north [m]")
-    panel.set_aspect("equal", adjustable="datalim")
+    same_scale(panel)
     name_lines(figure, panel, 0.81)
     figure.suptitle(f"Tracks of {_fleet(vehicles)} from above (circle: first place, square: last)")
     return figure
@@ -204,7 +205,7 @@ def activity(flight: Flight, marks: list[tuple[float, str]]) -> Figure:
                     size = np.linalg.norm(series.value, axis=1)
                     line(panel, series.time, size, color=colour[vehicle.name], lw=1.0, label=vehicle.name)
         unit = "m/s²" if "acceleration" in what[0] else "m/s"
-        panel.set_ylabel(f"{title} [{unit}]" if title == "command" else "avoidance, size")
+        panel.set(ylabel=f"{title} [{unit}]" if title == "command" else "avoidance, size", ylim=(0.0, None))
     if flight.topologies:
         _draw_links(free.pop(0), flight)
     axes[-1].set_xlabel(flight.time_name)

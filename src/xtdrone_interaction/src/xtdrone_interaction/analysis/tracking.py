@@ -10,6 +10,7 @@ from scipy import signal
 from xtdrone_interaction.analysis.columns import Array, Series
 
 _MOST_DELAY = 1.0  # s that is looked for
+_LEAST_LIKENESS = 0.5  # correlation below which a response does not follow, so that there is no delay
 _SEGMENT = 512  # samples of one spectrum; Welch's method averages many
 
 
@@ -21,7 +22,7 @@ class Tracking:
         name: of the quantity with its unit.
         rms: of the error.
         greatest: error.
-        delay: of the response behind the set-point, s; None where nothing moves.
+        delay: of the response behind the set-point, s; None where nothing moves, and where it does not follow.
     """
 
     name: str
@@ -73,13 +74,16 @@ def tracking(name: str, wanted: Series, actual: Series, start: float, end: float
 
 
 def _delay(told: Array, did: Array, step: float) -> float | None:
-    """Return by how much ``did`` is behind ``told``, s: where the two are most alike."""
+    """Return by how much ``did`` is behind ``told``, s: where the two are most alike; None where they never are."""
     told, did = told - told.mean(), did - did.mean()
     if told.std() < 1e-9 or did.std() < 1e-9:
         return None
     most = min(round(_MOST_DELAY / step), len(told) // 2)
     likeness = signal.correlate(did, told, "full")[len(told) - 1 : len(told) + most]
-    return float(step * int(likeness.argmax()))
+    best = int(likeness.argmax())
+    if likeness[best] < _LEAST_LIKENESS * np.linalg.norm(told) * np.linalg.norm(did) or best == most:
+        return None
+    return float(step * best)
 
 
 def spectrum(series: Series, start: float, end: float) -> tuple[Array, Array] | None:

@@ -7,6 +7,7 @@ beginning, s.
 from __future__ import annotations
 
 import io
+import re
 import struct
 from collections.abc import Collection
 from dataclasses import dataclass, field
@@ -26,8 +27,8 @@ TOPICS = (
     "actuator_outputs",
     "battery_status",
     "cpuload",
+    "estimator_selector_status",
     "estimator_status",
-    "failsafe_flags",
     "manual_control_setpoint",
     "sensor_combined",
     "sensor_gps",
@@ -38,13 +39,14 @@ TOPICS = (
     "vehicle_global_position",
     "vehicle_gps_position",
     "vehicle_imu_status",
-    "vehicle_land_detected",
     "vehicle_local_position",
     "vehicle_local_position_setpoint",
     "vehicle_rates_setpoint",
     "vehicle_status",
 )
 """Those that are shown; PX4 v1.11 to v1.16 have these names, older ones lack some."""
+_VALID = {"x": "xy_valid", "y": "xy_valid", "z": "z_valid", "vx": "v_xy_valid", "vy": "v_xy_valid", "vz": "v_z_valid"}
+"""Fields of vehicle_local_position, and those that say whether the estimator knows them."""
 _ARMED = 2  # vehicle_status.arming_state
 _STATES = {mode.state: mode.name for mode in modes.ALL} | {
     19: "AUTO.FOLLOW_TARGET",
@@ -53,6 +55,10 @@ _STATES = {mode.state: mode.name for mode in modes.ALL} | {
 }
 _KINDS = frozenset(b"BFIMPQADRSOLC")  # of messages, by their letters
 _HEADER = 16  # bytes
+_FLAGS = struct.Struct("<HB8sB7x3Q")  # the message of flag bits: size, kind, compatible, incompatible flags, offsets
+_APPENDED = 1  # incompatible flag: data follow at the offsets, behind a message that is not whole
+_RELEASES = {0: " (development)", 64: " (alpha)", 128: " (beta)", 192: " (release candidate)", 255: ""}
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
 
 
 class LogError(ValueError):
@@ -69,7 +75,7 @@ class FlightLog:
         notes: what could not be read, in words.
         cut: whether it is not whole.
         duration: s.
-        info: what the log says of the vehicle, as sys_name, ver_sw.
+        info: what the log says of the vehicle, as sys_name, ver_sw; "release" is ver_sw_release in words.
         counts: messages by topic and instance, of all topics.
         topics: time (t,) in s, and fields by name, each (t,); of those in TOPICS, by name and instance.
         modes, armed: at each change.
@@ -113,6 +119,11 @@ class FlightLog:
         last_armed = self.armed[-1][1]
         return starts[0], self.duration if last_armed or not ends else ends[-1]
 
+    @property
+    def flown_words(self) -> str:
+        """What :attr:`flown` is, in words."""
+        return "while armed" if any(armed for _, armed in self.armed) else "over the whole log, which was never armed"
+
 
 def is_log(path: Path) -> bool:
     """Return whether a file says that it is a ULog."""
@@ -147,16 +158,33 @@ def read_log(path: Path, topics: Collection[str] = TOPICS) -> FlightLog:
 
 
 def whole_part(data: bytes) -> tuple[int, bool]:
-    """Return up to which byte a log consists of whole messages, and whether what follows makes no sense."""
-    at, end = _HEADER, len(data)
-    while at + 3 <= end:
-        size, kind = struct.unpack_from("<HB", data, at)
-        if kind not in _KINDS:
-            return at, True
-        if at + 3 + size > end:
-            return at, False
-        at += 3 + size
-    return min(at, end), False
+    """Return up to which byte a log consists of whole messages, and whether what follows makes no sense.
+
+    A vehicle that crashed may have appended data to its last log: they begin at an offset that the log's flags tell,
+    and the message before that need not be whole.
+    """
+    at = _HEADER
+    for end in [*_appended(data), len(data)]:
+        while at + 3 <= end:
+            size, kind = struct.unpack_from("<HB", data, at)
+            if kind not in _KINDS:
+                return at, True
+            if at + 3 + size > end:
+                break
+            at += 3 + size
+        if end < len(data):
+            at = end
+    return min(at, len(data)), False
+
+
+def _appended(data: bytes) -> list[int]:
+    """Return where appended data begin."""
+    if len(data) < _HEADER + _FLAGS.size:
+        return []
+    _, kind, _, flags, *offsets = _FLAGS.unpack_from(data, _HEADER)
+    if kind != ord("B") or not flags & _APPENDED:
+        return []
+    return sorted(offset for offset in offsets if _HEADER < offset < len(data))
 
 
 def _parsed(path: Path, data: bytes, whole: int, log: FlightLog) -> ULog:
@@ -177,15 +205,21 @@ def _parsed(path: Path, data: bytes, whole: int, log: FlightLog) -> ULog:
 
 def _fill(log: FlightLog, raw: ULog, topics: Collection[str]) -> None:
     start = raw.start_timestamp
-    log.duration = max(0.0, (raw.last_timestamp - start) * 1e-6)
+    times = {
+        (dataset.name, dataset.multi_id): (dataset.data["timestamp"].astype(np.int64) - start) * 1e-6
+        for dataset in raw.data_list
+    }
+    # a message that is alone may be of long ago or of any time, as a mission that was stored before
+    running = [time for time in times.values() if len(time) > 1] or list(times.values())
+    log.duration = max((float(time.max()) for time in running if len(time)), default=0.0)
     log.info = {key: value for key, value in raw.msg_info_dict.items() if isinstance(value, str | int | float)}
+    if isinstance(release := log.info.get("ver_sw_release"), int):
+        log.info["release"] = _release(release)
     for dataset in raw.data_list:
-        time = (dataset.data["timestamp"].astype(np.int64) - start) * 1e-6
-        log.counts[dataset.name, dataset.multi_id] = len(time)
-        if dataset.name in topics and len(time):
-            order = np.argsort(time, kind="stable")
-            fields = {name: values[order] for name, values in dataset.data.items() if name != "timestamp"}
-            log.topics[dataset.name, dataset.multi_id] = time[order], fields
+        key = dataset.name, dataset.multi_id
+        log.counts[key] = len(times[key])
+        if dataset.name in topics and len(times[key]):
+            log.topics[key] = _in_time(log, dataset.name, times[key], dataset.data)
     if (status := log.series("vehicle_status", "nav_state", "arming_state")) is not None:
         for time, state, arming in zip(status.time.tolist(), *status.value.T.astype(int).tolist(), strict=True):
             mode, armed = _STATES.get(state, f"state {state}"), arming == _ARMED
@@ -193,11 +227,16 @@ def _fill(log: FlightLog, raw: ULog, topics: Collection[str]) -> None:
                 log.modes.append((time, mode))
             if not log.armed or log.armed[-1][1] != armed:
                 log.armed.append((time, armed))
-    log.texts = [((m.timestamp - start) * 1e-6, m.log_level_str(), m.message.rstrip("\t")) for m in raw.logged_messages]
+    log.texts = [
+        ((m.timestamp - start) * 1e-6, m.log_level_str(), _COLOURS.sub("", m.message).rstrip("\t"))
+        for m in raw.logged_messages
+    ]
     log.dropouts = [((d.timestamp - start) * 1e-6, d.duration * 1e-3) for d in raw.dropouts]
     if log.dropouts:
-        lost = sum(length for _, length in log.dropouts)
-        log.notes.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in all")
+        lengths = [length for _, length in log.dropouts]
+        log.notes.append(
+            f"the logger lost data {len(lengths)} times, {sum(lengths):.2f} s in all, {max(lengths):.2f} s at most"
+        )
     defaults = raw.get_default_parameters(0) if raw.has_default_parameters else {}
     # a default is logged only where the value differs
     for name, value in sorted(raw.initial_parameters.items()):
@@ -205,6 +244,34 @@ def _fill(log: FlightLog, raw: ULog, topics: Collection[str]) -> None:
             log.changed.append((name, value, defaults[name]))
     log.changed += [(f"{name} (at {(time - start) * 1e-6:.1f} s)", value, None)
                     for time, name, value in raw.changed_parameters]  # fmt: skip
+
+
+def _in_time(
+    log: FlightLog, topic: str, time: Array, data: dict[str, NDArray[Any]]
+) -> tuple[Array, dict[str, NDArray[Any]]]:
+    """Return a topic in order of time: what it said last before the log began, as of its beginning, and what follows.
+
+    What the estimator says that it does not know is NaN.
+    """
+    if (back := int((np.diff(time) < 0).sum())) > 0:
+        log.notes.append(f"in {topic}, time goes back {back} times; it is shown in order of time")
+    order = np.argsort(time, kind="stable")
+    time = time[order]
+    first = max(0, int(np.searchsorted(time, 0.0, "right")) - 1)
+    part = slice(first, int(np.searchsorted(time, log.duration, "right")))
+    fields = {name: values[order][part] for name, values in data.items() if name != "timestamp"}
+    if topic == "vehicle_local_position":
+        for name, valid in _VALID.items():
+            if name in fields and valid in fields:
+                fields[name] = np.where(fields[valid] != 0, fields[name], np.nan)
+    return np.maximum(time[part], 0.0), fields
+
+
+def _release(number: int) -> str:
+    """Return a release in words: major, minor and patch version and what it is, a byte each."""
+    major, minor, patch, kind = number.to_bytes(4, "big", signed=False) if 0 <= number < 1 << 32 else (0, 0, 0, 0)
+    words = _RELEASES[max(least for least in _RELEASES if least <= kind)]
+    return f"v{major}.{minor}.{patch}{words}"
 
 
 def euler(quaternion: Array) -> Array:

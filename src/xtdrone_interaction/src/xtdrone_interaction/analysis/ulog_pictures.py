@@ -13,12 +13,14 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
 from xtdrone_interaction.analysis.columns import Array, Series
-from xtdrone_interaction.analysis.drawing import Picture, colours_of, line, panels, shades, spans
+from xtdrone_interaction.analysis.drawing import Picture, colours_of, line, panels, same_scale, shades, spans
 from xtdrone_interaction.analysis.tracking import Tracking, spectrogram, spectrum, tracking
 from xtdrone_interaction.analysis.ulog import FlightLog, euler
 
 _TIME = "time since the log began [s]"
 _AXES = ("x", "y", "z")
+_STICKS, _OLD_STICKS = ("roll", "pitch", "yaw", "throttle"), ("y", "x", "r", "z")  # since PX4 v1.14, and before
+_FIX_3D = 3
 
 
 class Pair(NamedTuple):
@@ -45,23 +47,27 @@ def pairs(log: FlightLog) -> dict[str, list[Pair]]:
     told_moving = log.series("vehicle_local_position_setpoint", "vx", "vy", "vz")
     signs = (1.0, 1.0, -1.0)
     for i, (name, sign) in enumerate(zip(("north [m]", "east [m]", "up [m]"), signs, strict=True)):
-        if place is not None:
+        if place is not None and np.isfinite(place.value[:, i]).any():
             found["Position"].append(Pair(name, _column(place, i, sign), _column_or_none(told, i, sign)))
     for i, (name, sign) in enumerate(zip(("north [m/s]", "east [m/s]", "up [m/s]"), signs, strict=True)):
-        if moving is not None:
+        if moving is not None and np.isfinite(moving.value[:, i]).any():
             found["Velocity"].append(Pair(name, _column(moving, i, sign), _column_or_none(told_moving, i, sign)))
     attitude, wanted = _angles(log, "vehicle_attitude", "q"), _angles(log, "vehicle_attitude_setpoint", "q_d")
     for i, name in enumerate(("roll [°]", "pitch [°]", "yaw [°]")):
         if attitude is not None:
             found["Attitude"].append(Pair(name, _column(attitude, i), _column_or_none(wanted, i), 360.0))
-    rates, wanted = log.array("vehicle_angular_velocity", "xyz", 3), log.series(
-        "vehicle_rates_setpoint", "roll", "pitch", "yaw"
-    )  # fmt: skip
+    rates, wanted = _rates(log), log.series("vehicle_rates_setpoint", "roll", "pitch", "yaw")
     degrees = float(np.degrees(1.0))
     for i, name in enumerate(("roll [°/s]", "pitch [°/s]", "yaw [°/s]")):
         if rates is not None:
             found["Rates"].append(Pair(name, _column(rates, i, degrees), _column_or_none(wanted, i, degrees)))
     return {what: group for what, group in found.items() if group}
+
+
+def _rates(log: FlightLog) -> Series | None:
+    """Return the rates about the body's axes, rad/s; logs before PX4 v1.10 have them with the attitude."""
+    rates = log.array("vehicle_angular_velocity", "xyz", 3)
+    return rates or log.series("vehicle_attitude", "rollspeed", "pitchspeed", "yawspeed")
 
 
 def trackings(log: FlightLog) -> list[tuple[str, Tracking]]:
@@ -79,8 +85,9 @@ def trackings(log: FlightLog) -> list[tuple[str, Tracking]]:
 def pictures(log: FlightLog) -> Iterator[Picture]:
     """Yield all pictures that a log has something for, drawn as they are asked for."""
     place = log.series("vehicle_local_position", *_AXES)
-    if place is not None:
+    if place is not None and np.isfinite(place.value[:, :2]).all(axis=1).any():
         yield Picture("track", "Track from above", track(log, place))
+    yield from _altitude(log)
     for what, group in pairs(log).items():
         yield Picture(what.lower(), f"{what}: set-point and response", responses(log, what, group))
     yield from _sensors(log)
@@ -89,7 +96,9 @@ def pictures(log: FlightLog) -> Iterator[Picture]:
 
 
 def track(log: FlightLog, place: Series) -> Figure:
-    """Draw the way from above, and where it should have gone."""
+    """Draw the way from above, and where it should have gone, while the place is known."""
+    good = np.isfinite(place.value[:, :2]).all(axis=1)
+    place = Series(place.time[good], place.value[good])
     figure, panel = plt.subplots(figsize=(7.4, 6.4))
     figure.subplots_adjust(left=0.12, right=0.96, top=0.92, bottom=0.09)
     wanted = log.series("vehicle_local_position_setpoint", *_AXES)
@@ -101,7 +110,7 @@ def track(log: FlightLog, place: Series) -> Figure:
     panel.plot(place.value[0, 1], place.value[0, 0], marker="o", ms=6, mfc="white", mec="tab:blue", ls="")
     panel.plot(place.value[-1, 1], place.value[-1, 0], marker="s", ms=6, color="tab:blue", ls="")
     panel.set(xlabel="east [m]", ylabel="north [m]")
-    panel.set_aspect("equal", adjustable="datalim")
+    same_scale(panel)
     panel.legend(loc="best")
     figure.suptitle("Track from above (circle: first place, square: last)")
     return figure
@@ -120,11 +129,39 @@ def responses(log: FlightLog, what: str, group: Sequence[Pair]) -> Figure:
     return _finished(log, figure, axes, f"{what}: set-point and response")
 
 
+def _altitude(log: FlightLog) -> Iterator[Picture]:
+    """Yield the altitude as the estimator, GPS and the barometer know it."""
+    known = [("barometer", log.series("vehicle_air_data", "baro_alt_meter")), ("GPS", _gps_altitude(log)),
+             ("estimate", log.series("vehicle_global_position", "alt"))]  # fmt: skip
+    shown = [(name, series) for name, series in known if series is not None and np.isfinite(series.value).any()]
+    if not shown:
+        return
+    figure, axes = panels(1, 3.0, 0.8)
+    for (name, series), shade in zip(shown, shades(len(shown)), strict=True):
+        line(axes[0], series.time, series.value[:, 0], color=shade, lw=1.0, label=name)
+    axes[0].set_ylabel("above sea level [m]")
+    yield Picture("altitude", "Altitude", _finished(log, figure, axes, "Altitude"))
+
+
+def _gps_altitude(log: FlightLog) -> Series | None:
+    """Return GPS's altitude above the sea, m; before PX4 v1.14 it was logged in mm."""
+    fields = [(_gps(log, "altitude_msl_m", "fix_type"), 1.0), (_gps(log, "alt", "fix_type"), 1e-3)]
+    for series, unit in fields:
+        if series is not None:
+            fixed = series.value[:, 1] >= _FIX_3D
+            return Series(series.time, np.where(fixed, unit * series.value[:, 0], np.nan)[:, None])
+    return None
+
+
+def _gps(log: FlightLog, *fields: str) -> Series | None:
+    """Return fields of GPS: of what the estimator got, else of the first receiver."""
+    return log.series("vehicle_gps_position", *fields) or log.series("sensor_gps", *fields)
+
+
 def _sensors(log: FlightLog) -> Iterator[Picture]:
     """Yield what the sensors measured and the motors were told."""
-    acceleration, gyro = log.array("sensor_combined", "accelerometer_m_s2", 3), log.array(
-        "sensor_combined", "gyro_rad", 3
-    )  # fmt: skip
+    acceleration = log.array("sensor_combined", "accelerometer_m_s2", 3)
+    gyro = log.array("sensor_combined", "gyro_rad", 3)
     rows = []
     if acceleration is not None:
         rows.append(("acceleration [m/s²]", acceleration))
@@ -136,13 +173,17 @@ def _sensors(log: FlightLog) -> Iterator[Picture]:
     if motors is not None:
         names = [str(i + 1) for i in range(motors[1].value.shape[1])]
         yield Picture("motors", "Motors", _several(log, [motors], names, "What the motors were told"))
+    sticks = log.series("manual_control_setpoint", *_STICKS) or log.series("manual_control_setpoint", *_OLD_STICKS)
+    if sticks is not None and len(sticks) > 1:
+        rows = [("stick, share of full", sticks)]
+        yield Picture("sticks", "Sticks", _several(log, rows, _STICKS, "Sticks of the remote control"))
 
 
 def _motors(log: FlightLog) -> tuple[str, Series] | None:
     """Return what the motors that are used were told."""
     for topic, name, count, unit in (
         ("actuator_motors", "control", 12, "motor, share of full"),
-        ("actuator_outputs", "output", 16, "output"),
+        ("actuator_outputs", "output", 16, "output, as PWM [µs]"),
     ):
         series = log.array(topic, name, count)
         if series is None:
@@ -156,7 +197,7 @@ def _motors(log: FlightLog) -> tuple[str, Series] | None:
 def _spectra(log: FlightLog) -> Iterator[Picture]:
     """Yield the frequency content of rates and accelerations."""
     start, end = log.flown
-    rates = log.array("vehicle_angular_velocity", "xyz", 3) or log.array("sensor_combined", "gyro_rad", 3)
+    rates = _rates(log) or log.array("sensor_combined", "gyro_rad", 3)
     acceleration = log.array("sensor_combined", "accelerometer_m_s2", 3)
     wanted = log.series("vehicle_rates_setpoint", "roll", "pitch", "yaw")
     shown: list[tuple[str, Series, tuple[str, ...]]] = []
@@ -169,7 +210,7 @@ def _spectra(log: FlightLog) -> Iterator[Picture]:
         shown.append(("acceleration [(m/s²)²/Hz]", acceleration, _AXES))
     made = [(name, found, names) for name, series, names in shown if (found := spectrum(series, start, end))]
     if made:
-        yield Picture("spectra", "Frequency content of rates and vibration", _densities(made))
+        yield Picture("spectra", "Frequency content of rates and vibration", _densities(log, made))
     for name, what, series in (("rates", "the rates", rates), ("acceleration", "the acceleration", acceleration)):
         heat = None if series is None else spectrogram(series, start, end)
         if heat is not None:
@@ -177,7 +218,7 @@ def _spectra(log: FlightLog) -> Iterator[Picture]:
             yield Picture(f"spectrogram_{name}", title, _heat(*heat, title))
 
 
-def _densities(made: Sequence[tuple[str, tuple[Array, Array], Sequence[str]]]) -> Figure:
+def _densities(log: FlightLog, made: Sequence[tuple[str, tuple[Array, Array], Sequence[str]]]) -> Figure:
     figure, axes = plt.subplots(len(made), 1, figsize=(9.0, 1.1 + 2.4 * len(made)), squeeze=False)
     figure.subplots_adjust(left=0.12, right=0.97, hspace=0.35, top=1 - 0.5 / (1.1 + 2.4 * len(made)), bottom=0.09)
     for panel, (name, (frequency, density), names) in zip(axes[:, 0], made, strict=True):
@@ -188,7 +229,7 @@ def _densities(made: Sequence[tuple[str, tuple[Array, Array], Sequence[str]]]) -
         panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))  # the log scale's own is mathtext
         panel.legend(loc="upper right", ncol=3, fontsize=8)
     axes[-1, 0].set_xlabel("frequency [Hz]")
-    figure.suptitle("Power spectral density while armed (Welch, median)")
+    figure.suptitle(f"Power spectral density {log.flown_words} (Welch, median)")
     return figure
 
 
@@ -206,36 +247,76 @@ def _heat(time: Array, frequency: Array, density: Array, title: str) -> Figure:
 
 
 def _health(log: FlightLog) -> Iterator[Picture]:
-    """Yield vibration metrics, the estimator's checks, GPS and batteries."""
-    rows = []
-    for instance in range(4):
-        metric = log.series("vehicle_imu_status", "accel_vibration_metric", instance=instance)
-        if metric is not None:
-            rows.append((f"IMU {instance} [m/s²]", metric))
-    if rows:
-        yield Picture("vibration", "Vibration metrics", _several(log, rows, ("acceleration",), "Vibration metrics"))
+    """Yield vibration metrics, the estimator's checks, GPS, batteries and the processor's load."""
+    metrics = _instances(log, "vehicle_imu_status", "accel_vibration_metric")
+    if metrics:
+        figure, axes = _beside([("acceleration [m/s²]", 0, 1.0)], metrics, "IMU")
+        yield Picture("vibration", "Vibration metrics", _finished(log, figure, axes, "Vibration metrics"))
     fields = ("vel_test_ratio", "pos_test_ratio", "hgt_test_ratio", "mag_test_ratio")
-    ratios = log.series("estimator_status", *fields)
+    ratios = log.series("estimator_status", *fields, instance=_estimator(log))
     if ratios is not None:
         names = ("velocity", "position", "height", "heading")
         figure, axes = _started([("test ratio", ratios)], names)
         axes[0].axhline(1.0, color="tab:red", lw=0.9, ls="--")
         yield Picture("estimator", "Estimator: test ratios",
                       _finished(log, figure, axes, "Estimator: test ratios, rejected above 1"))  # fmt: skip
-    gps = log.series("sensor_gps", "eph", "epv") or log.series("vehicle_gps_position", "eph", "epv")
-    if gps is not None:
-        figure, axes = _started([("accuracy [m]", gps)], ("horizontal", "vertical"))
-        yield Picture("gps", "GPS", _finished(log, figure, axes, "GPS: accuracy that it states"))
-    battery = log.series("battery_status", "voltage_v", "current_a", "remaining")
-    if battery is not None:
-        units = (("voltage [V]", 1.0), ("current [A]", 1.0), ("charge [%]", 100.0))
-        known = Series(battery.time, np.where(battery.value < 0, np.nan, battery.value))  # PX4 says -1 for unknown
-        parts = [
-            (name, _column(known, i, scale))
-            for i, (name, scale) in enumerate(units)
-            if np.isfinite(known.value[:, i]).any()
-        ]
-        yield Picture("battery", "Battery", _several(log, parts, ("battery",), "Battery"))
+    yield from _reception(log)
+    batteries = _instances(log, "battery_status", "voltage_v", "current_a", "remaining")
+    if batteries:
+        # PX4 says -1 for what it does not know
+        known = {i: Series(b.time, np.where(b.value < 0, np.nan, b.value)) for i, b in batteries.items()}
+        units = [("voltage [V]", 0, 1.0), ("current [A]", 1, 1.0), ("charge [%]", 2, 100.0)]
+        rows = [row for row in units if any(np.isfinite(series.value[:, row[1]]).any() for series in known.values())]
+        if rows:
+            figure, axes = _beside(rows, known, "battery")
+            yield Picture("battery", "Battery", _finished(log, figure, axes, "Battery"))
+    load = log.series("cpuload", "load", "ram_usage")
+    if load is not None and len(load) > 1:
+        rows_ = [("used [%]", Series(load.time, 100.0 * load.value))]
+        yield Picture("load", "Processor and memory", _several(log, rows_, ("processor", "memory"),
+                                                               "Processor and memory of the autopilot"))  # fmt: skip
+
+
+def _reception(log: FlightLog) -> Iterator[Picture]:
+    """Yield how well GPS is received."""
+    accuracy, satellites = _gps(log, "eph", "epv"), _gps(log, "satellites_used", "fix_type")
+    if accuracy is None:
+        return
+    figure, axes = panels(1 if satellites is None else 2, 2.4, 0.8)
+    for i, name in enumerate(("horizontal accuracy", "vertical accuracy")):
+        line(axes[0], accuracy.time, accuracy.value[:, i], color=shades(4)[i], lw=0.9, label=name)
+    axes[0].set_ylabel("accuracy [m]")
+    if satellites is not None:
+        for i, name in enumerate(("satellites", "fix type (3: 3D)")):
+            axes[1].step(satellites.time, satellites.value[:, i], where="post", color=shades(4)[2 + i], lw=0.9,
+                         label=name)  # fmt: skip
+        axes[1].set(ylabel="number", ylim=(0.0, None))
+    yield Picture("gps", "GPS", _finished(log, figure, axes, "GPS: reception, and accuracy that it states"))
+
+
+def _estimator(log: FlightLog) -> int:
+    """Return which estimator flew at last."""
+    chosen = log.series("estimator_selector_status", "primary_instance")
+    return 0 if chosen is None else int(chosen.value[-1, 0])
+
+
+def _instances(log: FlightLog, topic: str, *fields: str) -> dict[int, Series]:
+    """Return fields of all instances of a topic."""
+    numbers = sorted(instance for name, instance in log.topics if name == topic)
+    found = {number: log.series(topic, *fields, instance=number) for number in numbers}
+    return {number: series for number, series in found.items() if series is not None and len(series) > 1}
+
+
+def _beside(
+    rows: Sequence[tuple[str, int, float]], instances: dict[int, Series], what: str
+) -> tuple[Figure, list[Axes]]:
+    """Draw instances on the same axes, a panel for each row: its unit, the column, and by what it is multiplied."""
+    figure, axes = panels(len(rows), 2.4, 0.8)
+    for panel, (unit, column, scale) in zip(axes, rows, strict=True):
+        for (number, series), shade in zip(instances.items(), shades(len(instances)), strict=True):
+            line(panel, series.time, scale * series.value[:, column], color=shade, lw=0.9, label=f"{what} {number}")
+        panel.set_ylabel(unit)
+    return figure, axes
 
 
 def _several(log: FlightLog, rows: Sequence[tuple[str, Series]], names: Sequence[str], title: str) -> Figure:
@@ -259,8 +340,8 @@ def _finished(log: FlightLog, figure: Figure, axes: Sequence[Axes], title: str) 
     for start, end, mode in spans(log.modes, log.duration):
         for panel in axes:
             panel.axvspan(start, end, color=colours[mode], alpha=0.13, lw=0, zorder=0)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.81, 0.96), fontsize=8)
+    named = {label: handle for panel in axes for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(named.values()), list(named), loc="upper left", bbox_to_anchor=(0.81, 0.96), fontsize=8)
     if colours:
         figure.legend([Patch(color=shade, alpha=0.3) for shade in colours.values()], list(colours), fontsize=8,
                       loc="lower left", bbox_to_anchor=(0.81, 0.05), title="mode")  # fmt: skip

@@ -14,7 +14,7 @@ from xtdrone_interaction.analysis.summary import way_length
 from xtdrone_interaction.analysis.ulog import FlightLog
 from xtdrone_interaction.analysis.ulog_pictures import trackings
 
-_INFO = ("sys_name", "ver_hw", "ver_sw_release", "ver_sw", "sys_uuid")
+_INFO = ("sys_name", "release", "ver_hw", "ver_sw_release", "ver_sw", "sys_uuid")
 _MOST_ROWS = 300
 
 
@@ -66,13 +66,12 @@ def log_page(log: FlightLog, figures: dict[str, Any]) -> Page:
     """Return the words of a flight log's report."""
     text = f"{log.duration:.1f} s, armed for {figures['armed_time']:.1f} s, {log.size / 1e6:.1f} MB, "
     text += f"{len(log.counts)} topics."
-    if figures["way"] is not None:
+    if figures["way"] is not None and figures["armed_time"] > 0:
         text += f" It flew {figures['way']:.1f} m, {figures['highest']:.1f} m above where it began"
         text += "." if figures["greatest_speed"] is None else f", at up to {figures['greatest_speed']:.1f} m/s."
-    if figures["vehicle"]:
-        text += " Logged by " + ", ".join(f"{key} {value}" for key, value in figures["vehicle"].items()) + "."
+    text += _logged_by(figures["vehicle"])
     page = Page(f"Flight log {log.path.name}", text, list(log.notes))
-    page.tables.append(_tracking(figures))
+    page.tables.append(_tracking(log, figures))
     page.tables.append(
         Table("Seconds in each mode", ("mode", "time (s)"), [(m, f"{s:.1f}") for m, s in figures["modes"].items()])
     )
@@ -93,7 +92,17 @@ def log_page(log: FlightLog, figures: dict[str, Any]) -> Page:
     return page
 
 
-def _tracking(figures: dict[str, Any]) -> Table:
+def _logged_by(vehicle: dict[str, Any]) -> str:
+    """Return which software logged on what, as far as it is known."""
+    words = " ".join(str(vehicle[key]) for key in ("sys_name", "release") if key in vehicle)
+    if "ver_hw" in vehicle:
+        words += f" on {vehicle['ver_hw']}"
+    if "ver_sw" in vehicle:
+        words += f" (git {str(vehicle['ver_sw'])[:10]})"
+    return f" Logged by {words.strip()}." if words else ""
+
+
+def _tracking(log: FlightLog, figures: dict[str, Any]) -> Table:
     rows = [
         (
             f"{item['what'].lower()}, {item['name']}",
@@ -103,4 +112,5 @@ def _tracking(figures: dict[str, Any]) -> Table:
         )
         for item in figures["tracking"]
     ]
-    return Table("Set-point and response while armed", ("quantity", "error, RMS", "greatest", "delay (ms)"), rows)
+    title = f"Set-point and response {log.flown_words}"
+    return Table(title, ("quantity", "error, RMS", "greatest", "delay (ms)"), rows)
