@@ -12,6 +12,7 @@ pytest.importorskip("rospy")
 
 from gazebo_msgs.msg import ModelStates
 from gazebo_msgs.srv import GetWorldProperties
+from nav_msgs.msg import Odometry
 from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 from std_srvs.srv import Empty
 from xtdrone_msgs.msg import SceneState
@@ -67,6 +68,8 @@ def test_told_by_topic_it_turns_and_walks_straight(stack: Stack) -> None:
     assert places(states.last)["ann"] == pytest.approx((1.0, 2.0, 0.0))
     scenes = stack.graph.hear("/xtdrone/scene", SceneState)
     poll(lambda: scenes.messages, "the simulator says what cameras see")
+    truth = stack.graph.hear("/xtdrone/ann/ground_truth/odom", Odometry)
+    poll(lambda: truth.messages, "the simulator says where she truly is")
     first = len(states.messages)
     stack.graph.say("/actor_0/cmd_motion", ActorMotion(4.0, 6.0, 1.0))
     poll(lambda: places(states.last)["ann"][:2] == (4.0, 6.0), "she is there")
@@ -82,6 +85,11 @@ def test_told_by_topic_it_turns_and_walks_straight(stack: Stack) -> None:
     seen = [(scene.header.stamp.to_sec(), scene.actor_phases[0]) for scene in scenes.messages]
     walked = [(time, phase) for time, phase in seen if phase > 0.0]
     assert seen[-1][1] < 0.0
+    way = [
+        (m.header.stamp.to_sec(), m.pose.pose.position.x) for m in truth.messages if 1.0 < m.pose.pose.position.x < 4.0
+    ]
+    for time, x in way:
+        assert x - way[0][1] == pytest.approx(0.6 * (time - way[0][0]), abs=1e-6)
     for time, phase in walked:  # at 1 m/s
         assert (phase - walked[0][1]) * stride == pytest.approx(time - walked[0][0], abs=1e-6)
     assert scenes.last.actors == ["ann", "bob"]

@@ -24,6 +24,7 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
 from mavros_msgs.msg import ExtendedState, PositionTarget, State
 from mavros_msgs.srv import CommandBool, CommandTOL, SetMode
+from nav_msgs.msg import Odometry
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Empty, Trigger
 
@@ -232,11 +233,12 @@ def test_topics_are_mavros_ones(stack: Stack) -> None:
     extended = stack.graph.hear("/iris_1/mavros/extended_state", ExtendedState)
     swarm = stack.graph.hear("/xtdrone/swarm", Float64MultiArray)
     states = stack.graph.hear("/gazebo/model_states", ModelStates)
+    truth = stack.graph.hear("/xtdrone/iris_1/ground_truth/odom", Odometry)
     stack.wait(
         lambda: (
             len(pose.messages) > 62
             and len(state.messages) > 1
-            and all(ear.last for ear in (velocity, extended, swarm, states))
+            and all(ear.last for ear in (velocity, extended, swarm, states, truth))
         ),
         "all topics come",
     )
@@ -248,6 +250,9 @@ def test_topics_are_mavros_ones(stack: Stack) -> None:
     assert extended.last.landed_state == ExtendedState.LANDED_STATE_ON_GROUND
     assert len(swarm.last.data) == 18
     assert states.last.name == ["ground_plane", "iris_0", "iris_1", "iris_2"]
+    assert (truth.last.header.frame_id, truth.last.child_frame_id) == ("map", "iris_1/base_link")
+    assert truth.last.header.stamp.to_nsec() % 20_000_000 == 0  # 50 Hz
+    assert truth.last.pose.pose in [message.pose[2] for message in states.messages]
 
 
 def test_services_take_off_and_land(stack: Stack) -> None:

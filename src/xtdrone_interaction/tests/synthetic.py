@@ -39,11 +39,12 @@ def assign(before: NDArray[np.float64], slots: NDArray[np.float64]) -> NDArray[n
 class BagMaker:
     """Writes the topics that a flight record is made of."""
 
-    def __init__(self, writer: Writer, truth: bool) -> None:
+    def __init__(self, writer: Writer, truth: bool, odometry: bool = False) -> None:
         self.store = get_typestore(Stores.ROS1_NOETIC)
         self.store.register(get_types_from_msg(_MODEL_STATES, "gazebo_msgs/msg/ModelStates"))
         self.writer = writer
         self.truth = truth
+        self.odometry = odometry
         self.connections: dict[str, object] = {}
         self.events: list[dict[str, object]] = []
         self.delay = 0.0
@@ -94,6 +95,24 @@ class BagMaker:
         kind = "geometry_msgs/msg/PoseStamped"
         for name, pose in zip(NAMES, poses, strict=True):
             self.write(f"/{name}/mavros/local_position/pose", kind, t[kind](header=header, pose=pose), time)
+            if self.odometry:
+                self.write_odometry(name, header, pose, time)
+
+    def write_odometry(self, name: str, header: object, pose: object, time: float) -> None:
+        """Write where a vehicle truly is, with its time."""
+        t = self.store.types
+        zero = t["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
+        unknown = np.zeros(36)
+        kind = "nav_msgs/msg/Odometry"
+        message = t[kind](
+            header=header,
+            child_frame_id=f"{name}/base_link",
+            pose=t["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=unknown),
+            twist=t["geometry_msgs/msg/TwistWithCovariance"](
+                twist=t["geometry_msgs/msg/Twist"](linear=zero, angular=zero), covariance=unknown
+            ),
+        )
+        self.write(f"/xtdrone/{name}/ground_truth/odom", kind, message, time)
 
     def formation(self, time: float, offsets: NDArray[np.float64]) -> None:
         """Write the assigned offsets, shape (8, 3), and a topology: everybody listens to the one before.
@@ -117,6 +136,7 @@ def make_bag(
     path: Path,
     patterns: tuple[str, ...] = PATTERNS,
     truth: bool = True,
+    odometry: bool = False,
     noise: float = 0.01,
     offset: float = 0.0,
     shuffle: bool = False,
@@ -130,6 +150,7 @@ def make_bag(
         path: of the bag.
         patterns: flown in turn.
         truth: whether /gazebo/model_states is there.
+        odometry: whether the vehicles' ground_truth/odom is there.
         noise: standard deviation of all positions, m.
         offset: so far (m, along x) follower 3 stays from its slot.
         delay: s; the recorder's clock is so late in a part of each pattern, and so early in another.
@@ -139,7 +160,7 @@ def make_bag(
     """
     rng = np.random.default_rng(0)
     with Writer(path) as writer:
-        maker = BagMaker(writer, truth)
+        maker = BagMaker(writer, truth, odometry)
         places = np.vstack([np.zeros(3), GRID])
         offsets, time = GRID, 1.0
         maker.event(time, "start", vehicles=NAMES)

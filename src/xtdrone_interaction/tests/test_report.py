@@ -163,6 +163,17 @@ def test_a_recorder_whose_clock_is_off_changes_nothing(flight_bag: Path, tmp_pat
         assert found.steady_error_max < 0.1
 
 
+def test_with_stamped_truth_the_recorders_clock_does_not_matter(tmp_path: Path) -> None:
+    records = []
+    for delay in (0.0, 0.9):
+        make_bag(tmp_path / f"{delay}.bag", odometry=True, delay=delay)
+        records.append(read_record(tmp_path / f"{delay}.bag"))
+    good, bad = records
+    assert good.track is good.truth
+    assert good.track.time.tolist() == bad.track.time.tolist()
+    assert reports.measure(good, good.track) == reports.measure(bad, bad.track)
+
+
 def test_lost_messages_shift_the_rest() -> None:
     sent = np.delete(np.arange(2000), slice(700, 720)) * 0.02
     late = sent + np.where((sent > 5.0) & (sent < 6.0), 0.5, 0.0)

@@ -18,13 +18,18 @@ PATTERN_TOPIC = "/xtdrone/formation_pattern"
 TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
 TRUTH_TOPIC = "/gazebo/model_states"
 
-TRUTH = "ground truth (/gazebo/model_states)"
+TRUTH = "ground truth of the simulator"
 ESTIMATE = "estimate (mavros/local_position/pose)"
 
 ORIGIN = "origin"  # the pattern that is the spawn grid
 SETTLED_ERROR = 0.15  # m; every follower within it counts as settled
 _CHUNK = 1_000_000  # distances held at once
 _MANY = 250  # vehicles; of more, neighbours are searched for
+
+
+def odometry_topic(name: str) -> str:
+    """Return where a simulator says what truly is with a model, with its time."""
+    return f"/xtdrone/{name}/ground_truth/odom"
 
 
 def relative(positions: Array) -> Array:

@@ -3,15 +3,16 @@
 All positions are in the common ``map`` frame: ENU, metres. Times are simulated seconds.
 
 The times of a bag are those at which the recorder saw /clock when a message came. In a simulation that runs fast on a
-busy machine they are early or late by up to seconds. So nothing here rests on them: poses carry their own stamps, the
-director's events too, and the ground truth, which has none, comes at a constant rate.
+busy machine they are early or late by up to seconds. So nothing here rests on them: poses and the true ones carry their
+own stamps, the director's events too. Where of the truth only /gazebo/model_states was recorded, which has none, its
+times are taken from its constant rate, and are right to a few steps.
 """
 
 from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +23,8 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from scipy.ndimage import median_filter
 
+from xtdrone_interaction.analysis.columns import Series
+from xtdrone_interaction.analysis.stamped import read_stamped
 from xtdrone_interaction.geometry import (
     ESTIMATE,
     EVENTS_TOPIC,
@@ -31,11 +34,15 @@ from xtdrone_interaction.geometry import (
     TRUTH_TOPIC,
     Array,
     least_distances,
+    odometry_topic,
     offsets_from_message,
 )
 
 LOG_TOPIC = "/rosout"
 COLLISION = "collision of "  # in the words of the simulator node
+_POSE = ("pose.position.x", "pose.position.y", "pose.position.z")
+ODOMETRY = tuple(f"pose.{field}" for field in _POSE)
+"""Fields of a place in nav_msgs/Odometry."""
 _BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it
 _MEDIAN_SPAN = 10.0  # s; the recorder's clock is right most of the time in any span of this length
 
@@ -132,7 +139,9 @@ class FlightRecord:
         """The positions to judge by: the truth where there is one, else the estimates."""
         track = self.truth or self.estimate
         if track is None:
-            raise RecordError("flight record: neither /gazebo/model_states nor local_position/pose was recorded")
+            raise RecordError(
+                "flight record: neither ground_truth/odom, /gazebo/model_states nor local_position/pose was recorded"
+            )
         return track
 
     @property
@@ -188,7 +197,7 @@ def read_record(file: str | Path) -> FlightRecord:
         return _read_archive(path)
     try:
         with AnyReader([path]) as reader:
-            return _read(reader, read_events(path.with_name("events.jsonl")))
+            return _read(reader, path, read_events(path.with_name("events.jsonl")))
     except RecordError:
         raise
     except Exception as error:  # rosbags raises many kinds for a damaged file
@@ -247,16 +256,19 @@ def read_events(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines if line.endswith("}")]  # the last may be cut off
 
 
-def _read(reader: AnyReader, events: list[dict[str, Any]]) -> FlightRecord:
+def _read(reader: AnyReader, path: Path, events: list[dict[str, Any]]) -> FlightRecord:
     events = events or [json.loads(m.data) for _, _, m in messages(reader, [EVENTS_TOPIC])]
     starts = [e for e in events if "vehicles" in e]  # start and take-off; a recorder that is late misses the first
     if not starts:
         raise RecordError(f"bag: no take-off on {EVENTS_TOPIC}; this is no record of a formation flight")
     names = tuple(starts[-1]["vehicles"])
+    topics = {odometry_topic(name): ODOMETRY for name in names}
+    topics |= {pose_topic(name): _POSE for name in names}
+    series = read_stamped(path, topics)
     return FlightRecord(
         names=names,
-        truth=_read_truth(reader, names),
-        estimate=_read_estimates(reader, names),
+        truth=track_of(TRUTH, [series.get(odometry_topic(name)) for name in names]) or _read_states(reader, names),
+        estimate=track_of(ESTIMATE, [series.get(pose_topic(name)) for name in names]),
         # empty: taken back when time was set back
         patterns=[Change(t, offsets_from_message(m.data)) for t, m in _changes(reader, PATTERN_TOPIC) if len(m.data)],
         topologies=[
@@ -290,7 +302,30 @@ def _changes(reader: AnyReader, topic: str) -> Iterable[tuple[float, Any]]:
             yield stamp * 1e-9, reader.deserialize(raw, connection.msgtype)
 
 
-def _read_truth(reader: AnyReader, names: tuple[str, ...]) -> Track | None:
+def track_of(source: str, series: Sequence[Series | None]) -> Track | None:
+    """Return where vehicles were at the times of the first one's messages, None if anyone's are missing.
+
+    Args:
+        source: what the positions are.
+        series: of each vehicle, the first three numbers its place, m.
+    """
+    found = [entry for entry in series if entry is not None and len(entry)]
+    if not found or len(found) < len(series):
+        return None
+    time = found[0].time
+    places = np.empty((len(time), len(found), 3))
+    for i, entry in enumerate(found):
+        for axis in range(3):
+            places[:, i, axis] = np.interp(time, entry.time, entry.value[:, axis])
+    return Track(source, time, places)
+
+
+def pose_topic(name: str) -> str:
+    """Return where a vehicle's autopilot says where it believes to be."""
+    return f"/{name}/mavros/local_position/pose"
+
+
+def _read_states(reader: AnyReader, names: tuple[str, ...]) -> Track | None:
     connections = [c for c in reader.connections if c.topic == TRUTH_TOPIC]
     if not connections:
         return None
@@ -321,23 +356,3 @@ def regular_times(stamps: Array) -> Array:
     offset = stamps - period * np.arange(count)
     smooth = median_filter(offset, size=min(count, round(_MEDIAN_SPAN / period)), mode="nearest")
     return np.maximum.accumulate(period * np.arange(count) + smooth)
-
-
-def _read_estimates(reader: AnyReader, names: tuple[str, ...]) -> Track | None:
-    """Read every vehicle's pose, at the times of the leader's messages."""
-    topics = {f"/{name}/mavros/local_position/pose": i for i, name in enumerate(names)}
-    times: list[list[float]] = [[] for _ in names]
-    places: list[list[tuple[float, float, float]]] = [[] for _ in names]
-    for topic, _, message in messages(reader, list(topics)):
-        i, stamp, p = topics[topic], message.header.stamp, message.pose.position
-        times[i].append(stamp.sec + stamp.nanosec * 1e-9)
-        places[i].append((p.x, p.y, p.z))
-    if not all(times):
-        return None
-    grid = np.array(times[0])
-    rows = np.empty((len(grid), len(names), 3))
-    for i, (stamps, points) in enumerate(zip(times, places, strict=True)):
-        values = np.array(points)
-        for axis in range(3):
-            rows[:, i, axis] = np.interp(grid, stamps, values[:, axis])
-    return Track(ESTIMATE, grid, rows)

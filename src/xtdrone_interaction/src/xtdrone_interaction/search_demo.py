@@ -106,6 +106,7 @@ def flight(settings: SearchSettings, prepared: Prepared) -> Flight:
             "region": prepared.region_file,
             "on_find": settings.on_find,
             "follow_time": settings.follow_time,
+            "persons": ",".join(prepared.persons),
             "look_height": settings.height - _LOOK_BELOW,
             "follow_height": settings.height - _FOLLOW_BELOW,
             "time_limit": settings.time_limit,

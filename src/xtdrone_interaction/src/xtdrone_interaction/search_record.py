@@ -13,11 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 
-from xtdrone_interaction.record import LOG_TOPIC, RecordError, messages, read_events, regular_times
+from xtdrone_interaction.analysis.stamped import read_stamped
+from xtdrone_interaction.geometry import TRUTH, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.record import (
+    LOG_TOPIC,
+    ODOMETRY,
+    RecordError,
+    Track,
+    messages,
+    read_events,
+    regular_times,
+    track_of,
+)
 
 Array = NDArray[np.float64]
 
-TRUTH_TOPIC = "/gazebo/model_states"
 EVENTS_TOPIC = "/xtdrone/search/event"
 PROGRESS_TOPIC = "/xtdrone/search/progress"
 _COLLISION = "collision of "  # in the words of the simulator node
@@ -102,7 +112,7 @@ def read_search(bag: Path, names: tuple[str, ...], persons: tuple[str, ...]) -> 
         raise RecordError(f"flight record: {bag} does not exist")
     try:
         with AnyReader([bag]) as reader:
-            return _read(reader, names, persons, read_events(bag.with_name("events.jsonl")))
+            return _read(reader, bag, names, persons, read_events(bag.with_name("events.jsonl")))
     except RecordError:
         raise
     except Exception as error:  # rosbags raises many kinds for a damaged file
@@ -110,29 +120,38 @@ def read_search(bag: Path, names: tuple[str, ...], persons: tuple[str, ...]) -> 
 
 
 def _read(
-    reader: AnyReader, names: tuple[str, ...], persons: tuple[str, ...], events: list[dict[str, Any]]
+    reader: AnyReader, bag: Path, names: tuple[str, ...], persons: tuple[str, ...], events: list[dict[str, Any]]
 ) -> SearchRecord:
-    wanted = (*names, *persons)
+    truth = _stamped_truth(bag, names, persons) or _states(reader, names, persons)
+    return SearchRecord(
+        names=names,
+        time=truth.time,
+        position=truth.position[:, : len(names)],
+        persons={name: truth.position[:, len(names) + i] for i, name in enumerate(persons)},
+        sights={name: _sights(reader, name) for name in names},
+        events=events,
+        collisions=[m.msg for _, _, m in messages(reader, [LOG_TOPIC]) if _COLLISION in m.msg],
+    )
+
+
+def _stamped_truth(bag: Path, names: tuple[str, ...], persons: tuple[str, ...]) -> Track | None:
+    """Return the true places of vehicles and persons, None if somebody's were not recorded with their times."""
+    topics = [odometry_topic(name) for name in (*names, *persons)]
+    series = read_stamped(bag, dict.fromkeys(topics, ODOMETRY))
+    return track_of(TRUTH, [series.get(topic) for topic in topics])
+
+
+def _states(reader: AnyReader, names: tuple[str, ...], persons: tuple[str, ...]) -> Track:
     stamps, rows = [], []
     for _, stamp, message in messages(reader, [TRUTH_TOPIC]):
         places = {
             name: (p.position.x, p.position.y, p.position.z) for name, p in zip(message.name, message.pose, strict=True)
         }
         stamps.append(stamp)
-        rows.append([places.get(name, (np.nan,) * 3) for name in wanted])
+        rows.append([places.get(name, (np.nan,) * 3) for name in (*names, *persons)])
     if not rows:
         raise RecordError(f"bag: no true positions on {TRUTH_TOPIC}; this is no record of a search")
-    table = np.array(rows)
-    count = len(names)
-    return SearchRecord(
-        names=names,
-        time=regular_times(np.array(stamps)),
-        position=table[:, :count],
-        persons={name: table[:, count + i] for i, name in enumerate(persons)},
-        sights={name: _sights(reader, name) for name in names},
-        events=events,
-        collisions=[m.msg for _, _, m in messages(reader, [LOG_TOPIC]) if _COLLISION in m.msg],
-    )
+    return Track(TRUTH, regular_times(np.array(stamps)), np.array(rows))
 
 
 def _sights(reader: AnyReader, name: str) -> list[Sight]:

@@ -95,8 +95,8 @@ class FullScene:
         rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
         self.step_us = self._simulation.step_us
         self._models = self._simulation.world.model.models
-        actors = self._simulation.world.model.actors
-        self.scenery: Sequence[str] = [*(model.name for model in self._models), *(actor.name for actor in actors)]
+        self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
+        self.scenery: Sequence[str] = [*(model.name for model in self._models), *self.actors]
         self._autopilots = self._simulation.autopilots
         self._mavlink = MavlinkServer(
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host

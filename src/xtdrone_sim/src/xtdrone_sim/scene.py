@@ -22,12 +22,14 @@ class Scene(Protocol):
 
     Attributes:
         names: the vehicles', in order of their numbers.
-        scenery: of what else stands in the world, in the order of their numbers, which go on from the vehicles'.
+        scenery: of what else is in the world, in the order of their numbers, which go on from the vehicles'.
+        actors: which of those walk.
         step_us: the base step, microseconds.
     """
 
     names: Sequence[str]
     scenery: Sequence[str]
+    actors: Sequence[str]
     step_us: int
 
     @property

@@ -1,4 +1,4 @@
-"""The simulator as a ROS node around a scene: /clock, /gazebo/model_states, the lockstep's barrier, control, pacing."""
+"""The simulator as a ROS node around a scene: /clock, the ground truth, the lockstep's barrier, control, pacing."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from xtdrone_control.lockstep.server import LockstepServer
 
 from .control import Control, Reset
 from .digests import DigestFile
+from .ground_truth import GroundTruth
 from .mailbox import Mailbox
 from .pacing import Pacer
 from .scene import Scene
@@ -58,7 +59,7 @@ class NodeSettings:
         busy_limit: wall seconds that a living participant may take for one turn, 0 for any time (``~busy_limit``).
         host: address on which lockstep and MAVLink listen; "0.0.0.0" for every network (``~host``).
         lockstep_port: the lockstep's TCP port, 0 for any free one (``~lockstep_port``).
-        states_rate: /gazebo/model_states, Hz of simulated time (``~model_states_rate``).
+        states_rate: /gazebo/model_states and ground_truth/odom, Hz of simulated time (``~model_states_rate``).
         digest: file for digests of all that is published, see ``digests``; empty for none (``~digest``).
         digest_topics: digests of topics too, which are then published even if nobody listens; else only of the truth
             (``~digest_topics``).
@@ -229,6 +230,7 @@ class SimulatorNode:
         self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10)
         self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
+        self._truth = GroundTruth([*scene.names, *scene.actors])
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
         self._looked_us = scene.time_us  # the last time that does not depend on who listens to what
@@ -376,7 +378,7 @@ class SimulatorNode:
         """Return the next times at which something is told to those who listen: what nobody else takes for a tick."""
         told = self._scene.next_told_us(now)
         times = [] if told is None else [told]
-        if self._states.get_num_connections() and self._next_states_us > now:
+        if self._next_states_us > now and (self._states.get_num_connections() or self._truth.wanted):
             times.append(self._next_states_us)
         return times
 
@@ -428,8 +430,13 @@ class SimulatorNode:
 
     def _publish_states(self, now: int) -> None:
         self._next_states_us = now - now % self._states_period_us + self._states_period_us
-        if self._states.get_num_connections():
-            self._states.publish(self._scene.model_states())
+        listened = self._states.get_num_connections()
+        if not (listened or self._truth.wanted):
+            return
+        states = self._scene.model_states()
+        if listened:
+            self._states.publish(states)
+        self._truth.publish(states, now)
 
 
 def reachable_uri(uri: str, host: str) -> str:

@@ -23,13 +23,17 @@ from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, L
 from xtdrone_interaction.analysis.ros1bag import Batch, Connection
 from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_source
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
-from xtdrone_interaction.record import COLLISION, LOG_TOPIC, Change, regular_times
+from xtdrone_interaction.record import COLLISION, LOG_TOPIC, ODOMETRY, Change, regular_times
 
 WARNING = 4  # rosgraph_msgs/Log; more is worse
 _DATE = 1e8  # s; times above are dates, not simulated
 _FAR = 3600.0  # s between a stamp and the recorder's clock; further apart, they are of different clocks
 _MOST_TEXTS = 2000  # of a topic; more are only counted
 _MODEL_STATES = "gazebo_msgs/ModelStates"
+_MODEL, _TRUE = (
+    "/gazebo",
+    "/truth",
+)  # whose places are a model's, without times of their own or with; no vehicle's names
 _EARTH = 6371008.8  # m, mean radius
 
 _XYZ = ("x", "y", "z")
@@ -69,6 +73,7 @@ _COMMANDS = {
     "avoid_accel": "avoidance",
 }
 _MAVROS = re.compile(r"^(?P<space>.*?)/?(?P<rest>mavros/.+)$")
+_TRUTH = re.compile(r"^/xtdrone/(?P<name>[^/]+)/ground_truth/odom$")
 _XTDRONE = re.compile(r"^/xtdrone/(?P<name>[^/]+)/(?P<rest>[^/]+)$")
 
 
@@ -240,6 +245,8 @@ class _Reading:
             return self._take_changes
         if name == TRUTH_TOPIC and connection.type == _MODEL_STATES:
             return self._take_models
+        if _TRUTH.match(name):
+            return self._take_truth
         if (found := _MAVROS.match(name)) and found["rest"] in _NUMBERS:
             return self._take_numbers
         if found and found["rest"] == "mavros/state":
@@ -359,6 +366,15 @@ class _Reading:
             kept.append(row)
         self.losses.add(connection, layout, batch, np.array(kept, np.int64))
 
+    def _take_truth(self, connection: Connection, layout: Layout, batch: Batch) -> None:
+        """Take the true places of one model."""
+        found = _TRUTH.match(connection.topic)
+        if found is None or not self._has(connection, layout, *ODOMETRY):
+            return
+        decoded, time = self._decoded(connection, layout, batch, *ODOMETRY)
+        if len(time):
+            self.columns.add((_TRUE, found["name"]), time, decoded.numbers(ODOMETRY))
+
     def _take_models(self, connection: Connection, layout: Layout, batch: Batch) -> None:
         """Take the true places of all models."""
         parts = {part.path: part for part in layout.parts if isinstance(part, Texts | List)}
@@ -385,7 +401,7 @@ class _Reading:
         values = records_at(decoded.data, starts, record)
         places = np.stack([values[f"position.{axis}"] for axis in _XYZ], axis=-1)
         for i, name in enumerate(names):
-            self.columns.add(("model", name), time, places[:, i])
+            self.columns.add((_MODEL, name), time, places[:, i])
 
     def flight(self) -> Flight:
         """Return what was collected."""
@@ -427,10 +443,10 @@ class _Reading:
 
     def _fill_vehicles(self, flight: Flight) -> None:
         series = {key: value.moved(flight.origin) for key, value in self.columns.series().items()}
-        names = {key[0] for key in series if key[0] != "model"} | set(self.states) | set(self.texts)
+        names = {key[0] for key in series if key[0] not in (_MODEL, _TRUE)} | set(self.states) | set(self.texts)
         for name in sorted(names, key=natural_order):
             vehicle = Vehicle(name, {what: value for (owner, what), value in series.items() if owner == name})
-            if name == "model" or not (vehicle.series.keys() - set(_COMMANDS.values()) or name in self.states):
+            if not (vehicle.series.keys() - set(_COMMANDS.values()) or name in self.states):
                 continue  # a topic of XTDrone's that is no vehicle's, as /xtdrone/leader/...
             _complete(vehicle)
             for at, mode, armed in self.states.get(name, ()):
@@ -442,8 +458,9 @@ class _Reading:
             vehicle.texts = [(at - flight.origin, bad, text) for at, bad, text in self.texts.get(name, ())]
             flight.vehicles.append(vehicle)
         for (owner, name), value in series.items():
-            if owner == "model":  # they have no stamps, and the recorder's clock may be off
+            if owner == _MODEL:  # they have no stamps, and the recorder's clock may be off
                 flight.models[name] = Series(regular_times(value.time), value.value)
+        flight.models |= {name: value for (owner, name), value in series.items() if owner == _TRUE}
 
 
 def _vehicle_name(space: str) -> str:

@@ -137,7 +137,7 @@ class SimplifiedScene:
 
     Attributes:
         names: the vehicles'.
-        scenery: none.
+        scenery, actors: none.
         step_us: base step, microseconds.
         gravity: m/s^2.
         need_time: services are answered at once.
@@ -156,6 +156,7 @@ class SimplifiedScene:
         """Take the vehicles; the rest as for ``VehicleTopics``."""
         self.names: Sequence[str] = vehicles.names
         self.scenery: Sequence[str] = ()
+        self.actors: Sequence[str] = ()
         self.step_us = vehicles.step_us
         self._vehicles = vehicles
         self._options = {

@@ -19,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -204,9 +205,10 @@ def vehicle_names(arguments: Sequence[str]) -> list[str]:
 class _Rider:
     """Gives the window the newest state; the flight does not know of it."""
 
-    def __init__(self, names: Sequence[str], window: Window) -> None:
+    def __init__(self, names: Sequence[str], window: Window, ended: threading.Event) -> None:
         self._flight = Flight(names)
         self._window = window
+        self._ended = ended  # the window is to close
         self._hint = window.view.hint
         self._latest: Latest | None = None
         self._looked = -np.inf
@@ -215,7 +217,7 @@ class _Rider:
         self._time: float | None = None  # s, of /clock; None: there is none
 
     def __call__(self) -> Frame | None:
-        if rospy.is_shutdown():
+        if rospy.is_shutdown() or self._ended.is_set():
             self._window.close()
         elif self._latest is None:
             self._look()
@@ -252,11 +254,13 @@ def _watch(names: Sequence[str]) -> None:
     check_display()
     # Tk has the main thread; time is /clock's newest message rather than every one.
     rospy.init_node("visualize", anonymous=True, disable_signals=True, disable_rostime=True)
+    # No KeyboardInterrupt: what runs under a first drawing, imports and destructors, swallows some.
+    ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job has the former ignored
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, lambda *_: ended.set())
     window = Window(SwarmView(names, trails=_trails()), f"XTDrone: {len(names)} UAVs")
     try:
-        window.run(_Rider(names, window))
+        window.run(_Rider(names, window, ended))
     finally:
         rospy.signal_shutdown("the window is closed")
 
