@@ -19,3 +19,9 @@ unset xtdrone_nounset
 
 export VIRTUAL_ENV="$xtdrone_root/.venv"
 export PATH="$VIRTUAL_ENV/bin:$PATH"
+
+# Nodes tell each other the host's name. Where that leads nowhere, as in bare containers, a machine would not even find
+# itself.
+if [[ -z ${ROS_IP:-}${ROS_HOSTNAME:-} ]] && ! timeout 5 getent hosts "$HOSTNAME" >/dev/null; then
+  export ROS_IP=127.0.0.1
+fi

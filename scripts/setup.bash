@@ -12,6 +12,7 @@ say() {
 
 fail() {
   echo "xtdrone: $*" >&2
+  hand_over "$state_dir" "$venv" "$root/build" "$root/devel"
   exit 1
 }
 
@@ -56,9 +57,21 @@ logged() {
   return "$status"
 }
 
-# A tree that was set up by root but belongs to somebody else stays that somebody's.
+# A tree that was set up by root but belongs to somebody else stays that somebody's. What is not there is passed over.
 hand_over() {
-  [[ $EUID -ne 0 || $(stat -c %u "$root") -eq 0 ]] || chown -R --reference="$root" "$@"
+  [[ $EUID -eq 0 && $(stat -c %u "$root") -ne 0 ]] || return 0
+  local path
+  for path in "$@"; do
+    [[ ! -e $path ]] || chown -R --reference="$root" "$path"
+  done
+}
+
+# The build's tools (catkin, roslaunch) take a blank in the path for its end, and other characters for their own.
+check_place() {
+  local strange="${root//[^][:space:]\"\'\`\\$&;:()<>|*?{\}!#%[]/}"
+  [[ -z $strange ]] ||
+    fail "the folder '$root' has '${strange:0:1}' in its path, which ROS's build cannot take; move or clone it to another"
+  [[ -w $root ]] || fail "the folder $root cannot be written to by $(id -un); clone the repository to a folder of your own"
 }
 
 # ---- Debian packages
@@ -86,7 +99,7 @@ as_root() {
 # Root's rights, or a message that says what to do without them.
 need_root() {
   [[ $EUID -ne 0 ]] || return 0
-  local way="have root run: apt-get install --no-install-recommends $*"
+  local way="have root run: apt-get update && apt-get install -y --no-install-recommends $*"
   command -v sudo >/dev/null || fail "Debian packages are missing, you are not root and there is no sudo; $way"
   # A password is asked for here, where a person sees it: in the steps that follow the output goes to a log.
   sudo -n true 2>/dev/null || { [[ -t 0 ]] && sudo -v; } || fail "Debian packages are missing and sudo refuses; $way"
@@ -110,7 +123,7 @@ install_packages() {
   logged dpkg-configure as_root DEBIAN_FRONTEND=noninteractive dpkg --configure -a || fail "dpkg could not be repaired"
   say "Debian packages: installing ${#missing[@]}: ${missing[*]}"
   logged apt-install apt install -y --no-install-recommends "${missing[@]}" ||
-    fail "Debian packages could not be installed (Debian 12 is needed)"
+    fail "Debian packages could not be installed; this needs Debian 12 and a network"
 }
 
 # ---- Python packages
@@ -122,7 +135,7 @@ install_python() {
   [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
   say "Python packages: installing what is missing of $1.txt into .venv"
   logged "pip-$1" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --progress-bar off -r "$list" ||
-    fail "Python packages could not be installed"
+    fail "Python packages could not be installed; is there a network?"
   printf '%s' "$want" >"$stamp"
   hand_over "$venv"
 }
@@ -197,6 +210,7 @@ prepare_kernels() {
 
 # set_up COMMAND: what this command needs.
 set_up() {
+  check_place
   mkdir -p "$state_dir/logs"
   exec 9>"$state_dir/lock"
   if ! flock -n 9; then
