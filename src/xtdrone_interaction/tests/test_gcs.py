@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
 import socket
-from types import SimpleNamespace
 
 import pytest
 from gcs_field import COUNT, HOME, Field, LossyLine
@@ -233,13 +233,32 @@ def test_check_says_what_px4_would(tmp_path, capsys):
     assert "Mission rejected: takeoff not first waypoint item" in capsys.readouterr().err
 
 
-def test_a_terminal_has_a_line_for_each_vehicle(capsys):
-    written = []
-    terminal = SimpleNamespace(write=written.append, flush=lambda: None, isatty=lambda: True)
-    display = command.Display(["iris_0", "iris_1"], terminal)
+@pytest.fixture
+def terminal(monkeypatch):
+    """What is written to a terminal of 30 columns and 4 rows."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "30")
+    monkeypatch.setenv("LINES", "4")
+    file = io.StringIO()
+    file.isatty = lambda: True
+    return file
+
+
+def test_a_terminal_shows_what_has_room_and_in_the_end_all(terminal):
+    names = [f"iris_{i}" for i in range(5)]
+    display = command.Display(names, terminal)
     display.watch("iris_0", "sending mission", 3, 9)
-    display.end("iris_1", "failed")
-    text = "".join(written)
-    assert text.count("\x1b[2A") == 1  # drawn twice, the second time over the first
-    assert "iris_0  sending mission 3/9\n" in text
-    assert text.endswith("iris_1  failed\n")
+    assert terminal.getvalue().splitlines()[0] == "\x1b[2Kiris_0  sending mission 3/9"[: len("\x1b[2K") + 29]
+    assert "... and 3 more" in terminal.getvalue()
+    peers = [Peer(name, 1, "h", 1) for name in names]
+    seen = len(terminal.getvalue())
+    assert display.results(peers, dict.fromkeys(names), lambda name, _: f"{name} has it") == 0
+    assert terminal.getvalue()[seen:] == "\x1b[3A\x1b[J" + "".join(f"{name}  {name} has it\n" for name in names)
+
+
+def test_what_is_no_terminal_gets_the_results_alone(terminal, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    display = command.Display(["iris_0"], terminal)
+    display.watch("iris_0", "sending mission", 3, 9)
+    display.results([Peer("iris_0", 1, "h", 1)], {"iris_0": GcsError("iris_0: no")}, lambda *_: "")
+    assert terminal.getvalue() == "iris_0  failed\n"

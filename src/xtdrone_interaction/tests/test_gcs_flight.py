@@ -28,6 +28,9 @@ class Obedient:
         self._known = known
 
     def __call__(self, message):
+        if message.get_type() == "PARAM_REQUEST_READ":
+            assert message.param_id == "MIS_TAKEOFF_ALT"
+            return [told(mavlink.MAVLink_param_value_message(b"MIS_TAKEOFF_ALT", 2.5, 9, 1, 0))]
         if message.command != mavlink.MAV_CMD_REQUEST_MESSAGE:
             self.obeyed.append(message)
             return [ack(message.command)]
@@ -43,10 +46,11 @@ class Obedient:
 
 def test_a_px4_takes_off_to_an_altitude_and_is_armed_then():
     vehicle = Obedient()
-    talk(flight.take_off(beat(), 5.0), vehicle)
+    assert talk(flight.take_off(beat(), 5.0), vehicle) == 5.0
     assert vehicle.numbers == [mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_COMPONENT_ARM_DISARM]
     assert vehicle.obeyed[0].param7 == 494.0
     assert math.isnan(vehicle.obeyed[0].param5)
+    assert talk(flight.take_off(beat(), 1.0), vehicle) == 2.5  # its least
 
 
 def test_an_ardupilot_is_guided_and_armed_and_takes_off_to_a_height():
@@ -195,9 +199,10 @@ def test_a_goto_on_the_ground_is_refused(field):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["goto", "1", "2", "--vehicle", "0"], "goto: X Y Z, m, or"),
-        (["goto", "1", "2", "3", "--lat", "4", "--vehicle", "0"], "goto: X Y Z, m, or"),
-        (["goto", "--lat", "4", "--lon", "4", "--vehicle", "0"], "one of --alt and --height"),
+        (["goto", "1", "2", "--vehicle", "0"], "goto: 2 of X Y Z is not allowed, X Y Z, m, or"),
+        (["goto", "1", "2", "3", "--lat", "4", "--vehicle", "0"], "goto: 3 of X Y Z and --lat is not allowed"),
+        (["goto", "--lat", "4", "--lon", "4", "--vehicle", "0"], "goto: --lat and --lon is not allowed, X Y Z, m, or"),
+        (["goto", "--vehicle", "0"], "goto: no place is not allowed"),
         (["goto", "1", "2", "3", "--vehicle", "0-2"], "3 vehicles would meet there"),
         (["land"], "which vehicles?"),
     ],

@@ -46,7 +46,8 @@ def vehicles(field):
 def test_logs_are_listed(field, capsys):
     assert command.main(["logs", "list", *vehicles(field)]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert len(lines) == 6
+    assert len(lines) == 7
+    assert [line for line in lines if line[1:] == ["no", "logs"]] == [[f"vehicle_{field.vehicles[2].id}", "no", "logs"]]
     assert lines[0] == [f"vehicle_{FIRST}", "0", "2020-01-01", "00:00:05", "27017", "bytes"]
 
 

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_interaction.gcs import GcsError, Peer, command, exchanges, station, status_command
+from xtdrone_interaction.gcs.display import Screen
 from xtdrone_interaction.gcs.lines import cut, open_line
 from xtdrone_interaction.gcs.peers import choose_systems, numbered, parse_address
 from xtdrone_interaction.gcs.state import VehicleState
@@ -265,14 +266,36 @@ def test_texts_in_parts_are_put_together_and_made_fit_to_show():
 
 
 def test_a_screen_draws_in_place_and_cuts_what_has_no_room(monkeypatch):
-    monkeypatch.setattr(status_command.shutil, "get_terminal_size", lambda: SimpleNamespace(lines=4, columns=10))
+    monkeypatch.setenv("COLUMNS", "10")
+    monkeypatch.setenv("LINES", "4")
     written = io.StringIO()
-    screen = status_command._Screen(written)
+    screen = Screen(written)
     screen.draw(["x" * 30])
     screen.draw(["a", "b", "c", "d"])
     assert written.getvalue() == (
         "\x1b[2K" + "x" * 9 + "\n\x1b[J" + "\x1b[1A\x1b[2Ka\n\x1b[2Kb\n\x1b[2K... and 2\n\x1b[J"
     )
+    monkeypatch.setenv("COLUMNS", "8")
+    screen.draw(["a"])
+    assert written.getvalue().endswith("\x1b[2J\x1b[H\x1b[2Ka\n\x1b[J")
+
+
+def test_a_narrow_table_leaves_out_what_matters_least_and_no_text():
+    states = [VehicleState(f"iris_{i}", i + 1, heard=9.0, kind="quadrotor", mode="AUTO.LOITER") for i in range(2)]
+    states[1].texts = [(4, "Disarming denied! Not landed")]
+    assert status_command.table(states, 10.0)[2].split() == [
+        *("iris_1", "2", "quadrotor", "-", "AUTO.LOITER", "-", "-", "-", "-", "-", "-"),
+        *("Disarming", "denied!", "Not", "landed"),
+    ]
+    wide = status_command.table(states, 10.0, 79)
+    assert wide[0].split() == ["VEHICLE", "ARMED", "MODE", "X", "Y", "Z", "HEIGHT", "SPEED", "BATTERY"]
+    narrow = status_command.table(states, 10.0, 39)
+    assert [line.split() for line in narrow[:3]] == [
+        ["VEHICLE", "ARMED", "MODE", "HEIGHT"], ["iris_0", "-", "AUTO.LOITER", "-"], ["iris_1", "-", "AUTO.LOITER", "-"]
+    ]  # fmt: skip
+    for lines in (wide, narrow):
+        assert lines[3:] == ["iris_1: Disarming denied! Not landed"]
+        assert max(map(len, lines[:3])) <= 39 + 40 * (lines is wide)
 
 
 # ---- words and lines

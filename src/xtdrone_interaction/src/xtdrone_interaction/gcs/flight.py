@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.autopilot import geo
 
 from .exchanges import Beat, Exchange, RefusalError, request
+from .parameters import fetch
 from .state import modes_of
 
 _AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -208,12 +209,16 @@ def land(beat: Beat) -> Exchange[None]:
 # ---- flying
 
 
-def take_off(beat: Beat, height: float) -> Exchange[None]:
+def take_off(beat: Beat, height: float) -> Exchange[float]:
     """Have a vehicle that is on the ground arm and climb.
 
     Args:
         beat: of the vehicle.
         height: m over where it is.
+
+    Returns:
+        Where it climbs to, m: a PX4 does not climb less than MIS_TAKEOFF_ALT. It takes its height for reached
+        NAV_MC_ALT_RAD (0.8 m) before it, and holds where it has come to rest then.
 
     Raises:
         RefusalError: it flies, does not know where it is, or refuses.
@@ -226,13 +231,17 @@ def take_off(beat: Beat, height: float) -> Exchange[None]:
         yield from set_mode(beat, "GUIDED")
         yield from arm(beat)
         yield from command(beat, take_off_command, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height), "takeoff")
-        return
+        return height
     here = yield from request(beat.system, "GLOBAL_POSITION_INT")
     if here is None:
         raise RefusalError("takeoff: the vehicle does not know where it is", True)
+    if beat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+        least, _ = (yield from fetch(beat, ["MIS_TAKEOFF_ALT"]))["MIS_TAKEOFF_ALT"]
+        height = max(height, least)
     altitude = here.alt * 1e-3 + height
     yield from command(beat, take_off_command, (-1.0, 0.0, 0.0, _NAN, _NAN, _NAN, altitude), "takeoff")
     yield from arm(beat)
+    return height
 
 
 def go_to(beat: Beat, target: Target) -> Exchange[None]:

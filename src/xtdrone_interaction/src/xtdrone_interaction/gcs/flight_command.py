@@ -15,6 +15,7 @@ from .flight import Target
 from .peers import Peer
 
 _FAR = 100_000.0  # m
+_PLACES = "X Y Z, m, or --lat, --lon and one of --alt and --height"
 
 
 def _number(name: str, low: float, high: float) -> Callable[[str], float]:
@@ -52,8 +53,15 @@ def _disarm(arguments: argparse.Namespace) -> int:
 
 
 def _takeoff(arguments: argparse.Namespace) -> int:
-    height = arguments.height
-    return _all(arguments, partial(flight.take_off, height=height), f"armed, takes off to {height:g} m")
+    peers = chosen(arguments)
+    display = Display([peer.name for peer in peers])
+    results = run(dict.fromkeys(peers, partial(flight.take_off, height=arguments.height)), arguments)
+
+    def said(_name: str, height: float) -> str:
+        least = f", the least it does; {arguments.height:g} m were asked for" if height > arguments.height else ""
+        return f"armed, takes off to {height:g} m{least}"
+
+    return display.results(peers, results, said)
 
 
 def _goto(arguments: argparse.Namespace) -> int:
@@ -76,15 +84,16 @@ def _target(arguments: argparse.Namespace) -> Target:
     Raises:
         UsageError: it says it by halves, or twice.
     """
-    globe = [arguments.lat, arguments.lon]
-    heights = [arguments.alt, arguments.height]
+    options = ("lat", "lon", "alt", "height")
+    given = [f"--{name}" for name in options if getattr(arguments, name) is not None]
     if arguments.place:
-        if len(arguments.place) != 3 or any(value is not None for value in (*globe, *heights)):
-            raise UsageError("goto: X Y Z, m, or --lat, --lon and one of --alt and --height")
+        if len(arguments.place) != 3 or given:
+            words = " and ".join([f"{len(arguments.place)} of X Y Z", *given])
+            raise UsageError(f"goto: {words} is not allowed, {_PLACES}")
         x, y, z = arguments.place
         return Target(local=(x, y, z), speed=arguments.speed)
-    if None in globe or heights.count(None) != 1:
-        raise UsageError("goto: X Y Z, m, or --lat, --lon and one of --alt and --height")
+    if given not in (["--lat", "--lon", "--alt"], ["--lat", "--lon", "--height"]):
+        raise UsageError(f"goto: {' and '.join(given) or 'no place'} is not allowed, {_PLACES}")
     over_home = arguments.alt is None
     altitude = arguments.height if over_home else arguments.alt
     return Target(None, (arguments.lat, arguments.lon), altitude, over_home, arguments.speed)
@@ -101,7 +110,8 @@ def add_to(add: Adder) -> None:
     force = "also in flight: the motors stop and the vehicle falls"
     add("disarm", _disarm, "disarm").add_argument("--force", action="store_true", help=force)
     takeoff = add("takeoff", _takeoff, "arm and climb straight up")
-    takeoff.add_argument("height", type=_number("m over the ground", 0.1, _FAR), help="m over where it stands")
+    reached = "m over where it stands; a PX4 takes its NAV_MC_ALT_RAD below that for reached"
+    takeoff.add_argument("height", type=_number("m over the ground", 0.1, _FAR), help=reached)
     goto = add("goto", _goto, "fly to a place and stay there; the vehicle has to be in the air")
     goto.add_argument("place", nargs="*", type=_number("m", -_FAR, _FAR), metavar="X Y Z",
                       help="m east, north, up from the local frame's origin (the simulator's map frame)")  # fmt: skip

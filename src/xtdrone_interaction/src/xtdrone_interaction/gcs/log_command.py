@@ -25,6 +25,8 @@ def _list(arguments: argparse.Namespace) -> int:
     results: dict[str, Any] = run(dict.fromkeys(peers, logs.fetch_list), arguments, logs.closing)
     for peer in peers:
         found = results[peer.name]
+        if found == []:
+            print(f"{peer.name}  no logs")
         for log in [] if isinstance(found, GcsError) else found:
             when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(log.time)) if log.time else "undated"
             print(f"{peer.name}  {log.number:>4}  {when:<19}  {log.size:>12} bytes")

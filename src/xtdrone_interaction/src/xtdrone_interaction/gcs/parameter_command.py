@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from functools import partial
@@ -17,6 +18,16 @@ from .parameter_text import SUFFIX, ParameterFile, ParameterFileError, Value, re
 from .peers import GcsError, Peer
 
 _WILD = frozenset("*?[")
+
+
+def _value(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; a finite number")
+    return value
 
 
 def _fetch(beat: Beat, names: Sequence[str]) -> Exchange[dict[str, Value]]:
@@ -125,7 +136,7 @@ def add_to(add: Adder) -> None:
     get.add_argument("names", nargs="*", metavar="NAME", help="names, as MPC_XY_VEL_MAX or 'MPC_*' (default: all)")
     set_ = add_group("set", _set, "set a parameter")
     set_.add_argument("name", metavar="NAME", help="its name")
-    set_.add_argument("value", type=float, metavar="VALUE", help="its value")
+    set_.add_argument("value", type=_value, metavar="VALUE", help="its value")
     diff = add_group("diff", _diff, "show what vehicles have otherwise than a file; exit status 1 where they do")
     load = add_group("load", _load, "give vehicles what a file holds, all of it or, if it is not theirs, nothing")
     load.add_argument("--of-another", action="store_true",

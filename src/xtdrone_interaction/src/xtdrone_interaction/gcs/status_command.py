@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shutil
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any, TextIO
+from dataclasses import replace
+from typing import Any
 
 from .arguments import Adder, chosen, seconds
-from .display import tell_errors
+from .display import Screen, redraws, tell_errors
 from .exchanges import look
 from .peers import GcsError
 from .state import VehicleState
@@ -25,6 +25,18 @@ _SILENT = 3.0  # s of silence that are told of
 Row = tuple[str, ...]
 _TITLES: Row = ("VEHICLE", "SYS", "TYPE", "ARMED", "MODE", "X Y Z", "HEIGHT", "SPEED", "BATTERY", "GPS", "EKF", "TEXT")
 _RIGHT = ("SYS", "HEIGHT", "SPEED", "BATTERY")
+_DROPPED = (
+    "TYPE",
+    "SYS",
+    "TEXT",
+    "GPS",
+    "EKF",
+    "SPEED",
+    "X Y Z",
+    "BATTERY",
+    "HEIGHT",
+)  # where there is no room, in turn
+_USUAL_WIDTHS = {"ARMED": 5, "MODE": 12, "X Y Z": 17, "HEIGHT": 7, "SPEED": 8, "GPS": 5}  # so that columns seldom move
 
 
 def _told(value: Any, form: str) -> str:
@@ -64,34 +76,33 @@ def row(state: VehicleState, now: float) -> Row:
     )
 
 
-def table(states: Sequence[VehicleState], now: float) -> list[str]:
-    """Return the table's lines, its titles first; ``now``: wall time, s."""
+def table(states: Sequence[VehicleState], now: float, columns: int | None = None) -> list[str]:
+    """Return the table's lines, its titles first.
+
+    Args:
+        states: the vehicles'.
+        now: wall time, s.
+        columns: letters that there are in a line; what has no room is left out, the last texts stand below the table
+            then. None: as many as it takes.
+    """
     rows = [_TITLES, *(row(state, now) for state in states)]
-    widths = [max(len(entry[i]) for entry in rows) for i in range(len(_TITLES))]
+    widths = {title: max(map(len, cells)) for title, cells in zip(_TITLES, zip(*rows, strict=True), strict=True)}
+    shown = list(_TITLES)
+    if columns is not None:
+        widths = {title: max(width, _USUAL_WIDTHS.get(title, 0)) for title, width in widths.items()}
+        for title in _DROPPED:
+            if sum(widths[each] + 2 for each in shown) - 2 > columns:
+                shown.remove(title)
     lines = []
     for entry in rows:
-        cells = zip(_TITLES, entry, widths, strict=True)
-        lines.append("  ".join(f"{c:>{w}}" if t in _RIGHT else f"{c:<{w}}" for t, c, w in cells).rstrip())
-    return lines
+        cells = ((title, cell) for title, cell in zip(_TITLES, entry, strict=True) if title in shown)
+        lines.append("  ".join(_cell(title, cell, widths[title]) for title, cell in cells).rstrip())
+    below = [] if "TEXT" in shown else [f"{entry[0]}: {entry[-1]}" for entry in rows[1:] if entry[-1]]
+    return [*lines, *below]
 
 
-class _Screen:
-    """Redraws lines in place."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-        self._drawn = 0
-
-    def draw(self, lines: list[str]) -> None:
-        size = shutil.get_terminal_size()
-        room = max(size.lines - 1, 2)
-        if len(lines) > room:
-            lines = [*lines[: room - 1], f"... and {len(lines) - room + 1} more"]
-        picture = f"\x1b[{self._drawn}A" if self._drawn else ""
-        picture += "".join(f"\x1b[2K{line[: size.columns - 1]}\n" for line in lines)
-        self._file.write(f"{picture}\x1b[J")
-        self._file.flush()
-        self._drawn = len(lines)
+def _cell(title: str, text: str, width: int) -> str:
+    return f"{text:>{width}}" if title in _RIGHT else f"{text:<{width}}"
 
 
 def _as_json(states: Sequence[VehicleState], now: float) -> str:
@@ -103,7 +114,8 @@ def _status(arguments: argparse.Namespace) -> int:
     with GroundStation(peers, heartbeat=not arguments.once and not arguments.no_heartbeat) as station:
         if arguments.once:
             return _once(station, arguments)
-        tell_errors(station.errors.values())
+        if station.peers:
+            tell_errors(station.errors.values())
         _live(station, arguments)
     return 1
 
@@ -111,13 +123,17 @@ def _status(arguments: argparse.Namespace) -> int:
 def _once(station: GroundStation, arguments: argparse.Namespace) -> int:
     results: dict[str, Any] = station.run(dict.fromkeys(station.peers, look), patience=arguments.patience)
     states, now = station.states(), time.monotonic()
-    print(_as_json(states, now) if arguments.json else "\n".join(table(states, now)))
+    if arguments.json:
+        print(_as_json(states, now))
+    else:  # who has told all was asked no more, and is not silent because others let us wait
+        told = [s if isinstance(results.get(s.name), GcsError) else replace(s, heard=now) for s in states]
+        print("\n".join(table(told, now)))
     return tell_errors([*station.errors.values(), *results.values()])
 
 
 def _live(station: GroundStation, arguments: argparse.Namespace) -> None:
     """Show until all lines have ended."""
-    screen = _Screen(sys.stdout) if sys.stdout.isatty() and not arguments.json else None
+    screen = Screen(sys.stdout) if redraws(sys.stdout) and not arguments.json else None
     period = _REDRAW if screen else arguments.period
     asked = dict.fromkeys(station.peers, -math.inf)
     shown = time.monotonic() - period + _REDRAW  # the first picture as soon as something can be in it
@@ -130,11 +146,10 @@ def _live(station: GroundStation, arguments: argparse.Namespace) -> None:
                 station.submit(peer, look, patience=_LOOK_PERIOD)
         if now - shown >= period:
             shown = now
-            lines = [_as_json(states, now)] if arguments.json else table(states, now)
             if screen:
-                screen.draw(lines)
+                screen.draw(table(states, now, screen.columns))
             else:
-                print("\n".join(lines), flush=True)
+                print(_as_json(states, now) if arguments.json else "\n".join(table(states, now)), flush=True)
         station.poll(max(shown + period - time.monotonic(), 0.0))
     raise GcsError("\n".join(map(str, station.errors.values())))
 
