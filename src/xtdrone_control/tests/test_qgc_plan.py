@@ -114,7 +114,7 @@ ITEM = ("mission", "items", 0)
         (("version",), 2, r"^p: version: 2 is not allowed, 1$"),
         (("mission",), [], r"^p: mission: \[\] is not allowed, an object$"),
         (("mission", "version"), True, r"^p: mission: version: true is not allowed, 2$"),
-        (("mission", "firmwareType"), 3, r"^p: mission: firmwareType: 3 is not allowed, 12$"),
+        (("mission", "firmwareType"), 4, r"^p: mission: firmwareType: 4 is not allowed, 12 or 0 or 3$"),
         (("mission", "plannedHomePosition"), [1, 2], r"^p: mission: plannedHomePosition: \[1, 2\] .* a list of 3$"),
         (("mission", "items"), {}, r"^p: mission: items: {} is not allowed, a list$"),
         ((*ITEM, "type"), "Item", r'^p: mission: items: item 1: type: "Item" is not allowed, "SimpleItem" or "Complex'),

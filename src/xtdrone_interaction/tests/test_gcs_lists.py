@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from gcs_field import FIRST, Field
+from gcs_script import ARDUPILOT, talk, told
+from pymavlink.dialects.v20 import common as mavlink
 from test_gcs import survey
 
 from xtdrone_control import qgc_plan
@@ -51,3 +55,79 @@ def test_a_plan_that_cannot_be_read_is_not_written_over(field, tmp_path, capsys)
     assert command.main(["rally", "download", "--to", str(tmp_path), "--vehicle", str(FIRST)]) == 1
     assert "its rally points cannot be written" in capsys.readouterr().err
     assert there.read_text() == "{"
+
+
+@pytest.mark.parametrize(("firmware", "words"), [(3, "ArduPilot"), (0, "no autopilot in particular")])
+def test_a_plan_for_another_autopilot_is_taken_with_a_note(field, tmp_path, capsys, firmware, words):
+    path = tmp_path / "mine.plan"
+    document = json.loads(qgc_plan.text_of(survey(0)))
+    document["mission"]["firmwareType"] = firmware
+    path.write_text(json.dumps(document))
+    assert command.main(["upload", str(path), "--vehicle", str(FIRST)]) == 0
+    assert f"mine.plan: drawn for {words}, its items are taken as PX4 takes them" in capsys.readouterr().err
+    assert field.lists(0) == [9, 4, 1]
+    assert json.loads(qgc_plan.text_of(qgc_plan.read(path)))["mission"]["firmwareType"] == firmware
+
+
+class ArduPilot:
+    """An ArduPilot's mission protocol: the first item of its mission is its own home, and few parameters are kept."""
+
+    def __init__(self):
+        self.home = mavlink.MAVLink_mission_item_int_message(254, 190, 0, 0, 16, 0, 1, 0, 0, 0, 0, 1, 2, 3.0, 0)
+        self.lists = {0: [self.home], 1: [], 2: []}
+        self._arriving = {}
+        self._count = 0
+
+    def __call__(self, message):
+        return [told(answer) for answer in getattr(self, f"_{message.get_type().lower()}", lambda _: [])(message)]
+
+    def _mission_count(self, message):
+        self._arriving, self._count = {}, message.count
+        return self._go_on(message.mission_type)
+
+    def _mission_item_int(self, message):
+        self._arriving[message.seq] = message
+        return self._go_on(message.mission_type)
+
+    def _go_on(self, kind):
+        if len(self._arriving) < self._count:
+            return [mavlink.MAVLink_mission_request_int_message(254, 190, len(self._arriving), kind)]
+        items = [self._arriving[seq] for seq in sorted(self._arriving)]
+        self.lists[kind] = [self.home, *items[1:]] if kind == 0 else items
+        return [mavlink.MAVLink_mission_ack_message(254, 190, 0, kind)]
+
+    def _mission_request_list(self, message):
+        kind = message.mission_type
+        return [mavlink.MAVLink_mission_count_message(254, 190, len(self.lists[kind]), kind)]
+
+    def _mission_request_int(self, message):
+        kind, item = message.mission_type, self.lists[message.mission_type][message.seq]
+        first = item.param1 if item.command in (plan.JUMP, *range(5000, 5005)) else 0.0
+        return [
+            mavlink.MAVLink_mission_item_int_message(
+                *(254, 190, message.seq, item.frame, item.command, 0, 1),
+                *(first, 0.0, 0.0, 0.0, item.x, item.y, item.z, kind),
+            )
+        ]
+
+    def _mission_clear_all(self, _):
+        self.lists = {0: [self.home], 1: [], 2: []}
+        return [mavlink.MAVLink_mission_ack_message(254, 190, 0, 255)]
+
+    def _command_long(self, message):
+        return [mavlink.MAVLink_command_ack_message(message.command, mavlink.MAV_RESULT_DENIED)]
+
+
+def test_an_ardupilots_first_item_is_its_home():
+    vehicle, content = ArduPilot(), survey(0)
+    talk(exchanges.store_plan(7, content, autopilot=ARDUPILOT), vehicle)
+    assert [item.command for item in vehicle.lists[0]] == [16, *(item.command for item in content.mission)]
+    assert vehicle.lists[0][-1].param1 == 2.0  # a jump to what is item 1 of the plan
+    found = talk(exchanges.fetch_plan(7, autopilot=ARDUPILOT), vehicle)
+    assert (found.mission[-1].params[0], found.drawn_for) == (1.0, "ArduPilot")
+    for kind in plan.KINDS:
+        assert exchanges.difference(content.items(kind), found.items(kind), kind, ARDUPILOT) == ""
+    assert "8 items came back of 9" in exchanges.difference(content.mission, found.mission[1:], 0, ARDUPILOT)
+    talk(exchanges.clear(7, autopilot=ARDUPILOT), vehicle)
+    assert vehicle.lists == {0: [vehicle.home], 1: [], 2: []}
+    talk(exchanges.store_plan(7, Plan(()), autopilot=ARDUPILOT), vehicle)

@@ -24,7 +24,9 @@ FRAME_GLOBAL, FRAME_RELATIVE = 0, 3  # MAV_FRAME: altitude over sea level, over 
 
 _MAVLINK_FRAMES = {0: FRAME_GLOBAL, 5: FRAME_GLOBAL, 3: FRAME_RELATIVE, 6: FRAME_RELATIVE, 2: FRAME_MISSION}
 _ALTITUDE_MODES = {FRAME_RELATIVE: 1, FRAME_GLOBAL: 2}  # QGroundControl's: relative to launch, AMSL
-_PX4, _MULTICOPTER = 12, 2  # MAV_AUTOPILOT, MAV_TYPE
+_GENERIC, _ARDUPILOT, _PX4 = 0, 3, 12  # MAV_AUTOPILOT
+_FOREIGN = {_GENERIC: "no autopilot in particular", _ARDUPILOT: "ArduPilot"}
+_MULTICOPTER = 2  # MAV_TYPE
 _PATTERNS = ("survey", "CorridorScan")  # those whose items stand in the file
 _TRANSECTS = "TransectStyleComplexItem"
 _LARGEST_COMMAND = 0xFFFF
@@ -51,6 +53,7 @@ class Plan:
         rally: RALLY_POINT items.
         home: planned home: latitude, longitude, degrees, altitude, m AMSL. The vehicle's own home counts in flight.
         cruise_speed, hover_speed: m/s, with which QGroundControl estimates times; the vehicle is not told.
+        firmware: MAV_AUTOPILOT that it was drawn for. Its items are taken as PX4 takes them, whatever that is.
     """
 
     mission: Items
@@ -59,6 +62,12 @@ class Plan:
     home: Place = (0.0, 0.0, 0.0)
     cruise_speed: float = 15.0
     hover_speed: float = 5.0
+    firmware: int = _PX4
+
+    @property
+    def drawn_for(self) -> str:
+        """For which autopilot it was drawn, in words; empty for PX4."""
+        return _FOREIGN.get(self.firmware, "")
 
     def items(self, kind: int) -> Items:
         """Return the list of a MAV_MISSION_TYPE: 0 mission, 1 fence, 2 rally."""
@@ -97,7 +106,7 @@ def parse(text: str, name: str = "plan") -> Plan:
     file.get("version").one_of((1,))
     mission = file.get("mission")
     mission.get("version").one_of((2,))
-    mission.get("firmwareType", _PX4).one_of((_PX4,))
+    firmware = mission.get("firmwareType", _PX4).one_of((_PX4, *_FOREIGN))
     return Plan(
         _read_mission(mission),
         _read_fence(file.get("geoFence", {})),
@@ -105,6 +114,7 @@ def parse(text: str, name: str = "plan") -> Plan:
         _read_place(mission.get("plannedHomePosition"), 3),
         mission.get("cruiseSpeed", 15.0).number(0.0, 1000.0),
         mission.get("hoverSpeed", 5.0).number(0.0, 1000.0),
+        firmware,
     )
 
 
@@ -306,7 +316,7 @@ def text_of(content: Plan) -> str:
         "groundStation": "QGroundControl",
         "mission": {
             "cruiseSpeed": content.cruise_speed,
-            "firmwareType": _PX4,
+            "firmwareType": content.firmware,
             "hoverSpeed": content.hover_speed,
             "items": [_item_object(i, item, len(content.mission)) for i, item in enumerate(content.mission)],
             "plannedHomePosition": list(content.home),

@@ -10,8 +10,7 @@ from typing import Protocol, TypeVar
 from xtdrone_control.fleet import FleetError, parse_fleet
 
 from . import station
-from .exchanges import Exchange
-from .peers import ANY, LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
+from .peers import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
 from .station import Job
 
 T = TypeVar("T")
@@ -145,11 +144,6 @@ def _connected(words: list[str], arguments: argparse.Namespace) -> list[Peer]:
         return choose_systems(words, found)
     except GcsError as error:
         raise UsageError(str(error)) from error
-
-
-def of_system(peer: Peer, make: Callable[[int], Exchange[T]]) -> Job[T]:
-    """Return an exchange with a vehicle, given what makes it of its system id."""
-    return make(peer.system) if peer.system != ANY else lambda beat: make(beat.system)
 
 
 def run(

@@ -1,5 +1,8 @@
 """What a ground station says and hears when it gives a vehicle a plan, or asks for one: no sockets, no clock.
 
+An ArduPilot has its home as the first item of its mission, whatever is sent there; a plan has not. It keeps only those
+of an item's parameters that its command needs, so what comes back is compared by commands and places alone.
+
 An exchange is a generator. It yields the messages to send, and is given the next message of the vehicle that it may be
 waiting for (one of ``ANSWERS``), or None when none has come in time; it returns its result. Whoever runs it gives up on
 a vehicle that says nothing at all.
@@ -13,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Iterable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -21,7 +25,7 @@ from xtdrone_control.autopilot import plan
 from xtdrone_control.autopilot.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.mavlink import mission_items
 from xtdrone_control.mavlink.dialect import MESSAGE_ID
-from xtdrone_control.qgc_plan import Place, Plan
+from xtdrone_control.qgc_plan import FRAME_GLOBAL, Place, Plan
 
 SYSTEM, COMPONENT = 254, mavlink.MAV_COMP_ID_MISSIONPLANNER
 """Who we are; 255 is QGroundControl's system id, which may be there too."""
@@ -52,6 +56,7 @@ ANSWERS = (
 KINDS = ("mission", "fence", "rally points")  # by MAV_MISSION_TYPE
 
 _AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
+_PX4, _ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _ATTEMPTS = 10
 _REQUESTS = 100  # of a message, until it counts as one that the vehicle does not have
 _PATIENT_REPEATS = 8  # requests without an answer until a download begins anew: the vehicle may have given it up
@@ -198,19 +203,32 @@ def to_message(item: PlanItem, seq: int, kind: int, system: int) -> Any:
     )
 
 
-def difference(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int) -> str:
+def difference(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int, autopilot: int = _PX4) -> str:
     """Return in what a list that came back differs from the one that was sent, empty for nothing.
 
     A PX4 tells of an item what it keeps of it, so ``sent`` is compared as it would come back.
+
+    Args:
+        sent, found: the lists.
+        kind: MAV_MISSION_TYPE.
+        autopilot: MAV_AUTOPILOT of the vehicle.
     """
     if len(sent) != len(found):
         return f"{len(found)} items came back of {len(sent)}"
     for seq, (item, back) in enumerate(zip(sent, found, strict=True)):
-        message = to_message(item, seq, kind, 1)
-        kept = mission_items.write(mission_items.parse(message, True), seq, False, kind, True, (0, 0))
-        if not _alike(mission_items.parse(kept, True), back, kind):
+        if autopilot == _ARDUPILOT:
+            alike = item.command == back.command and (item.frame == FRAME_MISSION or _at_one_place(item, back))
+        else:
+            message = to_message(item, seq, kind, 1)
+            kept = mission_items.write(mission_items.parse(message, True), seq, False, kind, True, (0, 0))
+            alike = _alike(mission_items.parse(kept, True), back, kind)
+        if not alike:
             return f"item {seq + 1} came back as {back}, not as {item}"
     return ""
+
+
+def _at_one_place(a: PlanItem, b: PlanItem) -> bool:
+    return max(abs(a.x - b.x), abs(a.y - b.y)) <= _PLACE_TOLERANCE
 
 
 def _alike(a: PlanItem, b: PlanItem, kind: int) -> bool:
@@ -218,7 +236,7 @@ def _alike(a: PlanItem, b: PlanItem, kind: int) -> bool:
         return False
     if kind == plan.MISSION and a.autocontinue != b.autocontinue:
         return False
-    if a.frame != FRAME_MISSION and max(abs(a.x - b.x), abs(a.y - b.y)) > _PLACE_TOLERANCE:
+    if a.frame != FRAME_MISSION and not _at_one_place(a, b):
         return False
     numbers = zip((*a.params, a.z), (*b.params, b.z), strict=True)
     return all(math.isclose(x, y, rel_tol=_NUMBER_TOLERANCE, abs_tol=1e-6) or (x != x and y != y) for x, y in numbers)
@@ -348,33 +366,68 @@ def _repeat(system: int, once: Callable[[], Exchange[T]]) -> Exchange[T]:
     raise AssertionError("unreachable")
 
 
-def store(system: int, kind: int, items: Items, progress: Progress = nobody) -> Exchange[None]:
+def _with_home(items: Items, home: Place) -> Items:
+    """Return an ArduPilot's mission: its home, and a plan's items behind it."""
+    first = PlanItem(plan.WAYPOINT, FRAME_GLOBAL, (0.0,) * 4, *home)
+    return (first, *(_jumping(item, 1.0) for item in items)) if items else ()
+
+
+def _without_home(items: Items) -> Items:
+    """Return a plan's items of an ArduPilot's mission."""
+    return tuple(_jumping(item, -1.0) for item in items[1:])
+
+
+def _jumping(item: PlanItem, further: float) -> PlanItem:
+    """Return an item; if it jumps, to a place in the list that is ``further``."""
+    if item.command != plan.JUMP:
+        return item
+    return replace(item, params=(item.params[0] + further, *item.params[1:]))
+
+
+def store(
+    system: int,
+    kind: int,
+    items: Items,
+    progress: Progress = nobody,
+    autopilot: int = _PX4,
+    home: Place = (0.0, 0.0, 0.0),
+) -> Exchange[None]:
     """Replace a list of the vehicle, and see that it has come whole.
+
+    Args:
+        system: its MAVLink system id.
+        kind: MAV_MISSION_TYPE.
+        items: the list, as a plan holds it.
+        progress: told of it.
+        autopilot: MAV_AUTOPILOT.
+        home: latitude, longitude, degrees, m AMSL: for the first item of an ArduPilot's mission.
 
     Raises:
         RefusalError: the vehicle does not take it.
     """
+    with_home = autopilot == _ARDUPILOT and kind == plan.MISSION
+    sent = _with_home(items, home) if with_home else items
 
     def once() -> Exchange[None]:
-        yield from _upload(system, kind, items, progress)
+        yield from _upload(system, kind, sent, progress)
         found = yield from _download(system, kind, progress)
         yield from _say(_closing(system, kind))
-        wrong = difference(items, found, kind)
+        wrong = difference(items, _without_home(found) if with_home else found, kind, autopilot)
         if wrong:
             raise RefusalError(f"{KINDS[kind]}: {wrong}", False)
 
     yield from _repeat(system, once)
 
 
-def fetch(system: int, kind: int, progress: Progress = nobody) -> Exchange[Items]:
-    """Return a list of the vehicle.
+def fetch(system: int, kind: int, progress: Progress = nobody, autopilot: int = _PX4) -> Exchange[Items]:
+    """Return a list of the vehicle, as a plan holds it; ``autopilot``: MAV_AUTOPILOT.
 
     Raises:
         RefusalError: the vehicle does not tell it.
     """
     found = yield from _repeat(system, lambda: _download(system, kind, progress))
     yield from _say(_closing(system, kind))
-    return found
+    return _without_home(found) if autopilot == _ARDUPILOT and kind == plan.MISSION else found
 
 
 class Say(list[Any]):
@@ -397,27 +450,27 @@ def check_kinds(content: Plan) -> str:
     return ""
 
 
-def store_plan(system: int, content: Plan, progress: Progress = nobody) -> Exchange[None]:
-    """Give a vehicle all three lists of a plan, also empty ones, as QGroundControl does.
+def store_plan(system: int, content: Plan, progress: Progress = nobody, autopilot: int = _PX4) -> Exchange[None]:
+    """Give a vehicle all three lists of a plan, also empty ones, as QGroundControl does; see ``store``.
 
     Raises:
         RefusalError: it does not take one of them.
     """
     for kind in plan.KINDS:
-        yield from store(system, kind, content.items(kind), progress)
+        yield from store(system, kind, content.items(kind), progress, autopilot, content.home)
 
 
-def fetch_plan(system: int, progress: Progress = nobody) -> Exchange[Plan]:
-    """Return the plan that a vehicle has.
+def fetch_plan(system: int, progress: Progress = nobody, autopilot: int = _PX4) -> Exchange[Plan]:
+    """Return the plan that a vehicle has; see ``fetch``.
 
     Raises:
         RefusalError: it does not tell one of the lists.
     """
     lists = []
     for kind in plan.KINDS:
-        lists.append((yield from fetch(system, kind, progress)))
+        lists.append((yield from fetch(system, kind, progress, autopilot)))
     home = yield from _fetch_home(system)
-    return Plan(lists[0], lists[1], lists[2], home)
+    return Plan(lists[0], lists[1], lists[2], home, firmware=autopilot if autopilot == _ARDUPILOT else _PX4)
 
 
 def _fetch_home(system: int) -> Exchange[Place]:
@@ -426,8 +479,8 @@ def _fetch_home(system: int) -> Exchange[Place]:
     return (0.0, 0.0, 0.0) if home is None else (home.latitude * 1e-7, home.longitude * 1e-7, home.altitude * 1e-3)
 
 
-def clear(system: int, progress: Progress = nobody) -> Exchange[None]:
-    """Empty all lists of a vehicle.
+def clear(system: int, progress: Progress = nobody, autopilot: int = _PX4) -> Exchange[None]:
+    """Empty all lists of a vehicle; ``autopilot``: MAV_AUTOPILOT.
 
     Raises:
         RefusalError: it does not.
@@ -444,6 +497,6 @@ def clear(system: int, progress: Progress = nobody) -> Exchange[None]:
 
     yield from _repeat(system, once)
     for kind in plan.KINDS:
-        left = yield from fetch(system, kind, progress)
+        left = yield from fetch(system, kind, progress, autopilot)
         if left:
             raise RefusalError(f"{KINDS[kind]}: {len(left)} items are left after the clearing", True)

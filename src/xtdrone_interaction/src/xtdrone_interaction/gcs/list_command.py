@@ -14,9 +14,9 @@ from xtdrone_control.autopilot.plan import Items
 from xtdrone_control.qgc_plan import Plan, PlanError
 
 from . import exchanges, station
-from .arguments import Adder, Runner, UsageError, chosen, named, of_system, run
+from .arguments import Adder, Runner, UsageError, chosen, named, run
 from .display import Display
-from .exchanges import KINDS
+from .exchanges import KINDS, Beat
 from .peers import GcsError, Peer
 from .plan_command import assign, find_files, read_plans
 
@@ -24,10 +24,11 @@ from .plan_command import assign, find_files, read_plans
 def _store(kind: int, lists: dict[Peer, Items], arguments: argparse.Namespace, done: str) -> int:
     display = Display([peer.name for peer in lists])
 
-    def store(peer: Peer, system: int) -> exchanges.Exchange[None]:
-        return exchanges.store(system, kind, lists[peer], station.progress_of(peer.name, display.watch))
+    def store(peer: Peer, beat: Beat) -> exchanges.Exchange[None]:
+        progress = station.progress_of(peer.name, display.watch)
+        return exchanges.store(beat.system, kind, lists[peer], progress, beat.autopilot)
 
-    results = run({peer: of_system(peer, partial(store, peer)) for peer in lists}, arguments, exchanges.cancel)
+    results = run({peer: partial(store, peer) for peer in lists}, arguments, exchanges.cancel)
     counts = {peer.name: len(items) for peer, items in lists.items()}
     return display.results(list(lists), results, lambda name, _: done.format(counts[name]))
 
@@ -51,10 +52,10 @@ def _download(kind: int, arguments: argparse.Namespace) -> int:
     peers = chosen(arguments)
     display = Display([peer.name for peer in peers])
 
-    def fetch(name: str, system: int) -> exchanges.Exchange[Items]:
-        return exchanges.fetch(system, kind, station.progress_of(name, display.watch))
+    def fetch(name: str, beat: Beat) -> exchanges.Exchange[Items]:
+        return exchanges.fetch(beat.system, kind, station.progress_of(name, display.watch), beat.autopilot)
 
-    jobs = {peer: of_system(peer, partial(fetch, peer.name)) for peer in peers}
+    jobs = {peer: partial(fetch, peer.name) for peer in peers}
     results: dict[str, Any] = run(jobs, arguments, exchanges.cancel)
     for name, items in results.items():
         if not isinstance(items, GcsError):

@@ -16,8 +16,9 @@ from xtdrone_control.autopilot.feasibility import Situation
 from xtdrone_control.qgc_plan import Plan, PlanError
 
 from . import exchanges, station
-from .arguments import Adder, UsageError, chosen, named, of_system, run
+from .arguments import Adder, UsageError, chosen, named, run
 from .display import Display
+from .exchanges import Beat
 from .peers import GcsError
 
 _FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
@@ -71,6 +72,9 @@ def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
             wrong.append(str(error))
     if wrong:
         raise UsageError("\n".join(wrong))
+    for file, content in plans.items():
+        if content.drawn_for:
+            print(f"{file}: drawn for {content.drawn_for}, its items are taken as PX4 takes them", file=sys.stderr)
     return plans
 
 
@@ -140,11 +144,11 @@ def _upload(arguments: argparse.Namespace) -> int:
     peers = peers or named(plans, arguments)
     display = Display([peer.name for peer in peers])
 
-    def store(name: str, system: int) -> exchanges.Exchange[None]:
-        return exchanges.store_plan(system, plans[name], station.progress_of(name, display.watch))
+    def store(name: str, beat: Beat) -> exchanges.Exchange[None]:
+        progress = station.progress_of(name, display.watch)
+        return exchanges.store_plan(beat.system, plans[name], progress, beat.autopilot)
 
-    jobs = {peer: of_system(peer, partial(store, peer.name)) for peer in peers}
-    results = run(jobs, arguments, exchanges.cancel)
+    results = run({peer: partial(store, peer.name) for peer in peers}, arguments, exchanges.cancel)
     return display.results(peers, results, lambda name, _: f"{_summary(plans[name])}: sent, and come back the same")
 
 
@@ -153,10 +157,10 @@ def _download(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.to
     display = Display([peer.name for peer in peers])
 
-    def fetch(name: str, system: int) -> exchanges.Exchange[Plan]:
-        return exchanges.fetch_plan(system, station.progress_of(name, display.watch))
+    def fetch(name: str, beat: Beat) -> exchanges.Exchange[Plan]:
+        return exchanges.fetch_plan(beat.system, station.progress_of(name, display.watch), beat.autopilot)
 
-    results = run({peer: of_system(peer, partial(fetch, peer.name)) for peer in peers}, arguments, exchanges.cancel)
+    results = run({peer: partial(fetch, peer.name) for peer in peers}, arguments, exchanges.cancel)
     folder.mkdir(parents=True, exist_ok=True)
     for name, result in results.items():
         if isinstance(result, Plan):
@@ -171,10 +175,10 @@ def _clear(arguments: argparse.Namespace) -> int:
     peers = chosen(arguments)
     display = Display([peer.name for peer in peers])
 
-    def clear(name: str, system: int) -> exchanges.Exchange[None]:
-        return exchanges.clear(system, station.progress_of(name, display.watch))
+    def clear(name: str, beat: Beat) -> exchanges.Exchange[None]:
+        return exchanges.clear(beat.system, station.progress_of(name, display.watch), beat.autopilot)
 
-    results = run({peer: of_system(peer, partial(clear, peer.name)) for peer in peers}, arguments, exchanges.cancel)
+    results = run({peer: partial(clear, peer.name) for peer in peers}, arguments, exchanges.cancel)
     return display.results(peers, results, lambda *_: "mission, fence and rally points are cleared")
 
 
