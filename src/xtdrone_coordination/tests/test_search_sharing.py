@@ -68,6 +68,14 @@ def test_a_candidate_is_where_his_velocity_has_brought_him() -> None:
     assert nearest([walker], (16.0, 0.0), 7.0, 3.0) is None
 
 
+def test_what_is_nobody_does_not_walk() -> None:
+    """A camera that circles gives what stands a velocity; it is not to be taken for another a moment later."""
+    post = Candidate((10.0, 0.0), (2.5, 0.0), (1.0, 0.0, 0.0, 1.0), seen_at=20.0)
+    assert nearest([post], (10.0, 0.0), 30.0, 6.0) is None
+    post.status = "rejected"
+    assert nearest([post], (10.0, 0.0), 30.0, 6.0) is post
+
+
 def test_covered_is_what_a_picture_straight_down_shows() -> None:
     camera = Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0)  # 45 degrees to each side
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # columns: right, down, ahead

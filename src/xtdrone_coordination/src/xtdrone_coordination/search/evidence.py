@@ -115,7 +115,9 @@ class Candidate:
         self.track[vehicle] = sighting.id
 
     def place(self, time: float) -> Point:
-        """Return where he is at a time, if he goes on as he was seen."""
+        """Return where he is at a time, if he goes on as he was seen; what is nobody stands."""
+        if self.status == "rejected":
+            return self.position
         ahead = min(max(time - self.seen_at, 0.0), AHEAD)
         return self.position[0] + ahead * self.velocity[0], self.position[1] + ahead * self.velocity[1]
 
