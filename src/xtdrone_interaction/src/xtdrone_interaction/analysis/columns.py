@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,6 +123,20 @@ class Columns:
         self._values = sum(column.rows * (column.width + 1) for column in self._columns.values())
         self.most = max(self.most, 2 * self._values)  # thousands of short topics: no more can be saved
 
+    @property
+    def thinned(self) -> set[tuple[str, ...]]:
+        """Keys of the columns of which not every message was kept."""
+        return {key for key, column in self._columns.items() if column.stride > 1}
+
     def series(self) -> dict[tuple[str, ...], Series]:
         """Return all columns by key, and forget them."""
         return {key: column.series() for key, column in self._columns.items()}
+
+
+def flown(armed: Sequence[tuple[float, bool]], end: float) -> tuple[float, float]:
+    """Return from the first arming to the last disarming, s; all until ``end`` where it was never armed."""
+    starts = [time for time, is_armed in armed if is_armed]
+    if not starts:
+        return 0.0, end
+    ends = [time for time, is_armed in armed if not is_armed and time > starts[0]]
+    return starts[0], end if armed[-1][1] or not ends else ends[-1]

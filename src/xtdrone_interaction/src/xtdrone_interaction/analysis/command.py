@@ -33,6 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("file", type=Path, help="ROS 1 bag or ULog, also one that a crash cut off, or ROS 2 bag")
+    add("--part", type=int, metavar="N", help="of a bag in which time was set back (default: the longest)")
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")
     return parser
 
@@ -54,8 +55,14 @@ def output_folder(wanted: Path | None, file: Path, ending: str) -> Path:
     return folder
 
 
-def analyse(file: Path, folder: Path, console: Console) -> None:
+def analyse(file: Path, folder: Path, console: Console, part: int | None = None) -> None:
     """Write the report of a bag or a flight log, and print what it says.
+
+    Args:
+        file: bag or flight log.
+        folder: gets the report.
+        console: to print on.
+        part: of a bag in which time was set back, from 1; None for the longest.
 
     Raises:
         BagError, LogError: nothing can be read of it.
@@ -68,7 +75,7 @@ def analyse(file: Path, folder: Path, console: Console) -> None:
     from xtdrone_interaction.analysis.pictures import pictures
     from xtdrone_interaction.analysis.summary import flight_page, summarise
 
-    flight = read_flight(file)
+    flight = read_flight(file, part=part)
     record = formation_record(flight)
     figures = summarise(flight, record)
     page = flight_page(flight, figures)
@@ -119,7 +126,7 @@ def main(argv: Sequence[str]) -> int:
     try:
         if not arguments.file.exists():
             raise BagError(f"analyse: {str(arguments.file)!r} does not exist")
-        analyse(arguments.file, output_folder(arguments.out, arguments.file, "-analysis"), Console())
+        analyse(arguments.file, output_folder(arguments.out, arguments.file, "-analysis"), Console(), arguments.part)
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2

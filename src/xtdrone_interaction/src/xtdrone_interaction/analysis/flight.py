@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from xtdrone_interaction.analysis.columns import MOST_VALUES, Array, Columns, Series
 from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
-from xtdrone_interaction.analysis.ros1bag import Batch, Connection
+from xtdrone_interaction.analysis.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_source
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
 from xtdrone_interaction.record import COLLISION, LOG_TOPIC, ODOMETRY, Change, regular_times
@@ -28,6 +28,7 @@ from xtdrone_interaction.record import COLLISION, LOG_TOPIC, ODOMETRY, Change, r
 WARNING = 4  # rosgraph_msgs/Log; more is worse
 _DATE = 1e8  # s; times above are dates, not simulated
 _FAR = 3600.0  # s between a stamp and the recorder's clock; further apart, they are of different clocks
+_SET_BACK = 1_000_000_000  # ns; a clock that goes back by more was set back
 _MOST_TEXTS = 2000  # of a topic; more are only counted
 _MODEL_STATES = "gazebo_msgs/ModelStates"
 _MODEL, _TRUE = (
@@ -61,7 +62,9 @@ _NUMBERS: dict[str, tuple[str, tuple[tuple[str, ...], ...]]] = {
     "mavros/setpoint_position/local": ("position set-point", (_under("pose.position"),)),
     "mavros/setpoint_velocity/cmd_vel": ("velocity set-point", (_under("twist.linear"),)),
     "mavros/setpoint_velocity/cmd_vel_unstamped": ("velocity set-point", (_under("linear"),)),
-    "mavros/battery": ("battery", (("voltage", "percentage"),)),
+    "mavros/battery": ("battery", (("voltage", "percentage", "current"),)),
+    "mavros/imu/data_raw": ("raw imu", (_under("angular_velocity") + _under("linear_acceleration"),)),
+    "mavros/imu/data": ("imu", (_under("angular_velocity") + _under("linear_acceleration"),)),
     "mavros/global_position/global": ("global", (("latitude", "longitude", "altitude"),)),
 }
 _COMMANDS = {
@@ -113,7 +116,8 @@ class Vehicle:
         series: by what it is: "pose" (x, y, z m, quaternion x, y, z, w), "velocity" (m/s), "set-point" and "target"
             (type mask, position, velocity), "position set-point", "velocity set-point"; XTDrone's "command" and "body
             command" (m/s), "acceleration command" and "body acceleration command" (m/s2), "avoidance" (m/s or m/s2);
-            "battery" (V, share), "global" (degrees, m).
+            "battery" (V, share, A that flow into it), "global" (degrees, m), "imu" (rad/s and m/s2, front, left, up).
+        thinned: those of which not every message was kept.
         modes: from when on it was in which mode.
         armed: from when on it was armed or not.
         commands: what it was told by XTDrone's command topic, with times.
@@ -122,6 +126,7 @@ class Vehicle:
 
     name: str
     series: dict[str, Series] = field(default_factory=dict)
+    thinned: set[str] = field(default_factory=set)
     modes: list[tuple[float, str]] = field(default_factory=list)
     armed: list[tuple[float, bool]] = field(default_factory=list)
     commands: list[tuple[float, str]] = field(default_factory=list)
@@ -143,6 +148,7 @@ class Flight:
         size: bytes.
         notes: what could not be read or is not as it seems, in words.
         cut: whether the recorder did not end in peace.
+        parts: how many flights it holds, one after the other, with simulated time set back between them; this is one.
         origin: what times count from: 0 for simulated time, else s since 1970.
         duration: from the first to the last message, s.
         topics: in order of their names.
@@ -159,6 +165,7 @@ class Flight:
     size: int
     notes: list[str] = field(default_factory=list)
     cut: bool = False
+    parts: int = 1
     origin: float = 0.0
     duration: float = 0.0
     topics: list[Topic] = field(default_factory=list)
@@ -176,25 +183,101 @@ class Flight:
         return "time since the recording began [s]" if self.origin else "simulated time [s]"
 
 
-def read_flight(path: Path, most_values: int = MOST_VALUES, progress: Callable[[int], None] | None = None) -> Flight:
+def read_flight(
+    path: Path,
+    most_values: int = MOST_VALUES,
+    progress: Callable[[int], None] | None = None,
+    part: int | None = None,
+) -> Flight:
     """Read a recording.
 
     Args:
         path: of a ROS 1 bag, whole or cut off, or of a ROS 2 bag.
         most_values: numbers kept; of longer recordings not every message is kept, and the notes say so.
         progress: gets the bytes of messages that were handled.
+        part: which flight, from 1, if simulated time was set back between several; None for the longest.
 
     Raises:
-        BagError: nothing can be read of it.
+        BagError: nothing can be read of it, or it has no such part.
     """
     source = open_source(path)
+    clock = _Clock()
     reading = _Reading(source, most_values)
+    spans: list[tuple[float, float]] = []
+    chosen: tuple[int, _Reading] | None = None
+
+    def end_part() -> None:
+        nonlocal chosen
+        start, end = reading.span
+        longest = max((end - start for start, end in spans), default=-1.0)
+        spans.append((start, end))
+        if len(spans) == part or (part is None and end - start > longest):
+            chosen = len(spans), reading
+
     for batch in large_batches(source):
-        for number, messages in by_connection(batch):
-            reading.take(number, messages)
+        for messages, set_back in clock.parts(batch):
+            if set_back:
+                end_part()
+                reading = _Reading(source, most_values)
+            for number, same in by_connection(messages):
+                clock.saw(number, same.time)
+                reading.take(number, same)
         if progress is not None:
             progress(len(batch.data))
-    return reading.flight()
+    end_part()
+    if chosen is None:
+        raise BagError(f"part: {str(path)!r} has no part {part}; there are 1 to {len(spans)}")
+    flight = chosen[1].flight()
+    if clock.steps:
+        flight.notes.append(f"the recorder's clock was set back {clock.steps} times; all is shown in order of time")
+    if len(spans) > 1:
+        flight.parts = len(spans)
+        words = "; ".join(f"{i}: {start:.1f} to {end:.1f} s" for i, (start, end) in enumerate(spans, 1))
+        flight.notes.append(
+            f"time was set back {len(spans) - 1} times, so there are {len(spans)} parts ({words}); part {chosen[0]} is "
+            "shown, another with --part"
+        )
+    return flight
+
+
+class _Clock:
+    """Watches whether time goes on, topic by topic: a bag may have been written one topic after the other.
+
+    Attributes:
+        steps: how often a clock that tells dates was set back.
+    """
+
+    def __init__(self) -> None:
+        self.steps = 0
+        self._last: dict[int, int] = {}  # by connection, ns
+
+    def saw(self, number: int, time: NDArray[np.int64]) -> None:
+        """Take down when a connection's messages were recorded, ns, shape (n,), n > 0."""
+        last = int(time.max())
+        self._last[number] = max(last, self._last.get(number, last))
+
+    def parts(self, batch: Batch) -> Iterator[tuple[Batch, bool]]:
+        """Yield a batch in parts, each with whether simulated time was set back before it."""
+        set_back = False
+        while (row := self._first_late(batch)) is not None:
+            yield Batch(batch.data, *(column[:row] for column in batch[1:])), set_back
+            batch = Batch(batch.data, *(column[row:] for column in batch[1:]))
+            set_back = int(batch.time[0]) * 1e-9 < _DATE
+            self.steps += not set_back
+            self._last.clear()
+        yield batch, set_back
+
+    def _first_late(self, batch: Batch) -> int | None:
+        """Return the row of the first message that is earlier than another of its topic before it; None if none is."""
+        latest = np.maximum(np.maximum.accumulate(batch.time), max(self._last.values(), default=-(2**63)))
+        late = latest - batch.time > _SET_BACK
+        rows = []
+        for number in np.unique(batch.connection[late]).tolist():
+            mine = np.flatnonzero(batch.connection == number)
+            time = batch.time[mine]
+            known = np.maximum(np.maximum.accumulate(time), self._last.get(number, int(time[0])))
+            rows += mine[known - time > _SET_BACK][:1].tolist()
+        return min(rows, default=None)
 
 
 class _Reading:
@@ -403,16 +486,22 @@ class _Reading:
         for i, name in enumerate(names):
             self.columns.add((_MODEL, name), time, places[:, i])
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times of the first and the last message by the recorder's clock, s; 0 if there is none."""
+        first = min((topic.first for topic in self.topics.values()), default=0)
+        last = max((topic.last for topic in self.topics.values()), default=0)
+        return first * 1e-9, last * 1e-9
+
     def flight(self) -> Flight:
         """Return what was collected."""
         flight = Flight(self.source.path, self.source.size)
         flight.topics = sorted(self.topics.values(), key=lambda topic: topic.name)
         flight.cut = bool(self.source.notes)
         flight.notes = [*self.source.notes, *self._notes()]
-        first = min((topic.first for topic in flight.topics), default=0) * 1e-9
-        last = max((topic.last for topic in flight.topics), default=0) * 1e-9
+        first, last = self.span
         flight.origin = first if first > _DATE else 0.0
-        flight.duration = max(last - first, 0.0)
+        flight.duration = last - first
         self._fill_vehicles(flight)
         flight.patterns = [
             Change(at - flight.origin, offsets_from_message(data))
@@ -442,12 +531,14 @@ class _Reading:
         return notes
 
     def _fill_vehicles(self, flight: Flight) -> None:
+        thinned = self.columns.thinned
         series = {key: value.moved(flight.origin) for key, value in self.columns.series().items()}
         names = {key[0] for key in series if key[0] not in (_MODEL, _TRUE)} | set(self.states) | set(self.texts)
         for name in sorted(names, key=natural_order):
             vehicle = Vehicle(name, {what: value for (owner, what), value in series.items() if owner == name})
             if not (vehicle.series.keys() - set(_COMMANDS.values()) or name in self.states):
                 continue  # a topic of XTDrone's that is no vehicle's, as /xtdrone/leader/...
+            vehicle.thinned = {what for owner, what in thinned if owner == name}
             _complete(vehicle)
             for at, mode, armed in self.states.get(name, ()):
                 if not vehicle.modes or vehicle.modes[-1][1] != mode:
@@ -479,6 +570,9 @@ def _complete(vehicle: Vehicle) -> None:
         turned = _rotated(odometry.value[:, 3:7], odometry.value[:, 7:10])  # MAVROS gives it in the body's axes
         vehicle.series.setdefault("pose", Series(odometry.time, odometry.value[:, :7]))
         vehicle.series.setdefault("velocity", Series(odometry.time, turned))
+    if (raw := vehicle.series.pop("raw imu", None)) is not None:
+        vehicle.series["imu"] = raw
+        vehicle.thinned = {"imu" if what == "raw imu" else what for what in vehicle.thinned - {"imu"}}
     fixes = vehicle.series.get("global")
     if "pose" not in vehicle.series and fixes is not None and len(fixes):
         good = np.isfinite(fixes.value).all(axis=1)

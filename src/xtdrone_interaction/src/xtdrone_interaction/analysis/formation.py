@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -51,10 +52,10 @@ def formation_record(flight: Flight) -> FlightRecord | None:
 
 def _events(flight: Flight) -> list[dict[str, Any]]:
     """Return the director's events, by the flight's times."""
-    try:
-        events = read_events(flight.path.with_name("events.jsonl")) or flight.events
-    except (OSError, ValueError):
-        events = flight.events
+    events = flight.events
+    if flight.parts == 1:  # else those beside it may be another part's
+        with contextlib.suppress(OSError, ValueError):
+            events = read_events(flight.path.with_name("events.jsonl")) or events
     events = [e for e in events if isinstance(e.get("time"), int | float) and isinstance(e.get("event"), str)]
     # wall times would be those of the whole flight, which may not have been recorded
     return [

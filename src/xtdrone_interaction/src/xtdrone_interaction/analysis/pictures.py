@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,9 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
 
-from xtdrone_interaction.analysis.columns import Array, Series
+from xtdrone_interaction.analysis.columns import Array, Series, flown
 from xtdrone_interaction.analysis.drawing import (
     NO_MODE,
     Picture,
@@ -25,6 +26,7 @@ from xtdrone_interaction.analysis.drawing import (
     spans,
 )
 from xtdrone_interaction.analysis.flight import Flight, Vehicle
+from xtdrone_interaction.analysis.tracking import spectrum
 from xtdrone_interaction.geometry import least_distances
 from xtdrone_interaction.plots import figures
 from xtdrone_interaction.record import FlightRecord
@@ -69,6 +71,9 @@ def pictures(flight: Flight, record: FlightRecord | None) -> Iterator[Picture]:
     for vehicle in followed:
         yield Picture(f"set-points_{vehicle.name}", f"Set-points and response of {vehicle.name}",
                       response(flight, vehicle))  # fmt: skip
+    spectra = [(vehicle.name, made) for vehicle in flight.vehicles if (made := _imu_spectra(vehicle))]
+    if spectra:
+        yield Picture("spectra", "Frequency content of rates and vibration", frequencies(flight, spectra))
     if any(_has_battery(vehicle) for vehicle in flight.vehicles):
         yield Picture("batteries", "Batteries", batteries(flight))
 
@@ -289,23 +294,68 @@ def _axis(series: Series, column: int) -> Series:
     return Series(series.time, series.value[:, column : column + 1])
 
 
+def _imu_spectra(vehicle: Vehicle) -> tuple[tuple[Array, Array], tuple[Array, Array]] | None:
+    """Return frequencies and power densities, (f,) and (f, 3), of rates and acceleration; None if not all was kept."""
+    imu = vehicle.series.get("imu")
+    if imu is None or not len(imu) or "imu" in vehicle.thinned:
+        return None  # what was left out would come back as other frequencies
+    start, end = flown(vehicle.armed, float(imu.time[-1]))
+    rates = spectrum(Series(imu.time, np.degrees(imu.value[:, :3])), start, end)
+    acceleration = spectrum(Series(imu.time, imu.value[:, 3:]), start, end)
+    return None if rates is None or acceleration is None else (rates, acceleration)
+
+
+def frequencies(flight: Flight, spectra: Sequence[tuple[str, Any]]) -> Figure:
+    """Draw the power spectral density of rates and acceleration: of one vehicle by axis, of several the axes' sum."""
+    figure, axes = panels(2, 2.6)
+    for panel in axes:
+        panel.tick_params(labelbottom=True)
+    colour = _colours(flight)
+    for name, found in spectra:
+        for panel, (frequency, density) in zip(axes, found, strict=True):
+            if len(spectra) > 1:
+                panel.semilogy(frequency[1:], density[1:].sum(axis=1), color=colour[name], lw=1.0, label=name)
+                continue
+            for axis, (shade, letter) in enumerate(zip(shades(3), ("x, front", "y, left", "z, up"), strict=True)):
+                panel.semilogy(frequency[1:], density[1:, axis], color=shade, lw=1.0, label=letter)
+    for panel, name in zip(axes, ("rates [(°/s)²/Hz]", "acceleration [(m/s²)²/Hz]"), strict=True):
+        panel.set_ylabel(name)
+        panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))  # the log scale's own is mathtext
+    axes[-1].set_xlabel("frequency [Hz]")
+    what = f"of {spectra[0][0]}'s IMU" if len(spectra) == 1 else "of IMUs, all axes"
+    when = " while armed" if any(armed for vehicle in flight.vehicles for _, armed in vehicle.armed) else ""
+    figure.suptitle(f"Power spectral density {what}{when} (Welch, median)")
+    name_lines(figure, axes[0])
+    return figure
+
+
 def _has_battery(vehicle: Vehicle) -> bool:
     series = vehicle.series.get("battery")
     return series is not None and len(series) > 1
 
 
+_BATTERY = (
+    ("voltage [V]", 0, 1.0),
+    ("charge [%]", 1, 100.0),
+    ("current [A]", 2, -1.0),
+)  # what flows out, as PX4 has it
+
+
 def batteries(flight: Flight) -> Figure:
-    """Draw voltage and charge of all vehicles' batteries."""
-    shown = [vehicle for vehicle in flight.vehicles if _has_battery(vehicle)]
-    figure, axes = panels(2)
+    """Draw voltage, charge and current of all vehicles' batteries, what is known of them."""
+    shown = {vehicle.name: vehicle.series["battery"] for vehicle in flight.vehicles if _has_battery(vehicle)}
+    known = {name: np.array(series.value) for name, series in shown.items()}
+    for value in known.values():
+        value[:, 1][value[:, 1] < 0] = np.nan  # MAVROS says -0.01 for a charge that is not known
+        value[:, 2][value[:, 2] == 0] = np.nan
+    rows = [row for row in _BATTERY if any(np.isfinite(value[:, row[1]]).any() for value in known.values())]
+    figure, axes = panels(max(1, len(rows)))
     colour = _colours(flight)
-    for vehicle in shown:
-        shade = colour[vehicle.name]
-        series = vehicle.series["battery"]
-        line(axes[0], series.time, series.value[:, 0], color=shade, lw=1.0, label=vehicle.name)
-        line(axes[1], series.time, 100.0 * series.value[:, 1], color=shade, lw=1.0)
-    axes[0].set_ylabel("voltage [V]")
-    axes[1].set(ylabel="charge [%]", xlabel=flight.time_name)
+    for panel, (unit, column, scale) in zip(axes, rows, strict=False):
+        for name, series in shown.items():
+            line(panel, series.time, scale * known[name][:, column], color=colour[name], lw=1.0, label=name)
+        panel.set_ylabel(unit)
+    axes[-1].set_xlabel(flight.time_name)
     figure.suptitle("Batteries")
     name_lines(figure, axes[0])
     return figure

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from xtdrone_control.autopilot import modes
-from xtdrone_interaction.analysis.columns import Array, Series
+from xtdrone_interaction.analysis.columns import Array, Series, flown
 
 MAGIC = b"ULog\x01\x12\x35"
 TOPICS = (
@@ -112,12 +112,7 @@ class FlightLog:
     @property
     def flown(self) -> tuple[float, float]:
         """From the first arming to the last disarming, s; the whole log where it was never armed."""
-        starts = [time for time, armed in self.armed if armed]
-        if not starts:
-            return 0.0, self.duration
-        ends = [time for time, armed in self.armed if not armed and time > starts[0]]
-        last_armed = self.armed[-1][1]
-        return starts[0], self.duration if last_armed or not ends else ends[-1]
+        return flown(self.armed, self.duration)
 
     @property
     def flown_words(self) -> str:
