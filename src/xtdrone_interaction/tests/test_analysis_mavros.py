@@ -77,10 +77,10 @@ class MavrosBag(Bag):
         """Write what a vehicle says at one time."""
         header = self.header(time)
         shake = self.vector(0.0, 0.0, 9.81 + np.sin(2 * np.pi * SHAKING * time))
+        turn = self.vector(0.3 * np.sin(2 * np.pi * TURNING * time), 0.0, 0.0)
         kind = "sensor_msgs/msg/Imu"
-        self.write(
-            f"{space}/mavros/imu/data_raw", kind, self.zero(kind, header=header, linear_acceleration=shake), time
-        )
+        imu = self.zero(kind, header=header, linear_acceleration=shake, angular_velocity=turn)
+        self.write(f"{space}/mavros/imu/data_raw", kind, imu, time)
         if number % 5:
             return
         place = self.zero("geometry_msgs/msg/Pose", position=self.vector(*helix(time), kind="Point"))
