@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import math
 import os
 import pty
@@ -26,10 +27,12 @@ pytest.importorskip("rospy")
 
 import rosgraph
 import rospy
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from mavros_msgs.msg import PositionTarget
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+
+from xtdrone_coordination.patterns import Patterns
 
 PROGRAM = str(REPOSITORY / "src" / "xtdrone_interaction" / "nodes" / "multirotor_keyboard_control.py")
 READY = "Ctrl-C ends"  # the screen's last line of the table
@@ -59,6 +62,7 @@ class Seat:
         fcntl.ioctl(self._slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         self.before = self.settings()
         self._written = bytearray()
+        self._hung_up = False
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         environment = {**os.environ, **graph.environment, "TERM": term}
@@ -69,7 +73,7 @@ class Seat:
 
     def _read(self) -> None:
         with contextlib.suppress(OSError):
-            while data := os.read(self._master, 4096):
+            while not self._hung_up and (data := os.read(self._master, 4096)):
                 self._written += data
 
     def settings(self) -> list[Any]:
@@ -104,6 +108,13 @@ class Seat:
         """The process's state as /proc has it: T is stopped."""
         return Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0]
 
+    def hang_up(self) -> None:
+        """Close the terminal's other end, as a window or an ssh connection that goes."""
+        self._hung_up = True
+        self.type("h")  # the answer wakes the reader
+        self._reader.join()
+        os.close(self._master)
+
     def end(self) -> int:
         return self.process.wait(60.0)
 
@@ -112,7 +123,7 @@ class Seat:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
-        for descriptor in (self._slave, self._master):
+        for descriptor in (self._slave, *([] if self._hung_up else [self._master])):
             os.close(descriptor)
 
 
@@ -152,6 +163,7 @@ ENDINGS: dict[str, tuple[Callable[[Seat], Any], int, str]] = {
     "Ctrl-C": (lambda seat: seat.type("\x03"), 0, ""),
     "SIGTERM": (lambda seat: seat.process.terminate(), 0, ""),
     "SIGHUP": (lambda seat: seat.process.send_signal(signal.SIGHUP), 0, ""),
+    "Ctrl-\\": (lambda seat: seat.type("\x1c"), 0, ""),  # SIGQUIT
     "rosnode kill": (shutdown_by_master, 0, "the node was told to end"),
     "an exception": (lambda seat: seat.type("t"), 1, "a fault of the keyboard's own"),
 }
@@ -176,6 +188,19 @@ def test_the_terminal_is_restored(graph: Graph, sit: Callable[..., Seat], ending
     assert word in seat.text
     if ending != "an exception":
         poll(lambda: speeds.last.linear.x == 0.0, "the vehicle was told to keep still")
+
+
+@pytest.mark.timeout(2 * START_LIMIT)
+def test_a_terminal_that_goes_ends_it_and_stops_the_vehicles(graph: Graph, sit: Callable[..., Seat]) -> None:
+    speeds = graph.hear("/xtdrone/iris_0/cmd_vel_flu", Twist)
+    seat = sit("iris", "1", "vel")
+    seat.see(READY)
+    poll(lambda: heard("/xtdrone/iris_0/cmd_vel_flu"), "the keyboard publishes to us")
+    seat.type("www")
+    poll(lambda: speeds.last and speeds.last.linear.x == 0.03, "the speed is told")
+    seat.hang_up()
+    assert seat.end() in (0, 1)  # SIGHUP, or the end of input where that is seen first
+    poll(lambda: speeds.last == Twist(), "the vehicle was told to keep still")
 
 
 def heard(topic: str) -> bool:
@@ -353,5 +378,61 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
         seat.type("\x03")
         assert seat.end() == 0
         assert seat.settings() == seat.before
+    finally:
+        stack.stop()
+
+
+@pytest.mark.timeout(3 * START_LIMIT)
+def test_the_leader_is_steered_by_accelerations_and_others_follow(
+    graph: Graph, sit: Callable[..., Seat], tmp_path: Path
+) -> None:
+    """The real leader and followers: a pattern by its digit, faster and faster, and to rest; they start in the air."""
+    count = 3
+    stack = Stack(graph, tmp_path, f"solo:{count}")
+    poses = [graph.hear(f"/solo_{i}/mavros/local_position/pose", PoseStamped) for i in range(count)]
+    velocity = graph.hear("/solo_0/mavros/local_position/velocity_local", TwistStamped)
+    slots = Patterns(count).offsets("circle").tolist()
+
+    def place(index: int) -> tuple[float, float, float]:
+        p = poses[index].last.pose.position
+        return p.x, p.y, p.z
+
+    def in_formation() -> bool:
+        leader, *others = (place(i) for i in range(count))
+        relative = [[a - b for a, b in zip(other, leader, strict=True)] for other in others]
+        return any(
+            all(math.dist(a, b) < 0.1 for a, b in zip(relative, order, strict=True))
+            for order in itertools.permutations(slots)
+        )
+
+    try:
+        options = ["_airborne:=true", "_speed:=10", "_participants:=leader,followers"]
+        stack.run("simulator", "xtdrone_sim", "simplified_simulator", "solo", str(count), *options)
+        master = rosgraph.Master("/system_tests")
+        poll(lambda: master.hasParam("/lockstep/uri"), "the simulator offers its lockstep", START_LIMIT)
+        stack.run("leader", "xtdrone_coordination", "leader.py", "solo", str(count))
+        stack.run("followers", "xtdrone_coordination", "follower_consensus.py", "solo", "1-2", str(count), "vel")
+        stack.wait(lambda: all(ear.last for ear in (*poses, velocity)), "all say where they are", wall=START_LIMIT)
+        seat = sit("solo", str(count), "accel")
+        seat.see("solo_2", "armed", "OFFBOARD", "circle")
+        for topic in ("cmd", "cmd_accel_flu"):
+            poll(lambda topic=topic: heard(f"/xtdrone/leader/{topic}"), "the leader hears the keyboard")
+
+        digit = re.search(r"(\d)\s+circle", seat.text)
+        assert digit
+        seat.type(f"g{digit[1]}")
+        stack.wait(in_formation, "they fly a circle", sim=LONG)
+        start = place(0)
+        seat.type("w" * 20)  # 0.2 m/s^2; vehicles look east
+        stack.wait(lambda: velocity.last.twist.linear.x > 0.8, "the leader gets faster and faster", sim=LONG)
+        assert not in_formation(), "the others lag behind"
+        seat.type("s")
+        stack.wait(lambda: abs(velocity.last.twist.linear.x) < 0.01, "the leader comes to rest", sim=LONG)
+        stack.wait(in_formation, "the others come after", sim=LONG)
+        moved = [a - b for a, b in zip(place(0), start, strict=True)]
+        assert moved[0] > 1.0
+        assert max(map(abs, moved[1:])) < 0.1
+        seat.type("\x03")
+        assert seat.end() == 0
     finally:
         stack.stop()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from .pilot import AXES, NO_PATTERN, Target
 
 SILENT = 3.0  # s without a word from a vehicle after which that is said
+_JOINED = "\xa0"  # a space at which no line ends
 _LEAST_TABLE = 4  # vehicles that are worth more than the help
 _FULL = 76  # columns that all headings and units take
 
@@ -177,7 +178,8 @@ def _foot(view: View, shown: Layout) -> str:
 
 def help_lines(columns: int, patterns: Mapping[str, str]) -> list[str]:
     """Return what the keys do, in lines for this width."""
-    chosen = ", ".join(f"{digit} {name}" for digit, name in {"0": NO_PATTERN, **patterns}.items())
+    # a digit stays with its pattern where the line wraps
+    chosen = ", ".join(f"{digit}{_JOINED}{name}" for digit, name in {"0": NO_PATTERN, **patterns}.items())
     items = [
         "w/x forward/back",
         "a/d left/right",
@@ -201,7 +203,7 @@ def help_lines(columns: int, patterns: Mapping[str, str]) -> list[str]:
             lines[-1] += f"   {item}"
         else:
             lines += textwrap.wrap(item, width)
-    return lines
+    return [line.replace(_JOINED, " ") for line in lines]
 
 
 def sentence(sight: Sight) -> str:
