@@ -8,18 +8,24 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from rich.console import Console
 from shapely.geometry import box
 
 from xtdrone_interaction.record import RecordError
 from xtdrone_interaction.search_record import SearchRecord, Sight, read_search
-from xtdrone_interaction.search_report import make_report
+from xtdrone_interaction.search_report import make_report, print_report
 from xtdrone_interaction.search_views import Views
 
 FINISHED: dict[str, Any] = {
-    "event": "finished", "time": 100.0, "outcome": "found", "vehicle": "typhoon_h480_0", "position": [13.0, 4.0],
+    "event": "finished", "time": 100.0, "outcome": "found", "vehicle": "typhoon_h480_0", "position": [10.0, 0.0],
     "found_time": 30.0, "covered_area": 900.0, "region_area": 1000.0, "covered_fraction": 0.9, "possible": [],
     "lost": [],
 }  # fmt: skip
+
+
+def confirmed(x: float, y: float, time: float = 30.0, vehicle: str = "typhoon_h480_0") -> dict[str, Any]:
+    """A find at (x, y) m."""
+    return {"event": "confirmed", "time": time + 0.5, "vehicle": vehicle, "position": [x, y], "found_time": time}
 
 
 def record(*events: dict[str, Any], sights: list[Sight] | None = None, **changes: Any) -> SearchRecord:
@@ -41,16 +47,29 @@ def record(*events: dict[str, Any], sights: list[Sight] | None = None, **changes
 
 
 def test_a_find_is_compared_with_where_the_person_was_then() -> None:
-    report = make_report(record(), {})
+    report = make_report(record(confirmed(13.0, 4.0)), {})
     assert report["find"]["person"] == "person_0"
     assert report["find"]["error"] == pytest.approx(5.0)  # (13, 4) from (10, 0)
     assert report["shortcomings"] == ["what typhoon_h480_0 found is no person: the nearest person was 5.0 m away"]
 
 
 def test_a_good_find_has_no_shortcoming() -> None:
-    report = make_report(record(position=[10.3, 0.4]), {})
+    report = make_report(record(confirmed(10.3, 0.4)), {})
     assert report["find"]["error"] == pytest.approx(0.5)
     assert report["shortcomings"] == []
+
+
+def test_a_search_that_goes_on_is_to_find_everybody() -> None:
+    search = record(confirmed(10.0, 0.2), confirmed(10.0, 40.0, time=70.0, vehicle="typhoon_h480_1"))
+    search.persons["person_1"] = np.tile([50.0, 50.0, 0.0], (1001, 1))
+    report = make_report(search, {"on_find": "continue"})
+    assert [(find["person"], find["again"]) for find in report["finds"]] == [("person_0", False), ("person_0", True)]
+    assert report["shortcomings"] == ["not found: person_1"]
+    assert make_report(search, {"on_find": "hold"})["shortcomings"] == []
+    with (console := Console(width=100)).capture() as printed:
+        print_report(report, console)
+    assert "Found by typhoon_h480_0 at 30.0 s, at (10.0, 0.2) m, 0.20 m from person_0." in printed.get()
+    assert "Found again by typhoon_h480_1 at 70.0 s" in printed.get()
 
 
 def test_the_way_of_each_vehicle_is_measured() -> None:
@@ -63,7 +82,7 @@ def test_following_counts_the_pictures_that_show_the_person() -> None:
     follow = {"event": "following", "time": 40.0, "vehicle": "typhoon_h480_0"}
     ended = {"event": "follow_ended", "time": 60.0, "vehicle": "typhoon_h480_0", "reason": "time"}
     sights = [Sight(t, 0, (1,), (1,) if t < 55.0 else ()) for t in np.arange(30.0, 80.0, 0.5)]
-    report = make_report(record(follow, ended, sights=sights, position=[10.0, 0.0]), {})
+    report = make_report(record(confirmed(10.0, 0.0), follow, ended, sights=sights), {})
     (following,) = report["following"]
     assert following["duration"] == pytest.approx(20.0)
     assert following["in_view"] == pytest.approx(30 / 41)
@@ -71,7 +90,7 @@ def test_following_counts_the_pictures_that_show_the_person() -> None:
 
 
 def test_a_search_without_find_says_so_only_where_somebody_is() -> None:
-    somebody = record(outcome="not found", vehicle=None, position=None)
+    somebody = record(outcome="not found")
     assert make_report(somebody, {})["shortcomings"] == ["nobody was found, and there is a person"]
     nobody = SearchRecord(**{**vars(somebody), "persons": {}})
     assert make_report(nobody, {})["shortcomings"] == []
@@ -79,7 +98,7 @@ def test_a_search_without_find_says_so_only_where_somebody_is() -> None:
 
 def test_losses_and_collisions_are_named() -> None:
     silent = {"event": "camera_silent", "time": 20.0, "vehicle": "typhoon_h480_0", "position": [20.0, 0.0]}
-    bad = record(silent, position=[10.0, 0.0], lost=["typhoon_h480_1"])
+    bad = record(confirmed(10.0, 0.0), silent, lost=["typhoon_h480_1"])
     bad.collisions.append("collision of typhoon_h480_1 and house_3")
     assert make_report(bad, {})["shortcomings"] == [
         "lost: typhoon_h480_1",

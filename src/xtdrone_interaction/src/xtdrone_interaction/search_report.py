@@ -26,11 +26,12 @@ def make_report(record: SearchRecord, settings: dict[str, Any]) -> dict[str, Any
             real-time factor.
     """
     end = record.finished
+    finds = _finds(record)
     report: dict[str, Any] = {
         "outcome": end["outcome"],
         "reason": end.get("reason", ""),
-        "find": _find(record, end),
-        "finds": [_find(record, event) for event in record.events if event["event"] == "confirmed"],
+        "find": finds[0] if finds else None,
+        "finds": finds,
         "following": _following(record),
         "covered": {
             "area": end.get("covered_area"),
@@ -48,25 +49,34 @@ def make_report(record: SearchRecord, settings: dict[str, Any]) -> dict[str, Any
         "settings": settings,
         "versions": versions(),
     }
-    report["shortcomings"] = shortcomings(report, persons=len(record.persons))
+    report["shortcomings"] = shortcomings(report, sorted(record.persons))
     return report
 
 
-def _find(record: SearchRecord, event: dict[str, Any]) -> dict[str, Any] | None:
-    """Return who found what, when and where, and how far from the nearest person; None for an event without a place."""
-    if event.get("position") is None:
-        return None
-    time = float(event.get("found_time", event["time"]))
-    place = (float(event["position"][0]), float(event["position"][1]))
-    nearest = record.nearest_person(place, time)
-    return {
-        "vehicle": event.get("vehicle"),
-        "time": time,
-        "position": list(place),
-        "covariance": event.get("covariance"),
-        "person": None if nearest is None else nearest[0],
-        "error": None if nearest is None else nearest[1],
-    }
+def _finds(record: SearchRecord) -> list[dict[str, Any]]:
+    """Return who found what, when and where, how far from the nearest person, and whether he had been found before."""
+    finds: list[dict[str, Any]] = []
+    known: set[str] = set()
+    for event in record.events:
+        if event["event"] != "confirmed":
+            continue
+        time = float(event["found_time"])
+        place = (float(event["position"][0]), float(event["position"][1]))
+        person, error = record.nearest_person(place, time) or (None, None)
+        finds.append(
+            {
+                "vehicle": event["vehicle"],
+                "time": time,
+                "position": list(place),
+                "covariance": event.get("covariance"),
+                "person": person,
+                "error": error,
+                "again": person in known,
+            }
+        )
+        if person is not None and error is not None and error <= ERROR_LIMIT:
+            known.add(person)
+    return finds
 
 
 def _following(record: SearchRecord) -> list[dict[str, Any]]:
@@ -108,24 +118,27 @@ def _vehicle(record: SearchRecord, index: int) -> dict[str, Any]:
     }
 
 
-def shortcomings(report: dict[str, Any], persons: int) -> list[str]:
+def shortcomings(report: dict[str, Any], persons: list[str]) -> list[str]:
     """Return what is not as it should be, in words; empty for a good search.
 
     Args:
         report: its figures.
-        persons: how many there were to be found.
+        persons: who was to be found; where the search goes on after a find, everybody.
     """
     found = []
     if report["outcome"] == "failed":
         found.append(f"the search failed: {report['reason']}")
     if report["outcome"] == "not found" and persons:
-        found.append(f"nobody was found, and there {'is a person' if persons == 1 else f'are {persons} persons'}")
-    find = report["find"]
-    if report["outcome"] == "found" and find is not None and (find["error"] is None or find["error"] > ERROR_LIMIT):
-        off = (
-            "nobody is there at all" if find["error"] is None else f"the nearest person was {find['error']:.1f} m away"
-        )
-        found.append(f"what {find['vehicle']} found is no person: {off}")
+        there = "there is a person" if len(persons) == 1 else f"there are {len(persons)} persons"
+        found.append(f"nobody was found, and {there}")
+    for find in report["finds"]:
+        if find["error"] is None or find["error"] > ERROR_LIMIT:
+            off = f"the nearest person was {find['error']:.1f} m away" if find["person"] else "nobody is there at all"
+            found.append(f"what {find['vehicle']} found is no person: {off}")
+    met = {find["person"] for find in report["finds"] if find["person"] and find["error"] <= ERROR_LIMIT}
+    missed = [name for name in persons if name not in met]
+    if report["outcome"] == "found" and missed and report["settings"].get("on_find") == "continue":
+        found.append(f"not found: {', '.join(missed)}")
     for following in report["following"][:1]:
         if following["in_view"] is not None and following["in_view"] < FOLLOW_IN_VIEW:
             found.append(
@@ -140,20 +153,21 @@ def shortcomings(report: dict[str, Any], persons: int) -> list[str]:
     return found
 
 
+def _words_of(find: dict[str, Any]) -> str:
+    x, y = find["position"]
+    error = "" if find["error"] is None else f", {find['error']:.2f} m from {find['person']}"
+    again = " again" if find["again"] else ""
+    return f"[green]Found{again}[/green] by {find['vehicle']} at {find['time']:.1f} s, at ({x:.1f}, {y:.1f}) m{error}."
+
+
 def print_report(report: dict[str, Any], console: Console) -> None:
     """Print the figures that a user wants to see first."""
-    covered, find = report["covered"], report["find"]
-    if report["outcome"] == "found" and find is not None:
-        error = "" if find["error"] is None else f", {find['error']:.2f} m from {find['person']}"
-        console.print(
-            f"[green]Found[/green] by {find['vehicle']} at {find['time']:.1f} s, at "
-            f"({find['position'][0]:.1f}, {find['position'][1]:.1f}) m{error}.",
-            highlight=False,
-        )
-    else:
-        console.print(
-            f"[yellow]{escape(report['outcome'].capitalize())}.[/yellow] {escape(report['reason'])}", highlight=False
-        )
+    covered = report["covered"]
+    if report["outcome"] != "found":
+        outcome = escape(report["outcome"].capitalize())
+        console.print(f"[yellow]{outcome}.[/yellow] {escape(report['reason'])}", highlight=False)
+    for find in report["finds"]:
+        console.print(_words_of(find), highlight=False)
     for following in report["following"]:
         part = (
             "" if following["in_view"] is None else f", in view in {100 * following['in_view']:.0f} % of the pictures"
