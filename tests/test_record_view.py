@@ -17,7 +17,8 @@ import pytest
 import yaml
 from conftest import Graph
 
-NAMES = ("iris_0", "iris_1", "iris_2")
+NAMES = ("iris_0", "typhoon_h480_0", "iris_1")  # the second one has joints, of which the bag says nothing
+MIDDLES = (0.0, 0.09, 0.0)  # m above base_link, of what is seen of each
 STEP = 0.04  # s, a multiple of the simulator's step
 COUNT = 16  # poses, and so frames
 SIZE = (960, 540)  # larger than a window is at first
@@ -131,7 +132,8 @@ def test_vehicles_are_seen_where_they_are_in_each_frame_and_nothing_is_seen_else
         seen = np.abs(picture - BACKGROUND).max(axis=2) > 12
         rows, columns = np.nonzero(seen)
         pixels = np.stack([columns, rows], axis=1) + 0.5
-        places = np.array([project(place(number, 1.0 + STEP * k)) for number in range(len(NAMES))])
+        middles = [np.add(place(number, 1.0 + STEP * k), [0.0, 0.0, middle]) for number, middle in enumerate(MIDDLES)]
+        places = np.array([project(middle) for middle in middles])
         distances = np.linalg.norm(pixels[:, None] - places, axis=2)
         nearest = distances.argmin(axis=1)
         assert distances.min(axis=1).max() < 45.0, f"frame {k}: something is where no vehicle is"
@@ -235,6 +237,50 @@ def test_the_benchmark_films_vehicles_that_circle(tmp_path: Path) -> None:
     assert row["frames"] > 0
     assert row["frames_per_second"] == pytest.approx(row["frames"] / row["elapsed"])
     assert {"rviz_offscreen", "ffmpeg", "robot_tf", "swarm_markers"} <= row["cpu_per_frame"].keys()
+
+
+@pytest.mark.parametrize(
+    ("file", "arguments", "count"),
+    [
+        ("multi_vehicle.launch", ["vehicles:=iris:2"], 3),
+        ("multi_vehicle.launch", ["vehicles:=iris:2", "tf:=true"], 3),
+        ("formation.launch", ["n:=6", "processes:=shared"], 7),
+        ("search.launch", ["n:=2"], "/mavros,/cameras,/communication,/yolo,/yolo_human_tracking,/search_mission"
+                                    ",/robot_tf,/swarm_markers"),
+    ],
+)  # fmt: skip
+def test_launch_files_start_rviz_and_time_waits_for_its_nodes(
+    file: str, arguments: list[str], count: int | str
+) -> None:
+    launch = str(Path(__file__).parents[1] / "launch" / file)
+
+    def ask(question: str) -> str:
+        command = ["roslaunch", question, launch, *arguments, "rviz:=true"]
+        return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=True).stdout
+
+    nodes = ask("--nodes").split()
+    assert [nodes.count(name) for name in ("/robot_tf", "/swarm_markers", "/rviz")] == [1, 1, 1]
+    assert yaml.safe_load(ask("--dump-params"))["/simulator/participants"] == count
+
+
+def test_rviz_without_a_screen_says_what_does_without(graph: Graph) -> None:
+    graph.forget_parameters()
+    import roslib.packages
+
+    environment = {**os.environ, **graph.environment}
+    environment.pop("DISPLAY", None)
+    program = str(roslib.packages.find_node("xtdrone_interaction", "rviz_view.py")[0])
+    done = subprocess.run(
+        [program, "formation"], env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
+    )
+    assert done.returncode == 1
+    assert "there is no screen, DISPLAY is not set; without one ./xtdrone record-view" in done.stderr
+    environment["DISPLAY"] = ":7797"
+    done = subprocess.run(
+        [program, "sideways"], env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
+    )
+    assert done.returncode == 2
+    assert "parameter /xtdrone/fleet is not set" in done.stderr
 
 
 def test_without_xvfb_the_message_says_what_to_install(bag: Path, tmp_path: Path) -> None:

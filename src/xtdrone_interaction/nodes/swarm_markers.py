@@ -5,7 +5,9 @@ Parameters:
     /xtdrone/fleet (as ``iris:9``): which vehicles there are; the first leads a formation.
     ~rate (Hz of simulated time, 0.1 to 50, default 30): how often.
     ~trail (s, 0 to 60, default 6): length of the trails.
-    ~label (m, 0.05 to 20, default 0.4): height of the names' letters.
+    ~view (default none): a view, as search; what it needs is then the default of the following.
+    ~scale (0.1 to 50, default 1): of letters and of lines' widths; at 1 letters are 0.4 m high, to be read from 15 m.
+    ~spot (m, 0 to 50, default 0): diameter of a sphere about each vehicle, to be seen from afar; 0: none.
 
 Topics:
     /VEHICLE/mavros/local_position/pose, /xtdrone/VEHICLE/avoid_vel, avoid_accel (in)

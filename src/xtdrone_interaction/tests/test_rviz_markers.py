@@ -52,6 +52,29 @@ def test_names_stand_above_their_vehicles(markers):
         assert 0.0 < position.z - place[2] < 1.5
 
 
+def test_lines_and_letters_grow_with_the_scale_and_spots_stand_at_the_vehicles():
+    def seen(**options):
+        made = SwarmMarkers(NAMES, **options)
+        for time, place in enumerate(PLACES):
+            made.on_position("iris_1", float(time), place)
+        return shown(made, 2.0)
+
+    near, afar = seen(), seen(scale=6.0, spot=2.0)
+    assert afar["names", 1].scale.z == pytest.approx(6.0 * near["names", 1].scale.z)
+    assert afar["trails", 1].scale.x == pytest.approx(6.0 * near["trails", 1].scale.x)
+    assert ("spots", 1) not in near
+    sphere = afar["spots", 1]
+    assert (sphere.pose.position.x, sphere.pose.position.y, sphere.pose.position.z) == PLACES[2]
+    assert sphere.scale.x == sphere.scale.y == sphere.scale.z == 2.0
+    assert afar["names", 1].pose.position.z > PLACES[2][2] + 1.0
+
+
+@pytest.mark.parametrize("options", [{"scale": 0.0}, {"scale": math.inf}, {"spot": -1.0}, {"spot": math.nan}])
+def test_a_size_that_is_not_allowed_is_refused(options):
+    with pytest.raises(ValueError, match="not allowed"):
+        SwarmMarkers(NAMES, **options)
+
+
 def test_slots_stand_about_the_leader(markers):
     markers.on_pattern(np.array([[3.0, 0.0, 0.0], [0.0, 3.0, 1.0]]))
     assert points(shown(markers)["slots", 0]) == [(3.0, 0.0, 5.0), (0.0, 3.0, 6.0)]

@@ -171,7 +171,8 @@ struct Scene::Parts {
   }
 };
 
-Scene::Scene(const std::string& config, unsigned width, unsigned height, bool antialiasing) : parts_(std::make_unique<Parts>()) {
+Scene::Scene(const std::string& config, unsigned width, unsigned height, bool antialiasing)
+    : parts_(std::make_unique<Parts>()) {
   Parts& parts = *parts_;
   parts.path = config;
   parts.config = readConfig(config);

@@ -13,15 +13,15 @@ class SettingsError : public std::runtime_error {
 };
 
 struct Settings {
-  std::string config;   ///< ~config: the .rviz file
-  unsigned width = 0;   ///< ~width: pixels
-  unsigned height = 0;  ///< ~height: pixels
+  std::string config;        ///< ~config: the .rviz file
+  unsigned width = 0;        ///< ~width: pixels
+  unsigned height = 0;       ///< ~height: pixels
   bool antialiasing = true;  ///< ~antialiasing: whether edges are smoothed
-  double rate = 0.0;    ///< ~rate: frames a simulated second, Hz
-  std::string film;     ///< ~film: file that ends with .mp4; empty: none
-  double fps = 0.0;     ///< ~fps: frames a second of the film when it is played; by default ~rate
-  std::string frames;   ///< ~frames: folder for a PNG of each frame; empty: none
-  std::string display;  ///< ~display: an X display that is there, as :0; empty: an Xvfb of this node's own
+  double rate = 0.0;         ///< ~rate: frames a simulated second, Hz
+  std::string film;          ///< ~film: file that ends with .mp4; empty: none
+  double fps = 0.0;          ///< ~fps: frames a second of the film when it is played; by default ~rate
+  std::string frames;        ///< ~frames: folder for a PNG of each frame; empty: none
+  std::string display;       ///< ~display: an X display that is there, as :0; empty: an Xvfb of this node's own
 
   /// Reads the parameters.
   ///

@@ -7,7 +7,8 @@ Parameters:
     ~frame_id (default map): frame of the vehicles' positions.
 
 Topics:
-    /VEHICLE/mavros/local_position/pose, /VEHICLE/joint_states (in)
+    /VEHICLE/mavros/local_position/pose (in)
+    /VEHICLE/joint_states (in): of gimbal and landing gear; until it comes, their joints are at 0.
     /tf, /tf_static (out)
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.package_files import CONFIG
 from xtdrone_sim.poses import compose, from_rpy, inverse, rotate
+from xtdrone_sim.robot_frames import RobotFrames
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.urdf import UrdfError, parse_urdf
 from xtdrone_sim.vehicle_model import ModelError, available, load_vehicle, read_description
@@ -121,6 +123,24 @@ def test_every_vehicle_of_the_package_can_be_loaded(name):
     model = load_vehicle(name)
     assert model.urdf.root == "base_link"
     assert model.urdf.moving[0].visuals
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (CONFIG / "vehicles").glob("*.yaml")))
+def test_inertias_are_complete_as_other_readers_of_urdf_want_them(name):
+    for inertia in ElementTree.fromstring(load_vehicle(name).urdf.text or "<robot/>").iter("inertia"):
+        assert set(inertia.attrib) == {"ixx", "ixy", "ixz", "iyy", "iyz", "izz"}
+
+
+@pytest.mark.parametrize("name", ["iris", TYPHOON])
+def test_every_link_has_a_place_before_any_joint_is_told_of(name):
+    model = load_vehicle(name)
+    frames = RobotFrames(name, model)
+    placed = {frame.child for frame in (*frames.fixed, *frames.at_rest())}
+    assert {f"{name}/{link.name}" for link in model.urdf.links} <= {frames.body, *placed}
+    for frame in frames.at_rest():
+        joint = next(joint for joint in model.urdf.joints if frame.child == f"{name}/{joint.child}")
+        assert frame.pose.position == pytest.approx(joint.pose.position)
+        assert frame.pose.orientation == pytest.approx(joint.pose.orientation)
 
 
 # vehicles of a user's own

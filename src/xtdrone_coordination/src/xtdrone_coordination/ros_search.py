@@ -44,7 +44,7 @@ from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
 from xtdrone_control.autopilot.plan import Items, PlanItem
-from xtdrone_control.communication.arguments import ArgumentError, fleet_of
+from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_control.pinhole import Pinhole
 
@@ -413,12 +413,9 @@ def run(arguments: Sequence[str]) -> None:
     Raises:
         ArgumentError: an argument or a parameter is not allowed.
     """
-    if arguments:
-        raise ArgumentError(f"no arguments are needed, {len(arguments)} were given")
+    check_no_arguments(arguments)
     lockstep.init_node("search_mission", rate=RATE)
-    fleet = fleet_of(rospy.get_param("/xtdrone/fleet", None))
-    if fleet is None:
-        raise ArgumentError("/xtdrone/fleet: is not set; the fleet is needed, as typhoon_h480:6")
+    fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
     path = str(rospy.get_param("~region", ""))
     try:
         region = read_region(path)

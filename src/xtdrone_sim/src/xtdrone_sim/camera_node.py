@@ -33,7 +33,7 @@ from xtdrone_msgs.msg import SceneState
 
 from xtdrone_control import lockstep
 from xtdrone_control.checks import check_choice, check_range
-from xtdrone_control.communication.arguments import ArgumentError, fleet_of
+from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.lockstep.deferred import Deferred
 from xtdrone_control.lockstep.names import future_name
 
@@ -272,8 +272,7 @@ def main(arguments: Sequence[str]) -> None:
         ArgumentError: an argument or parameter is not allowed.
         DrawingError: pictures cannot be drawn.
     """
-    if arguments:
-        raise ArgumentError(f"no arguments are needed, {len(arguments)} were given")
+    check_no_arguments(arguments)
     parameters = private_parameters(sys.argv)
     text = str(parameters.get("fleet") or rospy.get_param("/xtdrone/fleet", "typhoon_h480"))
     fleet = fleet_of(text) or ()

@@ -54,6 +54,10 @@ class RobotFrames:
             if camera.frame_id not in links:
                 self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{camera.frame_id}", OPTICAL))
 
+    def at_rest(self) -> list[Frame]:
+        """Return the frames on joints that turn, with all joints at 0."""
+        return self.turned(dict.fromkeys(self._turning, 0.0))
+
     def turned(self, angles: Mapping[str, float]) -> list[Frame]:
         """Return the frames on joints that turn.
 

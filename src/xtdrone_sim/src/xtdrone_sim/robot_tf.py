@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 import rospy
@@ -13,14 +13,13 @@ from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
 from xtdrone_control.checks import check_range
-from xtdrone_control.communication.arguments import ArgumentError, fleet_of
+from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.lockstep.names import future_name
 
 from .robot_frames import Frame, RobotFrames
 from .vehicle_model import ModelError, VehicleModel, load_vehicle
 
 _RATE = 30.0  # Hz
-_PARAMETER = "/xtdrone/fleet"
 
 
 def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
@@ -42,6 +41,7 @@ class RobotTf:
         """
         self._frame_id = frame_id
         self._new: dict[str, TransformStamped] = {}
+        self._told: set[RobotFrames] = set()  # of whose joints something has been heard; the others' are at 0
         self._publisher = lockstep.Publisher("/tf", TFMessage)
         self._static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
         fixed = []
@@ -49,7 +49,7 @@ class RobotTf:
             frames = RobotFrames(name, model)
             fixed += [transform(frame, rospy.Time()) for frame in frames.fixed]
             pose_topic = f"/{name}/mavros/local_position/pose"
-            lockstep.Subscriber(pose_topic, PoseStamped, partial(self._on_pose, frames.body))
+            lockstep.Subscriber(pose_topic, PoseStamped, partial(self._on_pose, frames))
             if model.gimbal is not None or model.landing_gear:
                 lockstep.Subscriber(f"/{name}/joint_states", JointState, partial(self._on_joints, frames))
         self._static.publish(TFMessage(fixed))
@@ -60,15 +60,21 @@ class RobotTf:
             self._publisher.publish(TFMessage(list(self._new.values())))
             self._new.clear()
 
-    def _on_pose(self, body: str, message: PoseStamped) -> None:
+    def _on_pose(self, frames: RobotFrames, message: PoseStamped) -> None:
         p = message.pose.position
         place = Transform(Vector3(p.x, p.y, p.z), message.pose.orientation)
         header = Header(stamp=message.header.stamp, frame_id=self._frame_id)
-        self._new[body] = TransformStamped(header, body, place)
+        self._new[frames.body] = TransformStamped(header, frames.body, place)
+        if frames not in self._told:
+            self._place(frames.at_rest(), message.header.stamp)
 
     def _on_joints(self, frames: RobotFrames, message: JointState) -> None:
-        for frame in frames.turned(dict(zip(message.name, message.position, strict=True))):
-            self._new[frame.child] = transform(frame, message.header.stamp)
+        self._told.add(frames)
+        self._place(frames.turned(dict(zip(message.name, message.position, strict=True))), message.header.stamp)
+
+    def _place(self, frames: Iterable[Frame], stamp: rospy.Time) -> None:
+        for frame in frames:
+            self._new[frame.child] = transform(frame, stamp)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -77,11 +83,8 @@ def main(arguments: Sequence[str]) -> None:
     Raises:
         ArgumentError: an argument, no fleet, or a parameter that is not allowed.
     """
-    if arguments:
-        raise ArgumentError(f"no arguments are needed, {len(arguments)} were given")
-    fleet = fleet_of(rospy.get_param(_PARAMETER, None))
-    if fleet is None:
-        raise ArgumentError(f"parameter {_PARAMETER} is not set: which vehicles there are, as typhoon_h480:6")
+    check_no_arguments(arguments)
+    fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
     try:
         types = {vehicle.type: load_vehicle(vehicle.type) for vehicle in fleet}
         rate = check_range("~rate", rospy.get_param(f"{future_name('robot_tf')}/rate", _RATE), 1.0, 50.0, "Hz")

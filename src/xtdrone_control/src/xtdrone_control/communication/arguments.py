@@ -74,6 +74,28 @@ def fleet_of(text: str | None) -> tuple[Vehicle, ...] | None:
         raise ArgumentError(f"/xtdrone/fleet: {error}") from error
 
 
+def needed_fleet(text: str | None) -> tuple[Vehicle, ...]:
+    """Return the fleet that the parameter ``/xtdrone/fleet`` describes.
+
+    Raises:
+        ArgumentError: the parameter is not set (``text`` is None), or malformed.
+    """
+    fleet = fleet_of(text)
+    if fleet is None:
+        raise ArgumentError("parameter /xtdrone/fleet is not set: which vehicles there are, as iris:9,typhoon_h480:2")
+    return fleet
+
+
+def check_no_arguments(arguments: Sequence[str]) -> None:
+    """Check the command line of a program that serves the whole fleet.
+
+    Raises:
+        ArgumentError: there is an argument.
+    """
+    if arguments:
+        raise ArgumentError(f"no arguments are needed, {len(arguments)} were given")
+
+
 def check_multirotor(kind: str, fleet: tuple[Vehicle, ...] | None) -> int | None:
     """Return how many vehicles of type ``kind`` fly, None when no fleet is known.
 

@@ -6,6 +6,7 @@ Everything is in the ``map`` frame, ENU, metres. One namespace for each kind of 
 namespace      type            what it shows
 =============  ==============  =====================================================================================
 names          text            each vehicle's name above it
+spots          sphere          each vehicle's place, where a view is taken from too far away to see the vehicle
 trails         line strip      where each vehicle was in the last seconds
 slots          spheres         the places that the pattern gives the followers, about the leader
 topology       line list       who hears whom: from the vehicle that is heard (dark) to the one that listens (bright)
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 
 FRAME = "map"
 TRAIL = 6.0  # s
-LABEL = 0.4  # m
+_LABEL = 0.4  # m
 _TRAIL_STEP = 0.15  # m between two points of a trail
 _TRAIL_POINTS = 400
 _LEAST_ARROW = 0.05  # m; shorter avoidance is none
@@ -112,13 +113,14 @@ class SwarmMarkers:
         names: of the vehicles; the first leads a formation.
     """
 
-    def __init__(self, names: Sequence[str], trail: float = TRAIL, label: float = LABEL) -> None:
+    def __init__(self, names: Sequence[str], trail: float = TRAIL, scale: float = 1.0, spot: float = 0.0) -> None:
         """Know nothing yet.
 
         Args:
             names: of the vehicles.
             trail: length of the trails, s; 0 for none.
-            label: height of the letters of names, m.
+            scale: of letters and of lines' widths; at 1 letters are 0.4 m high, to be read from 15 m.
+            spot: diameter of the spheres about the vehicles, m; 0 for none.
 
         Raises:
             ValueError: no vehicles, or a length that is not allowed.
@@ -127,12 +129,15 @@ class SwarmMarkers:
             raise ValueError("markers: there are no vehicles")
         if not (math.isfinite(trail) and trail >= 0.0):
             raise ValueError(f"markers: trail of {trail!r} s is not allowed, 0 or more")
+        if not (math.isfinite(scale) and scale > 0.0):
+            raise ValueError(f"markers: scale {scale!r} is not allowed, above 0")
+        if not (math.isfinite(spot) and spot >= 0.0):
+            raise ValueError(f"markers: spots of {spot!r} m are not allowed, 0 or more")
         self.names = tuple(names)
-        if not (math.isfinite(label) and label > 0.0):
-            raise ValueError(f"markers: letters of {label!r} m are not allowed, above 0")
         self._trail = trail
+        self._scale = scale
+        self._spot = spot
         self._colours = [_colour(i) for i in range(len(names))]
-        self._label = label
         self.restart()
 
     def restart(self) -> None:
@@ -218,24 +223,34 @@ class SwarmMarkers:
         assert vehicle.position is not None
         colour = self._colours[number]
         x, y, z = vehicle.position
-        text = _marker("names", number, Marker.TEXT_VIEW_FACING, _DARK, Vector3(0.0, 0.0, self._label))
-        text.pose.position = Point(x, y, z + 0.3 + 0.75 * self._label)
+        label = self._scale * _LABEL
+        text = _marker("names", number, Marker.TEXT_VIEW_FACING, _DARK, Vector3(0.0, 0.0, label))
+        text.pose.position = Point(x, y, z + max(0.3, 0.5 * self._spot) + 0.75 * label)
         text.text = name
         made = [text]
+        if self._spot > 0.0:
+            see_through = ColorRGBA(colour.r, colour.g, colour.b, 0.7)
+            sphere = _marker("spots", number, Marker.SPHERE, see_through, Vector3(self._spot, self._spot, self._spot))
+            sphere.pose.position = Point(x, y, z)
+            made.append(sphere)
         if self._trail > 0.0:
             while vehicle.trail and vehicle.trail[0][0] < time - self._trail:
                 vehicle.trail.popleft()
-            trail = _marker("trails", number, Marker.LINE_STRIP, colour, Vector3(0.05, 0.0, 0.0))
+            trail = _marker("trails", number, Marker.LINE_STRIP, colour, self._width(0.05))
             trail.points = [*(Point(*place) for _, place in vehicle.trail), Point(x, y, z)]
             made.append(_or_none(trail, len(trail.points) > 1))
         arrow = _marker("avoidance", number, Marker.ARROW, _AVOIDS, Vector3(0.06, 0.16, 0.0))
         dx, dy, dz = vehicle.avoidance
         arrow.points = [Point(x, y, z), Point(x + dx, y + dy, z + dz)]
         made.append(_or_none(arrow, math.hypot(dx, dy, dz) >= _LEAST_ARROW))
-        view = _marker("views", number, Marker.LINE_STRIP, colour, Vector3(0.15, 0.0, 0.0))
-        view.points = [Point(*corner) for corner in (*vehicle.view, *vehicle.view[:1])]
+        view = _marker("views", number, Marker.LINE_STRIP, colour, Vector3(max(1.0, self._scale) * 0.06, 0.0, 0.0))
+        # The ground is far away in any view; a little above it, for a grid may lie there.
+        view.points = [Point(x, y, z + 0.05) for x, y, z in (*vehicle.view, *vehicle.view[:1])]
         made.append(_or_none(view, len(vehicle.view) > 0))
         return made
+
+    def _width(self, width: float) -> Vector3:
+        return Vector3(self._scale * width, 0.0, 0.0)
 
     def _slots(self) -> Marker:
         slots = _marker("slots", 0, Marker.SPHERE_LIST, _SLOT, Vector3(0.7, 0.7, 0.7))
@@ -245,7 +260,7 @@ class SwarmMarkers:
         return _or_none(slots, len(slots.points) > 0)
 
     def _topology(self) -> Marker:
-        lines = _marker("topology", 0, Marker.LINE_LIST, _LISTENS, Vector3(0.04, 0.0, 0.0))
+        lines = _marker("topology", 0, Marker.LINE_LIST, _LISTENS, self._width(0.04))
         for heard, listener in self._edges:
             begin, end = self._vehicles[heard].position, self._vehicles[listener].position
             if begin is not None and end is not None:
@@ -254,7 +269,7 @@ class SwarmMarkers:
         return _or_none(lines, len(lines.points) > 0)
 
     def _sightlines(self) -> Marker:
-        lines = _marker("sightlines", 0, Marker.LINE_LIST, _DETECTED, Vector3(0.08, 0.0, 0.0))
+        lines = _marker("sightlines", 0, Marker.LINE_LIST, _DETECTED, self._width(0.05))
         for vehicle in self._vehicles.values():
             for thing in vehicle.detections:
                 if vehicle.camera is not None:

@@ -17,17 +17,17 @@ from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
 from xtdrone_control.checks import check_range
-from xtdrone_control.communication.arguments import ArgumentError, fleet_of
+from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.lockstep.names import future_name
 from xtdrone_interaction.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
-from xtdrone_interaction.rviz.markers import LABEL, TRAIL, Detection, SwarmMarkers, ground_view
+from xtdrone_interaction.rviz.markers import TRAIL, Detection, SwarmMarkers, ground_view
+from xtdrone_interaction.rviz.views import FOR_MARKERS
 
 NAME = "swarm_markers"
 TOPIC = "/xtdrone/markers"
 SEARCH_EVENTS = "/xtdrone/search/event"
 CAMERA = "cgo3_camera"  # of the vehicles that search
 _RATE = 30.0  # Hz
-_PARAMETER = "/xtdrone/fleet"
 
 
 class MarkersNode:
@@ -90,19 +90,18 @@ def main(arguments: Sequence[str]) -> None:
     Raises:
         ArgumentError: an argument, no fleet, or a parameter that is not allowed.
     """
-    if arguments:
-        raise ArgumentError(f"no arguments are needed, {len(arguments)} were given")
-    fleet = fleet_of(rospy.get_param(_PARAMETER, None))
-    if fleet is None:
-        raise ArgumentError(f"parameter {_PARAMETER} is not set: which vehicles there are, as iris:9")
+    check_no_arguments(arguments)
+    fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
     private = future_name(NAME)
+    of_view = FOR_MARKERS.get(str(rospy.get_param(f"{private}/view", "")), {})
     try:
         rate = check_range("~rate", rospy.get_param(f"{private}/rate", _RATE), 0.1, 50.0, "Hz")
         trail = check_range("~trail", rospy.get_param(f"{private}/trail", TRAIL), 0.0, 60.0, "s")
-        label = check_range("~label", rospy.get_param(f"{private}/label", LABEL), 0.05, 20.0, "m")
+        scale = check_range("~scale", rospy.get_param(f"{private}/scale", of_view.get("scale", 1.0)), 0.1, 50.0)
+        spot = check_range("~spot", rospy.get_param(f"{private}/spot", of_view.get("spot", 0.0)), 0.0, 50.0, "m")
     except ValueError as error:
         raise ArgumentError(str(error)) from error
     lockstep.init_node(NAME, rate=rate)
-    node = MarkersNode(SwarmMarkers([vehicle.name for vehicle in fleet], trail, label))
+    node = MarkersNode(SwarmMarkers([vehicle.name for vehicle in fleet], trail, scale, spot))
     lockstep.start()
     lockstep.spin(node.step)

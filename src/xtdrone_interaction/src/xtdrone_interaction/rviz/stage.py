@@ -19,7 +19,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.launched import DemoError, signals_wait
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.rviz.film_options import FilmSettings
-from xtdrone_interaction.rviz.views import LABELS, SHIPPED, make_view
+from xtdrone_interaction.rviz.views import SHIPPED, make_view
 from xtdrone_sim.vehicle_model import load_vehicle
 
 DRAWER = "rviz_offscreen"
@@ -96,8 +96,7 @@ class Stage:
         if f"/{TF}" not in running:
             self.start("xtdrone_sim", TF, {"rate": settings.rate})
         if f"/{MARKERS}" not in running:
-            label = LABELS.get(settings.view)
-            self.start("xtdrone_interaction", MARKERS, {"rate": settings.rate, "label": label})
+            self.start("xtdrone_interaction", MARKERS, {"rate": settings.rate, "view": settings.view})
         self.start("xtdrone_rviz", DRAWER, {
             "config": config,
             "rate": settings.rate,

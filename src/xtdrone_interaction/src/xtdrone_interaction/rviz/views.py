@@ -21,8 +21,8 @@ MARKERS_TOPIC = "/xtdrone/markers"
 SHIPPED = {"vehicle": "iris:1", "formation": "iris:9", "search": "typhoon_h480:6"}
 """The views by name, and for which fleet they are shipped."""
 
-LABELS = {"search": 2.5}
-"""Height of the names' letters where a view is taken from afar, m."""
+FOR_MARKERS: dict[str, dict[str, float]] = {"vehicle": {"scale": 0.3}, "search": {"scale": 6.0, "spot": 2.0}}
+"""Parameters of the markers' node for views that are taken from near or from afar."""
 
 _REGION_MIDDLE = (60.0, 0.0, 0.0)
 """About the middle of the region that comes with the search, m, map."""
@@ -53,7 +53,7 @@ def make_view(name: str, vehicles: Sequence[str]) -> str:
 
 def _vehicle(vehicles: list[str]) -> Config:
     hidden = {"slots": False, "topology": False}
-    return _config(vehicles, _grid(20, 1.0), hidden, _orbit(f"{vehicles[0]}/base_link", 4.0, 0.35, 3.9))
+    return _config(vehicles, _grid(100, 2.0), hidden, _orbit(f"{vehicles[0]}/base_link", 2.8, 0.35, 3.9))
 
 
 def _formation(vehicles: list[str]) -> Config:
@@ -75,7 +75,6 @@ def _config(vehicles: Sequence[str], grid: Config, namespaces: Config, view: Con
         "Panels": [
             {"Class": "rviz/Displays", "Name": "Displays"},
             {"Class": "rviz/Views", "Name": "Views"},
-            {"Class": "rviz/Time", "Name": "Time"},
         ],
         "Visualization Manager": {
             "Class": "",
