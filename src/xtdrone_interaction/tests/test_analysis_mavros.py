@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -215,6 +216,20 @@ def test_a_clock_of_dates_that_is_corrected_does_not_part_a_flight(tmp_path: Pat
     assert flight.parts == 1
     assert flight.notes == ["the recorder's clock was set back 1 times; all is shown in order of time"]
     assert len(flight.vehicles[0].series["pose"]) == 200
+
+
+def test_a_search_is_no_formation_flight(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its events name vehicles, too."""
+    with Bag(tmp_path / "flight.bag") as bag:
+        for time in np.arange(0.0, 10.0, 0.1).tolist():
+            bag.pose("/uav0", (time, 0.0, 0.0), time)
+            bag.pose("/uav1", (time, 5.0, 0.0), time)
+    event = {"event": "started", "time": 1.0, "vehicles": ["uav0", "uav1"]}
+    (tmp_path / "events.jsonl").write_text(json.dumps(event) + "\n")
+    assert cli.main(["report", str(tmp_path / "flight.bag")]) == 1
+    assert "is a search's" in capfd.readouterr().err
+    assert cli.main(["analyse", str(tmp_path / "flight.bag")]) == 0
+    assert json.loads((tmp_path / "flight-analysis" / "report.json").read_text())["formation"] is None
 
 
 def test_a_bag_written_one_topic_after_the_other_is_one_flight(tmp_path: Path) -> None:

@@ -39,6 +39,8 @@ from xtdrone_interaction.geometry import (
 )
 
 LOG_TOPIC = "/rosout"
+SEARCH_START = "started"
+"""The first event of a search, which names its vehicles, too."""
 COLLISION = "collision of "  # in the words of the simulator node
 _POSE = ("pose.position.x", "pose.position.y", "pose.position.z")
 ODOMETRY = tuple(f"pose.{field}" for field in _POSE)
@@ -256,9 +258,19 @@ def read_events(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines if line.endswith("}")]  # the last may be cut off
 
 
+def starts_of(events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return those that name a formation flight's vehicles: start, which a late recorder misses, and take-off."""
+    return [event for event in events if "vehicles" in event and event.get("event") != SEARCH_START]
+
+
 def _read(reader: AnyReader, path: Path, events: list[dict[str, Any]]) -> FlightRecord:
     events = events or [json.loads(m.data) for _, _, m in messages(reader, [EVENTS_TOPIC])]
-    starts = [e for e in events if "vehicles" in e]  # start and take-off; a recorder that is late misses the first
+    starts = starts_of(events)
+    if not starts and any(event.get("event") == SEARCH_START for event in events):
+        raise RecordError(
+            f"bag: {path} is a search's, whose report.json and map.png were made when it ended; './xtdrone analyse' "
+            "draws what was flown"
+        )
     if not starts:
         raise RecordError(f"bag: no take-off on {EVENTS_TOPIC}; this is no record of a formation flight")
     names = tuple(starts[-1]["vehicles"])

@@ -10,7 +10,7 @@ import numpy as np
 from xtdrone_interaction.analysis.columns import Series
 from xtdrone_interaction.analysis.flight import Flight
 from xtdrone_interaction.geometry import ESTIMATE, TRUTH
-from xtdrone_interaction.record import FlightRecord, Track, read_events
+from xtdrone_interaction.record import FlightRecord, Track, read_events, starts_of
 
 END = "end of the recording"
 """The event at the end of a recording whose flight has none."""
@@ -25,7 +25,7 @@ def formation_record(flight: Flight) -> FlightRecord | None:
     without any, each assigned pattern lasts until the next, and the first vehicle is the leader.
     """
     events = _events(flight)
-    starts = [event for event in events if "vehicles" in event]
+    starts = starts_of(events)
     if starts:
         names = tuple(str(name) for name in starts[-1]["vehicles"])
     else:
