@@ -185,10 +185,24 @@ def test_the_command_uploads_downloads_and_clears(field, as_named, tmp_path, cap
     assert [field.lists(i) for i in range(COUNT)] == [[0, 0, 0]] * COUNT
 
 
+def test_a_folder_that_cannot_be_written_to(field, as_named, capsys):
+    for words in (["download"], ["fence", "download"]):
+        assert command.main([*words, "--vehicle", field.names[0], "--to", "/proc/none", "--patience", "60"]) == 1
+        assert "typhoon_h480_0: its " in capsys.readouterr().err
+
+
 def test_one_file_goes_to_the_vehicle_that_is_named(field, as_named, tmp_path):
     qgc_plan.write(tmp_path / "mine.plan", survey(0))
     assert command.main(["upload", str(tmp_path / "mine.plan"), "--vehicle", field.names[1], "--patience", "60"]) == 0
     assert [field.lists(i)[0] for i in range(COUNT)] == [0, 9, 0]
+
+
+def test_a_file_that_is_called_after_no_vehicle(tmp_path, capsys):
+    qgc_plan.write(tmp_path / "mine.plan", survey(0))
+    for words in (["upload"], ["fence", "upload"]):
+        assert command.main([*words, str(tmp_path / "mine.plan")]) == 2
+        assert "'mine' is not allowed" in (said := capsys.readouterr().err)
+        assert "or --vehicle says whose it is" in said
 
 
 def test_failures_are_told_by_the_exit_status(tmp_path, capsys):

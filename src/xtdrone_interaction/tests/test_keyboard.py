@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -293,7 +295,9 @@ def test_armed_mode_height_and_speed_of_each_vehicle_are_seen(columns: int, rows
 def test_more_vehicles_than_rows_are_paged() -> None:
     shown = layout(80, 24, 100, {}, False)
     foot = frame(view(seen(shown.rows), 100), 80, 24, shown)[-1]
-    assert f"1-{shown.rows} of 100, p next" in foot
+    assert foot == f"1-{shown.rows} of 100, p next, h keys, Ctrl-C ends"
+    narrow = replace(view(seen(4), 100), first=96)
+    assert frame(narrow, 40, 10, layout(40, 10, 100, {}, False))[-1] == "97-100 of 100, p next, Ctrl-C ends"
 
 
 def test_what_is_wrong_with_a_vehicle_is_said() -> None:
@@ -310,6 +314,7 @@ def test_what_is_wrong_with_a_vehicle_is_said() -> None:
 def test_help_names_every_key(columns: int) -> None:
     lines = help_lines(columns, digits(Patterns(9).names))
     assert max(map(len, lines)) < columns
+    assert not any(line.rstrip(",").endswith(tuple("0123456789")) for line in lines), "a digit stays with its pattern"
     text = " ".join(lines)
     for key in (
         "w/x",

@@ -14,11 +14,11 @@ from xtdrone_control.autopilot.plan import Items
 from xtdrone_control.qgc_plan import Plan, PlanError
 
 from . import exchanges, station
-from .arguments import Adder, Runner, UsageError, chosen, named, run
+from .arguments import Adder, Runner, UsageError, chosen, run
 from .display import Display
 from .exchanges import KINDS, Beat
 from .peers import GcsError, Peer
-from .plan_command import assign, find_files, read_plans
+from .plan_command import assign, find_files, owners, read_plans
 
 
 def _store(kind: int, lists: dict[Peer, Items], arguments: argparse.Namespace, done: str) -> int:
@@ -40,7 +40,7 @@ def _upload(kind: int, arguments: argparse.Namespace) -> int:
         raise UsageError(f"{empty[0]}: no {KINDS[kind]} in it; 'clear' empties the vehicle's")
     peers = chosen(arguments) if arguments.vehicle else []
     plans = assign(content, [peer.name for peer in peers])
-    lists = {peer: plans[peer.name].items(kind) for peer in peers or named(plans, arguments)}
+    lists = {peer: plans[peer.name].items(kind) for peer in peers or owners(plans, arguments)}
     return _store(kind, lists, arguments, f"{{}} items of {KINDS[kind]}: sent, and come back the same")
 
 

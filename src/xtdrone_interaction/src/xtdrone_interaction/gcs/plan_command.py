@@ -19,7 +19,7 @@ from . import exchanges, station
 from .arguments import Adder, UsageError, chosen, named, run
 from .display import Display
 from .exchanges import Beat
-from .peers import GcsError
+from .peers import GcsError, Peer
 
 _FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
 
@@ -101,6 +101,18 @@ def assign(plans: dict[Path, Plan], vehicles: Sequence[str]) -> dict[str, Plan]:
     return {name: content for name, content in found.items() if not vehicles or name in vehicles}
 
 
+def owners(plans: dict[str, Plan], arguments: argparse.Namespace) -> list[Peer]:
+    """Return the vehicles after which files are called.
+
+    Raises:
+        UsageError: a name that leads nowhere.
+    """
+    try:
+        return named(plans, arguments)
+    except UsageError as error:
+        raise UsageError(f"{error}; a file has its vehicle's name, or --vehicle says whose it is") from error
+
+
 def problems(content: Plan) -> tuple[list[str], bool]:
     """Return what PX4 says of a mission before it flies it from the planned home, and whether it would.
 
@@ -141,7 +153,7 @@ def _upload(arguments: argparse.Namespace) -> int:
     content = read_plans(find_files(arguments.files))
     peers = chosen(arguments) if arguments.vehicle else []
     plans = assign(content, [peer.name for peer in peers])
-    peers = peers or named(plans, arguments)
+    peers = peers or owners(plans, arguments)
     display = Display([peer.name for peer in peers])
 
     def store(name: str, beat: Beat) -> exchanges.Exchange[None]:
@@ -161,10 +173,10 @@ def _download(arguments: argparse.Namespace) -> int:
         return exchanges.fetch_plan(beat.system, station.progress_of(name, display.watch), beat.autopilot)
 
     results = run({peer: partial(fetch, peer.name) for peer in peers}, arguments, exchanges.cancel)
-    folder.mkdir(parents=True, exist_ok=True)
     for name, result in results.items():
         if isinstance(result, Plan):
             try:
+                folder.mkdir(parents=True, exist_ok=True)
                 qgc_plan.write(folder / f"{name}{qgc_plan.SUFFIX}", result)
             except (PlanError, OSError) as error:
                 results[name] = GcsError(f"{name}: its plan cannot be written: {error}")

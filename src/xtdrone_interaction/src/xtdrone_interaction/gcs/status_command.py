@@ -36,7 +36,7 @@ _DROPPED = (
     "BATTERY",
     "HEIGHT",
 )  # where there is no room, in turn
-_USUAL_WIDTHS = {"ARMED": 5, "MODE": 12, "X Y Z": 17, "HEIGHT": 7, "SPEED": 8, "GPS": 5}  # so that columns seldom move
+_USUAL_WIDTHS = {"ARMED": 6, "MODE": 12, "X Y Z": 17, "HEIGHT": 7, "SPEED": 8, "GPS": 5}  # so that columns seldom move
 
 
 def _told(value: Any, form: str) -> str:
@@ -64,7 +64,7 @@ def row(state: VehicleState, now: float) -> Row:
         state.name,
         str(state.system),
         _told(state.kind, "{}"),
-        _arming(state),
+        "silent" if silent >= _SILENT else _arming(state),
         _told(state.mode, "{}"),
         place,
         _told(state.height, "{:.1f} m"),

@@ -115,7 +115,7 @@ def frame(view: View, columns: int, rows: int, shown: Layout) -> list[str]:
     """Return the screen's lines, at most ``rows``, none longer than ``columns`` - 1: a full line may wrap."""
     note = view.note or next((f"{sight.name} {sight.trouble}" for sight in view.page if sight.trouble), "")
     lines = [*_title(view, columns), *_steering(view, columns), note, *table(view.page, columns)]
-    lines.append(_foot(view, shown))
+    lines.append(_foot(view, shown, columns))
     if shown.help:
         lines += help_lines(columns, view.patterns)
     return [line[: max(0, columns - 1)].rstrip() for line in lines[:rows]]
@@ -167,13 +167,12 @@ def _figure(value: float | None, digits: int, unit: str = "") -> str:
     return "?" if value is None else f"{value:.{digits}f}{unit}"
 
 
-def _foot(view: View, shown: Layout) -> str:
-    parts = []
+def _foot(view: View, shown: Layout, columns: int) -> str:
+    page, keys, end = "", "h keys, ", "Ctrl-C ends"
     if view.count > len(view.page):
-        parts.append(f"{view.first + 1}-{view.first + len(view.page)} of {view.count}, p next")
-    if not shown.help:
-        parts.append("h keys")
-    return ", ".join([*parts, "Ctrl-C ends"])
+        page = f"{view.first + 1}-{view.first + len(view.page)} of {view.count}, p next, "
+    whole = f"{page}{'' if shown.help else keys}{end}"
+    return whole if len(whole) < columns else f"{page}{end}"
 
 
 def help_lines(columns: int, patterns: Mapping[str, str]) -> list[str]:
