@@ -55,7 +55,7 @@ def save_map(
     axes.set(xlabel="x, east (m)", ylabel="y, north (m)", title=_title(record))
     axes.grid(alpha=0.3)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
-    figure.savefig(file, dpi=DPI)
+    figure.savefig(file, dpi=DPI, bbox_inches="tight")
     plt.close(figure)
     return file
 
@@ -65,7 +65,9 @@ def _title(record: SearchRecord) -> str:
     covered = end.get("covered_fraction")
     part = "" if covered is None else f", {100 * covered:.0f} % covered"
     if end["outcome"] == "found":
-        return f"Found by {end['vehicle']} at {end.get('found_time', end['time']):.0f} s{part}"
+        finds = sum(event["event"] == "confirmed" for event in record.events)
+        first = f"{finds} finds, the first" if finds > 1 else "Found"
+        return f"{first} by {end['vehicle']} at {end.get('found_time', end['time']):.0f} s{part}"
     return f"{str(end['outcome']).capitalize()} after {end['time']:.0f} s{part}"
 
 
