@@ -44,6 +44,16 @@ def test_runs_are_aligned_and_their_difference_is_that_of_the_motions(tmp_path: 
         aligned(runs, "armed")
 
 
+def test_speed_is_known_to_the_last_place(tmp_path: Path) -> None:
+    """Times of which even steps, added up, come out behind the last."""
+    for count in range(50, 90):
+        time = 2.468 + 0.1 * np.arange(count)
+        run = read_run(table(tmp_path / "track.csv", time, np.outer(time, [3.0, 4.0, 0.0])), "track")
+        for shift in (0.0, 0.137, 2.564):
+            (row,) = compare([run.from_time(shift)])
+            assert row["greatest_speed"] == pytest.approx(5.0), (count, shift)
+
+
 def test_the_page_of_two_formation_flights(flight_bag: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert cli.main(["compare", str(flight_bag), str(flight_bag), "--names", "one,two", "--out", str(out)]) == 0

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -96,10 +98,19 @@ def _analyse_log(file: Path, folder: Path, console: Console) -> None:
 def finish(page: Page, figures: object, paths: Sequence[Path], folder: Path, console: Console) -> None:
     """Write the figures as JSON, and print a report and where it is."""
     data = folder / "report.json"
-    data.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    data.write_text(json.dumps(_known(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     print_page(page, console)
     for path in [paths[0], data, *paths[1:]]:
         console.print(f"  {path}", highlight=False, soft_wrap=True, markup=False)
+
+
+def _known(figures: Any) -> Any:
+    """Return figures with None for what is not known, which JSON has no number for."""
+    if isinstance(figures, dict):
+        return {key: _known(value) for key, value in figures.items()}
+    if isinstance(figures, list | tuple):
+        return [_known(value) for value in figures]
+    return None if isinstance(figures, float) and not math.isfinite(figures) else figures
 
 
 def print_page(page: Page, console: Console) -> None:

@@ -24,6 +24,7 @@ from xtdrone_interaction.analysis.pictures import nearest_of
 from xtdrone_interaction.analysis.ros1bag import BagError
 from xtdrone_interaction.analysis.runs import ALIGNMENTS, CompareError, Run, aligned, matched, read_run
 from xtdrone_interaction.analysis.summary import way_length
+from xtdrone_interaction.analysis.tracking import even_times
 from xtdrone_interaction.analysis.ulog import LogError
 from xtdrone_interaction.analysis.ulog_pictures import Pair, pairs
 from xtdrone_interaction.options import OptionError
@@ -93,7 +94,7 @@ def _speed(series: Series) -> Series:
     time, rows = np.unique(series.time, return_index=True)
     if len(time) < 3:
         return Series(time, np.zeros((len(time), 1)))
-    grid = np.arange(time[0], time[-1], max(0.1, float(np.median(np.diff(time)))))
+    grid = even_times(time, max(0.1, float(np.median(np.diff(time)))))
     if len(grid) < 3:
         return Series(time, np.zeros((len(time), 1)))
     places = Series(time, series.value[rows]).at(grid)
@@ -117,14 +118,20 @@ def pictures(runs: Sequence[Run], time_name: str) -> Iterator[Picture]:
                 yield Picture(what.lower(), what, _responses(logs, groups, what))
 
 
+def _first_width(run: Run, runs: Sequence[Run]) -> float:
+    """Return how wide a run's lines are: those of the first are wide, so that runs that do the same do not hide it."""
+    return 2.6 if run is runs[0] else 1.0
+
+
 def _positions(runs: Sequence[Run], vehicle: str, time_name: str) -> Figure:
     figure, axes = panels(4, 2.0, 0.8)
     for run, shade in zip(runs, shades(len(runs)), strict=True):
         series = run.places[vehicle]
+        width = _first_width(run, runs)
         for axis in range(3):
-            line(axes[axis], series.time, series.value[:, axis], color=shade, lw=1.1, label=run.name)
+            line(axes[axis], series.time, series.value[:, axis], color=shade, lw=width, label=run.name)
         speed = _speed(series)
-        line(axes[3], speed.time, speed.value[:, 0], color=shade, lw=1.0)
+        line(axes[3], speed.time, speed.value[:, 0], color=shade, lw=width)
     for panel, name in zip(axes, ("x, east [m]", "y, north [m]", "z, up [m]", "speed [m/s]"), strict=True):
         panel.set_ylabel(name)
     axes[-1].set_xlabel(time_name)
@@ -155,7 +162,7 @@ def _distances(runs: Sequence[Run], time_name: str) -> Figure:
     for run, shade in zip(runs, shades(len(runs)), strict=True):
         close = nearest_of(list(run.places.values()))
         if close is not None:
-            line(panel, close.time, close.value[:, 0], color=shade, lw=1.1, label=run.name)
+            line(panel, close.time, close.value[:, 0], color=shade, lw=_first_width(run, runs), label=run.name)
     panel.set(ylabel="least distance [m]", xlabel=time_name, ylim=(0.0, None))
     figure.suptitle("Least distance between any two vehicles")
     name_lines(figure, panel, 0.81)
@@ -168,7 +175,8 @@ def _responses(runs: Sequence[Run], groups: Sequence[Sequence[Pair]], what: str)
     for run, group, shade in zip(runs, groups, shades(len(runs)), strict=True):
         zero = run.log.flown[0] if run.log is not None else 0.0
         for panel, pair in zip(axes, group, strict=True):
-            line(panel, pair.actual.time - zero, pair.actual.value[:, 0], color=shade, lw=1.0, label=run.name)
+            width = _first_width(run, runs)
+            line(panel, pair.actual.time - zero, pair.actual.value[:, 0], color=shade, lw=width, label=run.name)
             panel.set_ylabel(pair.name)
     axes[-1].set_xlabel("time since the first arming [s]")
     figure.suptitle(f"{what}, responses")

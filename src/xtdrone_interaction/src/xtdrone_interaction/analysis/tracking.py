@@ -31,6 +31,12 @@ class Tracking:
     delay: float | None
 
 
+def even_times(time: Array, step: float) -> Array:
+    """Return times at even steps from the first to the last of ``time``, none behind it."""
+    count = int((time[-1] - time[0]) / step + 1e-6) + 1
+    return np.minimum(time[0] + step * np.arange(count), time[-1])
+
+
 def uniform(series: Series, start: float, end: float) -> tuple[Array, float] | None:
     """Return the part between two times at even steps, shape (t, k), and the step, s; None if it is too short."""
     part = (series.time >= start) & (series.time <= end)
@@ -40,8 +46,7 @@ def uniform(series: Series, start: float, end: float) -> tuple[Array, float] | N
     step = float(np.median(np.diff(time)))
     if step <= 0.0:
         return None
-    grid = np.arange(time[0], time[-1], step)
-    return Series(time, series.value[part]).at(grid), step
+    return Series(time, series.value[part]).at(even_times(time, step)), step
 
 
 def tracking(name: str, wanted: Series, actual: Series, start: float, end: float, turn: float = 0.0) -> Tracking | None:

@@ -45,7 +45,7 @@ def summarise(log: FlightLog) -> dict[str, Any]:
         }
     if moving is not None:
         figures["greatest_speed"] = float(np.max(np.hypot(moving.value[:, 0], moving.value[:, 1])))
-    if voltage is not None:
+    if voltage is not None and np.isfinite(voltage.value).any():
         figures["least_voltage"] = float(np.nanmin(voltage.value))
     for start, end, mode in spans(log.modes, log.duration):
         figures["modes"][mode] = figures["modes"].get(mode, 0.0) + end - start
