@@ -6,13 +6,16 @@ import ast
 import os
 import re
 import sys
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
-from xtdrone_interaction import cli
+from xtdrone_interaction import cli, sim_cli
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.recording import read_profile, rosbag_arguments
+from xtdrone_interaction.recording import read_profile, ros_environment, rosbag_arguments
 
 POSE, STATE, IMU = "/iris_0/mavros/local_position/pose", "/mavros/state", "/iris_0/mavros/imu/data_raw"
 IMAGE, PACKED = "/typhoon_h480_0/cgo3_camera/image_raw", "/typhoon_h480_0/cgo3_camera/image_raw/compressed"
@@ -87,3 +90,71 @@ def test_wrong_arguments_are_said(capfd: pytest.CaptureFixture[str]) -> None:
     ):
         assert cli.main(["record", *arguments]) == 2
         assert words in capfd.readouterr().err
+
+
+@pytest.fixture
+def masters() -> Iterator[Callable[[bool], str]]:
+    """Return a function that starts a ROS master with or without a simulator on it, and gives its URI."""
+    started = []
+
+    def start(simulator: bool) -> str:
+        server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        services = {"/simulator/get_status": "rosrpc://127.0.0.1:1"} if simulator else {}
+        server.register_function(
+            lambda _, name: [1, "", services[name]] if name in services else [-1, "unknown", ""], "lookupService"
+        )
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        started.append((server, thread))
+        return f"http://127.0.0.1:{server.server_address[1]}"
+
+    yield start
+    for server, thread in started:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder of flights in which there is none yet, in place of the workspace's own."""
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    monkeypatch.setattr(sim_cli, "RUNS", runs)
+    monkeypatch.chdir(tmp_path)
+    for name in ("ROS_IP", "ROS_HOSTNAME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:1")
+    return runs
+
+
+def test_without_a_master_nothing_is_recorded(workspace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for arguments, words in (
+        (["light"], "no ROS master answers at http://127.0.0.1:1"),
+        (["light", "--master", "2"], "none answers at http://127.0.0.1:2"),
+    ):
+        assert cli.main(["record", *arguments]) == 1
+        assert words in capfd.readouterr().err
+
+
+def test_a_demos_flight_is_found_by_its_folder(workspace: Path, masters: Callable[[bool], str]) -> None:
+    flight = masters(True)
+    (workspace / "one").mkdir()
+    (workspace / "one" / sim_cli.MASTER_FILE).write_text(flight)
+    environment, origin = ros_environment("", launched=False)
+    assert (environment["ROS_MASTER_URI"], environment["ROS_IP"]) == (flight, "127.0.0.1")
+    assert str(workspace / "one") in origin
+
+
+def test_a_master_without_a_simulator_is_that_of_real_uavs(
+    workspace: Path, masters: Callable[[bool], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_MASTER_URI", masters(False))
+    environment, origin = ros_environment("", launched=False)
+    assert (environment, origin) == (dict(os.environ), "")
+
+
+def test_what_roslaunch_starts_records_on_its_master(workspace: Path, masters: Callable[[bool], str]) -> None:
+    (workspace / "other").mkdir()
+    (workspace / "other" / sim_cli.MASTER_FILE).write_text(masters(True))
+    assert ros_environment("", launched=True) == (dict(os.environ), "")

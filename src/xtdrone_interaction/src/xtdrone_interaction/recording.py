@@ -1,6 +1,6 @@
 """``./xtdrone record PROFILE``: rosbag record with the topics, packing and splitting of a profile.
 
-Exit status: rosbag's; 2 for a value that is not allowed.
+Exit status: rosbag's; 1 where no ROS master is; 2 for a value that is not allowed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from xtdrone_interaction import options
+from xtdrone_interaction import options, sim_cli
 from xtdrone_interaction.options import OptionError
 
 PROFILES = Path("src") / "xtdrone_interaction" / "config" / "recording"
@@ -116,6 +116,45 @@ def rosbag_arguments(profile: Profile, out: str, duration: str | None = None, mo
     return [*arguments, *more, *profile.topics]
 
 
+def ros_environment(given: str, launched: bool) -> tuple[dict[str, str], str]:
+    """Return the environment in which a flight is recorded, and where its master was found if nobody has said it.
+
+    The master is that of ROS_MASTER_URI if a simulator is on it; else that of this workspace's newest flight; else
+    ROS_MASTER_URI's without a simulator, as real UAVs have it.
+
+    Args:
+        given: the master's URI, empty where the user says none.
+        launched: by roslaunch, whose master it is.
+
+    Raises:
+        sim_cli.SimError: no master answers.
+    """
+    environment = dict(os.environ)
+    usual = environment.get("ROS_MASTER_URI", "")
+    if launched:
+        return environment, ""
+    try:
+        master, origin = sim_cli.choose_master(given, usual, [Path("runs"), sim_cli.RUNS])
+    except sim_cli.SimError:
+        if not _answers(usual or sim_cli.DEFAULT_MASTER):
+            raise
+        return environment, ""
+    if given and not _answers(master):
+        raise sim_cli.SimError(f"master: none answers at {master}")
+    environment["ROS_MASTER_URI"] = master
+    if origin and not {"ROS_IP", "ROS_HOSTNAME"} & environment.keys():
+        environment["ROS_IP"] = "127.0.0.1"
+    return environment, origin
+
+
+def _answers(master: str) -> bool:
+    try:
+        sim_cli.find_service(master, "/rosout/get_loggers")
+    except (OSError, sim_cli.SimError):
+        return False
+    return True
+
+
 def main(argv: Sequence[str]) -> int:
     """Become rosbag, or return an exit status."""
     parser = argparse.ArgumentParser(
@@ -128,6 +167,9 @@ def main(argv: Sequence[str]) -> int:
     add("--out", metavar="NAME", help="of the files, without number and ending (default: runs/<time>-<profile>)")
     add("--split", metavar="MB", type=int, help="begin a new file after so many MB (default: the profile's)")
     add("--duration", metavar="TIME", help="one file of so long: 30, 5m, 2h (default: until Ctrl-C)")
+    add("--master", metavar="PORT|URI", type=sim_cli.master_uri,
+        help="the flight's ROS master (default: ROS_MASTER_URI; without a simulator there, the newest flight of "
+        "./xtdrone demo)")  # fmt: skip
     arguments, ros = parser.parse_known_args(argv)
     try:
         odd = [argument for argument in ros if ":=" not in argument]
@@ -150,11 +192,18 @@ def main(argv: Sequence[str]) -> int:
         program = shutil.which("rosbag")
         if program is None:
             raise OptionError("record: rosbag is not installed; './xtdrone setup' installs it")
+        launched = any(argument.startswith("__name:=") for argument in ros)
+        environment, origin = ros_environment(arguments.master or "", launched)
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
+    except sim_cli.SimError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    if origin:
+        print(f"xtdrone: {origin}, ROS master {environment['ROS_MASTER_URI']}", file=sys.stderr)
     sys.stdout.flush()
-    os.execv(program, [program, *rosbag_arguments(profile, str(out), arguments.duration, ros)])
+    os.execve(program, [program, *rosbag_arguments(profile, str(out), arguments.duration, ros)], environment)
 
 
 if __name__ == "__main__":

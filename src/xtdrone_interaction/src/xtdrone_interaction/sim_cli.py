@@ -336,7 +336,12 @@ def _factor(text: str) -> float:
     return value
 
 
-def _master(text: str) -> str:
+def master_uri(text: str) -> str:
+    """Return the URI of a ROS master that an argument names by its port on this machine, or by its URI.
+
+    Raises:
+        argparse.ArgumentTypeError: it does neither.
+    """
     if text.isdecimal() and 1 <= int(text) <= 65535:
         return f"http://127.0.0.1:{text}"
     try:
@@ -350,7 +355,7 @@ def _master(text: str) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--master", type=_master, metavar="PORT|URI",
+    common.add_argument("--master", type=master_uri, metavar="PORT|URI",
                         help="the simulation's ROS master (default: ROS_MASTER_URI; without a simulator there, "
                         "the newest flight of ./xtdrone demo)")  # fmt: skip
     parser = argparse.ArgumentParser(prog="xtdrone sim", description="Control a running simulation.")
