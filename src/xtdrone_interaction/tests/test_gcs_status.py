@@ -94,6 +94,7 @@ def test_a_station_with_a_thread_of_its_own_tells_changes_and_beats(field):
     station_.start()
     futures = [station_.submit(peer, exchanges.look, patience=PATIENCE) for peer in peers]
     assert [future.result(PATIENCE) for future in futures] == [None] * len(peers)
+    assert set(station_.run(dict.fromkeys(peers, exchanges.look), patience=PATIENCE).values()) == {None}
     assert heard.wait(PATIENCE)
     station_.close()
     assert before == [None] * len(peers)

@@ -1,7 +1,7 @@
 """A ground station: lines to many vehicles, what each of them tells, and exchanges with all of them at once.
 
-Everything happens in one thread: that of ``poll`` and ``run``, or the station's own after ``start``. Other threads may
-call ``submit``, ``states`` and ``close``. Time-outs are wall time: a ground station lives by it, and simulated time may
+Everything happens in one thread: that of ``poll`` and ``run``, or the station's own after ``start``, when ``run`` only
+waits. Other threads may call ``submit``, ``states`` and ``close``, then ``run``, too. Time-outs are wall time: a ground station lives by it, and simulated time may
 stand still meanwhile.
 """
 
@@ -16,7 +16,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from copy import copy
 from typing import Any, Generic, TypeVar
 
@@ -444,6 +444,8 @@ class GroundStation:
                 futures[peer.name] = self.submit(peer, job, **limits)
             except GcsError as error:
                 results[peer.name] = error
+        if self._thread is not None:
+            wait(futures.values())
         while not all(future.done() for future in futures.values()):
             self.poll(BEAT_PERIOD)
         for name, future in futures.items():
