@@ -1,8 +1,8 @@
 """A ground station: lines to many vehicles, what each of them tells, and exchanges with all of them at once.
 
 Everything happens in one thread: that of ``poll`` and ``run``, or the station's own after ``start``, when ``run`` only
-waits. Other threads may call ``submit``, ``states`` and ``close``, then ``run``, too. Time-outs are wall time: a ground station lives by it, and simulated time may
-stand still meanwhile.
+waits. Other threads may call ``submit``, ``states`` and ``close``, then ``run``, too. Time-outs are wall time: a ground
+station lives by it, and simulated time may stand still meanwhile.
 """
 
 from __future__ import annotations
