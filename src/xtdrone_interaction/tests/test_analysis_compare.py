@@ -90,4 +90,6 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path, capfd: pytest.CaptureFi
 def test_names_tell_runs_apart() -> None:
     assert names_of([Path("/runs/1/flight.bag"), Path("/runs/2/flight.bag")], None) == ["1/flight.bag", "2/flight.bag"]
     assert names_of([Path("/a.bag"), Path("/a.bag")], None) == ["1: a.bag", "2: a.bag"]
+    logs = [Path(f"/log/iris_{number}/2020-01-01/00_00_00.ulg") for number in range(2)]
+    assert names_of(logs, None) == ["iris_0", "iris_1"]
     assert names_of([Path("/a.bag"), Path("/b.ulg")], " x, y") == ["x", "y"]

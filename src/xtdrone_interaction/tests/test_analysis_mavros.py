@@ -185,6 +185,31 @@ def test_types_that_nobody_knows_become_tables(tmp_path: Path, capfd: pytest.Cap
     assert '""values"": [0.0, 1.0, 2.0]' in (tmp_path / "real-csv" / "acme_odd.csv").read_text()
 
 
+@pytest.mark.parametrize("own_origins", [False, True])
+def test_vehicles_that_gps_alone_places_share_an_origin(tmp_path: Path, own_origins: bool) -> None:
+    """The second is 100 m north and 50 m east of the first; their local positions know it, or begin at each home."""
+    with MavrosBag(tmp_path / "made.bag") as bag:
+        kind = "sensor_msgs/msg/NavSatFix"
+        for time in np.arange(0.0, 10.0, 0.1).tolist():
+            for space, north, east in (("/uav0", 0.0, 0.0), ("/uav1", 100.0, 50.0)):
+                degrees = np.degrees(1 / 6371008.8)
+                longitude = 8.0 + (east + 2.0 * time) * degrees / np.cos(np.radians(47.0))
+                latitude = 47.0 + north * degrees
+                fix = bag.zero(kind, header=bag.header(time), latitude=latitude, longitude=longitude)
+                bag.write(f"{space}/mavros/global_position/global", kind, fix, time)
+                if own_origins:
+                    bag.pose(space, (2.0 * time, 0.0, 0.0), time)
+    flight = read_flight(tmp_path / "made.bag")
+    first, second = (vehicle.position.value for vehicle in flight.vehicles if vehicle.position is not None)
+    if own_origins:
+        (note,) = flight.notes
+        assert "begin at places up to 112 m apart" in note
+        return
+    np.testing.assert_allclose(first[-1], [19.8, 0.0, 0.0], atol=1e-3)
+    np.testing.assert_allclose(second - first, np.tile([50.0, 100.0, 0.0], (100, 1)), atol=1e-3)
+    assert flight.notes == ["places of uav0, uav1 are of GPS, from the first fix of uav0"]
+
+
 def poses(path: Path, spans: list[tuple[float, float]], start: float = 0.0) -> None:
     """Write a vehicle's places, from one time to another, and again."""
     with Bag(path, start=start, threshold=3000) as bag:

@@ -120,7 +120,9 @@ def print_page(page: Page, console: Console) -> None:
     for table in page.tables:
         if table.long or not table.rows:
             continue
-        printed = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        printed = RichTable(
+            title=table.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+        )
         for column, name in enumerate(table.head):
             left = column == 0 or column in table.texts
             printed.add_column(name, justify="left" if left else "right", no_wrap=column == 0)

@@ -31,6 +31,7 @@ from xtdrone_interaction.options import OptionError
 
 _MOST_VEHICLES = 9  # drawn one by one
 _MOST_RUNS = 12
+_LONG_NAME = 20  # letters
 
 
 @dataclass(frozen=True)
@@ -222,6 +223,8 @@ def _settled(item: dict[str, Any]) -> str:
 def names_of(files: Sequence[Path], names: str | None) -> list[str]:
     """Return a name for each run: those given, else the shortest end of its path that tells it from the others.
 
+    Of a long one, what all ends have in common is left out, as the date's folder and the file's name of flight logs.
+
     Raises:
         OptionError: another number of names, or one twice.
     """
@@ -234,7 +237,8 @@ def names_of(files: Sequence[Path], names: str | None) -> list[str]:
     for length in range(1, max(len(path.parts) for path in paths) + 1):
         found = ["/".join(path.parts[-length:]) for path in paths]
         if len(set(found)) == len(found):
-            return found
+            alone = [path.parts[-length] for path in paths]
+            return alone if max(map(len, found)) > _LONG_NAME and len(set(alone)) == len(alone) else found
     return [f"{number}: {path.name}" for number, path in enumerate(paths, 1)]
 
 

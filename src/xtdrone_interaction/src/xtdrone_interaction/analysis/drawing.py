@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from xtdrone_interaction.analysis.columns import Array
 
 _POINTS = 4000  # drawn of a line; of more, the least and the greatest value of each part
+_LONGEST_NAME = 22  # letters in a legend beside a panel
 _LEAST_MAP = 2.0  # m shown
 MOST_NAMED = 18  # vehicles; more are not named one by one
 NO_MODE = "0.85"
@@ -90,6 +91,7 @@ def name_lines(figure: Figure, panel: Axes, left: float = 0.84) -> None:
     if len(labels) > MOST_NAMED:
         handles, labels = [handles[0], handles[-1]], [labels[0], f"... {labels[-1]}"]
     if labels:
+        labels = [label if len(label) <= _LONGEST_NAME else f"…{label[1 - _LONGEST_NAME :]}" for label in labels]
         figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(left, 0.97), fontsize=8)
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from xtdrone_interaction.analysis.columns import MOST_VALUES, Array, Columns, Series
 from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
+from xtdrone_interaction.analysis.places import complete
 from xtdrone_interaction.analysis.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_source
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
@@ -35,7 +36,6 @@ _MODEL, _TRUE = (
     "/gazebo",
     "/truth",
 )  # whose places are a model's, without times of their own or with; no vehicle's names
-_EARTH = 6371008.8  # m, mean radius
 
 _XYZ = ("x", "y", "z")
 _QUATERNION = ("x", "y", "z", "w")
@@ -539,7 +539,9 @@ class _Reading:
             if not (vehicle.series.keys() - set(_COMMANDS.values()) or name in self.states):
                 continue  # a topic of XTDrone's that is no vehicle's, as /xtdrone/leader/...
             vehicle.thinned = {what for owner, what in thinned if owner == name}
-            _complete(vehicle)
+            if (raw := vehicle.series.pop("raw imu", None)) is not None:
+                vehicle.series["imu"] = raw
+                vehicle.thinned = {"imu" if what == "raw imu" else what for what in vehicle.thinned - {"imu"}}
             for at, mode, armed in self.states.get(name, ()):
                 if not vehicle.modes or vehicle.modes[-1][1] != mode:
                     vehicle.modes.append((at - flight.origin, mode))
@@ -548,6 +550,7 @@ class _Reading:
             vehicle.commands = [(at - flight.origin, text) for at, text in self.commands.get(name, ())]
             vehicle.texts = [(at - flight.origin, bad, text) for at, bad, text in self.texts.get(name, ())]
             flight.vehicles.append(vehicle)
+        flight.notes += complete({vehicle.name: vehicle.series for vehicle in flight.vehicles})
         for (owner, name), value in series.items():
             if owner == _MODEL:  # they have no stamps, and the recorder's clock may be off
                 flight.models[name] = Series(regular_times(value.time), value.value)
@@ -561,42 +564,3 @@ def _vehicle_name(space: str) -> str:
 def natural_order(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts iris_10 behind iris_9."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
-
-
-def _complete(vehicle: Vehicle) -> None:
-    """Take place and velocity from elsewhere where their own topics were not recorded."""
-    odometry = vehicle.series.pop("odometry", None)
-    if odometry is not None:
-        turned = _rotated(odometry.value[:, 3:7], odometry.value[:, 7:10])  # MAVROS gives it in the body's axes
-        vehicle.series.setdefault("pose", Series(odometry.time, odometry.value[:, :7]))
-        vehicle.series.setdefault("velocity", Series(odometry.time, turned))
-    if (raw := vehicle.series.pop("raw imu", None)) is not None:
-        vehicle.series["imu"] = raw
-        vehicle.thinned = {"imu" if what == "raw imu" else what for what in vehicle.thinned - {"imu"}}
-    fixes = vehicle.series.get("global")
-    if "pose" not in vehicle.series and fixes is not None and len(fixes):
-        good = np.isfinite(fixes.value).all(axis=1)
-        if good.any():
-            place = _local(fixes.value[good])
-            rest = np.tile([0.0, 0.0, 0.0, 1.0], (len(place), 1))
-            vehicle.series["pose"] = Series(fixes.time[good], np.hstack([place, rest]))
-    pose = vehicle.series.get("pose")
-    if pose is not None and "velocity" not in vehicle.series and len(pose) > 2:
-        # stamps of a simulation may repeat
-        time, rows = np.unique(pose.time, return_index=True)
-        if len(time) > 2:
-            vehicle.series["velocity"] = Series(time, np.gradient(pose.value[rows, :3], time, axis=0))
-
-
-def _rotated(quaternion: NDArray[np.float64], vector: Array) -> Array:
-    """Return vectors turned by quaternions (x, y, z, w), both (t, ...)."""
-    axis, w = quaternion[:, :3], quaternion[:, 3:]
-    twice = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + w * twice + np.cross(axis, twice))
-
-
-def _local(fix: Array) -> Array:
-    """Return places ENU, m, from the first fix, of latitudes and longitudes (degrees) and altitudes (m), (t, 3)."""
-    north = np.radians(fix[:, 0] - fix[0, 0]) * _EARTH
-    east = np.radians(fix[:, 1] - fix[0, 1]) * _EARTH * math.cos(math.radians(fix[0, 0]))
-    return np.column_stack([east, north, fix[:, 2] - fix[0, 2]])

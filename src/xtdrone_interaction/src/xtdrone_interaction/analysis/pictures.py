@@ -159,7 +159,7 @@ def distances(flight: Flight, found: Series) -> Figure:
     line(panel, found.time, found.value[:, 0], color="tab:blue", lw=1.1)
     panel.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
     panel.set(ylabel="least distance [m]", xlabel=flight.time_name, ylim=(0.0, None))
-    panel.legend(loc="upper right")
+    panel.legend(loc="best")
     figure.suptitle("Least distance between any two vehicles")
     return figure
 

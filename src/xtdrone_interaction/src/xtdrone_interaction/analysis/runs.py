@@ -24,6 +24,7 @@ from xtdrone_interaction.report import measure
 
 ALIGNMENTS = ("motion", "armed", "start", "none")
 _MOVED = 0.3  # m from its first place: a vehicle that moves
+_NAMELESS = "vehicle"
 _COLUMNS = ("time", "x", "y", "z")
 
 
@@ -127,7 +128,7 @@ def _flight_log(path: Path, name: str) -> Run:
     start = log.flown[0]  # before, the estimator may not know where it is
     part = (place.time >= start) & np.isfinite(place.value).all(axis=1)
     series = Series(place.time[part], place.value[part] * [1.0, 1.0, -1.0])
-    vehicle = str(log.info.get("vehicle_name") or "vehicle")
+    vehicle = str(log.info.get("vehicle_name") or _NAMELESS)
     return Run(name, {vehicle: series}, start if log.armed else None, log, notes=log.notes)
 
 
@@ -154,7 +155,7 @@ def _table(path: Path, name: str) -> Run:
             for row in reader:
                 values = [float(row[column]) for column in _COLUMNS]
                 if all(map(math.isfinite, values)):
-                    rows.setdefault(row.get("vehicle") or "vehicle", []).append(values)
+                    rows.setdefault(row.get("vehicle") or _NAMELESS, []).append(values)
     except (OSError, UnicodeDecodeError, csv.Error, TypeError, ValueError) as error:
         if isinstance(error, CompareError):
             raise
@@ -217,6 +218,7 @@ def matched(runs: Sequence[Run], vehicle: str | None) -> list[Run]:
     for run in runs:
         if vehicle not in run.places and len(run.places) > 1:
             raise CompareError(f"compare: run {run.name!r} has no vehicle {vehicle!r}; it has {', '.join(run.places)}")
-        series = run.places.get(vehicle) or next(iter(run.places.values()))
-        chosen.append(replace(run, places={vehicle: series}))
+        found = vehicle if vehicle in run.places else next(iter(run.places))
+        notes = run.notes if found in (vehicle, _NAMELESS) else [*run.notes, f"its {found} is taken for {vehicle}"]
+        chosen.append(replace(run, places={vehicle: run.places[found]}, notes=notes))
     return chosen
