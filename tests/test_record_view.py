@@ -79,8 +79,9 @@ def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "Yaw": YAW,
         "Target Frame": "map",
     }
+    window = {"Class": "rviz/Image", "Name": "Front", "Enabled": True, "Image Topic": "/front"}
     manager = {
-        "Displays": robots,
+        "Displays": [*robots, window],
         "Global Options": {"Background Color": "; ".join(map(str, BACKGROUND)), "Fixed Frame": "map"},
         "Views": {"Current": orbit},
     }
@@ -113,14 +114,26 @@ def record(*arguments: Any, **environment: str) -> subprocess.CompletedProcess[s
 
 
 @pytest.fixture(scope="module")
-def film(bag: Path, view: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with film.mp4 and its frames."""
+def made(bag: Path, view: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder with film.mp4 and its frames, and what was said on standard error."""
     folder = tmp_path_factory.mktemp("film")
     size = "x".join(map(str, SIZE))
     done = record(view, "--bag", bag, "--fps", "25", "--size", size, "--out", folder / "film.mp4",
                   "--frames", folder / "frames")  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    return folder
+    return folder, done.stderr
+
+
+@pytest.fixture
+def film(made: tuple[Path, str]) -> Path:
+    """The folder."""
+    return made[0]
+
+
+def test_only_a_display_with_a_panel_of_its_own_is_left_out(made: tuple[Path, str]) -> None:
+    said = [line for line in made[1].splitlines() if line.startswith("rviz: ")]
+    words = "display 'Front' of class rviz/Image has a panel of its own, beside the view; it is left out"
+    assert said == [f"rviz: {words}"]
 
 
 def test_vehicles_are_seen_where_they_are_in_each_frame_and_nothing_is_seen_elsewhere(film: Path) -> None:

@@ -90,18 +90,23 @@ rviz::Config readConfig(const std::string& path) {
   return manager;
 }
 
-/// Whether a display's topic is only the base of the names to which it subscribes.
-bool readsImages(const std::string& name) {
-  return name == "rviz/Image" || name == "rviz/Camera" || name == "rviz/DepthCloud";
+/// Whether a display draws into a panel of its own, beside the view.
+bool hasOwnPanel(const std::string& name) { return name == "rviz/Image" || name == "rviz/Camera"; }
+
+/// Whether a display's topics are only bases of the names to which it subscribes.
+bool readsImages(const std::string& name) { return name == "rviz/DepthCloud"; }
+
+bool isEnabled(const rviz::Config& display) {
+  bool enabled = false;
+  display.mapGetBool("Enabled", &enabled);
+  return enabled;
 }
 
 std::string relayOf(const std::string& topic) { return ros::names::resolve("~shown" + topic); }
 
 /// Has a display subscribe to relays of its topics, and notes these.
 void relayTopics(rviz::Config display, std::set<std::string>& topics) {
-  bool enabled = true;
-  display.mapGetBool("Enabled", &enabled);
-  if (!enabled || readsImages(stringOf(display, "Class"))) {
+  if (!isEnabled(display) || readsImages(stringOf(display, "Class"))) {
     return;
   }
   std::vector<std::string> keys;
@@ -145,6 +150,7 @@ struct Scene::Parts {
   std::string path;
   rviz::Config config;
   std::set<std::string> topics;
+  std::vector<std::string> left_out;  // a line for each display
   std::map<std::string, Relay> relays;
   ros::CallbackQueue heard;   // of the relays' counters
   ros::CallbackQueue unused;  // of the listener that rviz wants
@@ -176,7 +182,14 @@ Scene::Scene(const std::string& config, unsigned width, unsigned height, bool an
   Parts& parts = *parts_;
   parts.path = config;
   parts.config = readConfig(config);
-  forEachDisplay(parts.config, [&](const rviz::Config& display) { relayTopics(display, parts.topics); });
+  forEachDisplay(parts.config, [&](rviz::Config display) {
+    if (hasOwnPanel(stringOf(display, "Class")) && isEnabled(display)) {
+      parts.left_out.push_back("display '" + stringOf(display, "Name") + "' of class " + stringOf(display, "Class") +
+                               " has a panel of its own, beside the view; it is left out");
+      display.mapSetValue("Enabled", false);
+    }
+    relayTopics(display, parts.topics);
+  });
   parts.fixed_frame = stringOf(parts.config.mapGetChild("Global Options"), "Fixed Frame");
   if (parts.fixed_frame.empty()) {
     parts.fixed_frame = "map";
@@ -221,8 +234,8 @@ const std::string& Scene::fixedFrame() const { return parts_->fixed_frame; }
 std::vector<std::string> Scene::load() {
   rviz::VisualizationManager& manager = *parts_->manager;
   manager.load(parts_->config);
-  std::vector<std::string> failed;
-  findFailed(*manager.getRootDisplayGroup(), failed);
+  std::vector<std::string> left_out = parts_->left_out;
+  findFailed(*manager.getRootDisplayGroup(), left_out);
   rviz::ViewController* view = manager.getViewManager()->getCurrent();
   if (dynamic_cast<rviz::FailedViewController*>(view) != nullptr) {
     throw ConfigError("configuration " + parts_->path + ": its view is of class " + text(view->getClassId()) +
@@ -238,7 +251,7 @@ std::vector<std::string> Scene::load() {
         boost::function<void(const topic_tools::ShapeShifter::ConstPtr&)>([&relay](const auto&) { ++relay.heard; }));
   }
   QCoreApplication::processEvents();
-  return failed;
+  return left_out;
 }
 
 void Scene::show(const std::string& topic, const topic_tools::ShapeShifter& message) {

@@ -53,7 +53,8 @@ class Scene {
   std::set<std::string> topics() const;
   /// Makes the displays, which subscribe.
   ///
-  /// @return What could not be made: a line for each display or view that this rviz does not know.
+  /// @return What is left out: a line for each display that this rviz does not know, or that has a panel of its own.
+  /// @throws ConfigError  This rviz does not know the view.
   std::vector<std::string> load();
   /// Passes a message on to the displays of its topic; draw() shows it.
   void show(const std::string& topic, const topic_tools::ShapeShifter& message);

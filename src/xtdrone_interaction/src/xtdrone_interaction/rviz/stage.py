@@ -8,6 +8,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,9 @@ TF, MARKERS = "robot_tf", "swarm_markers"
 NODES = tuple(f"/{name}" for name in (TF, MARKERS, DRAWER))
 _PATIENCE = 30.0  # wall s for the film to be finished
 _LAST_LINES = 6
+_MOST_COMPLAINTS = 10
 _DRAWN = re.compile(rf"^{DRAWER}: (\d+) frames drawn$", re.MULTILINE)  # what it says last
+_COMPLAINT = re.compile(r"\[(?: WARN|ERROR|FATAL)\] \[[\d., ]+\]: (.*?)(?:\x1b\[0m)?$", re.MULTILINE)  # of rosconsole
 
 
 class StageError(DemoError):
@@ -160,8 +163,15 @@ class Stage:
         lines = self.log(name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return "\n".join(lines[-_LAST_LINES:]) or "it said nothing"
 
+    def complaints(self) -> list[str]:
+        """Return what the drawing node has warned of, each once."""
+        text = self.log(DRAWER).read_text(encoding="utf-8", errors="replace")
+        return list(dict.fromkeys(_COMPLAINT.findall(text)))
+
     def finish(self) -> int:
         """Have the drawing node end in an orderly way, so that the film is finished; return how many frames it has.
+
+        What it has warned of is passed on to standard error.
 
         Raises:
             StageError: it failed, or there is no frame.
@@ -173,6 +183,8 @@ class Stage:
             raise StageError(f"{DRAWER} has not ended within {_PATIENCE:g} s")
         if tree.process.returncode != 0:
             raise StageError(f"{DRAWER} has failed (status {tree.process.returncode}): {self.last_words()}")
+        for words in self.complaints()[:_MOST_COMPLAINTS]:
+            print(f"rviz: {words}", file=sys.stderr)
         drawn = _DRAWN.search(self.log(DRAWER).read_text(encoding="utf-8", errors="replace"))
         frames = int(drawn[1]) if drawn else 0
         if frames == 0:
