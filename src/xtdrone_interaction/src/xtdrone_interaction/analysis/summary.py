@@ -159,8 +159,9 @@ def _formation(report: dict[str, Any]) -> Table:
         )
         for item in report["reconfigurations"]
     ]
-    head = ("pattern", "command at (s)", "settled after (s)", "overshoot (m)", "steady error, mean (m)", "max (m)",
-            "least distance (m)", "assigned way (m)", "optimum (m)")  # fmt: skip
+    # Broken so that all of it fits into 80 columns.
+    head = ("pattern", "told\nat (s)", "settled\nafter\n(s)", "overshoot\n(m)", "steady\nmean\n(m)", "steady\nmax\n(m)",
+            "least\ngap\n(m)", "assigned\n(m)", "optimum\n(m)")  # fmt: skip
     return Table("Formation", head, rows)
 
 
