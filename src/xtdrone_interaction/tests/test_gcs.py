@@ -13,7 +13,7 @@ from xtdrone_control import qgc_plan
 from xtdrone_control.autopilot import plan
 from xtdrone_control.autopilot.plan import PlanItem
 from xtdrone_control.qgc_plan import Plan
-from xtdrone_interaction.gcs import GcsError, Peer, command, exchanges, peers_of, station, upload_plans
+from xtdrone_interaction.gcs import GcsError, Peer, command, display, exchanges, peers_of, station, upload_plans
 
 NAN = float("nan")
 PATIENCE = 60.0  # s; only a broken run takes so long
@@ -258,21 +258,23 @@ def terminal(monkeypatch):
     return file
 
 
-def test_a_terminal_shows_what_has_room_and_in_the_end_all(terminal):
+def test_a_terminal_shows_what_has_room_and_in_the_end_all(terminal, monkeypatch):
     names = [f"iris_{i}" for i in range(5)]
-    display = command.Display(names, terminal)
-    display.watch("iris_0", "sending mission", 3, 9)
-    assert terminal.getvalue().splitlines()[0] == "\x1b[2Kiris_0  sending mission 3/9"[: len("\x1b[2K") + 29]
+    monkeypatch.setattr(display, "_REDRAW", 0.0)
+    shown = display.Display(names, terminal)
+    assert "iris_0  waiting" in terminal.getvalue()
+    shown.watch("iris_0", "sending", 3, 9)
+    assert "iris_0  sending 3/9" in terminal.getvalue()
     assert "... and 3 more" in terminal.getvalue()
     peers = [Peer(name, 1, "h", 1) for name in names]
     seen = len(terminal.getvalue())
-    assert display.results(peers, dict.fromkeys(names), lambda name, _: f"{name} has it") == 0
+    assert shown.results(peers, dict.fromkeys(names), lambda name, _: f"{name} has it") == 0
     assert terminal.getvalue()[seen:] == "\x1b[3A\x1b[J" + "".join(f"{name}  {name} has it\n" for name in names)
 
 
 def test_what_is_no_terminal_gets_the_results_alone(terminal, monkeypatch):
     monkeypatch.setenv("TERM", "dumb")
-    display = command.Display(["iris_0"], terminal)
-    display.watch("iris_0", "sending mission", 3, 9)
-    display.results([Peer("iris_0", 1, "h", 1)], {"iris_0": GcsError("iris_0: no")}, lambda *_: "")
+    shown = display.Display(["iris_0"], terminal)
+    shown.watch("iris_0", "sending mission", 3, 9)
+    shown.results([Peer("iris_0", 1, "h", 1)], {"iris_0": GcsError("iris_0: no")}, lambda *_: "")
     assert terminal.getvalue() == "iris_0  failed\n"

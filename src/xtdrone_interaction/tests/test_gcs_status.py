@@ -266,6 +266,17 @@ def test_texts_in_parts_are_put_together_and_made_fit_to_show():
     assert [text for _, text in state.texts] == ["Preflight Fail:no GPS", "?[2Jother"]
 
 
+def test_places_have_the_digits_of_the_wire():
+    state = VehicleState("a", 1)
+    place = {"lat": 473977419, "lon": -85455941, "alt": 488123, "relative_alt": -1}
+    state.take("GLOBAL_POSITION_INT", SimpleNamespace(**place, vx=30, vy=40, vz=-5, hdg=65535), 1.0)
+    state.take("LOCAL_POSITION_NED", SimpleNamespace(x=1.23449, y=-0.1 - 0.2, z=-4.0, vx=0.0, vy=0.0, vz=0.0), 1.0)
+    told = json.dumps(state.as_json(1.0))
+    for text in ('"latitude": 47.3977419', '"longitude": -8.5455941', '"altitude": 488.123', '"height": -0.001',
+                 '"local": [-0.3, 1.234, 4.0]', '"speed": 0.5', '"climb": 0.05', '"heading": null'):  # fmt: skip
+        assert f"{text}," in told
+
+
 def test_a_screen_draws_in_place_and_cuts_what_has_no_room(monkeypatch):
     monkeypatch.setenv("COLUMNS", "10")
     monkeypatch.setenv("LINES", "4")

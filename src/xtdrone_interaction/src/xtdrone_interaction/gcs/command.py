@@ -13,10 +13,7 @@ from collections.abc import Sequence
 
 from . import flight_command, list_command, log_command, parameter_command, plan_command, status_command
 from .arguments import Runner, UsageError, common
-from .display import Display
 from .peers import GcsError
-
-__all__ = ["Display", "main"]
 
 
 class _Commands:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import sys
@@ -65,15 +64,14 @@ class Display:
         self._lines = {name: "waiting" for name in names}
         self._width = max(map(len, names), default=0) + 2
         self._screen = Screen(self._file) if redraws(self._file) else None
-        self._drawn = -math.inf  # when
+        self._drawn = 0.0  # when
+        self._draw()
 
     def watch(self, name: str, what: str, done: int, total: int) -> None:
         """Take a vehicle's progress."""
         self._lines[name] = f"{what} {done}/{total}"
-        now = time.monotonic()
-        if self._screen is not None and now - self._drawn >= _REDRAW:
-            self._drawn = now
-            self._screen.draw([self._line(each) for each in self._lines])
+        if time.monotonic() - self._drawn >= _REDRAW:
+            self._draw()
 
     def results(self, peers: Sequence[Peer], results: dict[str, Any], text: Callable[[str, Any], str]) -> int:
         """Show how it ended with each vehicle, errors on standard error; return the exit status.
@@ -91,6 +89,11 @@ class Display:
             print(self._line(peer.name), file=self._file)
         self._file.flush()
         return tell_errors(results.values())
+
+    def _draw(self) -> None:
+        self._drawn = time.monotonic()
+        if self._screen is not None:
+            self._screen.draw([self._line(name) for name in self._lines])
 
     def _line(self, name: str) -> str:
         return f"{name:<{self._width}}{self._lines[name]}"
