@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import textwrap
+import types
 from pathlib import Path
 
 import fake_roslaunch
@@ -92,6 +94,15 @@ def test_a_used_folder_is_refused(
     (tmp_path / "report.json").touch()
     assert cli.main([*DEMO, "--out", str(tmp_path)]) == 2
     assert "not an empty folder" in capfd.readouterr().err
+
+
+def test_a_disk_that_is_nearly_full_is_refused_before_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: types.SimpleNamespace(free=3 << 20))
+    assert cli.main([*DEMO, "--out", str(tmp_path / "new" / "flight")]) == 2
+    assert "is on a disk with 3 MB left; rosbag records with at least 1024 MB" in capfd.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 def test_report_is_made_again(flight_bag: Path) -> None:

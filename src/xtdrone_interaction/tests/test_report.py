@@ -50,6 +50,19 @@ def test_unreadable_bags_are_named(tmp_path: Path, content: bytes | None) -> Non
         read_record(bag)
 
 
+@pytest.mark.parametrize("name", ["flight", "flight.plan", "old.bag", "log.bag"])
+def test_other_files_are_refused_with_who_reads_them(tmp_path: Path, name: str) -> None:
+    begin = {"old.bag": b"#ROSBAG V1.2\n", "log.bag": b"ULog\x01\x12\x35\x01"}.get(name, b"#ROSBAG V2.0\n")
+    (tmp_path / name).write_bytes(begin + bytes(100))
+    with pytest.raises(RecordError, match=r"neither a bag of version 2\.0 .*analyse"):
+        read_record(tmp_path / name)
+
+
+def test_a_folder_is_no_record(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="is a folder"):
+        read_record(tmp_path)
+
+
 def test_a_pattern_that_is_taken_back_is_none(tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", patterns=("origin",), taken_back=True)
     record = read_record(tmp_path / "flight.bag")

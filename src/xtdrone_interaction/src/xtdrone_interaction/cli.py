@@ -136,7 +136,7 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         world=arguments.world,
         seed=arguments.seed,
         speed=arguments.speed,
-        out=options.results_folder(arguments.out),
+        out=options.results_folder(arguments.out, recorded=True),
         master_port=master_port(arguments.master_port, use_running=arguments.use_master),
         headless=arguments.headless,
         logs=arguments.logs,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import errno
 import math
+import shutil
 import socket
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from xtdrone_interaction.geometry import ORIGIN
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N
+_BAG_ROOM = 1 << 30  # bytes; rosbag record stops where less is free
 
 
 class OptionError(ValueError):
@@ -182,11 +184,15 @@ def new_folder(wanted: Path) -> Path:
     return folder
 
 
-def results_folder(wanted: Path | None) -> Path:
+def results_folder(wanted: Path | None, *, recorded: bool = False) -> Path:
     """Return the results' folder, absolute: ``wanted``, or ``runs/<time>``; it is not there, or empty.
 
+    Args:
+        wanted: None for the default.
+        recorded: whether ``rosbag record`` is to write into it, which records nothing on a disk that is nearly full.
+
     Raises:
-        OptionError: see :func:`new_folder`.
+        OptionError: see :func:`new_folder`; or the disk is too full.
     """
     if wanted is None:
         base = Path("runs") / time.strftime("%Y%m%d-%H%M%S")
@@ -194,7 +200,20 @@ def results_folder(wanted: Path | None) -> Path:
         while wanted.exists():
             number += 1
             wanted = base.with_name(f"{base.name}-{number}")
-    return new_folder(wanted)
+    folder = new_folder(wanted)
+    if recorded:
+        _check_room(folder)
+    return folder
+
+
+def _check_room(folder: Path) -> None:
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    free = shutil.disk_usage(there).free
+    if free < _BAG_ROOM:
+        raise OptionError(
+            f"out: {str(folder)!r} is on a disk with {free >> 20} MB left; rosbag records with at least "
+            f"{_BAG_ROOM >> 20} MB; choose --out"
+        )
 
 
 def checked(check: Callable[[str], Any]) -> Callable[[str], Any]:

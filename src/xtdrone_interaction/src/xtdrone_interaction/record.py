@@ -10,6 +10,7 @@ times are taken from its constant rate, and are right to a few steps.
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 from collections.abc import Iterable, Sequence
@@ -45,6 +46,7 @@ COLLISION = "collision of "  # in the words of the simulator node
 _POSE = ("pose.position.x", "pose.position.y", "pose.position.z")
 ODOMETRY = tuple(f"pose.{field}" for field in _POSE)
 """Fields of a place in nav_msgs/Odometry."""
+_BAG_BEGIN = b"#ROSBAG V2.0\n"
 _BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it
 _MEDIAN_SPAN = 10.0  # s; the recorder's clock is right most of the time in any span of this length
 
@@ -194,9 +196,19 @@ def read_record(file: str | Path) -> FlightRecord:
     """
     path = Path(file)
     if not path.is_file():
-        raise RecordError(f"flight record: {path} does not exist")
+        raise RecordError(f"flight record: {path} {'is a folder' if path.is_dir() else 'does not exist'}")
     if path.suffix == ".npz":
         return _read_archive(path)
+    try:
+        with path.open("rb") as opened:
+            begin = opened.read(len(_BAG_BEGIN))
+    except OSError as error:
+        raise RecordError(f"flight record: {path} cannot be read: {error.strerror}") from error
+    if path.suffix != ".bag" or not begin or not _BAG_BEGIN.startswith(begin):
+        raise RecordError(
+            f"flight record: {path} is neither a bag of version 2.0 (.bag) nor a flight.npz; './xtdrone analyse' reads "
+            "flight logs, other bags, and what is left of damaged ones"
+        )
     try:
         with AnyReader([path]) as reader:
             return _read(reader, path, read_events(path.with_name("events.jsonl")))
@@ -214,8 +226,9 @@ def save_record(record: FlightRecord, path: str | Path) -> None:
     ``events`` and ``collisions`` as JSON.
     """
     track = record.track
+    archive = io.BytesIO()  # so that a full disk is an error of the file, not of the archive within it
     np.savez_compressed(
-        Path(path),
+        archive,
         names=np.array(record.names),
         time=track.time,
         position=track.position,
@@ -226,6 +239,7 @@ def save_record(record: FlightRecord, path: str | Path) -> None:
         events=json.dumps(record.events),
         collisions=json.dumps(record.collisions),
     )
+    Path(path).write_bytes(archive.getvalue())
 
 
 def _read_archive(path: Path) -> FlightRecord:

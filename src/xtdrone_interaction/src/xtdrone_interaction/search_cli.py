@@ -111,7 +111,7 @@ def settings_of(arguments: argparse.Namespace) -> SearchSettings:
         film=not arguments.no_film,
         seed=arguments.seed,
         speed=arguments.speed,
-        out=options.results_folder(arguments.out),
+        out=options.results_folder(arguments.out, recorded=True),
         master_port=master_port(arguments.master_port, use_running=arguments.use_master),
         headless=arguments.headless,
         logs=arguments.logs,
