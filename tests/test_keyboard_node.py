@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import REPOSITORY, START_LIMIT, Graph, Stack, poll
+from conftest import REPOSITORY, START_LIMIT, Graph, Stack, free_port, poll
 
 pytest.importorskip("rospy")
 
@@ -261,6 +261,39 @@ def test_a_dumb_terminal_gets_lines(sit: Callable[..., Seat]) -> None:
     seat.process.terminate()
     assert seat.end() == 0
     assert seat.settings() == seat.before
+
+
+@pytest.mark.timeout(2 * START_LIMIT)
+def test_a_master_that_goes_and_another_are_told(
+    graph: Graph, sit: Callable[..., Seat], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    port = free_port()
+    environment = {**graph.environment, "ROS_MASTER_URI": f"http://127.0.0.1:{port}"}
+    masters = []
+
+    def start_master() -> None:
+        with (tmp_path / f"master_{len(masters)}.log").open("wb") as log:
+            command = ["rosmaster", "--core", "-p", str(port)]
+            output = {"stdout": log, "stderr": log}
+            masters.append(subprocess.Popen(command, env={**os.environ, **environment}, **output))
+        poll(rosgraph.Master("/system_tests", f"http://127.0.0.1:{port}").is_online, "the master answers")
+
+    try:
+        start_master()
+        monkeypatch.setattr(graph, "environment", environment)
+        seat = sit("iris", "1")
+        seat.see(READY)
+        masters[0].kill()
+        seat.see("no ROS master")
+        start_master()
+        seat.see("a new ROS master: end this, start it again")
+        seat.type("\x03")
+        assert seat.end() == 0
+        assert seat.settings() == seat.before
+    finally:
+        for master in masters:
+            master.kill()
+            master.wait()
 
 
 # ---- what cannot be run

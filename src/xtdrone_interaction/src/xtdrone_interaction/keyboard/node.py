@@ -17,6 +17,7 @@ the lockstep, and needs no simulator.
 from __future__ import annotations
 
 import contextlib
+import http.client
 import logging
 import math
 import resource
@@ -25,6 +26,7 @@ import signal
 import sys
 import threading
 import time
+import xmlrpc.client
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -49,7 +51,7 @@ from .terminal import ENDING, NoTerminalError, Signals, Terminal, TerminalGoneEr
 NAME = "multirotor_keyboard_control"
 PERIOD = 0.1  # s of wall time: XTDrone's 10 Hz
 _WIDTH = 80  # columns of the help where nothing is redrawn
-_MASTER_PERIOD = 2.0  # s between two looks for a master that is gone
+_MASTER_PERIOD = 2.0  # s between two looks for the master
 _LEAVE_LIMIT = 3.0  # s for the master to let the node go
 _KEPT = 10  # messages kept for a vehicle that takes none
 
@@ -112,12 +114,16 @@ class _Watch:
 
 
 class _Lookout:
-    """Watches the vehicles in sight, and only those.
+    """Watches the vehicles in sight, and only those, and the master.
 
-    Subscribing is done in a thread: rospy waits for the master there, without end if that is gone.
+    The master is asked in a thread: rospy waits for it, without end if it is gone.
+
+    Attributes:
+        trouble: what is wrong with the master, in a few words; empty: nothing.
     """
 
     def __init__(self) -> None:
+        self.trouble = ""
         self._watches: dict[str, _Watch] = {}
         self._wanted: Sequence[str] = ()
         self._changed = threading.Event()
@@ -136,21 +142,43 @@ class _Lookout:
 
     def _run(self) -> None:
         while not rospy.is_shutdown():
-            self._changed.wait()
-            self._changed.clear()
-            wanted = self._wanted
-            for name in set(self._watches).difference(wanted):
-                self._watches.pop(name).close()
-            for name in wanted:
-                if name not in self._watches and not self._changed.is_set():
-                    self._await_master()
-                    self._watches[name] = _Watch(name)
+            self._changed.wait(_MASTER_PERIOD)
+            self.trouble = _trouble_of_master()
+            if self.trouble:
+                self._ended.wait(_MASTER_PERIOD)
+            elif self._changed.is_set():
+                self._changed.clear()
+                self._watch(self._wanted)
 
-    def _await_master(self) -> None:
-        """Wait for the master here rather than in rospy, which holds locks meanwhile that its shutdown needs."""
-        while not rosgraph.is_master_online() and not rospy.is_shutdown():
-            rospy.logwarn("no ROS master answers: vehicles that are new in sight are not heard of")
-            self._ended.wait(_MASTER_PERIOD)
+    def _watch(self, wanted: Sequence[str]) -> None:
+        """Watch these, until others are wanted or the master is gone: rospy would wait for it, and hold locks meanwhile
+        that its shutdown needs."""
+        for name in set(self._watches).difference(wanted):
+            self._watches.pop(name).close()
+        for name in wanted:
+            if self._changed.is_set():
+                return
+            if not rosgraph.is_master_online():
+                self._changed.set()  # to be done when it is back
+                return
+            if name not in self._watches:
+                self._watches[name] = _Watch(name)
+
+
+def _trouble_of_master() -> str:
+    """Return what is wrong with the ROS master, in a few words; empty: nothing.
+
+    Connections that there are live on without it, but none is made any more; one that was started anew knows nothing of
+    this node, and rospy does not tell it.
+    """
+    name = rospy.get_name()
+    try:
+        rosgraph.Master(name).lookupNode(name)
+    except rosgraph.MasterException:
+        return "a new ROS master: end this, start it again"
+    except (OSError, http.client.HTTPException, xmlrpc.client.Error):
+        return "no ROS master"
+    return ""
 
 
 class _Outlet:
@@ -382,7 +410,8 @@ class Keyboard:
     def _show(self) -> None:
         shown = self._layout()
         page = self._page(shown.rows)
-        note = self._notes.texts[-1] if self._notes.texts else self._pilot.note
+        said = self._notes.texts[-1] if self._notes.texts else self._pilot.note
+        note = "; ".join(filter(None, [self._lookout.trouble, said]))
         if not self._terminal.redraws:
             self._show_lines(page, note)
             return
