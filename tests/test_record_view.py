@@ -238,6 +238,7 @@ def test_no_frame_is_no_film_even_where_an_older_one_is(bag: Path, tmp_path: Pat
     done = record(config, "--bag", bag, "--fps", 25, "--size", "64x64", "--out", tmp_path / "film.mp4")
     assert done.returncode == 1
     assert "no frame was drawn" in done.stderr
+    assert "TF does not know the fixed frame 'elsewhere'" in done.stderr
     assert (tmp_path / "film.mp4").read_text(encoding="utf-8") == "older"
 
 

@@ -298,6 +298,9 @@ int run(int argc, char** argv) {
     OffscreenNode node(settings, scene, recorder);
     lockstep::start();
     lockstep::spin([&node] { node.step(); });
+    if (!scene.ready()) {
+      std::cerr << "TF does not know the fixed frame '" << scene.fixedFrame() << "'" << std::endl;
+    }
   }
   recorder.finish();
   std::cout << NAME << ": " << recorder.count() << " frames drawn" << std::endl;

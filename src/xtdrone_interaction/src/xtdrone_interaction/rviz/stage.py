@@ -75,6 +75,7 @@ class Stage:
         self._work = work
         self._master = rosgraph.Master("/record_view", master_uri=self._environment["ROS_MASTER_URI"])
         self._nodes: dict[str, ProcessTree] = {}
+        self._film = Path()
 
     def start_all(self, settings: FilmSettings, fleet: str, running: Container[str] = ()) -> None:
         """Start the nodes that are not running yet, with what they find on the master.
@@ -87,6 +88,7 @@ class Stage:
         Raises:
             StageError: a program is not there.
         """
+        self._film = settings.out
         vehicles = parse_fleet(fleet)
         for vehicle in vehicles:
             # The simplified simulator, and a bag, tell nobody what vehicles look like.
@@ -125,6 +127,8 @@ class Stage:
         file = name if name == DRAWER else f"{name}.py"
         command = [program(package, file), f"__name:={name}"]
         # Not on the command line: some nodes look before rospy has read that.
+        if self._master.hasParam(f"/{name}"):  # of one that was there before
+            self._master.deleteParam(f"/{name}")
         for key, value in parameters.items():
             if value is not None:
                 self._master.setParam(f"/{name}/{key}", str(value) if isinstance(value, Path) else value)
@@ -182,7 +186,9 @@ class Stage:
         if not tree.wait(_PATIENCE):
             raise StageError(f"{DRAWER} has not ended within {_PATIENCE:g} s")
         if tree.process.returncode != 0:
-            raise StageError(f"{DRAWER} has failed (status {tree.process.returncode}): {self.last_words()}")
+            raise StageError(
+                f"{DRAWER} has failed (status {tree.process.returncode}): {self.last_words()}{self._rest()}"
+            )
         for words in self.complaints()[:_MOST_COMPLAINTS]:
             print(f"rviz: {words}", file=sys.stderr)
         drawn = _DRAWN.search(self.log(DRAWER).read_text(encoding="utf-8", errors="replace"))
@@ -190,6 +196,11 @@ class Stage:
         if frames == 0:
             raise StageError(f"no frame was drawn: {self.last_words()}")
         return frames
+
+    def _rest(self) -> str:
+        """Return where the rest of a film is, for a message, where the drawing node could not finish it."""
+        part = self._film.with_name(f".{self._film.name}.{self._nodes[DRAWER].process.pid}.part.mp4")
+        return f"\nwhat there is of the film: {part}" if part.exists() else ""
 
     def close(self) -> None:
         """End all nodes."""
