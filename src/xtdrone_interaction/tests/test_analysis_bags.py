@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tracemalloc
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,55 @@ def test_damage_costs_what_is_damaged_alone(tmp_path: Path, packing: str) -> Non
     assert found[-1] == expected[-1]
     assert len(found) > 0.6 * len(expected)
     assert any("damaged" in note for note in notes)
+
+
+def records(data: bytes) -> Iterator[tuple[bytes, int]]:
+    """Yield each record's header, and where the size of what follows it stands."""
+    at = len(b"#ROSBAG V2.0\n")
+    while at < len(data):
+        body = at + 4 + int.from_bytes(data[at : at + 4], "little")
+        yield data[at + 4 : body], body
+        at = body + 4 + int.from_bytes(data[body : body + 4], "little")
+
+
+@pytest.mark.parametrize("packing", ["", "lz4", "bz2"])
+@pytest.mark.parametrize("kind", [b"op=\x05", b"op=\x04"])
+def test_a_size_that_is_wrong_does_not_hide_what_follows(tmp_path: Path, packing: str, kind: bytes) -> None:
+    """The second chunk's, or that of an index of messages: far beyond the end of the file."""
+    path = tmp_path / "whole.bag"
+    expected = small_bag(path, packing)
+    data = bytearray(path.read_bytes())
+    place = [place for header, place in records(data) if kind in header][1]
+    data[place : place + 4] = b"\xff\xff\xff\x7f"
+    (tmp_path / "bad.bag").write_bytes(data)
+    found, notes = read(tmp_path / "bad.bag")
+    assert notes
+    assert found == expected
+
+
+def test_a_chunk_whose_last_byte_is_wrong_is_read_and_noted(tmp_path: Path) -> None:
+    path = tmp_path / "whole.bag"
+    expected = small_bag(path, "lz4")
+    data = bytearray(path.read_bytes())
+    place = next(place for header, place in records(data) if b"op=\x05" in header)
+    data[place + 3 + int.from_bytes(data[place : place + 4], "little")] ^= 1
+    (tmp_path / "bad.bag").write_bytes(data)
+    found, notes = read(tmp_path / "bad.bag")
+    assert found == expected
+    assert any("cannot be unpacked further" in note for note in notes)
+
+
+def test_topics_whose_descriptions_are_damaged_are_taken_from_the_index(tmp_path: Path) -> None:
+    path = tmp_path / "whole.bag"
+    expected = small_bag(path, "")
+    data = bytearray(path.read_bytes())
+    first = next(place for header, place in records(data) if b"op=\x05" in header)
+    data[first + 4 : first + 8] = b"\xff\xff\xff\x7f"  # the chunk's first record
+    (tmp_path / "bad.bag").write_bytes(data)
+    found, notes = read(tmp_path / "bad.bag")
+    assert any("that are no record" in note for note in notes)
+    assert found == expected[-len(found) :]
+    assert len(found) > 0.8 * len(expected)
 
 
 @pytest.mark.parametrize(

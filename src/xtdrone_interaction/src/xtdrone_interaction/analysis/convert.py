@@ -28,7 +28,7 @@ from rosbags.convert.converter import convert as rosbags_convert
 from rosbags.rosbag1 import Writer
 
 from xtdrone_interaction.analysis.layout import Decoded, Layout, List, MessageError, Rows, Text, Texts
-from xtdrone_interaction.analysis.ros1bag import BagError, BagFile, Batch, Connection
+from xtdrone_interaction.analysis.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.analysis.source import (
     Layouts,
     Losses,
@@ -122,10 +122,10 @@ def _good(
 
 
 def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | None, losses: Losses) -> None:
-    """Write a recording as a ROS 2 bag.
+    """Write a recording as a ROS 2 bag; first as a whole ROS 1 bag beside it, since rosbags trusts a bag's index.
 
     Args:
-        source: what is read; a bag that is damaged, or of which some topics are wanted, is first written whole.
+        source: what is read.
         target: folder that does not exist yet.
         storage: ``mcap`` or ``sqlite3``.
         topics: patterns of those that are wanted; None for all.
@@ -134,18 +134,13 @@ def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | 
     Raises:
         BagError: rosbags cannot convert it.
     """
-    if topics is None and isinstance(source, BagFile):
-        with contextlib.suppress(ConverterError):
-            _convert(source.path, target, storage)
-            return
-        shutil.rmtree(target, ignore_errors=True)
     whole = target.with_name(f".{target.name}.whole.bag")
     whole.unlink(missing_ok=True)
     try:
         if not rewrite(source, whole, chosen(topics), losses, check=True):
             raise BagError(_nothing(source, losses))
         _convert(whole, target, storage)
-    except ConverterError as error:
+    except (ConverterError, AssertionError) as error:
         shutil.rmtree(target, ignore_errors=True)
         raise BagError(f"convert: {str(source.path)!r}: {error}") from error
     finally:
@@ -155,7 +150,8 @@ def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | 
 def _nothing(source: Source, losses: Losses) -> str:
     """Return what to say when no message could be converted."""
     text = f"convert: {str(source.path)!r} has no messages of the topics that are wanted"
-    return "; ".join([f"{text} that can be read" if losses.notes() else text, *losses.notes()])
+    notes = [*source.notes, *losses.notes()]
+    return "; ".join([f"{text} that can be read" if notes else text, *notes])
 
 
 def _convert(bag: Path, target: Path, storage: str) -> None:

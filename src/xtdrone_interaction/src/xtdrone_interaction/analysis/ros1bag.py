@@ -27,6 +27,8 @@ MAGIC = b"#ROSBAG V"
 _VERSION = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
 _PIECE = 4 << 20  # bytes unpacked at once
+_FEW = 4096  # packed bytes
+_DAMAGE = (OSError, RuntimeError, EOFError)  # what unpackers raise
 _LONGEST_HEADER = 1 << 24  # bytes; definitions of messages stand in the data, not in a header
 _RECORDS = 1 << 16  # found at once
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
@@ -138,12 +140,14 @@ class BagFile:
                     yield from self._chunk(file, fields, begin, size)
                     continue
                 if begin + size > self.size:
-                    self._note_cut(at)
-                    return
+                    if not self._found_next_chunk(file, at):
+                        return
+                    continue
                 if kind == _CONNECTION:
                     self._add_connection(fields, file.read(size))
                 elif kind == _BAG_HEADER:
                     self._look_at(fields)
+                    self._read_index(file, fields)
                 file.seek(begin + size)
         if not self.indexed:
             self.notes.append("the recorder did not end it: there is no index; it was read by its records")
@@ -159,11 +163,27 @@ class BagFile:
             raise BagError(f"bag: {str(self.path)!r} is encrypted ({name}); 'rosbag decrypt' makes it readable")
         self.indexed = any(fields.get(b"index_pos", b""))
 
+    def _read_index(self, file: BinaryIO, fields: dict[bytes, bytes]) -> None:
+        """Read the connections that the index repeats: those in a chunk may be damaged."""
+        file.seek(min(int.from_bytes(fields.get(b"index_pos", b""), "little"), self.size) or self.size)
+        while (header := _read_header(file, self.size)) is not None and header[0][b"op"][0] == _CONNECTION:
+            self._add_connection(header[0], file.read(header[1]))
+
     def _note_cut(self, at: int) -> None:
         self.notes.append(f"it is cut off: the record at byte {at} of {self.size} is not whole; all before it was read")
 
     def _found_next_chunk(self, file: BinaryIO, at: int) -> bool:
         """Say that the record at ``at`` makes no sense, and go to the next chunk; False if there is none."""
+        place = self._next_chunk(file, at)
+        if place is None:
+            self._note_cut(at)
+            return False
+        self.notes.append(f"bytes {at} to {place} of {self.size} are damaged and left out")
+        file.seek(place)
+        return True
+
+    def _next_chunk(self, file: BinaryIO, at: int) -> int | None:
+        """Return where the next chunk behind ``at`` begins; None if there is none."""
         begin = at + 1
         while begin < self.size:
             file.seek(begin)
@@ -173,14 +193,11 @@ class BagFile:
                     place = begin + mark - before - 4
                     file.seek(max(place, 0))
                     if place > at and (found := _read_header(file, self.size)) and found[0].get(b"op") == b"\x05":
-                        self.notes.append(f"bytes {at} to {place} of {self.size} are damaged and left out")
-                        file.seek(place)
-                        return True
+                        return place
             if len(part) < _PIECE:
                 break
             begin += _PIECE - len(_CHUNK_MARK)
-        self._note_cut(at)
-        return False
+        return None
 
     def _chunk(self, file: BinaryIO, fields: dict[bytes, bytes], begin: int, size: int) -> Iterator[Batch]:
         """Yield a chunk's messages, and go behind it."""
@@ -188,14 +205,16 @@ class BagFile:
         open_end = size == 0 and fields.get(b"size", b"\0" * 4) == b"\0" * 4
         if open_end:  # the recorder fills the size in when the chunk is full
             size = self.size - begin
-        end = min(begin + size, self.size)
+        following = self._next_chunk(file, begin) if open_end or begin + size > self.size else None
+        end = following or min(begin + size, self.size)
+        file.seek(begin)
         rest = b""
         damage = ""
         pieces = _unpacked(file, packing, end - begin)
         while True:
             try:
                 piece = next(pieces, None)
-            except (OSError, RuntimeError, EOFError, ValueError) as error:
+            except (*_DAMAGE, ValueError) as error:
                 damage = f"cannot be unpacked further ({error})"
                 break
             if piece is None:
@@ -209,7 +228,9 @@ class BagFile:
                 if not full:
                     break
             rest = data[at:].tobytes()
-        if end < begin + size or open_end:
+        if following is not None:
+            self.notes.append(f"the chunk at byte {begin} says a wrong size; it was read as far as it makes sense")
+        elif end < begin + size or open_end:
             if open_end or rest or damage:
                 self.notes.append(
                     f"it is cut off in the chunk at byte {begin} of {self.size}: of that the messages up to there "
@@ -292,11 +313,31 @@ def _fields(data: bytes) -> dict[bytes, bytes] | None:
 
 
 def _unpacked(file: BinaryIO, packing: bytes, size: int) -> Iterator[bytes]:
-    """Yield the next ``size`` bytes of the file unpacked, in pieces.
+    """Yield the next ``size`` bytes of the file unpacked, in pieces; of what is damaged, all up to the damage.
 
     Raises:
         OSError, RuntimeError, EOFError: they are damaged.
         ValueError: the packing is unknown.
+    """
+    begin, given = file.tell(), 0
+    try:
+        for piece in _unpacked_by(file, packing, size):
+            given += len(piece)
+            yield piece
+    except _DAMAGE:
+        # of the step that failed nothing came: again in small ones, without what is known
+        file.seek(begin)
+        for piece in _unpacked_by(file, packing, size, careful=True):
+            if len(piece) > given:
+                yield piece[given:]
+            given = max(0, given - len(piece))
+
+
+def _unpacked_by(file: BinaryIO, packing: bytes, size: int, *, careful: bool = False) -> Iterator[bytes]:
+    """Yield the next ``size`` bytes of the file unpacked; if ``careful``, few packed bytes at once and the last singly.
+
+    Raises:
+        OSError, RuntimeError, EOFError, ValueError: as of :func:`_unpacked`.
     """
     if packing == b"none":
         while size > 0 and (piece := file.read(min(size, _PIECE))):
@@ -306,7 +347,10 @@ def _unpacked(file: BinaryIO, packing: bytes, size: int) -> Iterator[bytes]:
     if packing not in (b"lz4", b"bz2"):
         raise ValueError(f"packing {packing.decode(errors='replace')!r}; there are none, lz4, bz2")
     unpacker: Any = LZ4FrameDecompressor() if packing == b"lz4" else bz2.BZ2Decompressor()
-    while size > 0 and not unpacker.eof and (packed := file.read(min(size, _PIECE))):
+    while size > 0 and not unpacker.eof:
+        packed = file.read((_FEW if size > _FEW else 1) if careful else min(size, _PIECE))
+        if not packed:
+            return
         size -= len(packed)
         piece = unpacker.decompress(packed, _PIECE)
         while piece:

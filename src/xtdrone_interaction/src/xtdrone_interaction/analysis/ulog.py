@@ -6,6 +6,7 @@ beginning, s.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 import struct
@@ -190,8 +191,13 @@ def _parsed(path: Path, data: bytes, whole: int, log: FlightLog) -> ULog:
     """
     reason: Exception | None = None
     for part in (data, data[:whole]):
+        said = io.StringIO()
         try:
-            return ULog(io.BytesIO(part))
+            with contextlib.redirect_stdout(said):  # it prints what it doubts
+                raw = ULog(io.BytesIO(part))
+            if (doubts := said.getvalue().splitlines()) and not log.notes and whole == len(data):
+                log.notes.append(f"it is damaged; what could be read is shown (pyulog: {doubts[0].strip()})")
+            return raw
         except Exception as error:  # pyulog raises many kinds for a damaged file
             reason = error
             log.notes = [f"it is damaged behind byte {whole} of {len(data)} ({error}); what is before was read"]
@@ -200,9 +206,10 @@ def _parsed(path: Path, data: bytes, whole: int, log: FlightLog) -> ULog:
 
 def _fill(log: FlightLog, raw: ULog, topics: Collection[str]) -> None:
     start = raw.start_timestamp
+    datasets = [dataset for dataset in raw.data_list if "timestamp" in dataset.data]  # others are of damaged formats
     times = {
         (dataset.name, dataset.multi_id): (dataset.data["timestamp"].astype(np.int64) - start) * 1e-6
-        for dataset in raw.data_list
+        for dataset in datasets
     }
     # a message that is alone may be of long ago or of any time, as a mission that was stored before
     running = [time for time in times.values() if len(time) > 1] or list(times.values())
@@ -210,7 +217,7 @@ def _fill(log: FlightLog, raw: ULog, topics: Collection[str]) -> None:
     log.info = {key: value for key, value in raw.msg_info_dict.items() if isinstance(value, str | int | float)}
     if isinstance(release := log.info.get("ver_sw_release"), int):
         log.info["release"] = _release(release)
-    for dataset in raw.data_list:
+    for dataset in datasets:
         key = dataset.name, dataset.multi_id
         log.counts[key] = len(times[key])
         if dataset.name in topics and len(times[key]):
@@ -235,10 +242,10 @@ def _fill(log: FlightLog, raw: ULog, topics: Collection[str]) -> None:
     defaults = raw.get_default_parameters(0) if raw.has_default_parameters else {}
     # a default is logged only where the value differs
     for name, value in sorted(raw.initial_parameters.items()):
-        if name in defaults and defaults[name] != value:
+        if name in defaults and defaults[name] != value and isinstance(value, int | float):
             log.changed.append((name, value, defaults[name]))
     log.changed += [(f"{name} (at {(time - start) * 1e-6:.1f} s)", value, None)
-                    for time, name, value in raw.changed_parameters]  # fmt: skip
+                    for time, name, value in raw.changed_parameters if isinstance(value, int | float)]  # fmt: skip
 
 
 def _in_time(
