@@ -65,6 +65,25 @@ def test_a_pattern_of_the_wrong_size_is_refused(tmp_path: Path, capfd: pytest.Ca
     assert "size 2 x 3, but 9 vehicles need 8 x 3" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "code", "words"),
+    [
+        ("--follower", "", "must define one class that inherits Follower, found 0"),
+        ("--follower", "class X(:", "cannot be imported: SyntaxError"),
+        ("--leader", "import no_such_module", "cannot be imported: ModuleNotFoundError"),
+        ("--leader", "from xtdrone_coordination.follower import Follower\nclass A(Follower): ...", "inherits Leader"),
+    ],
+)
+def test_a_class_that_cannot_fly_is_refused_before_anything_starts(
+    tmp_path: Path, option: str, code: str, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "unflyable_class.py").write_text(code)
+    out = tmp_path / "out"
+    assert cli.main([*DEMO, option, str(tmp_path / "unflyable_class.py"), "--out", str(out)]) == 2
+    assert words in capfd.readouterr().err
+    assert not out.exists()
+
+
 def test_a_taken_master_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     with socket.create_server(("127.0.0.1", 0)) as server:

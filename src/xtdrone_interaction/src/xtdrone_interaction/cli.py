@@ -13,7 +13,11 @@ from pathlib import Path
 
 from rich.console import Console
 
+from xtdrone_control.communication.arguments import ArgumentError
 from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_coordination.classes import load_class
+from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options, search_cli
 from xtdrone_interaction.formation_demo import DemoSettings, report_again, run_demo
@@ -121,6 +125,9 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
     options.swarm_patterns(arguments.n, arguments.patterns, pattern_file or None)
     follower, follower_class = options.follower_program(arguments.follower)
+    leader_class = options.leader_class(arguments.leader)
+    _check_class(follower_class, Follower, "follower")
+    _check_class(leader_class, Leader, "leader")
     options.check_vehicle_ports(fleet)
     return DemoSettings(
         n=arguments.n,
@@ -140,8 +147,18 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         master_port=master_port(arguments.master_port, use_running=arguments.use_master),
         headless=arguments.headless,
         logs=arguments.logs,
-        leader_class=options.leader_class(arguments.leader),
+        leader_class=leader_class,
     )
+
+
+def _check_class(text: str, base: type, what: str) -> None:
+    """Import the user's class here, too: its nodes would die of what is wrong with it a while after the start."""
+    if not text:
+        return
+    try:
+        load_class(text, base, what)
+    except ArgumentError as error:
+        raise OptionError(str(error)) from error
 
 
 def main(argv: Sequence[str] | None = None) -> int:
