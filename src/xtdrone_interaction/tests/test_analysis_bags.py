@@ -254,6 +254,17 @@ def test_without_velocities_they_are_taken_from_places(tmp_path: Path) -> None:
     np.testing.assert_allclose(speed, np.hypot(RADIUS * TURN, CLIMB), rtol=1e-3)
 
 
+def test_places_that_cannot_be_are_left_out_and_noted(tmp_path: Path) -> None:
+    with Bag(tmp_path / "made.bag") as bag:
+        for k in range(100):
+            bag.pose("/iris_0", (2.7e306, 0.0, 0.0) if k == 50 else helix(0.1 * k), 0.1 * k)
+    flight = read_flight(tmp_path / "made.bag")
+    assert flight.notes == ["1 places of iris_0 pose are beyond anything, and left out"]
+    place = flight.vehicles[0].position
+    assert place is not None
+    np.testing.assert_allclose(place.value, helix(place.time), atol=1e-6)
+
+
 def test_a_thousand_topics_and_an_unknown_definition(tmp_path: Path) -> None:
     path = tmp_path / "many.bag"
     with Writer(path) as writer:

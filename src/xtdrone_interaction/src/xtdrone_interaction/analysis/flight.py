@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from xtdrone_interaction.analysis.columns import MOST_VALUES, Array, Columns, Series
 from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
-from xtdrone_interaction.analysis.places import complete
+from xtdrone_interaction.analysis.places import complete, nearby
 from xtdrone_interaction.analysis.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_source
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
@@ -37,6 +37,7 @@ _MODEL, _TRUE = (
     "/truth",
 )  # whose places are a model's, without times of their own or with; no vehicle's names
 
+_PLACES = frozenset({"pose", "odometry", "velocity"})
 _XYZ = ("x", "y", "z")
 _QUATERNION = ("x", "y", "z", "w")
 
@@ -533,6 +534,11 @@ class _Reading:
     def _fill_vehicles(self, flight: Flight) -> None:
         thinned = self.columns.thinned
         series = {key: value.moved(flight.origin) for key, value in self.columns.series().items()}
+        for key, value in series.items():
+            if key[1] in _PLACES or key[0] in (_MODEL, _TRUE):
+                series[key] = nearby(value)
+                if (lost := len(value) - len(series[key])) > 0:
+                    flight.notes.append(f"{lost} places of {' '.join(key)} are beyond anything, and left out")
         names = {key[0] for key in series if key[0] not in (_MODEL, _TRUE)} | set(self.states) | set(self.texts)
         for name in sorted(names, key=natural_order):
             vehicle = Vehicle(name, {what: value for (owner, what), value in series.items() if owner == name})

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from xtdrone_interaction.analysis.columns import Array, Series
 
 _EARTH = 6371008.8  # m, mean radius
+_FARTHEST = 1e7  # m, a quarter of the way around the earth; what is farther away is damaged
 _APART = 5.0  # m between origins; GPS is not sure of less
 
 Fleet = Mapping[str, dict[str, Series]]
@@ -48,6 +49,12 @@ def complete(fleet: Fleet) -> list[str]:
         )
         notes.append(f"the vehicles' places{where}: distances between vehicles are not true")
     return notes
+
+
+def nearby(series: Series) -> Series:
+    """Return the rows whose numbers can be places or velocities; what is not known (NaN) stays."""
+    good = ~(np.abs(series.value) > _FARTHEST).any(axis=1)
+    return series if good.all() else Series(series.time[good], series.value[good])
 
 
 def _fixes(series: Series) -> Series:
