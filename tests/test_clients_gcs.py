@@ -6,11 +6,16 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
 import pytest
 from client_world import CLIENT_LIMIT, Core
 
-from xtdrone_interaction.gcs import GroundStation, Peer, command
+from xtdrone_control.autopilot import modes
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_interaction.gcs import GroundStation, Peer, command, exchanges, logs, parameters
 from xtdrone_interaction.gcs.state import VehicleState
+from xtdrone_sim.simulation import Simulation
 
 FIRST = 230
 COUNT = 3
@@ -83,3 +88,44 @@ def test_hold_mode_and_return(until):
     assert command.main(["rtl", "--vehicle", VEHICLES[2]]) == 0
     until(lambda states: (states[1].mode, states[2].mode) == ("AUTO.LAND", "AUTO.RTL"), "modes")
     until(lambda states: not any(state.armed for state in states), "all are down")
+
+
+def flown(watched: bool) -> tuple[np.ndarray, int]:
+    """Return the places and velocities of two vehicles that take off, and how much a station has asked."""
+    fleet = tuple(Vehicle("iris", i, FIRST + COUNT + i) for i in range(2))
+    simulation = Simulation(fleet, seed=2)
+    server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
+    peers = [Peer.of(vehicle) for vehicle in fleet] if watched else []
+    jobs = (exchanges.look, parameters.fetch_all, lambda beat: exchanges.fetch_plan(beat.system), logs.fetch_list)
+    futures = []
+    rows = []
+    try:
+        with GroundStation(peers, heartbeat=True) as station:
+            while simulation.time_us < 8_000_000:
+                if simulation.time_us == 3_000_000:
+                    for commander in simulation.commanders:
+                        assert commander.request(modes.AUTO_TAKEOFF) == 0
+                        assert commander.arm_disarm(True) == 0
+                simulation.step()
+                if simulation.time_us >= server.next_due_us:
+                    server.send_streams(simulation.time_us)
+                server.receive(0.0)
+                if all(future.done() for future in futures[-len(peers) :]):
+                    futures += [station.submit(peer, jobs[len(futures) // 2 % len(jobs)]) for peer in peers]
+                station.poll(0.0)
+                plant = simulation.world.plant
+                rows.append(np.concatenate([plant[field].ravel() for field in ("position", "velocity")]))
+            failed = [future.exception() for future in futures if future.done()]
+            assert failed == [None] * len(failed)
+    finally:
+        server.close()
+        simulation.close()
+    return np.array(rows), len(futures)
+
+
+def test_a_station_that_only_asks_changes_nothing_in_the_flight():
+    alone, _ = flown(False)
+    watched, asked = flown(True)
+    assert alone[-1, 2] > 1.0
+    assert asked > 20
+    np.testing.assert_array_equal(alone, watched)
