@@ -57,7 +57,7 @@ class Column:
         self.width = width
         self.stride = 1
         self.rows = 0
-        self._room = np.empty((_FIRST_ROOM, width + 1))  # grows by doubling, and is never handed out in parts
+        self._room = np.empty((_FIRST_ROOM, width + 1))  # grows by a quarter, and is never handed out in parts
         self._skip = 0  # messages until the next that is kept
 
     def add(self, time: Array, value: Array) -> int:
@@ -66,7 +66,7 @@ class Column:
         self._skip = (self._skip - len(time)) % self.stride
         count = len(time[kept])
         if (end := self.rows + count) > len(self._room):
-            room = np.empty((max(end, 2 * len(self._room)), self.width + 1))
+            room = np.empty((max(end, 5 * len(self._room) // 4), self.width + 1))
             room[: self.rows] = self._room[: self.rows]
             self._room = room
         self._room[self.rows : end, 0] = time[kept]
