@@ -9,7 +9,7 @@ from visualization_msgs.msg import Marker
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.rviz.markers import Detection, SwarmMarkers, ground_view
+from xtdrone_interaction.rviz.markers import SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import MARKERS_TOPIC, SHIPPED, make_view, shipped_folder
 
 NAMES = ["iris_0", "iris_1", "iris_2"]
@@ -112,16 +112,26 @@ def test_a_trail_is_as_long_as_asked_and_ends_at_the_vehicle():
 
 
 def test_detections_come_and_go(markers):
-    things = [Detection((5.0, 6.0, 0.0), "human"), Detection((7.0, 6.0, 0.0), "human")]
+    things = [(5.0, 6.0, 0.0), (7.0, 6.0, 0.0)]
     arrays = []
     for time, seen in enumerate([things, things[:1], []]):
         markers.on_detections("iris_0", (0.0, 0.0, 5.0), seen)
         arrays.append(markers.array(float(time)))
         screen = shown(arrays)
         bodies = sorted(key for key in screen if key[0] == "detections")
-        assert [screen[key].pose.position.x for key in bodies] == [thing.position[0] for thing in seen]
+        assert [screen[key].pose.position.x for key in bodies] == [foot[0] for foot in seen]
         assert (("sightlines", 0) in screen) == bool(seen)
     assert points(shown(arrays[:1])["sightlines", 0])[:2] == [(0.0, 0.0, 5.0), (5.0, 6.0, 0.0)]
+
+
+def test_a_view_is_a_closed_line_just_above_the_ground(markers):
+    corners = np.array([[0, 0, 0], [4, 0, 0], [5, 3, 0], [-1, 3, 0]], float)
+    markers.on_view("iris_0", corners)
+    line = np.array(points(shown(markers)["views", 0])).reshape(-1, 2, 3)
+    assert (
+        sorted(map(tuple, line[:, 0, :2])) == sorted(map(tuple, line[:, 1, :2])) == sorted(map(tuple, corners[:, :2]))
+    )
+    assert ((line[..., 2] > 0.0) & (line[..., 2] < 0.2)).all()
 
 
 def test_a_find_stays_until_time_goes_back(markers):
@@ -133,6 +143,8 @@ def test_a_find_stays_until_time_goes_back(markers):
 
 
 def test_a_list_without_points_is_never_shown_and_no_marker_twice(markers):
+    markers.on_detections("iris_0", (0.0, 0.0, 5.0), [(5.0, 6.0, 0.0)])
+    markers.on_find((5.0, 6.0), "found by iris_0")
     for state in (SwarmMarkers(NAMES), markers):
         seen = set()
         for number, marker in enumerate(state.array(0.0).markers):
@@ -145,6 +157,7 @@ def test_a_list_without_points_is_never_shown_and_no_marker_twice(markers):
             if marker.action == Marker.ADD and marker.type in (Marker.LINE_LIST, Marker.LINE_STRIP, Marker.SPHERE_LIST):
                 assert marker.points
                 assert len(marker.colors) in (0, len(marker.points))
+            assert not marker.text or marker.type == Marker.TEXT_VIEW_FACING  # rviz warns of others
 
 
 @pytest.mark.parametrize("trail", [-1.0, math.nan, math.inf])

@@ -11,7 +11,7 @@ trails         line strip      where each vehicle was in the last seconds
 slots          spheres         the places that the pattern gives the followers, about the leader
 topology       line list       who hears whom: from the vehicle that is heard (dark) to the one that listens (bright)
 avoidance      arrow           the avoidance of each vehicle, before its gain
-views          line strip      what each camera sees of the ground
+views          line list       what each camera sees of the ground
 detections     cylinder        things that cameras show and where they stand, as high as a person
 sightlines     line list       from each camera to what it shows
 finds          cylinder, text  what the search has confirmed
@@ -33,6 +33,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 Array = NDArray[np.float64]
+Place = tuple[float, float, float]
 
 FRAME = "map"
 TRAIL = 6.0  # s
@@ -53,26 +54,13 @@ _DETECTED = ColorRGBA(0.95, 0.50, 0.00, 0.9)
 _FOUND = ColorRGBA(0.85, 0.05, 0.25, 0.6)
 
 
-@dataclass(frozen=True)
-class Detection:
-    """A thing that a camera shows.
-
-    Attributes:
-        position: of its foot on the ground, m ENU.
-        label: its class.
-    """
-
-    position: tuple[float, float, float]
-    label: str
-
-
 @dataclass
 class _Vehicle:
-    position: tuple[float, float, float] | None = None
-    trail: deque[tuple[float, tuple[float, float, float]]] = field(default_factory=lambda: deque(maxlen=_TRAIL_POINTS))
+    position: Place | None = None
+    trail: deque[tuple[float, Place]] = field(default_factory=lambda: deque(maxlen=_TRAIL_POINTS))
     avoidance: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    camera: tuple[float, float, float] | None = None
-    detections: tuple[Detection, ...] = ()
+    camera: Place | None = None
+    detections: tuple[Place, ...] = ()
     view: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
@@ -151,7 +139,7 @@ class SwarmMarkers:
 
     # what is told
 
-    def on_position(self, name: str, time: float, position: tuple[float, float, float]) -> None:
+    def on_position(self, name: str, time: float, position: Place) -> None:
         """Take a vehicle's place, m ENU, at a time, s."""
         vehicle = self._vehicles[name]
         vehicle.position = position
@@ -182,10 +170,10 @@ class SwarmMarkers:
         """Take a vehicle's avoidance, ENU."""
         self._vehicles[name].avoidance = vector
 
-    def on_detections(self, name: str, camera: tuple[float, float, float], things: Sequence[Detection]) -> None:
-        """Take what a vehicle's newest picture shows, and where its camera was, m ENU."""
+    def on_detections(self, name: str, camera: Place, feet: Sequence[Place]) -> None:
+        """Take where the things stand that a vehicle's newest picture shows, and where its camera was, m ENU."""
         self._vehicles[name].camera = camera
-        self._vehicles[name].detections = tuple(things)
+        self._vehicles[name].detections = tuple(feet)
 
     def on_view(self, name: str, corners: Array) -> None:
         """Take what a vehicle's camera sees of the ground, shape (4, 3), m ENU; shape (0, 3): nothing."""
@@ -243,9 +231,11 @@ class SwarmMarkers:
         dx, dy, dz = vehicle.avoidance
         arrow.points = [Point(x, y, z), Point(x + dx, y + dy, z + dz)]
         made.append(_or_none(arrow, math.hypot(dx, dy, dz) >= _LEAST_ARROW))
-        view = _marker("views", number, Marker.LINE_STRIP, colour, Vector3(max(1.0, self._scale) * 0.06, 0.0, 0.0))
-        # The ground is far away in any view; a little above it, for a grid may lie there.
-        view.points = [Point(x, y, z + 0.05) for x, y, z in (*vehicle.view, *vehicle.view[:1])]
+        view = _marker("views", number, Marker.LINE_LIST, colour, Vector3(max(1.0, self._scale) * 0.06, 0.0, 0.0))
+        # The ground is far away in any view; a little above it, for a grid may lie there. A strip would taper at its
+        # corners.
+        corners = [Point(x, y, z + 0.05) for x, y, z in vehicle.view]
+        view.points = [corner for k in range(len(corners)) for corner in (corners[k - 1], corners[k])]
         made.append(_or_none(view, len(vehicle.view) > 0))
         return made
 
@@ -271,23 +261,21 @@ class SwarmMarkers:
     def _sightlines(self) -> Marker:
         lines = _marker("sightlines", 0, Marker.LINE_LIST, _DETECTED, self._width(0.05))
         for vehicle in self._vehicles.values():
-            for thing in vehicle.detections:
+            for foot in vehicle.detections:
                 if vehicle.camera is not None:
-                    lines.points += [Point(*vehicle.camera), Point(*thing.position)]
+                    lines.points += [Point(*vehicle.camera), Point(*foot)]
         return _or_none(lines, len(lines.points) > 0)
 
     def _things(self) -> list[Marker]:
         """Return a cylinder for each detection, and take away those that are no more."""
-        things = [thing for vehicle in self._vehicles.values() for thing in vehicle.detections]
+        feet = [foot for vehicle in self._vehicles.values() for foot in vehicle.detections]
         width, height = _PERSON
-        gone = range(len(things), self._things_shown)
+        gone = range(len(feet), self._things_shown)
         made = [Marker(ns="detections", id=number, action=Marker.DELETE) for number in gone]
-        self._things_shown = len(things)
-        for number, thing in enumerate(things):
+        self._things_shown = len(feet)
+        for number, (x, y, z) in enumerate(feet):
             body = _marker("detections", number, Marker.CYLINDER, _DETECTED, Vector3(width, width, height))
-            x, y, z = thing.position
             body.pose.position = Point(x, y, z + 0.5 * height)
-            body.text = thing.label
             made.append(body)
         return made
 

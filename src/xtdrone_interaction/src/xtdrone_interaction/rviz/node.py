@@ -20,7 +20,7 @@ from xtdrone_control.checks import check_range
 from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.lockstep.names import future_name
 from xtdrone_interaction.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
-from xtdrone_interaction.rviz.markers import TRAIL, Detection, SwarmMarkers, ground_view
+from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import FOR_MARKERS
 
 NAME = "swarm_markers"
@@ -69,8 +69,8 @@ class MarkersNode:
 
     def _on_objects(self, name: str, message: Any) -> None:
         p, q = message.camera.position, message.camera.orientation
-        things = [Detection((o.position.x, o.position.y, o.position.z), o.object_class) for o in message.objects]
-        self._markers.on_detections(name, (p.x, p.y, p.z), things)
+        feet = [(o.position.x, o.position.y, o.position.z) for o in message.objects]
+        self._markers.on_detections(name, (p.x, p.y, p.z), feet)
         lens = self._lenses.get(name)
         if lens is not None:
             size = (lens.width, lens.height)
