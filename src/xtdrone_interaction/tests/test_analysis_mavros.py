@@ -235,6 +235,21 @@ def test_a_flight_after_time_was_set_back_is_another(tmp_path: Path, capfd: pyte
     assert "has no part 4; there are 1 to 3" in capfd.readouterr().err
 
 
+def test_a_damaged_time_does_not_part_a_flight(tmp_path: Path) -> None:
+    with Bag(tmp_path / "odd.bag", threshold=3000) as bag:
+        for k in range(200):
+            for space in ("/iris_0", "/iris_1", "/iris_2"):
+                bag.pose(space, (0.0, 0.0, 0.0), 0.1 * k)
+            if k == 50:
+                raw = bag.store.serialize_ros1(bag.type("std_msgs/msg/String")(data="late"), "std_msgs/msg/String")
+                bag.text("/words", "word", 5.0)
+                bag.writer.write(bag.connections["/words", "std_msgs/msg/String"], 4_000_000_000_000_000_000, raw)
+            bag.text("/words", "word", 0.1 * k)
+    flight = read_flight(tmp_path / "odd.bag")
+    assert flight.parts == 1
+    assert [len(vehicle.series["pose"]) for vehicle in flight.vehicles] == [200] * 3
+
+
 def test_a_clock_of_dates_that_is_corrected_does_not_part_a_flight(tmp_path: Path) -> None:
     poses(tmp_path / "real.bag", [(0.0, 10.0), (5.0, 15.0)], START)
     flight = read_flight(tmp_path / "real.bag")

@@ -260,7 +260,7 @@ class _Clock:
     def parts(self, batch: Batch) -> Iterator[tuple[Batch, bool]]:
         """Yield a batch in parts, each with whether simulated time was set back before it."""
         set_back = False
-        while (row := self._first_late(batch)) is not None:
+        while (row := self._set_back(batch)) is not None:
             yield Batch(batch.data, *(column[:row] for column in batch[1:])), set_back
             batch = Batch(batch.data, *(column[row:] for column in batch[1:]))
             set_back = int(batch.time[0]) * 1e-9 < _DATE
@@ -268,17 +268,30 @@ class _Clock:
             self._last.clear()
         yield batch, set_back
 
-    def _first_late(self, batch: Batch) -> int | None:
-        """Return the row of the first message that is earlier than another of its topic before it; None if none is."""
+    def _set_back(self, batch: Batch) -> int | None:
+        """Return the row of the first message that is earlier than one of its topic before it; None if none is.
+
+        If so, most topics go on earlier; where few do, the one before has a time that is damaged.
+        """
         latest = np.maximum(np.maximum.accumulate(batch.time), max(self._last.values(), default=-(2**63)))
-        late = latest - batch.time > _SET_BACK
-        rows = []
-        for number in np.unique(batch.connection[late]).tolist():
+        numbers = np.unique(batch.connection[latest - batch.time > _SET_BACK]).tolist()
+        late = np.zeros(len(batch.time), bool)
+        for number in numbers:
             mine = np.flatnonzero(batch.connection == number)
             time = batch.time[mine]
             known = np.maximum(np.maximum.accumulate(time), self._last.get(number, int(time[0])))
-            rows += mine[known - time > _SET_BACK][:1].tolist()
-        return min(rows, default=None)
+            late[mine] = known - time > _SET_BACK
+        if not late.any():
+            return None
+        row = int(late.argmax())
+        before = np.union1d(batch.connection[:row], list(self._last))
+        topics, first = np.unique(batch.connection[row:], return_index=True)
+        going_on = late[row + first[np.isin(topics, before)]]
+        if 2 * going_on.sum() >= len(going_on):
+            return row
+        for number in numbers:
+            self._last.pop(number, None)
+        return None
 
 
 class _Reading:
