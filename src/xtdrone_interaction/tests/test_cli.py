@@ -124,6 +124,17 @@ def test_a_disk_that_is_nearly_full_is_refused_before_the_flight(
     assert not (tmp_path / "new").exists()
 
 
+def test_who_has_read_enough_does_not_end_a_flight(tmp_path: Path) -> None:
+    options = ["--n", "4", "--patterns", "triangle", "--film", "none", "--no-compare", "--headless"]
+    command = [sys.executable, "-m", "xtdrone_interaction", "demo", "simplified", "--without-ros", *options]
+    with subprocess.Popen([*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True) as demo:
+        assert demo.stdout is not None
+        assert demo.stdout.readline().startswith("Results:")
+        demo.stdout.close()
+        assert demo.wait(120.0) == 0
+    assert (tmp_path / "out" / "report.json").is_file()
+
+
 def test_report_is_made_again(flight_bag: Path) -> None:
     assert cli.main(["report", str(flight_bag)]) == 0
     assert json.loads((flight_bag.parent / "report.json").read_text())["outcome"] == "done"

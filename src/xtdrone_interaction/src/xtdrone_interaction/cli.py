@@ -11,8 +11,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from xtdrone_control.communication.arguments import ArgumentError
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.classes import load_class
@@ -23,6 +21,7 @@ from xtdrone_interaction import options, search_cli
 from xtdrone_interaction.formation_demo import DemoSettings, report_again, run_demo
 from xtdrone_interaction.launched import DemoError, master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
+from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.search_cli import add_search
 from xtdrone_interaction.simplified_cli import add_simplified, run_simplified
 
@@ -209,7 +208,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return sweep.main(arguments[1:])
     parsed = _parser().parse_args(arguments)
-    console = Console()
+    console = PatientConsole()
     try:
         if parsed.command == "report":
             return report_again(parsed.file, console)

@@ -202,7 +202,7 @@ def main(argv: Sequence[str]) -> int:
         return 1
     if origin:
         print(f"xtdrone: {origin}, ROS master {environment['ROS_MASTER_URI']}", file=sys.stderr)
-    sys.stdout.flush()
+    print(end="", flush=True)
     os.execve(program, [program, *rosbag_arguments(profile, str(out), arguments.duration, ros)], environment)
 
 

@@ -31,6 +31,7 @@ from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.record import read_events
 from xtdrone_interaction.replay import Comparison, DigestError, Digests, compare, read_digests
+from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.scripted_launch import (
     NODE_PATIENCE,
     PATIENCE,
@@ -371,7 +372,7 @@ def main(argv: Sequence[str]) -> int:
     except (OptionError, PatternError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
-    console = Console()
+    console = PatientConsole()
     try:
         return run_check(settings, console)
     except LaunchError as error:

@@ -46,7 +46,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = _parser().parse_args(list(argv))
     try:
         status = int(arguments.run(arguments))
-        sys.stdout.flush()
+        print(end="", flush=True)
         return status
     except (UsageError, GcsError) as error:
         for line in str(error).splitlines():

@@ -23,6 +23,7 @@ from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
 from xtdrone_interaction.bench_machine import machine_facts
 from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.sweep.plan import Plan
 from xtdrone_interaction.sweep.progress import Progress, one_line
@@ -64,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str]) -> int:
     """Run the command and return its exit status."""
     arguments = _parser().parse_args(argv)
-    console = Console()
+    console = PatientConsole()
     try:
         study = read_study(arguments.study)
         plan = Plan(study)
