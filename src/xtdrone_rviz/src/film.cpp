@@ -78,7 +78,7 @@ Film::Film(const std::string& path, unsigned width, unsigned height, double fps)
 
 Film::~Film() {
   if (encoder_) {
-    encoder_->stop();
+    encoder_.reset();  // which closes its pipe first: ffmpeg does not heed a signal while it waits for a picture
     std::remove(part_.c_str());
   }
   std::remove(log_.c_str());
