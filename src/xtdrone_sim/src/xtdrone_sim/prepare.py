@@ -13,8 +13,12 @@ _POOR = NetworkOptions(range=50.0, delay=0.05, loss=0.1, burst=0.1, bandwidth=1e
 
 
 def main() -> None:
-    """Fly two vehicles that stand on the ground for a moment, then simplified ones; every kernel is used."""
+    """Fly two vehicles that stand on the ground for a moment, then simplified ones; every kernel is used.
+
+    Says what it is at: the set-up shows it to those who wait.
+    """
     for world, seconds in (("empty", 1.0), ("outdoor", 0.1)):
+        print(f"autopilots and physics, world {world}", flush=True)
         simulation = Simulation(parse_fleet("iris:1,typhoon_h480:1"), world=world)
         simulation.autopilot.setpoint["armed"][0] = 1
         simulation.autopilot.failures["motor"][0, 0] = FAILURE_SLOW
@@ -23,6 +27,7 @@ def main() -> None:
         links.place(simulation.world.plant, simulation.gimbals.records, simulation.landing_gears.records)
         simulation.close()
     for network in (None, _POOR):
+        print("simplified vehicles" if network is None else "simplified vehicles, poor radio", flush=True)
         swarm = Swarm(9, network=network)
         swarm.choose("cube")
         swarm.run(0.5)
