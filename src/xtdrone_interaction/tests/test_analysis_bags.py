@@ -288,6 +288,29 @@ def test_a_thousand_topics_and_an_unknown_definition(tmp_path: Path) -> None:
     assert "/other/mavros/local_position/pose of type std_msgs/String" in text
 
 
+def test_a_recording_that_was_split_is_one(tmp_path: Path) -> None:
+    """Its connections have other numbers in each file."""
+    for number, spaces in enumerate((["/iris_0", "/iris_1"], ["/iris_1", "/iris_0"], ["/iris_1"])):
+        with Bag(tmp_path / f"flight_{number}.bag") as bag:
+            for k in range(100 * number, 100 * number + 100):
+                for space in spaces:
+                    bag.pose(space, helix(0.1 * k, float(space[-1])), 0.1 * k)
+    paths = sorted(tmp_path.glob("*.bag"))
+    paths[2].write_bytes(paths[2].read_bytes()[:9000])
+    assert cli.main(["analyse", *map(str, paths)]) == 0
+    page = (tmp_path / "flight_0-analysis" / "report.html").read_text()
+    assert "flight_2.bag: it is cut off" in page
+    flight = read_flight(paths)
+    assert [topic.publishers for topic in flight.topics] == [1, 1]
+    first, second = (vehicle.position for vehicle in flight.vehicles)
+    assert first is not None and second is not None  # noqa: PT018
+    assert len(first) == 200
+    assert 200 < len(second) < 300
+    np.testing.assert_allclose(second.value, helix(second.time, 1.0), atol=1e-6)
+    (tmp_path / "log.ulg").touch()
+    assert cli.main(["analyse", str(paths[0]), str(tmp_path / "log.ulg")]) == 1
+
+
 def test_memory_of_long_recordings_is_bounded() -> None:
     columns = Columns(most=40_000)
     tracemalloc.start()

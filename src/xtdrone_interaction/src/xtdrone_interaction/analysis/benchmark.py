@@ -126,7 +126,7 @@ def measure(megabytes: int, folder: Path) -> dict[str, Any]:
         seconds, cpu = time.perf_counter() - began, time.process_time() - worked
         memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         began = time.perf_counter()
-        analyse(bag, folder, Console(file=sys.stderr))
+        analyse([bag], folder, Console(file=sys.stderr))
         report = time.perf_counter() - began
     finally:
         bag.unlink(missing_ok=True)

@@ -34,7 +34,8 @@ def _parser() -> argparse.ArgumentParser:
         "pictures as PNG, and report.json. No ROS is needed.",
     )
     add = parser.add_argument
-    add("file", type=Path, help="ROS 1 bag or ULog, also one that a crash cut off, or ROS 2 bag")
+    add("files", type=Path, nargs="+", metavar="FILE", help="ROS 1 bag or ULog, also one that a crash cut off, or "
+        "ROS 2 bag; or the bags of a recording that was split")  # fmt: skip
     add("--part", type=int, metavar="N", help="of a bag in which time was set back (default: the longest)")
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")
     return parser
@@ -57,11 +58,11 @@ def output_folder(wanted: Path | None, file: Path, ending: str) -> Path:
     return folder
 
 
-def analyse(file: Path, folder: Path, console: Console, part: int | None = None) -> None:
+def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | None = None) -> None:
     """Write the report of a bag or a flight log, and print what it says.
 
     Args:
-        file: bag or flight log.
+        files: bag or flight log; or several bags of one recording.
         folder: gets the report.
         console: to print on.
         part: of a bag in which time was set back, from 1; None for the longest.
@@ -69,15 +70,18 @@ def analyse(file: Path, folder: Path, console: Console, part: int | None = None)
     Raises:
         BagError, LogError: nothing can be read of it.
     """
-    if is_log(file) or file.suffix == ".ulg":
-        _analyse_log(file, folder, console)
+    logs = [file for file in files if is_log(file) or file.suffix == ".ulg"]
+    if logs and len(files) > 1:
+        raise LogError(f"analyse: {str(logs[0])!r} is a flight log, of which one is analysed at a time; see compare")
+    if logs:
+        _analyse_log(logs[0], folder, console)
         return
     from xtdrone_interaction.analysis.flight import read_flight  # these take a while to import
     from xtdrone_interaction.analysis.formation import formation_record
     from xtdrone_interaction.analysis.pictures import pictures
     from xtdrone_interaction.analysis.summary import flight_page, summarise
 
-    flight = read_flight(file, part=part)
+    flight = read_flight(files, part=part)
     record = formation_record(flight)
     figures = summarise(flight, record)
     page = flight_page(flight, figures)
@@ -137,9 +141,11 @@ def main(argv: Sequence[str]) -> int:
     """Run the command and return its exit status."""
     arguments = _parser().parse_args(argv)
     try:
-        if not arguments.file.exists():
-            raise BagError(f"analyse: {str(arguments.file)!r} does not exist")
-        analyse(arguments.file, output_folder(arguments.out, arguments.file, "-analysis"), Console(), arguments.part)
+        for file in arguments.files:
+            if not file.exists():
+                raise BagError(f"analyse: {str(file)!r} does not exist")
+        folder = output_folder(arguments.out, arguments.files[0], "-analysis")
+        analyse(arguments.files, folder, Console(), arguments.part)
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2

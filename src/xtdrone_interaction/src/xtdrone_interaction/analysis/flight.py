@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from xtdrone_interaction.analysis.columns import MOST_VALUES, Array, Columns, Se
 from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
 from xtdrone_interaction.analysis.places import complete, nearby
 from xtdrone_interaction.analysis.ros1bag import BagError, Batch, Connection
-from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_source
+from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_sources
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
 from xtdrone_interaction.record import COLLISION, LOG_TOPIC, ODOMETRY, Change, regular_times
 
@@ -185,7 +185,7 @@ class Flight:
 
 
 def read_flight(
-    path: Path,
+    path: Path | Sequence[Path],
     most_values: int = MOST_VALUES,
     progress: Callable[[int], None] | None = None,
     part: int | None = None,
@@ -193,7 +193,7 @@ def read_flight(
     """Read a recording.
 
     Args:
-        path: of a ROS 1 bag, whole or cut off, or of a ROS 2 bag.
+        path: of a ROS 1 bag, whole or cut off, or of a ROS 2 bag; or of several of one recording, in order of time.
         most_values: numbers kept; of longer recordings not every message is kept, and the notes say so.
         progress: gets the bytes of messages that were handled.
         part: which flight, from 1, if simulated time was set back between several; None for the longest.
@@ -201,7 +201,7 @@ def read_flight(
     Raises:
         BagError: nothing can be read of it, or it has no such part.
     """
-    source = open_source(path)
+    source = open_sources([path] if isinstance(path, Path) else path)
     clock = _Clock()
     reading = _Reading(source, most_values)
     spans: list[tuple[float, float]] = []
@@ -227,7 +227,7 @@ def read_flight(
             progress(len(batch.data))
     end_part()
     if chosen is None:
-        raise BagError(f"part: {str(path)!r} has no part {part}; there are 1 to {len(spans)}")
+        raise BagError(f"part: {str(source.path)!r} has no part {part}; there are 1 to {len(spans)}")
     flight = chosen[1].flight()
     if clock.steps:
         flight.notes.append(f"the recorder's clock was set back {clock.steps} times; all is shown in order of time")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -14,6 +14,7 @@ from xtdrone_interaction.analysis.layout import HEADER, Layout, LayoutError, Mes
 from xtdrone_interaction.analysis.ros1bag import BagError, BagFile, Batch, Connection, file_size
 
 BATCH = 16 << 20  # bytes of messages handled at once
+_UNKNOWN = 1 << 40  # number of connections that are not known; bags have 32 bits for theirs
 _ROS2 = (".mcap", ".db3")
 
 
@@ -25,14 +26,12 @@ class Source(Protocol):
         size: bytes.
         connections: by number; filled while it is read.
         notes: what could not be read, in words; filled while it is read.
-        indexed: whether the recorder ended in peace.
     """
 
     path: Path
     size: int
     connections: dict[int, Connection]
     notes: list[str]
-    indexed: bool
 
     def batches(self) -> Iterator[Batch]:
         """Yield all messages."""
@@ -47,7 +46,6 @@ class Ros2Bag:
         self.size = file_size(path)
         self.connections: dict[int, Connection] = {}
         self.notes: list[str] = []
-        self.indexed = True
 
     def batches(self) -> Iterator[Batch]:
         """Yield all messages.
@@ -113,6 +111,55 @@ def open_source(path: Path) -> Source:
             raise BagError(f"bag: folder {str(path)!r} has no metadata.yaml, so it is no ROS 2 bag")
         return Ros2Bag(path)
     return BagFile(path)
+
+
+class SplitBag:
+    """Several bags of one recording, as ``rosbag record --split`` writes them, one after the other."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        """Open all of them.
+
+        Raises:
+            BagError: one cannot be read.
+        """
+        self._parts = [open_source(path) for path in paths]
+        self.path = paths[0]
+        self.size = sum(part.size for part in self._parts)
+        self.connections: dict[int, Connection] = {}
+        self.notes: list[str] = []
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield all messages.
+
+        Raises:
+            BagError: one cannot be read.
+        """
+        self.notes.clear()
+        known: dict[
+            tuple[Connection, int], int
+        ] = {}  # the k-th connection of its kind has the same number in all parts
+        for part in self._parts:
+            numbers: dict[int, int] = {}
+            kinds: dict[Connection, int] = {}
+            for batch in part.batches():
+                for number in part.connections.keys() - numbers.keys():
+                    connection = part.connections[number]
+                    order = kinds[connection] = kinds.get(connection, -1) + 1
+                    numbers[number] = known.setdefault((connection, order), len(known))
+                    self.connections[numbers[number]] = connection
+                local, rows = np.unique(batch.connection, return_inverse=True)
+                common = np.array([numbers.get(number, _UNKNOWN) for number in local.tolist()], np.int64)
+                yield batch._replace(connection=common[rows])
+            self.notes += [f"{part.path.name}: {note}" for note in part.notes]
+
+
+def open_sources(paths: Sequence[Path]) -> Source:
+    """Return a recording of one file or of several that belong together.
+
+    Raises:
+        BagError: one cannot be read.
+    """
+    return open_source(paths[0]) if len(paths) == 1 else SplitBag(paths)
 
 
 def large_batches(source: Source) -> Iterator[Batch]:
