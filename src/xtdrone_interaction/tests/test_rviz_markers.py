@@ -8,6 +8,7 @@ import yaml
 from visualization_msgs.msg import Marker
 
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.rviz.markers import SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import MARKERS_TOPIC, SHIPPED, make_view, shipped_folder
@@ -191,6 +192,25 @@ def test_shipped_views_are_those_that_are_made(name):
     displays = yaml.safe_load(text)["Visualization Manager"]["Displays"]
     assert [d["TF Prefix"] for d in displays if d["Class"] == "rviz/RobotModel"] == vehicles
     assert MARKERS_TOPIC in [d.get("Marker Topic") for d in displays]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 9, 18, 30])
+@pytest.mark.parametrize("pattern", ["origin", "cube", "pyramid", "triangle"])
+def test_the_view_of_the_formation_has_all_slots_in_it(count, pattern):
+    names = [f"iris_{number}" for number in range(count)]
+    view = yaml.safe_load(make_view("formation", names))["Visualization Manager"]["Views"]["Current"]
+    slots = np.vstack([np.zeros(3), Patterns(count).offsets(pattern) if count > 1 else np.empty((0, 3))])
+    pitch, yaw = view["Pitch"], view["Yaw"]
+    away = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])
+    camera = np.array([view["Focal Point"][axis] for axis in "XYZ"]) + view["Distance"] * away
+    right = np.cross([0.0, 0.0, 1.0], away)
+    right /= np.linalg.norm(right)
+    seen = slots - camera
+    depth = -seen @ away
+    assert (depth > 1.0).all()
+    high = math.tan(math.pi / 8.0)  # half of rviz's field of view
+    assert (abs(seen @ right) / depth < high * 16.0 / 9.0).all()
+    assert (abs(seen @ np.cross(away, right)) / depth < high).all()
 
 
 def test_an_unknown_view_is_refused():

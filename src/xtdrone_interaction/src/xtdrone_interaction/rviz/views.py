@@ -5,16 +5,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.options import OptionError, repository
 
 Config = dict[str, Any]
+Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 MARKERS_TOPIC = "/xtdrone/markers"
@@ -26,6 +31,10 @@ FOR_MARKERS: dict[str, dict[str, float]] = {"vehicle": {"scale": 0.3}, "search":
 
 _REGION_MIDDLE = (60.0, 0.0, 0.0)
 """About the middle of the region that comes with the search, m, map."""
+
+_PATTERNS = ("origin", "cube", "pyramid", "triangle")
+_FIELD = math.pi / 4.0  # rad, from the picture's lower edge to the upper one, rviz's own
+_MARGIN = 1.0  # m about a vehicle that is seen
 
 _BACKGROUND = "232; 236; 242"
 _GRID = "165; 172; 184"
@@ -57,8 +66,37 @@ def _vehicle(vehicles: list[str]) -> Config:
 
 
 def _formation(vehicles: list[str]) -> Config:
-    distance = 4.0 + 4.0 * len(vehicles) ** 0.5
-    return _config(vehicles, _grid(60, 2.0), {}, _orbit(f"{vehicles[0]}/base_link", distance, 0.42, 3.55))
+    pitch, yaw = 0.42, 3.55
+    slots = _slots(len(vehicles))
+    middle = 0.5 * (slots.min(axis=0) + slots.max(axis=0))
+    focus = (0.0, 0.0, round(float(middle[2]), 2))
+    distance = _distance(slots - focus, pitch, yaw)
+    return _config(vehicles, _grid(60, 2.0), {}, _orbit(f"{vehicles[0]}/base_link", distance, pitch, yaw, focus))
+
+
+def _slots(count: int) -> Array:
+    """Return all places in the usual patterns, shape (k, 3), m from the leader, whose place is one of them."""
+    places = [np.zeros((1, 3))]
+    if count > 1:
+        patterns = Patterns(count)
+        places += [patterns.offsets(name) for name in _PATTERNS]
+    return np.concatenate(places)
+
+
+def _distance(places: Array, pitch: float, yaw: float) -> float:
+    """Return how far from the focus rviz's camera must be to see some places, in a picture of 16:9, m.
+
+    Args:
+        places: shape (k, 3), m from the focus.
+        pitch, yaw: where the camera is, seen from the focus, rad.
+    """
+    away = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])
+    right = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    up = np.cross(away, right)
+    high = math.tan(0.5 * _FIELD)
+    wide = high * 16.0 / 9.0
+    aside = np.maximum((np.abs(places @ right) + _MARGIN) / wide, (np.abs(places @ up) + _MARGIN) / high)
+    return float((places @ away + aside).max())
 
 
 def _search(vehicles: list[str]) -> Config:
