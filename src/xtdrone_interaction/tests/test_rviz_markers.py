@@ -11,7 +11,14 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.rviz.markers import SwarmMarkers, ground_view
-from xtdrone_interaction.rviz.views import MARKERS_TOPIC, SHIPPED, make_view, shipped_folder
+from xtdrone_interaction.rviz.views import (
+    FOR_MARKERS,
+    MARKERS_TOPIC,
+    SHIPPED,
+    make_view,
+    marker_parameters,
+    shipped_folder,
+)
 
 NAMES = ["iris_0", "iris_1", "iris_2"]
 PLACES = [(0.0, 0.0, 5.0), (3.0, 0.0, 5.0), (0.0, 3.0, 5.5)]
@@ -198,14 +205,29 @@ def test_shipped_views_are_those_that_are_made(name):
 @pytest.mark.parametrize("pattern", ["origin", "cube", "pyramid", "triangle"])
 def test_the_view_of_the_formation_has_all_slots_in_it(count, pattern):
     names = [f"iris_{number}" for number in range(count)]
-    view = yaml.safe_load(make_view("formation", names))["Visualization Manager"]["Views"]["Current"]
     slots = np.vstack([np.zeros(3), Patterns(count).offsets(pattern) if count > 1 else np.empty((0, 3))])
+    assert_seen(make_view("formation", names), slots)
+
+
+@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (115.0, 60.0), (-300.0, 900.0), (3000.0, 10.0)])
+def test_the_view_of_a_search_has_the_whole_flight_in_it(east, north):
+    flown = np.array([[0.0, 0.0, 0.0], [east, north, 16.0]])
+    assert_seen(make_view("search", ["typhoon_h480_0"], flown), flown)
+    scale = marker_parameters("search", flown)["scale"]
+    assert 0.1 <= scale <= 50.0
+    assert scale > 6.0 or max(abs(east), abs(north)) < 120.0
+    assert marker_parameters("search") == FOR_MARKERS["search"]
+
+
+def assert_seen(text, places):
+    """All places, (k, 3), m from the frame that a view looks at, are in its picture."""
+    view = yaml.safe_load(text)["Visualization Manager"]["Views"]["Current"]
     pitch, yaw = view["Pitch"], view["Yaw"]
     away = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])
     camera = np.array([view["Focal Point"][axis] for axis in "XYZ"]) + view["Distance"] * away
     right = np.cross([0.0, 0.0, 1.0], away)
     right /= np.linalg.norm(right)
-    seen = slots - camera
+    seen = places - camera
     depth = -seen @ away
     assert (depth > 1.0).all()
     high = math.tan(math.pi / 8.0)  # half of rviz's field of view

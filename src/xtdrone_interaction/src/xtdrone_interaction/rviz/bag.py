@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import rosbag
 import roslib.message
 
@@ -45,6 +46,7 @@ class FlightBag:
         vehicles: of the fleet.
         types: message type of each topic.
         begin_us, end_us: simulated times of the first and of the last pose, microseconds.
+        flown: the lowest and the highest coordinates of all poses, shape (2, 3), m; None if none is known.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,8 +68,12 @@ class FlightBag:
         self._poses = {topic: match for topic in self.types if (match := _POSE.fullmatch(topic))}
         self.fleet = self._fleet()
         self.vehicles: tuple[Vehicle, ...] = parse_fleet(self.fleet)
-        times = [time_us for time_us, *_ in self._raw({topic: self._message_class(topic) for topic in self._poses})]
+        poses = list(self._raw({topic: self._message_class(topic) for topic in self._poses}))
+        times = [time_us for time_us, *_ in poses]
         self.begin_us, self.end_us = min(times), max(times)
+        places = np.array([_position(data) for *_, data in poses])
+        places = places[np.isfinite(places).all(axis=1)]
+        self.flown = np.stack([places.min(axis=0), places.max(axis=0)]) if len(places) else None
 
     def _fleet(self) -> str:
         counts: dict[str, int] = {}
@@ -121,3 +127,9 @@ class FlightBag:
     def close(self) -> None:
         """Close the file."""
         self._bag.close()
+
+
+def _position(data: bytes) -> tuple[float, float, float]:
+    """Return the position in a serialised PoseStamped, m: behind the stamp and the frame's name."""
+    (letters,) = struct.unpack_from("<I", data, 12)
+    return struct.unpack_from("<ddd", data, 16 + letters)

@@ -28,6 +28,7 @@ from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import film_settings
 from xtdrone_interaction.rviz.playback import play
 from xtdrone_interaction.rviz.stage import StageError, check_tools
+from xtdrone_interaction.rviz.views import Array
 
 _TYPE = "iris"
 _STEP_US = 40_000  # of poses and avoidance
@@ -41,11 +42,12 @@ class Circles:
     """A flight of vehicles that circle side by side, until it is ended; in place of a bag.
 
     Attributes:
-        fleet, types, begin_us: see :class:`xtdrone_interaction.rviz.playback.Record`.
+        fleet, types, begin_us, flown: see :class:`xtdrone_interaction.rviz.playback.Record`.
         ended: set by who has enough of it.
     """
 
     begin_us = 1_000_000
+    flown: Array | None = None
 
     def __init__(self, vehicles: int) -> None:
         """Place the vehicles on a square grid."""

@@ -27,6 +27,7 @@ from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import FilmSettings
 from xtdrone_interaction.rviz.node import SEARCH_EVENTS
 from xtdrone_interaction.rviz.stage import NODES, Stage, StageError, node_environment
+from xtdrone_interaction.rviz.views import Array
 
 Idle = Callable[[float], None]
 
@@ -45,11 +46,13 @@ class Record(Protocol):
         fleet: as ``iris:9``.
         types: message type of each topic.
         begin_us: simulated time at which it begins, microseconds.
+        flown: where its vehicles are in it, shape (k, 3), m; None if that does not matter.
     """
 
     fleet: str
     types: dict[str, str]
     begin_us: int
+    flown: Array | None
 
     def messages(self, topics: Collection[str]) -> Iterator[Timed]:
         """Yield the messages of ``topics`` in the order of their times."""
@@ -112,7 +115,7 @@ def _serve(settings: FilmSettings, record: Record, work: Path, on_turn: Callable
         rospy.set_param("/xtdrone/fleet", record.fleet)
         rospy.set_param("/lockstep/uri", server.uri)
         with Stage(dict(os.environ), work) as stage:
-            stage.start_all(settings, record.fleet)
+            stage.start_all(settings, record.fleet, flown=record.flown)
             idle = partial(_idle, stage, server)
             if not server.wait_for(NODES, _JOIN_LIMIT, idle):
                 raise StageError(f"after {_JOIN_LIMIT:g} s: {server.missing(NODES)}")

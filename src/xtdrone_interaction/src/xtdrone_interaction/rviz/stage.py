@@ -20,7 +20,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.launched import DemoError, signals_wait
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.rviz.film_options import FilmSettings
-from xtdrone_interaction.rviz.views import SHIPPED, make_view
+from xtdrone_interaction.rviz.views import SHIPPED, Array, make_view, marker_parameters
 from xtdrone_sim.vehicle_model import load_vehicle
 
 DRAWER = "rviz_offscreen"
@@ -77,13 +77,16 @@ class Stage:
         self._nodes: dict[str, ProcessTree] = {}
         self._film = Path()
 
-    def start_all(self, settings: FilmSettings, fleet: str, running: Container[str] = ()) -> None:
+    def start_all(
+        self, settings: FilmSettings, fleet: str, running: Container[str] = (), flown: Array | None = None
+    ) -> None:
         """Start the nodes that are not running yet, with what they find on the master.
 
         Args:
             settings: of the film.
             fleet: as ``iris:9``.
             running: names of the nodes that are there, as ``/robot_tf``.
+            flown: where the vehicles are in the flight, see ``make_view``.
 
         Raises:
             StageError: a program is not there.
@@ -97,11 +100,13 @@ class Stage:
         config = Path(settings.view)
         if settings.view in SHIPPED:
             config = self._work / f"{settings.view}.rviz"
-            config.write_text(make_view(settings.view, [vehicle.name for vehicle in vehicles]), encoding="utf-8")
+            view = make_view(settings.view, [vehicle.name for vehicle in vehicles], flown)
+            config.write_text(view, encoding="utf-8")
         if f"/{TF}" not in running:
             self.start("xtdrone_sim", TF, {"rate": settings.rate})
         if f"/{MARKERS}" not in running:
-            self.start("xtdrone_interaction", MARKERS, {"rate": settings.rate, "view": settings.view})
+            parameters = {"rate": settings.rate, **marker_parameters(settings.view, flown)}
+            self.start("xtdrone_interaction", MARKERS, parameters)
         self.start("xtdrone_rviz", DRAWER, {
             "config": config,
             "rate": settings.rate,

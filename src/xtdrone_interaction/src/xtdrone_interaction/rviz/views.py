@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -31,6 +32,11 @@ FOR_MARKERS: dict[str, dict[str, float]] = {"vehicle": {"scale": 0.3}, "search":
 
 _REGION_MIDDLE = (60.0, 0.0, 0.0)
 """About the middle of the region that comes with the search, m, map."""
+_REGION_DISTANCE = 115.0  # m, from which all of it is seen
+_SEARCH_PITCH, _SEARCH_YAW = 0.75, 4.4  # rad
+_NEAREST = 20.0  # m
+_ASIDE = 10.0  # m about what was flown: what is found there is seen, too
+_LARGEST = 50.0  # of the markers' scale and spots
 
 _PATTERNS = ("origin", "cube", "pyramid", "triangle")
 _FIELD = math.pi / 4.0  # rad, from the picture's lower edge to the upper one, rviz's own
@@ -45,19 +51,30 @@ def shipped_folder() -> Path:
     return repository() / "src" / "xtdrone_rviz" / "config"
 
 
-def make_view(name: str, vehicles: Sequence[str]) -> str:
+def make_view(name: str, vehicles: Sequence[str], flown: Array | None = None) -> str:
     """Return an .rviz file's text.
 
     Args:
         name: of SHIPPED.
         vehicles: names, as ``iris_0``; the first is looked at, or leads.
+        flown: where they are in the flight, shape (k, 3), m, map, all of which the search's view shows; None: it shows
+            the region that comes with the search.
 
     Raises:
         OptionError: no such view.
     """
     if name not in _VIEWS:
         raise OptionError(f"view: {name!r} is unknown; there are: {', '.join(_VIEWS)}")
-    return _text(_VIEWS[name](list(vehicles)))
+    return _text(_search(vehicles, flown) if name == "search" else _VIEWS[name](list(vehicles)))
+
+
+def marker_parameters(name: str, flown: Array | None = None) -> dict[str, float]:
+    """Return parameters of the markers' node for a view; see ``make_view``."""
+    found = dict(FOR_MARKERS.get(name, {}))
+    if name == "search":
+        farther = _search_camera(flown)[1] / _REGION_DISTANCE
+        found = {key: min(value * farther, _LARGEST) for key, value in found.items()}
+    return found
 
 
 def _vehicle(vehicles: list[str]) -> Config:
@@ -99,9 +116,21 @@ def _distance(places: Array, pitch: float, yaw: float) -> float:
     return float((places @ away + aside).max())
 
 
-def _search(vehicles: list[str]) -> Config:
+def _search_camera(flown: Array | None) -> tuple[Point, float]:
+    """Return where the search's camera looks, m, map, and from how far, m."""
+    if flown is None:
+        return _REGION_MIDDLE, _REGION_DISTANCE
+    low, high = flown.min(axis=0) - _ASIDE, flown.max(axis=0) + _ASIDE
+    x, y, _ = np.round(0.5 * (low + high), 2).tolist()
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    distance = _distance(corners - (x, y, 0.0), _SEARCH_PITCH, _SEARCH_YAW)
+    return (x, y, 0.0), max(round(distance, 1), _NEAREST)
+
+
+def _search(vehicles: Sequence[str], flown: Array | None = None) -> Config:
     hidden = {"slots": False, "topology": False, "avoidance": False}
-    return _config(vehicles, _grid(60, 5.0), hidden, _orbit("map", 115.0, 0.75, 4.4, _REGION_MIDDLE))
+    focus, distance = _search_camera(flown)
+    return _config(vehicles, _grid(60, 5.0), hidden, _orbit("map", distance, _SEARCH_PITCH, _SEARCH_YAW, focus))
 
 
 _VIEWS: dict[str, Callable[[list[str]], Config]] = {"vehicle": _vehicle, "formation": _formation, "search": _search}
