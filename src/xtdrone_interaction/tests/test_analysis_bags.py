@@ -349,3 +349,11 @@ def test_a_formation_flight_cut_off_is_judged_as_far_as_it_goes(flight_bag: Path
     assert "http" not in page.replace("https://", "")
     names = {path.stem for path in (tmp_path / "out").glob("*.png")}
     assert {"positions", "tracks", "velocities", "response_1_origin_to_cube", "formations", "distances"} <= names
+
+
+def test_a_bag_of_which_nothing_is_left_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_flight(tmp_path / "whole.bag", ["/iris_0"], 1.0)
+    stump = tmp_path / "stump.bag"
+    stump.write_bytes((tmp_path / "whole.bag").read_bytes()[:100])
+    assert cli.main(["analyse", str(stump), "--out", str(tmp_path / "out")]) == 1
+    assert f"bag: '{stump}' has no messages that can be read; it is cut off" in capsys.readouterr().err

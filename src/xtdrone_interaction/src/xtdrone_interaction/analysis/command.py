@@ -82,6 +82,8 @@ def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | N
     from xtdrone_interaction.analysis.summary import flight_page, summarise
 
     flight = read_flight(files, part=part)
+    if not flight.topics:
+        raise BagError("; ".join([f"bag: {str(files[0])!r} has no messages that can be read", *flight.notes]))
     record = formation_record(flight)
     figures = summarise(flight, record)
     page = flight_page(flight, figures)
