@@ -366,7 +366,7 @@ class Stack:
     def described(self) -> str:
         """Return what is known, for a failure."""
         ended = {name: p.process.returncode for name, p in self.programs.items() if not p.alive}
-        tails = {name: p.output[-600:] for name, p in self.programs.items()}
+        tails = {name: p.output[-3000:] for name, p in self.programs.items()}
         return f"time {self.time:.2f} s, ended {ended}, last words {tails}"
 
     # vehicles
