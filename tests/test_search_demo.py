@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 
 from xtdrone_control import qgc_plan
@@ -50,6 +51,11 @@ def _command(folder: Path, *arguments: str) -> list[str]:
         sys.executable, "-m", "xtdrone_interaction.cli", "demo", "search", "--n", "2", "--region", str(region),
         "--standing", "--seed", "1", "--follow-time", "10", "--headless", "--out", str(folder), *arguments,
     ]  # fmt: skip
+
+
+def _report(folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "xtdrone_interaction.cli", "report", str(folder / "flight.bag")]
+    return subprocess.run(command, capture_output=True, text=True, timeout=FLIGHT_LIMIT, check=False)
 
 
 def _processes_with(text: str) -> list[str]:
@@ -134,6 +140,18 @@ def test_pictures_and_film_are_there(flight: Flight) -> None:
     film.release()
 
 
+def test_the_report_is_made_again(flight: Flight, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(flight.folder, folder)
+    (folder / "map.png").unlink()
+    again = _report(folder)
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert json.loads((folder / "report.json").read_text(encoding="utf-8")) == flight.report
+    pictures = [cv2.imread(str(where / "map.png")) for where in (folder, flight.folder)]
+    assert pictures[0].shape == pictures[1].shape
+    assert np.mean(pictures[0] != pictures[1]) < 0.01  # its plans are rounded as QGroundControl's are
+
+
 def test_nothing_is_left_running(flight: Flight) -> None:
     assert _processes_with(str(flight.folder)) == []
 
@@ -152,3 +170,10 @@ def test_an_interrupted_search_leaves_a_bag_and_no_process(tmp_path: Path) -> No
         assert process.wait(FLIGHT_LIMIT) == 128 + signal.SIGINT, "".join(lines) + rest
     assert _processes_with(str(folder)) == []
     assert read_search(folder / "flight.bag", NAMES, ("person_0",)).events[0]["event"] == "started"
+    again = _report(folder)
+    assert again.returncode == 1, again.stdout + again.stderr
+    assert "the search was cut short" in again.stdout
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert (report["outcome"], report["find"]) == ("cut short", None)
+    assert 0.0 <= report["covered"]["fraction"] < 1.0
+    assert cv2.imread(str(folder / "map.png")).std() > 10.0

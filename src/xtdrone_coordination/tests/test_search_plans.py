@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from shapely.geometry import Polygon
 
@@ -28,6 +29,20 @@ def test_six_vehicles_share_the_region_at_heights_of_their_own() -> None:
     assert sum(vehicle.piece.area for vehicle in found.values()) == pytest.approx(REGION.area)
     for vehicle in found.values():
         assert sweep(vehicle.path, vehicle.seen).intersection(vehicle.piece).area > 0.99 * vehicle.piece.area
+
+
+def test_more_vehicles_fly_nearer_above_each_other() -> None:
+    """From 17.75 m on nobody is 12 px high; the highest still sees a band on which four pictures show everybody."""
+    options = SearchOptions()
+    for count in (7, 11):
+        assert options.heights(CAMERA, count) == pytest.approx(np.linspace(12.0, 17.0, count))
+    assert options.heights(CAMERA, 1).tolist() == [12.0]
+    with pytest.raises(
+        ValueError, match=r"12 vehicles .* at 12 m, are not allowed: from above 17 m a person is too small"
+    ):
+        options.heights(CAMERA, 12)
+    with pytest.raises(ValueError, match="height: 20 m: with the gimbal"):
+        SearchOptions(height=20.0).heights(CAMERA, 1)
 
 
 def test_plan_files_carry_the_paths(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from xtdrone_control import qgc_plan
 from xtdrone_interaction import cli, options, search_demo
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.search_demo import SearchSettings
-from xtdrone_interaction.search_prepare import prepare
+from xtdrone_interaction.search_prepare import is_search, prepare, read_prepared
 from xtdrone_sim.sdf import load_world_file
 
 REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [30, 0], [30, 5], [25, 5]]]\n"
@@ -28,6 +28,11 @@ REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [3
         (["--height", "3"], "height: '3' is not allowed; 6 to 25 m"),
         (["--camera-rate", "nan"], "camera rate: 'nan' is not allowed; 0.5 to 10 Hz"),
         (["--persons", "-1"], "persons: '-1' is not allowed"),
+        (["--world", "nowhere"], "worlds: 'nowhere' is not known; there are empty, outdoor"),
+        (["--height", "20"], "height: 20 m: with the gimbal at -60 deg a person of 1.7 m"),
+        (["--n", "12"], "height: 12 vehicles that are at least 0.5 m above each other"),
+        (["--region", __file__], "test_search_cli.py: "),
+        (["--plans", str(Path(__file__).parent)], "typhoon_h480_0.plan' does not exist"),
         (["--plans", "nowhere"], "plans: 'nowhere' does not exist"),
         (["--region", "nowhere.yaml"], "region: 'nowhere.yaml' does not exist"),
         (["--world", "outdoor", "--persons", "3"], "persons: they are in the world's file"),
@@ -82,20 +87,47 @@ def test_each_vehicle_gets_a_piece_and_its_plan(settings: SearchSettings) -> Non
         assert sum(item.command == 16 for item in plan.mission) == len(prepared.ways[name]) >= 2
 
 
-def test_plans_of_ones_own_are_read(settings: SearchSettings) -> None:
+def test_plans_of_ones_own_are_read(settings: SearchSettings, tmp_path: Path) -> None:
     made = prepare(settings)
-    own = prepare(replace(settings, plans=str(made.plans_folder)))
+    mine = tmp_path / "mine"
+    made.plans_folder.rename(mine)
+    own = prepare(replace(settings, plans=str(mine), out=tmp_path / "own"))
     assert own.pieces == ()
     for name in made.names:
         assert own.ways[name] == pytest.approx(made.ways[name], abs=0.05)
-    (made.plans_folder / "typhoon_h480_2.plan").unlink()
+        assert (own.plans_folder / f"{name}.plan").read_bytes() == (mine / f"{name}.plan").read_bytes()
+    (mine / "typhoon_h480_2.plan").unlink()
     with pytest.raises(OptionError, match=r"typhoon_h480_2\.plan' does not exist"):
-        prepare(replace(settings, plans=str(made.plans_folder)))
+        prepare(replace(settings, plans=str(mine)))
+
+
+@pytest.mark.parametrize("count", [3, 11])  # of eleven, the tenth's name comes before the second's
+def test_what_was_prepared_is_read_back(settings: SearchSettings, count: int) -> None:
+    made = prepare(replace(settings, n=count))
+    assert is_search(settings.out)
+    back = read_prepared(settings.out)
+    assert (back.names, back.persons) == (made.names, made.persons)
+    assert back.region.equals(made.region)
+    assert all(one.equals(other) for one, other in zip(back.pieces, made.pieces, strict=True))
+    for name in made.names:
+        assert back.ways[name] == pytest.approx(made.ways[name], abs=0.05)
+
+
+def test_what_was_prepared_and_damaged_then_is_refused(settings: SearchSettings) -> None:
+    prepare(settings)
+    for text in ("[1, 2]", "typhoon_h480_0: {region: 5}", "{"):
+        (settings.out / "pieces.yaml").write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=r"pieces\.yaml: "):
+            read_prepared(settings.out)
+    (settings.out / "region.yaml").unlink()
+    assert not is_search(settings.out)
 
 
 def test_a_vehicle_without_the_camera_is_refused(settings: SearchSettings) -> None:
+    nowhere = settings.out / "new"
     with pytest.raises(OptionError, match="'iris' has no camera cgo3_camera"):
-        prepare(replace(settings, type="iris"))
+        prepare(replace(settings, type="iris", out=nowhere))
+    assert not nowhere.exists()
 
 
 def test_the_launch_file_is_told(settings: SearchSettings, monkeypatch: pytest.MonkeyPatch) -> None:

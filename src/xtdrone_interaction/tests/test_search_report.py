@@ -12,7 +12,7 @@ from rich.console import Console
 from shapely.geometry import box
 
 from xtdrone_interaction.record import RecordError
-from xtdrone_interaction.search_record import SearchRecord, Sight, read_search
+from xtdrone_interaction.search_record import CUT_SHORT, SearchRecord, Sight, read_search
 from xtdrone_interaction.search_report import make_report, print_report
 from xtdrone_interaction.search_views import Views
 
@@ -107,10 +107,20 @@ def test_losses_and_collisions_are_named() -> None:
     ]
 
 
-def test_a_record_without_end_or_bag_is_refused(tmp_path: Path) -> None:
-    cut = SearchRecord(**{**vars(record()), "events": []})
-    with pytest.raises(RecordError, match="has no end"):
-        make_report(cut, {})
+def test_a_search_that_was_cut_short_says_so_and_what_is_known() -> None:
+    follow = {"event": "following", "time": 90.0, "vehicle": "typhoon_h480_0"}
+    changes = {"outcome": CUT_SHORT, "vehicle": None, "covered_area": None, "covered_fraction": 0.25}
+    report = make_report(record(confirmed(10.3, 0.4), follow, **changes), {"on_find": "continue"})
+    assert report["shortcomings"] == ["the search was cut short"]
+    assert report["find"]["error"] == pytest.approx(0.5)
+    assert report["following"][0]["duration"] == pytest.approx(10.0)  # until the record's end
+    with (console := Console(width=100)).capture() as printed:
+        print_report(report, console)
+    assert "Cut short." in printed.get()
+    assert "Covered 25.0 %, in 100 s." in printed.get()
+
+
+def test_a_bag_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="does not exist"):
         read_search(tmp_path / "flight.bag", ("a",), ())
 

@@ -11,18 +11,21 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import Console
+
 from xtdrone_control.communication.arguments import ArgumentError
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction import options, search_cli
-from xtdrone_interaction.formation_demo import DemoSettings, report_again, run_demo
+from xtdrone_interaction import formation_demo, options, search_cli, search_demo
+from xtdrone_interaction.formation_demo import DemoSettings, run_demo
 from xtdrone_interaction.launched import DemoError, master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
 from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.search_cli import add_search
+from xtdrone_interaction.search_prepare import is_search
 from xtdrone_interaction.simplified_cli import add_simplified, run_simplified
 
 
@@ -160,6 +163,10 @@ def _check_class(text: str, base: type, what: str) -> None:
         raise OptionError(str(error)) from error
 
 
+def _report_again(file: Path, console: Console) -> int:
+    return (search_demo if is_search(file.parent) else formation_demo).report_again(file, console)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -211,7 +218,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     console = PatientConsole()
     try:
         if parsed.command == "report":
-            return report_again(parsed.file, console)
+            return _report_again(parsed.file, console)
         if parsed.demo == "search":
             return search_cli.run(parsed, console)
         if parsed.demo == "simplified":

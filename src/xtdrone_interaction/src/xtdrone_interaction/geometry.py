@@ -5,6 +5,7 @@ Positions are ENU in the ``map`` frame, metres; index 0 is the leader.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -30,6 +31,11 @@ _MANY = 250  # vehicles; of more, neighbours are searched for
 def odometry_topic(name: str) -> str:
     """Return where a simulator says what truly is with a model, with its time."""
     return f"/xtdrone/{name}/ground_truth/odom"
+
+
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts iris_10 behind iris_9."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def relative(positions: Array) -> Array:

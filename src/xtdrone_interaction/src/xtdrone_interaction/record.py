@@ -282,8 +282,8 @@ def _read(reader: AnyReader, path: Path, events: list[dict[str, Any]]) -> Flight
     starts = starts_of(events)
     if not starts and any(event.get("event") == SEARCH_START for event in events):
         raise RecordError(
-            f"bag: {path} is a search's, whose report.json and map.png were made when it ended; './xtdrone analyse' "
-            "draws what was flown"
+            f"bag: {path} is a search's, and what './xtdrone demo search' has prepared for it is not beside it "
+            "(search.world, region.yaml, plans); './xtdrone analyse' draws what was flown"
         )
     if not starts:
         raise RecordError(f"bag: no take-off on {EVENTS_TOPIC}; this is no record of a formation flight")

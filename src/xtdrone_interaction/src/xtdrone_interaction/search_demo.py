@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from xtdrone_interaction.deaths import Deaths
+from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display
 from xtdrone_interaction.launched import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.record import RecordError
 from xtdrone_interaction.report import write_report
-from xtdrone_interaction.search_prepare import Prepared, prepare
+from xtdrone_interaction.search_prepare import Prepared, prepare, read_prepared
 from xtdrone_interaction.search_record import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
 from xtdrone_interaction.search_report import make_report, print_report
 
 _START_LIMIT = 90.0  # wall s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
 _START_LIMIT_VEHICLE = 5.0
+_RESULTS = ("report.json", "map.png", "find.png", "views.png", "views.mp4")
 _LOOK_BELOW, _FOLLOW_BELOW = 2.5, 1.0  # m from the lowest vehicle's height down to those of looks and following
 
 
@@ -82,11 +87,13 @@ def run_search(settings: SearchSettings, console: Console) -> int:
         128 + signal when stopped.
 
     Raises:
-        ValueError: a region, plan or world that cannot be used.
+        OptionError: a region, plan or world that cannot be used, or a height from which nobody would be seen.
     """
     begin = time.monotonic()
-    settings.out.mkdir(parents=True, exist_ok=True)
-    prepared = prepare(settings)
+    try:
+        prepared = prepare(settings)
+    except ValueError as error:
+        raise OptionError(str(error)) from error
     return run_flight(
         flight(settings, prepared),
         console,
@@ -160,22 +167,57 @@ def show_event(event: dict[str, Any], display: Display) -> None:
 
 
 def _conclude(settings: SearchSettings, prepared: Prepared, console: Console, wall_time: float, deaths: Deaths) -> int:
-    """Make report, map and pictures of the finished search and return the exit status."""
+    """Make report and map of the finished search and return the exit status."""
+    stored = {**settings.stored(), "wall_time": wall_time}
+    return _report(settings.out / "flight.bag", prepared, stored, console, list(deaths.found.values()))
+
+
+def report_again(bag: Path, console: Console) -> int:
+    """Make report and map of a recorded search again, and keep what only an earlier report knows.
+
+    Args:
+        bag: in a results' folder, with what was prepared for the search beside it.
+        console: gets the figures.
+
+    Returns:
+        The exit status, as :func:`run_search`; 1 for a search that was cut short.
+
+    Raises:
+        DemoError: it cannot be read.
+    """
+    known: dict[str, Any] = {}
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        known = json.loads((bag.parent / "report.json").read_text(encoding="utf-8"))
+    try:
+        prepared = read_prepared(bag.parent)
+    except ValueError as error:
+        raise DemoError(str(error)) from error
+    deaths = [Death(**death) for death in known.get("died", [])]
+    return _report(bag, prepared, known.get("settings", {}), console, deaths)
+
+
+def _report(
+    bag: Path, prepared: Prepared, settings: Mapping[str, Any], console: Console, deaths: Sequence[Death]
+) -> int:
+    """Write report.json and map.png beside the bag, print the figures, and return the exit status.
+
+    Raises:
+        DemoError: the bag is no record of a search.
+    """
     from xtdrone_interaction.search_map import save_map  # matplotlib takes a while to import
 
-    bag = settings.out / "flight.bag"
+    folder = bag.parent
     try:
         record = read_search(bag, prepared.names, prepared.persons)
-        report = make_report(record, {**settings.stored(), "wall_time": wall_time})
     except RecordError as error:
         raise DemoError(str(error)) from error
-    died = list(deaths.found.values())
-    report["died"] = [asdict(death) for death in died]
-    report["shortcomings"] = [*(str(death) for death in died if death.matters), *report["shortcomings"]]
-    write_report(report, settings.out / "report.json")
-    save_map(record, prepared.region, prepared.pieces, prepared.ways, settings.out / "map.png")
+    report = make_report(record, dict(settings))
+    report["died"] = [asdict(death) for death in deaths]
+    report["shortcomings"] = [*(str(death) for death in deaths if death.matters), *report["shortcomings"]]
+    write_report(report, folder / "report.json")
+    save_map(record, prepared.region, prepared.pieces, prepared.ways, folder / "map.png")
     print_report(report, console)
-    for name in ("flight.bag", "report.json", "map.png", "find.png", "views.png", "views.mp4"):
-        if (settings.out / name).exists():
-            console.print(f"  {settings.out / name}", highlight=False, soft_wrap=True)
+    for file in (bag, *(folder / name for name in _RESULTS)):
+        if file.exists():
+            console.print(f"  {file}", highlight=False, soft_wrap=True)
     return 1 if report["shortcomings"] else 0

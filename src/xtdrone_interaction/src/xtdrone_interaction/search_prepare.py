@@ -1,7 +1,12 @@
-"""What a search needs before it flies: the world with its people, the region, and a plan for each vehicle."""
+"""What a search needs before it flies: the world with its people, the region, and a plan for each vehicle.
+
+All of it is written into the results' folder, which so says what was flown.
+"""
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,10 +18,11 @@ from shapely.geometry import Point, Polygon
 
 from xtdrone_control import qgc_plan
 from xtdrone_control.autopilot import plan as mission
-from xtdrone_control.fleet import parse_fleet, spawn_grid
+from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_coordination.search.plans import Datum, SearchOptions, plan_search, write_plans
-from xtdrone_coordination.search.region import read_region, region_data
+from xtdrone_coordination.search.plans import Datum, SearchOptions, VehiclePlan, plan_search, write_plans
+from xtdrone_coordination.search.region import parse_region, read_region, region_data
+from xtdrone_interaction.geometry import natural_order
 from xtdrone_interaction.options import OptionError, repository
 from xtdrone_sim import people, scenery
 from xtdrone_sim.sdf import SdfWorld, load_world_file, write_world
@@ -26,6 +32,7 @@ if TYPE_CHECKING:
     from xtdrone_interaction.search_demo import SearchSettings
 
 CAMERA = "cgo3_camera"  # whose pictures the detector gets
+WORLD, REGION, PIECES, PLANS = "search.world", "region.yaml", "pieces.yaml", "plans"  # in the results' folder
 ROWS = 3  # vehicles side by side on the spawn grid
 _MARGIN = 5.0  # m of scenery around the region's bounds
 _EDGE = 3.0  # m that people keep from the region's edge
@@ -55,42 +62,99 @@ class Prepared:
 
 
 def prepare(settings: SearchSettings) -> Prepared:
-    """Write world, region and plans into the results' folder.
+    """Write world, region and plans into the results' folder, which is made only if all of them can be used.
 
     Raises:
         OptionError: a vehicle without the camera, a plan that is missing.
-        ValueError: a region, world or plan that cannot be used.
+        ValueError: a region, world or plan that cannot be used, a height from which nobody would be seen.
     """
     fleet = parse_fleet(f"{settings.type}:{settings.n}")
-    names = tuple(vehicle.name for vehicle in fleet)
     region = read_region(settings.region or shipped_region())
-    region_file = settings.out / "region.yaml"
-    region_file.write_text(yaml.safe_dump(region_data(region), default_flow_style=None), encoding="utf-8")
-    world, world_file = _world(settings, region)
-    datum = Datum(world.datum.latitude, world.datum.longitude, world.datum.altitude)
-    if settings.plans:
-        pieces: tuple[Polygon, ...] = ()
-        folder = Path(settings.plans)
-        ways = {name: _way_of(folder / f"{name}{qgc_plan.SUFFIX}", datum) for name in names}
-    else:
-        options = SearchOptions(height=settings.height, picture_rate=settings.camera_rate)
-        places = spawn_grid(fleet, ROWS)
-        homes = {name: (x, y) for name, (x, y, _) in zip(names, places, strict=True)}
-        plans = plan_search(region, homes, camera_of(settings.type), options)
-        folder = settings.out / "plans"
-        write_plans(folder, plans, options, datum)
-        pieces = tuple(plans[name].piece for name in names)
-        ways = {name: np.array([[point.x, point.y] for point in plans[name].path]) for name in names}
+    world = _world(settings, region)
+    own = [_own_plan(Path(settings.plans), vehicle.name) for vehicle in fleet] if settings.plans else []
+    options = SearchOptions(height=settings.height, picture_rate=settings.camera_rate)
+    plans = {} if own else _plans(fleet, settings.type, region, options)
+    folder = settings.out / PLANS
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_yaml(settings.out / REGION, region_data(region))
+    (settings.out / WORLD).write_text(write_world(world), encoding="utf-8")
+    for file in own:
+        shutil.copyfile(file, folder / file.name)
+    if plans:
+        write_plans(folder, plans, options, _datum(world))
+        _write_yaml(settings.out / PIECES, {name: region_data(plan.piece) for name, plan in plans.items()})
+    return read_prepared(settings.out)
+
+
+def _plans(
+    fleet: tuple[Vehicle, ...], vehicle_type: str, region: Polygon, options: SearchOptions
+) -> dict[str, VehiclePlan]:
+    homes = {vehicle.name: (x, y) for vehicle, (x, y, _) in zip(fleet, spawn_grid(fleet, ROWS), strict=True)}
+    return plan_search(region, homes, camera_of(vehicle_type), options)
+
+
+def _own_plan(folder: Path, name: str) -> Path:
+    """Return the file of a vehicle's plan among the user's own.
+
+    Raises:
+        OptionError: there is no such file.
+        PlanError: it is no plan.
+    """
+    file = folder / f"{name}{qgc_plan.SUFFIX}"
+    if not file.is_file():
+        raise OptionError(f"plans: {str(file)!r} does not exist; each vehicle needs its own")
+    qgc_plan.read(file)
+    return file
+
+
+def is_search(folder: Path) -> bool:
+    """Return whether a folder has the results of a search, whose files :func:`prepare` has written."""
+    return all((folder / name).exists() for name in (WORLD, REGION, PLANS))
+
+
+def read_prepared(folder: Path) -> Prepared:
+    """Return what :func:`prepare` has written into a results' folder.
+
+    Raises:
+        ValueError: a file that cannot be used.
+    """
+    world = load_world_file(str(folder / WORLD))
+    datum = _datum(world)
+    plans = {file.stem: file for file in (folder / PLANS).glob(f"*{qgc_plan.SUFFIX}")}
+    names = tuple(sorted(plans, key=natural_order))
+    pieces = _read_pieces(folder / PIECES)
     return Prepared(
         names=names,
         persons=tuple(actor.name for actor in world.actors),
-        region=region,
-        pieces=pieces,
-        ways=ways,
-        world_file=world_file,
-        region_file=region_file,
-        plans_folder=folder,
+        region=read_region(folder / REGION),
+        pieces=tuple(pieces[name] for name in names if name in pieces),
+        ways={name: _way_of(plans[name], datum) for name in names},
+        world_file=folder / WORLD,
+        region_file=folder / REGION,
+        plans_folder=folder / PLANS,
     )
+
+
+def _write_yaml(file: Path, data: Mapping[str, object]) -> None:
+    file.write_text(yaml.safe_dump(data, default_flow_style=None, sort_keys=False), encoding="utf-8")
+
+
+def _read_pieces(file: Path) -> dict[str, Polygon]:
+    """Return the vehicles' pieces; none where the user's own plans were flown.
+
+    Raises:
+        ValueError: the file cannot be used.
+    """
+    if not file.is_file():
+        return {}
+    try:
+        return {name: parse_region(data) for name, data in yaml.safe_load(file.read_text(encoding="utf-8")).items()}
+    except (yaml.YAMLError, AttributeError, ValueError) as error:
+        raise ValueError(f"{file}: no pieces of a region: {error}") from error
+
+
+def _datum(world: SdfWorld) -> Datum:
+    return Datum(world.datum.latitude, world.datum.longitude, world.datum.altitude)
 
 
 def shipped_region() -> Path:
@@ -98,15 +162,11 @@ def shipped_region() -> Path:
     return repository() / "src" / "xtdrone_coordination" / "config" / "search" / "region.yaml"
 
 
-def _world(settings: SearchSettings, region: Polygon) -> tuple[SdfWorld, Path]:
-    """Return the user's world, or one made from the seed, whose people are in the region, and its file."""
+def _world(settings: SearchSettings, region: Polygon) -> SdfWorld:
+    """Return the user's world, or one made from the seed, whose people are in the region."""
     if settings.world:
-        world = load_world_file(settings.world)
-    else:
-        world = made_world(region, settings.seed, settings.persons, walking=settings.walking)
-    file = settings.out / "search.world"
-    file.write_text(write_world(world), encoding="utf-8")
-    return world, file
+        return load_world_file(settings.world)
+    return made_world(region, settings.seed, settings.persons, walking=settings.walking)
 
 
 def made_world(region: Polygon, seed: int, persons: int, *, walking: bool = True) -> SdfWorld:
@@ -144,11 +204,8 @@ def _way_of(file: Path, datum: Datum) -> NDArray[np.float64]:
     """Return the places of a plan's waypoints, (k, 2) m, map.
 
     Raises:
-        OptionError: there is no such file.
         PlanError: it is no plan.
     """
-    if not file.is_file():
-        raise OptionError(f"plans: {str(file)!r} does not exist; each vehicle needs its own")
     items = [item for item in qgc_plan.read(file).mission if item.command == mission.WAYPOINT]
     places = [datum.local(item.x, item.y) for item in items]
     return np.array(places, float).reshape(-1, 2)

@@ -5,6 +5,7 @@ All positions are in the ``map`` frame: ENU, metres. Times are simulated seconds
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 
 EVENTS_TOPIC = "/xtdrone/search/event"
 PROGRESS_TOPIC = "/xtdrone/search/progress"
+CUT_SHORT = "cut short"  # outcome of a search whose record ends before it did
 _COLLISION = "collision of "  # in the words of the simulator node
 
 
@@ -60,7 +62,8 @@ class SearchRecord:
         position: true positions of the vehicles, shape (t, n, 3).
         persons: true positions of the actors by name, each (t, 3); NaN before the first message that names them.
         sights: what each vehicle's pictures showed, in order.
-        events: of the mission control, in order; the last one is "finished".
+        events: of the mission control, in order; the last one is "finished", with the outcome CUT_SHORT where the
+            record ends before the search did.
         collisions: what the simulator said of vehicles that touched something, in order.
     """
 
@@ -74,13 +77,7 @@ class SearchRecord:
 
     @property
     def finished(self) -> dict[str, Any]:
-        """The last event.
-
-        Raises:
-            RecordError: the search was cut short.
-        """
-        if not self.events or self.events[-1].get("event") != "finished":
-            raise RecordError("search: it has no end; events.jsonl lacks the event 'finished'")
+        """The last event."""
         return self.events[-1]
 
     def person_at(self, name: str, time: float) -> Array:
@@ -98,7 +95,7 @@ class SearchRecord:
 
 
 def read_search(bag: Path, names: tuple[str, ...], persons: tuple[str, ...]) -> SearchRecord:
-    """Read a search's bag, and events.jsonl beside it.
+    """Read a search's bag, and events.jsonl beside it where it is there.
 
     Args:
         bag: the file.
@@ -123,6 +120,9 @@ def _read(
     reader: AnyReader, bag: Path, names: tuple[str, ...], persons: tuple[str, ...], events: list[dict[str, Any]]
 ) -> SearchRecord:
     truth = _stamped_truth(bag, names, persons) or _states(reader, names, persons)
+    events = events or [json.loads(m.data) for _, _, m in messages(reader, [EVENTS_TOPIC])]
+    if not events or events[-1].get("event") != "finished":
+        events = [*events, _cut_short(reader, float(truth.time[-1]), events)]
     return SearchRecord(
         names=names,
         time=truth.time,
@@ -132,6 +132,21 @@ def _read(
         events=events,
         collisions=[m.msg for _, _, m in messages(reader, [LOG_TOPIC]) if _COLLISION in m.msg],
     )
+
+
+def _cut_short(reader: AnyReader, time: float, events: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what is known at the end of a record that has none."""
+    covered = None
+    for _, _, message in messages(reader, [PROGRESS_TOPIC]):
+        covered = json.loads(message.data)["covered_fraction"]
+    return {
+        "event": "finished",
+        "time": time,
+        "outcome": CUT_SHORT,
+        "reason": "the record ends before the search did",
+        "lost": [event["vehicle"] for event in events if event["event"] == "lost_vehicle"],
+        "covered_fraction": covered,
+    }
 
 
 def _stamped_truth(bag: Path, names: tuple[str, ...], persons: tuple[str, ...]) -> Track | None:

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from xtdrone_interaction.report import versions
-from xtdrone_interaction.search_record import SearchRecord, Sight
+from xtdrone_interaction.search_record import CUT_SHORT, SearchRecord, Sight
 
 ERROR_LIMIT = 2.0  # m, of a find's place
 FOLLOW_IN_VIEW = 0.9  # least part of a follower's pictures that show the person
@@ -84,7 +84,7 @@ def _following(record: SearchRecord) -> list[dict[str, Any]]:
     result = []
     for begin in (event for event in record.events if event["event"] == "following"):
         ends = [e["time"] for e in record.events if e["time"] > begin["time"] and _ends(e, begin["vehicle"])]
-        end = ends[0] if ends else record.events[-1]["time"]
+        end = ends[0] if ends else record.finished["time"]
         sights = [s for s in record.sights[begin["vehicle"]] if begin["time"] <= s.time <= end]
         result.append(
             {
@@ -128,6 +128,8 @@ def shortcomings(report: dict[str, Any], persons: list[str]) -> list[str]:
     found = []
     if report["outcome"] == "failed":
         found.append(f"the search failed: {report['reason']}")
+    if report["outcome"] == CUT_SHORT:
+        found.append("the search was cut short")
     if report["outcome"] == "not found" and persons:
         there = "there is a person" if len(persons) == 1 else f"there are {len(persons)} persons"
         found.append(f"nobody was found, and {there}")
@@ -180,9 +182,9 @@ def print_report(report: dict[str, Any], console: Console) -> None:
         )
     console.print(_vehicle_table(report), highlight=False)
     if covered["fraction"] is not None:
+        area = "" if covered["area"] is None else f"{covered['area']:.0f} of {covered['region_area']:.0f} m^2, "
         console.print(
-            f"Covered {covered['area']:.0f} of {covered['region_area']:.0f} m^2 ({100 * covered['fraction']:.1f} %) in "
-            f"{report['simulated_time']:.0f} s{_pace(report)}.",
+            f"Covered {area}{100 * covered['fraction']:.1f} %, in {report['simulated_time']:.0f} s{_pace(report)}.",
             highlight=False,
         )
     for line in report["shortcomings"]:

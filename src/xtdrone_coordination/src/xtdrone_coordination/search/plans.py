@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from shapely.geometry import Polygon
 
@@ -60,13 +61,17 @@ class Datum:
         return east, north
 
 
+LEAST_STEP = 0.5  # m between the heights of two vehicles, whose ways may cross
+_HEIGHT_GRID = 0.25  # m
+
+
 @dataclass(frozen=True)
 class SearchOptions:
     """How a search is flown.
 
     Attributes:
         height: of the lowest vehicle, m over the ground, 5 to 100.
-        height_step: from one vehicle to the next, m, 0.5 to 10.
+        height_step: from one vehicle to the next, m, 0.5 to 10; less, where people would be too small from the highest.
         speed: m/s over ground, 0.5 to 15.
         gimbal_pitch: of the camera, deg, negative down, -90 to -5; also while a candidate is looked at.
         person_pixels: height in the picture from which on people count as seen, px, 1 to 200.
@@ -97,7 +102,7 @@ class SearchOptions:
             ValueError: one is out of range.
         """
         check_range("height", self.height, 5.0, 100.0, "m")
-        check_range("height_step", self.height_step, 0.5, 10.0, "m")
+        check_range("height_step", self.height_step, LEAST_STEP, 10.0, "m")
         check_range("speed", self.speed, 0.5, 15.0, "m/s")
         check_range("gimbal_pitch", self.gimbal_pitch, -90.0, -5.0, "deg")
         check_range("person_pixels", self.person_pixels, 1.0, 200.0, "px")
@@ -113,6 +118,34 @@ class SearchOptions:
         """How lanes are laid."""
         depth = min(max(self.pictures * self.speed / self.picture_rate, 1.0), 100.0)
         return CoverageOptions(self.overlap, depth, self.speed, self.turn_time)
+
+    def heights(self, camera: Pinhole, count: int) -> NDArray[np.float64]:
+        """Return the heights of ``count`` vehicles, m, lowest first.
+
+        Raises:
+            ValueError: nobody would be seen from one of them, however little they are apart.
+        """
+        lowest = self.footprint(camera, self.height)
+        highest = self.height + (count - 1) * self.height_step
+        if not self._sees(camera, highest, 0.0):
+            depth = min(self.coverage.depth, 0.5 * (lowest.far - lowest.near))
+            lower = np.arange(self.height, highest, _HEIGHT_GRID)
+            highest = max(float(height) for height in lower if self._sees(camera, float(height), depth))
+        if highest - self.height < (count - 1) * LEAST_STEP:
+            raise ValueError(
+                f"height: {count} vehicles that are at least {LEAST_STEP:g} m above each other, the lowest at "
+                f"{self.height:g} m, are not allowed: from above {highest:g} m a person is too small; fly lower or "
+                "with fewer vehicles"
+            )
+        return np.linspace(self.height, highest, count)
+
+    def _sees(self, camera: Pinhole, height: float, depth: float) -> bool:
+        """Return whether people are seen from a height, on a band of ``depth`` m or more."""
+        try:
+            seen = self.footprint(camera, height)
+        except ValueError:
+            return False
+        return seen.far - seen.near >= depth
 
     def footprint(self, camera: Pinhole, height: float) -> Footprint:
         """Return the ground that a camera shows from a height.
@@ -170,9 +203,9 @@ def plan_search(
     centres = [(piece.centroid.x, piece.centroid.y) for piece in pieces]
     far = np.array([[math.dist(centre, homes[name]) for centre in centres] for name in names])
     _, of = linear_sum_assignment(far**2)  # squares: no vehicle shall have a much longer way than the others
+    heights = chosen.heights(camera, len(names)).tolist()
     plans = {}
-    for i, name in enumerate(names):
-        height = chosen.height + i * chosen.height_step
+    for i, (name, height) in enumerate(zip(names, heights, strict=True)):
         seen = chosen.footprint(camera, height)
         piece = pieces[of[i]]
         path = cover(piece, seen, chosen.coverage, homes[name])

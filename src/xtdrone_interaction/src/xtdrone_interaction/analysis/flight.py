@@ -23,7 +23,14 @@ from xtdrone_interaction.analysis.layout import STAMP, Decoded, Fixed, Layout, L
 from xtdrone_interaction.analysis.places import complete, nearby
 from xtdrone_interaction.analysis.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.analysis.source import Layouts, Losses, Source, by_connection, large_batches, open_sources
-from xtdrone_interaction.geometry import EVENTS_TOPIC, PATTERN_TOPIC, TOPOLOGY_TOPIC, TRUTH_TOPIC, offsets_from_message
+from xtdrone_interaction.geometry import (
+    EVENTS_TOPIC,
+    PATTERN_TOPIC,
+    TOPOLOGY_TOPIC,
+    TRUTH_TOPIC,
+    natural_order,
+    offsets_from_message,
+)
 from xtdrone_interaction.record import COLLISION, LOG_TOPIC, ODOMETRY, Change, regular_times
 
 WARNING = 4  # rosgraph_msgs/Log; more is worse
@@ -32,10 +39,8 @@ _FAR = 3600.0  # s between a stamp and the recorder's clock; further apart, they
 _SET_BACK = 1_000_000_000  # ns; a clock that goes back by more was set back
 _MOST_TEXTS = 2000  # of a topic; more are only counted
 _MODEL_STATES = "gazebo_msgs/ModelStates"
-_MODEL, _TRUE = (
-    "/gazebo",
-    "/truth",
-)  # whose places are a model's, without times of their own or with; no vehicle's names
+# Whose places are a model's, without times of their own or with; no vehicle's names.
+_MODEL, _TRUE = "/gazebo", "/truth"
 
 _PLACES = frozenset({"pose", "odometry", "velocity"})
 _XYZ = ("x", "y", "z")
@@ -578,8 +583,3 @@ class _Reading:
 
 def _vehicle_name(space: str) -> str:
     return space.strip("/").replace("/", "_") or "mavros"
-
-
-def natural_order(name: str) -> list[tuple[int, str]]:
-    """Return a key that sorts iris_10 behind iris_9."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
