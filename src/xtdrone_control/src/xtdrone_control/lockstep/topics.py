@@ -7,6 +7,7 @@ kernel when `publish` returns. A subscriber's messages are kept per connection; 
 from __future__ import annotations
 
 import functools
+import select
 import socket
 import threading
 from collections import deque
@@ -276,9 +277,10 @@ class BufferingSubscriber(rospy.topics._SubscriberImpl):
         """Sees to it that a connection is handed over when it is made: rospy then calls its `receive_loop`."""
         connection.receive_loop = functools.partial(self._receive, connection)
         with self.c_lock:
-            # The master may name a publisher twice within a millisecond. rospy would close the first connection in
-            # the middle of its handshake, for whose end the publisher then waits and accepts no other.
-            if any(other.endpoint_id == connection.endpoint_id and _connecting(other) for other in self.connections):
+            # The master may name a publisher twice before the first connection to it is made, and the second comes
+            # later. rospy would close the first: in the middle of its handshake, for whose end the publisher then waits
+            # and accepts no other, or when a message is already under way, which would be lost.
+            if any(other.endpoint_id == connection.endpoint_id and _holds(other) for other in self.connections):
                 return False
             return bool(super().add_connection(connection))
 
@@ -356,9 +358,18 @@ class BufferingSubscriber(rospy.topics._SubscriberImpl):
         return [inbox.latch for _, inbox in boxes if inbox.latch is not None]
 
 
-def _connecting(connection: Any) -> bool:
-    """Says whether a subscriber's connection is neither made yet nor given up."""
-    return not connection.done and getattr(connection, "inbox", None) is None
+def _holds(connection: Any) -> bool:
+    """Says whether a subscriber's connection is being made, or is made and its publisher has not closed it."""
+    if connection.done:
+        return False
+    if getattr(connection, "inbox", None) is None:
+        return True
+    try:
+        ended = select.poll()
+        ended.register(connection.socket.fileno(), select.POLLRDHUP)
+        return not ended.poll(0)
+    except (AttributeError, ValueError):  # closed just now, in another thread
+        return False
 
 
 def acquire_publisher(name: str, data_class: type[rospy.Message], latch: bool, ledger: Ledger) -> CountingPublisher:
