@@ -205,7 +205,7 @@ def graph(tmp_path: Path) -> Iterator[MixedGraph]:
 
 @pytest.fixture
 def server(graph: MixedGraph) -> Iterator[LockstepServer]:
-    server = LockstepServer(hang_limit=10.0, busy_limit=10.0)
+    server = LockstepServer(hang_limit=10.0, connect_limit=30.0, busy_limit=10.0)
     graph.set_param("/lockstep/uri", server.uri)
     yield server
     server.close()
@@ -233,7 +233,7 @@ def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_in_either_l
         folder = tmp_path / str(number)
         folder.mkdir()
         graph = MixedGraph(folder)
-        server = LockstepServer(hang_limit=10.0)
+        server = LockstepServer(hang_limit=10.0, connect_limit=30.0)
         try:
             graph.set_param("/lockstep/uri", server.uri)
             graph.start_participants(server, nodes)

@@ -305,7 +305,7 @@ def traveller(name: str) -> None:
 def simulator(name: str) -> None:
     """A simulator that publishes itself: a message before each tick, which that tick must deliver."""
     rospy.init_node(name)
-    server = LockstepServer(hang_limit=10.0)
+    server = LockstepServer(hang_limit=10.0, connect_limit=30.0)
     publisher = lockstep.Publisher("/from_simulator", String)
     server.attach_host(lockstep.host())
     rospy.set_param("/lockstep/uri", server.uri)
@@ -321,7 +321,7 @@ def simulator(name: str) -> None:
 def hearing_simulator(name: str, end_us: str, back_us: str) -> None:
     """A simulator that subscribes itself: notes what is dispatched after each tick; time goes back once if told so."""
     rospy.init_node(name)
-    server = LockstepServer(hang_limit=10.0)
+    server = LockstepServer(hang_limit=10.0, connect_limit=30.0)
     link = lockstep.host()
     server.attach_host(link)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
@@ -352,7 +352,7 @@ def hearing_simulator(name: str, end_us: str, back_us: str) -> None:
 def announcer(name: str) -> None:
     """A simulator that publishes what nobody counts, until it is told to end."""
     rospy.init_node(name)
-    server = LockstepServer(hang_limit=10.0)
+    server = LockstepServer(hang_limit=10.0, connect_limit=30.0)
     publisher = lockstep.UncountedPublisher("/foreign", String)
     link = lockstep.host()
     server.attach_host(link)
@@ -468,7 +468,7 @@ def graph(tmp_path: Path) -> Iterator[Graph]:
 
 @pytest.fixture
 def server(graph: Graph) -> Iterator[LockstepServer]:
-    server = LockstepServer(hang_limit=10.0, busy_limit=10.0)
+    server = LockstepServer(hang_limit=10.0, connect_limit=30.0, busy_limit=10.0)
     graph.set_param("/lockstep/uri", server.uri)
     yield server
     server.close()
@@ -520,7 +520,7 @@ def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_whatever_th
         folder = tmp_path / str(number)
         folder.mkdir()
         graph = Graph(folder)
-        server = LockstepServer(hang_limit=10.0)
+        server = LockstepServer(hang_limit=10.0, connect_limit=30.0)
         try:
             graph.set_param("/lockstep/uri", server.uri)
             start_three(graph, server, lazy, seed)
