@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("rospy", reason="needs rospy")
 
+from rospy.impl.statistics import SubscriberStatisticsLogger
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSSub
 from std_msgs.msg import String
@@ -20,7 +21,9 @@ URI = "http://publisher:1"
 
 
 @pytest.fixture
-def subscriber() -> Iterator[BufferingSubscriber]:
+def subscriber(monkeypatch: pytest.MonkeyPatch) -> Iterator[BufferingSubscriber]:
+    # rospy would ask the master, and keep the address of that which is not there for all tests to come.
+    monkeypatch.setattr(SubscriberStatisticsLogger, "is_enabled", lambda: False)
     reader = Reader()
     reader.activate()
     end = BufferingSubscriber("/topic", String, reader)
