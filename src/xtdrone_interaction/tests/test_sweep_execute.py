@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 import sweep_standin
-from distributed import Client
+from distributed import Client, as_completed
 
 from xtdrone_interaction import options
 from xtdrone_interaction.sweep.execute import Executor, SchedulerLostError, SweepError, local_client, remote_client
@@ -84,6 +84,17 @@ def test_run_that_kills_its_worker_is_a_row_with_that_error(client: Client) -> N
     assert len(found) == 30
     assert [key for key, row in found.items() if row["error"]] == ["k7"]
     assert "workers died while flying it" in found["k7"]["error"]
+
+
+def test_rows_of_a_worker_that_dies_after_it_has_handed_them_over_count(client: Client) -> None:
+    """Dask then has the batch flown again, and says that it is pending."""
+    executor = Executor(client, sweep_standin.work, {})
+    batch = list(tasks(1))
+    future = executor._submit(batch, as_completed(loop=client.loop))
+    rows = future.result()
+    future._state.reset()
+    assert future.status == "pending"
+    assert executor._rows(future, rows) == rows
 
 
 def test_tasks_are_taken_as_they_are_flown(client: Client) -> None:

@@ -216,9 +216,10 @@ class Executor:
         alone = future is self._alone
         if alone:
             self._alone = None
-        if future.status == "finished":
+        # The result counts: a future is pending again if its worker died after it had handed the rows over.
+        if isinstance(result, list):
             self._learn(result)
-            return list(result)
+            return result
         if future.status != "error":
             raise self._scheduler_lost()
         error = result[1] if isinstance(result, tuple) else result
