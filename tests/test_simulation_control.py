@@ -368,6 +368,7 @@ def test_a_simulator_with_the_name_of_another_node_is_refused(stack: Stack) -> N
     finally:
         rospy.set_param("/lockstep/uri", uri)
     assert "the node name /communication is taken" in second.output
+    resume(stack)  # the system was started paused, and this test may be the first
     passes(stack)
     assert set(status(stack).participants) == NAMES
 
