@@ -20,8 +20,13 @@ unset xtdrone_nounset
 export VIRTUAL_ENV="$xtdrone_root/.venv"
 export PATH="$VIRTUAL_ENV/bin:$PATH"
 
-# Nodes tell each other the host's name. Where that leads nowhere, as in bare containers, a machine would not even find
-# itself.
-if [[ -z ${ROS_IP:-}${ROS_HOSTNAME:-} ]] && ! timeout 5 getent hosts "$HOSTNAME" >/dev/null; then
-  export ROS_IP=127.0.0.1
+# Neither ROS nor MAVLink asks who calls (docs/multi-machine.md), so master and nodes listen on this machine alone unless
+# an address is named. A master on another machine has to call back, at an address that only the user knows.
+if [[ -z ${ROS_IP:-}${ROS_HOSTNAME:-} ]]; then
+  if [[ ${ROS_MASTER_URI:-http://localhost} =~ ^https?://(localhost|127\.[0-9.]+|\[::1\])(:|/|$) ]]; then
+    export ROS_IP=127.0.0.1
+  else
+    echo "xtdrone: ROS_MASTER_URI is $ROS_MASTER_URI: for a master on another machine, export ROS_IP=ADDRESS, this" \
+      "machine's as the other one reaches it (docs/multi-machine.md)" >&2
+  fi
 fi

@@ -12,7 +12,7 @@ from xtdrone_control.fleet import Vehicle
 
 CORE = Path(__file__).with_name("client_core.py")
 START_LIMIT = 180.0  # s of wall time for the core to be up: it may have to compile its kernels
-CLIENT_LIMIT = 60.0  # s of wall time for what a client does; simulated time runs several times as fast
+CLIENT_LIMIT = 120.0  # s of wall time for what a client does; simulated time runs several times as fast
 
 
 class Core:

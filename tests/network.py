@@ -38,7 +38,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-START_LIMIT = 20.0  # s of wall time
+START_LIMIT = 120.0  # s of wall time
 PROGRAMS = ("unshare", "nsenter")
 _PREFIX = "10.77.0."
 _POLL = 0.02  # s between looks at what sends no message

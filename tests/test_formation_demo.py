@@ -143,23 +143,39 @@ def test_nothing_is_left_running_after_the_flight(flight: Flight) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_stopped_flight_leaves_nothing_running(tmp_path: Path, number: int) -> None:
-    """In the air: Ctrl-C and SIGTERM end all processes and leave a readable bag; so does a kill -9."""
+    """In the air: Ctrl-C and SIGTERM end all processes and leave a readable bag; so does a kill -9.
+
+    The first of these flights also refuses a second one of the same instance.
+    """
     out = tmp_path / "out"
-    demo = subprocess.Popen(_command(out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    slow = ["--speed", "2"] if number == signal.SIGINT else []  # it still flies when the second has been refused
+    demo = subprocess.Popen(_command(out, *slow), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
+        if number == signal.SIGINT:
+            _wait_for_event(out / "events.jsonl", "start", demo)
+            _check_second_is_refused(tmp_path / "second")
         _wait_for_event(out / "events.jsonl", "armed", demo)
         demo.send_signal(number)
-        status = demo.wait(60)
+        status = demo.wait(START_LIMIT)
     finally:
         demo.kill()
     if number == signal.SIGKILL:
-        _wait_until_gone(str(out), 60.0)
+        _wait_until_gone(str(out), START_LIMIT)
     else:
         assert status == 128 + number
     assert _processes_with(str(out)) == []
     record = read_record(out / "flight.bag")
     assert record.track.time[-1] > 0.0
     check_vehicle_ports(parse_fleet(FLEET))  # free again
+
+
+def _check_second_is_refused(out: Path) -> None:
+    command = _command(out, "--instance", "0")
+    second = subprocess.run(command, capture_output=True, text=True, timeout=START_LIMIT, check=False)
+    assert second.returncode == 2
+    assert "instance: 0 flies already" in second.stderr
+    with pytest.raises(OptionError, match="is taken"):
+        check_vehicle_ports(parse_fleet(FLEET))
 
 
 def test_a_killed_simulator_ends_the_demo_with_a_message(tmp_path: Path) -> None:
@@ -170,27 +186,12 @@ def test_a_killed_simulator_ends_the_demo_with_a_message(tmp_path: Path) -> None
         for entry in Path("/proc").iterdir():
             if entry.name.isdigit() and str(out) in _environment(entry) and "simulator.py" in _command_line(entry):
                 os.kill(int(entry.name), signal.SIGKILL)
-        output, _ = demo.communicate(timeout=90)
+        output, _ = demo.communicate(timeout=START_LIMIT)
     finally:
         demo.kill()
     assert demo.returncode == 1
     assert "simulator" in output
     assert _processes_with(str(out)) == []
-
-
-def test_a_second_flight_at_the_same_time_is_refused(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    demo = subprocess.Popen(_command(out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        _wait_for_event(out / "events.jsonl", "start", demo)
-        second = subprocess.run(_command(tmp_path / "second"), capture_output=True, text=True, timeout=60, check=False)
-        with pytest.raises(OptionError, match="is taken"):
-            check_vehicle_ports(parse_fleet(FLEET))
-    finally:
-        demo.send_signal(signal.SIGINT)
-        demo.wait(60)
-    assert second.returncode == 2
-    assert "is taken by another program" in second.stderr
 
 
 def _environment(process: Path) -> str:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import REPOSITORY, START_LIMIT, Graph, Stack, free_port, poll
+from conftest import REPOSITORY, START_LIMIT, WALL_LIMIT, Graph, Stack, free_port, poll
 
 pytest.importorskip("rospy")
 
@@ -49,6 +49,12 @@ sys.exit(node.main())
 """
 
 
+def _sit_down() -> None:
+    """In the child: the terminal controls it, and a hang-up counts although nohup may have started the tests."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 class Seat:
     """A program at a terminal of its own, as a shell would start it in one.
 
@@ -68,7 +74,7 @@ class Seat:
         environment = {**os.environ, **graph.environment, "TERM": term}
         self.process = subprocess.Popen(
             [sys.executable, *command], stdin=self._slave, stdout=self._slave, stderr=self._slave, env=environment,
-            start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+            start_new_session=True, preexec_fn=_sit_down,
         )  # fmt: skip
 
     def _read(self) -> None:
@@ -116,7 +122,7 @@ class Seat:
         os.close(self._master)
 
     def end(self) -> int:
-        return self.process.wait(60.0)
+        return self.process.wait(WALL_LIMIT)
 
     def leave(self) -> None:
         """Free everything."""

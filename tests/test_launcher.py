@@ -31,7 +31,7 @@ def test_a_path_that_the_build_cannot_take_is_refused_at_once(tmp_path: Path, na
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["fly"], ("'fly'", "demo, sim, gcs")),
+        (["fly"], ("'fly'", "demo, launch, sim, gcs")),
         (["setup", "now"], ("setup takes no arguments, got: now",)),
         (["demo"], ("demo needs a name", "formation")),
         (["demo", "formaton"], ("'formaton'", "formation simplified search")),

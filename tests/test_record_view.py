@@ -25,7 +25,7 @@ SIZE = (960, 540)  # larger than a window is at first
 DISTANCE, PITCH, YAW = 9.0, 0.6, 0.8  # the view's
 FIELD = math.pi / 4.0  # rad, vertical, rviz's own
 BACKGROUND = (232, 236, 242)
-LIMIT = 280.0  # s of wall time for one film
+LIMIT = 560.0  # s of wall time for one film
 
 
 def place(number: int, time: float) -> np.ndarray:

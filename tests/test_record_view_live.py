@@ -24,7 +24,7 @@ from sensor_msgs.msg import CameraInfo, Image
 NAMES = ("iris_0", "iris_1")
 BACKGROUND = (232, 236, 242)
 RATE = 25  # Hz
-END_LIMIT = 60.0  # wall s
+END_LIMIT = 120.0  # wall s
 PROGRAMS = ("rviz_offscreen", "Xvfb", "ffmpeg", "robot_tf", "swarm_markers")
 
 

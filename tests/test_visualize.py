@@ -226,7 +226,6 @@ def test_a_window_that_is_asked_for_needs_a_display(stack: Stack, monkeypatch: p
     assert "~view: there is no display (DISPLAY is not set); a film needs none, see visualize.py" in node.output
 
 
-@pytest.mark.timeout(300)
 def test_a_formation_flight_with_a_window(stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", display)
     stack.launch(
@@ -238,7 +237,6 @@ def test_a_formation_flight_with_a_window(stack: Stack, display: str, monkeypatc
     assert not window_is_shown(display)
 
 
-@pytest.mark.timeout(300)
 def test_a_formation_flight_with_a_film(stack: Stack, tmp_path: Path) -> None:
     film = tmp_path / "last.png"
     launch = stack.launch(

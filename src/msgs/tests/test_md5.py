@@ -108,5 +108,5 @@ def test_every_definition_is_listed() -> None:
 )
 def test_ros_command_line_prints_the_expected_sum(tool: str, type_name: str) -> None:
     require_built(type_name.split("/")[0])
-    answer = subprocess.run([tool, "md5", type_name], capture_output=True, text=True, timeout=60, check=True)
+    answer = subprocess.run([tool, "md5", type_name], capture_output=True, text=True, timeout=120, check=True)
     assert answer.stdout.split() == [next(e.md5 for e in EXPECTED if e.type_name == type_name)]

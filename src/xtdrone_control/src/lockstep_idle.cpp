@@ -30,5 +30,5 @@ int main(int argc, char** argv) {
     std::cerr << error.what() << "\nusage: lockstep_idle NAME RATE" << std::endl;
     return 2;
   }
-  return 0;
+  return lockstep::exitStatus();
 }

@@ -250,5 +250,5 @@ int main(int argc, char** argv) {
     std::cerr << error.what() << std::endl;
     return 1;
   }
-  return 0;
+  return lockstep::exitStatus();
 }

@@ -12,7 +12,7 @@ from mavros_msgs.srv import CommandBool, SetMode
 from sensor_msgs.msg import Imu
 
 NS = "/iris_0/mavros"
-LIMIT = 20.0  # s
+LIMIT = 120.0  # s of wall time; only a broken run takes so long
 VELOCITY = PositionTarget.IGNORE_PX | PositionTarget.IGNORE_PY | PositionTarget.IGNORE_PZ
 VELOCITY |= PositionTarget.IGNORE_AFX | PositionTarget.IGNORE_AFY | PositionTarget.IGNORE_AFZ
 POSITION = PositionTarget.IGNORE_VX | PositionTarget.IGNORE_VY | PositionTarget.IGNORE_VZ

@@ -43,6 +43,7 @@ class FakeRos:
         self.publishers: dict[str, FakePublisher] = {}
         self.subscribers: dict[str, Callable[[Any], None]] = {}
         self.services: dict[str, Callable[[Any], Any]] = {}
+        self.kinds: dict[str, Any] = {}  # of topics and services
         self.params: dict[str, Any] = {}
 
     def now_ns(self) -> int:
@@ -56,10 +57,12 @@ class FakeRos:
 
     def subscriber(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
         """Keep the callback."""
+        self.kinds[topic] = kind
         self.subscribers[topic] = callback
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Keep the handler."""
+        self.kinds[name] = kind
         self.services[name] = handler
 
     def set_param(self, name: str, value: Any) -> None:

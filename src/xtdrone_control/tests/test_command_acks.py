@@ -19,9 +19,7 @@ _REFERENCE = Path(__file__).parent / "data" / "px4_command_acks.csv"
 # What is answered otherwise on purpose: result, texts, and why.
 _UNSUPPORTED = 3
 _OTHERWISE: dict[int, tuple[int, list[str], str]] = {
-    34: (_UNSUPPORTED, [], "there is no orbit mode"),
     84: (_UNSUPPORTED, [], "a multicopter has no transition"),
-    191: (_UNSUPPORTED, [], "only a fixed wing's landing is gone around"),
     212: (_UNSUPPORTED, [], "there is no autotuning"),
     2510: (_UNSUPPORTED, [], "logs are not streamed; they are downloaded"),
 }
@@ -241,9 +239,12 @@ def test_parameters_are_stored_and_recalled(tmp_path):
     assert served.command(245, 1)[0] == 1
 
 
-def test_there_is_nothing_to_calibrate(served):
-    assert served.command(241)[0] == 0
-    assert served.command(241, 1)[0] == 3
+def test_sensors_that_need_no_movement_are_calibrated_at_once(served):
+    assert served.command(241) == (0, [])
+    assert served.command(241, 1) == (0, ["[cal] calibration started: 2 gyro", "[cal] calibration done: gyro"])
+    assert served.command(241, 0, 0, 1)[0] == 0
+    assert served.command(42006)[0] == 0
+    assert served.command(241, 0, 1)[0] == 3, "the magnetometer is turned by hand"
     served.commander.armed = True
     assert served.command(241)[0] == 1
 

@@ -61,7 +61,6 @@ def test_disarmed_every_mode_can_be_chosen(flight):
     [
         (4 << 16 | 1 << 24, ["Unsupported auto mode"]),  # AUTO.READY
         (4 << 16 | 8 << 24, ["Unsupported auto mode"]),  # AUTO.FOLLOW_TARGET: nobody is followed
-        (99 << 16, []),
         (3 << 16 | 1 << 24, []),  # orbit
     ],
 )
@@ -69,6 +68,16 @@ def test_modes_that_are_refused(flight, custom_mode, texts):
     assert flight.commander.set_mode(1, custom_mode) is Result.TEMPORARILY_REJECTED
     assert flight.texts() == texts
     assert flight.commander.mode is modes.AUTO_LOITER
+
+
+def test_an_unknown_main_mode_is_acknowledged_and_changes_nothing(flight):
+    assert flight.commander.set_mode(1, 99 << 16) is Result.ACCEPTED
+    assert flight.commander.mode is modes.AUTO_LOITER
+
+
+def test_base_mode_of_manual(flight):
+    flight.commander.request(modes.MANUAL)
+    assert flight.commander.base_mode == 81
 
 
 @pytest.mark.parametrize(

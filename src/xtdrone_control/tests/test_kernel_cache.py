@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from numba.core import event
 
 from xtdrone_control.autopilot import kernel
 
@@ -38,3 +39,19 @@ def test_every_kernel_of_the_autopilot_counts():
     found = {path.name for path in kernel.sources([folder])}
     assert {"estimator.py", "rotation.py", "geo.py", "state.py", "parameters.py"} <= found
     assert "commander.py" not in found
+
+
+def half(x):
+    return 0.5 * x
+
+
+@pytest.mark.parametrize(("place", "times"), [("", 1), ("/proc/nowhere", 2)])
+def test_what_is_compiled_is_told_of_and_kept_where_it_can_be(tmp_path, monkeypatch, place, times):
+    monkeypatch.setenv("XDG_CACHE_HOME", place or str(tmp_path))
+    told = []
+    announcer = kernel.Announcer(told.append, lambda name, seconds: told.append((name, seconds >= 0.0)))
+    with event.install_listener("numba:compile", announcer):
+        for _ in range(2):
+            assert kernel.compiler(tmp_path)(half)(3.0) == 1.5
+    assert told == ["test_kernel_cache.half", ("test_kernel_cache.half", True)] * times
+    assert ("cannot be written" in kernel.cache_words()) == bool(place)

@@ -190,9 +190,9 @@ class MixedGraph(Graph):
             start("participant", name, str(RATES[name]), str(nodes[name].seed), *nodes)
         assert server.wait_for(list(nodes), timeout=PATIENCE), server.missing(list(nodes))
 
-    def ended(self, name: str) -> str:
-        """Waits for a node's orderly end and returns what it has said."""
-        assert self.processes[name].wait(PATIENCE) == 0, self.output(name)
+    def ended(self, name: str, status: int = 0) -> str:
+        """Waits for a node's end with an exit status and returns what it has said."""
+        assert self.processes[name].wait(PATIENCE) == status, self.output(name)
         return self.output(name)
 
 
@@ -205,7 +205,7 @@ def graph(tmp_path: Path) -> Iterator[MixedGraph]:
 
 @pytest.fixture
 def server(graph: MixedGraph) -> Iterator[LockstepServer]:
-    server = LockstepServer(hang_limit=10.0, connect_limit=30.0, busy_limit=10.0)
+    server = LockstepServer(hang_limit=PATIENCE, connect_limit=PATIENCE, busy_limit=PATIENCE)
     graph.set_param("/lockstep/uri", server.uri)
     yield server
     server.close()
@@ -233,7 +233,7 @@ def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_in_either_l
         folder = tmp_path / str(number)
         folder.mkdir()
         graph = MixedGraph(folder)
-        server = LockstepServer(hang_limit=10.0, connect_limit=30.0)
+        server = LockstepServer(hang_limit=PATIENCE, connect_limit=PATIENCE)
         try:
             graph.set_param("/lockstep/uri", server.uri)
             graph.start_participants(server, nodes)
@@ -304,7 +304,7 @@ def test_a_second_one_of_a_name_is_refused_and_the_first_lives_on(graph: MixedGr
 
 
 def test_another_version_is_refused_with_the_reason(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("xtdrone_control.lockstep.server.VERSION", 99)
+    monkeypatch.setattr("xtdrone_control.lockstep.frames.VERSION", 99)
     server = LockstepServer()
     graph.set_param("/lockstep/uri", server.uri)
     process = graph.start_cpp("participant", "a", "50", "0")
@@ -324,8 +324,8 @@ def test_a_signal_ends_a_node_that_waits_for_its_turn(
     assert server.wait_for(["/a"], timeout=PATIENCE)
     run(server, 100_000)
     process.send_signal(number)
-    assert process.wait(3.0) == 0
-    server.poll(1.0)
+    assert process.wait(PATIENCE) == 0  # its turn would never come
+    server.poll(PATIENCE)
     assert not server.participants
 
 
@@ -519,7 +519,7 @@ def test_a_node_that_was_dropped_says_so(graph: MixedGraph) -> None:
     run(server, now + 40_000, now)
     assert not server.participants
     process.send_signal(signal.SIGCONT)
-    said = graph.ended("a")
+    said = graph.ended("a", status=1)
     server.close()
     assert f"the simulator at {server.uri} has dropped this node: it was silent for" in said
     assert "is gone" not in said

@@ -231,7 +231,7 @@ class World:
     def __init__(self, seed: int, count: int, deaths: int, late: int) -> None:
         self.random = random.Random(seed)
         self.warnings: list[str] = []
-        self.server = LockstepServer(hang_limit=0.0, connect_limit=60.0, log=lambda _, text: self.warnings.append(text))
+        self.server = LockstepServer(hang_limit=0.0, connect_limit=90.0, log=lambda _, text: self.warnings.append(text))
         names = [f"/m{i}" for i in range(count)]
         self.members = [
             Member(

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import random
+import select
+import signal
 import socket
 import struct
 import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 import zlib
+from collections.abc import Callable
 from fractions import Fraction
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from xtdrone_control.lockstep import protocol
+from xtdrone_control.lockstep import frames, participant, protocol
+from xtdrone_control.lockstep import server as server_module
+from xtdrone_control.lockstep.frames import Declaration
 from xtdrone_control.lockstep.protocol import FrameReader, Kind, ProtocolError, Schedule
-from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.lockstep.server import STOPPED, LockstepServer
+from xtdrone_control.lockstep.wanted import Topics
 
 STEP = protocol.BASE_STEP_US
+PATIENCE = 120.0  # s of wall time; only a broken run takes so long
 
 
 class FakeParticipant:
@@ -31,7 +41,7 @@ class FakeParticipant:
     def __init__(self, server: LockstepServer, name: str, rate: float = 30.0, **content) -> None:
         host, port = server.uri.removeprefix("tcp://").split(":")
         self.name = name
-        self.sock = socket.create_connection((host, int(port)), timeout=5.0)
+        self.sock = socket.create_connection((host, int(port)), timeout=PATIENCE)
         self.reader = FrameReader()
         self.frames: list[tuple[int, bytes]] = []
         self.peers: list[dict] = []
@@ -88,15 +98,24 @@ def log():
 
 @pytest.fixture
 def server(log):
-    server = LockstepServer(connect_limit=0.2, log=log)
+    server = LockstepServer(connect_limit=PATIENCE, log=log)
     yield server
     server.close()
 
 
 def joined(server: LockstepServer, *players: FakeParticipant) -> None:
-    assert server.wait_for([player.name for player in players], timeout=5.0)
+    assert server.wait_for([player.name for player in players], timeout=PATIENCE)
     for player in players:
         player.expect(Kind.WELCOME)
+
+
+def answered(server: LockstepServer, *players: FakeParticipant) -> None:
+    """Serve until each of the players has an answer to read."""
+    end = time.monotonic() + PATIENCE
+    for player in players:
+        while not select.select([player.sock], [], [], 0.0)[0]:
+            assert time.monotonic() < end, f"no answer for {player.name}"
+            server.poll(0.05)
 
 
 class Running:
@@ -110,7 +129,7 @@ class Running:
         return self
 
     def __exit__(self, *error) -> None:
-        self.thread.join(10.0)
+        self.thread.join(PATIENCE)
         assert not self.thread.is_alive(), "the barrier does not end"
 
 
@@ -145,12 +164,77 @@ def test_layout_is_as_documented():
     assert frame == struct.pack("<IBQqIIIQIQ", 1 + 24 + 24, 7, 3, 12000, 1, 1, 5, 6, 14540, 9)
 
 
-@pytest.mark.parametrize("data", [b"\0\0\0\0\1", b"\xff\xff\xff\xff\1"])
+@pytest.mark.parametrize("data", [b"\0\0\0\0\1", b"\xff\xff\xff\xff\1", b"\1\0\0\0\x63"])
 def test_bad_length_is_an_error(data):
     reader = FrameReader()
     reader.feed(data)
     with pytest.raises(ProtocolError, match="allowed"):
         list(reader.frames())
+
+
+def test_a_reader_looks_at_the_head_before_the_payload_has_come():
+    reader = FrameReader(frames.BEFORE_JOIN)
+    reader.feed(struct.pack("<IB", frames.LONGEST_RESERVE + 1, Kind.RESERVE))
+    with pytest.raises(ProtocolError, match=f"allowed are 1 to {frames.LONGEST_RESERVE}"):
+        list(reader.frames())
+
+
+def test_long_barrier_frames_leave_nothing_behind():
+    """Their length is the sender's choice: what is kept for each length would fill the memory."""
+    whole = [protocol.pack_barrier(Kind.DONE, 1, 0, {i: i for i in range(n)}, {})[5:] for n in (40_000, 40_001, 40_002)]
+    protocol.unpack_barrier(whole[0])
+    tracemalloc.start()
+    for payload in whole:
+        protocol.unpack_barrier(payload)
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 100_000
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("all is well, \u00e4", "all is well, \u00e4"),
+        ("one\ntwo\x1b[2J\x07", "one\\ntwo\\x1b[2J\\x07"),
+        ("\ud800 \u202e", "\\ud800 \\u202e"),
+        ("x" * 300, "x" * 197 + "..."),
+    ],
+)
+def test_a_peers_text_is_one_printable_line(text, shown):
+    assert protocol.printable(text) == shown
+    assert protocol.printable("\n" * 1000, 40) == "\\n" * 18 + "\\..."
+
+
+@pytest.mark.parametrize(
+    ("read", "content", "text"),
+    [
+        (frames.join, {"rate": 10**400}, "/a: rate 1000"),
+        (frames.join, {"rate": True}, "/a: rate True: must be above 0"),
+        (frames.join, {"udp_ports": [math.inf]}, "JOIN: UDP port inf: must be a whole number from 1 to 65535"),
+        (frames.join, {"pid": 10**400}, "JOIN: pid 1000"),
+        (frames.join, {"name": "/a\n[WARN]"}, r"name '/a\\n\[WARN\]': must be a resolved ROS name"),
+        (frames.join, {"name": "/" + "a" * 256}, "of at most 256 letters"),
+        (frames.join, {"publications": [["/x\x1b", "T"]]}, r"JOIN: publications: topic '/x\\x1b': must be a"),
+        (frames.join, {"publications": [["/x", "T\n"]]}, r"JOIN: publications: type 'T\\n': must be a ROS type"),
+        (frames.join, {"subscriptions": {"/x": "T"}}, "JOIN: subscriptions a table of 1: must be a list"),
+        (frames.peers, {"made": [[1, "/x", "/b", 1000, "abc"]]}, "PEER: count 'abc': must be a whole number"),
+        (frames.peers, {"made": [[1, "/x", "/b", 1000, -5]]}, "PEER: count -5: must be a whole number from 0 to"),
+        (frames.peers, {"made": [[1, [], "/b", 1000, 0]]}, "PEER: topic a list of 0: must be a resolved ROS name"),
+        (frames.peers, {"lost": [[]]}, "PEER: number a list of 0: must be a whole number"),
+        (frames.digest, {"time_us": math.inf, "topics": {}}, "DIGEST: time_us inf: must be a whole number"),
+        (frames.digest, {"time_us": 0, "topics": {"/x": [1, 2, 1 << 32]}}, "DIGEST: number 4294967296: must be"),
+        (frames.leave, {"reason": 5}, "LEAVE: reason 5, failed False: must be a text, true or false"),
+    ],
+)
+def test_what_is_wrong_with_a_frame_is_named(read, content, text):
+    whole = {"version": protocol.VERSION, "name": "/a", "rate": 30, **content} if read is frames.join else content
+    with pytest.raises(ProtocolError, match=text):
+        read(protocol.pack_object(Kind.JOIN, whole)[5:])
+
+
+def test_a_foreign_subscribers_name_is_no_fault_of_the_publishers():
+    content = {"made": [[1, "/x", "a stranger\n", 1000, 0]], "lost": []}
+    assert frames.peers(protocol.pack_object(Kind.PEER, content)[5:]).made == [frames.Made(1, "/x", "", 1000, 0)]
 
 
 def test_bad_payloads_are_errors():
@@ -200,6 +284,44 @@ def test_rate_out_of_range_is_refused(rate):
         Schedule(rate)
 
 
+# ---- topics ----
+
+_DECLARED = st.dictionaries(st.sampled_from(["/x", "/y", "/z"]), st.sampled_from(["T", "U", "*"]))
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), _DECLARED, _DECLARED), max_size=12))
+def test_the_connections_that_there_must_be_are_those_of_common_topics(declared):
+    topics, now = Topics(), {}
+    for name, publications, subscriptions in declared:
+        if name in now and not publications and not subscriptions:
+            topics.withdraw(name)
+            del now[name]
+            continue
+        topics.declare(name, Declaration(publications, subscriptions))
+        now[name] = Declaration(publications, subscriptions)
+        wanted = {
+            ((topic, one, other), now[one].publications[topic], now[other].subscriptions[topic])
+            for one in now
+            for other in now
+            for topic in now[one].publications.keys() & now[other].subscriptions.keys()
+            if name in (one, other)
+        }
+        assert set(topics.pairs(name)) == wanted
+
+
+def test_long_news_comes_in_several_frames_each_connection_before_its_loss(monkeypatch):
+    monkeypatch.setattr(participant, "NEWS_A_FRAME", 2)
+    one = participant.Participant(None, ("the simulator", 0), 0.0)
+    one.made = [[number, "/x", "/a", 1000] for number in range(5)]
+    one.lost, one.counted, one.reset, one.void = [4], [7], True, [[0, 1], [1, 1], [2, 1]]
+    news = one.take_news()
+    assert [len(content["made"]) for content in news] == [2, 2, 1, 0, 0]
+    assert [content["lost"] for content in news] == [[], [], [], [4], []]
+    assert [content.get("void") for content in news] == [None, None, None, [[0, 1], [1, 1]], [[2, 1]]]
+    assert [content.get("reset") for content in news] == [None] * 4 + [True]
+    assert one.take_news() == []
+
+
 # ---- joining ----
 
 
@@ -210,7 +332,7 @@ def test_start_tells_who_is_missing(server):
     assert not server.wait_for(1, timeout=0.0, progress=told.append)
     assert told[-1] == "0 of 1 participants have joined"
     _a = FakeParticipant(server, "/a")
-    assert server.wait_for(1, timeout=5.0)
+    assert server.wait_for(1, timeout=PATIENCE)
     assert server.missing(["a"]) == ""
 
 
@@ -218,11 +340,13 @@ def test_start_waits_for_connections_between_declared_topics(server):
     a = FakeParticipant(server, "/a", publications=[["/x", "T"], ["/y", "T"]])
     b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
     told = []
-    assert not server.wait_for(2, timeout=0.05, progress=told.append)
+    while len(server.participants) < 2:
+        server.poll(PATIENCE)
+    assert not server.wait_for(2, timeout=0.0, progress=told.append)
     assert told[-1] == "1 connections are not made: /x from /a to /b"
     a.expect(Kind.WELCOME)
     a.made(1, "/x", "/b")
-    assert server.wait_for(2, timeout=5.0, progress=told.append)
+    assert server.wait_for(2, timeout=PATIENCE, progress=told.append)
     with Running(server, 0):
         b.expect(Kind.WELCOME)
         b.done(b.tick())
@@ -231,17 +355,19 @@ def test_start_waits_for_connections_between_declared_topics(server):
     assert a.peers == [{"made": [], "lost": [], "counted": [1], "uncounted": []}]
 
 
-def test_a_connection_that_is_never_made_is_given_up_with_a_warning(server, log):
+def test_a_connection_that_is_never_made_is_given_up_with_a_warning(log):
+    server = LockstepServer(connect_limit=0.2, log=log)
     _a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     _b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
-    assert server.wait_for(2, timeout=5.0)
+    assert server.wait_for(2, timeout=PATIENCE)
     assert "no connection of /x from /a to /b within 0.2 s" in log.warnings()
+    server.close()
 
 
 def test_types_that_differ_are_named_and_not_waited_for(server, log):
     _a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     _b = FakeParticipant(server, "/b", subscriptions=[["/x", "U"]])
-    assert server.wait_for(2, timeout=0.15)
+    assert server.wait_for(2, timeout=PATIENCE)
     assert "/x: /a publishes T, /b subscribes to U" in log.warnings()
 
 
@@ -250,6 +376,7 @@ def test_types_that_differ_are_named_and_not_waited_for(server, log):
     [
         ({"version": 99}, "version", "version 99"),
         ({"name": "b"}, "name", "must be a resolved ROS name"),
+        ({"name": "/b\n[WARN] forged"}, "name", "name '/b\\n[WARN] forged': must be a resolved ROS name"),
         ({"rate": 300}, "rate", "at most 250 Hz"),
         ({"name": "/a"}, "taken", "the name /a is taken by a participant connected from 127.0.0.1"),
     ],
@@ -259,8 +386,7 @@ def test_refusals_say_why(server, change, code, text):
     joined(server, a)
     content = {"name": "/b", "rate": 30.0, **change}
     b = FakeParticipant(server, content.pop("name"), content.pop("rate"), **content)
-    server.poll(1.0)
-    server.poll(0.0)
+    answered(server, b)
     refusal = b.expect(Kind.REFUSED)
     assert refusal["code"] == code
     assert text in refusal["reason"]
@@ -284,13 +410,211 @@ def test_garbage_ends_only_its_own_connection(server, log, garbage):
     host, port = server.uri.removeprefix("tcp://").split(":")
     with socket.create_connection((host, int(port))) as sock:
         sock.sendall(garbage)
-        end = time.monotonic() + 5.0
+        end = time.monotonic() + PATIENCE
         while "no lockstep frame" not in log.warnings() and time.monotonic() < end:
             server.poll(0.1)
     assert "no lockstep frame" in log.warnings()
     with Running(server, 0):
         a.done(a.tick())
     assert list(server.participants) == ["/a"]
+
+
+class Stranger(FakeParticipant):
+    """Connects and says only what the test has it say."""
+
+    def __init__(self, server: LockstepServer) -> None:
+        host, port = server.uri.removeprefix("tcp://").split(":")
+        self.name = ""
+        self.sock = socket.create_connection((host, int(port)), timeout=PATIENCE)
+        self.reader = FrameReader()
+        self.frames = []
+        self.peers = []
+
+    def is_closed(self) -> bool:
+        self.sock.settimeout(0.0)
+        try:
+            while self.sock.recv(65536):
+                pass
+        except BlockingIOError:
+            return False
+        except ConnectionResetError:
+            return True
+        return True
+
+
+def poll_until(server: LockstepServer, condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end, "it does not come to that"
+        server.poll(0.05)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        protocol.pack_barrier(Kind.DONE, 0, 0, {}, {14580: 1000}),
+        protocol.ALIVE_FRAME,
+        protocol.pack_object(Kind.LEAVE, {"reason": "it has crashed", "failed": True}),
+        protocol.pack_object(Kind.RESERVE, {"name": "/a" * 5000}),
+    ],
+)
+def test_before_joining_only_small_reserves_and_joins_are_taken(server, log, frame):
+    server.open_datagram_ports([14580])
+    stranger = Stranger(server)
+    stranger.sock.sendall(frame)
+    poll_until(server, stranger.is_closed)
+    assert server.datagrams_expected == {}
+    assert "no lockstep frame" in log.warnings()
+
+
+def test_a_name_is_not_kept_for_a_stranger_but_for_a_living_process(server, monkeypatch, log):
+    monkeypatch.setattr(server_module, "RESERVATION_LIMIT", 0.0)
+    monkeypatch.setattr(server_module, "LOOK_PERIOD", 0.0)
+    process = subprocess.Popen(["sleep", "60"])
+    stranger, starting = Reserving(server, "/a"), Reserving(server, "/b", **own(process.pid))
+    poll_until(server, stranger.is_closed)
+    server.poll(0.0)
+    assert not starting.is_closed()
+    starting.sock.settimeout(5.0)
+    joined(server, FakeParticipant(server, "/a"))
+    late = FakeParticipant(server, "/b")
+    server.poll(1.0)
+    assert late.expect(Kind.REFUSED)["code"] == "taken"
+    process.kill()  # a child of it may hold the connection
+    process.wait()
+    poll_until(server, starting.is_closed)
+    joined(server, FakeParticipant(server, "/b"))
+
+
+def test_those_who_do_not_join_are_closed_in_time_or_for_newer_ones(server, monkeypatch):
+    monkeypatch.setattr(server_module, "MOST_NEWCOMERS", 5)
+    strangers = [Stranger(server) for _ in range(8)]
+    poll_until(server, lambda: sum(one.is_closed() for one in strangers) >= 3)
+    assert [one.is_closed() for one in strangers] == [True] * 3 + [False] * 5
+    a = FakeParticipant(server, "/a")
+    joined(server, a)
+    monkeypatch.setattr(server_module, "GREETING_LIMIT", 0.0)
+    monkeypatch.setattr(server_module, "LOOK_PERIOD", 0.0)
+    poll_until(server, lambda: all(one.is_closed() for one in strangers))
+    assert list(server.participants) == ["/a"]
+
+
+def test_an_address_has_so_many_connections(server, monkeypatch):
+    monkeypatch.setattr(server_module, "MOST_OF_AN_ADDRESS", 2)
+    a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
+    joined(server, a, b)
+    c = FakeParticipant(server, "/c")
+    server.poll(1.0)
+    refusal = c.expect(Kind.REFUSED)
+    assert (refusal["code"], "at most 2 of one address" in refusal["reason"]) == ("full", True)
+    a.sock.close()
+    poll_until(server, lambda: "/a" not in server.participants)
+    joined(server, FakeParticipant(server, "/c"))
+
+
+def test_unfinished_frames_have_so_many_bytes_together_and_the_longest_goes(server, monkeypatch):
+    monkeypatch.setattr(server_module, "MOST_UNFINISHED", 300_000)
+    sizes = (120_000, 150_000, 100_000)
+    strangers = [Stranger(server) for _ in sizes]
+    for stranger, size in zip(strangers, sizes, strict=True):
+        stranger.sock.sendall(struct.pack("<IB", frames.LONGEST_JOIN, Kind.JOIN) + bytes(size))
+    poll_until(server, lambda: any(one.is_closed() for one in strangers))
+    assert [one.is_closed() for one in strangers].count(True) == 1
+    assert not strangers[2].is_closed(), "the shortest"
+
+
+def test_joins_wait_while_participants_are_served(server, monkeypatch):
+    """A crowd of newcomers gets so much of a poll and no more; a participant's frames come first."""
+    a = FakeParticipant(server, "/a")
+    joined(server, a)
+    monkeypatch.setattr(server_module, "GREETING_BUDGET", 0.0)
+    crowd = [FakeParticipant(server, f"/n{i}", publications=[["/x", "T"]]) for i in range(20)]
+    with Running(server, 0):
+        a.done(a.tick())
+    assert list(server.participants) == ["/a"]
+    monkeypatch.setattr(server_module, "GREETING_BUDGET", 5.0)
+    joined(server, *crowd)
+
+
+def test_a_flood_of_one_participant_is_taken_in_parts(server):
+    a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
+    joined(server, a, b)
+    count = 3 * server_module.FRAMES_A_POLL
+    alive = protocol.NEEDS_TIME_FRAME * (count - 1) + protocol.ALIVE_FRAME
+    a.sock.sendall(alive)
+    poll_until(server, lambda: server.needs_time)
+    assert select.select([server.fileno()], [], [], 0.0)[0], "there is more to do, though nothing has come"
+    server.poll(0.0)
+    assert server.needs_time
+    server.poll(0.0)
+    assert not server.needs_time, "all of it is taken in the end"
+    assert not select.select([server.fileno()], [], [], 0.0)[0]
+    with Running(server, 0):
+        b.done(b.tick())
+        a.done(a.tick())
+
+
+def test_what_a_participant_does_not_read_is_kept_up_to_a_limit(server, monkeypatch, log):
+    monkeypatch.setattr(server_module, "MOST_UNSENT", 1 << 16)
+    a = FakeParticipant(server, "/a", rate=250.0)
+    b = FakeParticipant(server, "/b", rate=250.0)
+    joined(server, a, b)
+    a.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    server.participants["/a"].sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    number = tick = 0
+    while "/a" in server.participants:
+        made = [[number + i, "/x", "/a", 1000, 0] for i in range(2000)]
+        b.send_object(Kind.PEER, {"made": made, "lost": [row[0] - 2000 for row in made if number]})
+        number += 2000
+        with Running(server, STEP * tick):
+            tick += 1
+            b.done(b.tick())
+            try:  # it says that it is done and has read nothing
+                a.sock.sendall(protocol.pack_barrier(Kind.DONE, tick, 0, {}, {}))
+            except OSError:
+                break
+    assert "/a does not read what it is sent" in log.warnings()
+
+
+def test_what_strangers_do_is_warned_of_once_in_a_while(server, log):
+    strangers = [Stranger(server) for _ in range(10)]
+    for stranger in strangers:
+        stranger.sock.sendall(b"GET / HTTP/1.1\r\n\r\n")
+    poll_until(server, lambda: all(one.is_closed() for one in strangers))
+    assert log.warnings().count("\n") == 0
+
+
+def test_reasons_are_logged_as_one_printable_line(server, log):
+    a = FakeParticipant(server, "/a")
+    joined(server, a)
+    crash = "it has crashed: KeyError: 'x'\n[WARN] [1.0]: simulator: participant /b is gone\x1b[2J"
+    a.send_object(Kind.LEAVE, {"reason": crash, "failed": True})
+    server.poll(1.0)
+    line = "participant /a leaves: it has crashed: KeyError: 'x'\\n[WARN] [1.0]: simulator: participant /b is gone"
+    assert log.warnings() == line + "\\x1b[2J"
+
+
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [("", "the simulation has ended"), ("RuntimeError: a\nb", "the simulation has failed: RuntimeError: a\\nb")],
+)
+def test_participants_hear_whether_the_simulator_has_failed(server, failure, reason):
+    a = FakeParticipant(server, "/a")
+    joined(server, a)
+    server.close(failure)
+    assert a.expect(Kind.LEAVE) == {"reason": reason, "failed": bool(failure)}
+
+
+def test_a_participant_may_count_no_datagram_twice(server, log):
+    server.open_datagram_ports([14580])
+    a = FakeParticipant(server, "/a")
+    joined(server, a)
+    with Running(server, 0):
+        a.done(a.tick(), datagrams={14580: 5})
+    with Running(server, 36000):
+        a.done(a.tick(), datagrams={14580: 4})
+    assert "DONE: 4 datagrams to port 14580, after 5 before" in log.warnings()
+    assert server.datagrams_expected == {14580: 5}
 
 
 # ---- barrier ----
@@ -316,7 +640,7 @@ def test_each_is_called_at_its_own_rate(server):
         server.tick(now)
         now = server.next_due_us(now)
     for thread in threads:
-        thread.join(5.0)
+        thread.join(PATIENCE)
     for name, rate in rates.items():
         assert seen[name] == [Schedule(rate).due_us(index) for index in range(int(rate // 2))]
 
@@ -352,7 +676,7 @@ def test_counts_of_one_tick_come_with_the_next_and_only_when_changed(server):
 
 
 def test_joining_late_holds_the_world_until_connected(log):
-    server = LockstepServer(connect_limit=30.0, log=log)
+    server = LockstepServer(connect_limit=PATIENCE, log=log)
     a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     joined(server, a)
     with Running(server, 0):
@@ -363,7 +687,7 @@ def test_joining_late_holds_the_world_until_connected(log):
         a.sock.settimeout(0.3)
         with pytest.raises(TimeoutError):
             a.next()
-        a.sock.settimeout(5.0)
+        a.sock.settimeout(PATIENCE)
         a.made(1, "/x", "/b")
         a.done(a.tick())
         late = b.tick()
@@ -395,13 +719,13 @@ def test_taking_leave_is_no_warning(server, log):
     a = FakeParticipant(server, "/a")
     joined(server, a)
     a.send_object(Kind.LEAVE, {"reason": "shut down"})
-    server.poll(1.0)
+    server.poll(PATIENCE)
     assert not server.participants
     assert log.warnings() == ""
 
 
 def test_a_silent_participant_is_dropped_after_the_hang_limit(log):
-    server = LockstepServer(hang_limit=0.3, log=log)
+    server = LockstepServer(hang_limit=1.5, log=log)  # a starved machine answers for /a within it
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
     with Running(server, 0):
@@ -413,8 +737,36 @@ def test_a_silent_participant_is_dropped_after_the_hang_limit(log):
     server.close()
 
 
+def test_silence_while_the_simulator_itself_was_stopped_is_held_against_no_participant():
+    script = f"""
+import sys
+sys.path.insert(0, {os.path.dirname(__file__)!r})
+from test_lockstep_server import FakeParticipant, LockstepServer
+server = LockstepServer(hang_limit=0.5, busy_limit=1.5, log=lambda level, text: print(text, flush=True))
+print(server.uri, flush=True)
+assert server.wait_for(["/a"], timeout=30.0)
+print("ticks", flush=True)
+server.tick(0)
+print(*server.participants, flush=True)
+"""
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    a = FakeParticipant(SimpleNamespace(uri=process.stdout.readline().strip()), "/a")
+    a.expect(Kind.WELCOME)
+    while process.stdout.readline() != "ticks\n":
+        pass
+    tick = a.tick()
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(STOPPED + 0.5)
+    process.send_signal(signal.SIGCONT)
+    assert "did not run for" in process.stdout.readline()
+    a.done(tick)
+    assert process.stdout.readline() == "/a\n"
+    assert process.wait(10.0) == 0
+    process.stdout.close()
+
+
 def test_keep_alives_hold_off_the_hang_limit_but_not_the_busy_limit(log):
-    server = LockstepServer(hang_limit=0.2, busy_limit=0.8, log=log)
+    server = LockstepServer(hang_limit=1.0, busy_limit=1.5, log=log)
     a = FakeParticipant(server, "/a")
     joined(server, a)
     started = time.monotonic()
@@ -426,8 +778,8 @@ def test_keep_alives_hold_off_the_hang_limit_but_not_the_busy_limit(log):
             except OSError:
                 break
             running.thread.join(0.05)
-    assert time.monotonic() - started > 0.75
-    assert "/a took more than 0.8 s for one tick" in log.warnings()
+    assert time.monotonic() - started > 1.5
+    assert "/a took more than 1.5 s for one tick" in log.warnings()
     server.close()
 
 
@@ -446,14 +798,14 @@ def test_who_waits_for_time_to_go_on_says_so_while_the_barrier_waits(server):
         b.done(b.tick())
         for frame, needs in ((protocol.NEEDS_TIME_FRAME, True), (protocol.ALIVE_FRAME, False)):
             a.sock.sendall(frame)
-            end = time.monotonic() + 5.0
+            end = time.monotonic() + PATIENCE
             while not seen or seen[-1] is not needs:
                 assert time.monotonic() < end, seen
         a.sock.sendall(protocol.NEEDS_TIME_FRAME)
         a.done(tick)
     assert server.needs_time
     a.sock.close()
-    server.poll(0.1)
+    server.poll(PATIENCE)
     assert not server.needs_time
 
 
@@ -465,10 +817,8 @@ def test_a_dead_process_is_noticed_though_another_holds_its_connection(log):
     with Running(server, 0):
         a.done(a.tick())
         b.tick()
-        killed = time.monotonic()
         process.kill()
         process.wait()
-    assert time.monotonic() - killed < 10.0  # about SILENCE; the hang limit is far
     assert f"/b is gone: its process {process.pid} has ended" in log.warnings()
     assert list(server.participants) == ["/a"]
     server.close()
@@ -517,41 +867,36 @@ def test_a_process_of_another_machine_is_not_looked_for(log):
     server.close()
 
 
-class Reserving(FakeParticipant):
+class Reserving(Stranger):
     """Reserves its name first."""
 
-    def __init__(self, server: LockstepServer, name: str) -> None:
-        host, port = server.uri.removeprefix("tcp://").split(":")
+    def __init__(self, server: LockstepServer, name: str, **content) -> None:
+        super().__init__(server)
         self.name = name
-        self.sock = socket.create_connection((host, int(port)), timeout=5.0)
-        self.reader = FrameReader()
-        self.frames = []
-        self.peers = []
-        self.send_object(Kind.RESERVE, {"version": protocol.VERSION, "name": name})
+        self.send_object(Kind.RESERVE, {"version": protocol.VERSION, "name": name, **content})
 
 
 def test_a_reserved_name_is_taken_until_its_owner_joins_or_goes(server, log):
     first, second = Reserving(server, "/a"), Reserving(server, "/a")
-    server.poll(1.0)
-    server.poll(1.0)
+    answered(server, first, second)
     first.expect(Kind.WELCOME)
     assert second.expect(Kind.REFUSED)["code"] == "taken"
     assert not server.participants, "a reservation is no participant"
     intruder = FakeParticipant(server, "/a")
-    server.poll(1.0)
+    answered(server, intruder)
     assert intruder.expect(Kind.REFUSED)["code"] == "taken"
     first.send_object(Kind.JOIN, {"version": protocol.VERSION, "name": "/a", "rate": 30.0})
     joined(server, first)
     late = Reserving(server, "/a")
-    server.poll(1.0)
+    answered(server, late)
     assert late.expect(Kind.REFUSED)["code"] == "taken"
     first.sock.close()
-    server.poll(1.0)
+    server.poll(PATIENCE)
     again = Reserving(server, "/a")
-    server.poll(1.0)
+    answered(server, again)
     again.expect(Kind.WELCOME)
     again.sock.close()
-    server.poll(1.0)
+    server.poll(PATIENCE)
     joined(server, FakeParticipant(server, "/a"))
 
 
@@ -559,10 +904,10 @@ def test_digests_are_asked_for_and_passed_on(log):
     got = []
     server = LockstepServer(log=log, on_digest=lambda *content: got.append(content))
     a = FakeParticipant(server, "/a")
-    assert server.wait_for(["/a"], timeout=5.0)
+    assert server.wait_for(["/a"], timeout=PATIENCE)
     assert a.expect(Kind.WELCOME)["digest"] is True
     a.send_object(Kind.DIGEST, {"time_us": 1_000_000, "topics": {"/x": [3, 40, 0xFFFFFFFF]}})
-    server.poll(1.0)
+    server.poll(PATIENCE)
     assert got == [("/a", 1_000_000, {"/x": [3, 40, 0xFFFFFFFF]})]
     server.close()
 
@@ -577,12 +922,13 @@ def test_a_digest_is_the_checksum_of_all_in_one_piece(messages):
 
 
 def test_datagrams_are_counted_both_ways(server):
+    server.open_datagram_ports([14580, 14581])
     a = FakeParticipant(server, "/a", udp_ports=[14540, 14541])
     b = FakeParticipant(server, "/b")
     joined(server, a, b)
     with Running(server, 0, datagrams={14540: 2, 9: 9}):
         first = a.tick()
-        a.done(first, datagrams={14580: 5})
+        a.done(first, datagrams={14580: 5, 14999: 7})  # the last is no port of the simulator's
         b.done(b.tick(), datagrams={14580: 1, 14581: 4})
     assert first.datagrams == {14540: 2}
     assert server.datagrams_expected == {14580: 6, 14581: 4}
@@ -624,10 +970,10 @@ def test_a_topic_declared_later_is_waited_for(server):
     joined(server, a, b)
     assert server.missing() == ""
     a.send_object(Kind.DECLARE, {"publications": [["/x", "T"]], "subscriptions": []})
-    server.poll(1.0)
+    server.poll(PATIENCE)
     assert server.missing() == "1 connections are not made: /x from /a to /b"
     a.send_object(Kind.DECLARE, {"publications": [], "subscriptions": []})
-    server.poll(1.0)
+    server.poll(PATIENCE)
     assert server.missing() == ""
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import select
 import socket
+import time
 from collections import Counter
 from itertools import pairwise
 
@@ -12,11 +15,14 @@ from pymavlink.dialects.v10 import common as version_1_dialect
 from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat, named
 
+from xtdrone_control.autopilot.autopilot import STEP_US
 from xtdrone_control.fleet import GCS_REMOTE_PORT
 from xtdrone_control.mavlink.codec import decoder, split
 from xtdrone_control.mavlink.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.packing import Format, as_version_1
-from xtdrone_control.mavlink.port import MAX_CLIENTS
+from xtdrone_control.mavlink.port import CLIENTS, MAX_CLIENTS, VEHICLE_CLIENTS
+from xtdrone_control.mavlink.receiver import Receiver
+from xtdrone_control.mavlink.turns import OWN_EARNINGS, OWN_SAVINGS, SAVINGS, STEP_EARNINGS, VEHICLE_EARNINGS
 
 _SYSTEM = FIRST_ID + 1
 _REQUEST_POSITION = mavlink.MAVLink_command_long_message(_SYSTEM, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0)
@@ -131,6 +137,22 @@ def test_a_strangers_ports_take_no_slot_from_the_living_and_no_memory(world, cli
     assert [len(named(messages, "ATTITUDE")) for messages in heard] == [100] * 4
 
 
+def test_clients_of_all_ports_share_one_room():
+    world = World(3)
+    ports = world.server.ports
+    taken = 0
+    for number in range(1000, 1012):
+        for port in ports:
+            link = port.link_of(("127.0.0.1", number), 0)
+            if link is not None:
+                link.heard(0, 2)
+                taken += 1
+    assert taken == CLIENTS + 3 * VEHICLE_CLIENTS
+    ports[0].send_due(6_000_000, {})  # the silent ones of one port are forgotten
+    assert ports[5].link_of(("127.0.0.1", 2000), 6_000_000) is not None
+    world.close()
+
+
 def test_stations_may_come_and_go_while_time_stands(world, monkeypatch):
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
@@ -156,24 +178,208 @@ def test_strangers_that_have_gone_are_not_counted_for_ever(world):
     assert port.links == [port.default]
 
 
-def test_a_clients_flood_is_cut_and_the_others_are_served(world, clients, caplog):
+def frames_of(kind, system=_SYSTEM):
+    """Return a message of the kind that a flood may be of, or bytes that are none."""
+    messages = {
+        "command": mavlink.MAVLink_command_long_message(system, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0),
+        "refused command": mavlink.MAVLink_command_long_message(system, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0),
+        "set-point": mavlink.MAVLink_set_position_target_local_ned_message(
+            0, system, 1, 1, 0b110111000111, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0
+        ),
+        "parameter": mavlink.MAVLink_param_set_message(system, 1, b"MPC_XY_P", 0.9, 9),
+        "mission item": mavlink.MAVLink_mission_item_int_message(system, 1, 1, 6, 16, 0, 1, 0, 0, 0, 0, 1, 1, 20, 0),
+        "file": mavlink.MAVLink_file_transfer_protocol_message(0, system, 1, [1, 0, 0, 3, 1, *[0] * 7, 47, *[0] * 238]),
+        "heartbeat": heartbeat(6),
+    }
+    return messages[kind].pack(mavlink.MAVLink(None, srcSystem=250)) if kind in messages else bytes(range(1, 120))
+
+
+class Flooder:
+    """Sends the same datagram many times a step from some sockets, and reads what it is sent."""
+
+    def __init__(self, own, port, count=1):
+        self.sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+        for one in self.sockets:
+            one.bind(("127.0.0.1", own))
+            one.setblocking(False)
+        self.remote = ("127.0.0.1", port)
+
+    def send(self, datagram, count):
+        for i in range(count):
+            self.sockets[i % len(self.sockets)].sendto(datagram, self.remote)
+
+    def drain(self):
+        for one in self.sockets:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    one.recv(65535)
+
+    def close(self):
+        for one in self.sockets:
+            one.close()
+
+
+@pytest.fixture
+def acted(monkeypatch):
+    """Senders of the datagrams that were acted on."""
+    senders = []
+    take = Receiver.take
+
+    def note(self, port, datagram, sender, now_us, **options):
+        senders.append(sender)
+        take(self, port, datagram, sender, now_us, **options)
+
+    monkeypatch.setattr(Receiver, "take", note)
+    return senders
+
+
+_STEPS = 200
+_FLOOD = 40  # frames a step: 10,000 a second
+
+
+@pytest.mark.parametrize("kind", ["command", "refused command", "set-point", "parameter", "mission item", "file",
+                                  "heartbeat", "garbage"])  # fmt: skip
+@pytest.mark.parametrize(("link", "own", "count"), [
+    ("offboard", "offboard_remote_port", 1), ("offboard", "", 1), ("payload", "payload_remote_port", 1),
+    ("gcs", "gcs", 1), ("gcs", "", 4),
+])  # fmt: skip
+def test_frames_that_are_acted_on_in_a_step_are_bounded_whoever_sends_them(world, acted, kind, link, own, count):
+    vehicle = world.fleet[0]
+    world.client.socket.close()
+    source = GCS_REMOTE_PORT if own == "gcs" else getattr(vehicle, own, 0)
+    flooder = Flooder(source, getattr(vehicle, f"{link}_local_port"), count)
+    datagram = frames_of(kind)
+    for _ in range(_STEPS):
+        flooder.send(datagram, _FLOOD)
+        world.server.receive()
+        world.autopilot.time_us += STEP_US
+        world.server.send_streams(world.autopilot.time_us)
+        flooder.drain()
+    own_purses = count * (OWN_SAVINGS + _STEPS * OWN_EARNINGS)
+    assert 0 < len(acted) <= SAVINGS + _STEPS * (STEP_EARNINGS + VEHICLE_EARNINGS) + own_purses + 2
+    flooder.close()
+
+
+def test_a_client_that_asks_little_is_answered_at_once_in_a_flood(world, clients):
+    flooders = [Flooder(0, port, 3) for port in (world.fleet[0].gcs_local_port, world.fleet[0].offboard_local_port)]
+    world.server.receive()
+    for step in range(_STEPS):
+        for flooder in flooders:
+            flooder.send(frames_of("command"), _FLOOD)
+        asks = step % 20 == 19
+        if asks:
+            clients[2].receive()
+            clients[2].send(_REQUEST_POSITION)
+        world.server.receive()
+        assert len(named(clients[2].receive(), "COMMAND_ACK")) == asks
+        world.autopilot.time_us += STEP_US
+        for flooder in flooders:
+            flooder.drain()
+    assert world.server.ports[1].dropped > 0
+    for flooder in flooders:
+        flooder.close()
+
+
+def test_a_transfer_in_small_steps_loses_nothing_at_full_speed(world):
+    """A ground station that asks for one after the other, while each simulated step takes as long as an answer."""
+    station = Client(0, world.fleet[0].gcs_local_port)
+    read = mavlink.MAVLink_param_request_read_message(_SYSTEM, 1, b"MPC_XY_P", -1)
+    for _ in range(1000):
+        assert named(world.ask(read, client=station), "PARAM_VALUE")
+        world.autopilot.time_us += STEP_US
+    assert world.server.ports[1].dropped == 0
+    station.socket.close()
+
+
+def test_what_is_too_much_at_once_is_answered_later(world, clients, caplog):
     flooder, stranger = clients[1], Client(0, world.fleet[0].gcs_local_port)
     for client in (flooder, stranger):
         for _ in range(150):  # a socket's buffer holds no more than some hundred
             client.send(_REQUEST_POSITION)
     clients[2].send(_REQUEST_POSITION)
     world.server.receive(1.0)
+    assert len(named(clients[2].receive(), "LOCAL_POSITION_NED")) == 1
     answered = len(named(flooder.receive(), "COMMAND_ACK"))
     assert 10 < answered < 150
-    assert len(named(clients[2].receive(), "LOCAL_POSITION_NED")) == 1
-    assert world.server.ports[1].dropped > 100
-    assert "sends more than can be served" in caplog.text
-    world.server.receive()
-    for _ in range(30):  # the debt is paid by rounds
-        world.ask(heartbeat(6), client=clients[3])
-    (ack,) = named(world.ask(_REQUEST_POSITION, client=flooder), "COMMAND_ACK")
-    assert ack.result == 0
+    assert "strangers send more than can be served" in caplog.text
+    assert world.server.backlog
+    while world.server.backlog:
+        world.server.receive()
+        answered += len(named(flooder.receive(), "COMMAND_ACK"))
+    assert answered == 150
     stranger.socket.close()
+
+
+class TestParticipants:
+    """Clients whose datagrams the lockstep counts."""
+
+    def exhaust(self, world, flooder):
+        """Let a flood use up all credit in the middle of a tick, until only participants wake the server."""
+        world.server.receive()
+        world.server.hold_setpoints()
+        world.server.keep_alive()
+        for _ in range(30):
+            flooder.send(frames_of("command"), _FLOOD)
+            world.server.receive()
+            flooder.drain()
+        flooder.send(frames_of("command"), _FLOOD)
+        assert not select.select([world.server], [], [], 0.0)[0]
+
+    @pytest.fixture
+    def flooder(self, world):
+        made = Flooder(0, world.fleet[0].offboard_local_port)
+        yield made
+        made.close()
+
+    def test_all_that_they_send_in_a_flood_is_acted_on_at_once(self, world, flooder, acted):
+        participant = world.client.socket.getsockname()
+        world.server.reserve({participant[1]: {"127.0.0.1", "10.0.0.2"}})
+        self.exhaust(world, flooder)
+        for _ in range(300):
+            world.client.send(_REQUEST_POSITION)
+        assert select.select([world.server], [], [], 0.0)[0]
+        acted.clear()
+        assert world.server.receive() == 300
+        assert acted.count(participant) == 300
+        world.server.release_setpoints()
+        assert select.select([world.server], [], [], 0.0)[0], "after the tick everybody is heard"
+
+    def test_a_full_buffer_of_others_takes_no_room_from_them(self, world, flooder, acted):
+        participant = world.client.socket.getsockname()
+        world.server.reserve({participant[1]: {"127.0.0.1"}})
+        flooder.send(bytes(1000), 5000)
+        world.client.send(_REQUEST_POSITION)
+        assert world.server.receive() < 5000
+        assert acted.count(participant) == 1
+
+    def test_what_came_before_and_what_comes_after_keeps_its_order(self, world):
+        numbers = []
+        port = world.client.socket.getsockname()[1]
+        vehicle = world.server._vehicles[0]
+        vehicle.receiver.take = lambda port, datagram, *_, **__: numbers.append(datagram[0])
+        for number, peers in enumerate([{}, {port: {"127.0.0.1"}}, {port: {"127.0.0.1"}}, {}, {}]):
+            world.client.socket.sendto(bytes([number]), world.client.remote)
+            world.server.reserve(peers)
+        world.server.receive()
+        assert numbers == [0, 1, 2, 3, 4]
+        assert world.server.received[vehicle.ports[0].local_port] == 5
+
+    def test_the_port_is_not_shared_with_other_programs(self, world):
+        port = world.server.ports[0]
+        world.server.reserve({port.remote_port: {"127.0.0.1"}})
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            with pytest.raises(OSError, match="in use"):
+                other.bind(("127.0.0.1", port.local_port))
+
+    def test_others_are_heard_in_a_long_tick(self, world, flooder, acted, monkeypatch):
+        self.exhaust(world, flooder)
+        wall = time.monotonic() + 1.0
+        monkeypatch.setattr("xtdrone_control.mavlink.server.time.monotonic", lambda: wall)
+        acted.clear()
+        world.server.keep_alive()
+        world.server.receive()
+        assert 0 < len(acted) < _FLOOD
 
 
 def test_the_payload_link_keeps_to_its_bandwidth(world):

@@ -88,6 +88,10 @@ class World:
         assert (acks[0].target_system, acks[0].target_component) == (255, 190)
         return acks[0].result, [m for m in answers if m.get_type() != "COMMAND_ACK"]
 
+    def take_part(self):
+        """Make the client a participant of the lockstep."""
+        self.server.reserve({self.fleet[0].offboard_remote_port: ["127.0.0.1"]})
+
     def run(self, seconds, step_us=4000):
         """Let time pass and return what the client has received."""
         end = self.autopilot.time_us + round(seconds * 1e6)
@@ -396,7 +400,7 @@ def test_mode_commands(world):
     assert world.command(176, 1, 4, 5)[0] == 0
     assert world.commander.mode is modes.AUTO_RTL
     assert world.command(176, 1, 4, 1)[0] == 1
-    assert world.command(176, 1, 99)[0] == 1
+    assert world.command(176, 1, 99)[0] == 0, "an unknown main mode, as PX4"
     assert world.command(176, 1, 1)[0] == 0
     assert world.commander.mode is modes.MANUAL
     assert world.command(176, math.nan, 4, 5)[0] == 2
@@ -772,6 +776,7 @@ def test_held_setpoints_come_after_the_commands_of_the_tick_whatever_the_order_o
     outcomes = []
     for messages in [(steer, loiter), (loiter, steer)]:
         world.fly_offboard(x=1.0)
+        world.take_part()
         world.server.hold_setpoints()
         answers = world.ask(*messages)
         assert [m.result for m in answers if m.get_type() == "COMMAND_ACK"] == [0]
@@ -790,6 +795,7 @@ def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):
     topic = mavlink.MAVLink_set_home_position_message(
         _SYSTEM, 475_000_000, 86_000_000, 500_000, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0
     )
+    world.take_part()
     world.server.hold_setpoints()
     world.ask(topic)
     assert world.commander.home.latitude == pytest.approx(ORIGIN[0])
@@ -797,3 +803,20 @@ def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):
     assert world.commander.home.latitude == pytest.approx(46.0, abs=1e-5)
     world.server.release_setpoints()
     assert world.commander.home.latitude == pytest.approx(47.5, abs=1e-5)
+
+
+def test_a_free_clients_setpoint_counts_for_the_offboard_command_that_follows_it(world):
+    """MAVSDK's ``offboard.start()``: one set-point, then the command."""
+    vehicle = world.fleet[0]
+    station = Client(0, vehicle.offboard_local_port)
+    world.ask(heartbeat())
+    world.autopilot.place(0, 0.0, 0.0, -5.0)
+    assert world.command(400, 1)[0] == 0
+    world.take_part()
+    world.server.hold_setpoints()
+    steer, offboard = local_target(x=9.0, y=2.0, z=-5.0, mask=_ALL_BUT_POSITION), (176, 1, 6)
+    world.ask(steer, client=station)
+    assert world.command(*offboard, client=station)[0] == 0
+    assert world.setpoint["position"][0] == 9.0
+    world.server.release_setpoints()
+    station.socket.close()

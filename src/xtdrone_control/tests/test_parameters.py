@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from xtdrone_control.autopilot import inert_parameters
 from xtdrone_control.autopilot.parameters import (
     FLOAT,
     INT32,
@@ -97,3 +100,29 @@ def test_hash_is_px4s_crc():
             crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
     assert p.hash() == crc
     assert p.hash() != zlib.crc32(data)
+
+
+def test_those_without_an_effect_are_stored_and_listed_like_the_others():
+    p = Parameters()
+    assert len(NAMES) == 851
+    p.set("CAL_MAG0_XOFF", 0.25, FLOAT)
+    p.set("EKF2_AID_MASK", 24, INT32)
+    assert (p.get("CAL_MAG0_XOFF"), p.get("EKF2_AID_MASK")) == (0.25, 24)
+    assert not describe("CAL_MAG0_XOFF").has_effect
+    assert describe("MPC_XY_P").has_effect
+
+
+def test_none_is_both_stored_only_and_read():
+    stored_only = [row[0] for row in inert_parameters.rows()]
+    assert len(stored_only) == len(set(stored_only))
+    assert sum(describe(name).has_effect for name in NAMES) == len(NAMES) - len(stored_only)
+
+
+def test_the_page_of_parameters_names_all_that_have_an_effect():
+    page = (Path(__file__).parents[3] / "docs" / "parameters.md").read_text(encoding="utf-8")
+    effective, stored_only = page.split("## Stored only")
+    for name in NAMES:
+        if not re.match(r"RC\d+_", name):
+            assert (f"`{name}`" in effective) == describe(name).has_effect, name
+    assert "`CAL_MAGN_XOFF`" in stored_only
+    assert str(len(NAMES)) in effective

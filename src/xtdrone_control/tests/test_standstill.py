@@ -76,7 +76,7 @@ def test_a_list_that_time_stops_in_goes_on_in_the_middle(world, clock, station):
     heard = [m for m in station.receive() if m.get_type() == "PARAM_VALUE"]
     heard += wait(world, clock, station, 0.16)
     assert len(heard) < len(NAMES)
-    world.run(0.5)
+    world.run(1.0)
     heard += [m for m in station.receive() if m.get_type() == "PARAM_VALUE"]
     assert [m.param_id for m in heard if m.param_id != "_HASH_CHECK"] == list(NAMES)
 

@@ -157,6 +157,7 @@ def test_range_finder(world, orientation, signal, quality):
 
 def test_samples_wait_for_their_turn(world):
     """What comes from topics acts after the commands of the same tick."""
+    world.vehicle.participant = True
     world.vehicle.hold()
     world.odometry(1, 12)
     assert not world.sensors["vision_fresh"]

@@ -4,6 +4,9 @@
 Parameters:
     ~class: a leader class of your own, ``file.py``, ``file.py:Class`` or ``module:Class``.
     ~patterns: a YAML file with more patterns, in the form of ``config/patterns.yaml``.
+    ~cloud_folder (default empty): the folder below which clouds and fonts of patterns that are asked for may lie;
+        relative names begin in it. Empty: none is read.
+    ~given_patterns (default empty): patterns, with commas between, whose files are read wherever they lie.
     ~republish_rate (Hz, default 30): how often pattern and topology are said again.
     ~avoid, ~Kp_avoid, ~avoid_radius, ~min_height, ~vel_max: see ``xtdrone_coordination.leader.LeaderOptions``.
 """

@@ -33,7 +33,7 @@ try:
 except ImportError:
     rospy = None
 
-PATIENCE = 20.0  # s of wall time; bounds a broken run
+PATIENCE = 120.0  # s of wall time; bounds a broken run
 PREFIXES = [prefix for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep) if prefix]
 LIBRARY = next(filter(Path.exists, (Path(prefix) / "lib/libavoidance_for_test.so" for prefix in PREFIXES)), None)
 PROGRAMS = {

@@ -172,6 +172,9 @@ class Twins:
             ]
             for swarm, said in zip((self.plain, self.arrays), self.said, strict=True)
         )
+        for followers, said in zip((self.single, self.batched), self.said, strict=True):
+            for follower in followers:
+                follower.info = said.append
         self.batch = FollowerBatch(self.batched, self.arrays)
 
     def hear(self, positions: np.ndarray, velocities: np.ndarray) -> None:
@@ -179,6 +182,12 @@ class Twins:
         for j, (x, v) in enumerate(zip(positions.tolist(), velocities.tolist(), strict=True)):
             self.plain.on_position(j, tuple(x))
             self.plain.on_velocity(j, tuple(v))
+
+    def avoidance(self, vectors: np.ndarray) -> None:
+        """Tell each follower its row; one that is not finite has not come."""
+        for followers in (self.single, self.batched):
+            for follower in followers:
+                follower.on_avoidance(tuple(vectors[follower.id].tolist()))
 
     def pattern(self, offsets: np.ndarray) -> None:
         self.batch.on_pattern(offsets)
@@ -232,6 +241,8 @@ def fly(twins: Twins, seed: int, turns: int, *, box: float, losses: float, dt: f
             twins.restart()
         silent = rng.random(count) < losses
         twins.hear(np.where(silent[:, None], UNKNOWN, x), np.where(rng.random((count, 1)) < losses, UNKNOWN, v))
+        avoidance_silent = (k // 9 % 2 == 1) | (rng.random(count) < losses)  # its node may be dead for a while
+        twins.avoidance(np.where(avoidance_silent[:, None], UNKNOWN, rng.normal(size=(count, 3))))
         u = twins.turn()
         v = v + dt * u if accel else u
         x = x + dt * v

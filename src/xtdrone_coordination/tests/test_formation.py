@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import pytest
 
+from xtdrone_coordination import avoidance
 from xtdrone_coordination.assignment import Assignment, assign
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
 from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions, number_list
@@ -220,6 +221,49 @@ def test_avoidance_may_come_from_elsewhere_or_not_at_all() -> None:
     assert moves["off"] == pytest.approx((0.0, -0.5, 0.0))
     assert moves["topic"] == pytest.approx((0.0, -0.5, 0.5))
     assert abs(moves["own"][2]) == pytest.approx(1 - 0.5 / 1.5)
+
+
+def test_an_avoidance_that_falls_silent_is_replaced_by_the_own_one_until_it_comes_again() -> None:
+    """Counted in ticks, as the age of positions is."""
+    follower, warnings = follower_alone(avoid="topic", clearance=0.0, vel_max=9.0, pose_timeout=0.1)
+    own, _ = follower_alone(avoid="own", clearance=0.0, vel_max=9.0)
+    news: list[str] = []
+    follower.info = news.append
+    for one in (follower, own):
+        one.on_pattern(OFFSETS)
+
+    def turn(heard: tuple[float, float, float] | None) -> bool:
+        """Return whether the follower uses what it was told."""
+        for one in (follower, own):
+            for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]):
+                one.swarm.on_position(j, p)
+        if heard is not None:
+            follower.on_avoidance(heard)
+        used, alone = follower.update(), own.update()
+        assert (follower.avoidance_vector == (0.0, 0.0, 0.5)) != (used == alone)
+        follower.swarm.tick()
+        own.swarm.tick()
+        return used != alone
+
+    told = (0.0, 0.0, 0.5)
+    assert turn(told)
+    assert [turn(None) for _ in range(3 + 4)] == [True] * 3 + [False] * 4  # 0.1 s are 3 ticks
+    assert [turn((math.nan, 0.0, 0.0)), turn((0.0, math.inf, 0.0))] == [False, False]  # as if they had not come
+    assert warnings == ["follower 1: no avoidance on its topic within 0.1 s: using its own until one comes"]
+    assert not news
+    assert [turn(told), turn(None)] == [True, True]
+    assert news == ["follower 1: avoidance on its topic again: using it"]
+    assert len(warnings) == 1
+
+
+def test_an_avoidance_that_never_came_is_replaced_by_the_own_one() -> None:
+    follower, warnings = follower_alone(avoid="topic")
+    follower.on_pattern(OFFSETS)
+    for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]):
+        follower.swarm.on_position(j, p)
+    follower.update()
+    assert follower.avoidance_vector == avoidance.avoid(1, follower.swarm.positions)
+    assert len(warnings) == 1
 
 
 @pytest.mark.parametrize(("avoid", "remains"), [("own", 0.0), ("topic", 0.0), ("off", 0.5)])

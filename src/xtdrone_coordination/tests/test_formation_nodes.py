@@ -10,10 +10,11 @@ import pytest
 
 pytest.importorskip("rospy")
 
+from geometry_msgs.msg import Vector3
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray, String
 
 from xtdrone_coordination import ros
-from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.follower import Follower, FollowerOptions
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_coordination.ros import PATTERN_TOPIC, TOPOLOGY_TOPIC, FollowerNode
@@ -104,6 +105,41 @@ def test_an_empty_pattern_is_none(graph: Graph) -> None:
     graph.topology()
     assert follower.offsets is None
     assert follower.weights == {0: 1.0}
+
+
+@pytest.mark.parametrize("count", [3, ros.MANY + 1])
+def test_an_avoidance_node_that_dies_is_replaced_until_it_speaks_again(graph: Graph, count: int) -> None:
+    """A second of turns, one by one and computed together."""
+    swarm = ros.make_swarm(count, count - 1)
+    warnings: list[str] = []
+    options = FollowerOptions(avoid="topic")
+    followers = [Follower(i, count, swarm=swarm, options=options, warn=warnings.append) for i in range(1, count)]
+    news: list[str] = []
+    followers[0].info = news.append
+    node = FollowerNode("iris", followers)
+    places = Patterns(count).offsets("origin")
+    graph.pattern(*places.T.ravel())
+    told = (0.0, 0.0, 0.25)
+
+    def turn(spoken: bool) -> bool:
+        """Return whether the first follower uses what the avoidance node has told it."""
+        for i, place in enumerate([(0.0, 0.0, 0.0), *map(tuple, places.tolist())]):
+            swarm.on_position(i, place)
+        for follower in followers:
+            if spoken:
+                graph.callbacks[f"/xtdrone/iris_{follower.id}/avoid_vel"](Vector3(*told))
+        node.step()
+        return followers[0].avoidance_vector == told
+
+    assert all(turn(True) for _ in range(5))
+    used = [turn(False) for _ in range(40)]
+    assert used == [True] * 30 + [False] * 10
+    assert len(warnings) == count - 1
+    assert turn(True)
+    assert len(news) == 1
+    for hook in graph.hooks:
+        hook()
+    assert (len(warnings), len(news)) == (count - 1, 1)
 
 
 def test_many_followers_of_a_process_are_computed_together_and_say_the_same(

@@ -102,10 +102,11 @@ MIXED = [Follower, FeedForward, Nearest, StarFollower, Upwards, ByItself, InArra
         (STOCK, FollowerOptions(avoid_radius=2.5, clearance=1.0, Kp=1.3, raw_weights=True, pose_timeout=0.3)),
         (STOCK, FollowerOptions(mode="accel", pose_timeout=0.5)),
         (STOCK, FollowerOptions(avoid="off")),
+        (STOCK, FollowerOptions(avoid="topic", avoid_radius=2.5, pose_timeout=0.3)),
         (MIXED, FollowerOptions(pose_timeout=0.5)),
         (MIXED, FollowerOptions(mode="accel")),
     ],
-    ids=["stock", "other options", "accel", "no avoidance", "mixed", "mixed accel"],
+    ids=["stock", "other options", "accel", "no avoidance", "silent topic", "mixed", "mixed accel"],
 )
 def test_together_is_as_one_by_one(
     classes: list[type[Follower]], options: FollowerOptions, radio: NetworkOptions

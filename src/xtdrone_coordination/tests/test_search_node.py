@@ -43,7 +43,7 @@ ROSMASTER = shutil.which("rosmaster")
 pytestmark = pytest.mark.skipif(ROSMASTER is None or rospy is None, reason="needs ROS 1 and the built workspace")
 
 NODE = Path(__file__).parents[1] / "nodes" / "search_mission.py"
-PATIENCE = 60.0  # s of wall time, for what should take none
+PATIENCE = 120.0  # s of wall time, for what should take none
 COUNT = 2
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from xtdrone_coordination import shapes
+from xtdrone_coordination.leader import CommandError, Leader
 from xtdrone_coordination.patterns import (
     PatternError,
     Patterns,
@@ -222,12 +224,16 @@ def test_clouds_are_read(tmp_path: Path, name: str) -> None:
         ("a.ply", ply("ascii", b"255 0 0 0\n"), "ends before its 4 vertices of 4 numbers"),
         ("a.ply", ply("binary_little_endian", packed("<")[:40]), "ends before its 4 vertices of 17 bytes"),
         ("a.ply", ply("morse", b""), "no format that is known"),
-        ("a.ply", ply("ascii", b"", before="element face 3\nproperty list uchar int i\n"), "'face' stands before"),
-        ("a.ply", ply("ascii", TEXT_ROWS).replace(b"float x", b"float w"), "red, w, y, z; x, y and z are needed"),
-        ("a.ply", ply("ascii", TEXT_ROWS).replace(b"double y", b"list uchar int y"), "is not allowed of a vertex"),
-        ("a.ply", ply("ascii", TEXT_ROWS.replace(b"4.0 4.0", b"4.0 north")), "north"),
-        ("a.xyz", b"0 0 0\n1 2\n", "line 2: '1 2' does not begin with three numbers"),
-        ("a.xyz", b"0 0 0\n1 nan 2\n", r"point 1 is \[1.0, nan, 2.0\]"),
+        (
+            "a.ply",
+            ply("ascii", b"", before="element face 3\nproperty list uchar int i\n"),
+            "another element stands before the vertices",
+        ),
+        ("a.ply", ply("ascii", TEXT_ROWS).replace(b"float x", b"float w"), "x, y and z are needed"),
+        ("a.ply", ply("ascii", TEXT_ROWS).replace(b"double y", b"list uchar int y"), "line 7: not allowed of a vertex"),
+        ("a.ply", ply("ascii", TEXT_ROWS.replace(b"4.0 4.0", b"4.0 north")), "vertex 3: not three numbers"),
+        ("a.xyz", b"0 0 0\n1 2\n", "line 2: does not begin with three numbers"),
+        ("a.xyz", b"0 0 0\n1 nan 2\n", "point 1 is not finite"),
         ("a.xyz", b"\xff\xfe\x00", "cloud .*a.xyz"),
         ("a.csv", b"x,y,z\n", "has no points"),
         ("a.npy", b"", "cloud .*a.npy"),
@@ -267,5 +273,80 @@ def test_followers_load_neither_matplotlib_nor_scipy() -> None:
         "Follower(1, 500).on_pattern(Patterns(500).offsets('sphere'));"
         "print({'scipy', 'matplotlib'} & set(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.strip() == "set()"
+
+
+# files that others name
+
+
+SECRET = b"salt:$6$salt$salt:19000::::::\n"
+
+
+@pytest.mark.parametrize("name", ["secret", "secret.xyz", "secret.ply", "secret.npy"])
+@pytest.mark.parametrize("head", [b"", b"0 0 0\n", b"ply\nformat ascii 1.0\nelement vertex 3\n", b"\x93NUMPY\1\0"])
+def test_what_a_file_holds_is_never_said(tmp_path: Path, name: str, head: bytes) -> None:
+    for tail in (b"", b"property float x\nproperty float y\nproperty float z\nend_header\n0 0 "):
+        (tmp_path / name).write_bytes(head + tail + SECRET)
+        with pytest.raises(PatternError, match=f"cloud .*{name}: ") as caught:
+            Patterns(3).offsets(f"cloud:{tmp_path / name}")
+        assert "salt" not in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("option", ["cloud:{}", "text:A:font={}"])
+def test_files_without_an_end_are_refused(tmp_path: Path, option: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with (tmp_path / "large.ply").open("wb") as file:
+        file.truncate(1 << 30)
+    words = {"/dev/zero": "it is no regular file", tmp_path / "pipe": "it is no regular file",
+             tmp_path / "large.ply": "it has 1024.0 MB, at most"}  # fmt: skip
+    for file, said in words.items():
+        with pytest.raises(PatternError, match=said):
+            Patterns(3).offsets(option.format(file))
+
+
+def test_text_of_too_many_points_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shapes, "MAX_TEXT_POINTS", 3)
+    (tmp_path / "a.xyz").write_bytes(FILES["a.xyz"])
+    (tmp_path / "a.ply").write_bytes(FILES["a.ply"])
+    with pytest.raises(PatternError, match="line 6: more than 3 points"):
+        Patterns(3).offsets(f"cloud:{tmp_path / 'a.xyz'}")
+    with pytest.raises(PatternError, match="4 points as text, at most 3 are allowed"):
+        Patterns(3).offsets(f"cloud:{tmp_path / 'a.ply'}")
+
+
+def test_an_array_that_claims_more_than_its_file_has_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.npy"
+    np.save(file, np.zeros((9, 3)))
+    file.write_bytes(file.read_bytes().replace(b"(9, 3), }" + b" " * 12, b"(9" + b"0" * 12 + b", 3), }"))
+    with pytest.raises(PatternError, match="ends before its 9000000000000 points"):
+        Patterns(3).offsets(f"cloud:{file}")
+
+
+def test_files_over_topics_lie_below_a_folder(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "clouds", tmp_path / "clouds-of-others"
+    for folder in (inside, outside):
+        folder.mkdir()
+        (folder / "a.xyz").write_bytes(FILES["a.xyz"])
+    (inside / "way_out").symlink_to(outside)
+    (inside / "link.xyz").symlink_to(inside / "a.xyz")
+    (tmp_path / "also").symlink_to(inside)
+    patterns = Patterns(4, below=inside, given=[f"cloud:{outside}/a.xyz:spacing=3"])
+    for name in ("a.xyz", "./a.xyz", "link.xyz", inside / "a.xyz", tmp_path / "also" / "a.xyz", "../clouds/a.xyz"):
+        assert patterns.offsets(f"cloud:{name}").shape == (3, 3)
+    for name in ("../clouds-of-others/a.xyz", outside / "a.xyz", "way_out/a.xyz", "/etc/passwd", "~/a.xyz/../../../x"):
+        with pytest.raises(PatternError, match=f"is not allowed, a file below {inside} is"):
+            patterns.offsets(f"cloud:{name}")
+    with pytest.raises(PatternError, match="is not allowed, a file below"):
+        patterns.offsets("text:A:font=/usr/share/fonts/a.ttf")
+    assert patterns.offsets(f"cloud:{outside}/a.xyz:spacing=3").shape == (3, 3)  # given at the start
+    assert patterns.offsets("text:A").shape == (3, 3)
+
+
+def test_no_file_is_read_over_topics_where_no_folder_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_bytes(FILES["a.xyz"])
+    leader = Leader(4, Patterns(4, below=""))
+    for name in (f"cloud:{tmp_path / 'a.xyz'}", "cloud:/etc/shadow", "cloud:", f"text:A:font={tmp_path}"):
+        with pytest.raises(CommandError, match=r"no file may be read; name a folder|cloud needs FILE"):
+            leader.on_command(name)

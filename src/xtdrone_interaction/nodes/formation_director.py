@@ -8,7 +8,8 @@ Parameters:
     ~clearance (m, default 3.0): least height of any slot above the ground.
     ~out (default empty): folder for events.jsonl.
 
-Exit status: 0 after a whole flight, 1 after a failed one (all vehicles are landed first), 2 for bad parameters.
+Exit status: 0 after a whole flight; 1 for parameters that are not allowed, after a flight that has lost a vehicle, and
+after a failed one (all vehicles are landed first).
 """
 
 from __future__ import annotations
@@ -18,27 +19,31 @@ import sys
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_coordination.patterns import PatternError
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_coordination.follower import check_number
 from xtdrone_interaction.director import RATE, FormationDirector, open_events
-from xtdrone_interaction.options import OptionError, split_patterns, swarm_patterns
+from xtdrone_interaction.options import split_patterns, swarm_patterns
 
 
 def main() -> int:
     """Fly and return the exit status."""
     lockstep.init_node("formation_director", rate=RATE)
     try:
-        fleet = parse_fleet(rospy.get_param("/xtdrone/fleet"))
+        fleet = parse_fleet(str(rospy.get_param("/xtdrone/fleet")))
         names = split_patterns(str(rospy.get_param("~patterns", "cube,pyramid,triangle")))
-        slots = swarm_patterns(len(fleet), names, rospy.get_param("~pattern_file", "") or None)
+        slots = swarm_patterns(len(fleet), names, str(rospy.get_param("~pattern_file", "")) or None)
+        clearance = rospy.get_param("~clearance", 3.0)
+        check_number("clearance", clearance, zero=True)
+        events = open_events(str(rospy.get_param("~out", "")))
     except KeyError:
         rospy.logfatal("director: parameter /xtdrone/fleet is not set; launch/multi_vehicle.launch sets it")
-        return 2
-    except (FleetError, OptionError, PatternError) as error:
+        return 1
+    except OSError as error:
+        rospy.logfatal("director: out: %s: %s", error.filename, error.strerror)
+        return 1
+    except ValueError as error:  # fleet, patterns and clearance
         rospy.logfatal("director: %s", error)
-        return 2
-    events = open_events(str(rospy.get_param("~out", "")))
-    clearance = float(rospy.get_param("~clearance", 3.0))
+        return 1
     director = FormationDirector([v.name for v in fleet], names, slots, clearance, events)
     lockstep.start()
     try:

@@ -6,6 +6,7 @@ Services called:
 
 Parameters:
     /xtdrone/fleet (as ``typhoon_h480:6``): the vehicles.
+    /xtdrone/instance (default 0): of the simulations on this machine.
     ~plans: folder with VEHICLE.plan for each of them, as QGroundControl writes them.
 
 Exit status: 0 when all have their plans, 1 when a vehicle has refused or not answered (time stays paused), 2 for bad
@@ -21,7 +22,7 @@ import rospy
 from std_srvs.srv import Empty
 
 from xtdrone_control import qgc_plan
-from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
 from xtdrone_interaction.gcs import GcsError, upload_plans
 
 _RESUME = "/gazebo/unpause_physics"
@@ -33,6 +34,7 @@ def main() -> int:
     rospy.init_node("upload_plans", disable_rostime=True)  # time stands still until it has done its work
     try:
         fleet = str(rospy.get_param("/xtdrone/fleet"))
+        instance = check_instance(rospy.get_param("/xtdrone/instance", 0))
         folder = Path(str(rospy.get_param("~plans")))
         plans = {vehicle.name: qgc_plan.read(folder / f"{vehicle.name}.plan") for vehicle in parse_fleet(fleet)}
     except KeyError as error:
@@ -43,7 +45,7 @@ def main() -> int:
         return 2
     rospy.wait_for_service(_RESUME)  # then the vehicles listen
     try:
-        upload_plans(plans, fleet=fleet, patience=_PATIENCE)
+        upload_plans(plans, fleet=fleet, patience=_PATIENCE, instance=instance)
     except GcsError as error:
         rospy.logfatal("ground station: plans were not taken, time stays paused: %s", error)
         return 1

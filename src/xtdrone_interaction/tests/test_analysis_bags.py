@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import bz2
 import json
 import re
+import struct
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,10 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import CLIMB, POSE, RADIUS, TURN, Bag, helix, make_flight
+from lz4.frame import LZ4FrameCompressor
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer
 
 from xtdrone_interaction import cli
+from xtdrone_interaction.analysis import ros1bag
 from xtdrone_interaction.analysis.columns import Columns
 from xtdrone_interaction.analysis.flight import Flight, read_flight
 from xtdrone_interaction.analysis.formation import formation_record
@@ -349,6 +353,46 @@ def test_a_formation_flight_cut_off_is_judged_as_far_as_it_goes(flight_bag: Path
     assert "http" not in page.replace("https://", "")
     names = {path.stem for path in (tmp_path / "out").glob("*.png")}
     assert {"positions", "tracks", "velocities", "response_1_origin_to_cube", "formations", "distances"} <= names
+
+
+def packed_bomb(path: Path, packing: str, stated: int, begin: bytes, megabytes: int) -> None:
+    """Append a chunk to a bag that holds ``begin`` and then zeros."""
+    packer = bz2.BZ2Compressor() if packing == "bz2" else LZ4FrameCompressor()
+    first = packer.begin() if packing == "lz4" else b""
+    data = first + packer.compress(begin) + b"".join(packer.compress(bytes(1 << 20)) for _ in range(megabytes))
+    data += packer.flush()
+    fields = [b"op=\x05", b"compression=" + packing.encode(), b"size=" + struct.pack("<I", stated)]
+    header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+    with path.open("ab") as file:
+        file.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data)
+
+
+@pytest.mark.parametrize(
+    ("packing", "stated", "length", "words"),
+    [("lz4", 1000, 0xFFFFFFF0, "holds more than the size"), ("lz4", 0xFFFFFFFF, 0xFFFFFFF0, "has a record of"),
+     ("lz4", 0xFFFFFFFF, 0, ""), ("bz2", 1000, 0, "holds more than the size"),
+     ("bz2", 0xFFFFFFFF, 0xFFFFFFF0, "has a record of more than")],
+)  # fmt: skip
+def test_a_chunk_that_unpacks_to_far_more_than_it_should_fills_no_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, packing: str, stated: int, length: int, words: str
+) -> None:
+    monkeypatch.setattr(ros1bag, "_LONGEST_RECORD", 1 << 22)
+    monkeypatch.setattr(ros1bag, "_USUAL_CHUNK", 1 << 22)
+    path = tmp_path / "bomb.bag"
+    expected = small_bag(path, "")
+    fields = [b"op=\x02", b"conn=" + bytes(4), b"time=" + bytes(8)]
+    header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+    record = struct.pack("<I", len(header)) + header + struct.pack("<I", length)
+    packed_bomb(path, packing, stated, record if length else b"", 80)
+    assert path.stat().st_size < 1e6
+    tracemalloc.start()
+    found, notes = read(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found == expected
+    assert words in "; ".join(notes)
+    assert notes
+    assert most < 5e7
 
 
 def test_a_bag_of_which_nothing_is_left_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

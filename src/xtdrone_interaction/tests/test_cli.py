@@ -16,9 +16,10 @@ from pathlib import Path
 import fake_roslaunch
 import pytest
 
-from xtdrone_interaction import cli, options
+from xtdrone_interaction import cli, options, search_cli
 
 DEMO = ["demo", "formation"]
+PATIENCE = 120.0  # s of wall time; bounds a broken test
 
 
 @pytest.mark.parametrize(
@@ -94,8 +95,23 @@ def test_a_taken_master_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: 
 
 def test_a_taken_mavlink_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(options, "_taken", lambda number, kind: number == 24542)
-    assert cli.main(DEMO) == 2
+    assert cli.main([*DEMO, "--instance", "0"]) == 2
     assert "port: UDP 24542 of iris_2 is taken" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("demo", ["formation", "search"])
+def test_a_demo_takes_the_first_instance_whose_ports_are_free(
+    demo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(options, "_taken", lambda number, kind: number in (24542, 19110))  # of instances 0 and 1
+    monkeypatch.setattr(options, "_kept", {})
+    flown: list[int] = []
+    monkeypatch.setattr(cli, "run_demo", lambda settings, console: flown.append(settings.instance) or 0)
+    monkeypatch.setattr(search_cli, "run_search", lambda settings, console: flown.append(settings.instance) or 0)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind("\0xtdrone-instance-2")  # another command is about to start
+        assert cli.main(["demo", demo, "--out", str(tmp_path / "out")]) == 0
+    assert flown == [3]
 
 
 def test_a_missing_master_is_named(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
@@ -131,7 +147,7 @@ def test_who_has_read_enough_does_not_end_a_flight(tmp_path: Path) -> None:
         assert demo.stdout is not None
         assert demo.stdout.readline().startswith("Results:")
         demo.stdout.close()
-        assert demo.wait(120.0) == 0
+        assert demo.wait(PATIENCE) == 0
     assert (tmp_path / "out" / "report.json").is_file()
 
 
@@ -171,13 +187,13 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     """Ctrl-C, SIGTERM, and a roslaunch that is killed: all nodes end, even one that ignores signals."""
     mark = f"xtdrone-test-{os.getpid()}-{tmp_path.name}"
     server = socket.create_server(("127.0.0.1", 0))
-    server.settimeout(30)
+    server.settimeout(PATIENCE)
     path = fake_roslaunch.install(
         tmp_path, FAKE_ROSLAUNCH.format(python=sys.executable, mark=mark, port=server.getsockname()[1], then=then)
     )
     program = textwrap.dedent(f"""
         import sys
-        from xtdrone_interaction import cli, options, processes
+        from xtdrone_interaction import cli, options, search_cli, processes
         processes._STEPS = tuple((s, 0.5) for s, _ in processes._STEPS)
         options._taken = lambda number, kind: False
         sys.exit(cli.main(["demo", "formation", "--headless", "--out", {str(tmp_path / "out")!r}]))
@@ -190,7 +206,7 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     if number is not None:
         assert fake_roslaunch.running(mark)
         demo.send_signal(number)
-    output, _ = demo.communicate(timeout=30)
+    output, _ = demo.communicate(timeout=PATIENCE)
     assert demo.returncode == status, output
     assert fake_roslaunch.running(mark) == []
 

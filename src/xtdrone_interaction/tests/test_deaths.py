@@ -90,3 +90,42 @@ def test_the_file_with_the_traceback_is_named(log: Path) -> None:
 
 def test_no_log_yet_is_no_death(tmp_path: Path) -> None:
     assert Deaths(tmp_path / "roslaunch.log").look(None) == []
+
+
+REQUIRED = "{line}REQUIRED process [{node}-2] has died!\nprocess has {how}\nlog file: /x*.log\nInitiating shutdown!\n"
+
+
+def required(node: str, how: str) -> str:
+    """roslaunch's words for the end of a required node."""
+    return REQUIRED.format(line="=" * 80, node=node, how=how)
+
+
+def test_a_required_nodes_normal_end_is_no_failure(log: Path) -> None:
+    deaths = Deaths(log)
+    add(log, required("director", "finished cleanly"))
+    assert deaths.look(1.0) == []
+    assert (deaths.required is not None, deaths.failure, deaths.all()) == (True, None, [])
+
+
+def test_the_simulator_that_failed_comes_before_those_who_ended_with_it(log: Path) -> None:
+    """roslaunch may notice a participant's end first."""
+    deaths = Deaths(log)
+    add(log, "[follower_1-9] process has died [pid 9, exit code 1, cmd x].\n" + KILLED)
+    add(log, required("simulator", "died [pid 7, exit code -9, cmd /x/simulator.py]."))
+    add(log, "[leader-5] process has died [pid 5, exit code 1, cmd x].\n")
+    deaths.look(1.0)
+    assert [str(death).partition(" at")[0] for death in deaths.all()] == [
+        "simulator has died (SIGKILL)",
+        "follower_2 has died (SIGKILL)",  # killed: not of the simulator's end
+    ]
+    assert deaths.consequences == ["follower_1"]
+
+
+def test_the_masters_end_is_told(log: Path) -> None:
+    deaths = Deaths(log)
+    add(
+        log,
+        REQUIRED.format(line="=", node="master", how="died [pid 7, exit code -9, cmd rosmaster].").replace("-2]", "]"),
+    )
+    deaths.look(None)
+    assert str(deaths.failure).startswith("master has died (SIGKILL)")

@@ -16,7 +16,7 @@ from xtdrone_control.qgc_plan import Plan
 from xtdrone_interaction.gcs import GcsError, Peer, command, display, exchanges, peers_of, station, upload_plans
 
 NAN = float("nan")
-PATIENCE = 60.0  # s; only a broken run takes so long
+PATIENCE = 120.0  # s; only a broken run takes so long
 
 
 def waypoint(north, east=0.0, command_=plan.WAYPOINT, yaw=NAN):

@@ -13,7 +13,7 @@ from xtdrone_interaction.gcs import GcsError, Peer, command, flight, station
 from xtdrone_interaction.gcs.exchanges import RefusalError
 from xtdrone_interaction.gcs.flight import Target
 
-PATIENCE = 60.0  # s; only a broken run takes so long
+PATIENCE = 120.0  # s; only a broken run takes so long
 ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488_000, 0)
 HOME = mavlink.MAVLink_home_position_message(473977420, 85455940, 490_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
 HERE = mavlink.MAVLink_global_position_int_message(0, 473977420, 85455940, 489_000, 1_000, 0, 0, 0, 0)

@@ -14,7 +14,7 @@ from xtdrone_interaction.gcs import GcsError, Peer, command, log_command, logs, 
 from xtdrone_interaction.gcs.exchanges import RefusalError
 from xtdrone_interaction.gcs.logs import Log
 
-PATIENCE = 60.0  # s; only a broken run takes so long
+PATIENCE = 120.0  # s; only a broken run takes so long
 SIZES = {"2020-01-01/00_00_05.ulg": 90 * 300 + 17, "2020-01-01/00_10_00.ulg": 1000, "2020-01-02/00_00_00.ulg": 90}
 FILES = ["log_0_2020-01-01_00-00-05.ulg", "log_1_2020-01-01_00-10-00.ulg", "log_2_2020-01-02_00-00-00.ulg"]
 

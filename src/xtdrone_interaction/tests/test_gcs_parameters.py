@@ -16,7 +16,7 @@ from xtdrone_interaction.gcs import GcsError, Peer, command, parameter_text, par
 from xtdrone_interaction.gcs.exchanges import RefusalError
 from xtdrone_interaction.gcs.parameter_text import LIMITS, REAL32, ParameterFile, ParameterFileError
 
-PATIENCE = 60.0  # s; only a broken run takes so long
+PATIENCE = 120.0  # s; only a broken run takes so long
 INT32 = 6
 
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False).map(lambda value: (value, REAL32))
@@ -79,6 +79,13 @@ def test_files_that_are_none(text, message):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
         parameter_text.read(tmp_path / "none.params")
+
+
+def test_a_file_without_an_end_is_refused(tmp_path):
+    with (tmp_path / "large.params").open("wb") as file:
+        file.truncate(1 << 30)
+    with pytest.raises(ParameterFileError, match=r"cannot be read: it has 1024\.0 MB, at most 4 MB are allowed"):
+        parameter_text.read(tmp_path / "large.params")
 
 
 # ---- encodings

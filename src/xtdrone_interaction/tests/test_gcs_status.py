@@ -25,7 +25,7 @@ from xtdrone_interaction.gcs.peers import choose_systems, numbered, parse_addres
 from xtdrone_interaction.gcs.state import VehicleState
 from xtdrone_interaction.gcs.station import GroundStation
 
-PATIENCE = 60.0  # s; only a broken run takes so long
+PATIENCE = 120.0  # s; only a broken run takes so long
 
 
 @pytest.fixture(scope="module")

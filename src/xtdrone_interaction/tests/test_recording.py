@@ -14,6 +14,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from xtdrone_interaction import cli, sim_cli
+from xtdrone_interaction.events_file import EventsFile
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.recording import read_profile, ros_environment, rosbag_arguments
 
@@ -158,3 +159,13 @@ def test_what_roslaunch_starts_records_on_its_master(workspace: Path, masters: C
     (workspace / "other").mkdir()
     (workspace / "other" / sim_cli.MASTER_FILE).write_text(masters(True))
     assert ros_environment("", launched=True) == (dict(os.environ), "")
+
+
+def test_a_full_disk_ends_the_events_and_not_the_flight() -> None:
+    words: list[str] = []
+    events = EventsFile(Path("/dev/full"), words.append)
+    for _ in range(3):
+        events.write("{}\n")
+        events.flush()
+    events.close()
+    assert words == ["events file /dev/full: No space left on device; no more is written"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,24 @@ def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
     assert "'cube' did not settle" in text
     assert "assigned distance" in text
     assert report["reconfigurations"][0]["settling_time"] is None
+
+
+def test_a_lost_vehicle_is_named_and_counts_until_it_is_lost(tmp_path: Path) -> None:
+    make_bag(tmp_path / "flight.bag", patterns=("cube", "pyramid"), offset=0.3)
+    record = read_record(tmp_path / "flight.bag")
+    whole = reports.make_report(record)
+    assert (whole["lost"], whole["reconfigurations"][1]["settling_time"]) == ([], None)
+    second = record.windows[1]
+    event = {"event": "lost", "time": second.start + 1.0, "vehicle": record.names[3], "reason": "is away"}
+    report = reports.make_report(replace(record, events=[*record.events[:-1], event, record.events[-1]]))
+    assert report["reconfigurations"][0] == whole["reconfigurations"][0]
+    assert report["reconfigurations"][1]["settling_time"] is not None
+    assert report["reconfigurations"][1]["assigned_distance"] == whole["reconfigurations"][1]["assigned_distance"]
+    assert report["lost"] == [{"vehicle": "iris_3", "time": event["time"], "reason": "is away"}]
+    assert f"iris_3 was lost at {event['time']:.1f} s: is away" in report["shortcomings"]
+    gone = [{**event, "vehicle": name} for name in record.names[1:]]
+    report = reports.make_report(replace(record, events=[*record.events[:-1], *gone, record.events[-1]]))
+    assert [item["pattern"] for item in report["reconfigurations"]] == ["cube"]
 
 
 def test_a_collision_is_a_shortcoming(tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_signals_to_all_while_workers_start_end_the_sweep_in_order(tmp_path: Pat
     process = start(write_study(tmp_path, seeds=500, pause=0.1), tmp_path / "out")
     wait_for(lambda: processes_of(process.pid) >= 3)  # a worker's among them, or the one that starts it
     os.killpg(process.pid, number)
-    text = process.communicate(timeout=60.0)[0]
+    text = process.communicate(timeout=PATIENCE)[0]
     assert process.returncode == 128 + number
     wait_for(lambda: group_is_gone(process.pid))  # Python's resource tracker ends a moment after the others
     assert f"stopped by {number.name}" in text

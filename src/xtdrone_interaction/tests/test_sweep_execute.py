@@ -18,13 +18,14 @@ import sweep_standin
 from distributed import Client, as_completed
 
 from xtdrone_interaction import options
+from xtdrone_interaction.sweep import execute
 from xtdrone_interaction.sweep.execute import Executor, SchedulerLostError, SweepError, local_client, remote_client
 from xtdrone_interaction.sweep.plan import Plan
 from xtdrone_interaction.sweep.run import fly_batch
 from xtdrone_interaction.sweep.study import make_study
 
 SHORT = {"n": 3, "pattern": "triangle", "limit": 4.0, "hold": 0.5}
-PATIENCE = 60.0  # s; bounds a broken test
+PATIENCE = 120.0  # s; bounds a broken test
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +85,17 @@ def test_run_that_kills_its_worker_is_a_row_with_that_error(client: Client) -> N
     assert len(found) == 30
     assert [key for key, row in found.items() if row["error"]] == ["k7"]
     assert "workers died while flying it" in found["k7"]["error"]
+
+
+def test_a_cluster_without_workers_ends_the_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execute, "_WORKERS_LIMIT", 2.5)
+    with local_client(1) as lonely:
+        lonely.cluster.scale(0)
+        while lonely.nthreads():  # until the scheduler has noticed; it announces that to no client
+            time.sleep(0.01)
+        executor = Executor(lonely, sweep_standin.work, {})
+        with pytest.raises(SweepError, match=r"workers: the cluster has had none for 2.5 s"):
+            executor.run(iter(tasks(3)), lambda rows: None, nothing)
 
 
 def test_rows_of_a_worker_that_dies_after_it_has_handed_them_over_count(client: Client) -> None:

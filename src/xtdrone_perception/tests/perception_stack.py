@@ -16,7 +16,7 @@ from pathlib import Path
 from xtdrone_control.lockstep.server import LockstepServer
 
 ROSMASTER = shutil.which("rosmaster")
-PATIENCE = 60.0  # s of wall time, for what should take none
+PATIENCE = 120.0  # s of wall time, for what should take none
 
 
 class Stack:

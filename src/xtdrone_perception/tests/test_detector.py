@@ -209,6 +209,10 @@ def test_files_that_cannot_be_used(tmp_path, names):
     short = tmp_path / "short.weights"
     short.write_bytes(weights.read_bytes()[:-40])
     refused("short.weights", weights=short)
+    huge = tmp_path / "huge.weights"
+    with huge.open("wb") as file:
+        file.truncate(5 << 30)  # of which the disk holds nothing
+    refused("huge.weights has 5120 MB, at most 2048 MB are read", weights=huge)
     broken = tmp_path / "broken.cfg"
     broken.write_text("[net]\nwidth=96\nheight=64\nchannels=3\n[dance]\n")
     refused("broken.cfg", config=broken)

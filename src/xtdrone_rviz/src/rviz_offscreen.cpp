@@ -304,7 +304,7 @@ int run(int argc, char** argv) {
   }
   recorder.finish();
   std::cout << NAME << ": " << recorder.count() << " frames drawn" << std::endl;
-  return 0;
+  return lockstep::exitStatus();
 }
 
 }  // namespace

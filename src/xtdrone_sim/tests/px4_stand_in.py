@@ -26,7 +26,7 @@ from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_sim.vehicle_model import load_vehicle
 
-WALL_LIMIT = 60.0  # s; only a broken run takes so long
+WALL_LIMIT = 120.0  # s; only a broken run takes so long
 ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
 
 

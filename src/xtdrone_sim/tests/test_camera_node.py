@@ -44,7 +44,7 @@ NODE = Path(__file__).parents[1] / "nodes" / "cameras.py"
 FLEET = "typhoon_h480:2"
 CAMERA = "/typhoon_h480_0/cgo3_camera"
 RATE = 5.0
-PATIENCE = 60.0  # s of wall time, for what should take a few
+PATIENCE = 120.0  # s of wall time, for what should take a few
 
 
 def teller() -> None:

@@ -46,6 +46,7 @@ class Mavlink:
     in_socket: int = 0
     under_way: int = 0
     directed: list[tuple[list[int], str, bool]] = field(default_factory=list)
+    reserved: list[dict[int, set[str]]] = field(default_factory=list)
 
     def receive(self, timeout: float) -> int:
         assert timeout == 0.0
@@ -57,6 +58,9 @@ class Mavlink:
         came = min(1, self.under_way)
         self.under_way -= came
         self.in_socket += came
+
+    def reserve(self, peers: dict[int, set[str]]) -> None:
+        self.reserved.append(peers)
 
     def direct(self, ports: list[int], host: str, *, override: bool) -> None:
         self.directed.append((ports, host, override))
@@ -109,6 +113,23 @@ def test_lost_datagrams_are_waited_for_once_and_reported(monkeypatch, away, limi
     assert rig.warnings == [f"2 datagrams to UDP port {PORT} did not come; 2 are lost so far"]
     assert rig.turn(sent=3) < 0.1
     assert rig.mavlink.received[PORT] == 7
+
+
+def test_a_stop_of_all_processes_is_no_loss(monkeypatch):
+    rig = Rig(monkeypatch, away=False)
+    idle = rig.idle
+
+    def stopped(timeout: float) -> None:
+        if rig.mavlink.under_way == 3:
+            rig.now += 70.0
+        if rig.now > 71.0:
+            idle(timeout)
+
+    monkeypatch.setattr(rig.datagrams, "_idle", stopped)
+    assert rig.turn(sent=3) > 70.0
+    assert rig.mavlink.received[PORT] == 3
+    assert rig.turn(sent=1) < 0.1
+    assert rig.warnings == []
 
 
 def test_reports_are_throttled_and_complete(monkeypatch):
@@ -199,6 +220,8 @@ def test_links_point_at_participants_on_other_machines_once(monkeypatch):
     rig.datagrams.direct()
     rig.datagrams.direct()
     assert rig.mavlink.directed == [([24540], "10.0.0.2", False), ([24541], "10.0.0.2", False)]
+    here = {"10.0.0.2", "127.0.0.1"}
+    assert rig.mavlink.reserved == [{24540: here, 24541: here}]
     assert rig.datagrams.counted_ports() == {24540, 24541}
 
 

@@ -170,6 +170,39 @@ def test_returns_home():
     assert not pilot.commander.armed
 
 
+@pytest.mark.parametrize(("radius", "speed", "behaviour"), [(10.0, 3.0, 0), (-6.0, 2.0, 3), (5.0, 9.0, 1)])
+def test_orbit(flying, radius, speed, behaviour):
+    """A circle in closed form: distance, angular rate and heading; the speed is cut to 2 m/s^2 towards the centre."""
+    flying.setpoint = None
+    start = flying.estimate()
+    heading = flying.view.yaw
+    centre = start[:2] + np.array([15.0, 5.0])
+    place = flying.view.to_global((*centre, start[2] - 3.0))
+    assert flying.commander.orbit(radius, speed, behaviour, place) == 0
+    flying.run(14.0)
+    assert flying.commander.mode is modes.ORBIT
+    assert flying.commander.custom_mode == 3 << 16 | 1 << 24
+    first = flying.position[:2] - centre
+    span = 4.0
+    path = flying.run(span)
+    arm = path[:, :2] - centre
+    distance = np.hypot(*arm.T)
+    assert distance == pytest.approx(abs(radius), abs=0.4)
+    assert path[:, 2] == pytest.approx(start[2] - 3.0, abs=0.4)
+    expected = math.copysign(min(speed, math.sqrt(2.0 * abs(radius))), radius) / abs(radius)
+    angles = np.unwrap(np.arctan2(*np.vstack([first, arm]).T[::-1]))
+    # drag holds it back: the velocity integrators, fixed to the ground, do not follow a turning velocity
+    assert 0.8 < (angles[-1] - angles[0]) / span / expected < 1.02
+    north, east = arm[-1] / distance[-1]
+    sign = math.copysign(1.0, radius)
+    wanted = {0: math.atan2(-east, -north), 1: heading, 3: math.atan2(sign * north, -sign * east)}[behaviour]
+    assert math.remainder(flying.view.yaw - wanted, 2.0 * math.pi) == pytest.approx(0.0, abs=0.25)
+    flying.setpoint = (tuple(flying.estimate()), UNSET, UNSET, math.nan, 0.0)
+    flying.run(0.1)
+    assert flying.commander.request(modes.OFFBOARD) == 0
+    flying.run(4.0)
+
+
 def test_estimate_stays_with_the_truth(flying):
     error = flying.estimate() - flying.position
     assert np.linalg.norm(error) < 0.15

@@ -342,7 +342,7 @@ def rage(seed: int, minutes: int) -> Flight:
     return flight
 
 
-@pytest.mark.parametrize("seed", range(30, 33))
+@pytest.mark.parametrize("seed", range(30, 32))
 def test_random_commands_raise_nothing_and_leave_the_others_alone(seed, caplog):
     caplog.set_level(logging.CRITICAL)  # values out of range are warned of by the thousand
     flight = rage(seed, minutes=4)

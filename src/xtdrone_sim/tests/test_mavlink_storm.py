@@ -208,6 +208,8 @@ def rage(world: World, count: int, seed: int) -> None:
             frame = storm.valid() if storm.rng.random() < 0.5 else storm.broken()
             speakers[(sent + i) % len(speakers)].send_bytes(frame)
         world.step()
+        while world.server.backlog:  # time stands, so all is acted on
+            world.server.receive()
         for speaker in speakers:
             speaker.receive()
         if sent == count // 4 // BATCH * BATCH:
@@ -318,24 +320,3 @@ def test_a_flood_of_10000_frames_a_second_changes_nothing_for_the_client(quiet, 
     port = next(port for port in world.server.ports if port.local_port == getattr(world.vehicle, ports[0]))
     assert port.received >= 2500 * BATCH
     assert len(port.links) <= MAX_CLIENTS
-
-
-def test_what_a_flood_may_cost_is_bounded_by_frames(world, monkeypatch):
-    """However much comes in a round, no more than the credits of those who are there is acted on."""
-    taken = []
-    receiver = type(world.server._vehicles[0].receiver)
-    take = receiver.take
-    monkeypatch.setattr(receiver, "take", lambda self, *args: (taken.append(args[2]), take(self, *args))[1])
-    stranger = Speaker(0, world.vehicle.offboard_local_port)
-    steer = target(world, 0.0)
-    for _ in range(5):
-        taken.clear()
-        for _ in range(100):
-            for _ in range(2):
-                stranger.send(command(512, 32))
-            world.client.send(steer)
-        world.server.receive()
-        assert taken.count(world.client.socket.getsockname()) == 100
-        assert 64 <= taken.count(stranger.socket.getsockname()) <= 128
-        stranger.receive()
-    stranger.close()

@@ -28,6 +28,7 @@ from xtdrone_sim.sdf import (
     write_world,
 )
 from xtdrone_sim.sdf.bounds import box_of
+from xtdrone_sim.urdf import UrdfError, parse_urdf, read_urdf
 from xtdrone_sim.vehicle_model import CONFIG, ModelError
 from xtdrone_sim.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
 
@@ -254,6 +255,39 @@ def test_what_is_wrong_is_named(text: str, words: str) -> None:
         read_world(text, FILE)
     assert str(caught.value).startswith(f"{FILE}: line ")
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<!DOCTYPE x [\n<!ENTITY a 'aaaa'>\n<!ENTITY b '&a;&a;'>]>\n<sdf>&b;</sdf>", "line 2: <!ENTITY a> is not"),
+        ("<!DOCTYPE x [<!ENTITY % a SYSTEM 'file:///etc/passwd'> %a;]>\n<sdf/>", "line 1: <!ENTITY a> is not allowed"),
+        ("<a>" * 101, "line 1: more than 100 elements within each other"),
+        ("<sdf>" + "<a/>" * 200_000, "line 1: more than 200000 elements"),
+    ],
+)
+def test_what_unfolds_is_refused(text: str, words: str) -> None:
+    with pytest.raises(SdfError, match=words):
+        read_world(text, FILE)
+    with pytest.raises(UrdfError, match=r"<!ENTITY is not allowed|more than 200000 elements|not XML"):
+        parse_urdf(text, FILE)
+
+
+def test_large_files_are_refused_by_their_size(tmp_path: Path) -> None:
+    names = ("a.world", "a.sdf", "a.yaml", "a.urdf", "a.obj")
+    for name in names:
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(1 << 30)
+    include = f"<include><uri>{tmp_path / 'a.sdf'}</uri></include>"
+    for read in (
+        lambda: load_world_file(str(tmp_path / "a.world")),
+        lambda: load_world_file(str(tmp_path / "a.yaml")),
+        lambda: read_world(world(include), FILE),
+        lambda: box_of(Mesh(tmp_path / "a.obj"), Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))),
+        lambda: read_urdf(tmp_path / "a.urdf"),
+    ):
+        with pytest.raises(ValueError, match=r"it has 1024\.0 MB, at most \d+ MB are allowed"):
+            read()
 
 
 # files beside the world

@@ -64,6 +64,23 @@ def test_truth_values_and_numbers_are_told_apart(settings, name, value):
         settings(**{name: value})
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("fleet", "iris:0", ("0 of type 'iris'", "1 to 250")),
+        ("fleet", "iris:10000", ("10000 of type 'iris'", "1 to 250")),
+        ("speed", -1, ("speed: -1 is not allowed", "0.0 to")),
+        ("paused", "perhaps", ("paused: 'perhaps' is not allowed, true or false",)),
+        ("busy_limit", -2, ("busy_limit: -2 is not allowed", "0.0 to")),
+    ],
+)
+def test_bad_values_are_named_with_what_is_allowed(settings, name, value, words):
+    with pytest.raises(ValueError, match="allowed") as refusal:
+        settings(**{name: value})
+    for word in words:
+        assert word in str(refusal.value)
+
+
 def test_a_hang_limit_leaves_room_for_a_sign_of_life(settings):
     assert settings(hang_limit=0).hang_limit == 0.0
     assert settings(hang_limit=2).hang_limit == 2.0

@@ -17,7 +17,7 @@
 ///       auto words = lockstep::subscribe<std_msgs::String>("/words", 10, [&](const auto& m) { word = m.data; });
 ///       lockstep::start();  // all topics are declared: joins, and waits for the first tick
 ///       lockstep::spin([&] { commands.publish(geometry_msgs::Twist()); });  // or a loop with lockstep::Rate
-///       return 0;
+///       return lockstep::exitStatus();  // 1 if the simulator has failed or has dropped the node
 ///     } catch (const lockstep::InitError& error) {
 ///       std::cerr << error.what() << std::endl;
 ///       return 1;
@@ -73,6 +73,9 @@ void init(int& argc, char** argv, const std::string& name, double rate = 30.0, s
 
 /// Says whether this node takes part in a simulator's lockstep.
 bool isActive();
+
+/// Returns with what status the program should end: 1 if the simulator has dropped the node or failed, else 0.
+int exitStatus();
 
 /// Has a function called when simulation time has gone back, as after /gazebo/reset_simulation: in Rate::sleep(), with
 /// the new time, before any callback of that turn. An exception in it is logged and does not end the node.

@@ -152,7 +152,7 @@ nlohmann::json Client::ask(Kind kind, const nlohmann::json& content) {
       }
       auto object = unpackObject(answer->payload);
       if (answer->kind == Kind::REFUSED) {
-        throw RefusedError(object.value("code", ""), object.value("reason", ""));
+        throw RefusedError(object.value("code", ""), printable(object.value("reason", "")));
       }
       return object;
     }
@@ -223,22 +223,30 @@ void Client::close() {
 void Client::fail(const std::string& why) {
   // A connection may break while the word why is there already, unread.
   if (const auto word = findLastWord()) {
-    refused(*word);
+    takeLastWord(*word);
     return;
   }
   failure_ = "is gone: " + (why.empty() ? "unknown reason" : why);
   close();
 }
 
-void Client::refused(const Frame& frame) {
+void Client::takeLastWord(const Frame& frame) {
   std::string reason;
+  bool failed = false;
   try {
-    reason = unpackObject(frame.payload).value("reason", "");
+    const auto content = unpackObject(frame.payload);
+    failed = content.value("failed", false);
+    reason = printable(content.value("reason", ""));
   } catch (const std::exception& error) {  // the protocol's and the JSON library's
     reason = error.what();
   }
-  (frame.kind == Kind::LEAVE ? farewell_ : failure_) =
-      frame.kind == Kind::LEAVE ? reason : "has dropped this node: " + reason;
+  if (frame.kind != Kind::LEAVE) {
+    failure_ = "has dropped this node: " + reason;
+  } else if (failed) {
+    failure_ = "has ended by a failure: " + reason;
+  } else {
+    farewell_ = reason;
+  }
   close();
 }
 
@@ -287,7 +295,7 @@ std::optional<bool> Client::awaitTick() {
         if (frame->kind == Kind::PEER) {
           takePeers(unpackObject(frame->payload));
         } else if (frame->kind == Kind::REFUSED || frame->kind == Kind::LEAVE) {
-          refused(*frame);
+          takeLastWord(*frame);
           return std::nullopt;
         }
       }

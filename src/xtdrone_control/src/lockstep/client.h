@@ -54,7 +54,7 @@ class Client {
   const std::string& uri() const { return uri_; }
   std::int64_t time() const { return now_.time_us; }
   bool digests() const { return digests_; }
-  /// What the simulator did, as "is gone: why", when it has ended the connection; else empty.
+  /// What the simulator did, as "is gone: why", when it has ended the connection or failed; else empty.
   const std::string& failure() const { return failure_; }
   /// What the simulator said when it ended in an orderly way; empty otherwise.
   const std::string& farewell() const { return farewell_; }
@@ -92,8 +92,8 @@ class Client {
   void connect();
   void close();
   void fail(const std::string& why);
-  void refused(const Frame& frame);
-  /// Returns the REFUSED that lies behind what has been handled so far.
+  void takeLastWord(const Frame& frame);
+  /// Returns the REFUSED or LEAVE that lies behind what has been handled so far.
   std::optional<Frame> findLastWord();
   /// Waits until something comes, handles it, and returns false if the node is to end or the simulator is gone.
   bool wait(double seconds);

@@ -50,6 +50,7 @@ struct Node {
   ros::Time last;
   std::unique_ptr<Client> reservation;
   std::unique_ptr<Client> client;
+  int exit_status = 0;
 };
 
 /// Never destroyed: roscpp's threads may use it until the process is no more.
@@ -77,6 +78,7 @@ bool ending() { return signalled != 0 || !ros::ok(); }
 void end() {
   if (const auto client = std::move(node().client)) {
     if (!client->failure().empty()) {
+      node().exit_status = 1;
       ROS_ERROR("the simulator at %s %s", client->uri().c_str(), client->failure().c_str());
     } else if (!client->farewell().empty()) {
       ROS_INFO("%s", client->farewell().c_str());
@@ -315,6 +317,8 @@ void init(int& argc, char** argv, const std::string& name, double rate, std::uin
 }
 
 bool isActive() { return node().taking_part; }
+
+int exitStatus() { return node().exit_status; }
 
 void addResetHook(std::function<void()> hook) { node().reset_hooks.push_back(std::move(hook)); }
 

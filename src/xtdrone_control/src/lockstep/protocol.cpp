@@ -55,7 +55,7 @@ std::string packBarrier(Kind kind, const Barrier& barrier) {
 }
 
 std::string packObject(Kind kind, const nlohmann::json& content) {
-  const std::string payload = content.dump();
+  const std::string payload = content.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
   std::string out;
   putHead(out, kind, payload.size());
   return out + payload;
@@ -91,9 +91,23 @@ Barrier unpackBarrier(const std::string& payload) {
 nlohmann::json unpackObject(const std::string& payload) {
   auto content = nlohmann::json::parse(payload, nullptr, false);
   if (!content.is_object()) {
-    throw ProtocolError("not a JSON object: " + payload.substr(0, 40));
+    throw ProtocolError("not a JSON object: " + printable(payload, 40));
   }
   return content;
+}
+
+std::string printable(const std::string& text, std::size_t most) {
+  static const char digits[] = "0123456789abcdef";
+  std::string line;
+  for (const char letter : text.substr(0, most)) {
+    const auto code = static_cast<unsigned char>(letter);
+    if (code < 0x20 || code == 0x7f) {
+      line += {'\\', 'x', digits[code >> 4], digits[code & 15]};
+    } else {
+      line += letter;
+    }
+  }
+  return text.size() <= most && line.size() <= most ? line : line.substr(0, most - 3) + "...";
 }
 
 std::optional<Frame> FrameReader::next() {

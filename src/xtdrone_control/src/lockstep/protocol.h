@@ -51,6 +51,7 @@ struct Frame {
 };
 
 std::string packBarrier(Kind kind, const Barrier& barrier);
+/// A text in it that is no UTF-8, as a foreign node may give, is mended.
 std::string packObject(Kind kind, const nlohmann::json& content);
 std::string packEmpty(Kind kind);
 
@@ -58,6 +59,9 @@ std::string packEmpty(Kind kind);
 Barrier unpackBarrier(const std::string& payload);
 /// @throws ProtocolError  It is no JSON object.
 nlohmann::json unpackObject(const std::string& payload);
+
+/// Returns a peer's text as one line for a log: control characters are escaped, what is longer than `most` is cut off.
+std::string printable(const std::string& text, std::size_t most = 500);
 
 /// Cuts a stream of bytes into frames.
 class FrameReader {

@@ -2,6 +2,9 @@
 
 A fleet is written ``"iris:9"`` or ``"iris:3,typhoon_h480:2"``. A vehicle's name is ``<type>_<index in its type>``;
 its global index runs over all types and fixes its MAVLink system id and its ports.
+
+Several simulations run side by side on one machine as *instances*: instance N has every port N times
+``INSTANCE_STEP`` higher than instance 0, which has upstream's. MAVLink system ids are the same in all of them.
 """
 
 from __future__ import annotations
@@ -17,11 +20,33 @@ _GCS_LOCAL_PORT = 18570
 _PAYLOAD_LOCAL_PORT = 14280
 _PAYLOAD_REMOTE_PORT = 14030
 _SIMULATOR_TCP_PORT = 4560
-GCS_REMOTE_PORT = 14550
+GCS_REMOTE_PORT = 14550  # of instance 0
+
+INSTANCE_STEP = 540
+"""Ports between one instance and the next: with it no port of any instance's 250 vehicles is another's."""
+
+MAX_INSTANCE = 7
 
 
 class FleetError(ValueError):
     """A fleet description that cannot be flown."""
+
+
+def instance_port(port: int, instance: int) -> int:
+    """Return the port that takes the place of instance 0's ``port`` in ``instance``."""
+    return port + INSTANCE_STEP * instance
+
+
+def check_instance(value: object) -> int:
+    """Return the number of an instance, given as a number or as text.
+
+    Raises:
+        FleetError: it is no whole number from 0 to MAX_INSTANCE.
+    """
+    text = str(value).strip()
+    if isinstance(value, bool) or not (text.isascii() and text.isdecimal() and int(text) <= MAX_INSTANCE):
+        raise FleetError(f"instance: {value!r} is not allowed, a whole number from 0 to {MAX_INSTANCE}")
+    return int(text)
 
 
 @dataclass(frozen=True)
@@ -32,11 +57,13 @@ class Vehicle:
         type: model name, as ``iris``.
         index: number within its type, from 0.
         id: number over all types, from 0.
+        instance: of the simulations on this machine.
     """
 
     type: str
     index: int
     id: int
+    instance: int = 0
 
     @property
     def name(self) -> str:
@@ -51,32 +78,37 @@ class Vehicle:
     @property
     def offboard_local_port(self) -> int:
         """UDP port that the autopilot binds for the offboard link."""
-        return _OFFBOARD_LOCAL_PORT + self.id
+        return instance_port(_OFFBOARD_LOCAL_PORT + self.id, self.instance)
 
     @property
     def offboard_remote_port(self) -> int:
         """UDP port that MAVROS binds for the offboard link."""
-        return _OFFBOARD_REMOTE_PORT + self.id
+        return instance_port(_OFFBOARD_REMOTE_PORT + self.id, self.instance)
 
     @property
     def gcs_local_port(self) -> int:
         """UDP port that the autopilot binds for the ground-station link."""
-        return _GCS_LOCAL_PORT + self.id
+        return instance_port(_GCS_LOCAL_PORT + self.id, self.instance)
+
+    @property
+    def gcs_remote_port(self) -> int:
+        """UDP port of the ground station to which the autopilot speaks first; all vehicles of an instance share it."""
+        return instance_port(GCS_REMOTE_PORT, self.instance)
 
     @property
     def payload_local_port(self) -> int:
         """UDP port that the autopilot binds for the payload link."""
-        return _PAYLOAD_LOCAL_PORT + self.id
+        return instance_port(_PAYLOAD_LOCAL_PORT + self.id, self.instance)
 
     @property
     def payload_remote_port(self) -> int:
         """UDP port of the payload's end of that link."""
-        return _PAYLOAD_REMOTE_PORT + self.id
+        return instance_port(_PAYLOAD_REMOTE_PORT + self.id, self.instance)
 
     @property
     def simulator_tcp_port(self) -> int:
         """TCP port of PX4's simulator link."""
-        return _SIMULATOR_TCP_PORT + self.id
+        return instance_port(_SIMULATOR_TCP_PORT + self.id, self.instance)
 
     @property
     def fcu_url(self) -> str:
@@ -84,15 +116,17 @@ class Vehicle:
         return f"udp://:{self.offboard_remote_port}@localhost:{self.offboard_local_port}"
 
 
-def parse_fleet(text: str) -> tuple[Vehicle, ...]:
+def parse_fleet(text: str, instance: int = 0) -> tuple[Vehicle, ...]:
     """Return the vehicles that ``text`` describes, in order of their global index.
 
     Args:
         text: comma-separated ``type:count``, as ``"iris:9"``; a bare ``type`` counts one.
+        instance: of the simulations on this machine, which moves the ports.
 
     Raises:
-        FleetError: a malformed entry, a count that is not in 1..250 in all, or a type named twice.
+        FleetError: a malformed entry, a count that is not in 1..250 in all, a type named twice, or no such instance.
     """
+    check_instance(instance)
     vehicles: list[Vehicle] = []
     seen: set[str] = set()
     for entry in text.split(","):
@@ -105,7 +139,7 @@ def parse_fleet(text: str) -> tuple[Vehicle, ...]:
         seen.add(kind)
         if count < 1 or len(vehicles) + count > MAX_VEHICLES:
             raise FleetError(f"vehicles: {count} of type {kind!r}: 1 to {MAX_VEHICLES} vehicles in all are allowed")
-        vehicles += [Vehicle(kind, i, len(vehicles) + i) for i in range(count)]
+        vehicles += [Vehicle(kind, i, len(vehicles) + i, instance) for i in range(count)]
     return tuple(vehicles)
 
 

@@ -17,9 +17,11 @@ from typing import Any
 
 from xtdrone_control.autopilot import plan
 from xtdrone_control.autopilot.plan import FRAME_MISSION, Items, PlanItem
+from xtdrone_control.bounded_file import MB, ContentError, load_json, read_text
 from xtdrone_control.mavlink import mission_items
 
 SUFFIX = ".plan"
+LARGEST = 16 * MB  # some thousand items have a few
 FRAME_GLOBAL, FRAME_RELATIVE = 0, 3  # MAV_FRAME: altitude over sea level, over home
 
 _MAVLINK_FRAMES = {0: FRAME_GLOBAL, 5: FRAME_GLOBAL, 3: FRAME_RELATIVE, 6: FRAME_RELATIVE, 2: FRAME_MISSION}
@@ -84,8 +86,8 @@ def read(path: str | Path) -> Plan:
         PlanError: it cannot be read, is no plan, or holds what cannot be used.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, LARGEST)
+    except (OSError, ContentError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise PlanError(f"{path}: cannot be read: {reason}") from error
     return parse(text, str(path))
@@ -98,8 +100,8 @@ def parse(text: str, name: str = "plan") -> Plan:
         PlanError: it is no plan, or holds what cannot be used.
     """
     try:
-        content = json.loads(text, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
+        content = load_json(text, _no_constant)
+    except ValueError as error:
         raise PlanError(f"{name}: is no JSON: {error}") from error
     file = _Value(name, content)
     file.get("fileType").one_of(("Plan",))

@@ -171,7 +171,7 @@ int run(int argc, char** argv) {
   AvoidanceNode node(settings);
   lockstep::start();
   lockstep::spin([&node] { node.step(); });
-  return 0;
+  return lockstep::exitStatus();
 }
 
 }  // namespace

@@ -48,12 +48,13 @@ class FollowerOptions:
         raw_weights: take the weights w_ij as they are, as in the paper's equation; else divide by the in-degree.
         vel_max: limit of the commanded speed, m/s, above 0.
         accel_max: limit of the commanded acceleration, m/s^2, above 0.
-        avoid: ``own``: compute the avoidance here; ``topic``: use what somebody else computes; ``off``.
+        avoid: ``own``: compute the avoidance here; ``topic``: use what another node computes, and the own one while
+            that is silent; ``off``.
         Kp_avoid: gain of the avoidance, 0 or more.
         avoid_radius: b, m, above 0.
         clearance: m, below ``avoid_radius``; in vel mode, unless the avoidance is off, a follower does not fly towards
             a vehicle that is nearer than this; 0 leaves the paper's Algorithm 1 alone.
-        pose_timeout: s; a position older than this is not used any more, above 0.
+        pose_timeout: s; a position, or an avoidance from another node, older than this is not used any more, above 0.
     """
 
     mode: Literal["vel", "accel"] = "vel"
@@ -105,6 +106,7 @@ class Follower:
         offsets: N slots relative to the leader (its own zero first), m ENU; None until a pattern came.
         weights: weights w_ij of those it listens to, by their number; the leader alone until a topology came.
         avoidance_vector: what :meth:`avoidance` gave last, before its gain; a node publishes it.
+        info: where news go that are no warnings; the Python logger of this module unless it is replaced.
     """
 
     uses_velocities = False
@@ -150,6 +152,7 @@ class Follower:
         self.swarm = swarm or SwarmState(count)
         self.options = options or FollowerOptions()
         self._warn = warn or logging.getLogger(__name__).warning
+        self.info: Callable[[str], None] = logging.getLogger(__name__).info
         self._know_nothing()
 
     def _know_nothing(self) -> None:
@@ -157,6 +160,8 @@ class Follower:
         self.weights: Mapping[int, float] = {0: 1.0}
         self.avoidance_vector: Vector = _ZERO
         self._heard_avoidance: Vector = _ZERO
+        self._avoidance_tick: int | None = None  # when it came
+        self._topic_is_silent = False  # and has been warned of
         self._problems: set[str] = set()  # of the last update
         self._said: set[str] = set()  # of the update before
 
@@ -224,7 +229,7 @@ class Follower:
         if self.options.avoid == "own":
             return avoidance.avoid(self.id, self.swarm.positions, self.options.avoid_radius)
         if self.options.avoid == "topic":
-            return self._heard_avoidance
+            return self._avoidance_of_topic()
         return _ZERO
 
     # inputs
@@ -246,8 +251,14 @@ class Follower:
         self.weights = weights_in(check_adjacency(adjacency, self.count)[self.id])
 
     def on_avoidance(self, vector: Vector) -> None:
-        """Take the avoidance that somebody else computed for this vehicle (``avoid: topic``)."""
-        self._heard_avoidance = as_vector(vector) or _ZERO
+        """Accept the avoidance that another node computed for this vehicle (``avoid: topic``), ENU, before its gain.
+
+        One that is not three finite numbers is ignored.
+        """
+        checked = as_vector(vector)
+        if checked is not None:
+            self._heard_avoidance = checked
+            self._avoidance_tick = self.swarm.ticks
 
     # output
 
@@ -266,6 +277,22 @@ class Follower:
             return _ZERO
         self.avoidance_vector = self._checked(self.avoidance(), "avoidance")
         return self._limited(self._wanted(own, self.offsets))
+
+    def _avoidance_of_topic(self) -> Vector:
+        """Return the avoidance that was heard while it is fresh, else the own one; tell of each change once."""
+        came = self._avoidance_tick
+        silent = came is None or self.swarm.ticks - came > self._timeout
+        if silent and not self._topic_is_silent:
+            self._warn(
+                f"follower {self.id}: no avoidance on its topic within {self.options.pose_timeout:g} s: "
+                "using its own until one comes"
+            )
+        elif self._topic_is_silent and not silent:
+            self.info(f"follower {self.id}: avoidance on its topic again: using it")
+        self._topic_is_silent = silent
+        if silent:
+            return avoidance.avoid(self.id, self.swarm.positions, self.options.avoid_radius)
+        return self._heard_avoidance
 
     def _wanted(self, own: Vector, offsets: list[Vector]) -> Vector:
         """Return what the law gives, zero when it listens to nobody or gives something unusable."""

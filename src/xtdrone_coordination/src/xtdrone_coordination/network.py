@@ -331,6 +331,11 @@ class KnownSwarm(SwarmState):
         self._read: dict[int, _State] = {}  # of single vehicles, in this turn
         self._samples: Samples | None = None  # of all vehicles, once somebody asked for them
 
+    @property
+    def ticks(self) -> int:  # type: ignore[override]
+        """The number of the network's present turn; -1 before the first."""
+        return self.network.turn
+
     def samples(self) -> Samples:
         """Return what is known of all vehicles in order of their numbers."""
         self._look()

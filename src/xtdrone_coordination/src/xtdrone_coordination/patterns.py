@@ -15,22 +15,23 @@ the origin. XTDrone's own patterns for 6, 9 and 18 vehicles are data (``config/p
 
 as in ``circle``, ``sphere:spacing=5``, ``text:XTD``, ``text:12:30:spacing=2.5``, ``cloud:/data/bunny.ply``. Options
 begin with a colon, their name and ``=``; what lies before them, colons included, is the text or the file. Lists of
-patterns have commas between, so that none can stand in a text or a file's name there.
+patterns have commas between, so that none can stand in a text or a file's name there. A cloud's file has at most 16 MB.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
+
+from xtdrone_control import bounded_file
 
 Offsets = NDArray[np.float64]
 
@@ -52,12 +53,23 @@ class Patterns:
         count: number of vehicles N, the leader included.
     """
 
-    def __init__(self, count: int, file: str | Path | None = None) -> None:
+    def __init__(
+        self,
+        count: int,
+        file: str | Path | None = None,
+        *,
+        below: str | Path | None = None,
+        given: Collection[str] = (),
+    ) -> None:
         """Collect XTDrone's patterns for ``count`` vehicles and those of a user's file.
 
         Args:
             count: N, at least 2.
             file: YAML with more patterns, ``{N: {name: [[x, y, z], ...]}}``; a name in it replaces ours.
+            below: the folder below which clouds and fonts may lie, for names that come over topics; relative files
+                begin in it, links are followed before it is looked where they lead. Empty: no file is read. None: files
+                may lie anywhere.
+            given: names whose files may lie anywhere all the same.
 
         Raises:
             PatternError: ``count`` is less than 2; the file is missing, malformed or holds a pattern of another size.
@@ -65,6 +77,8 @@ class Patterns:
         if count < 2:
             raise PatternError(f"number of vehicles: {count} is not allowed, a formation has at least 2")
         self.count = count
+        self._below = below
+        self._given = frozenset(given)
         self._tables = dict(_shipped_patterns(count))
         if file is not None:
             self._tables.update(read_patterns(Path(file), count))
@@ -104,9 +118,28 @@ class Patterns:
             raise PatternError(f"pattern {name!r} is unknown for {self.count} vehicles; there are: {self.describe()}")
         try:
             request = parse_name(name)
-            return self._shape(request)
+            return self._shape(request if name in self._given else self._restricted(request))
         except PatternError as error:
             raise PatternError(f"pattern {name!r}: {error}") from error
+
+    def _restricted(self, request: Request) -> Request:
+        """Return a request with the true paths of its files, all of them below the folder that is allowed."""
+        if self._below is None:
+            return request
+        if request.kind == "cloud":
+            request = replace(request, argument=self._allowed(request.argument))
+        return request if request.font is None else replace(request, font=self._allowed(request.font))
+
+    def _allowed(self, file: str) -> str:
+        if not self._below:
+            raise PatternError(
+                f"{file}: no file may be read; name a folder of clouds and fonts when the leader starts (cloud_folder)"
+            )
+        folder = Path(str(self._below)).resolve()
+        path = (folder / file).resolve()
+        if not path.is_relative_to(folder):
+            raise PatternError(f"{file}: is not allowed, a file below {folder} is (cloud_folder)")
+        return str(path)
 
     def _shape(self, request: Request) -> Offsets:
         kind, spacing = request.kind, request.spacing
@@ -230,10 +263,10 @@ def read_patterns(file: Path, count: int) -> dict[str, Offsets]:
             0.5 m apart from each other and from the leader.
     """
     try:
-        data = yaml.safe_load(file.read_text(encoding="utf-8"))
+        data = bounded_file.load_yaml(bounded_file.read_text(file))
     except OSError as error:
         raise PatternError(f"pattern file {file}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except bounded_file.ContentError as error:
         raise PatternError(f"pattern file {file} is not YAML: {error}") from error
     if not isinstance(data, Mapping):
         raise PatternError(f"pattern file {file}: must be {{number of vehicles: {{name: offsets}}}}")

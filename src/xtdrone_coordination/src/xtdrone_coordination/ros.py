@@ -301,6 +301,8 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
         chosen = class_parameter(cls, Follower)
         swarm = make_swarm(count, len(ids))
         followers = [chosen(i, count, swarm=swarm, options=settings, warn=rospy.logwarn) for i in ids]
+        for follower in followers:
+            follower.info = rospy.loginfo
         node = FollowerNode(kind, followers)
         lockstep.start()
         lockstep.spin(node.step)

@@ -15,7 +15,7 @@ from xtdrone_control.communication.arguments import ArgumentError, run_program
 from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_coordination.follower import RATE, check_number
 from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions
-from xtdrone_coordination.patterns import Patterns
+from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_coordination.ros import (
     PATTERN_TOPIC,
     TOPOLOGY_TOPIC,
@@ -141,9 +141,11 @@ def run_leader(cls: type[Leader] = Leader) -> int:
         lockstep.init_node("leader", rate=RATE)
         rate = rospy.get_param("~republish_rate", RATE)
         file = rospy.get_param("~patterns", "")
+        given = [absolute_name(name.strip()) for name in str(rospy.get_param("~given_patterns", "")).split(",")]
+        folder = str(rospy.get_param("~cloud_folder", ""))
         try:
             check_number("republish_rate", rate)
-            patterns = Patterns(count, file or None)
+            patterns = Patterns(count, file or None, below=folder, given=given)
         except ValueError as error:
             raise ArgumentError(str(error)) from error
         chosen = class_parameter(cls, Leader)

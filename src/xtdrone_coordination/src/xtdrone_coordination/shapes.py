@@ -10,6 +10,7 @@ The same arguments give the same slots, to the bit. Only letters import matplotl
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from pathlib import Path
@@ -18,11 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control import bounded_file
+from xtdrone_control.bounded_file import ContentError
 from xtdrone_coordination.patterns import Offsets, PatternError, rescaled
 
 Points = NDArray[np.float64]
 
 MAX_LETTERS = 100  # of a text
+MAX_CLOUD_FILE = 16 * bounded_file.MB
+MAX_FONT_FILE = 64 * bounded_file.MB
+MAX_TEXT_POINTS = 500_000  # of a cloud whose file is text
 
 _AS_HIGH = 1e-6  # of the shape's height: what lies less below the highest vehicle is as high
 _ALL_AS_HIGH = 0.1  # the same for letters and clouds, of which no two need be equally high
@@ -205,6 +211,7 @@ def _font_file(words: str, font: str | None) -> str:
 
     file = font or str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
     try:
+        bounded_file.check(file, MAX_FONT_FILE)
         known = get_font(file).get_charmap()
     except (OSError, RuntimeError) as error:
         raise PatternError(f"font {file}: {_reason(error)}") from error
@@ -275,35 +282,45 @@ def read_cloud(file: Path) -> Points:
 
     ``.ply`` (text or binary, of either byte order), ``.npy`` (shape (M, 3 or more)); every other file is read as text
     with x, y, z in the first three columns, blanks, commas or semicolons between them; ``#`` begins a remark, and a
-    first line that holds no numbers is a heading.
+    first line that holds no numbers is a heading. The file's content is never part of a message: a pattern may be
+    asked for over a topic, by a user who may not read the file.
 
     Raises:
-        PatternError: the file cannot be read, is malformed, or a point in it is not finite.
+        PatternError: the file cannot be read, is no regular file, is larger than 16 MB or malformed, or a point in it
+            is not finite.
     """
     readers = {".ply": _read_ply, ".npy": _read_npy}
     try:
-        points = readers.get(file.suffix.lower(), _read_table)(file)
-    except (OSError, ValueError, EOFError) as error:
+        points = readers.get(file.suffix.lower(), _read_table)(bounded_file.read_bytes(file, MAX_CLOUD_FILE))
+    except (OSError, ContentError) as error:
         raise PatternError(f"cloud {file}: {_reason(error)}") from error
     if not len(points):
         raise PatternError(f"cloud {file}: has no points")
     if not np.isfinite(points).all():
         bad = int(np.argmin(np.isfinite(points).all(axis=1)))
-        raise PatternError(f"cloud {file}: point {bad} is {points[bad].tolist()}, all must be finite")
+        raise PatternError(f"cloud {file}: point {bad} is not finite, all must be")
     return points
 
 
-def _read_npy(file: Path) -> Points:
-    values = np.load(file, allow_pickle=False)
-    if values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind not in "fiu":
-        raise ValueError(f"shape {values.shape} of {values.dtype}, (points, 3) of numbers is needed")
-    return values[:, :3].astype(float)
+def _read_npy(data: bytes) -> Points:
+    stream = io.BytesIO(data)
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    try:
+        shape, _, kind = readers[np.lib.format.read_magic(stream)](stream)
+    except (KeyError, ValueError, EOFError):
+        raise ContentError("is no .npy file") from None
+    if len(shape) != 2 or shape[1] < 3 or kind.kind not in "fiu":
+        raise ContentError(f"shape {shape} of another type or size; (points, 3) of numbers is needed")
+    if math.prod(shape) * kind.itemsize > len(data) - stream.tell():
+        raise ContentError(f"ends before its {shape[0]} points")
+    values = np.load(io.BytesIO(data), allow_pickle=False)
+    return np.asarray(values[:, :3].astype(float))
 
 
-def _read_table(file: Path) -> Points:
+def _read_table(data: bytes) -> Points:
     rows: list[list[float]] = []
-    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
-        fields = re.split(r"[\s,;]+", line.partition("#")[0].strip())
+    for number, line in enumerate(_lines(data), 1):
+        fields = re.split(r"[\s,;]+", line.partition("#")[0].strip(), maxsplit=3)
         if fields == [""]:
             continue
         try:
@@ -311,9 +328,16 @@ def _read_table(file: Path) -> Points:
         except ValueError:
             if not rows and number == 1:
                 continue
-            raise ValueError(f"line {number}: {line.strip()[:60]!r} does not begin with three numbers") from None
+            raise ContentError(f"line {number}: does not begin with three numbers") from None
+        if len(rows) == MAX_TEXT_POINTS:
+            raise ContentError(f"line {number}: more than {MAX_TEXT_POINTS} points")
         rows.append([x, y, z])
     return np.array(rows).reshape(-1, 3)
+
+
+def _lines(data: bytes) -> io.TextIOWrapper:
+    """Return the lines of a text, to be read one by one; what is no UTF-8 comes as a character that is no number."""
+    return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8", errors="replace")
 
 
 _PLY_TYPES = {
@@ -321,55 +345,69 @@ _PLY_TYPES = {
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
+_MANY_DIGITS = 16  # of a number of vertices
 _PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
-def _read_ply(file: Path) -> Points:
+def _read_ply(data: bytes) -> Points:
     """The vertices of a PLY file (G. Turk, The PLY polygon file format, 1994); they must be its first element."""
-    data = file.read_bytes()
     head, mark, body = data.partition(b"end_header")
     if not data.startswith(b"ply") or not mark:
-        raise ValueError("no PLY file: it does not begin with 'ply' and a header up to 'end_header'")
+        raise ContentError("no PLY file: it does not begin with 'ply' and a header up to 'end_header'")
     body = body[body.index(b"\n") + 1 :] if b"\n" in body[:2] else body[1:]
     order, count, properties = _ply_header(head.decode("ascii", "replace"))
     names = [name for name, _ in properties]
     if not {"x", "y", "z"} <= set(names) or len(set(names)) != len(names):
-        raise ValueError(f"vertices have {', '.join(names) or 'no properties'}; x, y and z are needed, each once")
+        raise ContentError("vertices have other properties; x, y and z are needed, each once")
     if order == "":
-        lines = [line.split() for line in body.decode("ascii", "replace").splitlines() if line.strip()][:count]
-        columns = [names.index(axis) for axis in "xyz"]
-        if len(lines) < count or any(len(line) < len(names) for line in lines):
-            raise ValueError(f"ends before its {count} vertices of {len(names)} numbers")
-        return np.array([[float(line[c]) for c in columns] for line in lines]).reshape(-1, 3)
+        return _ply_rows(body, count, names)
     vertex = np.dtype([(name, order + kind) for name, kind in properties])
     if len(body) < count * vertex.itemsize:
-        raise ValueError(f"ends before its {count} vertices of {vertex.itemsize} bytes")
+        raise ContentError(f"ends before its {count} vertices of {vertex.itemsize} bytes")
     values = np.frombuffer(body, vertex, count)
     return np.stack([values[axis].astype(float) for axis in "xyz"], axis=1)
+
+
+def _ply_rows(body: bytes, count: int, names: list[str]) -> Points:
+    """The places of ``count`` vertices, one in each line that is not empty."""
+    if count > MAX_TEXT_POINTS:
+        raise ContentError(f"{count} points as text, at most {MAX_TEXT_POINTS} are allowed")
+    columns = [names.index(axis) for axis in "xyz"]
+    rows: list[list[float]] = []
+    for fields in (line.split() for line in _lines(body) if line.strip()):
+        if len(rows) == count or len(fields) < len(names):
+            break
+        try:
+            rows.append([float(fields[column]) for column in columns])
+        except ValueError:
+            raise ContentError(f"vertex {len(rows)}: not three numbers") from None
+    if len(rows) < count:
+        raise ContentError(f"ends before its {count} vertices of {len(names)} numbers")
+    return np.array(rows).reshape(-1, 3)
 
 
 def _ply_header(head: str) -> tuple[str, int, list[tuple[str, str]]]:
     """Byte order, number of vertices, and names and types of their properties."""
     order: str | None = None
     count, properties = -1, []
-    for line in head.splitlines():
+    for number_of_line, line in enumerate(head.splitlines(), 1):
         match line.split():
             case ["format", name, *_]:
                 order = _PLY_ORDERS.get(name)
-            case ["element", "vertex", number] if number.isdigit():
+            case ["element", "vertex", number] if number.isdecimal() and len(number) < _MANY_DIGITS:
                 count = int(number)
             case ["element", *_] if count >= 0:
                 break
-            case ["element", name, *_]:
-                raise ValueError(f"element {name!r} stands before the vertices; they must be the first")
+            case ["element", *_]:
+                raise ContentError("another element stands before the vertices; they must be the first")
             case ["property", kind, name] if kind in _PLY_TYPES:
                 properties.append((name, _PLY_TYPES[kind]))
             case ["property", *_]:
-                raise ValueError(f"{line.strip()!r} is not allowed of a vertex; numbers are")
+                raise ContentError(f"line {number_of_line}: not allowed of a vertex; properties that are numbers are")
             case _:
                 continue
     if order is None or count < 0:
-        raise ValueError(f"header has no {'vertices' if order is not None else 'format that is known'}")
+        raise ContentError(f"header has no {'vertices' if order is not None else 'format that is known'}")
     return order, count, properties
 
 

@@ -23,6 +23,7 @@ class SwarmState:
         count: number of vehicles N.
         positions: m, ENU, in the frame all share; None until heard of.
         velocities: m/s, ENU; None until heard of.
+        ticks: periods of the control loop so far.
     """
 
     def __init__(self, count: int) -> None:
@@ -31,19 +32,19 @@ class SwarmState:
         self.positions: list[Vector | None] = [None] * count
         self.velocities: list[Vector | None] = [None] * count
         self._heard = [0] * count
-        self._ticks = 0
+        self.ticks = 0
 
     def restart(self) -> None:
         """Know nothing again, as after construction."""
         self.positions[:] = self.velocities[:] = [None] * self.count
         self._heard[:] = [0] * self.count
-        self._ticks = 0
+        self.ticks = 0
 
     def on_position(self, index: int, position: Vector) -> None:
         """Take a vehicle's position, m ENU; one that is not finite is as if it had not come."""
         if math.isfinite(position[0] + position[1] + position[2]):
             self.positions[index] = position
-            self._heard[index] = self._ticks
+            self._heard[index] = self.ticks
 
     def on_velocity(self, index: int, velocity: Vector) -> None:
         """Take a vehicle's velocity, m/s ENU; one that is not finite is as if it had not come."""
@@ -52,11 +53,11 @@ class SwarmState:
 
     def tick(self) -> None:
         """Count one period of the control loop; call it once per period, after everything has been updated."""
-        self._ticks += 1
+        self.ticks += 1
 
     def fresh(self, index: int, ticks: int) -> bool:
         """Return whether a position of this vehicle came in the last ``ticks`` ticks."""
-        return self.positions[index] is not None and self._ticks - self._heard[index] <= ticks
+        return self.positions[index] is not None and self.ticks - self._heard[index] <= ticks
 
 
 class ArraySwarm(SwarmState):

@@ -275,7 +275,7 @@ def _run_program(bench: Bench, part: str, name: str, module: str, arguments: Seq
     finally:
         tree.stop(NODE_PATIENCE)
     if tree.process.returncode != 0 or not result.is_file():
-        raise BenchError(f"{part}: ended with status {tree.process.returncode}; {cause(log)}")
+        raise BenchError(f"{part}: ended with status {tree.status}; {cause(log)}")
     return json.loads(result.read_text(encoding="utf-8"))
 
 
@@ -471,7 +471,7 @@ def _follow(
         bench.stop.check()
         events = read_events(file)
         for event in events[seen:]:
-            on_event(event, tree.process.pid)
+            on_event(event, tree.pid)
             bench.progress(_words(event))
             limit, last = _SILENCE_LIMIT, time.monotonic()
         seen = len(events)

@@ -58,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="make report and pictures of a recorded flight again")
     report.add_argument("file", type=Path, help="flight.bag of a run, or flight.npz of one without ROS")
     commands.add_parser("replay-check", help="fly one flight at other speeds, on one core, ...: it must be the same")
+    commands.add_parser("launch", help="run a launch file and watch it (own options: launch --help)")
     commands.add_parser("sim", help="pause, step, reset, ... a running simulation (own options: sim --help)")
     commands.add_parser("gcs", help="plans to vehicles and back, as a ground station (own options: gcs --help)")
     commands.add_parser("analyse", help="report and pictures of any bag or flight log (own options: analyse --help)")
@@ -65,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("convert", help="bags as ROS 2 bags, MCAP, CSV, Parquet (own options: convert --help)")
     commands.add_parser("record", help="record a running flight by a profile (own options: record --help)")
     commands.add_parser("bench", help="measure speed, memory and start-up on this machine (own options: bench --help)")
+    commands.add_parser("soak", help="run one simulation for hours: does it grow? (own options: soak --help)")
     commands.add_parser("sweep", help="fly a study over parameters and seeds (own options: sweep --help)")
     commands.add_parser("record-view", help="film a flight as rviz shows it (own options: record-view --help)")
     commands.add_parser("compare-px4", help="fly our autopilot beside recorded flights of a real PX4")
@@ -112,6 +114,7 @@ def _add_formation(parser: argparse.ArgumentParser) -> None:
     )
     add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
     options.add_master(parser)
+    options.add_instance(parser)
 
 
 def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
@@ -123,14 +126,14 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     config = options.repository() / "src" / "xtdrone_sim" / "config"
     options.one_of_files("vehicle type", arguments.type, config / "vehicles")
     options.one_of_files("world", arguments.world, config / "worlds")
-    fleet = parse_fleet(f"{arguments.type}:{arguments.n}")
+    fleet = f"{arguments.type}:{arguments.n}"
+    parse_fleet(fleet)
     pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
     options.swarm_patterns(arguments.n, arguments.patterns, pattern_file or None)
     follower, follower_class = options.follower_program(arguments.follower)
     leader_class = options.leader_class(arguments.leader)
     _check_class(follower_class, Follower, "follower")
     _check_class(leader_class, Leader, "leader")
-    options.check_vehicle_ports(fleet)
     return DemoSettings(
         n=arguments.n,
         type=arguments.type,
@@ -150,6 +153,7 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
         headless=arguments.headless,
         logs=arguments.logs,
         leader_class=leader_class,
+        instance=options.take_instance(fleet, arguments.instance),
     )
 
 
@@ -174,6 +178,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from xtdrone_interaction import replay_check
 
         return replay_check.main(arguments[1:])
+    if arguments[:1] == ["launch"]:
+        from xtdrone_interaction import launch_cli
+
+        return launch_cli.main(arguments[1:])
     if arguments[:1] == ["sim"]:
         from xtdrone_interaction import sim_cli
 
@@ -210,6 +218,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from xtdrone_interaction import bench
 
         return bench.main(arguments[1:])
+    if arguments[:1] == ["soak"]:
+        from xtdrone_interaction.soak import main as soak
+
+        return soak.main(arguments[1:])
     if arguments[:1] == ["sweep"]:
         from xtdrone_interaction.sweep import main as sweep
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,10 +20,18 @@ _LOST = re.compile(
 )
 _CRASHED = re.compile(r"^it (?:has )?crashed: ")
 _DIED = "has died"
+_DROPPED = "was dropped by the simulator"
 _BY_ITSELF = "has ended by itself"
 _ONLOOKER = "visualize"  # the live window, which may be closed at any time
 _MAY_END = (_ONLOOKER, "upload_plans")  # a ground station that has done its work
 _ALL_END = re.compile(r"^\[[^\]]+-\d+\] killing on exit|Initiating shutdown|REQUIRED process")
+# roslaunch: "====REQUIRED process [simulator-2] has died!", and in the next line how
+_REQUIRED = re.compile(r"REQUIRED process \[(?P<node>[^\]]+?)(?:-\d+)?\] has died!")
+_REQUIRED_HOW = re.compile(r"^process has (?P<how>died|finished cleanly)(?:.*?exit code (?P<code>-?\d+))?")
+SIMULATOR = "simulator"
+MASTER = "master"
+_GAVE_UP = (_DIED, f"{_DIED} (exit code 1)", _BY_ITSELF)  # what becomes of a participant whose simulator fails
+_TOGETHER = 2.0  # wall s before the simulator's end in which a participant's is taken for its consequence
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,16 @@ class Death:
         """Whether the flight is not what it should be without the node."""
         return self.node != _ONLOOKER
 
+    @property
+    def died(self) -> bool:
+        """Whether it has not ended by itself."""
+        return self.how.startswith(_DIED)
+
+    @property
+    def dropped(self) -> bool:
+        """Whether the simulator no longer waits for it, though it may run."""
+        return self.how.startswith(_DROPPED)
+
     def __str__(self) -> str:
         """Return it in a sentence."""
         when = "" if self.time is None else f" at {self.time:.1f} s"
@@ -56,7 +75,9 @@ class Deaths:
     """The nodes that have ended, each once.
 
     Attributes:
-        found: in the order in which they ended.
+        found: in the order in which they ended, those left out that ended with the simulator.
+        required: the required node with which the launch ended; None while it goes on.
+        consequences: nodes that ended because the simulator did.
     """
 
     def __init__(self, log: Path) -> None:
@@ -64,7 +85,21 @@ class Deaths:
         self._log = log
         self._read = 0
         self._closed = False
+        self._ending = ""  # the required node of which the next line says how it ended
+        self._wall: dict[str, float] = {}  # when each was found, s
         self.found: dict[str, Death] = {}
+        self.required: Death | None = None
+        self.consequences: list[str] = []
+
+    @property
+    def failure(self) -> Death | None:
+        """The required node that died, as against one that has done its work."""
+        return None if self.required is None or self.required.how == _BY_ITSELF else self.required
+
+    def all(self) -> list[Death]:
+        """Return all that ended: first the required node that took the others with it, then in their order."""
+        first = [] if self.failure is None else [self.failure]
+        return [*first, *self.found.values()]
 
     def look(self, sim_time: float | None) -> list[Death]:
         """Read what the log has got since the last look and return the nodes that are new.
@@ -74,6 +109,7 @@ class Deaths:
         """
         new = []
         for line in self._lines():
+            self._look_for_required(line, sim_time)
             self._closed = self._closed or _ALL_END.search(line) is not None
             death = None if self._closed else self._death(line, sim_time)
             if death is None or (death.node in _MAY_END and death.how == _BY_ITSELF):
@@ -81,9 +117,29 @@ class Deaths:
             if death.node not in self.found:
                 new.append(death.node)
                 self.found[death.node] = death
+                self._wall[death.node] = time.monotonic()
             elif self.found[death.node].how == _DIED:  # roslaunch knows more of the end than the simulator does
                 self.found[death.node] = replace(self.found[death.node], how=death.how, log=death.log)
-        return [self.found[node] for node in new]
+        return [self.found[node] for node in new if node in self.found]
+
+    def _look_for_required(self, line: str, sim_time: float | None) -> None:
+        """Note the required node that ends the launch, and what ended with it."""
+        required = _REQUIRED.search(line)
+        if required:
+            self._ending = required["node"]
+            return
+        how = _REQUIRED_HOW.search(line) if self._ending else None
+        if how is None:
+            return
+        node, self._ending = self._ending, ""
+        self.required = Death(node, sim_time, _how(how["how"], how["code"]), self._where(node))
+        self.found.pop(node, None)
+        if node in (SIMULATOR, MASTER) and self.failure is not None:
+            begin = time.monotonic() - _TOGETHER
+            late = [death for name, death in self.found.items() if self._wall[name] >= begin]
+            self.consequences = [death.node for death in late if death.how in _GAVE_UP]
+            for name in self.consequences:
+                del self.found[name]
 
     def _lines(self) -> list[str]:
         """Return the whole lines that are new."""
@@ -105,8 +161,8 @@ class Deaths:
         lost = _LOST.search(line)
         if lost:
             node = lost["node"]
-            time = float(lost["time"]) if lost["time"] else sim_time
-            return Death(node, time, _lost(lost["crash"], lost["why"]), self._where(node))
+            when = float(lost["time"]) if lost["time"] else sim_time
+            return Death(node, when, _lost(lost["crash"], lost["why"]), self._where(node))
         return None
 
     def _where(self, node: str) -> str:
@@ -121,7 +177,7 @@ def _lost(crash: str | None, why: str | None) -> str:
     if crash is not None:
         return f"{_DIED} ({_CRASHED.sub('', crash)})"
     # A living process keeps its connection.
-    return _DIED if str(why).startswith(("is gone", "it has closed")) else f"was dropped by the simulator ({why})"
+    return _DIED if str(why).startswith(("is gone", "it has closed")) else f"{_DROPPED} ({why})"
 
 
 def _how(how: str, code: str | None) -> str:

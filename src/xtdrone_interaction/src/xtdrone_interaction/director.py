@@ -8,6 +8,7 @@ subscribed
 /T/mavros/local_position/pose             PoseStamped              judged by where there is no ground truth
 /gazebo/model_states                      ModelStates              ground truth
 /xtdrone/formation_pattern                Float32MultiArray        assigned offsets
+/xtdrone/T/cmd_{vel,accel}_enu            Twist                    whether T's follower lives
 published
 /xtdrone/T/cmd                            String                   ARM, OFFBOARD, AUTO.LAND, ...
 /xtdrone/leader/cmd                       String                   names of patterns
@@ -33,6 +34,7 @@ from mavros_msgs.msg import State
 from std_msgs.msg import Float32MultiArray, String
 
 from xtdrone_control import lockstep
+from xtdrone_interaction.events_file import EventsFile
 from xtdrone_interaction.geometry import (
     ESTIMATE,
     EVENTS_TOPIC,
@@ -48,6 +50,7 @@ from xtdrone_interaction.mission import FormationMission, MissionError, View
 
 RATE = 30.0  # Hz
 _PROGRESS_TICKS = 6  # 5 Hz of simulated time
+_REPEATED = 2.0  # s between two messages of a leader that repeats its pattern
 _LAST_TICKS = 15  # so long the director stays after the flight, so that the recorder gets the last events
 
 
@@ -60,7 +63,7 @@ class FormationDirector:
         patterns: Sequence[str],
         slots: Mapping[str, Array],
         clearance: float,
-        events: TextIO | None = None,
+        events: EventsFile | TextIO | None = None,
     ) -> None:
         """Declare the topics.
 
@@ -75,6 +78,7 @@ class FormationDirector:
         self.mission = FormationMission(self.view, self, patterns, slots, clearance)
         self._events = events
         self._has_truth = False
+        self._pattern_said = -math.inf
         self._least_distance = math.inf
         self._event_publisher = lockstep.Publisher(EVENTS_TOPIC, String)
         self._progress_publisher = lockstep.Publisher(PROGRESS_TOPIC, String)
@@ -89,6 +93,11 @@ class FormationDirector:
             self._subscriptions += [
                 lockstep.Subscriber(f"/{name}/mavros/state", State, self._on_state, i),
                 lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose, i),
+            ]
+        for i, name in list(enumerate(names))[1:]:
+            self._subscriptions += [
+                lockstep.Subscriber(f"/xtdrone/{name}/cmd_{kind}_enu", Twist, self._on_command, i)
+                for kind in ("vel", "accel")
             ]
 
     # what comes in
@@ -115,7 +124,19 @@ class FormationDirector:
             self.view.leader_yaw = yaw_of(pose.orientation)
 
     def _on_offsets(self, message: Float32MultiArray) -> None:
+        size = 3 * (len(self.view.names) - 1)
+        if len(message.data) not in (0, size) or not all(map(math.isfinite, message.data)):
+            rospy.logwarn_once(
+                f"director: {PATTERN_TOPIC}: {len(message.data)} values that are not {size} finite numbers; ignored"
+            )
+            return
         self.view.offsets = offsets_from_message(message.data)
+        before, self._pattern_said = self._pattern_said, rospy.get_time()
+        if self._pattern_said - before <= _REPEATED:  # a leader that says each pattern once is never silent
+            self.view.pattern_time = self._pattern_said
+
+    def _on_command(self, _: Twist, index: int) -> None:
+        self.view.commanded[index] = rospy.get_time()
 
     # what goes out; the mission's Commands
 
@@ -141,12 +162,12 @@ class FormationDirector:
         if self._events is not None:
             self._events.write(json.dumps({**values, "wall": time.time()}) + "\n")
             self._events.flush()
-        (rospy.logerr if event == "failed" else rospy.loginfo)("director: %s", text)
+        {"failed": rospy.logerr, "lost": rospy.logwarn}.get(event, rospy.loginfo)("director: %s", text)
 
     # the flight
 
     def run(self) -> int:
-        """Fly, and return the program's exit status: 0 for a whole flight, 1 for a failed one."""
+        """Fly; return the program's exit status: 0 for a whole flight, 1 for one that failed or has lost vehicles."""
         rate = lockstep.Rate()
         self.view.time = rospy.get_time()
         self.event("start", vehicles=list(self.view.names), patterns=self.mission.patterns)
@@ -158,9 +179,9 @@ class FormationDirector:
         if rospy.is_shutdown():
             self.event("interrupted")
             return 1
-        self.event("done", unsettled=self.mission.unsettled)
+        self.event("done", **self.mission.result)
         self._stay(rate)
-        return 0
+        return 1 if self.mission.lost else 0
 
     def _advance(self, ticks: Any, rate: Any) -> None:
         """Advance ``ticks`` once a tick until it ends or the node is to stop.
@@ -202,7 +223,7 @@ class FormationDirector:
 
     def _progress(self) -> dict[str, Any]:
         """Return what the flight has come to; times in s, distances in m, error is the greatest of all followers."""
-        error = self.view.error()
+        error = self.mission.error()
         distance = float(least_distances(self.view.position[None])[0])
         if self.mission.step > 1 and math.isfinite(distance):
             self._least_distance = min(self._least_distance, distance)
@@ -228,10 +249,10 @@ def yaw_of(q: Quaternion) -> float:
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 
 
-def open_events(folder: str) -> TextIO | None:
+def open_events(folder: str) -> EventsFile | None:
     """Return the events' file in ``folder``, None where no folder is named."""
     if not folder:
         return None
     path = Path(folder)
     path.mkdir(parents=True, exist_ok=True)
-    return (path / "events.jsonl").open("w", encoding="utf-8")
+    return EventsFile(path / "events.jsonl", lambda text: rospy.logerr("director: %s", text))

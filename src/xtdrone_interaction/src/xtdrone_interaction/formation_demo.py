@@ -50,6 +50,7 @@ class DemoSettings:
         model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty: the type's.
         leader_class: the user's own leader class, as ``follower_class``, or empty.
         window: a live window beside the flight.
+        instance: of the simulations on this machine.
     """
 
     n: int
@@ -73,6 +74,7 @@ class DemoSettings:
     model: str = ""
     leader_class: str = ""
     window: bool = False
+    instance: int = 0
 
 
 def run_demo(settings: DemoSettings, console: Console) -> int:
@@ -108,6 +110,8 @@ def flight(settings: DemoSettings) -> Flight:
     }
     if settings.simulator != "full":
         arguments |= {"simulator": settings.simulator, "model": settings.model}
+    if settings.instance:
+        arguments["instance"] = settings.instance
     return Flight(
         file="formation.launch",
         arguments=arguments,
@@ -115,6 +119,7 @@ def flight(settings: DemoSettings) -> Flight:
         bag="flight.bag",
         master_port=settings.master_port,
         headless=settings.headless,
+        instance=settings.instance,
         start_limit=_START_LIMIT + _START_LIMIT_VEHICLE * settings.n,
         progress_topic=PROGRESS_TOPIC,
         events_topic=EVENTS_TOPIC,
@@ -130,6 +135,8 @@ def show_event(event: dict[str, Any], display: Display) -> None:
         display.note(f"{time_text} {event['what']}: settled after {event['after']:.1f} s")
     elif event["event"] == "unsettled":
         display.note(f"{time_text} {event['what']}: not settled, {event['vehicle']} is {event['error']:.2f} m off")
+    elif event["event"] == "lost":
+        display.note(f"{time_text} {event['vehicle']} is lost, the flight goes on: {escape(event['reason'])}")
     elif event["event"] == "giving up":
         display.note(f"{time_text} giving up, landing: {escape(event['reason'])}")
     elif event["event"] == "refused":
@@ -145,7 +152,8 @@ def _conclude(settings: DemoSettings, console: Console, command_wall: float, dea
     last = flight(settings).events()[-1]
     if last["event"] == "failed":
         raise DemoError(last["reason"])
-    stored = {k: v for k, v in asdict(settings).items() if k not in ("out", "master_port", "headless", "window")}
+    unstored = ("out", "master_port", "headless", "window", "instance")
+    stored = {k: v for k, v in asdict(settings).items() if k not in unstored}
     return report_flight(
         settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console, list(deaths.found.values())
     )

@@ -1,41 +1,46 @@
-"""A demo's flight: runs a launch file to its end with its own master, shows its progress, leaves nothing behind."""
+"""Launch files as the commands run them: watched from the first moment, with a master of their own, leaving nothing.
+
+A demo's flight is such a launch, with a director that tells how it goes.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import queue
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlparse
 
 from rich.console import Console
 
-from xtdrone_interaction.deaths import Deaths
+from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
+from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
+from xtdrone_interaction.feed import Feed, answers
+from xtdrone_interaction.hints import advice
 from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.processes import ProcessTree
-from xtdrone_interaction.record import read_events
 from xtdrone_interaction.sim_cli import MASTER_FILE, announce
+from xtdrone_interaction.startup import Startup
 
 _POLL = 0.2  # s, how often the processes are looked after
+_LOGS_PERIOD = 1.0  # s between two looks at all logs
+_GRACE = 1.0  # s for which a death is kept back: the simulator's, if that is its cause, may be noticed later
 _SILENCE_LIMIT = 60.0  # s between two messages of progress
 _PATIENCE = 25.0  # s that roslaunch gets to stop its nodes
 _NODE_PATIENCE = 8.0  # s that a node gets to stop
+_STOPPED = 5.0  # s between two looks, from which on this program has been stopped
+_VITAL = ("simulator", "mavros", "formation_director", "search_mission")  # without which no flight goes on
 _TROUBLE = re.compile(r"\b(ERROR|FATAL)\b|(Error|Exception)\b|has died|cannot launch|RLException|Invalid <")
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 _TROUBLE_LINES = 12
-_NAMES_SHOWN = 3
 
 
 class DemoError(RuntimeError):
@@ -56,33 +61,24 @@ class Interrupted(BaseException):
 
 
 @dataclass(frozen=True)
-class Flight:
-    """A launch file whose director tells how it goes, and ends it.
+class Launch:
+    """A launch file with its arguments.
 
     Attributes:
-        file: in launch/.
+        file: in launch/, or an absolute path.
         arguments: of the launch file.
-        out: folder of the results; the director writes its events into ``out / "events.jsonl"``.
-        bag: record in ``out``, made readable if its recorder was killed.
-        master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
+        out: folder of the results; the logs are in ``out / "logs"``.
+        master_port: TCP port of the launch's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
         headless: plain lines instead of the live display.
-        start_limit: wall s until the first message of the director.
-        progress_topic, events_topic: the director's, std_msgs/String with JSON.
-        last_events: with which of them the flight ends.
-        show_event: shows an event that a user wants to read.
+        instance: of the simulations on this machine.
     """
 
     file: str
     arguments: Mapping[str, object]
     out: Path
-    bag: str
     master_port: int
     headless: bool
-    start_limit: float
-    progress_topic: str
-    events_topic: str
-    last_events: tuple[str, ...]
-    show_event: Callable[[dict[str, Any], Display], None]
+    instance: int = 0
 
     @property
     def master_uri(self) -> str:
@@ -121,38 +117,150 @@ class Flight:
             environment["ROS_IP"] = "127.0.0.1"
         return environment
 
+
+@dataclass(frozen=True, kw_only=True)
+class Flight(Launch):
+    """A launch file whose director tells how it goes, and ends it.
+
+    Attributes:
+        bag: recorded in ``out``, made readable if its recorder was killed. The director writes its events into
+            ``out / "events.jsonl"``.
+        start_limit: wall s for which nothing may move before the first message of the director; see ``startup``.
+        progress_topic, events_topic: the director's, std_msgs/String with JSON.
+        last_events: with which of them the flight ends.
+        show_event: shows an event that a user wants to read.
+    """
+
+    bag: str
+    start_limit: float
+    progress_topic: str
+    events_topic: str
+    last_events: tuple[str, ...]
+    show_event: Callable[[dict[str, Any], Display], None]
+
     def events(self) -> list[dict[str, Any]]:
         """Return the director's events so far."""
+        from xtdrone_interaction.record import read_events  # and scipy with it, which a launch needs not wait for
+
         return read_events(self.out / "events.jsonl")
 
 
-@dataclass
-class _Feed:
-    """Messages of the director, put here by rospy's threads."""
+class Watch:
+    """Looks after a launch that runs: its processes, its logs, and what it tells on its topics.
 
-    messages: queue.SimpleQueue[tuple[str, dict[str, Any]]] = field(default_factory=queue.SimpleQueue)
-
-    def callback(self, kind: str) -> Callable[[Any], None]:
-        return lambda message: self.messages.put((kind, json.loads(message.data)))
-
-    def on_status(self, status: Any) -> None:
-        self.messages.put(("status", {"text": standstill(status), "held": bool(status.paused or status.waiting_for)}))
-
-
-def standstill(status: Any) -> str:
-    """Return why the world stands still, in a few words; empty while it moves.
-
-    Args:
-        status: an xtdrone_msgs/SimulationStatus.
+    Attributes:
+        deaths: nodes that have ended.
+        startup: what the logs tell of the start.
+        display: shows all of it.
+        status: the simulator's newest, see ``feed``; None before the first.
     """
-    if status.waiting_for:
-        names = ", ".join(sorted(status.waiting_for)[:_NAMES_SHOWN])
-        rest = len(status.waiting_for) - _NAMES_SHOWN
-        more = f" and {rest} more" if rest > 0 else ""
-        return f"waiting for {names}{more} ({status.waiting.to_sec():.0f} s)"
-    if status.stepping:
-        return ""
-    return "paused" if status.paused else str(status.reason)
+
+    def __init__(self, tree: ProcessTree, launch: Launch, feed: Feed, display: Display, deaths: Deaths) -> None:
+        """Watch ``tree``, which runs ``launch``."""
+        self.deaths = deaths
+        self.display = display
+        self.startup = Startup(launch.out / "logs")
+        self.status: dict[str, Any] | None = None
+        self._tree = tree
+        self._launch = launch
+        self._feed = feed
+        self._sim_time: float | None = None
+        self._moved = self._logs_read = self._looked = time.monotonic()
+        self._shown: set[str] = set()
+        self._first_death = 0.0
+
+    @property
+    def still(self) -> float:
+        """Wall s since something has moved."""
+        return time.monotonic() - self._moved
+
+    def started(self) -> bool:
+        """Return whether roslaunch has started any node."""
+        self.startup.look()
+        return self.startup.started > 0
+
+    def running(self) -> bool:
+        """Return whether roslaunch runs."""
+        return not self._tree.wait(0.0)
+
+    def look(self, *, starting: bool) -> list[dict[str, Any]]:
+        """Look at everything, for a moment, and return the messages that are new; see ``feed``.
+
+        Args:
+            starting: whether new lines of logs count as movement.
+
+        Raises:
+            DemoError: the connection to the launch's topics has broken.
+        """
+        messages = self._feed.take(_POLL)
+        for message in messages:
+            self._note(message)
+        now = time.monotonic()
+        gap, self._looked = now - self._looked, now
+        if gap > _STOPPED:  # this program has been stopped, and the others with it as on a machine that sleeps
+            self._moved += gap
+        if now - self._logs_read >= _LOGS_PERIOD:
+            self._logs_read = now
+            if self.startup.look() and (starting or self.startup.compiling):
+                self._moved = now
+            self._show_standstill()
+        self.show_deaths(now)
+        if self._feed.lost and self.running() and self.still > _GRACE:
+            words = self._feed.last_words()
+            raise DemoError(f"the watching node has ended{': ' * bool(words)}{words}")
+        return messages
+
+    def _note(self, message: dict[str, Any]) -> None:
+        now, kind = time.monotonic(), message["kind"]
+        if kind != "status":
+            self._moved = now
+            self._sim_time = message.get("message", {}).get("sim_time", self._sim_time)
+            return
+        # a pause, or a node at a breakpoint: however long, nothing is wrong
+        if message["held"] or self.status is None or message["joined"] != self.status["joined"]:
+            self._moved = now
+        self.status = message
+        self._show_standstill()
+
+    def _show_standstill(self) -> None:
+        status = "" if self.status is None else self.status["text"]
+        if self.startup.compiling or self.status is not None:
+            self.display.standstill(self.startup.compiling or status)
+
+    def show_deaths(self, now: float = float("inf")) -> None:
+        """Show the nodes that have ended, at wall time ``now``, s, a moment after their end."""
+        new = self.deaths.look(self._sim_time)
+        if new and not self._first_death:
+            self._first_death = time.monotonic()
+        if self.deaths.required is None and now - self._first_death < _GRACE:
+            return
+        for death in self.deaths.all():
+            if death.node not in self._shown:
+                self._shown.add(death.node)
+                self.display.note(f"  [red]{escape(str(death))}[/red]")
+        if self.deaths.consequences:
+            names, self.deaths.consequences = self.deaths.consequences, []
+            self.display.note(f"  with it: {escape(', '.join(names))}")
+
+    def dead(self) -> list[Death]:
+        """Return the nodes that have died, as against those that have done their work, once their cause is known."""
+        died = [death for death in self.deaths.all() if death.matters and death.died]
+        known = self.deaths.required is not None or time.monotonic() - self._first_death >= _GRACE
+        return died if known else []
+
+    def why_still(self) -> str:
+        """Say why nothing moves, as far as that can be told; empty, or ending in a full clause."""
+        if not answers(self._launch.master_uri):
+            return f"the ROS master at {self._launch.master_uri} does not answer"
+        if self.status is None:
+            return "no simulator has started"
+        return str(self.status["text"]) or f"simulated time is {self.status['time']:.1f} s"
+
+    def finish(self) -> None:
+        """Have the launch end by itself."""
+        with signals_wait():
+            self._feed.close()
+            self._tree.wait(_PATIENCE)
 
 
 def run_flight(flight: Flight, console: Console, conclude: Callable[[Deaths], int]) -> int:
@@ -167,57 +275,97 @@ def run_flight(flight: Flight, console: Console, conclude: Callable[[Deaths], in
     Returns:
         The exit status: what ``conclude`` returned, 1 for a flight that failed, 128 + signal when stopped.
     """
-    flight.log.parent.mkdir(parents=True)
-    console.print(f"Results: {flight.out}", highlight=False, soft_wrap=True)
-    console.print(_how_to_control(flight), highlight=False, soft_wrap=True)
     deaths = Deaths(flight.log)
+
+    def fly() -> int:
+        console.print(_how_to_control(flight), highlight=False, soft_wrap=True)
+        topics = {"progress": flight.progress_topic, "events": flight.events_topic}
+        try:
+            with watching(flight, console, deaths, topics) as watch:
+                _watch(watch, flight)
+        finally:
+            with signals_wait():
+                _mend_bag(flight.out / flight.bag, flight.environment())
+        return conclude(deaths)
+
+    return run_launch(flight, console, fly)
+
+
+def run_launch(launch: Launch, console: Console, run: Callable[[], int]) -> int:
+    """Run something, and say on the console how it fails.
+
+    Returns:
+        What ``run`` returned, 1 where it failed, 128 + signal when stopped.
+    """
+    launch.log.parent.mkdir(parents=True)
+    console.print(f"Results: {launch.out}", highlight=False, soft_wrap=True)
+    if launch.instance:
+        console.print(
+            f"Instance {launch.instance} of the simulations on this machine: ground stations at UDP "
+            f"{instance_port(GCS_REMOTE_PORT, launch.instance)}, './xtdrone gcs ... --instance {launch.instance}'",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
     with signals_raise():
         try:
-            _fly(flight, console, deaths)
-            return conclude(deaths)
+            return run()
         except DemoError as error:
             console.print(f"[red]Error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
-            for death in deaths.found.values():
-                console.print(f"  {escape(str(death))}", highlight=False, soft_wrap=True)
-            _print_trouble(flight, console)
+            print_trouble(launch, console)
             return 1
         except Interrupted as signalled:
             console.print(f"stopped by {signalled}; nothing is left running", highlight=False)
             return 128 + signalled.number
 
 
-def _how_to_control(flight: Flight) -> str:
-    uri = flight.master_uri
+def _how_to_control(launch: Launch) -> str:
+    uri = launch.master_uri
     return (
-        f"ROS master {uri}; './xtdrone sim pause --master {flight.master_port or uri}' (step, speed, ...) controls it"
+        f"ROS master {uri}; './xtdrone sim pause --master {launch.master_port or uri}' (step, speed, ...) controls it"
     )
 
 
-def _fly(flight: Flight, console: Console, deaths: Deaths) -> None:
-    """Run the launch file to its end.
+@contextlib.contextmanager
+def watching(
+    launch: Launch, console: Console, deaths: Deaths, topics: Mapping[str, str], vehicles: Sequence[str] = ()
+) -> Iterator[Watch]:
+    """Run a launch for as long as the block takes; nothing of it is left afterwards.
+
+    Args:
+        launch: what is run.
+        console: shows what becomes of it.
+        deaths: takes the nodes that end.
+        topics, vehicles: what else the feed tells, see ``Feed``.
 
     Raises:
-        DemoError: the flight failed.
+        DemoError: it cannot be started.
     """
-    environment = flight.environment()
-    os.environ.update({k: environment[k] for k in environment if k.startswith("ROS_")})  # for our own rospy
-    master = flight.out / MASTER_FILE
-    master.write_text(flight.master_uri + "\n", encoding="utf-8")
-    pointer = announce(flight.out)
-    tree = ProcessTree(flight.command(), environment, flight.log)
-    plain = flight.headless or not console.is_terminal
-    display: Display = LineDisplay(console) if plain else LiveDisplay(console)
+    environment = launch.environment()
+    master = launch.out / MASTER_FILE
+    master.write_text(launch.master_uri + "\n", encoding="utf-8")
+    pointer = announce(launch.out)
+    feed = display = tree = None
     try:
-        _watch(tree, flight, display, deaths)
+        try:
+            tree = ProcessTree(launch.command(), environment, launch.log)
+            feed = Feed(environment, launch.log.parent / "watching.log", topics, vehicles)
+        except OSError as error:
+            raise DemoError(f"the launch cannot be started: {error.strerror or error}") from error
+        except (RuntimeError, MemoryError) as error:  # no thread, no memory
+            raise DemoError(f"the launch cannot be started: {error}") from error
+        plain = launch.headless or not console.is_terminal
+        display = LineDisplay(console) if plain else LiveDisplay(console)
+        yield Watch(tree, launch, feed, display, deaths)
     finally:
         with signals_wait():
-            display.close()
-            _close_feed()
-            tree.stop(_PATIENCE)
+            if display is not None:
+                display.close()
+            if feed is not None:
+                feed.close()
+            if tree is not None:
+                tree.stop(_PATIENCE)
             master.unlink(missing_ok=True)
             if pointer is not None:
                 pointer.unlink(missing_ok=True)
-            _mend_bag(flight.out / flight.bag, environment)
 
 
 def master_port(wanted: int | None, *, use_running: bool) -> int:
@@ -235,112 +383,74 @@ def master_port(wanted: int | None, *, use_running: bool) -> int:
 
 
 def check_master(uri: str) -> None:
-    """Check that somebody listens at a master's URI.
+    """Check that a ROS master answers at a URI.
 
     Raises:
-        OptionError: nobody does.
+        OptionError: none does.
     """
-    if not _listens(uri):
+    if not answers(uri):
         raise OptionError(f"master: none answers at ROS_MASTER_URI {uri!r}; start roscore, or leave out --use-master")
 
 
-def _listens(uri: str) -> bool:
-    parts = urlparse(uri)
-    try:
-        socket.create_connection((parts.hostname or "localhost", parts.port or 11311), timeout=1.0).close()
-    except OSError:
-        return False
-    return True
-
-
-def _watch(tree: ProcessTree, flight: Flight, display: Display, deaths: Deaths) -> None:
+def _watch(watch: Watch, flight: Flight) -> None:
     """Show the flight's progress until roslaunch has ended.
 
     Raises:
         DemoError: it ended before the flight did, a node died at the start, or the director fell silent.
     """
-    limit = flight.start_limit
-    last, begun, outcome = time.monotonic(), False, ""
-    sim_time: float | None = None
-    feed = _Feed()
-    connected = False
-    while not tree.wait(0.0):
-        if not connected and _listens(flight.master_uri):
-            _open_feed(feed, flight)
-            connected = True
-        _show_deaths(deaths, sim_time, display)
-        with contextlib.suppress(queue.Empty):
-            kind, message = feed.messages.get(timeout=_POLL)
-            if kind == "status":
-                display.standstill(message["text"])
-                if message["held"]:  # a pause, or a node at a breakpoint: however long, nothing is wrong
-                    last = time.monotonic()
-                continue
-            last = time.monotonic()
-            begun, limit = True, _SILENCE_LIMIT
-            if kind == "progress":
-                sim_time = message["sim_time"]
-                display.update(message)
-            else:
-                flight.show_event(message, display)
-                outcome = message["event"]
-            if outcome in flight.last_events:
-                break
-        if not begun and _died(flight):
-            raise DemoError("a node died before the flight began")
-        if time.monotonic() - last > limit:
-            what = "no message from the director" if begun else "the flight did not begin"
-            raise DemoError(f"{what} within {limit:.0f} s of wall time")
-    _show_deaths(deaths, sim_time, display)
+    begun, outcome = False, ""
+    while watch.running() and outcome not in flight.last_events:
+        for message in watch.look(starting=not begun):
+            if message["kind"] == "progress":
+                begun = True
+                watch.display.update(message["message"])
+            elif message["kind"] == "events":
+                begun = True
+                flight.show_event(message["message"], watch.display)
+                outcome = message["message"]["event"]
+        dead = [] if begun else watch.dead()
+        if dead:
+            raise DemoError(f"a node died before the flight began: {dead[0]}")
+        dropped = next((death for death in watch.deaths.all() if death.dropped and death.node in _VITAL), None)
+        if dropped:
+            raise DemoError(f"the flight cannot go on: {dropped}")
+        if begun:
+            check_still(watch, _SILENCE_LIMIT, "no message from the director has come")
+        else:
+            check_still(watch, flight.start_limit, "the flight did not begin: nothing has moved")
+    watch.show_deaths()
     if outcome in flight.last_events:
-        with signals_wait():
-            _close_feed()
-            tree.wait(_PATIENCE)
+        watch.finish()
     events = flight.events()
     if not events or events[-1]["event"] not in flight.last_events:
-        raise DemoError("the flight ended early")
+        failure = watch.deaths.failure
+        raise DemoError(f"the flight ended early{'' if failure is None else f': {failure}'}")
 
 
-def _show_deaths(deaths: Deaths, sim_time: float | None, display: Display) -> None:
-    for death in deaths.look(sim_time):
-        display.note(f"  [red]{escape(str(death))}[/red]")
+def check_still(watch: Watch, limit: float, what: str) -> None:
+    """Check that something has moved within ``limit`` s of wall time.
+
+    Raises:
+        DemoError: nothing has; the message begins with ``what`` and names the cause, as far as it can be told.
+    """
+    if watch.still > limit:
+        raise DemoError(f"{what} for {limit:.0f} s of wall time; {watch.why_still()}")
 
 
-def _open_feed(feed: _Feed, flight: Flight) -> None:
-    """Subscribe to the director's messages."""
-    import rospy
-    from std_msgs.msg import String
-    from xtdrone_msgs.msg import SimulationStatus
-
-    rospy.init_node("demo_display", anonymous=True, disable_signals=True)
-    rospy.Subscriber(flight.progress_topic, String, feed.callback("progress"))
-    rospy.Subscriber(flight.events_topic, String, feed.callback("event"))
-    rospy.Subscriber("/simulator/status", SimulationStatus, feed.on_status)
-
-
-def _close_feed() -> None:
-    """Leave the master before it goes."""
-    rospy = sys.modules.get("rospy")
-    if rospy is not None and not rospy.is_shutdown():
-        rospy.signal_shutdown("the flight has ended")
-
-
-def _log_lines(flight: Flight) -> list[str]:
+def _log_lines(flight: Launch) -> list[str]:
     if not flight.log.is_file():
         return []
     return _COLOURS.sub("", flight.log.read_text(encoding="utf-8", errors="replace")).splitlines()
 
 
-def _died(flight: Flight) -> bool:
-    return any("has died" in line for line in _log_lines(flight))
-
-
-def _print_trouble(flight: Flight, console: Console) -> None:
-    """Print what the launch's log says of the cause."""
-    lines = [line for line in _log_lines(flight) if _TROUBLE.search(line)]
-    for line in lines[:_TROUBLE_LINES]:
-        console.print(f"  {escape(line.strip())}", highlight=False, soft_wrap=True)
-    console.print(f"All of it: {flight.log.parent}", highlight=False, soft_wrap=True)
+def print_trouble(launch: Launch, console: Console) -> None:
+    """Print what the launch's log says of the cause, and what to do about it."""
+    lines = _log_lines(launch)
+    for line in [line for line in lines if _TROUBLE.search(line)][:_TROUBLE_LINES]:
+        console.print(f"  {escape(line.strip(' ='))}", highlight=False, soft_wrap=True)
+    for words in advice("\n".join(lines)):
+        console.print(f"What to do: {escape(words)}", highlight=False, soft_wrap=True)
+    console.print(f"All of it: {launch.log.parent}", highlight=False, soft_wrap=True)
 
 
 def escape(text: str) -> str:

@@ -3,6 +3,11 @@
 The mission sees the fleet through a :class:`View`, which its caller keeps up to date, and acts through a
 :class:`Commands`. It is a generator that is advanced once a tick, so that it reads in the order of the flight.
 
+A follower that fails in the air is *lost*: an event names it, the flight goes on for the others, and nothing waits for
+it any more. A vehicle that has left OFFBOARD, as it does when its communication node dies, does what PX4's failsafe
+does; one whose follower node has died hovers, and lands with the others. Without its leader there is no formation: then
+the flight has failed.
+
 Positions are ENU in the ``map`` frame, metres; index 0 is the leader.
 """
 
@@ -32,6 +37,8 @@ _ARRIVED = 0.1  # m
 _TAKEOFF_HEIGHT = 1.0  # m; AUTO.TAKEOFF ends in AUTO.LOITER well above it
 _SAME_SLOT = 1e-3  # m; offsets travel as 32-bit floats
 _HOVER_TIME = 0.5  # s of set-points before OFFBOARD is asked for
+COMMAND_LIMIT = 5.0  # s without a command of a follower that has commanded its vehicle before
+PATTERN_LIMIT = 5.0  # s without a pattern of a leader that repeats it each second
 _LIMITS = {"connect": 60.0, "arm": 40.0, "take-off": 40.0, "offboard": 15.0, "pattern": 10.0, "land": 90.0}  # s
 
 
@@ -68,6 +75,8 @@ class View:
         mode: PX4's mode as MAVROS names it, per vehicle.
         leader_yaw: rad from east, counter-clockwise.
         offsets: assigned offsets from the leader, shape (n - 1, 3), m, None before the first pattern.
+        commanded: when each vehicle's follower has commanded it last, s; None for those of which that is not known.
+        pattern_time: when the leader has said its pattern last, s; None where that is not known.
     """
 
     names: Sequence[str]
@@ -78,6 +87,8 @@ class View:
     mode: list[str] = field(init=False)
     leader_yaw: float = 0.0
     offsets: Array | None = None
+    commanded: list[float | None] = field(init=False)
+    pattern_time: float | None = None
 
     def __post_init__(self) -> None:
         """Know nothing of any vehicle yet."""
@@ -86,6 +97,7 @@ class View:
         self.connected = [False] * count
         self.armed = [False] * count
         self.mode = [""] * count
+        self.commanded = [None] * count
 
     def error(self) -> Array | None:
         """Return the followers' distances from their slots, shape (n - 1,), m; None before the first pattern."""
@@ -102,6 +114,7 @@ class FormationMission:
         step: its number, from 1.
         steps: number of phases.
         unsettled: patterns that did not settle in time.
+        lost: numbers of the followers that have failed, with why.
     """
 
     def __init__(
@@ -132,6 +145,8 @@ class FormationMission:
         self.step = 0
         self.steps = 8 + len(self.patterns) + max(0, len(self.patterns) - 1)
         self.unsettled: list[str] = []
+        self.lost: dict[int, str] = {}
+        self._away: set[int] = set()  # those of the lost that obey nothing
         self._ground = 0.0
         self._settle_limit = settle_limit
 
@@ -139,7 +154,8 @@ class FormationMission:
         """Fly the mission; advance once a tick.
 
         Raises:
-            MissionError: a vehicle did not do what it was told within the limit, or left the formation's mode.
+            MissionError: a vehicle did not connect, take off or arm within the limit, or the leader or all followers
+                have failed in the air.
         """
         yield from self._connect()
         yield from self._take_off()
@@ -162,15 +178,28 @@ class FormationMission:
         yield from self.land()
 
     def land(self) -> Ticks:
-        """Land all vehicles where they are and wait until the last is disarmed.
+        """Land all vehicles where they are and wait until the last that obeys is disarmed.
 
         Raises:
-            MissionError: a vehicle is still armed after the limit.
+            MissionError: the leader is still armed after the limit.
         """
         armed = self.view.armed
         yield from self._until(
-            "land and disarm", _LIMITS["land"], lambda i: not armed[i], self._mode_command("AUTO.LAND")
+            "land and disarm", _LIMITS["land"], lambda i: not armed[i], self._mode_command("AUTO.LAND"), in_flight=True
         )
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What the last event of a whole flight says: patterns that did not settle, and vehicles that were lost."""
+        names = [self.view.names[index] for index in sorted(self.lost)]
+        return {"unsettled": self.unsettled, **({"lost": names} if names else {})}
+
+    def error(self) -> Array | None:
+        """Return the followers' distances from their slots, shape (n - 1,), m: 0 for lost ones; None without slots."""
+        error = self.view.error()
+        if error is not None and self.lost:
+            error[[index - 1 for index in self.lost]] = 0.0
+        return error
 
     def _connect(self) -> Ticks:
         self._begin("connect")
@@ -198,6 +227,7 @@ class FormationMission:
             "reach the take-off height",
             _LIMITS["take-off"],
             lambda i: view.mode[i] == "AUTO.LOITER" and view.position[i, 2] > self._ground + _TAKEOFF_HEIGHT,
+            in_flight=True,
         )
 
     def _arm(self, index: int) -> None:
@@ -213,7 +243,11 @@ class FormationMission:
         yield from self._wait(_HOVER_TIME)
         mode = self.view.mode
         yield from self._until(
-            "switch to OFFBOARD", _LIMITS["offboard"], lambda i: mode[i] == "OFFBOARD", self._mode_command("OFFBOARD")
+            "switch to OFFBOARD",
+            _LIMITS["offboard"],
+            lambda i: mode[i] == "OFFBOARD",
+            self._mode_command("OFFBOARD"),
+            in_flight=True,
         )
 
     def _form(self, pattern: str) -> Ticks:
@@ -221,6 +255,7 @@ class FormationMission:
         self._begin(f"pattern {pattern}", pattern=pattern)
         start = due = self.view.time
         while not self._assigned(pattern):
+            self._check_flying()
             if self.view.time - start > _LIMITS["pattern"]:
                 raise MissionError(f"leader: no offsets of pattern {pattern!r} within {_LIMITS['pattern']:.0f} s")
             if self.view.time >= due:
@@ -244,7 +279,7 @@ class FormationMission:
         inside: float | None = None
         while self.view.time - start < self._settle_limit:
             self._check_flying()
-            error = self.view.error()
+            error = self.error()
             if error is None or error.max() > SETTLED_ERROR:
                 inside = None
             elif inside is None:
@@ -254,7 +289,7 @@ class FormationMission:
                 return
             yield
         self.unsettled.append(what)
-        error = self.view.error()
+        error = self.error()
         worst = int(error.argmax()) + 1 if error is not None else 0
         self.commands.event(
             "unsettled",
@@ -282,10 +317,38 @@ class FormationMission:
         self.commands.leader_velocity(np.zeros(3))
 
     def _check_flying(self) -> None:
-        for name, armed, mode in zip(self.view.names, self.view.armed, self.view.mode, strict=True):
+        """Look who has failed since the last tick.
+
+        Raises:
+            MissionError: the leader has, or no follower is left.
+        """
+        view = self.view
+        for i, (armed, mode) in enumerate(zip(view.armed, view.mode, strict=True)):
+            if i in self._away:
+                continue
             if not armed or mode != "OFFBOARD":
                 state = "armed" if armed else "disarmed"
-                raise MissionError(f"{name}: is {state} in mode {mode!r}; armed in OFFBOARD is needed")
+                self._away.add(i)
+                self._lose(i, f"is {state} in mode {mode!r}; armed in OFFBOARD is needed")
+            elif i not in self.lost and _silent(view.commanded[i], view.time, COMMAND_LIMIT):
+                self._lose(i, f"no command of its follower for {COMMAND_LIMIT:g} s")
+        if _silent(view.pattern_time, view.time, PATTERN_LIMIT):
+            raise MissionError(f"leader: its node has said no pattern for {PATTERN_LIMIT:g} s")
+
+    def _lose(self, index: int, reason: str) -> None:
+        """Go on without a follower; ``reason`` says what became of it.
+
+        Raises:
+            MissionError: it is the leader, or the last follower.
+        """
+        name = self.view.names[index]
+        if index == 0:
+            raise MissionError(f"leader {name}: {reason}")
+        if index not in self.lost:
+            self.lost[index] = reason
+            self.commands.event("lost", vehicle=name, reason=reason)
+        if len(self.lost) == len(self.view.names) - 1:
+            raise MissionError(f"no follower is left; the last, {name}: {reason}")
 
     def _begin(self, phase: str, **values: Any) -> None:
         self.phase = phase
@@ -301,31 +364,48 @@ class FormationMission:
         limit: float,
         reached: Callable[[int], bool],
         command: Callable[[int], None] | None = None,
+        *,
+        in_flight: bool = False,
     ) -> Ticks:
-        """Wait until every vehicle has ``reached`` the state; command those that have not, again and again.
+        """Wait until every vehicle that obeys has ``reached`` the state; command those that have not, again and again.
 
         Raises:
-            MissionError: some have not after ``limit`` s.
+            MissionError: some have not after ``limit`` s. In flight followers that have not are lost, and only the
+                leader, or the last follower, is an error.
         """
         start = due = self.view.time
-        while missing := [i for i in range(len(self.view.names)) if not reached(i)]:
+        while True:
+            missing = [i for i in range(len(self.view.names)) if not reached(i)]
+            waited_for = [i for i in missing if i not in self._away]
+            if not waited_for:
+                return
             if self.view.time - start > limit:
-                states = ", ".join(
-                    f"{self.view.names[i]} ({'armed' if self.view.armed[i] else 'disarmed'}, "
-                    f"mode {self.view.mode[i] or 'unknown'!r})"
-                    for i in missing
-                )
-                raise MissionError(f"{states}: did not {what} within {limit:.0f} s")
+                failure = f"did not {what} within {limit:.0f} s"
+                if not in_flight:
+                    raise MissionError(f"{', '.join(map(self._state, waited_for))}: {failure}")
+                self._away |= set(waited_for) - {0}
+                for i in waited_for:
+                    self._lose(i, f"{self._state(i)} {failure}")
+                return
             if command is not None and self.view.time >= due:
                 for i in missing:
                     command(i)
                 due = self.view.time + _REPEAT
             yield
 
+    def _state(self, index: int) -> str:
+        armed, mode = self.view.armed[index], self.view.mode[index]
+        return f"{self.view.names[index]} ({'armed' if armed else 'disarmed'}, mode {mode or 'unknown'!r})"
+
     def _wait(self, duration: float) -> Ticks:
         end = self.view.time + duration
         while self.view.time < end:
             yield
+
+
+def _silent(last: float | None, now: float, limit: float) -> bool:
+    """Return whether what has been heard at time ``last`` has stopped for ``limit`` s; never for what never was."""
+    return last is not None and now - last > limit
 
 
 def _all_near(points: Array, others: Array) -> bool:

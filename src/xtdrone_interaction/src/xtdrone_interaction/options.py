@@ -15,13 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.fleet import MAX_VEHICLES, Vehicle
+from xtdrone_control.fleet import (
+    INSTANCE_STEP,
+    MAX_INSTANCE,
+    MAX_VEHICLES,
+    FleetError,
+    Vehicle,
+    check_instance,
+    parse_fleet,
+)
 from xtdrone_control.speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_interaction.geometry import ORIGIN
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N
+_LONGEST_NAME = 90  # bytes of an abstract socket's name, with room for what comes before
 _BAG_ROOM = 1 << 30  # bytes; rosbag record stops where less is free
 
 
@@ -128,6 +137,18 @@ def port(text: str) -> int:
     return value
 
 
+def instance(text: str) -> int:
+    """Return the number of a simulation on this machine.
+
+    Raises:
+        OptionError: there is no such instance.
+    """
+    try:
+        return check_instance(text)
+    except FleetError as error:
+        raise OptionError(str(error)) from error
+
+
 def split_patterns(text: str) -> list[str]:
     """Return the names in a comma-separated list, files in them (clouds, fonts) with their whole paths.
 
@@ -197,7 +218,7 @@ def results_folder(wanted: Path | None, *, recorded: bool = False) -> Path:
     if wanted is None:
         base = Path("runs") / time.strftime("%Y%m%d-%H%M%S")
         wanted, number = base, 1
-        while wanted.exists():
+        while wanted.exists() or not _take(f"out-{wanted.resolve()}"[-_LONGEST_NAME:]):
             number += 1
             wanted = base.with_name(f"{base.name}-{number}")
     folder = new_folder(wanted)
@@ -234,6 +255,13 @@ def add_master(parser: argparse.ArgumentParser) -> None:
     master.add_argument("--master-port", type=checked(port), metavar="PORT",
                         help="TCP port of the flight's own ROS master (default: a free one)")  # fmt: skip
     master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
+
+
+def add_instance(parser: argparse.ArgumentParser) -> None:
+    """Add the option that says which of the simulations on this machine it is."""
+    parser.add_argument("--instance", type=checked(instance), metavar="N",
+                        help="of the simulations on this machine, which moves the UDP ports by N x "
+                        f"{INSTANCE_STEP} (default: the first whose ports are free)")  # fmt: skip
 
 
 def follower_program(text: str) -> tuple[str, str]:
@@ -303,12 +331,60 @@ def check_vehicle_ports(fleet: tuple[Vehicle, ...]) -> None:
         OptionError: one is taken; the message names it and the vehicle.
     """
     for vehicle in fleet:
-        for number in (vehicle.offboard_local_port, vehicle.offboard_remote_port, vehicle.gcs_local_port):
+        for number in _udp_ports(vehicle):
             if _taken(number, socket.SOCK_DGRAM):
                 raise OptionError(
-                    f"port: UDP {number} of {vehicle.name} is taken by another program; "
-                    "one simulation with these vehicles can run at a time"
+                    f"port: UDP {number} of {vehicle.name} is taken by another program; a simulation beside another "
+                    f"one is an instance of its own: --instance N, up to {MAX_INSTANCE}"
                 )
+
+
+def _udp_ports(vehicle: Vehicle) -> tuple[int, ...]:
+    local = vehicle.offboard_local_port, vehicle.gcs_local_port, vehicle.payload_local_port
+    return (*local, vehicle.offboard_remote_port)
+
+
+def take_instance(fleet: str, wanted: int | None) -> int:
+    """Return the number of an instance whose ports are free, and keep other commands from taking it.
+
+    Args:
+        fleet: which vehicles it has, as ``iris:9``.
+        wanted: its number; None for the first that is free.
+
+    Raises:
+        OptionError: it is not free, or none is.
+        FleetError: the fleet is none.
+    """
+    if wanted is not None:
+        if not _take(f"instance-{wanted}"):
+            raise OptionError(f"instance: {wanted} flies already; another one of 0 to {MAX_INSTANCE} may be free")
+        check_vehicle_ports(parse_fleet(fleet, wanted))
+        return wanted
+    for instance in range(MAX_INSTANCE + 1):
+        free = not any(_taken(port, socket.SOCK_DGRAM) for v in parse_fleet(fleet, instance) for port in _udp_ports(v))
+        if free and _take(f"instance-{instance}"):
+            return instance
+    raise OptionError(f"port: the UDP ports of each instance from 0 to {MAX_INSTANCE} are taken by other programs")
+
+
+_kept: dict[str, socket.socket] = {}
+
+
+def _take(name: str) -> bool:
+    """Keep a name for this process until it ends; return whether no other process has it.
+
+    The kernel knows the name, in the namespace in which ports are known, and forgets it with the process.
+    """
+    if name in _kept:
+        return True
+    keeper = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        keeper.bind(f"\0xtdrone-{name}")
+    except OSError:
+        keeper.close()
+        return False
+    _kept[name] = keeper
+    return True
 
 
 def _taken(number: int, kind: int) -> bool:

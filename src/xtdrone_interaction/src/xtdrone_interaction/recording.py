@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 from xtdrone_interaction import options, sim_cli
 from xtdrone_interaction.options import OptionError
 
@@ -61,12 +60,12 @@ def read_profile(name: str) -> Profile:
     folder = options.repository() / PROFILES
     path = Path(name) if name.endswith((".yaml", ".yml")) else folder / f"{name}.yaml"
     try:
-        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError:
+        raw = load_yaml(read_text(path))
+    except FileNotFoundError:
         shipped = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
         raise OptionError(f"profile: {name!r} is unknown; there are: {shipped}, and YAML files of your own") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise OptionError(f"profile: {str(path)!r} cannot be read: {error}") from error
+    except (OSError, ContentError) as error:
+        raise OptionError(f"profile: {str(path)!r} cannot be read: {getattr(error, 'strerror', error)}") from error
     if not isinstance(raw, dict) or not raw.keys() <= _KEYS:
         odd = sorted(map(str, raw.keys() - _KEYS)) if isinstance(raw, dict) else [type(raw).__name__]
         raise OptionError(f"profile: {str(path)!r}: {odd[0]!r} is not allowed; {', '.join(sorted(_KEYS))}")

@@ -115,16 +115,22 @@ def flight_part(record: FlightRecord, track: Track) -> Track:
 
 
 def measure(record: FlightRecord, track: Track) -> list[Reconfiguration]:
-    """Return the figures of every reconfiguration, judged by ``track``."""
+    """Return the figures of every reconfiguration, judged by ``track``; vehicles count until they are lost."""
     results = []
+    lost = {record.names.index(event["vehicle"]): event["time"] for event in _lost(record)}
     known = record.estimate or track  # what the leader assigns by
     for window in record.windows:
         part = track.between(window.start, window.end)
         if len(part.time) < 2:
             raise RecordError(f"pattern {window.pattern!r}: no positions were recorded")
-        error = formation_error(part.position, window.offsets)
+        gone = [index - 1 for index, time in lost.items() if time < window.end]
+        if len(gone) == len(window.offsets):
+            continue
+        error = np.delete(formation_error(part.position, window.offsets), gone, axis=1)
         steady = error[part.time >= part.time[-1] - STEADY_SPAN]
-        way, percent = overshoot(relative(part.position), window.offsets)
+        way, percent = overshoot(
+            np.delete(relative(part.position), gone, axis=1), np.delete(window.offsets, gone, axis=0)
+        )
         assigned, optimal = assignment_distances(
             relative(known.between(window.start, window.end).position[0]), window.offsets
         )
@@ -190,8 +196,14 @@ def make_report(record: FlightRecord, settings: dict[str, Any] | None = None) ->
     }
     if record.truth is not None and record.estimate is not None:
         report["by_estimate"] = [asdict(r) for r in measure(record, record.estimate)]
+    report["lost"] = [{key: event[key] for key in ("vehicle", "time", "reason")} for event in _lost(record)]
     report["shortcomings"] = shortcomings(report)
     return report
+
+
+def _lost(record: FlightRecord) -> list[dict[str, Any]]:
+    """Return the director's events of vehicles that the flight went on without."""
+    return [event for event in record.events if event["event"] == "lost"]
 
 
 def _too_close(names: tuple[str, ...], flight: Track, nearest: Array) -> dict[str, Any]:
@@ -228,6 +240,8 @@ def shortcomings(report: dict[str, Any]) -> list[str]:
     found = []
     if report["outcome"] != "done":
         found.append(f"the flight ended with {report['outcome']!r}")
+    for item in report["lost"]:
+        found.append(f"{item['vehicle']} was lost at {item['time']:.1f} s: {item['reason']}")
     for item in report["reconfigurations"]:
         name = item["pattern"]
         if item["settling_time"] is None:

@@ -53,6 +53,7 @@ def add_search(parser: argparse.ArgumentParser) -> None:
     add("--logs", action="store_true", help="write the vehicles' flight logs (PX4's ULog)")
     add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
     options.add_master(parser)
+    options.add_instance(parser)
 
 
 def whole(name: str, text: str, low: int, high: int) -> int:
@@ -91,10 +92,10 @@ def settings_of(arguments: argparse.Namespace) -> SearchSettings:
     Raises:
         OptionError, FleetError: a value that is not allowed.
     """
-    fleet = parse_fleet(f"{arguments.type}:{arguments.n}")
+    fleet = f"{arguments.type}:{arguments.n}"
+    parse_fleet(fleet)
     if arguments.world and arguments.persons != 1:
         raise OptionError("persons: they are in the world's file; leave out --persons where --world is given")
-    options.check_vehicle_ports(fleet)
     return SearchSettings(
         n=arguments.n,
         type=arguments.type,
@@ -115,6 +116,7 @@ def settings_of(arguments: argparse.Namespace) -> SearchSettings:
         master_port=master_port(arguments.master_port, use_running=arguments.use_master),
         headless=arguments.headless,
         logs=arguments.logs,
+        instance=options.take_instance(fleet, arguments.instance),
     )
 
 

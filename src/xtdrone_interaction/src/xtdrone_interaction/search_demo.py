@@ -52,6 +52,7 @@ class SearchSettings:
         master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
         headless: plain lines instead of the live display.
         logs: write the vehicles' flight logs into ``out / "logs"``.
+        instance: of the simulations on this machine.
     """
 
     n: int
@@ -73,10 +74,12 @@ class SearchSettings:
     master_port: int
     headless: bool
     logs: bool
+    instance: int = 0
 
     def stored(self) -> dict[str, Any]:
         """Return what the report keeps of it."""
-        return {key: value for key, value in asdict(self).items() if key not in ("out", "master_port", "headless")}
+        unstored = ("out", "master_port", "headless", "instance")
+        return {key: value for key, value in asdict(self).items() if key not in unstored}
 
 
 def run_search(settings: SearchSettings, console: Console) -> int:
@@ -123,11 +126,13 @@ def flight(settings: SearchSettings, prepared: Prepared) -> Flight:
             "speed": settings.speed,
             "out": settings.out,
             "log": settings.out / "logs" if settings.logs else "",
+            **({"instance": settings.instance} if settings.instance else {}),
         },
         out=settings.out,
         bag="flight.bag",
         master_port=settings.master_port,
         headless=settings.headless,
+        instance=settings.instance,
         start_limit=_START_LIMIT + _START_LIMIT_VEHICLE * settings.n,
         progress_topic=PROGRESS_TOPIC,
         events_topic=EVENTS_TOPIC,

@@ -18,6 +18,7 @@ from shapely.geometry import Point, Polygon
 
 from xtdrone_control import qgc_plan
 from xtdrone_control.autopilot import plan as mission
+from xtdrone_control.bounded_file import load_yaml, read_text
 from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_coordination.search.plans import Datum, SearchOptions, VehiclePlan, plan_search, write_plans
@@ -148,8 +149,8 @@ def _read_pieces(file: Path) -> dict[str, Polygon]:
     if not file.is_file():
         return {}
     try:
-        return {name: parse_region(data) for name, data in yaml.safe_load(file.read_text(encoding="utf-8")).items()}
-    except (yaml.YAMLError, AttributeError, ValueError) as error:
+        return {name: parse_region(data) for name, data in load_yaml(read_text(file)).items()}
+    except (AttributeError, ValueError) as error:
         raise ValueError(f"{file}: no pieces of a region: {error}") from error
 
 

@@ -142,7 +142,7 @@ class FormationFlight:
         except MissionError as error:
             yield from self._give_up(str(error))
         else:
-            self.event("done", unsettled=self.mission.unsettled)
+            self.event("done", **self.mission.result)
 
     def _give_up(self, reason: str) -> Iterator[None]:
         """Land all vehicles; the flight has failed for ``reason``."""
@@ -193,7 +193,7 @@ class FormationFlight:
         self._topologies.append(Change(view.time, leader.adjacency.copy()))
 
     def _progress(self) -> dict[str, Any]:
-        error = self.view.error()
+        error = self.mission.error()
         distance = float(self._swarm.least_distance())
         if self.mission.step > 1:
             self._least_distance = min(self._least_distance, distance)

@@ -15,15 +15,16 @@ from typing import Any
 import cv2
 import numpy as np
 import rospkg
-import yaml
 from numpy.typing import NDArray
 
+from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 from xtdrone_control.checks import check_choice, check_range
 
 from .layouts import LAYOUTS, LayoutError, check_layout, decode, find_layout
 
 STRIDE = 32  # pixels of the input in one cell of the coarsest grid: sizes are multiples of it
 _GREY = 127  # of the edges that fit a picture to the input's shape, as darknet's
+_LARGEST_FILE = 1 << 31  # bytes; networks for a processor are far below
 _FILES = ("weights", "config", "names")
 
 
@@ -122,10 +123,10 @@ def load_settings(path: Path, changes: Mapping[str, Any] | None = None) -> Detec
         DetectorError: the file is missing or malformed, or an entry is unknown or not allowed.
     """
     try:
-        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+        entries = load_yaml(read_text(path))
     except OSError as error:
         raise DetectorError(f"{path}: {error.strerror}") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except ContentError as error:
         raise DetectorError(f"{path}: no YAML: {error}") from error
     if not isinstance(entries, dict):
         raise DetectorError(f"{path}: a mapping of settings is needed")
@@ -363,9 +364,12 @@ def _read(path: Path) -> bytes:
     """Return what a file holds.
 
     Raises:
-        DetectorError: it cannot be read, or is empty.
+        DetectorError: it cannot be read, is empty, or larger than any network is.
     """
     try:
+        size = path.stat().st_size
+        if size > _LARGEST_FILE:
+            raise DetectorError(f"{path} has {size >> 20} MB, at most {_LARGEST_FILE >> 20} MB are read")
         content = path.read_bytes()
     except OSError as error:
         raise DetectorError(f"{path}: {error.strerror}") from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from xtdrone_control.lockstep.server import LockstepServer
@@ -13,6 +13,7 @@ from xtdrone_control.mavlink.server import MavlinkServer
 LIMIT = 10.0  # s of wall time to wait for datagrams that a participant of this machine says it has sent
 REMOTE_LIMIT = 0.25  # the same for one of another machine: on the way from there some get lost
 _SLICE = 0.01  # s
+_LONGEST = 1.0  # s that one such wait counts for at most: beyond, this process was stopped, and the sender perhaps too
 _SURPLUS_TURNS = 50
 _REPORT_PERIOD = 1.0  # s of wall time between two words on lost datagrams
 
@@ -57,9 +58,10 @@ class Datagrams:
         self._reported = -_REPORT_PERIOD
 
     def direct(self) -> None:
-        """Point links at participants on other machines: what is sent before these speak would go astray else.
+        """Have sockets for participants, and point links at those on other machines.
 
-        A participant that takes the place of one that is gone gets what went there, wherever either of them is.
+        What is sent before these speak would go astray else. A participant that takes the place of one that is gone
+        gets what went there, wherever either of them is.
         """
         present = {
             _End(name, participant.address, participant.remote): participant.udp_ports
@@ -69,9 +71,19 @@ class Datagrams:
         if present.keys() == self._known:
             return
         self._known = set(present)
+        self._reserve(present)
         for end, ports in present.items():
             for port in ports:
                 self._point(port, end)
+
+    def _reserve(self, present: Mapping[_End, Iterable[int]]) -> None:
+        """Have a socket for every address from which participants send."""
+        peers: dict[int, set[str]] = {}
+        for end, ports in present.items():
+            hosts = {end.address.rpartition(":")[0]} | (set() if end.remote else {LOOPBACK})
+            for port in ports:
+                peers.setdefault(port, set()).update(hosts)
+        self._mavlink.reserve(peers)
 
     def _point(self, port: int, end: _End) -> None:
         """Let the links to ``port`` send to a participant, unless another one that is there still has it."""
@@ -95,14 +107,15 @@ class Datagrams:
         datagrams have upset the counts.
         """
         self._mavlink.receive(0.0)
-        began = time.monotonic()
+        waited, looked = 0.0, time.monotonic()
         while missing := self._missing():
-            waited = time.monotonic() - began
             for port, count in missing.items():
                 if waited >= self._limit(port):
                     self._give_up(port, count)
             self._idle(_SLICE)
             self._server.poll(0.0)
+            now = time.monotonic()
+            waited, looked = waited + min(now - looked, _LONGEST), now
         self._take_back()
         self._report()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import rospy
 from gazebo_msgs.msg import ModelStates
 
-from xtdrone_control.fleet import Vehicle, parse_fleet
+from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
 
@@ -33,7 +33,7 @@ class Settings(NodeSettings):
     """What the node's parameters ask, besides those of every simulator.
 
     Attributes:
-        fleet: vehicles (``/xtdrone/fleet`` or ``~fleet``).
+        fleet: vehicles (``/xtdrone/fleet`` or ``~fleet``), on the ports of instance ``/xtdrone/instance``.
         rows: spawn grid (``~rows``).
         autopilot: "builtin" is ours; "hil" has PX4s connect to the vehicles' simulator links (``~autopilot``).
         world: name or file (``~world``); its absolute path is set as ``/xtdrone/world`` for who draws it.
@@ -61,7 +61,10 @@ class Settings(NodeSettings):
         """
         return cls(
             **cls.common_parameters(),
-            fleet=parse_fleet(str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))),
+            fleet=parse_fleet(
+                str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1"))),
+                check_instance(rospy.get_param("/xtdrone/instance", 0)),
+            ),
             rows=integer("~rows", 3, 1),
             autopilot=choice("~autopilot", ("builtin", "hil")),
             world=str(rospy.get_param("~world", "empty")),
@@ -149,6 +152,7 @@ class FullScene:
         """Count datagrams together with the lockstep's server."""
         self._idle = idle
         self._server = server
+        server.open_datagram_ports(self._mavlink.received)
         self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
         self._topics = SceneTopics(self._simulation, mailbox)
         for name, model in zip(self.names, self._simulation.models, strict=True):
@@ -162,7 +166,7 @@ class FullScene:
 
     def serve(self, ready: Collection[int]) -> None:
         """Receive MAVLink, and what comes from the autopilots."""
-        if self._mavlink.fileno() in ready:
+        if self._mavlink.fileno() in ready or self._mavlink.backlog:
             self._mavlink.receive(0.0)
         if not set(ready).isdisjoint(self._autopilots.descriptors):
             self._autopilots.serve()
@@ -193,7 +197,7 @@ class FullScene:
         self._simulation.step()
 
     def tick(self, idle: Idle) -> None:
-        """Tell where links are, and run one barrier; set-points that come in it act after it."""
+        """Publish where links are, and run one barrier; set-points from participants act after it."""
         self._topics.publish()
         self._mavlink.hold_setpoints()
         self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)

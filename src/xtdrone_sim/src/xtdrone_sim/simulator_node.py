@@ -21,8 +21,10 @@ from gazebo_msgs.msg import ModelStates
 from rosgraph_msgs.msg import Clock
 
 from xtdrone_control import lockstep
+from xtdrone_control.autopilot import kernel
 from xtdrone_control.lockstep.names import future_name
 from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.log_output import survive_full_disk
 
 from .control import Control, Reset
 from .digests import DigestFile
@@ -257,6 +259,14 @@ class SimulatorNode:
         for descriptor in (self._mailbox.fileno(), self._server.fileno(), *scene.descriptors):
             self._poll.register(descriptor, select.EPOLLIN)
         self._uri = reachable_uri(self._server.uri, settings.host)
+        own = rosgraph.network.get_local_address()
+        if not _is_loopback(settings.host) and _is_loopback(own):
+            rospy.logwarn(
+                "simulator: host is %s, but ROS tells other machines that this one is %s: they cannot reach it; "
+                "export ROS_IP with its address in the network",
+                settings.host,
+                own,
+            )
         if settings.lockstep:
             rospy.set_param("/lockstep/uri", self._uri)
         else:
@@ -266,7 +276,21 @@ class SimulatorNode:
                 rospy.delete_param("/lockstep/uri")
 
     def run(self) -> None:
-        """Step until the node is to end."""
+        """Step until the node is to end; participants are told whether it ends by a failure.
+
+        Raises:
+            Exception: what the failure is.
+        """
+        failure = ""
+        try:
+            self._run()
+        except Exception as error:
+            failure = f"{type(error).__name__}: {error}"
+            raise
+        finally:
+            self._close(failure)
+
+    def _run(self) -> None:
         try:
             self._publish_clock()
             self._wait_for_scene()
@@ -283,16 +307,14 @@ class SimulatorNode:
             # ROSInterruptException of our own, or rospy's word that its topics are closed
             if not self._stop.requested():
                 raise
-        finally:
-            self._close()
 
-    def _close(self) -> None:
+    def _close(self, failure: str) -> None:
         digests = [] if self._digests is None else [partial(self._digests.close, self._scene.time_us)]
         close_all(
             partial(_forget_uri, self._uri),
             self._mailbox.close,
             self._control.close,
-            self._server.close,
+            partial(self._server.close, failure),
             *digests,
             self._scene.close,
         )
@@ -439,6 +461,10 @@ class SimulatorNode:
         self._truth.publish(states, now)
 
 
+def _is_loopback(address: str) -> bool:
+    return address == "localhost" or address.startswith("127.")
+
+
 def reachable_uri(uri: str, host: str) -> str:
     """Return an address under which participants on other machines find the lockstep's server.
 
@@ -477,6 +503,25 @@ def log(level: int, text: str) -> None:
     write("simulator: %s", text)
 
 
+class _Kernels:
+    """Says that kernels are compiled: the world stands still meanwhile, and nothing else tells why."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def announce(self) -> None:
+        """Say so from now on."""
+        kernel.Announcer(self._begins, self._ends).register()
+
+    def _begins(self, name: str) -> None:
+        write, where = (rospy.loginfo, "") if self._told else (rospy.logwarn, f"; {kernel.cache_words()}")
+        self._told = True
+        write("simulator: compiling kernels: %s%s", name, where)
+
+    def _ends(self, name: str, seconds: float) -> None:
+        rospy.loginfo("simulator: kernel compiled: %s, in %.1f s", name, seconds)
+
+
 def run_node(make: Callable[[], tuple[NodeSettings, Scene]], arguments: Sequence[str]) -> int:
     """Run a simulator's node until it is to end.
 
@@ -499,7 +544,9 @@ def run_node(make: Callable[[], tuple[NodeSettings, Scene]], arguments: Sequence
         return 1
     stale = stale_uri(name)
     rospy.init_node("simulator", disable_rostime=True, disable_signals=True)
+    survive_full_disk()
     stop = Stop()
+    _Kernels().announce()
     if stale:
         rospy.logwarn("simulator: /lockstep/uri was %s, where nobody answers: it is forgotten", stale)
     try:

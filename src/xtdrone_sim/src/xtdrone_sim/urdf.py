@@ -20,11 +20,14 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, read_text
+
 from .package_files import PACKAGE
 from .poses import compose, from_rpy, rotate
 from .visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Vector, Visual
 
 FIXED, REVOLUTE, CONTINUOUS = "fixed", "revolute", "continuous"
+_LARGEST = 16 * MB
 _KINDS = (FIXED, REVOLUTE, CONTINUOUS)
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 _MESHES = (".obj",)
@@ -215,8 +218,8 @@ def read_urdf(path: Path) -> Description:
         UrdfError: it cannot be read or used.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, _LARGEST)
+    except (OSError, ContentError) as error:
         raise UrdfError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     return parse_urdf(text, path)
 
@@ -231,6 +234,10 @@ def parse_urdf(text: str, path: Path) -> Description:
     Raises:
         UrdfError: see ``read_urdf``.
     """
+    if "<!ENTITY" in text:
+        raise UrdfError(f"{path}: <!ENTITY is not allowed: write out what it stands for")
+    if text.count("<") > MOST_VALUES:
+        raise UrdfError(f"{path}: more than {MOST_VALUES} elements")
     try:
         robot = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
+from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 
 from .battery import BatteryModel
 from .mounts import CameraMount, GimbalMount, MountError, read_cameras, read_gimbal, read_landing_gear
@@ -206,11 +206,11 @@ def read_description(kind: str, name: str) -> dict[str, Any]:
 
 def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     try:
-        description = yaml.safe_load(path.read_text(encoding="utf-8"))
+        description = load_yaml(read_text(path))
     except OSError as error:
         names = ", ".join(available(kind))
         raise ModelError(f"{kind}: {path}: {error.strerror or error}; by name there are {names}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except ContentError as error:
         raise ModelError(f"{path}: not a YAML file: {error}") from error
     if not isinstance(description, dict):
         raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")

@@ -354,7 +354,10 @@ class Commander(FlightCommands):
         if custom_mode >> 16 & 0xFF == modes.MAIN_AUTO:
             text, name = "Unsupported auto mode", "commander_unsupported_auto_mode"
             self._announcements.tell(CRITICAL, text, name, level=events.ERROR)
-        return Result.TEMPORARILY_REJECTED
+            return Result.TEMPORARILY_REJECTED
+        if modes.is_main_mode(custom_mode >> 16 & 0xFF):
+            return Result.TEMPORARILY_REJECTED
+        return Result.ACCEPTED  # as PX4: nothing is done
 
     def request(self, mode: Mode) -> Result:
         """Go to a mode. A disarmed vehicle goes to any; an armed one only to one that it can fly."""

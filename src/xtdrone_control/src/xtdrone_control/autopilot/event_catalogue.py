@@ -80,6 +80,7 @@ def _check(name: str, message: str, description: str = "") -> Definition:
 _COMMANDER = (
     _define("commander_armed_by", "Armed by {1}", "reason:arm_disarm_reason_t"),
     _define("commander_disarmed_by", "Disarmed by {1}", "reason:arm_disarm_reason_t"),
+    _define("commander_mission_start_denied_no_mission", "Mission start denied: no valid mission"),
     _define(
         "commander_arm_denied_throttle_high",
         "Arming denied: high throttle",
@@ -220,6 +221,7 @@ _CHECKS = (
 
 _NAVIGATOR = (
     _define("navigator_rtl_home_activated", "Return activated"),
+    _define("orbit_radius_exceeded", "The orbit's radius is outside its limits"),
     _define("navigator_reposition_outside_geofence", "Place refused: it is outside the geofence"),
     _define("navigator_takeoff_min_alt", "Taking off to the least height, {1:.2m_v}", "height:float"),
     _define("navigator_takeoff_already_higher", "Higher than the take-off height already, not descending"),

@@ -24,6 +24,7 @@ MODES = {
     modes.AUTO_TAKEOFF: ("takeoff", "take-off"),
     modes.AUTO_LAND: ("land", "land"),
     modes.AUTO_PRECLAND: ("precland", "precision landing"),
+    modes.ORBIT: ("orbit", "orbit"),
 }
 ACTIONS = {
     Action.NONE: "nothing",

@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from . import events, geo, modes
 from .announcements import CRITICAL, INFO, Announcements
 from .modes import Mode
+from .motors import ArmReason
 from .navigator import Home, Navigator
 from .vehicle_view import Vector, VehicleView
 
@@ -46,6 +47,10 @@ class FlightCommands(ABC):
     def request(self, mode: Mode) -> Result:
         """Go to a mode, if that is possible."""
 
+    @abstractmethod
+    def _arm(self, reason: ArmReason, force: bool = False) -> bool:
+        """Arm, unless something stands against it; return whether the vehicle is armed."""
+
     @property
     def home(self) -> Home | None:
         """Where AUTO.RTL goes to."""
@@ -75,6 +80,25 @@ class FlightCommands(ABC):
     def return_to_launch(self) -> Result:
         """Go to AUTO.RTL."""
         return self._go(modes.AUTO_RTL, "Returning to launch", "commander_rtl")
+
+    def start_mission(self, first: float) -> Result:
+        """Fly the mission from an item on, and arm for it.
+
+        Args:
+            first: index of the item; -1 for the current one.
+        """
+        if self.navigator.mission_obstacle():
+            text = "Mission start denied! No valid mission"
+            self._announcements.tell(CRITICAL, text, "commander_mission_start_denied_no_mission")
+            return Result.DENIED
+        if not -1.0 <= first < len(self.navigator.plans.mission):
+            return Result.DENIED
+        if first >= 0.0:
+            self.navigator.set_current(int(first))
+        if self.request(modes.AUTO_MISSION) is Result.ACCEPTED and self._arm(ArmReason.MISSION):
+            return Result.ACCEPTED
+        self._announcements.mode_refused(modes.AUTO_MISSION)
+        return Result.TEMPORARILY_REJECTED
 
     def _go(self, mode: Mode, text: str, name: str) -> Result:
         result = self.request(mode)
@@ -129,6 +153,16 @@ class FlightCommands(ABC):
             self.navigator.set_speed("cruise_speed", speed)
         self.navigator.reposition(position, yaw)
         return Result.ACCEPTED
+
+    def orbit(self, radius: float, speed: float, yaw_behaviour: float, place: Vector) -> Result:
+        """Fly a circle in ORBIT; for the arguments see :meth:`.orbit.Orbit.command`."""
+        if any(math.isinf(value) for value in (radius, speed, yaw_behaviour, *place)):
+            return Result.DENIED
+        self.navigator.orbit.command(radius, speed, yaw_behaviour, place)
+        result = self.request(modes.ORBIT)
+        if result is not Result.ACCEPTED:
+            self._announcements.say(CRITICAL, "Orbit command rejected")
+        return result
 
     def change_altitude(self, altitude: float) -> Result:
         """Climb or sink to ``altitude`` (m AMSL) in AUTO.LOITER."""

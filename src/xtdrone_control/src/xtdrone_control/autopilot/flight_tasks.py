@@ -13,11 +13,15 @@ import math
 from .kernel import kernel
 from .rotation import constrain, wrap_pi, yaw_of
 from .state import (
+    ORBIT_ALONG_CIRCLE,
+    ORBIT_INITIAL_HEADING,
+    ORBIT_UNCONTROLLED,
     TAKEOFF_RAMPUP,
     TASK_ALTITUDE,
     TASK_DESCEND,
     TASK_GOTO,
     TASK_LAND,
+    TASK_ORBIT,
     TASK_STICKS,
     TASK_TRAJECTORY,
 )
@@ -303,12 +307,12 @@ def _smooth(c, s, e, p, wanted, dt):
 
 
 @kernel
-def _smooth_yaw(c, s, p, dt):
-    """Turn the heading towards goal_yaw at MPC_YAWRAUTO_MAX at most, with the yaw rate that belongs to it."""
+def _smooth_yaw(c, wanted, p, dt):
+    """Turn the heading towards ``wanted`` (rad; NaN: no turn) at MPC_YAWRAUTO_MAX at most, with its yaw rate."""
     limit = math.radians(p.mpc_yawrauto_max)
     turn = 0.0
-    if not math.isnan(s.goal_yaw):
-        turn = constrain(wrap_pi(s.goal_yaw - c.smooth_yaw), -limit * dt, limit * dt)
+    if not math.isnan(wanted):
+        turn = constrain(wrap_pi(wanted - c.smooth_yaw), -limit * dt, limit * dt)
     c.smooth_yaw = wrap_pi(c.smooth_yaw + turn)
     c.smooth_yaw_rate += dt / (_YAW_TAU + dt) * (turn / dt - c.smooth_yaw_rate)
     c.task_yaw = c.smooth_yaw
@@ -342,7 +346,7 @@ def goto_task(c, s, e, p, dt):
     wanted = _wanted_velocity(c, p, radius, cruise, height_speed)
     c.want_takeoff = 1 if wanted[2] < -_TAKEOFF_CLIMB else 0
     _smooth(c, s, e, p, wanted, dt)
-    _smooth_yaw(c, s, p, dt)
+    _smooth_yaw(c, s.goal_yaw, p, dt)
 
 
 @kernel
@@ -368,7 +372,7 @@ def land_task(c, s, e, p, dt):
     _update_braking(c, p)
     x, y = _wanted_horizontal(c, p, radius, cruise)
     _smooth(c, s, e, p, (x, y, _landing_speed(s.goal_position[2] - e.position[2], p)), dt)
-    _smooth_yaw(c, s, p, dt)
+    _smooth_yaw(c, s.goal_yaw, p, dt)
 
 
 @kernel
@@ -378,6 +382,37 @@ def descend_task(c, p):
     c.task_acceleration[1] = 0.0
     c.task_velocity[2] = p.mpc_land_speed
     c.task_yaw_rate = 0.0
+
+
+@kernel
+def _orbit_heading(s, x, y):
+    """Return the heading (rad; NaN: not controlled) at the unit vector (x, y) from the centre to the vehicle."""
+    if s.orbit_yaw == ORBIT_UNCONTROLLED:
+        return _NAN
+    if s.orbit_yaw == ORBIT_INITIAL_HEADING:
+        return s.orbit_heading
+    if s.orbit_yaw == ORBIT_ALONG_CIRCLE:
+        sign = 1.0 if s.orbit_speed > 0.0 else -1.0
+        return math.atan2(sign * x, -sign * y)
+    return math.atan2(-y, -x)
+
+
+@kernel
+def orbit_task(c, s, e, p, dt):
+    """Fly along the circle, and back onto it at 1 m/s a metre (PX4 FlightTaskOrbit::generate_circle_setpoints)."""
+    x, y = e.position[0] - s.orbit_centre[0], e.position[1] - s.orbit_centre[1]
+    distance = math.hypot(x, y)
+    x, y = (x / distance, y / distance) if distance > 1e-6 else (1.0, 0.0)
+    pull = s.orbit_radius - distance
+    c.task_velocity[0] = -y * s.orbit_speed + x * pull
+    c.task_velocity[1] = x * s.orbit_speed + y * pull
+    inwards = s.orbit_speed * s.orbit_speed / s.orbit_radius
+    c.task_acceleration[0] = -x * inwards
+    c.task_acceleration[1] = -y * inwards
+    c.task_position[2] = s.goal_position[2]
+    heading = _orbit_heading(s, x, y)
+    if not math.isnan(heading):
+        _smooth_yaw(c, heading, p, dt)
 
 
 # OFFBOARD
@@ -561,7 +596,7 @@ def _auto(task):
 @kernel
 def _begin_task(c, s, e):
     """Start a new kind of task where the vehicle is, or where the task before has led it."""
-    go_on = _auto(c.last_task) or c.last_task == TASK_STICKS or c.last_task == TASK_ALTITUDE
+    go_on = _auto(c.last_task) or c.last_task in (TASK_STICKS, TASK_ALTITUDE, TASK_ORBIT)
     for i in range(3):
         x, v, a = c.task_position[i], c.task_velocity[i], c.task_acceleration[i]
         if not go_on or math.isnan(x):
@@ -604,6 +639,8 @@ def generate_setpoint(c, s, e, p, dt):
         goto_task(c, s, e, p, dt)
     elif s.task == TASK_LAND:
         land_task(c, s, e, p, dt)
+    elif s.task == TASK_ORBIT:
+        orbit_task(c, s, e, p, dt)
     elif s.task == TASK_DESCEND:
         descend_task(c, p)
     elif s.task == TASK_STICKS:

@@ -22,7 +22,7 @@ class Mode:
         label: PX4's name in its texts, as AUTO_LOITER.
         state: PX4's navigation state.
         main: PX4 main mode.
-        sub: PX4 sub mode, 0 outside the AUTO modes.
+        sub: PX4 sub mode, of AUTO modes and ORBIT; else 0.
         flags: base_mode without the armed bit.
         needs: what it cannot be flown without, of "attitude", "altitude", "position" (the exact horizontal estimate),
             "place" (any horizontal estimate), "home", "mission", "offboard".
@@ -55,7 +55,7 @@ class Mode:
     @property
     def auto(self) -> bool:
         """Whether it is one of the modes that the navigator flies."""
-        return self.main == MAIN_AUTO and self is not DESCEND
+        return self is ORBIT or (self.main == MAIN_AUTO and self is not DESCEND)
 
 
 _STICKS = _CUSTOM | _STABILISED | _MANUAL
@@ -65,7 +65,7 @@ _HEIGHT = _ATTITUDE | {"altitude"}
 _ABOUT = _HEIGHT | {"place"}
 _EXACT = _HEIGHT | {"position"}
 
-MANUAL = Mode("MANUAL", "MANUAL", 0, 1, 0, _CUSTOM | _MANUAL, _ATTITUDE, sticks=True)
+MANUAL = Mode("MANUAL", "MANUAL", 0, 1, 0, _STICKS, _ATTITUDE, sticks=True)
 ALTCTL = Mode("ALTCTL", "ALTCTL", 1, 2, 0, _STICKS, _HEIGHT, sticks=True)
 POSCTL = Mode("POSCTL", "POSCTL", 2, 3, 0, _STICKS, _ABOUT, sticks=True)
 AUTO_MISSION = Mode("AUTO.MISSION", "AUTO_MISSION", 3, MAIN_AUTO, 4, _PILOT, _EXACT | {"mission"})
@@ -81,6 +81,7 @@ OFFBOARD = Mode("OFFBOARD", "OFFBOARD", 14, 6, 0, _CUSTOM | _STABILISED, _ATTITU
 STABILIZED = Mode("STABILIZED", "STAB", 15, 7, 0, _STICKS, _ATTITUDE, sticks=True)
 AUTO_TAKEOFF = Mode("AUTO.TAKEOFF", "AUTO_TAKEOFF", 17, MAIN_AUTO, 2, _PILOT, _EXACT)
 AUTO_LAND = Mode("AUTO.LAND", "AUTO_LAND", 18, MAIN_AUTO, 6, _PILOT, _ABOUT, prevents_arming=True)
+ORBIT = Mode("ORBIT", "ORBIT", 21, 3, 1, _CUSTOM | _STABILISED, _EXACT)
 AUTO_PRECLAND = Mode("AUTO.PRECLAND", "AUTO_PRECLAND", 20, MAIN_AUTO, 9, _PILOT, _EXACT, prevents_arming=True)
 
 # modes that a client may ask for and that are flown
@@ -98,12 +99,12 @@ SUPPORTED = (
     AUTO_LAND,
     AUTO_PRECLAND,
 )
-ALL = (*SUPPORTED, DESCEND, TERMINATION)
+ALL = (*SUPPORTED, ORBIT, DESCEND, TERMINATION)
 _BY_CUSTOM_MODE = {mode.custom_mode: mode for mode in SUPPORTED}
 _BY_STATE = {mode.state: mode for mode in SUPPORTED}
 # PX4's numbers of a flight mode in COM_FLTMODE1..6 and in events (navigation_mode_t), by navigation state
-_NUMBERS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 10: 6, 14: 7, 15: 8, 17: 10, 18: 11, 20: 13}
-_BY_NUMBER = {number: _BY_STATE[state] for state, number in _NUMBERS.items()}
+_NUMBERS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 10: 6, 14: 7, 15: 8, 17: 10, 18: 11, 20: 13, 21: 14}
+_BY_NUMBER = {number: _BY_STATE[state] for state, number in _NUMBERS.items() if state in _BY_STATE}
 UNKNOWN_NUMBER = 255
 
 
@@ -112,6 +113,11 @@ def from_custom_mode(custom_mode: int) -> Mode | None:
     if custom_mode == MAIN_AUTO << 16:
         return AUTO_MISSION
     return _BY_CUSTOM_MODE.get(custom_mode)
+
+
+def is_main_mode(main: int) -> bool:
+    """Return whether ``main`` is one of PX4's main modes (PX4_CUSTOM_MAIN_MODE), MANUAL to STABILIZED."""
+    return any(mode.main == main for mode in SUPPORTED)
 
 
 def from_base_mode(base_mode: int) -> Mode:

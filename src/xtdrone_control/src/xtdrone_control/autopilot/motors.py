@@ -13,6 +13,7 @@ class ArmReason(enum.Enum):
     STICK = (1, "RC")
     SWITCH = (2, "RC (switch)")
     COMMAND = (4, "external command")
+    MISSION = (5, "mission start")
     LANDING = (6, "landing")
     UNUSED = (7, "auto preflight disarming")
     KILLED = (8, "kill switch")

@@ -12,6 +12,7 @@ from .events import ERROR
 from .geofence import Fence
 from .mission import Mission
 from .modes import Mode
+from .orbit import Orbit
 from .parameters import Parameters
 from .payload import Payload
 from .plan import PlanItem, Plans
@@ -36,6 +37,7 @@ class Navigator:
         mission: what flies the mission.
         payload: camera, gimbal and actuators that a mission commands.
         precision_landing: takes the landing target that somebody sees.
+        orbit: what flies circles.
     """
 
     def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
@@ -56,6 +58,7 @@ class Navigator:
         self.mission = Mission(self._course, self.payload, self.precision_landing)
         self.mission.set_home = self._set_home
         self._return = Return(self._course, self.mission, self.precision_landing)
+        self.orbit = Orbit(self._course)
         self._mission_ended = False
         self._checked: tuple[object, ...] = ()
         self._valid = False
@@ -93,9 +96,10 @@ class Navigator:
     def activate(self, mode: Mode) -> None:
         """Begin ``mode``, one of the AUTO modes, for an armed vehicle."""
         self._stop()
+        if mode is not self._mode:  # a speed that was commanded holds until the next mode
+            for field in ("cruise_speed", "climb_speed", "descend_speed"):
+                self._view.setpoint[field] = NAN
         self._mode = mode
-        for field in ("cruise_speed", "climb_speed", "descend_speed"):
-            self._view.setpoint[field] = NAN
         if mode is modes.AUTO_TAKEOFF:
             self._start_takeoff()
         elif mode is modes.AUTO_MISSION:
@@ -108,6 +112,8 @@ class Navigator:
             self.precision_landing.start(self._course.stopping_place())
         elif mode is modes.AUTO_RTL:
             self._return.start()
+        elif mode is modes.ORBIT:
+            self.orbit.start()
         else:
             self.hold()
 
@@ -140,6 +146,8 @@ class Navigator:
             self._return.update()
         elif mode is modes.AUTO_PRECLAND:
             self.precision_landing.update()
+        elif mode is modes.ORBIT:
+            self.orbit.update()
         return None
 
     def _update_mission(self) -> Mode | None:

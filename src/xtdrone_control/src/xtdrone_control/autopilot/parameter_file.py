@@ -11,6 +11,8 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from xtdrone_control.bounded_file import ContentError, read_text
+
 _COLUMNS = 5
 _log = logging.getLogger(__name__)
 
@@ -33,10 +35,10 @@ def _row(line: str) -> Row:
 def read(path: Path) -> list[Row]:
     """Return the rows of ``path``; what cannot be read is warned of and left out. No file: no rows."""
     try:
-        text = path.read_text("utf-8")
+        text = read_text(path)
     except FileNotFoundError:
         return []
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ContentError) as error:
         _log.warning("parameter file %s cannot be read, defaults hold: %s", path, error)
         return []
     rows = []

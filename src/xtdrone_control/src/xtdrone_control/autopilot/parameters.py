@@ -1,8 +1,8 @@
-"""The autopilot's parameters: PX4 v1.14's names, types and defaults, for those that something here obeys.
+"""The autopilot's parameters: names, types and defaults of PX4 v1.14.
 
-Defaults are those of a PX4 v1.14.3 build; a vehicle's description says what its airframe changes. Kernels read the
+Defaults are those of a PX4 v1.14.3 SITL build; a vehicle's description says what its airframe changes. Kernels read the
 ``PARAMS`` record, one float64 field a kernel parameter, named as the parameter in lower case; everything else asks
-``Parameters``.
+``Parameters``. ``inert_parameters`` has those that are stored only.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import logging
 import math
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from struct import pack
 from typing import Any
 
 import numpy as np
 
-from . import parameter_file
+from . import inert_parameters, parameter_file
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
 FLOAT = 9  # MAV_PARAM_TYPE_REAL32
@@ -46,6 +46,7 @@ class Parameter:
         maximum: largest value that makes sense.
         unit: unit, empty for none.
         text: what it does.
+        has_effect: False for one that is stored only.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Parameter:
     maximum: float
     unit: str
     text: str
+    has_effect: bool = True
 
 
 _INF = math.inf
@@ -279,6 +281,7 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0, "m", "largest height over home; 0: any"),
     ("GF_PREDICT", 0, 0, 1, "", "1: a breach is where the vehicle would come to rest, not where it is"),
     ("GF_SOURCE", 0, 0, 1, "", "position for the geofence: 0 estimate, 1 GPS"),
+    ("MC_ORBIT_RAD_MAX", 1000.0, 1.0, 10000.0, "m", "largest radius of an orbit"),
     ("MIS_DIST_1WP", 900.0, -1.0, 100000.0, "m", "largest distance to a mission's first waypoint; not positive: any"),
     ("MIS_PD_TO", 5.0, 0.0, _INF, "s", "time given to a gripper or winch in a mission"),
     ("MIS_TKO_LAND_REQ", 0, 0, 4, "", "a mission needs: 1 take-off, 2 landing, 3 both, 4 both or neither"),
@@ -352,7 +355,15 @@ def _channel_rows() -> tuple[tuple[str, float, float, float, str, str], ...]:
     return tuple(rows)
 
 
-_TABLE: dict[str, Parameter] = {row[0]: _parameter(row) for row in sorted(_KERNEL_ROWS + _SLOW_ROWS + _channel_rows())}
+def _table() -> dict[str, Parameter]:
+    """Return every parameter by name, sorted as PX4 lists them."""
+    table = {row[0]: _parameter(row) for row in _KERNEL_ROWS + _SLOW_ROWS + _channel_rows()}
+    for row in inert_parameters.rows():
+        table[row[0]] = replace(_parameter((*row, "stored, no effect in this simulation")), has_effect=False)
+    return dict(sorted(table.items()))
+
+
+_TABLE: dict[str, Parameter] = _table()
 _FIELDS: dict[str, str] = {row[0]: row[0].lower() for row in _KERNEL_ROWS}
 
 NAMES: tuple[str, ...] = tuple(_TABLE)  # sorted

@@ -27,6 +27,10 @@ TASK_RATES = 7  # body rates and thrust
 TASK_ALTITUDE = 8  # ALTCTL: tilt and climb rate from sticks, height held when the throttle stick is centred
 TASK_MANUAL = 9  # STABILIZED and MANUAL: tilt, yaw rate and thrust from raw sticks
 TASK_ACRO = 10  # ACRO: body rates and thrust from raw sticks
+TASK_ORBIT = 11  # ORBIT: a circle at goal_position's height
+
+# SETPOINT.orbit_yaw: MAVLink ORBIT_YAW_BEHAVIOUR
+ORBIT_TO_CENTRE, ORBIT_INITIAL_HEADING, ORBIT_UNCONTROLLED, ORBIT_ALONG_CIRCLE = 0, 1, 2, 3
 
 # Take-off state machine (CONTROL.takeoff_state), after PX4's mc_pos_control/Takeoff.
 TAKEOFF_DISARMED = 0
@@ -281,6 +285,12 @@ SETPOINT = np.dtype(
         # TASK_GOTO
         ("onward_position", "f8", 3),  # m, local; where it goes on to from the goal without a stop, NaN to stop there
         ("goal_radius", "f8"),  # m from the goal at which the way onward begins; NaN = NAV_ACC_RAD
+        # TASK_ORBIT
+        ("orbit_centre", "f8", 2),  # m, local north and east
+        ("orbit_radius", "f8"),  # m
+        ("orbit_speed", "f8"),  # m/s along the circle, positive clockwise from above
+        ("orbit_yaw", "i4"),  # ORBIT_*
+        ("orbit_heading", "f8"),  # rad, when the orbit was commanded
         ("failed_rotors", "i4"),  # bit i: rotor i does not turn and gets no command
     ],
     align=True,

@@ -17,6 +17,7 @@ topic                                  type                        meaning
 
 from __future__ import annotations
 
+import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 
@@ -31,6 +32,7 @@ from xtdrone_control.communication.core import HOVER_SPEED, MultirotorCore, Requ
 from xtdrone_control.communication.setpoint import Setpoint, Vector
 
 RATE = 30  # Hz
+_ANSWER_LIMIT = 100.0  # s of wall time; the simulator drops a MAVROS layer that hangs before
 
 
 class RosLog:
@@ -52,8 +54,9 @@ class RosLog:
 class _Services:
     """Calls MAVROS's services of one vehicle.
 
-    In lockstep a call is made at once: the simulator waits, so the outcome falls into the same tick each time. In
-    real time a slow answer would interrupt the set-point stream and end OFFBOARD, so a thread of its own waits.
+    In lockstep a call is waited for: the simulator waits, so the outcome falls into the same tick each time. In real
+    time a slow answer would interrupt the set-point stream and end OFFBOARD, so the call goes on beside it. Either way
+    a thread of its own makes the call, since rospy waits for an answer without a limit.
     """
 
     def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
@@ -67,9 +70,14 @@ class _Services:
         if self._executor is not None:
             self._calls.append((request, self._executor.submit(self._call, request)))
             return
-        done: Future[tuple[bool, str]] = Future()
-        done.set_result(self._call(request))
-        self._calls.append((request, done))
+        call: Future[tuple[bool, str]] = Future()
+        thread = threading.Thread(target=self._make, args=(call, request), daemon=True)
+        thread.start()
+        thread.join(_ANSWER_LIMIT)
+        if not call.done():
+            call = Future()
+            call.set_result((False, f"no answer within {_ANSWER_LIMIT:g} s of wall time; does MAVROS hang?"))
+        self._calls.append((request, call))
 
     def finished(self) -> list[tuple[Request, bool, str]]:
         """Return (request, accepted, reason) of the calls that have ended since, in order."""
@@ -83,6 +91,12 @@ class _Services:
         """Let no further call begin."""
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _make(self, call: Future[tuple[bool, str]], request: Request) -> None:
+        try:
+            call.set_result(self._call(request))
+        except Exception as error:  # for `finished` to raise
+            call.set_exception(error)
 
     def _call(self, request: Request) -> tuple[bool, str]:
         try:

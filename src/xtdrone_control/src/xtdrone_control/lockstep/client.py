@@ -32,6 +32,8 @@ import rospy.rostime
 import rospy.topics
 from rospy.impl.registration import Registration
 
+from xtdrone_control.log_output import survive_full_disk
+
 from .names import future_name
 from .protocol import (
     ALIVE_FRAME,
@@ -46,6 +48,7 @@ from .protocol import (
     Schedule,
     pack_barrier,
     pack_object,
+    printable,
     process_namespace,
     same_machine,
     tune,
@@ -73,6 +76,8 @@ ALIVE_PERIOD = 1.0
 """Wall seconds between keep-alives."""
 SLICE = 0.1
 """Longest single wait in wall seconds, so that a shutdown is noticed."""
+LONGEST_REASON = 500
+"""Characters of the simulator's last words that are logged."""
 
 URI_PARAM = "/lockstep/uri"
 WAIT_PARAM = "/lockstep/wait"
@@ -310,6 +315,7 @@ def init_node(name: str, rate: float = 30.0, **options: Any) -> None:
     if not options.get("anonymous"):
         _node.reservation = _reserve(future_name(name, options.get("argv")))
     rospy.init_node(name, disable_rostime=True, **options)
+    survive_full_disk()
     if not options.get("disable_signals"):
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _on_signal)
@@ -343,7 +349,7 @@ def _notice_crash() -> None:
 
 
 def exit_status() -> int:
-    """Returns with what status the program should end: 1 if the simulator has dropped the node or crashed, else 0."""
+    """Returns with what status the program should end: 1 if the simulator has dropped the node or failed, else 0."""
     return _node.exit_status
 
 
@@ -798,7 +804,7 @@ class Client:
         answer, payload = self._frames.popleft()
         if answer == Kind.REFUSED:
             refusal = unpack_object(payload)
-            raise _RefusedError(str(refusal.get("code")), str(refusal.get("reason")))
+            raise _RefusedError(str(refusal.get("code")), _reason(refusal))
         if answer != Kind.WELCOME:
             raise ProtocolError(f"the answer to {kind.name} was a frame of type {answer}")
         return unpack_object(payload)
@@ -817,7 +823,7 @@ class Client:
                 if self._joined and self._sock is not None:
                     self._joined = False
                     crash = self._node.crash
-                    reason = f"it has crashed: {crash}" if crash else "shut down"
+                    reason = f"it has crashed: {printable(crash)}" if crash else "shut down"
                     leave = pack_object(Kind.LEAVE, {"reason": reason, "failed": bool(crash)})
                     frames = self._digest_frame() + self._done_frame() + leave
                     with contextlib.suppress(OSError):
@@ -1039,8 +1045,13 @@ class Client:
         self._end(f"the simulator at {self.uri} is gone", why)
 
     def _last_word(self, kind: int, payload: bytes) -> None:
-        fault = "the simulator has dropped this node" if kind == Kind.REFUSED else ""
-        self._end(fault, str(unpack_object(payload).get("reason")))
+        content = unpack_object(payload)
+        fault = ""
+        if kind == Kind.REFUSED:
+            fault = "the simulator has dropped this node"
+        elif content.get("failed"):
+            fault = f"the simulator at {self.uri} has ended by a failure"
+        self._end(fault, _reason(content))
 
     def _end(self, fault: str, why: str) -> None:
         """Ends the node; without a fault the simulation has ended in an orderly way."""
@@ -1053,6 +1064,11 @@ class Client:
         self._ended.set()
         rospy.signal_shutdown(fault or why)
         raise rospy.ROSInterruptException(fault or why)
+
+
+def _reason(content: Mapping[str, Any]) -> str:
+    """Returns the reason of a REFUSED or LEAVE, fit for a log."""
+    return printable(str(content.get("reason")), LONGEST_REASON)
 
 
 # ---- the simulator's own topics ----

@@ -31,19 +31,19 @@ PEER       server to client    made [[id, topic, publisher, subscriber's TCP por
 DECLARE    client to server    publications, subscriptions (as JOIN: all that there are now)
 DIGEST     client to server    time_us, topics {topic: [messages, bytes, crc]}; see `Digest`
 LEAVE      client to server    reason, failed (bool)
-LEAVE      server to client    reason; the simulation has ended
+LEAVE      server to client    reason, failed (bool): the simulation has ended, in an orderly way or by a failure
 =========  ==================  =========================================================================
 
 ``host`` says in which machine and process namespace ``pid`` means something (see `process_namespace`), so that the
 server can tell a process that is gone from one that is silent; empty if unknown.
+
+`frames` has the types and ranges of what clients send, and the longest frame of each type.
 """
 
 from __future__ import annotations
 
 import enum
-import functools
 import json
-import math
 import os
 import socket
 import struct
@@ -65,6 +65,25 @@ _DIGEST_HEAD = struct.Struct("<qI")
 
 class ProtocolError(Exception):
     """The peer does not speak this protocol."""
+
+
+def printable(text: str, most: int = 200) -> str:
+    """Returns a peer's text as one line for a log or a message: what cannot be printed is escaped, the rest cut off.
+
+    Args:
+        text: Any text; line feeds, terminal codes and lone surrogates may be in it.
+        most: Longest result in characters.
+    """
+    letters = (letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text[:most])
+    line = "".join(letters)
+    return line if len(text) <= most and len(line) <= most else line[: most - 3] + "..."
+
+
+def shown(value: object, most: int = 60) -> str:
+    """Returns a value that came as JSON in at most about `most` printable characters, for an error's text."""
+    if isinstance(value, list | dict):
+        return f"a {'list' if isinstance(value, list) else 'table'} of {len(value)}"
+    return f"'{printable(value, most)}'" if isinstance(value, str) else printable(repr(value), most)
 
 
 class Kind(enum.IntEnum):
@@ -99,9 +118,18 @@ class Barrier(NamedTuple):
     datagrams: dict[int, int]
 
 
-@functools.lru_cache(maxsize=4096)
-def _pairs(count: int) -> struct.Struct:
-    return struct.Struct("<" + "IQ" * count)
+_PAIR = struct.Struct("<IQ")
+_RUNS = [struct.Struct("<" + "IQ" * count) for count in range(65)]
+"""Packs so many pairs at once. Longer runs are packed in pieces: a format for each length that comes would be kept."""
+
+
+def _pack_pairs(pairs: Mapping[int, int]) -> bytes:
+    flat = [number for pair in pairs.items() for number in pair]
+    longest = len(_RUNS) - 1
+    if len(pairs) <= longest:
+        return _RUNS[len(pairs)].pack(*flat)
+    starts = range(0, len(flat), 2 * longest)
+    return b"".join(_RUNS[min(longest, (len(flat) - at) // 2)].pack(*flat[at : at + 2 * longest]) for at in starts)
 
 
 def pack_barrier(
@@ -120,10 +148,8 @@ def pack_barrier(
     head = _BARRIER_FRAME.pack(1 + _BARRIER.size + 12 * count, kind, tick, time_us, len(channels), len(datagrams))
     if not count:
         return head
-    flat = [number for pair in channels.items() for number in pair]
-    if datagrams:
-        flat.extend(number for pair in datagrams.items() for number in pair)
-    return head + _pairs(count).pack(*flat)
+    frame = head + _pack_pairs(channels)
+    return frame + _pack_pairs(datagrams) if datagrams else frame
 
 
 def unpack_barrier(payload: bytes) -> Barrier:
@@ -137,15 +163,13 @@ def unpack_barrier(payload: bytes) -> Barrier:
         count = channel_count + port_count
         if len(payload) != _BARRIER.size + 12 * count:
             raise ProtocolError(f"barrier frame of {len(payload)} bytes for {count} pairs")
-        if not count:
-            return Barrier(tick, time_us, {}, {})
-        flat = _pairs(count).unpack_from(payload, _BARRIER.size)
     except struct.error as error:
         raise ProtocolError(f"barrier frame of {len(payload)} bytes: {error}") from error
-    split = 2 * channel_count
-    channels = dict(zip(flat[0:split:2], flat[1:split:2], strict=True))
-    datagrams = dict(zip(flat[split::2], flat[split + 1 :: 2], strict=True)) if port_count else {}
-    return Barrier(tick, time_us, channels, datagrams)
+    if not count:
+        return Barrier(tick, time_us, {}, {})
+    split = _BARRIER.size + 12 * channel_count
+    channels = dict(_PAIR.iter_unpack(payload[_BARRIER.size : split]))
+    return Barrier(tick, time_us, channels, dict(_PAIR.iter_unpack(payload[split:])) if port_count else {})
 
 
 def pack_object(kind: Kind, content: Mapping[str, Any]) -> bytes:
@@ -174,12 +198,26 @@ NEEDS_TIME = b"\x01"
 NEEDS_TIME_FRAME = _HEAD.pack(2, Kind.ALIVE) + NEEDS_TIME
 
 
-class FrameReader:
-    """Cuts a stream of bytes into frames."""
+ANY_FRAME: Mapping[int, int] = dict.fromkeys(Kind, MAX_FRAME)
+"""Greatest lengths of frames by type, without the length field, where nothing else is known of them."""
 
-    def __init__(self) -> None:
+
+class FrameReader:
+    """Cuts a stream of bytes into frames.
+
+    Attributes:
+        longest: The types that may come, each with its greatest length in bytes, without the length field. It is looked
+            at when a frame's head is there, before its payload.
+    """
+
+    def __init__(self, longest: Mapping[int, int] = ANY_FRAME) -> None:
         """Starts with nothing read."""
+        self.longest = longest
         self._buffer = bytearray()
+
+    def __len__(self) -> int:
+        """Returns how many bytes have been received and not yet been cut into frames."""
+        return len(self._buffer)
 
     def feed(self, data: bytes) -> None:
         """Takes what was received."""
@@ -189,18 +227,31 @@ class FrameReader:
         """Yields (type, payload) of each complete frame and removes it.
 
         Raises:
-            ProtocolError: A length is 0 or above `MAX_FRAME`.
+            ProtocolError: A length is 0 or above what `longest` allows, or the type is not allowed.
         """
         while len(self._buffer) >= _HEAD.size:
             length, kind = _HEAD.unpack_from(self._buffer)
-            if not 0 < length <= MAX_FRAME:
-                raise ProtocolError(f"frame of {length} bytes, allowed are 1 to {MAX_FRAME}")
+            if not 0 < length <= self.longest.get(kind, 0):
+                raise ProtocolError(self._fault(kind, length))
             end = 4 + length
             if len(self._buffer) < end:
                 return
             payload = bytes(self._buffer[_HEAD.size : end])
             del self._buffer[:end]
             yield kind, payload
+
+    def _fault(self, kind: int, length: int) -> str:
+        if kind in self.longest:
+            return f"{Kind(kind).name} of {length} bytes, allowed are 1 to {self.longest[kind]}"
+        names = ", ".join(Kind(allowed).name for allowed in self.longest)
+        return f"frame of type {kind}, allowed are {names}"
+
+    def has_frame(self) -> bool:
+        """Says whether `frames` has something to yield, or to complain about."""
+        if len(self._buffer) < _HEAD.size:
+            return False
+        length, _ = _HEAD.unpack_from(self._buffer)
+        return length == 0 or length > MAX_FRAME or len(self._buffer) >= 4 + length
 
 
 class Digest:
@@ -291,8 +342,8 @@ class Schedule:
             ValueError: The rate is outside its range.
         """
         fastest = 1_000_000 / base_step_us
-        if not (isinstance(rate, int | float) and math.isfinite(rate) and 0.0 < rate <= fastest):
-            raise ValueError(f"rate {rate!r}: must be above 0 and at most {fastest:g} Hz")
+        if isinstance(rate, bool) or not (isinstance(rate, int | float) and 0.0 < rate <= fastest):
+            raise ValueError(f"rate {shown(rate)}: must be above 0 and at most {fastest:g} Hz")
         fraction = Fraction(rate).limit_denominator(1_000_000) or Fraction(rate)
         steps = Fraction(1_000_000, base_step_us) / fraction
         self._base_step_us = base_step_us

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.announcements import INFO
 from xtdrone_control.autopilot.commander import CRITICAL, Result
 from xtdrone_control.autopilot.gimbal import GimbalManager
 from xtdrone_control.autopilot.plan import PlanItem
@@ -145,8 +145,11 @@ class CommandHandler:
             mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: self._configure_gimbal,
             mavlink.MAV_CMD_DO_LAND_START: self._start_landing,
             mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
+            mavlink.MAV_CMD_DO_ORBIT: self._orbit,
             **dict.fromkeys(_ROI, self._set_roi),
             mavlink.MAV_CMD_MISSION_START: self._start_mission,
+            mavlink.MAV_CMD_DO_GO_AROUND: lambda *_: Result.ACCEPTED,  # for a fixed wing; PX4 accepts it all the same
+            mavlink.MAV_CMD_FIXED_MAG_CAL_YAW: self._calibrate_heading,
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
             mavlink.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
             mavlink.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
@@ -227,23 +230,18 @@ class CommandHandler:
         place = (command.params[4], command.params[5], self._altitude(command))
         return self._commander.reposition(place, command.params[3], command.params[0])
 
+    def _orbit(self, command: Command, _link: Link) -> Result:
+        radius, speed, yaw_behaviour = command.params[:3]
+        place = (command.params[4], command.params[5], self._altitude(command))
+        return self._commander.orbit(radius, speed, yaw_behaviour, place)
+
     def _set_home(self, command: Command, _link: Link) -> Result:
         if command.params[0] > 0.5:
             return self._commander.set_home(None)
         return self._commander.set_home((command.params[4], command.params[5], self._altitude(command)))
 
     def _start_mission(self, command: Command, _link: Link) -> Result:
-        obstacle = self._commander.navigator.mission_obstacle()
-        if obstacle:
-            self._commander.say(CRITICAL, obstacle)
-            return Result.DENIED
-        first = command.params[0]  # the last item, param2, means nothing to PX4
-        if not -1.0 <= first < len(self._commander.navigator.plans.mission):
-            return Result.DENIED
-        if first >= 0.0:
-            self._commander.navigator.set_current(int(first))
-        result = self._commander.request(modes.AUTO_MISSION)
-        return result if result is not Result.ACCEPTED else self._commander.arm_disarm(True)
+        return self._commander.start_mission(command.params[0])  # the last item, param2, means nothing to PX4
 
     def _start_landing(self, command: Command, link: Link) -> Result:
         """Fly the mission from where its landing begins; accepted without one too, as in PX4."""
@@ -291,10 +289,24 @@ class CommandHandler:
     # before flight
 
     def _calibrate(self, command: Command, _link: Link) -> Result:
-        """The sensors here need no calibration and have none; what only ends one is accepted, as in PX4."""
+        """Accept what needs no movement of the vehicle: gyroscope, barometer, and the end of a radio's calibration.
+
+        The simulated sensors have nothing to calibrate, so it is done at once. What PX4 asks an operator to turn the
+        vehicle for (magnetometer, accelerometer, level) is unsupported.
+        """
         if self._commander.armed:
             return Result.TEMPORARILY_REJECTED
-        return Result.UNSUPPORTED if any(_rounded(value) for value in command.params) else Result.ACCEPTED
+        wanted = [_rounded(value) for value in command.params]
+        sensor = {0: "gyro", 2: "baro"}.get(next((i for i, value in enumerate(wanted) if value), -1))
+        if sensor is not None and wanted.count(0) == len(wanted) - 1:
+            for text in (f"[cal] calibration started: 2 {sensor}", f"[cal] calibration done: {sensor}"):
+                self._commander.say(INFO, text)
+            return Result.ACCEPTED
+        return Result.UNSUPPORTED if any(wanted) else Result.ACCEPTED
+
+    def _calibrate_heading(self, _command: Command, _link: Link) -> Result:
+        """Accept a calibration of the magnetometer by a known heading; the simulated one is calibrated."""
+        return Result.TEMPORARILY_REJECTED if self._commander.armed else Result.ACCEPTED
 
     def _storage(self, command: Command, _link: Link) -> Result:
         if self._commander.armed:

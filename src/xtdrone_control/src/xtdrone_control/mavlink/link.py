@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from .packing import COMPONENT_ID, Format, PackingError, as_version_1
 from .streams import HEARTBEAT, Payloads, Streams
 from .telemetry import Telemetry, Values
+from .turns import OWN_EARNINGS, OWN_SAVINGS, Purse
 
 if TYPE_CHECKING:
     from .port import Port
@@ -44,11 +45,10 @@ class Link:
         received_bytes: of its datagrams.
         sent_bytes: of the frames sent to it.
         malformed: datagrams of this client that were not, or not wholly, MAVLink.
-        dropped: datagrams of this client that were not looked at, see ``Port``.
+        dropped: datagrams of this client that were not looked at, see ``turns``.
         lost: datagrams to it that the operating system did not take.
         open: whether the client is still one of the port's; what is sent over a link that is not goes nowhere.
-        credit: what the client may still ask for, see ``Port``.
-        paid: how many of the messages sent to it are settled.
+        purse: what the client may ask for when the others have used up what is common, see ``turns``.
     """
 
     def __init__(self, port: Port, peer: Address, name: str) -> None:
@@ -67,8 +67,7 @@ class Link:
         self.sent_bytes = 0
         self.malformed = self.dropped = self.lost = 0
         self.open = True
-        self.credit = 0
-        self.paid = 0
+        self.purse = Purse(OWN_EARNINGS, OWN_SAVINGS)
         self._mav = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=COMPONENT_ID)
         self._frames: deque[bytes] = deque()
         self._heard_us = _NEVER_US
@@ -237,5 +236,5 @@ class Link:
                 self.lost += 1
 
     def warn(self, kind: str, text: str, now_us: int) -> None:
-        """Log a warning, at most one of each ``kind`` a simulated second and port."""
+        """Log a warning, at most one of each ``kind`` a simulated second, a wall second and port."""
         self._port.warn(kind, text, now_us, self.name)

@@ -4,10 +4,8 @@ A port knows its first client before he speaks: heartbeats go to his address fro
 port becomes a further client with a link of his own, up to ``MAX_CLIENTS`` of them, and is forgotten when he has been
 silent for 5 s. When there is no room, newcomers are not answered; nobody who is there has to go for them.
 
-Floods. The first client is part of the flight (MAVROS), and all that he sends is acted on at once. Everybody else has a
-credit that is filled up with every round of reading and pays for what he sends and for the answers to it; who has none
-left is not listened to in that round, and what he sent is dropped, as a full socket buffer would. Those who are no
-clients share one credit. So a stranger's flood costs a bounded time a round and takes nothing from the others.
+A participant of the lockstep has a socket of its own here (``reserve``), connected to its address: whatever others
+send, its datagrams have a buffer to themselves and are acted on at once. All others take turns, see ``turns``.
 """
 
 from __future__ import annotations
@@ -15,7 +13,9 @@ from __future__ import annotations
 import errno
 import logging
 import socket
-from collections.abc import Collection, Mapping
+import time
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 
 from xtdrone_control.fleet import Vehicle
 
@@ -25,18 +25,37 @@ from .telemetry import Telemetry
 
 LOOPBACK = "127.0.0.1"
 MAX_CLIENTS = 16  # on one port
+CLIENTS = 16  # on all ports of a server besides each port's first client,
+VEHICLE_CLIENTS = 2  # and for each vehicle: what they are sent takes the simulator's time
 _MAX_COUNTS = 256  # remote ports whose datagrams are counted; lockstep participants may come back to theirs
 _LARGEST_DATAGRAM = 8192  # what is longer is cut off, as PX4 does
 _RECEIVE_BUFFER = 1 << 20
 _WARNING_INTERVAL_US = 1_000_000
-_CREDIT = 256  # of one client a round: as many small frames, or answers
-_BYTES_A_CREDIT = 64
+_WARNING_INTERVAL_S = 1.0
 
 _log = logging.getLogger("rosout.mavlink")
 
 
 class LinkError(OSError):
     """A link whose port cannot be bound."""
+
+
+def _share(sockets: Iterable[socket.socket], value: int) -> None:
+    """Let ``sockets`` be bound to one port together, or end that; what is bound stays so."""
+    for one in sockets:
+        if one.fileno() != -1:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, value)
+
+
+@dataclass
+class Room:
+    """Room for clients on several ports.
+
+    Attributes:
+        left: how many more there may be, each port's first client aside.
+    """
+
+    left: int
 
 
 class Port:
@@ -57,7 +76,7 @@ class Port:
         lost: datagrams that the operating system did not take.
         malformed: datagrams that were not, or not wholly, MAVLink.
         foreign: messages for other systems.
-        dropped: datagrams that were not looked at since their sender had no credit left.
+        dropped: datagrams that were not looked at since there was no room left for their sender's, see ``turns``.
         refused: messages of newcomers for whom there was no room.
     """
 
@@ -72,6 +91,7 @@ class Port:
         host: str = LOOPBACK,
         *,
         by_wall: bool = False,
+        room: Room | None = None,
     ) -> None:
         """Bind the port.
 
@@ -84,6 +104,7 @@ class Port:
             rates: default rates of the streams, message name to Hz.
             host: address to bind; "0.0.0.0" for every network.
             by_wall: see above.
+            room: how many more clients there may be on all ports that share it.
 
         Raises:
             LinkError: the port cannot be bound, or there is no such address here.
@@ -102,11 +123,12 @@ class Port:
         self.foreign = 0
         self.dropped = 0
         self.refused = 0
-        self._warned_us: dict[str, int] = {}
-        self._strangers_credit = 0
+        self._warned: dict[str, tuple[int, float]] = {}
+        self._room = room or Room(MAX_CLIENTS)
         self._next_due_us: int | None = None
         self.default = Link(self, (LOOPBACK, remote_port), self.name)
         self._links: dict[Address, Link] = {self.default.peer: self.default}
+        self._reserved: dict[Address, socket.socket] = {}
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
@@ -148,7 +170,9 @@ class Port:
         return max(spoken, before)
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the sockets."""
+        for reserved in self._reserved.values():
+            reserved.close()
         self.socket.close()
 
     def reboot(self, telemetry: Telemetry, now_us: int) -> None:
@@ -159,7 +183,7 @@ class Port:
             now_us: simulated time, microseconds; it may have gone back.
         """
         self.telemetry = telemetry
-        self._warned_us.clear()
+        self._warned.clear()
         for link in self._links.values():
             link.reboot(telemetry, now_us)
 
@@ -173,6 +197,8 @@ class Port:
         others = [link for link in self._links.values() if link is not self.default]
         self.default.close()
         known = self._links.get(peer)
+        if known is not None:
+            self._room.left += 1
         self.default = known or Link(self, peer, self.name)
         self.default.name = self.name
         self._links = {peer: self.default, **{link.peer: link for link in others}}
@@ -180,18 +206,61 @@ class Port:
 
     # what comes
 
-    def begin_round(self) -> None:
-        """Give everybody new credit."""
-        for link in self._links.values():
-            link.credit = min(link.credit + _CREDIT, _CREDIT)
-            link.paid = link.sent
-        self._strangers_credit = min(self._strangers_credit + _CREDIT, _CREDIT)
+    def reserve(self, peers: Collection[Address], now_us: int) -> tuple[list[socket.socket], list[socket.socket]]:
+        """Have a socket of its own for each of ``peers``, and for no other address.
 
-    def read(self) -> tuple[bytes, Address] | None:
-        """Return the next datagram and its sender, None when there is none."""
+        An address to which there is no way from here gets none; if none of ``peers`` gets one, that is warned of.
+
+        Args:
+            peers: addresses.
+            now_us: simulated time, microseconds.
+
+        Returns:
+            The sockets that are new, and those that are no longer wanted, which the caller closes when it has read
+            what is in them.
+        """
+        gone = [self._reserved.pop(peer) for peer in list(self._reserved) if peer not in peers]
+        new, reason = [], ""
+        for peer in peers:
+            if peer in self._reserved:
+                continue
+            try:
+                made = self._connected(peer)
+            except OSError as error:
+                reason = f"no socket for {peer[0]}:{peer[1]} alone: {error.strerror or error}"
+                continue
+            self._reserved[peer] = made
+            new.append(made)
+        if reason and not self._reserved:
+            self.warn("reserve", reason, now_us)
+        return new, gone
+
+    def _connected(self, peer: Address) -> socket.socket:
+        """Return a socket on the same port to which the operating system gives what ``peer`` sends."""
+        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sharing = [self.socket, *self._reserved.values(), made]
+        try:
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            made.setblocking(False)
+            _share(sharing, 1)
+            made.bind(self.socket.getsockname())
+            made.connect(peer)
+        except OSError:
+            made.close()
+            raise
+        finally:
+            _share(sharing, 0)  # other programs shall not get the port besides
+        return made
+
+    def is_reserved(self, sender: Address) -> bool:
+        """Whether ``sender`` has a socket of its own."""
+        return sender in self._reserved
+
+    def read(self, source: socket.socket) -> tuple[bytes, Address] | None:
+        """Return the next datagram on one of the port's sockets and its sender, None when there is none."""
         while True:
             try:
-                datagram, sender = self.socket.recvfrom(_LARGEST_DATAGRAM)
+                datagram, sender = source.recvfrom(_LARGEST_DATAGRAM)
             except BlockingIOError:
                 return None
             except ConnectionRefusedError:  # an earlier datagram found nobody
@@ -199,28 +268,24 @@ class Port:
             self.received += 1
             return datagram, sender
 
-    def admit(self, sender: Address, now_us: int) -> bool:
-        """Say whether ``sender`` has credit left in this round."""
+    def known(self, sender: Address) -> Link | None:
+        """Return the link to ``sender`` if it is a client."""
+        return self._links.get(sender)
+
+    def count_bytes(self, sender: Address, size: int) -> None:
+        """Count a datagram of ``size`` bytes that was acted on, if its sender is a client."""
         link = self._links.get(sender)
-        if link is self.default or (self._strangers_credit if link is None else link.credit) > 0:
-            return True
+        if link is not None:
+            link.received_bytes += size
+
+    def drop(self, sender: Address, now_us: int) -> None:
+        """Note that a datagram of ``sender`` is not looked at, because too many wait already."""
         self.dropped += 1
+        link = self._links.get(sender)
         if link is not None:
             link.dropped += 1
         who = "strangers send" if link is None else f"{sender[0]}:{sender[1]} sends"
         self.warn("flood", f"{who} more than can be served; {self.dropped} datagrams were dropped so far", now_us)
-        return False
-
-    def charge(self, sender: Address, size: int) -> None:
-        """Charge ``sender`` for a datagram of ``size`` bytes that was acted on, and for the answers that are queued."""
-        link = self._links.get(sender)
-        cost = 1 + size // _BYTES_A_CREDIT
-        if link is None:
-            self._strangers_credit -= cost
-        else:
-            link.received_bytes += size
-            link.credit -= cost + link.sent - link.paid
-            link.paid = link.sent
 
     def note_malformed(self, sender: Address) -> None:
         """Count a datagram of ``sender`` that was not, or not wholly, MAVLink."""
@@ -238,13 +303,13 @@ class Port:
             self._forget_silent(now_us)
         if len(self._links) >= MAX_CLIENTS and self.by_wall:
             self._forget_silent(now_us, by_wall_alone=True)  # time may stand: stations come and go meanwhile
-        if len(self._links) >= MAX_CLIENTS:
+        if len(self._links) >= MAX_CLIENTS or self._room.left < 1:
             self.refused += 1
-            text = f"{sender[0]}:{sender[1]} is not served: there are {MAX_CLIENTS} clients already"
-            self.warn("room", text, now_us)
+            clients = f"{MAX_CLIENTS} clients" if self._room.left > 0 else "as many clients as all ports may have"
+            self.warn("room", f"{sender[0]}:{sender[1]} is not served: there are {clients} already", now_us)
             return None
+        self._room.left -= 1
         link = Link(self, sender, f"{self.name} to {sender[0]}:{sender[1]}")
-        link.credit = _CREDIT
         self._links[sender] = link
         self._next_due_us = None
         return link
@@ -285,6 +350,7 @@ class Port:
             else:
                 link.close()
                 del self._links[link.peer]
+                self._room.left += 1
                 self._next_due_us = None
                 self._forget_counts()
 
@@ -323,8 +389,11 @@ class Port:
         return True
 
     def warn(self, kind: str, text: str, now_us: int, name: str = "") -> None:
-        """Log a warning, at most one of each ``kind`` a simulated second."""
-        last = self._warned_us.get(kind)
-        if last is None or now_us - last >= _WARNING_INTERVAL_US:
-            self._warned_us[kind] = now_us
+        """Log a warning, at most one of each ``kind`` a simulated second and a wall second."""
+        last = self._warned.get(kind)
+        if last is not None and now_us - last[0] < _WARNING_INTERVAL_US:
+            return
+        wall = time.monotonic()
+        if last is None or wall - last[1] >= _WARNING_INTERVAL_S:
+            self._warned[kind] = now_us, wall
             _log.warning("%s: %s", name or self.name, text)

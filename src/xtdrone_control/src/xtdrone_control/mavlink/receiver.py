@@ -56,8 +56,10 @@ class Receiver:
 
     In a tick of the lockstep, commands and requests come when some participant's service call makes them, and
     set-points and home positions when the MAVROS layer has its turn: which is first, the scheduler decides. Therefore
-    the latter can be held until everybody is done; commands and requests, whose answers somebody waits for, then always
-    come first. An origin (SET_GPS_GLOBAL_ORIGIN) is not held, for it is answered at once with the origin that holds.
+    the latter can be held until all are done; commands and requests, whose answers are waited for, then always come
+    first. Clients outside the lockstep are not held: what one of them sends acts in the order of sending, so that a
+    set-point counts for the command to go to OFFBOARD that follows it. An origin (SET_GPS_GLOBAL_ORIGIN) is not held,
+    for it is answered at once with the origin that holds.
     """
 
     def __init__(
@@ -74,9 +76,18 @@ class Receiver:
         }
         self.messages = tuple(name for service in self._services for name in service.handlers)
 
-    def take(self, port: Port, datagram: bytes, sender: Address, now_us: int) -> None:
-        """Act on every message in ``datagram``, which came to ``port`` from ``sender``; answers are queued there."""
+    def take(self, port: Port, datagram: bytes, sender: Address, now_us: int, *, participant: bool = False) -> None:
+        """Act on every message in ``datagram``, which came to ``port`` from ``sender``; answers are queued there.
+
+        Args:
+            port: where it came to.
+            datagram: its content.
+            sender: address of the client.
+            now_us: simulated time, microseconds.
+            participant: whether the client takes part in the lockstep.
+        """
         self._vehicle.now_us = now_us
+        self._vehicle.participant = participant
         try:
             for number, system, component, frame in split(datagram):
                 entry = self._entries.get(number)
@@ -137,9 +148,9 @@ class Receiver:
                     service.send_part(link, now_us)
 
     def hold(self) -> None:
-        """Keep set-points and home positions from now on until ``release``."""
+        """Queue set-points and home positions of participants from now on until ``release``."""
         self._vehicle.hold()
 
     def release(self) -> None:
-        """Act on what was kept, in the order of its coming."""
+        """Act on what was queued, in the order of arrival."""
         self._vehicle.release()

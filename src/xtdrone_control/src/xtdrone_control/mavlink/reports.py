@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.autopilot import geo, gimbal
+from xtdrone_control.autopilot import geo, gimbal, modes
 from xtdrone_control.autopilot.commander import Commander
 from xtdrone_control.autopilot.manual_control import CHANNELS
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
@@ -80,7 +80,6 @@ SILENT = (
     "NAV_CONTROLLER_OUTPUT",
     "OBSTACLE_DISTANCE",
     "OPEN_DRONE_ID_BASIC_ID",
-    "ORBIT_EXECUTION_STATUS",
     "RAW_RPM",
     "SCALED_IMU2",
     "SCALED_IMU3",
@@ -329,6 +328,16 @@ class Reports(Telemetry):
             0,
             _FRAME_GLOBAL_INT,
         )
+
+    def orbit_execution_status(self) -> Values | None:
+        """The circle that is flown, in ORBIT alone."""
+        if self._commander.mode is not modes.ORBIT or not self._commander.armed:
+            return None
+        orbit = self._commander.navigator.orbit
+        radius = math.copysign(orbit.radius, orbit.speed)
+        goal = [*orbit.centre, float(self._setpoint["goal_position"][2])]
+        latitude, longitude, altitude = self._place(goal)
+        return self.time_us, radius, latitude, longitude, altitude, 0
 
     # air traffic
 

@@ -6,47 +6,54 @@ each. PX4's further port for gimbals is not there: its only messages are those o
 
 from __future__ import annotations
 
-import selectors
+import select
+import socket
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
+from xtdrone_control.fleet import Vehicle
 
-from .link import Link
-from .port import LOOPBACK, Port
+from .link import Address, Link
+from .port import CLIENTS, LOOPBACK, VEHICLE_CLIENTS, Port, Room
 from .receiver import Receiver
 from .reports import Reports
 from .streams import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
+from .turns import SAVINGS, STEP_EARNINGS, VEHICLE_EARNINGS, Purse, Turns, cost
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
 
-_MAX_DATAGRAMS = 4096  # read from one port in a round: more than a socket's buffer holds, and a flood must not hold us
+_MAX_DATAGRAMS = 4096  # read from one socket in a round: more than its buffer holds, and a flood must not hold us
 _NEVER = 1 << 62  # microseconds: no vehicle is served here
 _LOOK_PERIOD = 0.1  # s of wall time between two looks at whether ground stations hear enough
 _STANDSTILL = 0.1  # s of wall time from which simulated time counts as standing
 _PART_PERIOD = 0.02  # s of wall time between two parts of a transfer while it stands
+_PART_CREDIT = 32.0  # what clients may ask for in that time while a tick is held up: some participant's turn lasts
 
 
 class _Vehicle:
     """One vehicle's ports, and what serves them."""
 
-    def __init__(self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str) -> None:
+    def __init__(
+        self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str, room: Room
+    ) -> None:
         self.index = index
         self.commander = commander
         telemetry = Reports(commander, autopilot, index)
         ends = (
             ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, False),
-            ("ground-station", vehicle.gcs_local_port, GCS_REMOTE_PORT, GCS_RATES, True),
+            ("ground-station", vehicle.gcs_local_port, vehicle.gcs_remote_port, GCS_RATES, True),
             ("payload", vehicle.payload_local_port, vehicle.payload_remote_port, PAYLOAD_RATES, False),
         )
         self.ports: list[Port] = []
         try:
             for kind, local, remote, rates, by_wall in ends:
-                self.ports.append(Port(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall))
+                self.ports.append(
+                    Port(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall, room=room)
+                )
         except OSError:
             self.close()
             raise
@@ -55,6 +62,12 @@ class _Vehicle:
     def clients(self) -> list[Link]:
         """Return the links to everybody who listens, in a fixed order."""
         return [link for port in self.ports for link in port.links if link.streams.active]
+
+    @property
+    def told(self) -> int:
+        """How many messages have been sent to clients, and texts and events wait to be."""
+        sent = sum(link.sent for port in self.ports for link in port.links)
+        return sent + len(self.commander.texts) + len(self.commander.events)
 
     def reboot(self, autopilot: Autopilot, commander: Commander) -> None:
         self.commander = commander
@@ -84,21 +97,15 @@ class _Vehicle:
             port.close()
 
 
-def _receive(receiver: Receiver, port: Port, now_us: int) -> int:
-    """Act on what has come to ``port``; return how many datagrams there were."""
-    port.begin_round()
-    count = 0
-    while count < _MAX_DATAGRAMS:
-        arrived = port.read()
-        if arrived is None:
-            break
-        count += 1
-        datagram, sender = arrived
-        if port.admit(sender, now_us):
-            receiver.take(port, datagram, sender, now_us)
-            port.charge(sender, len(datagram))
-    port.flush(now_us)
-    return count
+_Place = tuple[_Vehicle, Port]
+
+
+class _End(NamedTuple):
+    """A socket that is read, and what it belongs to."""
+
+    served: _Vehicle
+    port: Port
+    socket: socket.socket
 
 
 class MavlinkServer:
@@ -121,23 +128,33 @@ class MavlinkServer:
         self._autopilot = autopilot
         self._commanders = commanders
         self._vehicles: list[_Vehicle] = []
-        self._selector = selectors.EpollSelector()
+        self._ends: dict[int, _End] = {}  # by descriptor
+        self._common = select.epoll()  # what anybody may send to
+        self._reserved = select.epoll()  # those of single participants
+        self._all = select.epoll()
+        self._hears_all = True
+        self._held = False
+        room = Room(CLIENTS + VEHICLE_CLIENTS * len(fleet))
         try:
             for index, (vehicle, commander) in enumerate(zip(fleet, commanders, strict=True)):
-                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index, host))
+                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index, host, room))
         except OSError:
             self.close()
             raise
         self._ports = [port for served in self._vehicles for port in served.ports]
         self._next_look = self._next_part = 0.0
         self._stood = (-1, 0.0)  # simulated time at the last look, us, and wall time since which it has been that
-        for served in self._vehicles:
-            for port in served.ports:
-                self._selector.register(port.socket, selectors.EVENT_READ, (served, port))
+        self._purse = Purse(STEP_EARNINGS + VEHICLE_EARNINGS * len(self._vehicles), SAVINGS)
+        self._turns: Turns[_Place] = Turns()
+        self._places = {port: (served, port) for served in self._vehicles for port in served.ports}
+        for served, port in self._places.values():
+            self._watch(self._common, _End(served, port, port.socket))
+        for poll in (self._common, self._reserved):
+            self._all.register(poll.fileno(), select.EPOLLIN)
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when a datagram has come."""
-        return self._selector.fileno()
+        """Return a descriptor that is readable when a datagram has come that can be acted on."""
+        return self._all.fileno()
 
     @property
     def next_due_us(self) -> int:
@@ -183,17 +200,126 @@ class MavlinkServer:
             if port.remote_port in wanted:
                 port.direct(host, override=override)
 
-    def receive(self, timeout: float = 0.0) -> int:
-        """Act on all datagrams that have come, waiting up to ``timeout`` seconds of wall time for the first.
+    def reserve(self, peers: Mapping[int, Collection[str]]) -> None:
+        """Have sockets of their own for those whose datagrams must be acted on at once, however much others send.
 
-        Returns:
-            How many there were; what floods is read, but only in part acted on (see ``port``).
+        Args:
+            peers: the remote ports of links to the addresses from which their clients send. Who was named before and
+                is not any more is a client as others are.
         """
         now_us = self._autopilot.time_us
-        return sum(
-            _receive(served.receiver, port, now_us)
-            for served, port in [key.data for key, _ in self._selector.select(timeout)]
-        )
+        for served, port in self._places.values():
+            hosts = peers.get(port.remote_port, ())
+            new, gone = port.reserve([(host, port.remote_port) for host in hosts], now_us)
+            for one in gone:
+                end = self._ends.pop(one.fileno())
+                self._reserved.unregister(one.fileno())
+                self._read(end, now_us)
+                one.close()
+            for one in new:
+                self._watch(self._reserved, _End(served, port, one))
+            if new:  # what came before comes first
+                self._read(_End(served, port, port.socket), now_us)
+
+    def _watch(self, poll: select.epoll, end: _End) -> None:
+        self._ends[end.socket.fileno()] = end
+        poll.register(end.socket.fileno(), select.EPOLLIN)
+
+    def receive(self, timeout: float = 0.0) -> int:
+        """Read all datagrams that have come, waiting up to ``timeout`` seconds of wall time for the first.
+
+        Those of participants are acted on at once; the others take turns, see ``turns``.
+
+        Returns:
+            How many there were.
+        """
+        now_us = self._autopilot.time_us
+        self._earn(now_us)
+        if timeout > 0.0:
+            self._all.poll(0.0 if self.backlog else timeout)
+        count = 0
+        for poll in (self._common, self._reserved) if self._hears_all else (self._reserved,):
+            for descriptor, _ in poll.poll(0.0):
+                count += self._read(self._ends[descriptor], now_us)
+        if self._turns:
+            self._take_turns(now_us)
+        self._hear_all(not self._held or self._purse.left > 0.0)
+        return count
+
+    @property
+    def backlog(self) -> bool:
+        """Whether something waits that ``receive`` would act on now."""
+        return len(self._turns) > 0 and (self._purse.left > 0.0 or not self._held)
+
+    def _earn(self, now_us: int) -> None:
+        """Give clients credit for the time that has passed, or for time that stands while no tick is held up."""
+        if not self._purse.earn(now_us) and not self._held:
+            self._purse.fill()
+
+    def _hear_all(self, wanted: bool) -> None:
+        """Be woken by everybody's datagrams, or only by those of participants."""
+        if wanted != self._hears_all:
+            self._hears_all = wanted
+            self._all.modify(self._common.fileno(), select.EPOLLIN if wanted else 0)
+
+    def _read(self, end: _End, now_us: int) -> int:
+        """Read what is in a socket; act on what is a participant's, and queue the rest. Return how many there were."""
+        served, port, source = end
+        count, exact = 0, False
+        while count < _MAX_DATAGRAMS:
+            arrived = port.read(source)
+            if arrived is None:
+                break
+            count += 1
+            datagram, sender = arrived
+            if source is not port.socket or port.is_reserved(sender):
+                exact = True
+                served.receiver.take(port, datagram, sender, now_us, participant=True)
+                port.count_bytes(sender, len(datagram))
+            elif not self._turns.put((served, port), sender, datagram, known=port.known(sender) is not None):
+                port.drop(sender, now_us)
+        if exact:
+            port.flush(now_us)
+        return count
+
+    @staticmethod
+    def _take(served: _Vehicle, port: Port, datagram: bytes, sender: Address, now_us: int) -> int:
+        """Act on a datagram; return what it cost."""
+        link, told = port.known(sender), served.told
+        before = 0 if link is None else link.sent
+        served.receiver.take(port, datagram, sender, now_us)
+        port.count_bytes(sender, len(datagram))
+        told = served.told - told
+        link = port.known(sender)
+        answers = 0 if link is None else link.sent - before
+        return cost(len(datagram), answers, max(told - answers, 0))
+
+    def _take_turns(self, now_us: int) -> None:
+        """Act on what waits as long as there is credit for it."""
+        answered: dict[Port, None] = {}
+        acted = True
+        while acted:
+            acted = False
+            for place, sender in self._turns.waiting():
+                purse = self._purse_for(place[1], sender, now_us)
+                if purse is None:
+                    continue
+                acted = True
+                datagram = self._turns.take(place, sender)
+                purse.left -= self._take(*place, datagram, sender, now_us)
+                answered[place[1]] = None
+        for port in answered:
+            port.flush(now_us)
+
+    def _purse_for(self, port: Port, sender: Address, now_us: int) -> Purse | None:
+        """Return what pays for the next datagram of ``sender``, None when it has to wait."""
+        if self._purse.left > 0.0:
+            return self._purse
+        link = port.known(sender)
+        if link is None:
+            return None
+        link.purse.earn(now_us)
+        return link.purse if link.purse.left > 0.0 else None
 
     def send_streams(self, now_us: int) -> None:
         """Send the texts that wait, the telemetry that is due by ``now_us``, and what services have to say by then."""
@@ -226,7 +352,10 @@ class MavlinkServer:
     @property
     def patience(self) -> float:
         """Wall time, s, after which ``keep_alive`` is wanted again while simulated time stands."""
-        return _PART_PERIOD if any(served.receiver.waits for served in self._vehicles) else _LOOK_PERIOD
+        if self.backlog:
+            return 0.0
+        awaited = self._turns or not self._hears_all or any(served.receiver.waits for served in self._vehicles)
+        return _PART_PERIOD if awaited else _LOOK_PERIOD
 
     def _go_on(self, wall: float, counted_ports: Callable[[], Collection[int]]) -> None:
         """Send the next parts of transfers if simulated time stands still."""
@@ -236,6 +365,8 @@ class MavlinkServer:
         if wall - self._stood[1] < _STANDSTILL or wall < self._next_part:
             return
         self._next_part = wall + _PART_PERIOD
+        self._purse.left = max(self._purse.left, _PART_CREDIT)
+        self._hear_all(True)
         waiting = [served for served in self._vehicles if served.receiver.waits]
         if not waiting:
             return
@@ -258,17 +389,21 @@ class MavlinkServer:
             served.reboot(autopilot, commander)
 
     def hold_setpoints(self) -> None:
-        """Keep what comes from topics until ``release_setpoints``; see :class:`Receiver`."""
+        """Begin a tick: queue what participants send until ``release_setpoints``; see :class:`Receiver`."""
+        self._held = True
         for served in self._vehicles:
             served.receiver.hold()
 
     def release_setpoints(self) -> None:
-        """Act on what was kept."""
+        """Act on what was queued."""
+        self._held = False
+        self._hear_all(True)
         for served in self._vehicles:
             served.receiver.release()
 
     def close(self) -> None:
         """Close all sockets."""
-        self._selector.close()
+        for poll in (self._all, self._common, self._reserved):
+            poll.close()
         for served in self._vehicles:
             served.close()

@@ -30,6 +30,7 @@ class Vehicle:
         index: the vehicle's place in them.
         system_id: MAVLink system id.
         now_us: simulated time, microseconds, of the message that is handled.
+        participant: whether the message that is handled came from a participant of the lockstep.
         clients: returns the links to everybody who listens, for what is for all.
         on_request: message id to what answers a request for a message that is no stream; services fill it. It may
             return False when there is nothing to tell.
@@ -50,6 +51,7 @@ class Vehicle:
         self.index = index
         self.system_id = commander.vehicle.system_id
         self.now_us = 0
+        self.participant = False
         self.clients = clients
         self.on_request: dict[int, Callable[[Link], bool | None]] = {}
         self.capabilities = 0
@@ -57,18 +59,18 @@ class Vehicle:
         self._held: list[Callable[[], None]] | None = None
 
     def hold(self) -> None:
-        """Keep what is given to ``in_turn`` from now on until ``release``."""
+        """Queue what participants give to ``in_turn`` from now on until ``release``."""
         self._held = [] if self._held is None else self._held
 
     def release(self) -> None:
-        """Act on what was kept, in the order of its coming."""
+        """Act on what was queued, in the order of arrival."""
         held, self._held = self._held, None
         for act in held or ():
             act()
 
     def in_turn(self, act: Callable[[], None]) -> None:
-        """Call ``act`` now, or at ``release``: for what comes from topics, see ``receiver``."""
-        if self._held is None:
+        """Call ``act`` now, or at ``release`` if a participant asks for it; see ``receiver``."""
+        if self._held is None or not self.participant:
             act()
         else:
             self._held.append(act)

@@ -64,6 +64,8 @@ ONBOARD_RATES: dict[str, float] = {
 # sent while a gimbal is fitted
 _GIMBAL_RATES = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 1.0, "GIMBAL_MANAGER_STATUS": 0.5, "MOUNT_ORIENTATION": 10.0}
 
+_ORBIT_RATES = {"ORBIT_EXECUTION_STATUS": 5.0}  # sent in ORBIT
+
 GCS_RATES: dict[str, float] = {
     "HEARTBEAT": 1.0,
     "ALTITUDE": 1.0,
@@ -106,6 +108,7 @@ _OTHERS = (
     "ACTUATOR_OUTPUT_STATUS",
     "GIMBAL_MANAGER_INFORMATION",
     *SILENT,
+    *_ORBIT_RATES,
 )
 FORMATS: dict[int, Format] = {
     f.number: f
@@ -126,8 +129,8 @@ def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
 
 
 PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
-ONBOARD_RATES |= _GIMBAL_RATES  # not of the payload link: without a gimbal its rates would be others
-GCS_RATES |= _GIMBAL_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5}
+ONBOARD_RATES |= _GIMBAL_RATES | _ORBIT_RATES  # not of the payload link: without a gimbal its rates would be others
+GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5}
 
 
 def _allowed(interval_us: float) -> int:

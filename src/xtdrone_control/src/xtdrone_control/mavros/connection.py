@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.codec import FrameError, split
+from xtdrone_control.mavros.packing import pack
 from xtdrone_control.mavros.throttle import Throttle
 
 log = logging.getLogger("rosout.mavros")
@@ -166,9 +167,13 @@ class Link:
             ) from error
 
     def send(self, message: Any) -> None:
-        """Send a pymavlink message object; safe from any thread."""
+        """Send a pymavlink message object; safe from any thread.
+
+        Raises:
+            FieldError: a value that its field cannot hold; nothing is sent.
+        """
         with self._send_lock:
-            buffer = message.pack(self._packer)
+            buffer = pack(message, self._packer)
             self._packer.seq = (self._packer.seq + 1) & 0xFF
             try:
                 self.socket.sendto(buffer, self.remote)

@@ -26,7 +26,7 @@ import rosgraph
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
+from xtdrone_control.fleet import FleetError, Vehicle, check_instance, parse_fleet
 from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plugin import Publisher
@@ -88,16 +88,17 @@ class LockstepRos:
         return lockstep.needs_time()
 
 
-def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list[Connection]:
+def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instance: object = 0) -> list[Connection]:
     """Return whom to serve.
 
     Args:
         settings: the node's private parameters.
         fleet: the value of ``/xtdrone/fleet``, or empty.
         node_name: the node's resolved name, as ``/iris_0/mavros``.
+        instance: the value of ``/xtdrone/instance``; it moves the fleet's own ports, not those of a given url.
 
     Raises:
-        FleetError: no fleet, or one that cannot be flown.
+        FleetError: no fleet, or one that cannot be flown, or no such instance.
         LinkError: a malformed ``fcu_url`` or ``fleet_url``, or an ``fcu_host`` that cannot be reached.
         ParamError: a setting of the wrong type.
     """
@@ -110,7 +111,7 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str) -> list
     text = params.get("fleet", fleet)
     if not text:
         raise FleetError("vehicles: none are named; set /xtdrone/fleet, as iris:9, or fcu_url for a single one")
-    vehicles = parse_fleet(text)
+    vehicles = parse_fleet(text, check_instance(instance))
     fleet_url = params.get("fleet_url", "")
     if fleet_url:
         first = parse_fcu_url(fleet_url)
@@ -219,7 +220,8 @@ def main() -> int:
     lockstep.init_node("mavros", rate=RATE)
     try:
         settings = rospy.get_param("~", {})
-        vehicles = connections(settings, _fleet(settings), rospy.get_name())
+        fleet = _fleet(settings)
+        vehicles = connections(settings, fleet, rospy.get_name(), rospy.get_param("/xtdrone/instance", 0))
         node = MavrosNode(vehicles, settings)
     except rospy.ROSInterruptException:
         return 0  # shut down while waiting

@@ -19,15 +19,16 @@ from mavros_msgs.msg import Waypoint
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.codec import decoder
+from xtdrone_control.mavros.packing import pack, whole
 
 LIMIT = 1.0  # s for an answer, as MAVROS's WP_TIMEOUT
 RETRIES = 3
 _ACCEPTED = 0  # MAV_MISSION_RESULT
 _GLOBAL_FRAMES = (0, 3, 5, 6, 10, 11)
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
-_INT32_MAX = (1 << 31) - 1
 _ANSWERS = ("MISSION_ACK", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST", "MISSION_REQUEST_INT")
 MISSION = 0  # MAV_MISSION_TYPE
+_DRY = mavlink.MAVLink(None)  # packs what is checked before the first of it is sent
 
 
 def _scale(frame: int) -> float:
@@ -37,8 +38,9 @@ def _scale(frame: int) -> float:
     return 1e4 if frame in _LOCAL_FRAMES else 1.0
 
 
-def _integer(value: float) -> int:
-    return round(min(max(value, -_INT32_MAX), _INT32_MAX)) if math.isfinite(value) else 0
+def _integer(value: float) -> int | float:
+    """Return a scaled coordinate; NaN, which means none, as 0, as MAVLink has no other word for it in an integer."""
+    return 0 if math.isnan(value) else whole(value)
 
 
 def to_waypoint(item: Any) -> Waypoint:
@@ -119,8 +121,15 @@ class PlanTransfers:
         return take
 
     def push(self, kind: int, waypoints: Sequence[Any]) -> tuple[bool, int]:
-        """Replace the list ``kind``; return whether the autopilot took it, and how many items it asked for."""
+        """Replace the list ``kind``; return whether the autopilot took it, and how many items it asked for.
+
+        Raises:
+            FieldError: too many waypoints, or a value that MAVLink cannot hold; nothing is sent.
+        """
         count = mavlink.MAVLink_mission_count_message(*self._target, len(waypoints), kind)
+        pack(count, _DRY)
+        for seq, waypoint in enumerate(waypoints):
+            pack(to_item(waypoint, seq, kind, self._target), _DRY)
         asked = 0
         with self._exchange():
             message: Any = count

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import logging
-import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -14,6 +13,7 @@ from xtdrone_control import frames
 from xtdrone_control.mavlink.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.dialect import MESSAGE_ID
 from xtdrone_control.mavros.connection import Link
+from xtdrone_control.mavros.packing import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic
@@ -128,12 +128,27 @@ class Uas:
         self._topics.append(topic)
 
     def subscribe(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:
-        """Subscribe to ``<prefix>/<name>``."""
-        self.ros.subscriber(f"{self.prefix}/{name}", kind, callback)
+        """Subscribe to ``<prefix>/<name>``; a value that does not fit into MAVLink is refused with a warning."""
+
+        def accept(message: Any) -> None:
+            try:
+                callback(message)
+            except FieldError as error:
+                self._refuse(name, message, error)
+
+        self.ros.subscriber(f"{self.prefix}/{name}", kind, accept)
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
-        """Offer ``<prefix>/<name>``."""
-        self.ros.service(f"{self.prefix}/{name}", kind, handler)
+        """Offer ``<prefix>/<name>``; a value that does not fit into MAVLink is refused with a warning."""
+
+        def answer(request: Any) -> Any:
+            try:
+                return handler(request)
+            except FieldError as error:
+                self._refuse(name, request, error)
+                return _denied(kind)
+
+        self.ros.service(f"{self.prefix}/{name}", kind, answer)
 
     def timer(self, period: float, call: Callable[[], None]) -> None:
         """Call ``call`` in the main thread, at once and then every ``period`` seconds of ROS time."""
@@ -173,13 +188,21 @@ class Uas:
         return ns // 1_000_000 & 0xFFFFFFFF
 
     def finite(self, topic: str, values: Iterable[tuple[str, float]]) -> bool:
-        """Return whether all (field, value) are finite; otherwise warn, naming topic and field."""
+        """Return whether all (field, value) are finite 32-bit floats; otherwise warn, naming topic and field."""
         for field, value in values:
-            if not math.isfinite(value):
-                if self._throttle.passes(topic):
-                    log.warning("%s/%s: %s is %s; the set-point is not forwarded", self.prefix, topic, field, value)
+            if not abs(value) <= FLOAT32_MAX:
+                self._warn_of(topic, field, value, FLOAT32_RANGE)
                 return False
         return True
+
+    def _refuse(self, topic: str, message: Any, error: FieldError) -> None:
+        """Warn that a message to ``topic`` has a value that does not fit, by its ROS name where it has one."""
+        self._warn_of(topic, source(message, error.value) or error.field, error.value, error.allowed)
+
+    def _warn_of(self, topic: str, field: str, value: Any, allowed: str) -> None:
+        if self._throttle.passes(topic):
+            path = f"{self.prefix}/{topic}"
+            log.warning("%s: %s is %s; %s is allowed; the message is not forwarded", path, field, value, allowed)
 
     def warn(self, key: str, text: str, *args: Any) -> None:
         """Log a warning about this vehicle, at most once in a while for each ``key``."""
@@ -328,3 +351,11 @@ class Uas:
 
 def _listed(name: str, patterns: Iterable[str]) -> bool:
     return any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def _denied(kind: Any) -> Any:
+    """Return the answer of a service that has sent nothing: no success, and denied where it has a result."""
+    response = kind._response_class()
+    if hasattr(response, "result"):
+        response.result = mavlink.MAV_RESULT_DENIED
+    return response

@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 import shapely
-import yaml
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from shapely.geometry import Polygon
 from shapely.validation import explain_validity
+
+from xtdrone_control import bounded_file
 
 MAX_PIECES = 250
 _DIRECTIONS = 16  # of cuts, besides those along the sides of the smallest rectangle
@@ -88,8 +89,8 @@ def read_region(path: str | Path) -> Polygon:
         RegionError: the file cannot be read, or what it holds is no region; the message names the file.
     """
     try:
-        return parse_region(yaml.safe_load(Path(path).read_text(encoding="utf-8")))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, RegionError) as error:
+        return parse_region(bounded_file.load_yaml(bounded_file.read_text(path)))
+    except (OSError, bounded_file.ContentError, RegionError) as error:
         raise RegionError(f"{path}: {error}") from error
 
 

@@ -30,6 +30,8 @@ _PIECE = 4 << 20  # bytes unpacked at once
 _FEW = 4096  # packed bytes
 _DAMAGE = (OSError, RuntimeError, EOFError)  # what unpackers raise
 _LONGEST_HEADER = 1 << 24  # bytes; definitions of messages stand in the data, not in a header
+_USUAL_CHUNK = 1 << 26  # bytes unpacked, below which a chunk may have more than it states: the statement is damaged
+_LONGEST_RECORD = 1 << 28  # bytes; a longer one is taken for damage, so that no file fills the memory
 _RECORDS = 1 << 16  # found at once
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
 _BEFORE_MARK = (0, 20, 19)  # bytes of a chunk's header before its op: nothing, compression=none, compression=lz4 or bz2
@@ -211,6 +213,8 @@ class BagFile:
         rest = b""
         damage = ""
         pieces = _unpacked(file, packing, end - begin)
+        if packing != b"none" and not open_end:
+            pieces = _limited(pieces, max(int.from_bytes(fields.get(b"size", b""), "little"), _USUAL_CHUNK))
         while True:
             try:
                 piece = next(pieces, None)
@@ -228,6 +232,9 @@ class BagFile:
                 if not full:
                     break
             rest = data[at:].tobytes()
+            if len(rest) > _LONGEST_RECORD:
+                damage = f"has a record of more than {_LONGEST_RECORD >> 20} MB"
+                break
         if following is not None:
             self.notes.append(f"the chunk at byte {begin} says a wrong size; it was read as far as it makes sense")
         elif end < begin + size or open_end:
@@ -310,6 +317,19 @@ def _fields(data: bytes) -> dict[bytes, bytes] | None:
             return None
         fields[name] = value
     return fields
+
+
+def _limited(pieces: Iterator[bytes], size: int) -> Iterator[bytes]:
+    """Yield ``pieces`` up to ``size`` bytes.
+
+    Raises:
+        ValueError: there are more.
+    """
+    for piece in pieces:
+        yield piece[:size]
+        size -= len(piece)
+        if size < 0:
+            raise ValueError("it holds more than the size that it states")
 
 
 def _unpacked(file: BinaryIO, packing: bytes, size: int) -> Iterator[bytes]:

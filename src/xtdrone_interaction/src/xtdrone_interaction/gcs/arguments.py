@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol, TypeVar
 
-from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
 
 from . import station
 from .peers import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
@@ -46,6 +46,18 @@ def seconds(text: str) -> float:
     return value
 
 
+def instance(text: str) -> int:
+    """Return the number of a simulation on a machine.
+
+    Raises:
+        ArgumentTypeError: there is no such instance.
+    """
+    try:
+        return check_instance(text)
+    except FleetError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def common() -> argparse.ArgumentParser:
     """Return the options that say which vehicles are meant."""
     parser = argparse.ArgumentParser(add_help=False)
@@ -56,6 +68,8 @@ def common() -> argparse.ArgumentParser:
                        help="the fleet that flies, needed for names where it has several types, since ports and "
                        "system ids follow from it")  # fmt: skip
     group.add_argument("--host", default=LOOPBACK, help="machine of the autopilots (default: %(default)s)")
+    group.add_argument("--instance", type=instance, default=0, metavar="N",
+                       help="of that machine's simulations, which moves the ports (default: %(default)s)")  # fmt: skip
     group.add_argument("--connect", metavar="ADDRESS",
                        help="any autopilot: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD; "
                        "numbers of vehicles are MAVLink system ids then")  # fmt: skip
@@ -71,7 +85,7 @@ def named(names: Iterable[str], arguments: argparse.Namespace) -> list[Peer]:
         UsageError: a name that leads nowhere.
     """
     try:
-        return station.peers_of(names, arguments.fleet, arguments.host)
+        return station.peers_of(names, arguments.fleet, arguments.host, arguments.instance)
     except (GcsError, FleetError) as error:
         raise UsageError(str(error)) from error
 
@@ -108,23 +122,24 @@ def _of_word(word: str, words: list[str], arguments: argparse.Namespace) -> list
         UsageError, FleetError: it leads nowhere.
         GcsError: no vehicle is there.
     """
-    fleet, host = arguments.fleet, arguments.host
+    fleet, host, instance = arguments.fleet, arguments.host, arguments.instance
     if word == "all":
-        return named([vehicle.name for vehicle in parse_fleet(fleet)], arguments) if fleet else _all(host)
+        return named([vehicle.name for vehicle in parse_fleet(fleet)], arguments) if fleet else _all(host, instance)
     try:
         numbers = numbers_of(word)
         if numbers is not None:
-            return [numbered(number, fleet, host) for number in numbers]
+            return [numbered(number, fleet, host, instance) for number in numbers]
     except GcsError as error:
         raise UsageError(str(error)) from error
     # together, since they have to be of one type where no fleet is given
     return named([other for other in words if other != "all" and numbers_of(other) is None], arguments)
 
 
-def _all(host: str) -> list[Peer]:
-    peers = station.find(host)
+def _all(host: str, instance: int) -> list[Peer]:
+    peers = station.find(host, instance=instance)
     if not peers:
-        raise GcsError(f"no vehicle answers at {host}, UDP ports {numbered(0).port} and above; does the simulation "
+        first = numbered(0, instance=instance).port
+        raise GcsError(f"no vehicle answers at {host}, UDP ports {first} and above; does the simulation "
                        "run? Other autopilots: --connect ADDRESS")  # fmt: skip
     return peers
 

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from xtdrone_control.bounded_file import ContentError, read_text
+
 SUFFIX = ".params"
 REAL32 = 9
 LIMITS = {
@@ -97,8 +99,8 @@ def read(path: Path) -> ParameterFile:
         ParameterFileError: it cannot be read, or is no parameter file of one vehicle.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except (OSError, ContentError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ParameterFileError(f"{path}: cannot be read: {reason}") from error
     return parse(text, str(path))

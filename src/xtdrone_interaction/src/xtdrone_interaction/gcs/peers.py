@@ -54,20 +54,21 @@ class Peer:
         return self.scheme, self.host, self.port
 
 
-def peers_of(names: Iterable[str], fleet: str = "", host: str = LOOPBACK) -> list[Peer]:
+def peers_of(names: Iterable[str], fleet: str = "", host: str = LOOPBACK, instance: int = 0) -> list[Peer]:
     """Return where vehicles are met.
 
     Args:
         names: the vehicles'.
         fleet: the fleet that flies, as ``iris:3,typhoon_h480:2``; empty: all are of one type, and so is the fleet.
         host: the machine on which they fly.
+        instance: of the simulations on it.
 
     Raises:
         GcsError: a name that is none, or is not in the fleet; names of several types without a fleet.
         FleetError: the fleet is none.
     """
     names = list(names)
-    known = parse_fleet(fleet) if fleet else ()
+    known = parse_fleet(fleet, instance) if fleet else ()
     by_name = {vehicle.name: vehicle for vehicle in known}
     parts = [_NAME.fullmatch(name) for name in names]
     types = {part[1] for part in parts if part}
@@ -81,7 +82,7 @@ def peers_of(names: Iterable[str], fleet: str = "", host: str = LOOPBACK) -> lis
         if known and name not in by_name:
             raise GcsError(f"vehicle: {name!r} is not allowed, one of the fleet {fleet}")
         number = int(part[2])
-        vehicle = by_name.get(name) or parse_fleet(f"{part[1]}:{number + 1}")[number]
+        vehicle = by_name.get(name) or parse_fleet(f"{part[1]}:{number + 1}", instance)[number]
         found.append(Peer.of(vehicle, host))
     return found
 
@@ -101,20 +102,20 @@ def numbers_of(word: str) -> range | None:
     return range(first, last + 1)
 
 
-def numbered(number: int, fleet: str = "", host: str = LOOPBACK) -> Peer:
+def numbered(number: int, fleet: str = "", host: str = LOOPBACK, instance: int = 0) -> Peer:
     """Return where the vehicle of a global number is met; without a fleet its name and system id are not known.
 
     Raises:
         GcsError: there is no such number.
         FleetError: the fleet is none.
     """
-    vehicles = parse_fleet(fleet) if fleet else ()
+    vehicles = parse_fleet(fleet, instance) if fleet else ()
     count = len(vehicles) or MAX_VEHICLES
     if number >= count:
         raise GcsError(f"vehicle: {number} is not allowed, 0 to {count - 1}")
     if vehicles:
         return Peer.of(vehicles[number], host)
-    return Peer(f"{_UNNAMED}_{number}", ANY, host, Vehicle(_UNNAMED, number, number).gcs_local_port)
+    return Peer(f"{_UNNAMED}_{number}", ANY, host, Vehicle(_UNNAMED, number, number, instance).gcs_local_port)
 
 
 def parse_address(text: str) -> tuple[str, str, int]:

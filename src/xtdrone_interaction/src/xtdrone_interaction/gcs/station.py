@@ -478,12 +478,13 @@ def run(
         return station.run(jobs, timeout=timeout, patience=patience, closing=closing)
 
 
-def find(host: str = LOOPBACK, limit: float = _FIND_LIMIT) -> list[Peer]:
+def find(host: str = LOOPBACK, limit: float = _FIND_LIMIT, instance: int = 0) -> list[Peer]:
     """Return the vehicles that answer at the ports of a simulation, in their order, with their system ids.
 
     Args:
         host: the machine on which they fly.
         limit: s in which they have to answer; a port that nobody has says so at once where the machine tells it.
+        instance: of the simulations on it.
 
     Raises:
         GcsError: there is no such machine.
@@ -492,7 +493,7 @@ def find(host: str = LOOPBACK, limit: float = _FIND_LIMIT) -> list[Peer]:
         address = socket.gethostbyname(host)  # once for all
     except (OSError, UnicodeError) as error:
         raise GcsError(f"{host}: no such machine: {getattr(error, 'strerror', None) or error}") from error
-    peers = [numbered(number, host=address) for number in range(MAX_VEHICLES)]
+    peers = [numbered(number, host=address, instance=instance) for number in range(MAX_VEHICLES)]
     with GroundStation(peers) as station:
         futures = {peer: station.submit(peer, exchanges.greet(), patience=limit) for peer in station.peers}
         end = time.monotonic() + limit
@@ -544,6 +545,7 @@ def upload_plans(
     watch: Watcher | None = None,
     timeout: float = TIMEOUT,
     patience: float = PATIENCE,
+    instance: int = 0,
 ) -> None:
     """Give vehicles their plans, all at once, and see that they have come whole.
 
@@ -553,13 +555,14 @@ def upload_plans(
         host: the machine on which it flies.
         watch: told of the progress.
         timeout, patience: see ``run``.
+        instance: of the simulations on that machine.
 
     Raises:
         GcsError: some vehicle has not taken its plan; one line each.
         FleetError: the fleet is none.
     """
     jobs = {}
-    for peer in peers_of(plans, fleet, host):
+    for peer in peers_of(plans, fleet, host, instance):
         too_long = exchanges.check_kinds(plans[peer.name])
         if too_long:
             raise GcsError(f"{peer.name}: {too_long}")

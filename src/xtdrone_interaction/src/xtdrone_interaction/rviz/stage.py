@@ -155,7 +155,7 @@ class Stage:
         """
         for name, tree in self._nodes.items():
             if tree.wait(0.0):
-                raise StageError(f"{name} has ended (status {tree.process.returncode}): {self.last_words(name)}")
+                raise StageError(f"{name} has ended (status {tree.status}): {self.last_words(name)}")
 
     def check_others(self) -> None:
         """Check that no node beside the drawing one has failed; one that has ended in order is right.
@@ -165,7 +165,7 @@ class Stage:
         """
         for name, tree in self._nodes.items():
             if name != DRAWER and tree.wait(0.0) and tree.process.returncode != 0:
-                raise StageError(f"{name} has failed (status {tree.process.returncode}): {self.last_words(name)}")
+                raise StageError(f"{name} has failed (status {tree.status}): {self.last_words(name)}")
 
     def last_words(self, name: str = DRAWER) -> str:
         """Return the end of what a node wrote."""
@@ -191,9 +191,7 @@ class Stage:
         if not tree.wait(_PATIENCE):
             raise StageError(f"{DRAWER} has not ended within {_PATIENCE:g} s")
         if tree.process.returncode != 0:
-            raise StageError(
-                f"{DRAWER} has failed (status {tree.process.returncode}): {self.last_words()}{self._rest()}"
-            )
+            raise StageError(f"{DRAWER} has failed (status {tree.status}): {self.last_words()}{self._rest()}")
         for words in self.complaints()[:_MOST_COMPLAINTS]:
             print(f"rviz: {words}", file=sys.stderr)
         drawn = _DRAWN.search(self.log(DRAWER).read_text(encoding="utf-8", errors="replace"))
@@ -204,7 +202,7 @@ class Stage:
 
     def _rest(self) -> str:
         """Return where the rest of a film is, for a message, where the drawing node could not finish it."""
-        part = self._film.with_name(f".{self._film.name}.{self._nodes[DRAWER].process.pid}.part.mp4")
+        part = self._film.with_name(f".{self._film.name}.{self._nodes[DRAWER].pid}.part.mp4")
         return f"\nwhat there is of the film: {part}" if part.exists() else ""
 
     def close(self) -> None:
@@ -216,9 +214,7 @@ class Stage:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(_PATIENCE)
         for tree in self._nodes.values():
-            if tree.process.poll() is None:
-                tree.process.kill()
-                tree.process.wait()
+            tree.kill()
 
     def __enter__(self) -> Stage:
         return self

@@ -11,6 +11,7 @@ import itertools
 import logging
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
@@ -30,6 +31,7 @@ _LEAST_WINDOW = 8
 _LOST_WORKERS = 2  # as many workers may die under a batch before it is given up
 _POLL = 0.1  # s
 _RECOUNT = 20  # polls between two looks at how many workers there are
+_WORKERS_LIMIT = 300.0  # s without any worker; Dask gives up a worker that cannot be started again
 _SMOOTHING = 0.2
 _LOGGERS = ("distributed", "tornado.application", "asyncio")
 
@@ -71,7 +73,8 @@ def local_client(workers: int, dashboard: str | None = None) -> Iterator[Client]
                 yield client
         finally:
             _end_workers(cluster)
-            cluster.close(timeout=CONNECT_LIMIT)
+            with suppress(TimeoutError):  # on a starved machine; the workers have been killed
+                cluster.close(timeout=CONNECT_LIMIT)
 
 
 def _local_cluster(workers: int, dashboard: str | None) -> LocalCluster:
@@ -147,6 +150,7 @@ class Executor:
         self._alone: Future | None = None
         self._seconds = BATCH_TIME  # of one run; at first a batch is one run
         self._numbers = itertools.count()
+        self._manned = time.monotonic()  # when there was a worker
         self.workers = 0
         self.lost = 0
 
@@ -160,8 +164,9 @@ class Executor:
 
         Raises:
             SchedulerLostError: the scheduler is gone.
-            SweepError: the workers cannot fly at all.
+            SweepError: the workers cannot fly at all, or there has been none for _WORKERS_LIMIT seconds.
         """
+        self._manned = time.monotonic()
         completed = as_completed(loop=self._client.loop, with_results=True, raise_errors=False)
         try:
             for poll in itertools.count():
@@ -179,13 +184,18 @@ class Executor:
             self._abandon()
 
     def _count(self) -> None:
-        """See how many threads there are, and whether the scheduler is."""
+        """Count the workers' threads, and check that the scheduler answers."""
         if self._client.status != "running":
             raise self._scheduler_lost()
         try:
             self.workers = sum(self._client.nthreads().values())
         except (OSError, TimeoutError) as error:
             raise self._scheduler_lost() from error
+        now = time.monotonic()
+        if self.workers:
+            self._manned = now
+        elif now - self._manned > _WORKERS_LIMIT:
+            raise SweepError(f"workers: the cluster has had none for {_WORKERS_LIMIT:g} s")
 
     def _fill(self, tasks: Iterator[Task], completed: as_completed) -> None:
         """Keep the window full; a suspect flies alone, so that it answers for nobody else."""

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from xtdrone_control.bounded_file import ContentError, read_text
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.options import OptionError
@@ -158,11 +159,11 @@ def read_study(file: str | Path) -> Study:
     """
     path = Path(file)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         return make_study(yaml.load(text, _Loader), path.resolve().parent)
     except OSError as error:
         raise OptionError(f"study: {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ContentError) as error:
         raise OptionError(f"study: {path} is not YAML: {error}") from error
     except OptionError as error:
         raise OptionError(f"study {path}: {error}") from error

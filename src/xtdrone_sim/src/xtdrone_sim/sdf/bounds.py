@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.bounded_file import MB, read_text
+
 from ..poses import rotate
 from ..visual import Box, Cylinder, Geometry, Pose, Sphere
 from .types import SdfError
 
 Array = NDArray[np.float64]
+
+LARGEST_MESH = 64 * MB
 
 
 def box_of(geometry: Geometry, pose: Pose) -> tuple[Array, Array]:
@@ -43,7 +47,8 @@ def box_of(geometry: Geometry, pose: Pose) -> tuple[Array, Array]:
 def _vertices(path: Path) -> Array:
     """Return the lowest and the highest corner (2, 3) of a Wavefront file's points."""
     try:
-        rows = [line.split()[1:4] for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("v ")]
+        text = read_text(path, LARGEST_MESH)
+        rows = [line.split(None, 4)[1:4] for line in text.splitlines() if line.startswith("v ")]
         points = np.array(rows, float).reshape(-1, 3)
     except (OSError, ValueError) as error:
         raise SdfError(f"{path}: not a Wavefront file: {error}") from error

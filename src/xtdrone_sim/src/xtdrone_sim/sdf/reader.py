@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.autopilot.autopilot import Datum
+from xtdrone_control.bounded_file import read_bytes
 
 from ..visual import Collision, Visual
 from .poses import pose_of, read_pose
 from .shapes import is_ground, read_collision, read_visual
-from .tree import Element, parse
+from .tree import LARGEST, Element, parse
 from .types import Light, SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint
 from .uris import model_folders, resolve
 
@@ -223,7 +224,7 @@ def _read_include(element: Element) -> SdfModel | None:
     if built_in in _BUILT_IN and not known:
         return None
     path = _model_file(uri, resolve(uri))
-    found = list(_root(path.read_bytes(), path).all("model"))
+    found = list(_root(_content(uri, path), path).all("model"))
     if len(found) != 1:
         raise uri.error(f"{path} has {len(found)} <model>, one is needed")
     model = _read_model(found[0], None if static is None else static.boolean())
@@ -240,12 +241,20 @@ def _model_file(uri: Element, path: Path) -> Path:
         return path
     config, file = path / "model.config", path / "model.sdf"
     if config.is_file():
-        named = list(parse(config.read_bytes(), config).all("sdf"))
+        named = list(parse(_content(uri, config), config).all("sdf"))
         if named:
             file = path / named[-1].string()
     if not file.is_file():
         raise uri.error(f"{uri.string()!r}: {file} does not exist")
     return file
+
+
+def _content(uri: Element, path: Path) -> bytes:
+    """Return the content of a file that ``uri`` has led to."""
+    try:
+        return read_bytes(path, LARGEST)
+    except OSError as error:
+        raise uri.error(f"{path}: {error.strerror or error}") from error
 
 
 def _read_model(element: Element, static: bool | None = None) -> SdfModel | None:

@@ -9,9 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 
+from xtdrone_control.bounded_file import MB, MOST_DEPTH, MOST_VALUES
+
 from .types import SdfError
 
 _log = logging.getLogger("rosout.sdf")  # a child of ROS's: its words come on screen and on /rosout where there is ROS
+LARGEST = 16 * MB  # of a file
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
@@ -150,10 +153,17 @@ def parse(text: str | bytes, path: Path) -> Element:
     """
     file = File(path)
     parser = expat.ParserCreate()
+    parser.buffer_text = True
+    count = 0
     stack: list[Element] = []
     roots: list[Element] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > MOST_VALUES or len(stack) >= MOST_DEPTH:
+            many = f"{MOST_VALUES} elements" if count > MOST_VALUES else f"{MOST_DEPTH} elements within each other"
+            raise SdfError(f"{path}: line {parser.CurrentLineNumber}: more than {many}")
         element = Element(tag, attributes, parser.CurrentLineNumber, file)
         (stack[-1].children if stack else roots).append(element)
         stack.append(element)
@@ -164,6 +174,12 @@ def parse(text: str | bytes, path: Path) -> Element:
     def characters(data: str) -> None:
         stack[-1].text += data
 
+    def entity(name: str, *_: object) -> None:
+        raise SdfError(
+            f"{path}: line {parser.CurrentLineNumber}: <!ENTITY {name}> is not allowed: write out what it stands for"
+        )
+
+    parser.EntityDeclHandler = entity
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = characters

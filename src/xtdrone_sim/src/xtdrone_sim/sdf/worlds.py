@@ -6,11 +6,12 @@ import math
 from pathlib import Path
 
 from xtdrone_control.autopilot.autopilot import Datum
+from xtdrone_control.bounded_file import read_bytes
 
 from ..package_files import CONFIG, PACKAGE
 from ..vehicle_model import ModelError, available, read_description
 from .reader import parse_world
-from .tree import Element
+from .tree import LARGEST, Element
 from .types import SdfError, SdfWorld
 
 WORLDS = PACKAGE / "worlds"
@@ -110,7 +111,7 @@ def _read(text: str | bytes, path: Path, extending: tuple[Path, ...]) -> SdfWorl
 
 def _text(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_bytes(path, LARGEST)
     except OSError as error:
         names = ", ".join(world_names())
         raise SdfError(f"worlds: {path}: {error.strerror or error}; by name there are {names}") from error

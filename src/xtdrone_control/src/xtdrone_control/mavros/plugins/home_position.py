@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from std_srvs.srv import Trigger, TriggerResponse
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.packing import whole
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
@@ -53,9 +54,9 @@ class HomePositionPlugin(Plugin):
         self.uas.link.send(
             mavlink.MAVLink_set_home_position_message(
                 self.uas.target[0],
-                round(home.geo.latitude * 1e7),
-                round(home.geo.longitude * 1e7),
-                round((home.geo.altitude - self._geoid) * 1e3),
+                whole(home.geo.latitude * 1e7),
+                whole(home.geo.longitude * 1e7),
+                whole((home.geo.altitude - self._geoid) * 1e3),
                 *frames.enu_to_ned(place.x, place.y, place.z),
                 list(frames.attitude_enu_to_ned(q.w, q.x, q.y, q.z)),
                 *frames.enu_to_ned(approach.x, approach.y, approach.z),

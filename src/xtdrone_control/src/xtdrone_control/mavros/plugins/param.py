@@ -64,9 +64,10 @@ def _wire(kind: int, number: float) -> float:
     """Return ``number`` as it lies in PARAM_SET.param_value.
 
     Raises:
-        struct.error: it does not fit into the type.
+        struct.error, OverflowError, ValueError: it does not fit into the type.
     """
     if kind == _REAL:
+        struct.pack("<f", number)
         return number
     return float(struct.unpack("<f", struct.pack(f"<{_INTEGERS[kind]}", int(number)).ljust(4, b"\0"))[0])
 
@@ -134,7 +135,7 @@ class ParamPlugin(Plugin):
         """Return a parameter's value, asking for it when it has not been told yet; None when there is none."""
         target = self.uas.target
         encoded = name.encode()
-        if not 0 < len(encoded) <= 16:
+        if not 0 < len(encoded) <= 16 or 0 in encoded:
             return None
         with self._turn:
             if name not in self._values and not self._complete:

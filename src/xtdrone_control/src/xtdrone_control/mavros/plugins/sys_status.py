@@ -250,6 +250,8 @@ class SysStatusPlugin(Plugin):
     def _set_message_interval(self, request: Any) -> MessageIntervalResponse:
         """Set a message's rate in Hz; 0 is the autopilot's own rate, negative switches it off."""
         rate = request.message_rate
+        if not self.uas.finite("set_message_interval", [("message_rate", rate)]):
+            return MessageIntervalResponse(success=False)
         interval_us = 1e6 / rate if rate > 0.0 else 0.0 if rate == 0.0 else -1.0
         self.uas.streams.leave(request.message_id)
         system, component = self.uas.target

@@ -1,0 +1,165 @@
+"""Reading files that users name, within bounds of size, number of values and depth.
+
+A file may be a device without an end, a pipe that no process writes to, or a few lines that unfold into gigabytes. What
+is read here is a regular file of a size that is looked at first, and what is parsed has at most as many values, and is
+nested at most as deep, as the callers' formats need.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+MB = 1 << 20
+MOST_TEXT = 4 * MB
+"""Bytes of a file of YAML, JSON or rows of text, unless its reader allows more."""
+MOST_VALUES = 200_000
+"""Values of a YAML file, and elements of an XML file; an alias counts as all that it stands for."""
+MOST_JSON_VALUES = 500_000
+MOST_DEPTH = 100
+"""Lists, mappings or elements within each other."""
+
+
+class ContentError(ValueError):
+    """A text that is malformed or has too many values; the message is one line and says where."""
+
+
+def read_bytes(path: str | Path, most: int) -> bytes:
+    """Return the content of a regular file.
+
+    Args:
+        path: the file; links are followed.
+        most: the largest size that is allowed, bytes.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is larger; ``strerror`` says which.
+    """
+    check(path, most)  # before it is opened: to open a pipe would wait for a writer
+    with open(path, "rb") as file:
+        _check(os.fstat(file.fileno()), path, most)
+        data = file.read(most + 1)
+    if len(data) > most:  # it grows
+        raise _too_large(path, len(data), most)
+    return data
+
+
+def check(path: str | Path, most: int) -> None:
+    """Check a file that another library opens.
+
+    Raises:
+        OSError: see :func:`read_bytes`.
+    """
+    _check(os.stat(path), path, most)
+
+
+def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
+    r"""Return the content of a regular file in UTF-8, with ``\n`` at the lines' ends.
+
+    Args:
+        path: the file; links are followed.
+        most: the largest size that is allowed, bytes.
+
+    Raises:
+        OSError: see :func:`read_bytes`.
+        ContentError: it is not UTF-8.
+    """
+    try:
+        text = read_bytes(path, most).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ContentError(f"byte {error.start} begins no character of UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def load_yaml(text: str) -> Any:
+    """Return what a YAML text holds, of the types that ``yaml.safe_load`` knows.
+
+    Raises:
+        ContentError: it is no YAML, or has too many values.
+    """
+    try:
+        return _Loader(text).get_single_data()
+    except ContentError:
+        raise
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise ContentError(f"{_place(mark)}{error.problem or error.context}") from error
+    except yaml.reader.ReaderError as error:
+        raise ContentError(f"character {error.position}: {error.reason}") from error
+    except (yaml.YAMLError, ValueError, OverflowError) as error:  # such as a day that no month has
+        raise ContentError(f"a value is not allowed: {type(error).__name__}") from error
+
+
+def load_json(text: str, parse_constant: Callable[[str], Any] | None = None) -> Any:
+    """Return what a JSON text holds.
+
+    Args:
+        text: the text.
+        parse_constant: see ``json.loads``.
+
+    Raises:
+        ContentError: it has too many values, or is nested too deeply.
+        ValueError: it is no JSON.
+    """
+    if text.count(",") + text.count("[") + text.count("{") > MOST_JSON_VALUES:  # at least one of them for each value
+        raise ContentError(f"more than {MOST_JSON_VALUES} values")
+    try:
+        return json.loads(text, parse_constant=parse_constant)
+    except RecursionError:
+        raise ContentError("nested too deeply") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML's safe loader that counts what it composes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._values = 0
+        self._depth = 0
+        self._sizes: dict[str | None, int] = {}  # of what has an anchor: how many values
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()
+        anchor: str | None = getattr(event, "anchor", None)
+        before = self._values
+        if isinstance(event, yaml.AliasEvent):
+            within_itself = anchor in self.anchors and anchor not in self._sizes
+            self._count(event, MOST_VALUES if within_itself else self._sizes.get(anchor, 0))
+            return super().compose_node(parent, index)
+        self._count(event, 1)
+        self._depth += 1
+        if self._depth > MOST_DEPTH:
+            raise ContentError(f"{_place(event.start_mark)}nested more than {MOST_DEPTH} deep")
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if anchor is not None:
+            self._sizes[anchor] = self._values - before
+        return node
+
+    def _count(self, event: yaml.Event, values: int) -> None:
+        self._values += values
+        if self._values > MOST_VALUES:
+            raise ContentError(f"{_place(event.start_mark)}more than {MOST_VALUES} values, those of aliases included")
+
+
+def _place(mark: Any) -> str:
+    return "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+
+
+def _check(status: os.stat_result, path: str | Path, most: int) -> None:
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    if status.st_size > most:
+        raise _too_large(path, status.st_size, most)
+
+
+def _too_large(path: str | Path, size: int, most: int) -> OSError:
+    return OSError(errno.EFBIG, f"it has {size / MB:.1f} MB, at most {most / MB:g} MB are allowed", str(path))

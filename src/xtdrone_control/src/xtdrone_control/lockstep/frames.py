@@ -1,0 +1,351 @@
+"""What participants say, checked: each function makes a typed record of a frame's payload, or raises ProtocolError.
+
+All types and ranges of what comes from a participant are checked here, so that the server may rely on them: a name is
+one line of letters, a count fits its field in a frame, and every table has a greatest size.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from .protocol import (
+    ALIVE_FRAME,
+    BASE_STEP_US,
+    MAX_FRAME,
+    NEEDS_TIME,
+    NEEDS_TIME_FRAME,
+    VERSION,
+    Barrier,
+    Kind,
+    ProtocolError,
+    Schedule,
+    printable,
+    shown,
+    unpack_barrier,
+    unpack_object,
+)
+
+LONGEST_RESERVE = 1 << 12
+"""Bytes; the client's RESERVE has some 200."""
+LONGEST_JOIN = 1 << 23
+"""Bytes; the MAVROS layer's for 250 vehicles has 0.9 million with 14000 topics, for 1000 four times as much."""
+LONGEST_LEAVE = 1 << 16
+MOST_TOPICS = 1 << 17
+"""Of a participant, publications and subscriptions together."""
+MOST_CHANNELS = 1 << 17
+"""Of a participant as publisher: 250 vehicles that all hear of each other's pose have 62500."""
+MOST_PORTS = 4096
+"""UDP ports of a participant."""
+LONGEST_NAME = 256
+LONGEST_REASON = 500
+
+_U32 = (1 << 32) - 1
+_U64 = (1 << 64) - 1
+_I64 = (1 << 63) - 1
+_HIGHEST_PID = (1 << 31) - 1
+_HIGHEST_PORT = 65535
+_NAME = re.compile(r"(?:/[A-Za-z0-9_]+)+")
+_TYPE = re.compile(r"\*|[A-Za-z]\w*(?:/\w+)?", re.ASCII)
+
+BEFORE_JOIN: dict[int, int] = {Kind.RESERVE: LONGEST_RESERVE, Kind.JOIN: LONGEST_JOIN}
+"""The frames that may come before JOIN and their greatest lengths, see `protocol.FrameReader`."""
+AFTER_JOIN: dict[int, int] = {
+    Kind.DONE: len(ALIVE_FRAME) + 24 + 12 * (MOST_CHANNELS + MOST_PORTS),
+    Kind.ALIVE: len(NEEDS_TIME_FRAME) - 4,
+    Kind.PEER: MAX_FRAME,
+    Kind.DECLARE: LONGEST_JOIN,
+    Kind.DIGEST: LONGEST_JOIN,
+    Kind.LEAVE: LONGEST_LEAVE,
+}
+"""The same of a participant."""
+
+
+class RefusalError(ProtocolError):
+    """A RESERVE or JOIN that is well-formed and cannot be granted.
+
+    Attributes:
+        code: As REFUSED carries it.
+    """
+
+    def __init__(self, code: str, reason: str) -> None:
+        """Keeps both."""
+        super().__init__(reason)
+        self.code = code
+
+
+class Reservation(NamedTuple):
+    """Content of a RESERVE, and the beginning of a JOIN.
+
+    Attributes:
+        name: Resolved ROS name.
+        pid: Number of the process, 0 if unknown.
+        host: Where that number means something, see `protocol.process_namespace`; empty if unknown.
+    """
+
+    name: str
+    pid: int
+    host: str
+
+
+class Declaration(NamedTuple):
+    """All topics of a participant, each with its type; "*" for any type."""
+
+    publications: dict[str, str]
+    subscriptions: dict[str, str]
+
+
+class Join(NamedTuple):
+    """Content of a JOIN.
+
+    Attributes:
+        node: Who asks.
+        rate: In Hz.
+        schedule: The times of its turns.
+        udp_ports: Local ports on which it receives the simulator's datagrams.
+        topics: What it publishes and subscribes to.
+    """
+
+    node: Reservation
+    rate: float
+    schedule: Schedule
+    udp_ports: tuple[int, ...]
+    topics: Declaration
+
+
+class Made(NamedTuple):
+    """A topic connection that a publisher has got.
+
+    Attributes:
+        number: The publisher's own.
+        topic: Resolved name.
+        subscriber: Resolved name of the node at the other end; empty if it goes by something that is no ROS name.
+        port: The subscriber's TCP port, 0 within one process.
+        sent: Messages sent over it so far.
+    """
+
+    number: int
+    topic: str
+    subscriber: str
+    port: int
+    sent: int
+
+
+class Peers(NamedTuple):
+    """Content of a PEER: connections made, and the numbers of those lost."""
+
+    made: list[Made]
+    lost: list[int]
+
+
+class DigestReport(NamedTuple):
+    """Content of a DIGEST: a simulation time in microseconds, and topic to messages, bytes and checksum."""
+
+    time_us: int
+    topics: dict[str, list[int]]
+
+
+class Leave(NamedTuple):
+    """Content of a LEAVE; the reason is printable."""
+
+    reason: str
+    failed: bool
+
+
+def reservation(payload: bytes) -> Reservation:
+    """Reads a RESERVE.
+
+    Raises:
+        RefusalError: Another protocol version, or a name that is none.
+        ProtocolError: It is malformed.
+    """
+    return _reservation(_Fields("RESERVE", unpack_object(payload)))
+
+
+def join(payload: bytes, base_step_us: int = BASE_STEP_US) -> Join:
+    """Reads a JOIN.
+
+    Args:
+        payload: The frame's.
+        base_step_us: The simulator's step in microseconds.
+
+    Raises:
+        RefusalError: Another protocol version, a name that is none, or a rate outside its range.
+        ProtocolError: It is malformed.
+    """
+    fields = _Fields("JOIN", unpack_object(payload))
+    node = _reservation(fields)
+    rate = fields.get("rate")
+    try:
+        schedule = Schedule(rate, base_step_us)
+    except ValueError as error:
+        raise RefusalError("rate", f"{node.name}: {error}") from error
+    ports = fields.items("udp_ports", MOST_PORTS)
+    checked = dict.fromkeys(_whole("JOIN: UDP port", port, 1, _HIGHEST_PORT) for port in ports)
+    return Join(node, float(rate), schedule, tuple(checked), _declaration(fields))
+
+
+def declaration(payload: bytes) -> Declaration:
+    """Reads a DECLARE.
+
+    Raises:
+        ProtocolError: It is malformed.
+    """
+    return _declaration(_Fields("DECLARE", unpack_object(payload)))
+
+
+def peers(payload: bytes) -> Peers:
+    """Reads a PEER.
+
+    Raises:
+        ProtocolError: It is malformed.
+    """
+    fields = _Fields("PEER", unpack_object(payload))
+    made = [_made(entry) for entry in fields.items("made", MOST_CHANNELS)]
+    lost = [_whole("PEER: number", number, 0, _U32) for number in fields.items("lost", MOST_CHANNELS)]
+    return Peers(made, lost)
+
+
+def digest(payload: bytes) -> DigestReport:
+    """Reads a DIGEST.
+
+    Raises:
+        ProtocolError: It is malformed.
+    """
+    fields = _Fields("DIGEST", unpack_object(payload))
+    topics = fields.get("topics")
+    if not isinstance(topics, dict) or len(topics) > MOST_TOPICS:
+        raise ProtocolError(f"DIGEST: topics {shown(topics)}: must be a table of at most {MOST_TOPICS}")
+    time_us = _whole("DIGEST: time_us", fields.get("time_us"), 0, _I64)
+    return DigestReport(time_us, {_name("DIGEST: topic", topic): _state(state) for topic, state in topics.items()})
+
+
+def leave(payload: bytes) -> Leave:
+    """Reads a LEAVE.
+
+    Raises:
+        ProtocolError: It is malformed.
+    """
+    fields = _Fields("LEAVE", unpack_object(payload))
+    reason, failed = fields.get("reason", ""), fields.get("failed", False)
+    if not isinstance(reason, str) or not isinstance(failed, bool):
+        raise ProtocolError(f"LEAVE: reason {shown(reason)}, failed {shown(failed)}: must be a text, true or false")
+    return Leave(printable(reason, LONGEST_REASON), failed)
+
+
+def done(payload: bytes) -> Barrier:
+    """Reads a DONE.
+
+    Raises:
+        ProtocolError: The length does not fit the number of pairs.
+    """
+    return unpack_barrier(payload)
+
+
+def needs_time(payload: bytes) -> bool:
+    """Reads an ALIVE: whether the node waits for what comes only when time goes on.
+
+    Raises:
+        ProtocolError: It is malformed.
+    """
+    if payload not in (b"", NEEDS_TIME):
+        raise ProtocolError(f"ALIVE: {payload!r}: must be empty or {NEEDS_TIME!r}")
+    return bool(payload)
+
+
+class _Fields:
+    """A JSON object of a frame, asked for by key."""
+
+    def __init__(self, frame: str, content: Mapping[str, Any]) -> None:
+        """Keeps the content and the frame's name, for errors."""
+        self.frame = frame
+        self._content = content
+
+    def get(self, key: str, default: Any = None) -> Any:
+        return self._content.get(key, default)
+
+    def items(self, key: str, most: int) -> list[Any]:
+        """Returns a list, empty if there is none.
+
+        Raises:
+            ProtocolError: It is none, or longer than `most`.
+        """
+        value = self._content.get(key, [])
+        if not isinstance(value, list) or len(value) > most:
+            raise ProtocolError(f"{self.frame}: {key} {shown(value)}: must be a list of at most {most}")
+        return value
+
+
+def _reservation(fields: _Fields) -> Reservation:
+    name, version = fields.get("name"), fields.get("version")
+    if version != VERSION or isinstance(version, bool):
+        who = printable(name, LONGEST_NAME) if isinstance(name, str) else shown(name)
+        raise RefusalError("version", f"{who} speaks lockstep version {shown(version)}, this is {VERSION}")
+    if not isinstance(name, str) or len(name) > LONGEST_NAME or not _NAME.fullmatch(name):
+        allowed = f"must be a resolved ROS name, as /follower_1, of at most {LONGEST_NAME} letters"
+        raise RefusalError("name", f"name {shown(name)}: {allowed}")
+    host = fields.get("host", "")
+    if not isinstance(host, str) or len(host) > LONGEST_NAME:
+        raise ProtocolError(f"{fields.frame}: host {shown(host)}: must be a text of at most {LONGEST_NAME} letters")
+    return Reservation(name, _whole(f"{fields.frame}: pid", fields.get("pid", 0), 0, _HIGHEST_PID), host)
+
+
+def _declaration(fields: _Fields) -> Declaration:
+    publications = _topics(fields, "publications")
+    subscriptions = _topics(fields, "subscriptions")
+    if len(publications) + len(subscriptions) > MOST_TOPICS:
+        count = len(publications) + len(subscriptions)
+        raise ProtocolError(f"{fields.frame}: {count} topics, at most {MOST_TOPICS} are allowed")
+    return Declaration(publications, subscriptions)
+
+
+def _topics(fields: _Fields, key: str) -> dict[str, str]:
+    what = f"{fields.frame}: {key}"
+    topics = {}
+    for entry in fields.items(key, MOST_TOPICS):
+        topic, kind = _row(what, entry, 2, "[topic, type]")
+        if not isinstance(kind, str) or len(kind) > LONGEST_NAME or not _TYPE.fullmatch(kind):
+            raise ProtocolError(f"{what}: type {shown(kind)}: must be a ROS type, as std_msgs/String, or *")
+        topics[_name(what, topic)] = kind
+    return topics
+
+
+def _made(entry: object) -> Made:
+    number, topic, subscriber, port, count = _row("PEER: made", entry, 5, "[id, topic, subscriber, port, count]")
+    if not isinstance(subscriber, str):
+        raise ProtocolError(f"PEER: subscriber {shown(subscriber)}: must be a text")
+    # A foreign subscriber names itself as it likes, which the publisher cannot help.
+    known = len(subscriber) <= LONGEST_NAME and _NAME.fullmatch(subscriber)
+    return Made(
+        _whole("PEER: number", number, 0, _U32),
+        _name("PEER", topic),
+        subscriber if known else "",
+        _whole("PEER: TCP port", port, 0, _HIGHEST_PORT),
+        _whole("PEER: count", count, 0, _U64),
+    )
+
+
+def _state(state: object) -> list[int]:
+    limits = (_U64, _U64, _U32)
+    row = _row("DIGEST", state, len(limits), "[messages, bytes, crc]")
+    return [_whole("DIGEST: number", value, 0, most) for value, most in zip(row, limits, strict=True)]
+
+
+def _row(what: str, entry: object, length: int, columns: str) -> list[Any]:
+    if not isinstance(entry, list) or len(entry) != length:
+        raise ProtocolError(f"{what}: {shown(entry)}: must be {columns}")
+    return entry
+
+
+def _name(what: str, value: object) -> str:
+    if not isinstance(value, str) or len(value) > LONGEST_NAME or not _NAME.fullmatch(value):
+        allowed = f"must be a resolved ROS name, as /iris_0/cmd, of at most {LONGEST_NAME} letters"
+        raise ProtocolError(f"{what}: topic {shown(value)}: {allowed}")
+    return value
+
+
+def _whole(what: str, value: object, low: int, high: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise ProtocolError(f"{what} {shown(value)}: must be a whole number from {low} to {high}")
+    return value

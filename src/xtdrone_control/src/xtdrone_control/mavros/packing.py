@@ -1,0 +1,113 @@
+"""Packing MAVLink messages made of values that come from outside, and words for a value that does not fit.
+
+The fields of ROS messages are wider than those of MAVLink: 64-bit floats become 32-bit ones, numbers are scaled into
+integers. This is the one place that notices a value which a MAVLink field cannot hold.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
+FLOAT32_RANGE = f"{-FLOAT32_MAX:.4g} to {FLOAT32_MAX:.4g}"
+_BITS = {f"{sign}int{bits}_t": bits for sign in ("", "u") for bits in (8, 16, 32, 64)}
+
+
+class FieldError(ValueError):
+    """A value that a field of a MAVLink message cannot hold.
+
+    Attributes:
+        field: name of message and field, as ``SET_HOME_POSITION.latitude``.
+        value: the value.
+        allowed: the field's range, in words.
+    """
+
+    def __init__(self, field: str, value: Any, allowed: str) -> None:
+        """Keep field, value and range."""
+        super().__init__(f"{field} is {value}; {allowed} is allowed")
+        self.field = field
+        self.value = value
+        self.allowed = allowed
+
+
+def pack(message: Any, packer: Any) -> bytes:
+    """Return the frame of a pymavlink message object.
+
+    Args:
+        message: the message.
+        packer: pymavlink's ``MAVLink`` that has sequence number and ids; unchanged by an error.
+
+    Raises:
+        FieldError: a value that its field cannot hold.
+    """
+    try:
+        return bytes(message.pack(packer))
+    except (struct.error, OverflowError, TypeError) as error:
+        for name, kind, value in _fields(message):
+            allowed = _range(kind)
+            if not _fits(kind, value):
+                raise FieldError(f"{message.msgname}.{name}", value, allowed) from error
+        raise
+
+
+def whole(value: float) -> int | float:
+    """Return a number rounded to an integer; one that is not finite comes back, for :func:`pack` to refuse it."""
+    return round(value) if abs(value) <= FLOAT32_MAX else value
+
+
+def source(message: Any, value: float) -> str | None:
+    """Return which field of a ROS message holds ``value`` or its negative, as ``pose.position.x``; None if none does.
+
+    Conversions between frames move and negate numbers, so this finds where one comes from.
+    """
+    return next((name for name, found in _leaves(message, "") if found in (value, -value)), None)
+
+
+def _fields(message: Any) -> Iterator[tuple[str, str, Any]]:
+    """Yield name, type and value of the numbers of a MAVLink message, those of an array one by one."""
+    for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
+        value = getattr(message, name)
+        if isinstance(value, (list, tuple)):
+            yield from ((f"{name}[{index}]", kind, item) for index, item in enumerate(value))
+        elif kind != "char":
+            yield name, kind, value
+
+
+def _fits(kind: str, value: Any) -> bool:
+    letter = {"float": "<f", "double": "<d"}.get(kind)
+    if letter is None:
+        low, high = _limits(kind)
+        return isinstance(value, int) and low <= value <= high
+    try:
+        struct.pack(letter, value)
+    except (struct.error, OverflowError, TypeError):
+        return False
+    return True
+
+
+def _limits(kind: str) -> tuple[int, int]:
+    bits = _BITS[kind]
+    return (0, (1 << bits) - 1) if kind.startswith("u") else (-(1 << bits - 1), (1 << bits - 1) - 1)
+
+
+def _range(kind: str) -> str:
+    if kind == "float":
+        return FLOAT32_RANGE
+    if kind == "double":
+        return "a number"
+    low, high = _limits(kind)
+    return f"{low} to {high}"
+
+
+def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of every number in a ROS message."""
+    if isinstance(value, (list, tuple)):
+        for index, item in enumerate(value):
+            yield from _leaves(item, f"{name}[{index}]")
+    elif isinstance(value, (int, float)):
+        yield name, value
+    else:
+        for slot in getattr(value, "__slots__", ()):
+            yield from _leaves(getattr(value, slot), f"{name}.{slot}" if name else slot)

@@ -1,0 +1,138 @@
+"""Files without an end, pipes, and texts that unfold: refused in words, at once and without the memory for them."""
+
+from __future__ import annotations
+
+import os
+import time
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from xtdrone_control import bounded_file, qgc_plan
+from xtdrone_control.autopilot import parameter_file
+from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, load_json, load_yaml, read_bytes, read_text
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join(f'*{before}' for _ in range(10))}]\n"
+    for before, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.fixture
+def bounded() -> Iterator[None]:
+    """A test that needs much memory or wall time fails."""
+    tracemalloc.start()
+    begin = time.process_time()
+    yield
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 64 * MB
+    assert time.process_time() - begin < 20.0
+
+
+def sparse(path: Path) -> Path:
+    with path.open("wb") as file:
+        file.truncate(1 << 30)
+    return path
+
+
+@pytest.mark.usefixtures("bounded")
+def test_a_large_file_is_refused_by_its_size(tmp_path: Path) -> None:
+    file = sparse(tmp_path / "large")
+    with pytest.raises(OSError, match=r"it has 1024.0 MB, at most 4 MB are allowed"):
+        read_text(file)
+    with pytest.raises(qgc_plan.PlanError, match=r"large: cannot be read: it has 1024\.0 MB, at most 16 MB"):
+        qgc_plan.read(file)
+    assert parameter_file.read(file) == []
+
+
+@pytest.mark.usefixtures("bounded")
+@pytest.mark.parametrize("kind", ["device", "pipe", "link"])
+def test_what_is_no_regular_file_is_refused_without_being_opened(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / kind
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "link":
+        path.symlink_to("/dev/zero")
+    else:
+        path = Path("/dev/zero")
+    with pytest.raises(OSError, match="it is no regular file"):
+        read_bytes(path, MB)
+
+
+def test_a_folder_and_a_missing_file_are_what_they_are(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError, match="Is a directory"):
+        read_bytes(tmp_path, MB)
+    with pytest.raises(FileNotFoundError):
+        read_bytes(tmp_path / "none", MB)
+
+
+def test_text_is_read_as_path_reads_it(tmp_path: Path) -> None:
+    file = tmp_path / "text"
+    file.write_bytes("a\r\nä\rb\n".encode())
+    assert read_text(file) == file.read_text(encoding="utf-8")
+    assert read_bytes(file, file.stat().st_size) == file.read_bytes()
+    with pytest.raises(OSError, match="at most"):
+        read_bytes(file, file.stat().st_size - 1)
+    file.write_bytes(b"ab\xff")
+    with pytest.raises(ContentError, match="byte 2 begins no character of UTF-8"):
+        read_text(file)
+
+
+@pytest.mark.parametrize("file", sorted(Path(__file__).parents[2].glob("*/config/**/*.yaml")), ids=lambda p: p.name)
+def test_our_files_are_read_as_yaml_reads_them(file: Path) -> None:
+    text = read_text(file)
+    assert load_yaml(text) == yaml.safe_load(text)
+
+
+@pytest.mark.parametrize("text", ["", "1", "a: &x [1, 2]\nb: *x\n", "base: &b {k: 1}\nd: {<<: *b, l: 2}\n"])
+def test_aliases_are_read_as_yaml_reads_them(text: str) -> None:
+    assert load_yaml(text) == yaml.safe_load(text)
+
+
+@pytest.mark.usefixtures("bounded")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (BOMB, f"line 6, column [0-9]+: more than {MOST_VALUES} values, those of aliases included"),
+        ("a: &a [*a]", "more than"),
+        ("[" * 300, "line 1, column 101: nested more than 100 deep"),
+        ("- " * 300, "line 1, column 201: nested more than 100 deep"),
+        ("a: [1, 2\nb: 3\n", "^line 2, column 2: "),
+        ("a: *b", "^line 1, column 4: found undefined alias"),
+        ("2001-99-99", "^a value is not allowed: ValueError$"),
+        ("{[1]: 2}", "^line 1, column 2: found unhashable key$"),
+        ("a\0b", "^character 1: special characters are not allowed$"),
+        ("!!python/object:os.system x", "^line 1, column 1: could not determine a constructor"),
+    ],
+)
+def test_yaml_that_is_not_allowed_is_named_in_one_line(text: str, words: str) -> None:
+    with pytest.raises(ContentError, match=words) as caught:
+        load_yaml(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_many_values_are_refused_before_they_are_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounded_file, "MOST_VALUES", 1000)
+    with pytest.raises(ContentError, match="more than 1000 values"):
+        load_yaml("[" + "1, " * 1001)  # its end is never looked at
+    assert len(load_yaml("[" + "1, " * 999 + "]")) == 999
+
+
+@pytest.mark.usefixtures("bounded")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * 400_000, "nested too deeply"),
+        ("[" + "[]," * 600_000, "more than 500000 values"),
+        ('{"a": 1', "Expecting"),
+    ],
+)
+def test_json_that_is_not_allowed_is_named(text: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        load_json(text)
+    with pytest.raises(qgc_plan.PlanError, match=f"plan: is no JSON: .*{words}"):
+        qgc_plan.parse(text)

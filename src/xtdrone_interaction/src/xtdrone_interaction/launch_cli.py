@@ -1,0 +1,189 @@
+"""``xtdrone launch``: runs a launch file, says when it is ready, and names what dies.
+
+Exit status: 0 when everything has ended as it should, 1 when a node has died or the launch has failed, 2 for a value
+that is not allowed, 128 + n when stopped by signal n.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from xtdrone_control.fleet import INSTANCE_STEP, FleetError, instance_port
+from xtdrone_interaction import launch_file, options
+from xtdrone_interaction.deaths import Deaths
+from xtdrone_interaction.launch_file import LaunchFile
+from xtdrone_interaction.launched import (
+    DemoError,
+    Launch,
+    Watch,
+    check_still,
+    escape,
+    master_port,
+    print_trouble,
+    run_launch,
+    watching,
+)
+from xtdrone_interaction.options import OptionError, checked
+from xtdrone_interaction.screen import PatientConsole
+
+_START_LIMIT = 60.0  # wall s for which nothing may move before it is ready
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="xtdrone launch",
+        description="Run a launch file with a ROS master of its own until it ends or Ctrl-C: says when all takes part, "
+        "names each node that dies and where its log is. Status 0 only if everything ended as it should.",
+    )
+    add = parser.add_argument
+    add("file", metavar="FILE", help="a launch file, or the name of one of launch/")
+    add("arguments", nargs="*", metavar="NAME:=VALUE", help="its arguments; unknown ones are refused")
+    add("--out", "--log-dir", type=Path, metavar="FOLDER", dest="out",
+        help="where logs go, a new folder (default: runs/<time>)")  # fmt: skip
+    add("--instance", type=checked(options.instance), metavar="N",
+        help="of the simulations on this machine: moves the UDP ports, and --port, by N x "
+        f"{INSTANCE_STEP} (default: 0)")  # fmt: skip
+    master = parser.add_mutually_exclusive_group()
+    master.add_argument("--port", type=checked(options.port), metavar="PORT",
+                        help="TCP port of its own ROS master (default: a free one)")  # fmt: skip
+    master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
+    return parser
+
+
+def _prepare(words: argparse.Namespace) -> tuple[LaunchFile, Launch]:
+    """Return what is run, after all checks that need no master.
+
+    Raises:
+        OptionError, FleetError: a value that is not allowed.
+    """
+    path = launch_file.find(words.file)
+    arguments = launch_file.split_arguments(words.arguments)
+    if words.instance is not None:
+        if arguments.get("instance", str(words.instance)) != str(words.instance):
+            raise OptionError(f"instance: --instance {words.instance} and instance:={arguments['instance']} contradict")
+        arguments["instance"] = str(words.instance)
+    launch_file.check_arguments(path, arguments)
+    file = launch_file.load(path, arguments)
+    vehicles = file.vehicles
+    instance = vehicles[0].instance if vehicles else 0
+    if file.has_mavlink:
+        options.take_instance(file.fleet, instance)
+    port = instance_port(words.port, instance) if words.port else None
+    number = master_port(port, use_running=words.use_master)
+    out = options.results_folder(words.out)
+    return file, Launch(str(path), arguments, out, number, True, instance)
+
+
+def run(file: LaunchFile, launch: Launch, console: Console) -> int:
+    """Run it to its end and return the exit status."""
+    deaths = Deaths(launch.log)
+
+    def go() -> int:
+        vehicles = [vehicle.name for vehicle in file.vehicles]
+        with watching(launch, console, deaths, {}, vehicles) as watch:
+            _Course(file, launch, watch).run()
+        if deaths.failure is not None or any(death.matters and death.died for death in deaths.all()):
+            console.print("[red]Error:[/red] not everything has ended as it should", highlight=False)
+            print_trouble(launch, console)
+            return 1
+        return 0
+
+    return run_launch(launch, console, go)
+
+
+class _Course:
+    """What is said while it runs."""
+
+    def __init__(self, file: LaunchFile, launch: Launch, watch: Watch) -> None:
+        self._file = file
+        self._launch = launch
+        self._watch = watch
+        self._ready = False
+
+    def run(self) -> None:
+        """Watch until it has ended.
+
+        Raises:
+            DemoError: it does not start.
+        """
+        watch = self._watch
+        while watch.running():
+            for message in watch.look(starting=not self._ready):
+                self._show(message)
+            if not self._ready and self._is_ready():
+                self._ready = True
+                watch.display.note(self._ready_words())
+            if not self._ready:
+                check_still(watch, _START_LIMIT, "the launch does not get ready: nothing has moved")
+        watch.show_deaths()
+        if not watch.started():
+            raise DemoError("roslaunch has ended before it had started a node")
+
+    def _show(self, message: dict[str, Any]) -> None:
+        if message["kind"] == "estimators":
+            self._watch.display.note("[green]estimators ready[/green]: every vehicle can be armed")
+
+    def _is_ready(self) -> bool:
+        if not self._file.has_simulator:
+            return self._watch.startup.started >= len(self._file.nodes)
+        return self._watch.startup.runs and self._watch.status is not None
+
+    def _ready_words(self) -> str:
+        uri, logs = self._launch.master_uri, self._launch.out / "logs"
+        if not self._file.has_simulator:
+            return escape(f"ready: {len(self._file.nodes)} nodes; ROS master {uri}; logs {logs}")
+        startup = self._watch.startup
+        parts = [self._file.fleet]
+        world = self._file.of_simulator("world")
+        if world:
+            parts.append(f"world {world}")
+        parts.append(_speed_words(self._file.of_simulator("speed"), paused=bool(self._file.of_simulator("paused"))))
+        if startup.joined:
+            parts.append(f"{startup.joined} participant{'s' * (startup.joined > 1)}")
+        parts += [f"ROS master {uri}", *self._ports(), f"logs {logs}"]
+        if startup.incomplete:
+            parts.append(startup.incomplete)
+        return escape("ready: " + "; ".join(parts))
+
+    def _ports(self) -> list[str]:
+        if not self._file.has_mavlink:
+            return []
+        first, last = self._file.vehicles[0], self._file.vehicles[-1]
+        return [
+            f"UDP ground stations {_range(first.gcs_local_port, last.gcs_local_port)} -> {first.gcs_remote_port}",
+            f"offboard {_range(first.offboard_local_port, last.offboard_local_port)} -> "
+            f"{_range(first.offboard_remote_port, last.offboard_remote_port)}",
+        ]
+
+
+def _range(first: int, last: int) -> str:
+    return str(first) if first == last else f"{first}-{last}"
+
+
+def _speed_words(speed: Any, *, paused: bool) -> str:
+    text = "as fast as it goes" if not speed else f"{float(speed):g} x real time"
+    return f"{text}, paused" if paused else text
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run ``xtdrone launch`` with the arguments after "launch"; return the exit status."""
+    words = _parser().parse_intermixed_args(list(argv))
+    try:
+        file, launch = _prepare(words)
+        return run(file, launch, PatientConsole())
+    except (OptionError, FleetError) as error:
+        print(f"xtdrone launch: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"xtdrone launch: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,174 @@
+"""What can be known of a launch file before it runs: its arguments, its nodes, and what keeps them from starting."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
+from xtdrone_interaction.deaths import SIMULATOR
+from xtdrone_interaction.options import OptionError, repository
+
+_MAVLINK = "simulator.py"  # the program of the simulator that has MAVLink
+_BUILTIN = "builtin"
+
+
+@dataclass(frozen=True)
+class LaunchFile:
+    """A launch file as it would run with its arguments.
+
+    Attributes:
+        path: of the file.
+        nodes: names of its nodes, with the leading slash.
+        parameters: name to value.
+        has_simulator: whether one of ours is among the nodes.
+        has_mavlink: whether it has autopilots, with UDP ports.
+    """
+
+    path: Path
+    nodes: tuple[str, ...]
+    parameters: Mapping[str, Any]
+    has_simulator: bool
+    has_mavlink: bool
+
+    @property
+    def fleet(self) -> str:
+        """The vehicles, as ``iris:3``; empty where none are named."""
+        return str(self.parameters.get("/xtdrone/fleet", ""))
+
+    @property
+    def vehicles(self) -> tuple[Vehicle, ...]:
+        """The vehicles of a simulator.
+
+        Raises:
+            FleetError: they cannot be flown.
+        """
+        if not (self.has_simulator and self.fleet):
+            return ()
+        return parse_fleet(self.fleet, check_instance(self.parameters.get("/xtdrone/instance", 0)))
+
+    def of_simulator(self, name: str) -> Any:
+        """Return a private parameter of the simulator, None if it is not set."""
+        return self.parameters.get(f"/{SIMULATOR}/{name}")
+
+
+def find(text: str) -> Path:
+    """Return the launch file that ``text`` names: a path, or a file of launch/ with or without its ending.
+
+    Raises:
+        OptionError: there is none.
+    """
+    folder = repository() / "launch"
+    for path in (Path(text), folder / text, folder / f"{text}.launch"):
+        if path.is_file():
+            return path.resolve()
+    known = ", ".join(sorted(path.stem for path in folder.glob("*.launch")))
+    raise OptionError(f"launch file: {text!r} does not exist; a path, or one of {known}")
+
+
+def split_arguments(words: Sequence[str]) -> dict[str, str]:
+    """Return the launch arguments of a command line, ``name:=value`` each.
+
+    Raises:
+        OptionError: a word is none, or a name is given twice.
+    """
+    arguments: dict[str, str] = {}
+    for word in words:
+        name, sign, value = word.partition(":=")
+        if not (sign and name):
+            raise OptionError(f"launch argument: {word!r} is not allowed, name:=value")
+        if name in arguments:
+            raise OptionError(f"launch argument: {name} is given twice, as {arguments[name]!r} and {value!r}")
+        arguments[name] = value
+    return arguments
+
+
+def check_arguments(path: Path, given: Mapping[str, str]) -> None:
+    """Check that a launch file declares the arguments; roslaunch itself passes unknown ones over.
+
+    Raises:
+        OptionError: an argument that the file does not declare; the message names the declared ones.
+    """
+    declared = _declared(path)
+    for name in given:
+        if name not in declared:
+            near = difflib.get_close_matches(name, declared, 1)
+            meant = f" (is {near[0]} meant?)" if near else ""
+            names = ", ".join(sorted(declared)) or "none"
+            raise OptionError(f"launch argument: {path.name} has no {name!r}{meant}; there are: {names}")
+
+
+def _declared(path: Path) -> list[str]:
+    import roslaunch.arg_dump
+    from roslaunch.core import RLException
+
+    try:
+        return list(roslaunch.arg_dump.get_args([str(path)]))
+    except RLException as error:
+        raise OptionError(f"launch file: {_one_line(error)}") from error
+
+
+def load(path: Path, given: Mapping[str, str]) -> LaunchFile:
+    """Return what a launch file runs.
+
+    Raises:
+        OptionError: it cannot be read, an argument is missing or not allowed, or a node's program is not there.
+    """
+    from roslaunch.config import load_config_default
+    from roslaunch.core import RLException
+
+    words = [f"{name}:={value}" for name, value in given.items()]
+    try:
+        config = load_config_default([(str(path), words)], None, verbose=False, assign_machines=False)
+    except RLException as error:
+        raise OptionError(f"launch file: {_one_line(error)}") from error
+    if config.config_errors:
+        raise OptionError(f"launch file: {_one_line(config.config_errors[0])}")
+    _check_programs(config.nodes)
+    parameters = {parameter.key: parameter.value for parameter in config.params.values()}
+    simulators = [node for node in config.nodes if node.name == SIMULATOR]
+    ours = parameters.get(f"/{SIMULATOR}/autopilot", _BUILTIN) == _BUILTIN
+    return LaunchFile(
+        path,
+        tuple(f"{node.namespace}{node.name}" for node in config.nodes),
+        parameters,
+        bool(simulators),
+        any(node.type == _MAVLINK for node in simulators) and ours,
+    )
+
+
+def _check_programs(nodes: Sequence[Any]) -> None:
+    """Check that each node's program is there: roslaunch would start the others and go on.
+
+    Raises:
+        OptionError: one is not.
+    """
+    import rospkg
+    from roslib.packages import find_node
+
+    packages = rospkg.RosPack()
+    checked = set()
+    for node in nodes:
+        if (node.package, node.type) in checked or node.machine_name:
+            continue
+        checked.add((node.package, node.type))
+        try:
+            there = bool(find_node(node.package, node.type, packages))
+        except rospkg.ResourceNotFound as error:
+            missing = error.args[0] if error.args else node.package
+            raise OptionError(
+                f"node {node.name}: there is no package {missing!r}; in a workspace of your own, build it and source "
+                "its devel/setup.bash"
+            ) from error
+        if not there:
+            raise OptionError(
+                f"node {node.name}: package {node.package!r} has no program {node.type!r}; a program must be built "
+                "(./xtdrone setup) and executable"
+            )
+
+
+def _one_line(error: object) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,286 @@
+"""``./xtdrone launch``, and demos that cannot start: a line on the screen, the status, and nothing left running."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import fake_roslaunch
+import pytest
+
+from xtdrone_interaction import options
+from xtdrone_interaction.launched import master_port
+
+pytestmark = pytest.mark.skipif(shutil.which("roslaunch") is None, reason="ROS is not there")
+LIMIT = 120.0  # s of wall time; only a broken run takes it
+_MODULES = {
+    "launch": ["xtdrone_interaction.launch_cli"],
+    "demo": ["xtdrone_interaction", "demo"],
+}  # as ./xtdrone has it
+LAUNCH = """\
+<launch>
+  <arg name="code" default="0"/>
+  <node pkg="rosbag" type="record" name="worker" launch-prefix="{folder}/worker"/>
+  <node pkg="rosbag" type="record" name="boss" launch-prefix="{folder}/boss $(arg code)" required="true"/>
+</launch>
+"""
+PROGRAMS = {  # the boss ends when the file "end" is there, the worker never
+    "worker": "exec sleep 600",
+    "boss": "while [ ! -e {folder}/end ]; do sleep 0.1; done; exit $1",
+}
+
+
+class Command:
+    """A command that runs, in a session of its own, and its output."""
+
+    def __init__(self, folder: Path, *arguments: str, limits: Callable[[], None] | None = None) -> None:
+        self.mark = f"XTDRONE_TEST_LAUNCH={folder}"
+        self.file = folder / "output.txt"
+        environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_HOSTNAME", "DISPLAY")}
+        with self.file.open("wb") as output:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", *_MODULES[arguments[0]], *arguments[1:], "--out", str(folder / "out")],
+                env={**environment, "XTDRONE_TEST_LAUNCH": str(folder)},
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                preexec_fn=limits,
+            )
+
+    @property
+    def output(self) -> str:
+        return self.file.read_text(encoding="utf-8", errors="replace")
+
+    def wait_for(self, words: str) -> None:
+        """Wait until the words are on the screen."""
+        end = time.monotonic() + LIMIT
+        while words not in self.output:
+            assert self.process.poll() is None, self.output
+            assert time.monotonic() < end, self.output
+            time.sleep(0.05)
+
+    def end(self) -> int:
+        """Wait for its end and return the status."""
+        try:
+            return self.process.wait(LIMIT)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            pytest.fail(f"it does not end: {self.output}")
+
+    def running(self) -> dict[int, str]:
+        """Return id and command line of every process that it has started and that lives."""
+        found = {}
+        for entry in Path("/proc").iterdir():
+            try:
+                if entry.name.isdigit() and self.mark.encode() in (entry / "environ").read_bytes():
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            except OSError:
+                continue
+        return found
+
+    def gone(self) -> bool:
+        """Wait until nothing of it runs; return whether that comes to be."""
+        end = time.monotonic() + LIMIT
+        while (left := self.running()) and time.monotonic() < end:
+            time.sleep(0.1)
+        return not left
+
+
+@pytest.fixture
+def launch_file(tmp_path: Path) -> Path:
+    for name, program in PROGRAMS.items():
+        path = tmp_path / name
+        path.write_text("#!/bin/sh\n" + program.format(folder=tmp_path) + "\n")
+        path.chmod(0o755)
+    path = tmp_path / "tiny.launch"
+    path.write_text(LAUNCH.format(folder=tmp_path))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("code", "kill", "status", "words"),
+    [
+        ("0", "", 0, ""),
+        ("3", "", 1, "boss has died (exit code 3)"),
+        ("0", "sleep 600", 1, "worker has died (SIGKILL)"),
+    ],
+)
+def test_the_status_tells_whether_all_ended_as_it_should(
+    launch_file: Path, code: str, kill: str, status: int, words: str
+) -> None:
+    command = Command(launch_file.parent, "launch", str(launch_file), f"code:={code}")
+    command.wait_for("ready: 2 nodes; ROS master http://127.0.0.1:")
+    if kill:
+        os.kill(next(pid for pid, line in command.running().items() if line.strip() == kill), signal.SIGKILL)
+        command.wait_for(words)
+    (launch_file.parent / "end").touch()
+    assert command.end() == status, command.output
+    assert words in command.output
+    assert ("has died" in command.output) == bool(status)
+    assert command.running() == {}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGKILL])  # SIGTERM: test_cli.py
+def test_a_signal_ends_all_of_it(launch_file: Path, number: int) -> None:
+    command = Command(launch_file.parent, "launch", str(launch_file))
+    command.wait_for("ready")
+    command.process.send_signal(number)
+    assert command.end() == (-number if number == signal.SIGKILL else 128 + number)
+    if number == signal.SIGKILL:
+        assert command.gone()
+    assert command.running() == {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["multi_vehicle", "vehicle:=iris:2"], "has no 'vehicle' (is vehicles meant?); there are: autopilot, "),
+        (["multi_vehicle", "rows"], "'rows' is not allowed, name:=value"),
+        (["nowhere"], "'nowhere' does not exist; a path, or one of bench, "),
+        (["formation", "control:=foo"], "control_is_vel_or_accel"),
+        (["simplified", "--instance", "1"], "simplified.launch has no 'instance'"),
+        (["multi_vehicle", "--instance", "8"], "'8' is not allowed, a whole number from 0 to 7"),
+        (["multi_vehicle", "--instance", "1", "instance:=2"], "--instance 1 and instance:=2 contradict"),
+    ],
+)
+def test_what_cannot_be_launched_is_refused_before_anything_starts(
+    tmp_path: Path, arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from xtdrone_interaction import launch_cli
+
+    try:
+        status = launch_cli.main([*arguments, "--out", str(tmp_path / "out")])
+    except SystemExit as error:  # argparse
+        status = int(error.code or 0)
+    assert status == 2
+    assert words in " ".join(capfd.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_program_is_named_before_anything_starts(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    from xtdrone_interaction import launch_cli
+
+    for package, words in (("rosbag", "package 'rosbag' has no program 'no_such'"), ("no_pkg", "no package 'no_pkg'")):
+        file = tmp_path / "bad.launch"
+        file.write_text(f'<launch><node pkg="{package}" type="no_such" name="a"/></launch>')
+        assert launch_cli.main([str(file), "--out", str(tmp_path / "out")]) == 2
+        assert words in capfd.readouterr().err
+
+
+def _sockets(pids: dict[int, str]) -> list[tuple[str, str, str]]:
+    """Return (kind, address, command line) of each TCP socket that listens and UDP socket that is bound."""
+    owners = {}
+    for pid, line in pids.items():
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            try:
+                found = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(link))
+            except OSError:
+                continue
+            if found:
+                owners[found[1]] = line
+    found = []
+    for kind in ("tcp", "udp", "tcp6", "udp6"):
+        for entry in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]:
+            fields = entry.split()
+            if fields[9] in owners and (kind.startswith("udp") or fields[3] == "0A"):
+                found.append((kind, fields[1].partition(":")[0], owners[fields[9]]))
+    return found
+
+
+def test_a_simulation_says_when_it_is_ready_listens_here_alone_and_who_died_first(tmp_path: Path) -> None:
+    command = Command(tmp_path, "launch", "multi_vehicle", "vehicles:=iris:2", "--instance", "5")
+    command.wait_for("ready: iris:2; world empty; 1 x real time; 1 participant; ROS master http://127.0.0.1:")
+    assert "UDP ground stations 21270-21271 -> 17250; offboard 37280-37281 -> 27240-27241" in command.output
+    command.wait_for("estimators ready")
+    sockets = _sockets(command.running())
+    assert sum(kind == "udp" for kind, _, _ in sockets) >= 8  # three of each autopilot, and MAVROS's
+    # roscpp's XML-RPC server listens everywhere, whatever ROS_IP is; here that of rosout
+    open_ends = [(kind, line) for kind, address, line in sockets if address != "0100007F"]
+    assert [kind for kind, line in open_ends if "rosout/rosout" in line] == ["tcp"]
+    assert [end for end in open_ends if "rosout/rosout" not in end[1]] == []
+    simulator = next(pid for pid, line in command.running().items() if "/simulator.py " in line)
+    os.kill(simulator, signal.SIGKILL)
+    assert command.end() == 1
+    dead = [line.strip() for line in command.output.splitlines() if " has died (" in line]
+    assert dead[0].startswith("simulator has died (SIGKILL)"), command.output
+    assert command.running() == {}
+
+
+# ---- a demo that cannot start
+
+
+def _files() -> None:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+
+
+def _memory() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (700_000 << 10, 700_000 << 10))
+
+
+@pytest.mark.parametrize(("limits", "advice"), [(_files, "ulimit -n"), (_memory, "")])
+def test_a_demo_without_means_ends_with_a_line(tmp_path: Path, limits: Callable[[], None], advice: str) -> None:
+    command = Command(tmp_path, "demo", "formation", "--n", "2", "--headless", limits=limits)
+    assert command.end() == 1
+    assert re.search(r"^(Error|xtdrone): ?.*", command.output, re.MULTILINE), command.output
+    assert advice in command.output
+    assert command.running() == {}
+
+
+# stands for roslaunch; what it starts ignores signals, as nodes do that hang
+STUBBORN = """\
+#!{python}
+import signal, socket, subprocess, sys, time
+[signal.signal(number, signal.SIG_IGN) for number in (2, 15)]
+{master}
+subprocess.Popen([sys.executable, "-c", "import signal, time; [signal.signal(s, signal.SIG_IGN) for s in (2, 15)];"
+    "print('started', flush=True); time.sleep(600)"], start_new_session=True)
+time.sleep(600)
+"""
+MUTE = "server = socket.create_server(('127.0.0.1', int(sys.argv[sys.argv.index('-p') + 1])))"
+IMPATIENT = """\
+import sys
+from xtdrone_interaction import cli, formation_demo, launched, processes
+processes._STEPS = tuple((s, 0.3) for s, _ in processes._STEPS)
+processes._ORPHANED = processes._TERMINATED = 0.3
+launched._PATIENCE = 0.3
+formation_demo._START_LIMIT, formation_demo._START_LIMIT_VEHICLE = 3.0, 0.0
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("then", ["mute master", "kill -9"])
+def test_a_demo_whose_launch_hangs_is_ended(tmp_path: Path, then: str) -> None:
+    """A master that takes connections and says nothing; and a demo that is killed while its nodes ignore signals."""
+    program = STUBBORN.format(python=sys.executable, master=MUTE if then == "mute master" else "")
+    path = fake_roslaunch.install(tmp_path, program)
+    environment = {**os.environ, "PATH": path, "XTDRONE_TEST_LAUNCH": str(tmp_path)}
+    arguments = ["demo", "formation", "--n", "2", "--headless", "--out", str(tmp_path / "out")]
+    with (tmp_path / "output.txt").open("w") as output:
+        demo = subprocess.Popen([sys.executable, "-c", IMPATIENT, *arguments], env=environment, stdout=output)
+    command = Command.__new__(Command)
+    command.mark, command.file, command.process = f"XTDRONE_TEST_LAUNCH={tmp_path}", tmp_path / "output.txt", demo
+    if then == "kill -9":
+        command.wait_for("starting the nodes")
+        demo.kill()
+        demo.wait()
+        assert command.gone()
+        return
+    assert command.end() == 1
+    assert re.search(r"nothing has moved for 3 s of wall time; the ROS master at \S+ does not answer", command.output)
+    assert command.running() == {}
+
+
+def test_a_mute_master_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        uri = f"http://127.0.0.1:{server.getsockname()[1]}"
+        monkeypatch.setenv("ROS_MASTER_URI", uri)
+        with pytest.raises(options.OptionError, match=re.escape(uri)):
+            master_port(None, use_running=True)

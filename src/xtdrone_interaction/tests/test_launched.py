@@ -1,0 +1,56 @@
+"""What ends the watching of a flight, without processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from xtdrone_interaction import launched
+from xtdrone_interaction.deaths import Deaths
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr(launched.time, "monotonic", lambda: clock.now)
+    return clock
+
+
+def made(folder: Path) -> launched.Watch:
+    tree = SimpleNamespace(wait=lambda _: False)
+    feed = SimpleNamespace(take=lambda _: [], lost=False)
+    display = SimpleNamespace(note=lambda _: None, standstill=lambda _: None)
+    return launched.Watch(tree, SimpleNamespace(out=folder), feed, display, Deaths(folder / "roslaunch.log"))
+
+
+def test_time_in_which_the_watcher_itself_was_stopped_does_not_count(clock: SimpleNamespace, tmp_path: Path) -> None:
+    watch = made(tmp_path)
+    for _ in range(40):
+        clock.now += 0.5
+        watch.look(starting=False)
+    assert watch.still == pytest.approx(20.0)
+    clock.now += 3600.0
+    watch.look(starting=False)
+    assert watch.still == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(("node", "ends"), [("mavros", True), ("follower_2", False)])
+def test_a_flight_ends_when_the_simulator_drops_what_it_cannot_do_without(
+    clock: SimpleNamespace, tmp_path: Path, node: str, ends: bool
+) -> None:
+    line = (
+        f"[WARN] [17.5, 66.2]: simulator: participant /{node} was silent for 60.1 s (hang limit 60 s); dropped, ...\n"
+    )
+    (tmp_path / "roslaunch.log").write_text(line)
+    flight = SimpleNamespace(last_events=("done",), start_limit=60.0)
+    watch = made(tmp_path)
+    looks = iter(range(3))
+    watch.running = lambda: next(looks, None) is not None  # type: ignore[method-assign]
+    flight.events = lambda: [{"event": "done"}]
+    if ends:
+        with pytest.raises(launched.DemoError, match="cannot go on: mavros was dropped by the simulator"):
+            launched._watch(watch, flight)
+    else:
+        launched._watch(watch, flight)
