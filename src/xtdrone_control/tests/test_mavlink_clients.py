@@ -153,6 +153,20 @@ def test_clients_of_all_ports_share_one_room():
     world.close()
 
 
+def test_room_for_all_ports_comes_back_while_time_stands(monkeypatch):
+    """Stations that have left every other port's room full keep a newcomer out for 5 s of wall time at most."""
+    wall = [0.0]
+    monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
+    world = World(3)
+    stations = [port for port in world.server.ports if port.by_wall]
+    for number in range(1000, 1000 + CLIENTS + 3 * VEHICLE_CLIENTS):
+        stations[1 + number % 2].link_of(("127.0.0.1", number), 0).heard(0, 2)
+    assert stations[0].link_of(("127.0.0.1", 2000), 0) is None
+    wall[0] = 5.5
+    assert stations[0].link_of(("127.0.0.1", 2000), 0) is not None
+    world.close()
+
+
 def test_stations_may_come_and_go_while_time_stands(world, monkeypatch):
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])

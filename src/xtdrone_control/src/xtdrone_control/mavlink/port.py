@@ -15,7 +15,7 @@ import logging
 import socket
 import time
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from xtdrone_control.fleet import Vehicle
 
@@ -32,6 +32,7 @@ _LARGEST_DATAGRAM = 8192  # what is longer is cut off, as PX4 does
 _RECEIVE_BUFFER = 1 << 20
 _WARNING_INTERVAL_US = 1_000_000
 _WARNING_INTERVAL_S = 1.0
+_ROOM_INTERVAL_S = 0.1
 
 _log = logging.getLogger("rosout.mavlink")
 
@@ -53,9 +54,22 @@ class Room:
 
     Attributes:
         left: how many more there may be, each port's first client aside.
+        ports: those that share it.
     """
 
     left: int
+    ports: list[Port] = field(default_factory=list)
+    _next_look: float = 0.0
+
+    def make(self, now_us: int) -> None:
+        """Forget silent clients of all ports, at most every 0.1 s of wall time; time may stand meanwhile."""
+        wall = time.monotonic()
+        if wall >= self._next_look:
+            self._next_look = wall + _ROOM_INTERVAL_S
+            for port in self.ports:
+                port.forget_silent(now_us)
+                if port.by_wall:
+                    port.forget_silent(now_us, by_wall_alone=True)
 
 
 class Port:
@@ -125,6 +139,7 @@ class Port:
         self.refused = 0
         self._warned: dict[str, tuple[int, float]] = {}
         self._room = room or Room(MAX_CLIENTS)
+        self._room.ports.append(self)
         self._next_due_us: int | None = None
         self.default = Link(self, (LOOPBACK, remote_port), self.name)
         self._links: dict[Address, Link] = {self.default.peer: self.default}
@@ -299,10 +314,8 @@ class Port:
         link = self._links.get(sender)
         if link is not None:
             return link
-        if len(self._links) >= MAX_CLIENTS:
-            self._forget_silent(now_us)
-        if len(self._links) >= MAX_CLIENTS and self.by_wall:
-            self._forget_silent(now_us, by_wall_alone=True)  # time may stand: stations come and go meanwhile
+        if len(self._links) >= MAX_CLIENTS or self._room.left < 1:
+            self._room.make(now_us)
         if len(self._links) >= MAX_CLIENTS or self._room.left < 1:
             self.refused += 1
             clients = f"{MAX_CLIENTS} clients" if self._room.left > 0 else "as many clients as all ports may have"
@@ -334,13 +347,18 @@ class Port:
             now_us: simulated time, microseconds.
             shared: see ``Streams.due``.
         """
-        self._forget_silent(now_us)
+        self.forget_silent(now_us)
         for link in self._links.values():
             link.send_due(now_us, shared)
         self._next_due_us = None
 
-    def _forget_silent(self, now_us: int, *, by_wall_alone: bool = False) -> None:
-        """Forget silent clients; the first one goes on to hear heartbeats."""
+    def forget_silent(self, now_us: int, *, by_wall_alone: bool = False) -> None:
+        """Forget silent clients; the first one goes on to hear heartbeats.
+
+        Args:
+            now_us: simulated time, microseconds.
+            by_wall_alone: those that are silent by wall time, whatever the simulated time is.
+        """
         silent = [
             link for link in self._links.values() if (link.silent_by_wall if by_wall_alone else link.silent(now_us))
         ]
