@@ -391,6 +391,22 @@ def pinger(name: str, port: int, simulator_port: int) -> None:
     print("calls", *calls)
 
 
+def patient(name: str) -> None:
+    """Publishes once a listener of a certain name is there."""
+    lockstep.init_node(name, rate=50.0)
+    publisher = lockstep.Publisher("/news", String)
+    assert not publisher.wait_for_subscriber("recorder", 0.0)
+    print("waits", flush=True)
+    assert publisher.wait_for_subscriber("recorder", PATIENCE)
+    publisher.publish("the first")
+
+
+def recorder(name: str) -> None:
+    """A plain node that ends with the first message that it hears."""
+    rospy.init_node(name)
+    print(rospy.wait_for_message("/news", String, PATIENCE).data)
+
+
 # ---- the test's side ----
 
 
@@ -915,6 +931,16 @@ def test_a_wall_clock_that_is_set_right_is_no_reset(monkeypatch: pytest.MonkeyPa
     assert resets == ([] if wall else ["reset"])
 
 
+def test_a_publisher_waits_for_the_listener_that_it_is_told(graph: Graph) -> None:
+    graph.start("patient", "patient")
+    wait_until(lambda: "waits" in graph.output("patient"), "the publisher waits")
+    other = graph.start("recorder", "other")  # this one is not waited for
+    assert graph.start("recorder", "recorder").wait(PATIENCE) == 0, graph.output("recorder")
+    assert graph.processes["patient"].wait(PATIENCE) == 0, graph.output("patient")
+    assert graph.output("recorder").endswith("the first\n")
+    assert other.poll() in (None, 0)
+
+
 def test_the_private_parameter_opts_out(graph: Graph, server: LockstepServer) -> None:
     graph.set_param("/alone/lockstep", False)
     assert graph.start("alone", "alone").wait(PATIENCE) == 0, graph.output("alone")
@@ -948,6 +974,8 @@ if __name__ == "__main__":
     else:
         roles = [
             alone,
+            patient,
+            recorder,
             on_clock,
             talker,
             listener,

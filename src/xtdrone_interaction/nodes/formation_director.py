@@ -7,6 +7,7 @@ Parameters:
     ~pattern_file (default empty): YAML with patterns of one's own.
     ~clearance (m, default 3.0): least height of any slot above the ground.
     ~out (default empty): folder for events.jsonl.
+    ~recorder (default empty): node that records the flight; time starts when it has subscribed, or after 30 s.
 
 Exit status: 0 after a whole flight; 1 for parameters that are not allowed, after a flight that has lost a vehicle, and
 after a failed one (all vehicles are landed first).
@@ -23,6 +24,8 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_coordination.follower import check_number
 from xtdrone_interaction.director import RATE, FormationDirector, open_events
 from xtdrone_interaction.options import split_patterns, swarm_patterns
+
+_RECORDER_LIMIT = 30.0  # s of wall time
 
 
 def main() -> int:
@@ -45,6 +48,11 @@ def main() -> int:
         rospy.logfatal("director: %s", error)
         return 1
     director = FormationDirector([v.name for v in fleet], names, slots, clearance, events)
+    recorder = str(rospy.get_param("~recorder", ""))
+    if recorder and not director.wait_for_recorder(recorder, _RECORDER_LIMIT):
+        rospy.logerr(
+            "director: %s has not subscribed within %g s: the flight may not be recorded", recorder, _RECORDER_LIMIT
+        )
     lockstep.start()
     try:
         return director.run()

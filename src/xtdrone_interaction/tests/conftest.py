@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,18 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from synthetic import make_bag
+
+from xtdrone_interaction import options
+
+
+@pytest.fixture(autouse=True)
+def kept_names(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Give instances and folders back that a command run by a test has taken for this process."""
+    kept: dict[str, socket.socket] = {}
+    monkeypatch.setattr(options, "_kept", kept)
+    yield
+    for keeper in kept.values():
+        keeper.close()
 
 
 @pytest.fixture(scope="session")

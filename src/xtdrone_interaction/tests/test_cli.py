@@ -104,7 +104,6 @@ def test_a_demo_takes_the_first_instance_whose_ports_are_free(
     demo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(options, "_taken", lambda number, kind: number in (24542, 19110))  # of instances 0 and 1
-    monkeypatch.setattr(options, "_kept", {})
     flown: list[int] = []
     monkeypatch.setattr(cli, "run_demo", lambda settings, console: flown.append(settings.instance) or 0)
     monkeypatch.setattr(search_cli, "run_search", lambda settings, console: flown.append(settings.instance) or 0)

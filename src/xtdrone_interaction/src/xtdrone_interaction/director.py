@@ -100,6 +100,10 @@ class FormationDirector:
                 for kind in ("vel", "accel")
             ]
 
+    def wait_for_recorder(self, node: str, timeout: float) -> bool:
+        """Wait up to ``timeout`` s of wall time until a node has subscribed to the events; return whether it has."""
+        return self._event_publisher.wait_for_subscriber(node, timeout)
+
     # what comes in
 
     def _on_state(self, message: State, index: int) -> None:

@@ -150,6 +150,23 @@ _node = _Node()
 # ---- declaring ----
 
 
+class _Arrivals(rospy.SubscribeListener):
+    """Tells when a subscriber has come.
+
+    Attributes:
+        come: Set with each.
+    """
+
+    def __init__(self) -> None:
+        """Waits for the first."""
+        super().__init__()
+        self.come = threading.Event()
+
+    def peer_subscribe(self, topic_name: str, topic_publish: Any, peer_publish: Any) -> None:
+        """Called by rospy for each new connection."""
+        self.come.set()
+
+
 class Publisher(rospy.Publisher):
     """A publisher that counts; `publish` returns when the bytes are in the kernel.
 
@@ -186,6 +203,27 @@ class Publisher(rospy.Publisher):
     def get_num_connections(self) -> int:
         """Returns how many listen; digests count as one, so that they do not depend on who else does."""
         return int(super().get_num_connections()) + (_node.digests is not None)
+
+    def wait_for_subscriber(self, node: str, timeout: float) -> bool:
+        """Waits until a node has subscribed, for one that takes no part in the lockstep and would miss what comes first.
+
+        Args:
+            node: Name of the node, resolved as usual.
+            timeout: Wall time, s.
+
+        Returns:
+            Whether it has subscribed.
+        """
+        name = rospy.resolve_name(node)
+        arrivals = _Arrivals()
+        self.impl.add_subscriber_listener(arrivals)
+        end = time.monotonic() + timeout
+        while not any(connection.endpoint_id == name for connection in self.impl.connections):
+            left = end - time.monotonic()
+            if left <= 0.0 or not arrivals.come.wait(left):
+                return False
+            arrivals.come.clear()
+        return True
 
     def unregister(self) -> None:
         """Takes the topic back."""
