@@ -6,6 +6,7 @@ import math
 import random
 import socket
 import struct
+import weakref
 
 import numpy as np
 import pytest
@@ -37,20 +38,28 @@ class Client:
         self.remote = ("127.0.0.1", remote_port)
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=190)
         self.datagrams: list[bytes] = []
+        self._parsed = 0
+        _clients.add(self)
 
     def send(self, message):
         self.socket.sendto(message.pack(self.mav), self.remote)
 
+    def take_in(self):
+        """Empty the socket, which holds less than a second's telemetry."""
+        while self.socket.fileno() != -1:
+            try:
+                self.datagrams.append(self.socket.recv(65535))
+            except BlockingIOError:
+                return
+
     def receive(self):
         """Return the messages that have come; every frame must parse."""
-        found = []
-        while True:
-            try:
-                datagram = self.socket.recv(65535)
-            except BlockingIOError:
-                return found
-            self.datagrams.append(datagram)
-            found += self.mav.parse_buffer(datagram) or []
+        self.take_in()
+        new, self._parsed = self.datagrams[self._parsed :], len(self.datagrams)
+        return [message for datagram in new for message in self.mav.parse_buffer(datagram) or []]
+
+
+_clients: weakref.WeakSet[Client] = weakref.WeakSet()
 
 
 class World:
@@ -99,7 +108,9 @@ class World:
         while self.autopilot.time_us < end:
             self.autopilot.time_us += step_us
             self.server.send_streams(self.autopilot.time_us)
-            found += self.client.receive()  # at once: the socket holds less than a second's telemetry
+            for client in _clients:
+                client.take_in()
+            found += self.client.receive()
         return found
 
     def listen(self, seconds, step_us=4000):
@@ -169,13 +180,57 @@ def named(messages, name):
 # streams
 
 
-def test_only_heartbeats_before_somebody_speaks(world):
-    messages = world.run(3.0)
-    assert [m.get_type() for m in messages] == ["HEARTBEAT"] * 4  # at 1 s, at once, and 2, 3 and 4 s
-    beat = messages[0]
+def test_a_first_client_gets_the_streams_unasked_and_for_ever(world):
+    messages = world.run(20.0, 20_000)
+    kinds = {m.get_type() for m in messages}
+    assert len(kinds) >= 27
+    assert abs(len(named(messages, "ATTITUDE")) - 1000) <= 60  # from the first heartbeat on, 50 ticks a second
+    assert not [port.remote_port for port in world.server.ports[1:3] if port.default.streams.active]  # no socket there
+    beat = named(messages, "HEARTBEAT")[0]
     assert (beat.type, beat.autopilot, beat.base_mode, beat.custom_mode, beat.system_status) == (2, 12, 29, 50593792, 3)
     assert beat.get_srcSystem() == _SYSTEM
     assert beat.get_srcComponent() == 1
+
+
+def test_a_first_client_without_a_socket_gets_heartbeats_until_it_has_one(world):
+    port = world.server.ports[1]
+    world.run(3.0)
+    assert port.sent == {GCS_REMOTE_PORT: 4}  # at 1 s, at once, and 2, 3 and 4 s
+    station = Client(GCS_REMOTE_PORT, world.fleet[0].gcs_local_port)
+    world.run(1.5)
+    assert named(station.receive(), "ATTITUDE")
+    station.socket.close()
+    world.run(0.1)
+    before = port.sent[GCS_REMOTE_PORT]
+    world.run(3.0)
+    assert port.sent[GCS_REMOTE_PORT] - before == 3
+    assert port.lost == 0
+
+
+def test_a_refusal_of_one_client_costs_the_others_nothing(world):
+    port = world.server.ports[0]
+    gone = Client(0, world.fleet[0].offboard_local_port)
+    world.hear()
+    world.ask(heartbeat(), client=gone)
+    link = port.links[1]
+    gone.socket.close()
+    messages = world.run(1.0)
+    assert len(named(messages, "ATTITUDE")) == 100
+    assert port.lost == 0
+    assert not link.streams.active
+
+
+def test_a_participant_gets_the_streams_from_the_moment_it_takes_part(world):
+    world.client.socket.close()
+    world.take_part()
+    port = world.server.ports[0]
+    assert port.default.streams.active
+    world.client = Client(0, world.fleet[0].offboard_local_port)
+    world.run(2.0, 20_000)
+    assert port.default.streams.active, "though no socket is there yet"
+    world.server.reserve({})
+    world.run(0.1, 20_000)
+    assert not port.default.streams.active
 
 
 def test_ground_station_rates(world):
@@ -189,15 +244,35 @@ def test_ground_station_rates(world):
     gcs.socket.close()
 
 
-def test_one_datagram_a_call_and_counters(world):
+def test_one_message_a_datagram_and_counters(world):
+    """Real MAVROS reads 296 bytes of a datagram, and PX4 sends a message in each."""
     world.hear()
-    world.client.datagrams.clear()
     world.run(1.0, step_us=20_000)
-    port = world.fleet[0].offboard_remote_port
-    assert len(world.client.datagrams) == 50
-    assert world.server.sent[port] == 50
-    assert max(map(len, world.client.datagrams)) <= 1400
+    datagrams = world.client.datagrams
+    assert len(datagrams) == world.server.sent[world.fleet[0].offboard_remote_port] > 300
+    assert max(map(len, datagrams)) <= 280
+    assert all(len(datagram) == datagram[1] + 12 for datagram in datagrams), "a MAVLink 2 frame each"
     assert world.server.received[world.fleet[0].offboard_local_port] == 1
+
+
+def test_highres_imu_tells_what_has_been_sampled_since_the_last_one_on_the_link(world):
+    world.hear()
+    sensors = world.autopilot.sensors[0]
+    (first,) = named(world.run(0.02), "HIGHRES_IMU")
+    assert first.fields_updated == 0x1FFF
+    (same,) = named(world.run(0.02), "HIGHRES_IMU")
+    assert same.fields_updated == 0x3F
+    sensors["mag"][0] += 0.01
+    (mag,) = named(world.run(0.02), "HIGHRES_IMU")
+    assert mag.fields_updated == 0x1FF
+    sensors["baro_pressure"] += 1.0
+    sensors["mag"][0] += 0.01
+    other = Client(0, world.fleet[0].offboard_local_port)
+    world.ask(heartbeat(), client=other)
+    (baro,) = named(world.run(0.02), "HIGHRES_IMU")
+    assert baro.fields_updated == 0x1FFF
+    assert named(other.receive(), "HIGHRES_IMU")[0].fields_updated == 0x1FFF
+    other.socket.close()
 
 
 def test_streams_of_all_vehicles_fall_on_the_same_ticks():
@@ -251,8 +326,8 @@ def test_links_have_intervals_of_their_own(world):
     gcs.socket.close()
 
 
-def test_streams_end_for_a_ground_station_that_is_silent_by_both_clocks(world, monkeypatch):
-    station = Client(GCS_REMOTE_PORT, world.fleet[0].gcs_local_port)
+def test_a_further_ground_station_is_forgotten_when_it_is_silent_by_both_clocks(world, monkeypatch):
+    station = Client(0, world.fleet[0].gcs_local_port)
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
     world.ask(heartbeat(6), client=station)
@@ -262,7 +337,7 @@ def test_streams_end_for_a_ground_station_that_is_silent_by_both_clocks(world, m
     assert named(station.receive(), "ATTITUDE"), "fast simulation: no wall time has gone by"
     wall[0] = 6.0
     world.run(3.0, 100_000)
-    assert {m.get_type() for m in station.receive()} == {"HEARTBEAT"}
+    assert not station.receive()
     world.ask(heartbeat(6), client=station)
     world.run(1.0, 100_000)
     assert named(station.receive(), "ATTITUDE")
@@ -270,14 +345,19 @@ def test_streams_end_for_a_ground_station_that_is_silent_by_both_clocks(world, m
 
 
 @pytest.mark.parametrize("wall_s", [0.0, 100.0])
-def test_streams_of_the_offboard_link_end_by_simulated_time_alone(world, monkeypatch, wall_s):
+def test_a_further_client_of_the_offboard_link_is_forgotten_by_simulated_time_alone(world, monkeypatch, wall_s):
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
-    world.hear()
+    client = Client(0, world.fleet[0].offboard_local_port)
+    world.ask(heartbeat(), client=client)
     wall[0] = wall_s
-    assert named(world.run(4.9, 100_000)[-50:], "ATTITUDE")
+    world.run(4.9, 100_000)
+    assert named(client.receive(), "ATTITUDE")
     world.run(0.2, 100_000)
-    assert {m.get_type() for m in world.run(3.0, 100_000)} == {"HEARTBEAT"}
+    client.receive()
+    world.run(3.0, 100_000)
+    assert not client.receive()
+    client.socket.close()
 
 
 def test_receiving_reads_all_that_is_there(world):

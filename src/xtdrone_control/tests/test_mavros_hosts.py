@@ -102,15 +102,15 @@ def test_an_autopilots_link_on_another_machines_address_is_refused(free_port):
 def test_a_link_points_where_it_is_directed_until_its_client_speaks(free_port):
     port = _port("127.0.0.1", free_port)
     assert port.default.peer == ("127.0.0.1", 24540)
-    port.direct("10.0.0.2")
+    port.direct("10.0.0.2", 0)
     assert port.default.peer == ("10.0.0.2", 24540)
     other = port.link_of(("10.0.0.3", 4711), 0)
     other.heard(0, 2)
-    port.direct("10.0.0.4")
+    port.direct("10.0.0.4", 0)
     port.default.heard(0, 2)
-    port.direct("10.0.0.5")
+    port.direct("10.0.0.5", 0)
     assert [link.peer for link in port.links] == [("10.0.0.4", 24540), ("10.0.0.3", 4711)]
-    port.direct("10.0.0.5", override=True)
+    port.direct("10.0.0.5", 0, override=True)
     assert [link.peer for link in port.links] == [("10.0.0.5", 24540), ("10.0.0.3", 4711)]
     port.close()
 
@@ -119,7 +119,7 @@ def test_a_client_who_spoke_before_the_link_is_pointed_at_him_keeps_his_link(fre
     port = _port("127.0.0.1", free_port)
     early = port.link_of(("10.0.0.2", 24540), 0)
     early.heard(0, 2)
-    port.direct("10.0.0.2")
+    port.direct("10.0.0.2", 0)
     assert port.links == [early]
     assert port.default is early
     port.close()

@@ -205,7 +205,7 @@ class Publisher(rospy.Publisher):
         return int(super().get_num_connections()) + (_node.digests is not None)
 
     def wait_for_subscriber(self, node: str, timeout: float) -> bool:
-        """Waits until a node has subscribed, for one that takes no part in the lockstep and would miss what comes first.
+        """Waits until a node has subscribed: one that takes no part in the lockstep would miss what comes first.
 
         Args:
             node: Name of the node, resolved as usual.

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 Address = tuple[str, int]
 
-_MAX_DATAGRAM = 1400  # bytes; below the MTU of what a datagram may cross
 _SILENCE_US = 5_000_000
 _SILENCE_S = 5.0
 _BEAT_PERIOD = 1.0  # s of wall time, see keep_alive
@@ -31,6 +30,10 @@ class Link:
 
     Several clients may speak on a port at once; each has a link, so that intervals, sequence numbers, time-outs and
     answers are its own.
+
+    A client that has spoken gets the streams until it is silent. A port's first client gets them unasked and for ever,
+    as PX4's default partner does; on this machine only while a socket is there to take them, which costs a heartbeat a
+    second to find out.
 
     Attributes:
         name: vehicle and kind of link, for messages.
@@ -47,12 +50,14 @@ class Link:
         malformed: datagrams of this client that were not, or not wholly, MAVLink.
         dropped: datagrams of this client that were not looked at, see ``turns``.
         lost: datagrams to it that the operating system did not take.
+        constant: this is the port's first client.
+        participant: the client takes part in the lockstep: it is there whatever the network says.
         open: whether the client is still one of the port's; what is sent over a link that is not goes nowhere.
         purse: what the client may ask for when the others have used up what is common, see ``turns``.
     """
 
     def __init__(self, port: Port, peer: Address, name: str) -> None:
-        """Serve ``peer`` over ``port``; nothing but the heartbeat is sent before ``heard``."""
+        """Serve ``peer`` over ``port``; nothing but the heartbeat is sent before a client is known to be there."""
         self._port = port
         self.name = name
         self.system_id = port.system_id
@@ -66,6 +71,8 @@ class Link:
         self.received_bytes = 0
         self.sent_bytes = 0
         self.malformed = self.dropped = self.lost = 0
+        self.constant = False
+        self.participant = False
         self.open = True
         self.purse = Purse(OWN_EARNINGS, OWN_SAVINGS)
         self._mav = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=COMPONENT_ID)
@@ -76,9 +83,10 @@ class Link:
         self._text_id = 0
         self._pings = 0
         self._measured = (0, 0, 0)  # time, sent and received bytes at the last LINK_NODE_STATUS
+        self._sampled: tuple[bytes, float] | None = None  # magnetometer and barometer in the last HIGHRES_IMU
 
     def _new_streams(self) -> Streams:
-        own = {"PING": self._ping, "LINK_NODE_STATUS": self._node_status}
+        own = {"PING": self._ping, "LINK_NODE_STATUS": self._node_status, "HIGHRES_IMU": self._highres_imu}
         return Streams(self.telemetry, self._port.rates, own, self._port.streams_changed)
 
     @property
@@ -104,6 +112,19 @@ class Link:
         self.telemetry = telemetry
         self.streams = self._new_streams()
         self._frames.clear()
+        if self.participant:
+            self.streams.start(now_us)
+
+    def take_part(self, participant: bool, now_us: int) -> None:
+        """Note whether the client takes part in the lockstep: its streams begin with that, in each run alike."""
+        self.participant = participant
+        if participant:
+            self.streams.start(now_us)
+
+    def refused(self) -> None:
+        """Note that no socket takes what is sent to the client: streams stop until one does, or until it speaks."""
+        if not self.participant:
+            self.streams.stop()
 
     def close(self) -> None:
         """Forget the client. A service that still answers it does so in vain."""
@@ -208,6 +229,15 @@ class Link:
             0,
         )
 
+    def _highres_imu(self) -> Values:
+        """HIGHRES_IMU with the bits of what has been sampled since the last one on this link."""
+        s = self.telemetry.sensors
+        mag, baro = s["mag"].tobytes(), float(s["baro_pressure"])
+        before, self._sampled = self._sampled, (mag, baro)
+        return self.telemetry.highres_imu(
+            mag=before is None or before[0] != mag, baro=before is None or before[1] != baro
+        )
+
     def keep_alive(self, now_us: int) -> None:
         """Send a HEARTBEAT when the last one is older than a second of wall time.
 
@@ -225,15 +255,14 @@ class Link:
         self.flush(now_us)
 
     def flush(self, now_us: int) -> None:
-        """Send what is queued, in as few datagrams as possible."""
+        """Send what is queued, a datagram each: real MAVROS reads no more than 296 bytes of one."""
         frames = self._frames
+        probing = self.constant and not self.streams.active and bool(frames)
         while frames:
-            size, parts = 0, []
-            while frames and size + len(frames[0]) <= _MAX_DATAGRAM:
-                size += len(frames[0])
-                parts.append(frames.popleft())
-            if not self._port.send(b"".join(parts), self.peer, now_us):
+            if not self._port.send(frames.popleft(), self.peer, now_us):
                 self.lost += 1
+        if probing and not self._port.refuses(self.peer):
+            self.streams.start(now_us)
 
     def warn(self, kind: str, text: str, now_us: int) -> None:
         """Log a warning, at most one of each ``kind`` a simulated second, a wall second and port."""

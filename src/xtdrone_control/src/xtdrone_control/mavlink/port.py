@@ -1,8 +1,9 @@
 """One UDP port of one vehicle, and the clients that speak on it.
 
-A port knows its first client before he speaks: heartbeats go to his address from the start. Whoever else speaks on the
-port becomes a further client with a link of his own, up to ``MAX_CLIENTS`` of them, and is forgotten when he has been
-silent for 5 s. When there is no room, newcomers are not answered; nobody who is there has to go for them.
+A port knows its first client before it speaks: the streams go to its address from the start and for ever, as PX4's
+do; where the operating system answers that no socket is there, heartbeats alone. Every other sender becomes a further
+client with a link of its own, up to ``MAX_CLIENTS`` of them, and is forgotten when it has been silent for 5 s. When
+there is no room, newcomers are not answered; no client has to go for them.
 
 A participant of the lockstep has a socket of its own here (``reserve``), connected to its address: whatever others
 send, its datagrams have a buffer to themselves and are acted on at once. All others take turns, see ``turns``.
@@ -28,11 +29,14 @@ MAX_CLIENTS = 16  # on one port
 CLIENTS = 16  # on all ports of a server besides each port's first client,
 VEHICLE_CLIENTS = 2  # and for each vehicle: what they are sent takes the simulator's time
 _MAX_COUNTS = 256  # remote ports whose datagrams are counted; lockstep participants may come back to theirs
+_MAX_REFUSALS = 4096  # noted at once
 _LARGEST_DATAGRAM = 8192  # what is longer is cut off, as PX4 does
 _RECEIVE_BUFFER = 1 << 20
 _WARNING_INTERVAL_US = 1_000_000
 _WARNING_INTERVAL_S = 1.0
 _ROOM_INTERVAL_S = 0.1
+_IP_RECVERR = 11  # Linux: keep refusals with the address that refused
+_ICMP_ERRORS = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EPROTO)
 
 _log = logging.getLogger("rosout.mavlink")
 
@@ -141,12 +145,14 @@ class Port:
         self._room = room or Room(MAX_CLIENTS)
         self._room.ports.append(self)
         self._next_due_us: int | None = None
-        self.default = Link(self, (LOOPBACK, remote_port), self.name)
+        self.default = self._first_client((LOOPBACK, remote_port))
         self._links: dict[Address, Link] = {self.default.peer: self.default}
         self._reserved: dict[Address, socket.socket] = {}
+        self._participants: frozenset[Address] = frozenset()
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            self.socket.setsockopt(socket.IPPROTO_IP, _IP_RECVERR, 1)
             self.socket.setblocking(False)
             self.socket.bind((host, local_port))
         except OSError as error:
@@ -158,6 +164,11 @@ class Port:
                 error.errno,
                 f"{self.name}: UDP port {local_port} cannot be bound on {host}: {error.strerror or error}; {advice}",
             ) from error
+
+    def _first_client(self, peer: Address) -> Link:
+        link = Link(self, peer, self.name)
+        link.constant = True
+        return link
 
     @property
     def links(self) -> list[Link]:
@@ -202,8 +213,8 @@ class Port:
         for link in self._links.values():
             link.reboot(telemetry, now_us)
 
-    def direct(self, host: str, *, override: bool = False) -> None:
-        """Have the first client at ``host`` unless he has spoken; with ``override`` also then, for he is gone."""
+    def direct(self, host: str, now_us: int, *, override: bool = False) -> None:
+        """Have the first client at ``host`` unless it has spoken; with ``override`` also then, for it is gone."""
         if self.default.has_spoken and not override:
             return
         peer = (host, self.remote_port)
@@ -214,9 +225,10 @@ class Port:
         known = self._links.get(peer)
         if known is not None:
             self._room.left += 1
-        self.default = known or Link(self, peer, self.name)
-        self.default.name = self.name
+        self.default = known or self._first_client(peer)
+        self.default.name, self.default.constant = self.name, True
         self._links = {peer: self.default, **{link.peer: link for link in others}}
+        self._note_part(now_us)
         self._next_due_us = None
 
     # what comes
@@ -246,9 +258,16 @@ class Port:
                 continue
             self._reserved[peer] = made
             new.append(made)
+        self._participants = frozenset(peers)
+        self._note_part(now_us)
         if reason and not self._reserved:
             self.warn("reserve", reason, now_us)
         return new, gone
+
+    def _note_part(self, now_us: int) -> None:
+        participates = self.default.peer in self._participants
+        if participates != self.default.participant:
+            self.default.take_part(participates, now_us)
 
     def _connected(self, peer: Address) -> socket.socket:
         """Return a socket on the same port to which the operating system gives what ``peer`` sends."""
@@ -278,7 +297,10 @@ class Port:
                 datagram, sender = source.recvfrom(_LARGEST_DATAGRAM)
             except BlockingIOError:
                 return None
-            except ConnectionRefusedError:  # an earlier datagram found nobody
+            except OSError as error:
+                if error.errno not in _ICMP_ERRORS:
+                    raise
+                self._note_refusals(source)  # of an earlier datagram
                 continue
             self.received += 1
             return datagram, sender
@@ -353,24 +375,25 @@ class Port:
         self._next_due_us = None
 
     def forget_silent(self, now_us: int, *, by_wall_alone: bool = False) -> None:
-        """Forget silent clients; the first one goes on to hear heartbeats.
+        """Forget silent clients but the first one.
 
         Args:
             now_us: simulated time, microseconds.
             by_wall_alone: those that are silent by wall time, whatever the simulated time is.
         """
+        if len(self._links) == 1:
+            return
         silent = [
             link for link in self._links.values() if (link.silent_by_wall if by_wall_alone else link.silent(now_us))
         ]
         for link in silent:
             if link is self.default:
-                link.streams.stop()
-            else:
-                link.close()
-                del self._links[link.peer]
-                self._room.left += 1
-                self._next_due_us = None
-                self._forget_counts()
+                continue
+            link.close()
+            del self._links[link.peer]
+            self._room.left += 1
+            self._next_due_us = None
+            self._forget_counts()
 
     def _forget_counts(self) -> None:
         """Keep the table of what was sent small: of clients that are gone, the oldest counts go first."""
@@ -398,13 +421,37 @@ class Port:
     def send(self, datagram: bytes, peer: Address, now_us: int) -> bool:
         """Send a datagram; say whether the operating system took it, and count it."""
         try:
-            self.socket.sendto(datagram, peer)
+            try:
+                self.socket.sendto(datagram, peer)
+            except OSError as error:
+                if error.errno not in _ICMP_ERRORS:
+                    raise
+                self._note_refusals(self.socket)  # of an earlier datagram, to this or another client
+                self.socket.sendto(datagram, peer)
         except OSError as error:
             self.lost += 1
             self.warn("send", f"cannot send to {peer[0]}:{peer[1]}: {error.strerror}", now_us)
             return False
         self.sent[peer[1]] = self.sent.get(peer[1], 0) + 1
         return True
+
+    def refuses(self, peer: Address) -> bool:
+        """Whether the operating system has answered that there is no socket at ``peer``, since it was last asked."""
+        return peer in self._note_refusals(self.socket)
+
+    def _note_refusals(self, source: socket.socket) -> set[Address]:
+        """Take what the operating system says of datagrams that found no socket; return where they went to."""
+        refused: set[Address] = set()
+        for _ in range(_MAX_REFUSALS):
+            try:
+                _, _, _, peer = source.recvmsg(1, 1, socket.MSG_ERRQUEUE)
+            except OSError:  # there is no more
+                break
+            refused.add(peer)
+        for link in map(self._links.get, refused):
+            if link is not None:
+                link.refused()
+        return refused
 
     def warn(self, kind: str, text: str, now_us: int, name: str = "") -> None:
         """Log a warning, at most one of each ``kind`` a simulated second and a wall second."""

@@ -167,8 +167,8 @@ class Reports(Telemetry):
     def esc_status(self) -> list[Values]:
         """Speed (revolutions a minute), voltage and current of each motor."""
         voltage = self._commander.battery.voltage
-        speeds = self._batches(self._sensors["esc_rpm"].tolist())
-        currents = self._batches(self._sensors["esc_current"].tolist())
+        speeds = self._batches(self.sensors["esc_rpm"].tolist())
+        currents = self._batches(self.sensors["esc_current"].tolist())
         return [
             (
                 self.time_us,
@@ -198,7 +198,7 @@ class Reports(Telemetry):
 
     def distance_sensor(self) -> Values | None:
         """The downward range finder, cm, while samples come."""
-        s, quality = self._sensors, int(self._sensors["range_quality"])
+        s, quality = self.sensors, int(self.sensors["range_quality"])
         if not self._lately("time_range_us"):
             return None
         return (
@@ -219,7 +219,7 @@ class Reports(Telemetry):
         """Optical flow, while samples come: angles over ``_FLOW_SPAN_US`` at the rates of the last one."""
         if not self._lately("time_flow_us"):
             return None
-        s, span = self._sensors, _FLOW_SPAN_US * 1e-6
+        s, span = self.sensors, _FLOW_SPAN_US * 1e-6
         gyro = [rate * span for rate in s["flow_gyro"].tolist()]
         distance = float(s["range_distance"]) if self._lately("time_range_us") else -1.0
         return (
@@ -374,7 +374,7 @@ class Reports(Telemetry):
 
     def open_drone_id_location(self) -> Values:
         """Remote identification: where the GPS receiver says that the vehicle is."""
-        s = self._sensors
+        s = self.sensors
         vn, ve, vd = s["gps_vel"].tolist()
         fix = int(s["gps_fix"])
         status = _ODID_GROUND if self._control["landed"] else _ODID_AIRBORNE
@@ -406,7 +406,7 @@ class Reports(Telemetry):
     def open_drone_id_system(self) -> Values | None:
         """Remote identification: the take-off place stands for the operator's."""
         home = self._commander.home
-        if home is None or self._sensors["gps_fix"] < 3:
+        if home is None or self.sensors["gps_fix"] < 3:
             return None
         return (
             round(home.latitude * 1e7),

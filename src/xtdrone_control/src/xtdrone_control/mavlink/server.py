@@ -198,7 +198,7 @@ class MavlinkServer:
         wanted = set(ports)
         for port in self._ports:
             if port.remote_port in wanted:
-                port.direct(host, override=override)
+                port.direct(host, self._autopilot.time_us, override=override)
 
     def reserve(self, peers: Mapping[int, Collection[str]]) -> None:
         """Have sockets of their own for those whose datagrams must be acted on at once, however much others send.

@@ -114,7 +114,7 @@ FORMATS: dict[int, Format] = {
     f.number: f
     for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_GIMBAL_RATES, *_OTHERS]))
 }
-LINK_MESSAGES = ("PING", "LINK_NODE_STATUS")  # these tell of a link, all others of the vehicle
+LINK_MESSAGES = ("PING", "LINK_NODE_STATUS", "HIGHRES_IMU")  # these are a link's own, all others the vehicle's
 HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
 _PAYLOAD_BYTES = 4000.0  # a second: "mavlink start -r 4000" of PX4's payload link
 _FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame besides its payload

@@ -28,6 +28,9 @@ _NAN = math.nan
 _INT16 = 32767
 _UINT32 = (1 << 32) - 1
 
+# HIGHRES_IMU_UPDATED_FLAGS
+_IMU_FIELDS, _MAG_FIELDS, _BARO_FIELDS = 0x3F, 0x1C0, 0x1E00
+
 # MAV_SYS_STATUS_SENSOR. PX4 v1.14 reports no controllers as sensors, and takes what is not there for healthy.
 _GYRO, _ACCEL, _MAG, _BARO, _PITOT, _GPS = 1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 4, 1 << 5
 _MOTORS, _RC, _AHRS, _BATTERY, _PREARM, _AVOIDANCE = 1 << 15, 1 << 16, 1 << 21, 1 << 25, 1 << 28, 1 << 29
@@ -74,12 +77,13 @@ class Telemetry:
         time_ms: the same in milliseconds, as most messages have it.
         aligned: the estimator has an attitude.
         located: there has been a position fix.
+        sensors: the vehicle's ``SENSORS`` record.
     """
 
     def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
         """Look at vehicle ``index`` of ``autopilot``, whose commander is given."""
         self._commander = commander
-        self._sensors = autopilot.sensors[index]
+        self.sensors = autopilot.sensors[index]
         self._estimator = autopilot.estimator[index]
         self._control = autopilot.control[index]
         # views of the record fields that nearly every message needs: a field by name costs three times as much
@@ -173,10 +177,10 @@ class Telemetry:
         """Return MAV_SYS_STATUS_SENSOR of what works."""
         c, e, flags = self._commander, self._estimator, self._commander.health.flags
         conditions = (
-            (_GYRO, not self._sensors["imu_missing"]),
+            (_GYRO, not self.sensors["imu_missing"]),
             (_MAG, e["mag_good"]),
             (_BARO, e["baro_good"]),
-            (_GPS, self._sensors["gps_fix"] >= _FIX_3D),
+            (_GPS, self.sensors["gps_fix"] >= _FIX_3D),
             (_MOTORS, not flags.motor_failure),
             (_RC, not flags.manual_lost),
             (_AHRS, not flags.attitude_invalid),
@@ -334,7 +338,7 @@ class Telemetry:
 
     def gps_raw_int(self) -> Values:
         """The GPS receiver's last fix."""
-        s = self._sensors
+        s = self.sensors
         vn, ve, _ = s["gps_vel"].tolist()
         alt = _clamped(float(s["gps_alt"]) * 1e3, 1 << 30)
         course = math.degrees(math.atan2(ve, vn)) % 360.0
@@ -356,10 +360,15 @@ class Telemetry:
             0,
         )
 
-    def highres_imu(self) -> Values:
-        """Accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa."""
-        s = self._sensors
-        updated = 0x3F | (0x1C0 if s["mag_fresh"] else 0) | (0x1A00 if s["baro_fresh"] else 0)
+    def highres_imu(self, *, mag: bool = True, baro: bool = True) -> Values:
+        """Accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa.
+
+        Args:
+            mag: whether the magnetometer has a new sample since the last message.
+            baro: likewise the barometer; the differential pressure, 0 without an airspeed sensor, comes with it.
+        """
+        s = self.sensors
+        updated = _IMU_FIELDS | (_MAG_FIELDS if mag else 0) | (_BARO_FIELDS if baro else 0)
         return (
             self.time_us,
             *s["accel"].tolist(),
@@ -375,7 +384,7 @@ class Telemetry:
 
     def scaled_imu(self) -> Values:
         """Accelerometer (milli-g), gyroscope (mrad/s), magnetometer (milligauss)."""
-        s = self._sensors
+        s = self.sensors
         accel = [_clamped(v * _GRAVITY_UNITS, _INT16) for v in s["accel"].tolist()]
         gyro = [_clamped(v * 1e3, _INT16) for v in s["gyro"].tolist()]
         mag = [_clamped(v * 1e3, _INT16) for v in s["mag"].tolist()]
@@ -384,7 +393,7 @@ class Telemetry:
 
     def scaled_pressure(self) -> Values:
         """The barometer, hPa and hundredths of a degree Celsius."""
-        s = self._sensors
+        s = self.sensors
         temperature = _clamped(float(s["baro_temperature"]) * 100.0, _INT16)
         return self.time_ms, float(s["baro_pressure"]) * 0.01, 0.0, temperature, 0
 
