@@ -75,6 +75,12 @@ class Station:
         self.connection.close()
 
 
+@pytest.fixture(autouse=True)
+def short_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have pymavlink read no more of a datagram than real MAVROS does."""
+    monkeypatch.setattr(mavutil, "UDP_MAX_PACKET_LEN", 296)
+
+
 @pytest.fixture(scope="module")
 def core(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Core]:
     core = Core(FIRST, tmp_path_factory.mktemp("pymavlink"), count=COUNT, speed=4.0)

@@ -23,6 +23,7 @@ from xtdrone_control.mavlink.port import LinkError
 from xtdrone_control.mavlink.server import MavlinkServer
 
 _SYSTEM = FIRST_ID + 1
+MAVROS_READS = 296  # bytes of a datagram; what comes after them is lost to it
 _ALL_BUT_POSITION = 0b110111111000
 _ALL_BUT_VELOCITY = 0b110111000111
 _ALL_BUT_YAW = 0b101111111111
@@ -45,10 +46,10 @@ class Client:
         self.socket.sendto(message.pack(self.mav), self.remote)
 
     def take_in(self):
-        """Empty the socket, which holds less than a second's telemetry."""
+        """Empty the socket, which holds less than a second's telemetry, and read no more of a datagram than MAVROS."""
         while self.socket.fileno() != -1:
             try:
-                self.datagrams.append(self.socket.recv(65535))
+                self.datagrams.append(self.socket.recv(MAVROS_READS))
             except BlockingIOError:
                 return
 
