@@ -114,16 +114,22 @@ def test_one_script_flies_nine_vehicles(core, station):
 
 
 def test_a_parameter_list_is_complete_at_each(core, station):
+    """What a busy client's socket had no room for it asks for again, as every ground station does."""
     for vehicle in core.vehicles[:3]:
-        names: set[str] = set()
+        names: dict[int, str] = {}
         total = 0
         station.connection.mav.param_request_list_send(vehicle.system_id, 1)
-        end = time.monotonic() + CLIENT_LIMIT
+        end, heard = time.monotonic() + CLIENT_LIMIT, time.monotonic()
         while not total or len(names) < total:
-            assert time.monotonic() < end, (len(names), total)
+            now = time.monotonic()
+            assert now < end, (len(names), total)
+            if total and now - heard > 1.0:
+                heard = now
+                for index in [index for index in range(total) if index not in names][:20]:
+                    station.connection.mav.param_request_read_send(vehicle.system_id, 1, b"", index)
             message = station.listen()
             if message is not None and message.get_type() == "PARAM_VALUE" and message.param_index != 65535:
                 assert message.get_srcSystem() == vehicle.system_id
-                names.add(message.param_id)
-                total = message.param_count
-        assert "MPC_XY_VEL_MAX" in names
+                names[message.param_index] = message.param_id
+                total, heard = message.param_count, now
+        assert "MPC_XY_VEL_MAX" in names.values()
