@@ -24,6 +24,8 @@ Q_NED = frames.quaternion_from_rpy(ROLL, PITCH, HEADING)
 # What it must become in ROS: the same roll, opposite pitch, yaw from east.
 Q_ENU = frames.quaternion_from_rpy(ROLL, -PITCH, math.pi / 2 - HEADING)
 
+GEOID = 47.27  # m over the ellipsoid at 47.397742, 8.545594
+
 ATTITUDE = mavlink.MAVLink_attitude_quaternion_message(1000, *Q_NED, *RATES_FRD)
 POSITION = mavlink.MAVLink_local_position_ned_message(12345, 1.0, 2.0, -3.0, 0.5, 0.25, -0.125)
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 0x91, 6 << 16, 4, 3)
@@ -280,7 +282,7 @@ class TestGlobalPosition:
         bench.take("global_position/raw/fix", "global_position/raw/gps_vel", "global_position/raw/satellites")
         bench.send(self.GPS)
         [fix] = bench.published("global_position/raw/fix")
-        assert (fix.latitude, fix.longitude, fix.altitude) == approx((47.397742, 8.545594, 488.0), 1e-9)
+        assert (fix.latitude, fix.longitude, fix.altitude) == approx((47.397742, 8.545594, 488.0 + GEOID), 0.05)
         assert (fix.status.status, fix.position_covariance_type) == (0, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN)
         assert (fix.position_covariance[0], fix.position_covariance[8]) == approx((0.64, 2.25))
         [velocity] = bench.published("global_position/raw/gps_vel")
@@ -294,7 +296,7 @@ class TestGlobalPosition:
         )
         bench.send(self.GPS, position)
         [fix] = bench.published("global_position/global")
-        assert (fix.latitude, fix.altitude, fix.status.status) == approx((47.397742, 490.0, 0), 1e-9)
+        assert (fix.latitude, fix.altitude, fix.status.status) == approx((47.397742, 490.0 + GEOID, 0), 0.05)
         assert fix.position_covariance[0] == pytest.approx(0.64)
         assert bench.published("global_position/rel_alt")[0].data == 2.0
         assert bench.published("global_position/compass_hdg")[0].data == 45.0
@@ -319,7 +321,7 @@ class TestGlobalPosition:
         )
         bench.send(message)
         [home] = bench.published("home_position/home")
-        assert (home.geo.latitude, home.geo.altitude) == approx((47.397742, 488.0), 1e-9)
+        assert (home.geo.latitude, home.geo.altitude) == approx((47.397742, 488.0 + GEOID), 0.05)
         assert xyz(home.position) == (2.0, 1.0, 3.0)
         assert xyz(home.approach) == (0.0, 0.0, 1.0)
         assert same_rotation(wxyz(home.orientation), Q_ENU)
@@ -327,13 +329,27 @@ class TestGlobalPosition:
 
     def test_home_is_set_in_the_autopilots_frame(self, bench):
         home = HomePosition()
-        home.geo.latitude, home.geo.longitude, home.geo.altitude = 47.0, 8.0, 400.0
+        home.geo.latitude, home.geo.longitude, home.geo.altitude = 47.397742, 8.545594, 400.0 + GEOID
         home.position.x, home.position.y, home.position.z = 2.0, 1.0, 3.0
         home.orientation.w = 1.0
         bench.call("home_position/set", home)
         [sent] = bench.received()
-        assert (sent.latitude, sent.longitude, sent.altitude) == (470000000, 80000000, 400000)
+        assert (sent.latitude, sent.longitude) == (473977420, 85455940)
+        assert sent.altitude == pytest.approx(400_000, abs=50)
         assert (sent.x, sent.y, sent.z) == (1.0, 2.0, -3.0)
+
+    @pytest.mark.parametrize("model", ["none", "egm2008"])
+    def test_heights_over_mean_sea_level_are_asked_for_by_name(self, model):
+        params = {"global_position": {"geoid": model}}
+        if model != "none":
+            with pytest.raises(ValueError, match="'egm2008' is not allowed, egm96 and none are"):
+                Bench(PLUGINS, params)
+            return
+        bench = Bench(PLUGINS, params)
+        bench.take("global_position/raw/fix")
+        bench.send(self.GPS)
+        assert bench.published("global_position/raw/fix")[0].altitude == 488.0
+        bench.close()
 
 
 class TestSmallTopics:

@@ -10,6 +10,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
+from xtdrone_control.geoid import undulation
 from xtdrone_control.mavlink.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.dialect import MESSAGE_ID
 from xtdrone_control.mavros.connection import Link
@@ -25,6 +26,8 @@ from xtdrone_control.mavros.transactions import Commands
 log = logging.getLogger("rosout.mavros")
 
 _NS = 1_000_000_000
+_GEOIDS = ("egm96", "none")
+_POLE = 90.0  # deg
 _REFRESH_PERIOD = 0.5  # s of ROS time between looks at the subscribers
 # Hz, where PX4's own rate is too slow: pictures are put on the ground by where the gimbal pointed
 _RATES = {"MOUNT_ORIENTATION": 50.0}
@@ -107,6 +110,7 @@ class Uas:
         self._attitude_slot = self._slot("ATTITUDE_QUATERNION")
         self.streams = Streams(self._request_interval, _RATES | params.get("stream_rates", {}))
         self._manage_streams = params.get("manage_streams", True)
+        self._geoid = _geoid(params.get("global_position/geoid", _GEOIDS[0]))
         blacklist = params.get("plugin_blacklist", [])
         self.plugins = [kind(self) for kind in plugins if not _listed(kind.name, blacklist)]
         for plugin in self.plugins:
@@ -122,6 +126,10 @@ class Uas:
         topic = Topic(self.ros.publisher(path, type(message), latch), message, latch)
         self._topics.append(topic)
         return topic
+
+    def geoid_height(self, latitude: float, longitude: float) -> float:
+        """Return the geoid's height over the ellipsoid, m, at a place in deg; 0 if there is no such place."""
+        return self._geoid(latitude, longitude) if abs(latitude) <= _POLE else 0.0
 
     def share(self, topic: Topic) -> None:
         """Take note of a topic that belongs to all vehicles: its subscribers count for this one's streams too."""
@@ -347,6 +355,12 @@ class Uas:
                 system, component, command, 0, float(number), float(interval_us), 0.0, 0.0, 0.0, 0.0, 0.0
             ),
         )
+
+
+def _geoid(model: str) -> Callable[[float, float], float]:
+    if model not in _GEOIDS:
+        raise ValueError(f"parameter global_position/geoid: {model!r} is not allowed, {' and '.join(_GEOIDS)} are")
+    return undulation if model == _GEOIDS[0] else lambda latitude, longitude: 0.0
 
 
 def _listed(name: str, patterns: Iterable[str]) -> bool:

@@ -22,8 +22,8 @@ _NAN = float("nan")
 class GlobalPositionPlugin(Plugin):
     """MAVROS's global_position.
 
-    Heights of NavSatFix are over the ellipsoid: the autopilot's AMSL plus ``global_position/geoid_height`` (m). MAVROS
-    takes that from a geoid model; 0, the default, leaves the heights AMSL.
+    Heights of NavSatFix are over the ellipsoid: the autopilot's AMSL plus EGM96's geoid there, as MAVROS adds it; with
+    ``global_position/geoid: none`` they stay AMSL.
 
     ``global_position/local`` is relative to home, or to the first fix before a home has come. Its velocity is ENU
     (MAVROS leaves its z pointing down).
@@ -37,7 +37,6 @@ class GlobalPositionPlugin(Plugin):
         get = uas.params.get
         frame = get("global_position/frame_id", "map")
         body = get("global_position/child_frame_id", "base_link")
-        self._geoid = get("global_position/geoid_height", 0.0)
         self._uere = get("global_position/gps_uere", 1.0)
         self._rotation_variance = get("global_position/rot_covariance", 99999.0)
         self._relative_altitude = get("global_position/use_relative_alt", True)
@@ -65,6 +64,11 @@ class GlobalPositionPlugin(Plugin):
             "HOME_POSITION": Feed(None, self._local),
         }
 
+    def _place(self, latitude: int, longitude: int, altitude: int) -> frames.Vector:
+        """Return deg, deg and m over the ellipsoid of MAVLink's 1e-7 deg and mm AMSL."""
+        north, east = latitude / 1e7, longitude / 1e7
+        return north, east, altitude / 1e3 + self.uas.geoid_height(north, east)
+
     def _on_gps(self, gps: Any) -> None:
         if self._raw.taken:
             message = self._raw.message
@@ -90,7 +94,7 @@ class GlobalPositionPlugin(Plugin):
             self._heading.publish(self._heading.message)
         if not (self._global.taken or self._local.taken):
             return
-        place = position.lat / 1e7, position.lon / 1e7, position.alt / 1e3 + self._geoid
+        place = self._place(position.lat, position.lon, position.alt)
         raw = self._latest_fix()
         if self._global.taken:
             fix = self._global.message
@@ -122,7 +126,7 @@ class GlobalPositionPlugin(Plugin):
     def _origin(self, place: frames.Vector, raw: NavSatFix) -> frames.Vector | None:
         home = self.uas.latest("HOME_POSITION")
         if home is not None:
-            return home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3 + self._geoid
+            return self._place(home.latitude, home.longitude, home.altitude)
         if self._first_fix is None and raw.status.status >= NavSatStatus.STATUS_FIX:
             self._first_fix = place
         return self._first_fix
@@ -138,7 +142,7 @@ class GlobalPositionPlugin(Plugin):
         fix.status.service = NavSatStatus.SERVICE_GPS
         has_fix = gps.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
         fix.status.status = NavSatStatus.STATUS_FIX if has_fix else NavSatStatus.STATUS_NO_FIX
-        fix.latitude, fix.longitude, fix.altitude = gps.lat / 1e7, gps.lon / 1e7, gps.alt / 1e3 + self._geoid
+        fix.latitude, fix.longitude, fix.altitude = self._place(gps.lat, gps.lon, gps.alt)
         if gps.h_acc > 0 and gps.v_acc > 0:
             horizontal, vertical = gps.h_acc / 1e3, gps.v_acc / 1e3
             fix.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN

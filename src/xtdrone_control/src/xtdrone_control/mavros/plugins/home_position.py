@@ -15,7 +15,7 @@ from xtdrone_control.mavros.uas import Uas
 
 
 class HomePositionPlugin(Plugin):
-    """MAVROS's home_position.
+    """MAVROS's home_position. Altitudes are over the ellipsoid, see ``global_position/geoid``.
 
     The orientation is that of ``base_link`` in ENU, as in local_position/pose (MAVROS leaves the body axes FRD here, so
     that a level home comes out upside down).
@@ -26,7 +26,6 @@ class HomePositionPlugin(Plugin):
     def __init__(self, uas: Uas) -> None:
         """Advertise topic and service."""
         super().__init__(uas)
-        self._geoid = uas.params.get("global_position/geoid_height", 0.0)
         self._home = uas.topic("home_position/home", HomePosition(), latch=True)
         self.messages = {"HOME_POSITION": Feed(self._on_home, always=True)}
         uas.subscribe("home_position/set", HomePosition, self._set)
@@ -37,7 +36,7 @@ class HomePositionPlugin(Plugin):
         self.uas.stamp_us(message.header, home.time_usec)
         message.geo.latitude = home.latitude / 1e7
         message.geo.longitude = home.longitude / 1e7
-        message.geo.altitude = home.altitude / 1e3 + self._geoid
+        message.geo.altitude = home.altitude / 1e3 + self.uas.geoid_height(message.geo.latitude, message.geo.longitude)
         place, q, approach = message.position, message.orientation, message.approach
         place.x, place.y, place.z = frames.ned_to_enu(home.x, home.y, home.z)
         q.w, q.x, q.y, q.z = frames.attitude_ned_to_enu(*home.q)
@@ -51,12 +50,13 @@ class HomePositionPlugin(Plugin):
         fields += [("position.z", place.z)]
         if not self.uas.finite("home_position/set", fields):
             return
+        geoid = self.uas.geoid_height(home.geo.latitude, home.geo.longitude)
         self.uas.link.send(
             mavlink.MAVLink_set_home_position_message(
                 self.uas.target[0],
                 whole(home.geo.latitude * 1e7),
                 whole(home.geo.longitude * 1e7),
-                whole((home.geo.altitude - self._geoid) * 1e3),
+                whole((home.geo.altitude - geoid) * 1e3),
                 *frames.enu_to_ned(place.x, place.y, place.z),
                 list(frames.attitude_enu_to_ned(q.w, q.x, q.y, q.z)),
                 *frames.enu_to_ned(approach.x, approach.y, approach.z),
