@@ -20,7 +20,6 @@ _REFERENCE = Path(__file__).parent / "data" / "px4_command_acks.csv"
 _UNSUPPORTED = 3
 _OTHERWISE: dict[int, tuple[int, list[str], str]] = {
     84: (_UNSUPPORTED, [], "a multicopter has no transition"),
-    212: (_UNSUPPORTED, [], "there is no autotuning"),
     2510: (_UNSUPPORTED, [], "logs are not streamed; they are downloaded"),
 }
 

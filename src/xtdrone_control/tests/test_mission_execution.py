@@ -208,6 +208,14 @@ def test_jumps_that_lead_nowhere_end_the_mission(hovering, jump):
     assert hovering.commander.mode is modes.AUTO_LOITER
 
 
+@pytest.mark.parametrize("index", [700, -3])
+def test_a_jump_out_of_bounds_is_told(hovering, index):
+    fly(hovering, at(0, 0), do(plan.JUMP, index, 5))
+    for _ in ticks(hovering, 5):
+        pass
+    assert f"Mission item index out of bound, index: {index}, max: 2." in hovering.texts()
+
+
 def test_speeds(hovering):
     items = [do(plan.CHANGE_SPEED, 1, 2.0, -1), do(plan.CHANGE_SPEED, 2, 1.0), at(20, 0), do(plan.CHANGE_SPEED, 1, 0)]
     fly(hovering, *items, at(40, 0))

@@ -154,6 +154,7 @@ def test_a_second_client_is_refused_during_an_upload(served):
     served.ask(item(0))
     (answer,) = served.ask(number(1), served.other)
     assert answer.type == 1
+    assert (answer.target_system, answer.target_component) == (0, 0)  # as by PX4, on a link without a partner yet
     (answer,) = served.ask(item(1))
     assert answer.type == 0
     assert upload(served, [item(0)], link=served.other) == 0

@@ -149,6 +149,7 @@ class CommandHandler:
             **dict.fromkeys(_ROI, self._set_roi),
             mavlink.MAV_CMD_MISSION_START: self._start_mission,
             mavlink.MAV_CMD_DO_GO_AROUND: lambda *_: Result.ACCEPTED,  # for a fixed wing; PX4 accepts it all the same
+            mavlink.MAV_CMD_DO_AUTOTUNE_ENABLE: self._autotune,
             mavlink.MAV_CMD_FIXED_MAG_CAL_YAW: self._calibrate_heading,
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
             mavlink.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
@@ -307,6 +308,11 @@ class CommandHandler:
     def _calibrate_heading(self, _command: Command, _link: Link) -> Result:
         """Accept a calibration of the magnetometer by a known heading; the simulated one is calibrated."""
         return Result.TEMPORARILY_REJECTED if self._commander.armed else Result.ACCEPTED
+
+    def _autotune(self, _command: Command, _link: Link) -> Result:
+        """Set MC_AT_START, as PX4's receiver does; the module that would act on it runs with MC_AT_EN alone."""
+        self._commander.parameters.set("MC_AT_START", 1.0)
+        return Result.IN_PROGRESS
 
     def _storage(self, command: Command, _link: Link) -> Result:
         if self._commander.armed:

@@ -278,8 +278,8 @@ class MissionService(Service):
             self._refuse("WPM: IGN MISSION_COUNT: Busy", "mavlink_mission_ignore_mis_count")
             self._acknowledge(link, m.mission_type, _ERROR)
             return
-        if self._uploading is not None:
-            self._acknowledge(link, m.mission_type, _ERROR)
+        if self._uploading is not None:  # PX4 addresses this to the last partner on the link, at first to none
+            link.send_message(mavlink.MAVLink_mission_ack_message(*transfer.partner, _ERROR, m.mission_type))
             return
         transfer.kind = m.mission_type
         capacity = plan.CAPACITY[m.mission_type] if m.mission_type in plan.KINDS else 0
