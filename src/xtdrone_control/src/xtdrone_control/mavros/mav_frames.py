@@ -16,10 +16,11 @@ _ALLOWED = {
     "BODY_NED": mavlink.MAV_FRAME_BODY_NED,
     "BODY_OFFSET_NED": mavlink.MAV_FRAME_BODY_OFFSET_NED,
 }
+_NAMES = {number: name for name, number in _ALLOWED.items()}
 
 
 class MavFrame:
-    """A plugin's frame: from ``<plugin>/mav_frame``, changed by the service of the same name.
+    """A plugin's frame: from ``<plugin>/mav_frame``, changed by the service of the same name, which sets the parameter.
 
     Attributes:
         value: MAV_FRAME number.
@@ -46,4 +47,5 @@ class MavFrame:
             )
             return SetMavFrameResponse(success=False)
         self.value = request.mav_frame
+        self._uas.ros.set_param(f"{self._uas.prefix}/{self._plugin}/mav_frame", _NAMES[self.value])
         return SetMavFrameResponse(success=True)

@@ -29,8 +29,9 @@ _NS = 1_000_000_000
 _GEOIDS = ("egm96", "none")
 _POLE = 90.0  # deg
 _REFRESH_PERIOD = 0.5  # s of ROS time between looks at the subscribers
-# Hz, where PX4's own rate is too slow: pictures are put on the ground by where the gimbal pointed
-_RATES = {"MOUNT_ORIENTATION": 50.0}
+# Hz, where PX4's own rate does not serve: pictures are put on the ground by where the gimbal pointed; the others PX4
+# does not send to a companion by itself, so these are the rates that it has for them elsewhere
+_RATES = {"MOUNT_ORIENTATION": 50.0, "MANUAL_CONTROL": 5.0, "ACTUATOR_CONTROL_TARGET": 10.0}
 _HEARTBEAT = MESSAGE_ID["HEARTBEAT"]
 
 

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.plugins.actuator_control import ActuatorControlPlugin
 from xtdrone_control.mavros.plugins.altitude import AltitudePlugin
 from xtdrone_control.mavros.plugins.command import CommandPlugin
 from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
 from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
 from xtdrone_control.mavros.plugins.imu import ImuPlugin
 from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
+from xtdrone_control.mavros.plugins.manual_control import ManualControlPlugin
 from xtdrone_control.mavros.plugins.mocap_pose_estimate import MocapPlugin
 from xtdrone_control.mavros.plugins.mount_control import MountControlPlugin
 from xtdrone_control.mavros.plugins.odom import OdometryPlugin
 from xtdrone_control.mavros.plugins.param import ParamPlugin
 from xtdrone_control.mavros.plugins.rc_io import RcIoPlugin
+from xtdrone_control.mavros.plugins.setpoint_accel import SetpointAccelPlugin
+from xtdrone_control.mavros.plugins.setpoint_attitude import SetpointAttitudePlugin
 from xtdrone_control.mavros.plugins.setpoint_position import SetpointPositionPlugin
 from xtdrone_control.mavros.plugins.setpoint_raw import SetpointRawPlugin
+from xtdrone_control.mavros.plugins.setpoint_trajectory import SetpointTrajectoryPlugin
 from xtdrone_control.mavros.plugins.setpoint_velocity import SetpointVelocityPlugin
 from xtdrone_control.mavros.plugins.sys_status import SysStatusPlugin
 from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
+from xtdrone_control.mavros.plugins.trajectory import TrajectoryPlugin
 from xtdrone_control.mavros.plugins.vfr_hud import VfrHudPlugin
 from xtdrone_control.mavros.plugins.vision_pose_estimate import VisionPosePlugin
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
@@ -38,6 +44,12 @@ PLUGINS: tuple[type[Plugin], ...] = (
     SetpointRawPlugin,
     SetpointPositionPlugin,
     SetpointVelocityPlugin,
+    SetpointAccelPlugin,
+    SetpointAttitudePlugin,
+    SetpointTrajectoryPlugin,
+    TrajectoryPlugin,
+    ManualControlPlugin,
+    ActuatorControlPlugin,
     WaypointPlugin,
     GeofencePlugin,
     RallypointPlugin,

@@ -1,36 +1,60 @@
-"""Servo and motor outputs."""
+"""The radio's channels, and servo and motor outputs."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from mavros_msgs.msg import RCOut
+from mavros_msgs.msg import OverrideRCIn, RCIn, RCOut
+from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
-_CHANNELS = 16  # of one SERVO_OUTPUT_RAW, MAVLink 2
+_SERVOS = 16  # of one SERVO_OUTPUT_RAW, MAVLink 2
+_CHANNELS = 18  # of one RC_CHANNELS or RC_CHANNELS_OVERRIDE
 
 
 class RcIoPlugin(Plugin):
-    """The output half of MAVROS's rc_io."""
+    """MAVROS's rc_io. Channels are pulse widths in us.
+
+    ``rc/override`` stands in for a radio: the autopilot takes it as COM_RC_IN_MODE says, by the calibration and mapping
+    of its RC parameters, and tells it back as ``rc/in``. ``rc/in`` is RC_CHANNELS; PX4 has no RC_CHANNELS_RAW.
+    """
 
     name = "rc_io"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise the topic."""
+        """Advertise the topics and subscribe."""
         super().__init__(uas)
+        self._in = uas.topic("rc/in", RCIn())
         self._out = uas.topic("rc/out", RCOut())
-        self._channels: list[int] = []
-        self.messages = {"SERVO_OUTPUT_RAW": Feed(self._on_servos, self._out)}
+        self._outputs: list[int] = []
+        self.messages = {
+            "RC_CHANNELS": Feed(self._on_channels, self._in),
+            "SERVO_OUTPUT_RAW": Feed(self._on_servos, self._out),
+        }
+        uas.subscribe("rc/override", OverrideRCIn, self._override)
+
+    def _on_channels(self, radio: Any) -> None:
+        if radio.chancount > _CHANNELS:
+            self.uas.warn("rc/in", "rc/in: the radio has %d channels, %d of them come", radio.chancount, _CHANNELS)
+        message = self._in.message
+        self.uas.stamp(message.header, radio.time_boot_ms)
+        message.rssi = radio.rssi
+        count = min(radio.chancount, _CHANNELS)
+        message.channels = [getattr(radio, f"chan{i}_raw") for i in range(1, count + 1)]
+        self._in.publish(message)
 
     def _on_servos(self, servos: Any) -> None:
-        first = servos.port * _CHANNELS
-        if len(self._channels) < first + _CHANNELS:
-            self._channels += [0] * (first + _CHANNELS - len(self._channels))
-        values = [getattr(servos, f"servo{i}_raw") for i in range(1, _CHANNELS + 1)]
-        self._channels[first : first + _CHANNELS] = values
+        first = servos.port * _SERVOS
+        if len(self._outputs) < first + _SERVOS:
+            self._outputs += [0] * (first + _SERVOS - len(self._outputs))
+        values = [getattr(servos, f"servo{i}_raw") for i in range(1, _SERVOS + 1)]
+        self._outputs[first : first + _SERVOS] = values
         message = self._out.message
         self.uas.stamp_us(message.header, servos.time_usec)
-        message.channels = self._channels
+        message.channels = self._outputs
         self._out.publish(message)
+
+    def _override(self, message: OverrideRCIn) -> None:
+        self.uas.link.send(mavlink.MAVLink_rc_channels_override_message(*self.uas.target, *message.channels))

@@ -1,41 +1,125 @@
-"""Position set-points as poses."""
+"""Position set-points as poses, local and on Earth."""
 
 from __future__ import annotations
 
+from typing import Any
+
+from geographic_msgs.msg import GeoPoseStamped
 from geometry_msgs.msg import PoseStamped
+from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.mav_frames import MavFrame
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.setpoints import ONLY_POSITION_YAW, position_target
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.setpoints import (
+    ONLY_GLOBAL_POSITION_YAW,
+    ONLY_POSITION_YAW,
+    global_target,
+    position_target,
+    vector_fields,
+    xyz,
+)
 from xtdrone_control.mavros.uas import Uas
+
+_GOAL = "setpoint_position/global_to_local"
+_APART_MS = 500  # at most, the vehicle's local and its global position
 
 
 class SetpointPositionPlugin(Plugin):
-    """The local half of MAVROS's setpoint_position: position and the yaw of the orientation."""
+    """MAVROS's setpoint_position: a position and the yaw of the orientation.
+
+    ``local`` is metres ENU. ``global`` is sent as it is, its altitude above mean sea level as PX4 takes it.
+    ``global_to_local`` is turned here into a local position: the vehicle's own plus the way from its place on Earth to
+    the goal's. Heights on both are those of ``global_position/global``. The first goal asks the autopilot for the
+    vehicle's position; each goal is sent when that has come, the latest alone if there are several. (MAVROS sends at
+    once, in the beginning from where it believes to be, and leaves out a goal without a newer stamp.)
+    """
 
     name = "setpoint_position"
 
     def __init__(self, uas: Uas) -> None:
         """Subscribe."""
         super().__init__(uas)
+        self._geoid = uas.params.get("global_position/geoid_height", 0.0)
         self._frame = MavFrame(uas, self.name)
+        self._goal: GeoPoseStamped | None = None  # waits for the vehicle's position
+        self._place, self._local_position = Feed(self._on_place), Feed(None)
+        self.messages = {"GLOBAL_POSITION_INT": self._place, "LOCAL_POSITION_NED": self._local_position}
         uas.subscribe("setpoint_position/local", PoseStamped, self._local)
+        uas.subscribe("setpoint_position/global", GeoPoseStamped, self._global)
+        uas.subscribe(_GOAL, GeoPoseStamped, self._take_goal)
+
+    def connected(self, connected: bool) -> None:
+        """Forget a goal whose vehicle has gone, or was set back."""
+        self._goal = None
 
     def _local(self, pose: PoseStamped) -> None:
-        p, q = pose.pose.position, pose.pose.orientation
-        fields = [(f"pose.position.{axis}", getattr(p, axis)) for axis in "xyz"]
-        fields += [(f"pose.orientation.{axis}", getattr(q, axis)) for axis in "xyzw"]
-        if not self.uas.finite("setpoint_position/local", fields):
+        p = pose.pose.position
+        if self._finite("setpoint_position/local", vector_fields("pose.position", p), pose):
+            self._send(xyz(p), pose)
+
+    def _global(self, pose: GeoPoseStamped) -> None:
+        if not self._finite("setpoint_position/global", _place_fields(pose), pose):
             return
-        yaw = frames.yaw_from_quaternion((q.w, q.x, q.y, q.z))
+        place = pose.pose.position
         self.uas.link.send(
-            position_target(
+            global_target(
                 self.uas,
                 self.uas.boot_ms(pose.header),
-                self._frame.value,
-                ONLY_POSITION_YAW,
-                position=(p.x, p.y, p.z),
-                yaw=yaw,
+                mavlink.MAV_FRAME_GLOBAL_INT,
+                ONLY_GLOBAL_POSITION_YAW,
+                (place.latitude, place.longitude, place.altitude),
+                yaw=_yaw(pose),
             )
         )
+
+    def _take_goal(self, pose: GeoPoseStamped) -> None:
+        if not self._finite(_GOAL, _place_fields(pose), pose):
+            return
+        place = pose.pose.position
+        if abs(place.latitude) > 90.0 or abs(place.longitude) > 180.0:
+            text = "%s: latitude %s, longitude %s are no place; the message is not forwarded"
+            self.uas.warn(_GOAL, text, _GOAL, place.latitude, place.longitude)
+            return
+        if self._goal is not None:
+            self.uas.warn(_GOAL, "%s: a goal is left out: the vehicle's position has not come since", _GOAL)
+        self._goal = pose
+        if not self._place.always:
+            self._place.always = self._local_position.always = True
+            self.uas.refresh()
+
+    def _on_place(self, place: Any) -> None:
+        """Send the goal that waits, seen from the vehicle's place (GLOBAL_POSITION_INT)."""
+        local, pose = self.uas.latest("LOCAL_POSITION_NED"), self._goal
+        if pose is None or local is None or abs(local.time_boot_ms - place.time_boot_ms) > _APART_MS:
+            return
+        self._goal = None
+        goal = pose.pose.position
+        here = place.lat / 1e7, place.lon / 1e7, place.alt / 1e3 + self._geoid
+        way = frames.geodetic_to_enu((goal.latitude, goal.longitude, goal.altitude), here)
+        x, y, z = frames.ned_to_enu(local.x, local.y, local.z)
+        position = x + way[0], y + way[1], z + way[2]
+        if self.uas.finite(_GOAL, zip(("east", "north", "up"), position, strict=True)):
+            self._send(position, pose)
+
+    def _send(self, position: frames.Vector, pose: PoseStamped | GeoPoseStamped) -> None:
+        """Send a local position (m, ENU or FLU as the frame is) with stamp and yaw of a pose."""
+        time_boot_ms = self.uas.boot_ms(pose.header)
+        self.uas.link.send(
+            position_target(
+                self.uas, time_boot_ms, self._frame.value, ONLY_POSITION_YAW, position=position, yaw=_yaw(pose)
+            )
+        )
+
+    def _finite(self, topic: str, position: list[tuple[str, float]], pose: PoseStamped | GeoPoseStamped) -> bool:
+        return self.uas.finite(topic, position + vector_fields("pose.orientation", pose.pose.orientation, "xyzw"))
+
+
+def _yaw(pose: PoseStamped | GeoPoseStamped) -> float:
+    q = pose.pose.orientation
+    return frames.yaw_from_quaternion((q.w, q.x, q.y, q.z))
+
+
+def _place_fields(pose: GeoPoseStamped) -> list[tuple[str, float]]:
+    place = pose.pose.position
+    return [(f"pose.position.{name}", getattr(place, name)) for name in ("latitude", "longitude", "altitude")]

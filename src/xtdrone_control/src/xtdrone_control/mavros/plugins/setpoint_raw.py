@@ -2,115 +2,155 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import inf
 from typing import Any
 
-from mavros_msgs.msg import AttitudeTarget, PositionTarget
-from pymavlink.dialects.v20 import common as mavlink
+from mavros_msgs.msg import AttitudeTarget, GlobalPositionTarget, PositionTarget
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.setpoints import position_target
+from xtdrone_control.mavros.setpoints import (
+    attitude_target,
+    global_target,
+    position_target,
+    set_xyz,
+    vector_fields,
+    xyz,
+)
 from xtdrone_control.mavros.uas import Uas
 
-_VECTORS = (
-    ("position", PositionTarget.IGNORE_PX),
-    ("velocity", PositionTarget.IGNORE_VX),
-    ("acceleration_or_force", PositionTarget.IGNORE_AFX),
-)
-_FRAMES = (
+_LOCAL_FRAMES = (
     PositionTarget.FRAME_LOCAL_NED,
     PositionTarget.FRAME_LOCAL_OFFSET_NED,
     PositionTarget.FRAME_BODY_NED,
     PositionTarget.FRAME_BODY_OFFSET_NED,
 )
+_GLOBAL_FRAMES = (
+    GlobalPositionTarget.FRAME_GLOBAL_INT,
+    GlobalPositionTarget.FRAME_GLOBAL_REL_ALT,
+    GlobalPositionTarget.FRAME_GLOBAL_TERRAIN_ALT,
+)
 
 
 class SetpointRawPlugin(Plugin):
-    """MAVROS's setpoint_raw: local and attitude in, target_local and target_attitude out."""
+    """MAVROS's setpoint_raw: local, global and attitude in; target_local, target_global and target_attitude out.
+
+    Altitudes of ``global`` and ``target_global`` are the autopilot's: above mean sea level, or above what
+    ``coordinate_frame`` says. Thrust is multiplied by ``setpoint_raw/thrust_scaling`` and cut to 0..1.
+    """
 
     name = "setpoint_raw"
 
     def __init__(self, uas: Uas) -> None:
-        """Subscribe and advertise."""
+        """Subscribe and advertise.
+
+        Raises:
+            ValueError: a thrust scaling that is negative or not finite.
+        """
         super().__init__(uas)
         self._thrust_scaling = uas.params.get("setpoint_raw/thrust_scaling", 1.0)
+        if not 0.0 <= self._thrust_scaling < inf:
+            raise ValueError(f"setpoint_raw/thrust_scaling: {self._thrust_scaling} is not allowed; 0 or more is")
         self._target_local = uas.topic("setpoint_raw/target_local", PositionTarget())
+        self._target_global = uas.topic("setpoint_raw/target_global", GlobalPositionTarget())
         self._target_attitude = uas.topic("setpoint_raw/target_attitude", AttitudeTarget())
         self.messages = {
             "POSITION_TARGET_LOCAL_NED": Feed(self._on_target_local, self._target_local),
+            "POSITION_TARGET_GLOBAL_INT": Feed(self._on_target_global, self._target_global),
             "ATTITUDE_TARGET": Feed(self._on_target_attitude, self._target_attitude),
         }
         uas.subscribe("setpoint_raw/local", PositionTarget, self._local)
+        uas.subscribe("setpoint_raw/global", GlobalPositionTarget, self._global)
         uas.subscribe("setpoint_raw/attitude", AttitudeTarget, self._attitude)
 
     def _local(self, target: PositionTarget) -> None:
-        if target.coordinate_frame not in _FRAMES:
-            self.uas.warn(
-                "setpoint_raw/local",
-                "setpoint_raw/local: coordinate_frame %d is not allowed, %s are; the set-point is not forwarded",
-                target.coordinate_frame,
-                _FRAMES,
-            )
+        if not self._accepts("setpoint_raw/local", target, _LOCAL_FRAMES, vector_fields("position", target.position)):
             return
-        if not self.uas.finite("setpoint_raw/local", _used_fields(target)):
-            return
-        p, v, a = target.position, target.velocity, target.acceleration_or_force
         self.uas.link.send(
             position_target(
                 self.uas,
                 self.uas.boot_ms(target.header),
                 target.coordinate_frame,
                 target.type_mask,
-                (p.x, p.y, p.z),
-                (v.x, v.y, v.z),
-                (a.x, a.y, a.z),
+                xyz(target.position),
+                xyz(target.velocity),
+                xyz(target.acceleration_or_force),
                 target.yaw,
                 target.yaw_rate,
             )
         )
 
+    def _global(self, target: GlobalPositionTarget) -> None:
+        place = [(name, getattr(target, name)) for name in ("latitude", "longitude", "altitude")]
+        if not self._accepts("setpoint_raw/global", target, _GLOBAL_FRAMES, place):
+            return
+        self.uas.link.send(
+            global_target(
+                self.uas,
+                self.uas.boot_ms(target.header),
+                target.coordinate_frame,
+                target.type_mask,
+                (target.latitude, target.longitude, target.altitude),
+                xyz(target.velocity),
+                xyz(target.acceleration_or_force),
+                target.yaw,
+                target.yaw_rate,
+            )
+        )
+
+    def _accepts(self, topic: str, target: Any, allowed: Sequence[int], place: list[tuple[str, float]]) -> bool:
+        """Return whether a target's frame is allowed and what it does not mask out is finite; otherwise warn."""
+        if target.coordinate_frame in allowed:
+            return self.uas.finite(topic, _used_fields(target, place))
+        text = "%s: coordinate_frame %d is not allowed, %s are; the set-point is not forwarded"
+        self.uas.warn(topic, text, topic, target.coordinate_frame, allowed)
+        return False
+
     def _attitude(self, target: AttitudeTarget) -> None:
-        mask, q, rate = target.type_mask, target.orientation, target.body_rate
+        mask, q = target.type_mask, target.orientation
         fields = []
         if not mask & AttitudeTarget.IGNORE_ATTITUDE:
-            fields += [(f"orientation.{axis}", getattr(q, axis)) for axis in "xyzw"]
+            fields += vector_fields("orientation", q, "xyzw")
         for axis, bit in (
             ("x", AttitudeTarget.IGNORE_ROLL_RATE),
             ("y", AttitudeTarget.IGNORE_PITCH_RATE),
             ("z", AttitudeTarget.IGNORE_YAW_RATE),
         ):
             if not mask & bit:
-                fields.append((f"body_rate.{axis}", getattr(rate, axis)))
+                fields += vector_fields("body_rate", target.body_rate, axis)
         if not mask & AttitudeTarget.IGNORE_THRUST:
             fields.append(("thrust", target.thrust))
         if not self.uas.finite("setpoint_raw/attitude", fields):
             return
-        system, component = self.uas.target
         thrust = min(1.0, max(0.0, target.thrust * self._thrust_scaling))
-        self.uas.link.send(
-            mavlink.MAVLink_set_attitude_target_message(
-                self.uas.boot_ms(target.header),
-                system,
-                component,
-                mask,
-                list(frames.attitude_enu_to_ned(q.w, q.x, q.y, q.z)),
-                *frames.flu_to_frd(rate.x, rate.y, rate.z),
-                thrust,
-            )
-        )
+        time_boot_ms = self.uas.boot_ms(target.header)
+        attitude = q.w, q.x, q.y, q.z
+        self.uas.link.send(attitude_target(self.uas, time_boot_ms, mask, thrust, attitude, xyz(target.body_rate)))
 
     def _on_target_local(self, target: Any) -> None:
         message = self._target_local.message
+        self._fill(message, target)
+        set_xyz(message.position, frames.ned_to_enu(target.x, target.y, target.z))
+        self._target_local.publish(message)
+
+    def _on_target_global(self, target: Any) -> None:
+        message = self._target_global.message
+        self._fill(message, target)
+        message.latitude, message.longitude = target.lat_int / 1e7, target.lon_int / 1e7
+        message.altitude = target.alt
+        self._target_global.publish(message)
+
+    def _fill(self, message: Any, target: Any) -> None:
+        """Fill in what a local and a global target have in common."""
         self.uas.stamp(message.header, target.time_boot_ms)
         message.coordinate_frame = target.coordinate_frame
         message.type_mask = target.type_mask
-        _set(message.position, frames.ned_to_enu(target.x, target.y, target.z))
-        _set(message.velocity, frames.ned_to_enu(target.vx, target.vy, target.vz))
-        _set(message.acceleration_or_force, frames.ned_to_enu(target.afx, target.afy, target.afz))
+        set_xyz(message.velocity, frames.ned_to_enu(target.vx, target.vy, target.vz))
+        set_xyz(message.acceleration_or_force, frames.ned_to_enu(target.afx, target.afy, target.afz))
         # A yaw that is not controlled is NaN.
         message.yaw = frames.yaw_ned_to_enu(target.yaw) if target.yaw == target.yaw else target.yaw
         message.yaw_rate = -target.yaw_rate
-        self._target_local.publish(message)
 
     def _on_target_attitude(self, target: Any) -> None:
         message = self._target_attitude.message
@@ -119,26 +159,18 @@ class SetpointRawPlugin(Plugin):
         q = message.orientation
         q.w, q.x, q.y, q.z = frames.attitude_ned_to_enu(*target.q)
         rates = target.body_roll_rate, target.body_pitch_rate, target.body_yaw_rate
-        _set(message.body_rate, frames.frd_to_flu(*rates))
+        set_xyz(message.body_rate, frames.frd_to_flu(*rates))
         message.thrust = target.thrust
         self._target_attitude.publish(message)
 
 
-def _used_fields(target: PositionTarget) -> list[tuple[str, float]]:
-    """Return (field, value) of what ``target`` does not mask out."""
-    mask = target.type_mask
-    fields = []
-    for name, first_bit in _VECTORS:
-        vector = getattr(target, name)
-        for axis, bit in zip("xyz", (first_bit, first_bit << 1, first_bit << 2), strict=True):
-            if not mask & bit:
-                fields.append((f"{name}.{axis}", getattr(vector, axis)))
-    if not mask & PositionTarget.IGNORE_YAW:
-        fields.append(("yaw", target.yaw))
-    if not mask & PositionTarget.IGNORE_YAW_RATE:
-        fields.append(("yaw_rate", target.yaw_rate))
-    return fields
-
-
-def _set(message: Any, vector: frames.Vector) -> None:
-    message.x, message.y, message.z = vector
+def _used_fields(target: Any, place: list[tuple[str, float]]) -> list[tuple[str, float]]:
+    """Return (field, value) of what a local or global target does not mask out; ``place`` has its first three."""
+    fields = place + vector_fields("velocity", target.velocity)
+    fields += vector_fields("acceleration_or_force", target.acceleration_or_force)
+    used = [field for bit, field in enumerate(fields) if not target.type_mask >> bit & 1]
+    if not target.type_mask & PositionTarget.IGNORE_YAW:
+        used.append(("yaw", target.yaw))
+    if not target.type_mask & PositionTarget.IGNORE_YAW_RATE:
+        used.append(("yaw_rate", target.yaw_rate))
+    return used

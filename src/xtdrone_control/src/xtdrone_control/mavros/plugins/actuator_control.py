@@ -1,0 +1,46 @@
+"""Controls that go past the attitude controller to the mixer, both ways."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavros_msgs.msg import ActuatorControl
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.uas import Uas
+
+_TOPIC = "actuator_control"
+
+
+class ActuatorControlPlugin(Plugin):
+    """MAVROS's actuator_control: values as they are, in the autopilot's axes (FRD).
+
+    PX4 refuses what comes by ``actuator_control`` while it runs in lockstep with a simulator; so does ours.
+    ``target_actuator_control`` has torque and thrust that the control allocator is asked for, as group 0.
+    """
+
+    name = "actuator_control"
+
+    def __init__(self, uas: Uas) -> None:
+        """Subscribe and advertise."""
+        super().__init__(uas)
+        self._target = uas.topic("target_actuator_control", ActuatorControl())
+        self.messages = {"ACTUATOR_CONTROL_TARGET": Feed(self._on_target, self._target)}
+        uas.subscribe(_TOPIC, ActuatorControl, self._control)
+
+    def _on_target(self, target: Any) -> None:
+        message = self._target.message
+        self.uas.stamp_us(message.header, target.time_usec)
+        message.group_mix = target.group_mlx
+        message.controls = target.controls
+        self._target.publish(message)
+
+    def _control(self, message: ActuatorControl) -> None:
+        controls = list(message.controls)
+        if not self.uas.finite(_TOPIC, [(f"controls[{i}]", value) for i, value in enumerate(controls)]):
+            return
+        time_us = message.header.stamp.to_nsec() // 1000
+        self.uas.link.send(
+            mavlink.MAVLink_set_actuator_control_target_message(time_us, message.group_mix, *self.uas.target, controls)
+        )

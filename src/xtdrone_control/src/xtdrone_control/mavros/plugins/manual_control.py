@@ -1,0 +1,44 @@
+"""A pilot's sticks, both ways."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavros_msgs.msg import ManualControl
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavros.packing import whole
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.uas import Uas
+
+_AXES = "xyzr"  # forward, right, up, clockwise
+_SCALE = 1000.0
+
+
+class ManualControlPlugin(Plugin):
+    """MAVROS's manual_control, with its two scales: ``send`` has MAVLink's numbers, ``control`` a thousandth of them.
+
+    ``send`` flies as a joystick does: x, y and r are -1000..1000, z is 0..1000 with 500 in the middle; the autopilot
+    takes it as COM_RC_IN_MODE says. ``control`` has the sticks that the autopilot follows, from whichever source.
+    """
+
+    name = "manual_control"
+
+    def __init__(self, uas: Uas) -> None:
+        """Subscribe and advertise."""
+        super().__init__(uas)
+        self._control = uas.topic("manual_control/control", ManualControl())
+        self.messages = {"MANUAL_CONTROL": Feed(self._on_control, self._control)}
+        uas.subscribe("manual_control/send", ManualControl, self._send)
+
+    def _on_control(self, control: Any) -> None:
+        message = self._control.message
+        self.uas.stamp_now(message.header)
+        for axis in _AXES:
+            setattr(message, axis, getattr(control, axis) / _SCALE)
+        message.buttons = control.buttons
+        self._control.publish(message)
+
+    def _send(self, message: ManualControl) -> None:
+        axes = [whole(getattr(message, axis)) for axis in _AXES]
+        self.uas.link.send(mavlink.MAVLink_manual_control_message(self.uas.target[0], *axes, message.buttons))

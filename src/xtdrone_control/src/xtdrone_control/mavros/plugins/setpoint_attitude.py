@@ -1,0 +1,90 @@
+"""Attitude or body-rate set-points with a thrust from another topic."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from mavros_msgs.msg import Thrust
+
+from xtdrone_control.mavros.pairing import Pairing
+from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.setpoints import (
+    ONLY_ATTITUDE_THRUST,
+    ONLY_RATES_THRUST,
+    attitude_target,
+    vector_fields,
+    xyz,
+)
+from xtdrone_control.mavros.uas import Uas
+
+_ATTITUDE, _RATES, _THRUST = "setpoint_attitude/attitude", "setpoint_attitude/cmd_vel", "setpoint_attitude/thrust"
+_SETPOINT_SIDE, _THRUST_SIDE = 0, 1
+_LEAST_NORM = 1e-6  # of a quaternion that says something
+
+
+class SetpointAttitudePlugin(Plugin):
+    """MAVROS's setpoint_attitude: ``cmd_vel``, or ``attitude`` if ``setpoint_attitude/use_quaternion`` says so.
+
+    The angular part of ``cmd_vel`` is body rates (rad/s, FLU); the orientation of ``attitude`` is FLU to ENU of any
+    length, its position does not count. Each is sent with the ``thrust`` whose stamp fits best; without one nothing is
+    sent. Thrust is 0..1, with ``setpoint_attitude/reverse_thrust`` -1..1.
+    """
+
+    name = "setpoint_attitude"
+
+    def __init__(self, uas: Uas) -> None:
+        """Subscribe."""
+        super().__init__(uas)
+        self._least_thrust = -1.0 if uas.params.get("setpoint_attitude/reverse_thrust", False) else 0.0
+        self._pairing = Pairing()
+        self._use_quaternion = uas.params.get("setpoint_attitude/use_quaternion", False)
+        if self._use_quaternion:
+            uas.subscribe(_ATTITUDE, PoseStamped, self._attitude)
+        else:
+            uas.subscribe(_RATES, TwistStamped, self._rates)
+        uas.subscribe(_THRUST, Thrust, self._thrust)
+
+    def connected(self, connected: bool) -> None:
+        """Forget what waits for its partner: the vehicle has gone, or was set back."""
+        self._pairing.clear()
+
+    def _attitude(self, pose: PoseStamped) -> None:
+        q = pose.pose.orientation
+        if not self.uas.finite(_ATTITUDE, vector_fields("pose.orientation", q, "xyzw")):
+            return
+        if _norm(q) < _LEAST_NORM:
+            text = "%s: pose.orientation is zero, which is no attitude; the message is not forwarded"
+            self.uas.warn(_ATTITUDE, text, _ATTITUDE)
+            return
+        self._take(_SETPOINT_SIDE, pose)
+
+    def _rates(self, twist: TwistStamped) -> None:
+        if self.uas.finite(_RATES, vector_fields("twist.angular", twist.twist.angular)):
+            self._take(_SETPOINT_SIDE, twist)
+
+    def _thrust(self, message: Thrust) -> None:
+        if self._least_thrust <= message.thrust <= 1.0:
+            self._take(_THRUST_SIDE, message)
+            return
+        text = "%s: thrust is %s; %g to 1 is allowed; the message is not forwarded"
+        self.uas.warn(_THRUST, text, _THRUST, message.thrust, self._least_thrust)
+
+    def _take(self, side: int, message: Any) -> None:
+        for setpoint, thrust in self._pairing.add(side, message.header.stamp.to_nsec(), message):
+            time_boot_ms = self.uas.boot_ms(setpoint.header)
+            self.uas.link.send(self._target(time_boot_ms, setpoint, thrust.thrust))
+
+    def _target(self, time_boot_ms: int, setpoint: Any, thrust: float) -> Any:
+        if not self._use_quaternion:
+            rates = xyz(setpoint.twist.angular)
+            return attitude_target(self.uas, time_boot_ms, ONLY_RATES_THRUST, thrust, rates=rates)
+        q = setpoint.pose.orientation
+        norm = _norm(q)
+        attitude = q.w / norm, q.x / norm, q.y / norm, q.z / norm
+        return attitude_target(self.uas, time_boot_ms, ONLY_ATTITUDE_THRUST, thrust, attitude)
+
+
+def _norm(q: Any) -> float:
+    return sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z)

@@ -1,0 +1,134 @@
+"""A whole trajectory, sent point by point as its time comes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from std_srvs.srv import Trigger, TriggerResponse
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+
+from xtdrone_control import frames
+from xtdrone_control.mavros.mav_frames import MavFrame
+from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.setpoints import position_target, set_xyz, vector_fields, xyz
+from xtdrone_control.mavros.uas import Uas
+
+_TOPIC = "setpoint_trajectory/local"
+_EVERY_STEP = 0.0  # s
+_ZERO = (0.0, 0.0, 0.0)
+# bits of the mask for what a point lacks
+_NO_TRANSFORM, _NO_VELOCITY, _NO_ACCELERATION = 1 << 10 | 7, 1 << 11 | 7 << 3, 7 << 6
+
+
+class SetpointTrajectoryPlugin(Plugin):
+    """MAVROS's setpoint_trajectory: the first joint of each point is the vehicle.
+
+    A point is sent once when its ``time_from_start`` has passed since the trajectory came; of those that are due in one
+    step of the node, the last. A new trajectory replaces the old one. What a point has none of (transforms, velocities,
+    accelerations) it leaves to the autopilot. Vectors are ENU, or FLU in the body frames of ``mav_frame``; the yaw rate
+    is about the upward axis.
+
+    MAVROS waits for each point's ``time_from_start`` after the point before it, where ROS counts it from the start of
+    the trajectory, and sends the yaw rate with the opposite sign; here both are as ROS says.
+    """
+
+    name = "setpoint_trajectory"
+
+    def __init__(self, uas: Uas) -> None:
+        """Subscribe, advertise and offer the services."""
+        super().__init__(uas)
+        self._frame = MavFrame(uas, self.name)
+        self._desired = uas.topic("setpoint_trajectory/desired", Path())
+        self._desired.message.header.frame_id = uas.params.get("setpoint_trajectory/frame_id", "map")
+        self._points: list[MultiDOFJointTrajectoryPoint] = []  # not sent yet
+        self._start_ns = 0
+        uas.subscribe(_TOPIC, MultiDOFJointTrajectory, self._take)
+        uas.service("setpoint_trajectory/reset", Trigger, self._reset)
+        uas.timer(_EVERY_STEP, self._step)
+
+    def connected(self, connected: bool) -> None:
+        """Forget the trajectory: the vehicle has gone, or was set back."""
+        self._points = []
+
+    def _take(self, trajectory: MultiDOFJointTrajectory) -> None:
+        points = trajectory.points
+        if not points:
+            self.uas.warn(_TOPIC, "%s: there are no points; the trajectory is not flown", _TOPIC)
+            return
+        fields = [field for index, point in enumerate(points) for field in _fields(f"points[{index}]", point)]
+        if not self.uas.finite(_TOPIC, fields):
+            return
+        self._start_ns = self.uas.ros.now_ns()
+        self._points = list(points)
+        if self._desired.taken:
+            self._publish(points)
+
+    def _publish(self, points: list[MultiDOFJointTrajectoryPoint]) -> None:
+        path = self._desired.message
+        self.uas.stamp_now(path.header)
+        path.poses = [_pose(point.transforms[0]) for point in points if point.transforms]
+        self._desired.publish(path)
+
+    def _step(self) -> None:
+        points = self._points
+        if not points:
+            return
+        elapsed_ns = self.uas.now_ns - self._start_ns
+        due = 0
+        while due < len(points) and points[due].time_from_start.to_nsec() <= elapsed_ns:
+            due += 1
+        if due:
+            self._points = points[due:]
+            self._send(points[due - 1])
+
+    def _send(self, point: MultiDOFJointTrajectoryPoint) -> None:
+        mask = 0
+        position = velocity = acceleration = _ZERO
+        yaw = yaw_rate = 0.0
+        if point.transforms:
+            q = point.transforms[0].rotation
+            position = xyz(point.transforms[0].translation)
+            yaw = frames.yaw_from_quaternion((q.w, q.x, q.y, q.z))
+        else:
+            mask |= _NO_TRANSFORM
+        if point.velocities:
+            velocity, yaw_rate = xyz(point.velocities[0].linear), point.velocities[0].angular.z
+        else:
+            mask |= _NO_VELOCITY
+        if point.accelerations:
+            acceleration = xyz(point.accelerations[0].linear)
+        else:
+            mask |= _NO_ACCELERATION
+        frame, time_boot_ms = self._frame.value, self.uas.boot_ms()
+        self.uas.link.send(
+            position_target(self.uas, time_boot_ms, frame, mask, position, velocity, acceleration, yaw, yaw_rate)
+        )
+
+    def _reset(self, _: Any) -> TriggerResponse:
+        if not self._points:
+            return TriggerResponse(success=False, message="no trajectory is being flown")
+        self._points = []
+        return TriggerResponse(success=True, message="")
+
+
+def _fields(name: str, point: MultiDOFJointTrajectoryPoint) -> list[tuple[str, float]]:
+    """Return (field, value) of what is sent of a point."""
+    fields = []
+    for transform in point.transforms[:1]:
+        fields += vector_fields(f"{name}.transforms[0].translation", transform.translation)
+        fields += vector_fields(f"{name}.transforms[0].rotation", transform.rotation, "xyzw")
+    for velocity in point.velocities[:1]:
+        fields += vector_fields(f"{name}.velocities[0].linear", velocity.linear)
+        fields += vector_fields(f"{name}.velocities[0].angular", velocity.angular, "z")
+    for acceleration in point.accelerations[:1]:
+        fields += vector_fields(f"{name}.accelerations[0].linear", acceleration.linear)
+    return fields
+
+
+def _pose(transform: Any) -> PoseStamped:
+    pose = PoseStamped()
+    set_xyz(pose.pose.position, xyz(transform.translation))
+    pose.pose.orientation = transform.rotation
+    return pose
