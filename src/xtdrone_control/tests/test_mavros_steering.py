@@ -8,7 +8,16 @@ from contextlib import contextmanager
 import pytest
 import rospy
 from geographic_msgs.msg import GeoPoseStamped
-from geometry_msgs.msg import PoseStamped, Quaternion, Transform, Twist, TwistStamped, Vector3, Vector3Stamped
+from geometry_msgs.msg import (
+    PoseStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Twist,
+    TwistStamped,
+    Vector3,
+    Vector3Stamped,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavros_fakes import Bench
@@ -24,6 +33,7 @@ from mavros_msgs.srv import SetMavFrameRequest
 from nav_msgs.msg import Path
 from pymavlink.dialects.v20 import common as mavlink
 from std_srvs.srv import TriggerRequest
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from xtdrone_control import frames
@@ -280,10 +290,67 @@ class TestGlobalPosition:
         bench.send(self.LOCAL, self.HERE)
         assert len(bench.received()) == 1
 
+    def test_a_goal_that_waits_is_told_of(self, bench, caplog):
+        bench.call("setpoint_position/global_to_local", geo_pose())
+        bench.uas.step(0)
+        assert "a goal waits" not in caplog.text
+        bench.uas.step(1_000_000_000)
+        assert "setpoint_position/global_to_local: a goal waits" in caplog.text
+
     def test_the_frame_becomes_a_parameter(self, bench):
         service = bench.ros.services["/iris_0/mavros/setpoint_position/mav_frame"]
         assert service(SetMavFrameRequest(mav_frame=8)).success
         assert bench.ros.params["/iris_0/mavros/setpoint_position/mav_frame"] == "BODY_NED"
+
+
+class TestListening:
+    """tf/listen of setpoint_position and setpoint_attitude."""
+
+    def tell(self, bench, parent, child, millis, position, yaw, topic="/tf"):
+        transform = stamped(TransformStamped(child_frame_id=child), millis)
+        transform.header.frame_id = parent
+        transform.transform = Transform(fill(Vector3(), position), turned(0.0, 0.0, yaw))
+        bench.ros.subscribers[topic](TFMessage([transform]))
+
+    def test_the_position_of_a_frame(self):
+        """map -> base at (10, 0, 0) turned left by a right angle; the target is 1 m forward of it: (10, 1, 3)."""
+        with opened({"setpoint_position": {"tf": {"listen": True, "rate_limit": 10.0}}}) as bench:
+            assert "/iris_0/mavros/setpoint_position/local" not in bench.ros.subscribers
+            self.tell(bench, "base", "target_position", 2000, (1.0, 0.0, 3.0), 0.0)
+            bench.uas.step(2_000_000_000)
+            assert [m for m in bench.received() if m.get_type() != "HEARTBEAT"] == []
+            self.tell(bench, "map", "base", 2000, (10.0, 0.0, 0.0), math.pi / 2)
+            for millis in range(2000, 3000, 20):
+                bench.uas.step(millis * MILLISECOND)
+            sent = [m for m in bench.received() if m.get_type() != "HEARTBEAT"]
+        assert len(sent) == 9  # from 2.1 s on
+        assert (sent[0].x, sent[0].y, sent[0].z) == approx((1.0, 10.0, -3.0))
+        assert (sent[0].yaw, sent[0].time_boot_ms, sent[0].type_mask) == approx((0.0, 2000, 0b1001_1111_1000))
+
+    def test_the_attitude_of_a_frame_goes_with_each_thrust(self):
+        params = {"tf": {"listen": True, "child_frame_id": "wanted"}}
+        with opened({"setpoint_attitude": params}) as bench:
+            bench.call("setpoint_attitude/thrust", Thrust(thrust=0.5))
+            assert bench.received() == []
+            self.tell(bench, "map", "wanted", 2000, (0.0, 0.0, 0.0), 0.3)
+            bench.call("setpoint_attitude/thrust", Thrust(thrust=0.6))
+            [sent] = bench.received()
+        assert (sent.type_mask, sent.thrust, sent.time_boot_ms) == approx((0b111, 0.6, 2000))
+        assert frames.rpy_from_quaternion(sent.q) == approx((0.0, 0.0, math.pi / 2 - 0.3))
+
+    @pytest.mark.parametrize(("topic", "kept"), [("/tf", 0), ("/tf_static", 1)])
+    def test_what_moves_is_forgotten_with_the_vehicle(self, topic, kept):
+        with opened({"setpoint_attitude": {"tf": {"listen": True}}}) as bench:
+            self.tell(bench, "map", "target_attitude", 2000, (0.0, 0.0, 0.0), 0.3, topic)
+            for plugin in bench.uas.plugins:
+                plugin.connected(False)
+            bench.call("setpoint_attitude/thrust", Thrust(thrust=0.6))
+            assert len(bench.received()) == kept
+
+    @pytest.mark.parametrize("rate", [0.0, -1.0, math.inf])
+    def test_a_rate_that_makes_no_sense_is_refused(self, rate):
+        with pytest.raises(ValueError, match="setpoint_position/tf/rate_limit"):
+            Bench(PLUGINS, {"setpoint_position": {"tf": {"listen": True, "rate_limit": rate}}})
 
 
 def global_target(frame=5, mask=0, **fields):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -100,6 +101,7 @@ def _record_maker(cls: Any) -> Callable[[tuple[Any, ...]], Any]:
     return lambda values: make(values[i] if single else values[i:j] for i, j, single in layout)
 
 
+@cache  # a named tuple's class takes long to make, and every vehicle of a large fleet wants the same ones
 def decoder(name: str) -> Decoder:
     """Return the function that decodes a frame of message ``name`` into an object with the message's fields.
 

@@ -123,8 +123,7 @@ class Uas:
 
     def topic(self, name: str, message: Any, latch: bool = False) -> Topic:
         """Advertise ``<prefix>/<name>`` (or an absolute name) for messages like ``message``, which is then reused."""
-        path = name if name.startswith("/") else f"{self.prefix}/{name}"
-        topic = Topic(self.ros.publisher(path, type(message), latch), message, latch)
+        topic = Topic(self.ros.publisher(self._path(name), type(message), latch), message, latch)
         self._topics.append(topic)
         return topic
 
@@ -137,7 +136,10 @@ class Uas:
         self._topics.append(topic)
 
     def subscribe(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:
-        """Subscribe to ``<prefix>/<name>``; a value that does not fit into MAVLink is refused with a warning."""
+        """Subscribe to ``<prefix>/<name>`` (or an absolute name).
+
+        A value that does not fit into MAVLink is refused with a warning.
+        """
 
         def accept(message: Any) -> None:
             try:
@@ -145,7 +147,7 @@ class Uas:
             except FieldError as error:
                 self._refuse(name, message, error)
 
-        self.ros.subscriber(f"{self.prefix}/{name}", kind, accept)
+        self.ros.subscriber(self._path(name), kind, accept)
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         """Offer ``<prefix>/<name>``; a value that does not fit into MAVLink is refused with a warning."""
@@ -210,8 +212,11 @@ class Uas:
 
     def _warn_of(self, topic: str, field: str, value: Any, allowed: str) -> None:
         if self._throttle.passes(topic):
-            path = f"{self.prefix}/{topic}"
+            path = self._path(topic)
             log.warning("%s: %s is %s; %s is allowed; the message is not forwarded", path, field, value, allowed)
+
+    def _path(self, name: str) -> str:
+        return name if name.startswith("/") else f"{self.prefix}/{name}"
 
     def warn(self, key: str, text: str, *args: Any) -> None:
         """Log a warning about this vehicle, at most once in a while for each ``key``."""

@@ -17,6 +17,7 @@ from xtdrone_control.mavros.setpoints import (
     vector_fields,
     xyz,
 )
+from xtdrone_control.mavros.tf_listener import TfListener
 from xtdrone_control.mavros.uas import Uas
 
 _ATTITUDE, _RATES, _THRUST = "setpoint_attitude/attitude", "setpoint_attitude/cmd_vel", "setpoint_attitude/thrust"
@@ -29,7 +30,8 @@ class SetpointAttitudePlugin(Plugin):
 
     The angular part of ``cmd_vel`` is body rates (rad/s, FLU); the orientation of ``attitude`` is FLU to ENU of any
     length, its position does not count. Each is sent with the ``thrust`` whose stamp fits best; without one nothing is
-    sent. Thrust is 0..1, with ``setpoint_attitude/reverse_thrust`` -1..1.
+    sent. Thrust is 0..1, with ``setpoint_attitude/reverse_thrust`` -1..1. With ``setpoint_attitude/tf/listen`` the
+    attitude is that of a frame on /tf and goes out with each thrust; there are no other topics then.
     """
 
     name = "setpoint_attitude"
@@ -40,7 +42,10 @@ class SetpointAttitudePlugin(Plugin):
         self._least_thrust = -1.0 if uas.params.get("setpoint_attitude/reverse_thrust", False) else 0.0
         self._pairing = Pairing()
         self._use_quaternion = uas.params.get("setpoint_attitude/use_quaternion", False)
-        if self._use_quaternion:
+        self._listener = None
+        if uas.params.get("setpoint_attitude/tf/listen", False):
+            self._listener = TfListener(uas, self.name, "target_attitude")
+        elif self._use_quaternion:
             uas.subscribe(_ATTITUDE, PoseStamped, self._attitude)
         else:
             uas.subscribe(_RATES, TwistStamped, self._rates)
@@ -49,6 +54,8 @@ class SetpointAttitudePlugin(Plugin):
     def connected(self, connected: bool) -> None:
         """Forget what waits for its partner: the vehicle has gone, or was set back."""
         self._pairing.clear()
+        if self._listener is not None:
+            self._listener.clear()
 
     def _attitude(self, pose: PoseStamped) -> None:
         q = pose.pose.orientation
@@ -65,25 +72,30 @@ class SetpointAttitudePlugin(Plugin):
             self._take(_SETPOINT_SIDE, twist)
 
     def _thrust(self, message: Thrust) -> None:
-        if self._least_thrust <= message.thrust <= 1.0:
+        if not self._least_thrust <= message.thrust <= 1.0:
+            text = "%s: thrust is %s; %g to 1 is allowed; the message is not forwarded"
+            self.uas.warn(_THRUST, text, _THRUST, message.thrust, self._least_thrust)
+        elif self._listener is None:
             self._take(_THRUST_SIDE, message)
-            return
-        text = "%s: thrust is %s; %g to 1 is allowed; the message is not forwarded"
-        self.uas.warn(_THRUST, text, _THRUST, message.thrust, self._least_thrust)
+        elif (transform := self._listener.latest()) is not None:
+            self._send_attitude(transform.header, transform.transform.rotation, message.thrust)
 
     def _take(self, side: int, message: Any) -> None:
         for setpoint, thrust in self._pairing.add(side, message.header.stamp.to_nsec(), message):
-            time_boot_ms = self.uas.boot_ms(setpoint.header)
-            self.uas.link.send(self._target(time_boot_ms, setpoint, thrust.thrust))
+            if self._use_quaternion:
+                self._send_attitude(setpoint.header, setpoint.pose.orientation, thrust.thrust)
+            else:
+                self._send_rates(setpoint.header, setpoint.twist.angular, thrust.thrust)
 
-    def _target(self, time_boot_ms: int, setpoint: Any, thrust: float) -> Any:
-        if not self._use_quaternion:
-            rates = xyz(setpoint.twist.angular)
-            return attitude_target(self.uas, time_boot_ms, ONLY_RATES_THRUST, thrust, rates=rates)
-        q = setpoint.pose.orientation
+    def _send_attitude(self, header: Any, q: Any, thrust: float) -> None:
         norm = _norm(q)
         attitude = q.w / norm, q.x / norm, q.y / norm, q.z / norm
-        return attitude_target(self.uas, time_boot_ms, ONLY_ATTITUDE_THRUST, thrust, attitude)
+        time_boot_ms = self.uas.boot_ms(header)
+        self.uas.link.send(attitude_target(self.uas, time_boot_ms, ONLY_ATTITUDE_THRUST, thrust, attitude))
+
+    def _send_rates(self, header: Any, rates: Any, thrust: float) -> None:
+        time_boot_ms = self.uas.boot_ms(header)
+        self.uas.link.send(attitude_target(self.uas, time_boot_ms, ONLY_RATES_THRUST, thrust, rates=xyz(rates)))
 
 
 def _norm(q: Any) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from geographic_msgs.msg import GeoPoseStamped
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
@@ -19,10 +19,12 @@ from xtdrone_control.mavros.setpoints import (
     vector_fields,
     xyz,
 )
+from xtdrone_control.mavros.tf_listener import TfListener
 from xtdrone_control.mavros.uas import Uas
 
 _GOAL = "setpoint_position/global_to_local"
 _APART_MS = 500  # at most, the vehicle's local and its global position
+_PATIENCE = 1.0  # s between looks for a goal that waits
 
 
 class SetpointPositionPlugin(Plugin):
@@ -33,6 +35,8 @@ class SetpointPositionPlugin(Plugin):
     the goal's. Heights on both are those of ``global_position/global``. The first goal asks the autopilot for the
     vehicle's position; each goal is sent when that has come, the latest alone if there are several. (MAVROS sends at
     once, in the beginning from where it believes to be, and leaves out a goal without a newer stamp.)
+
+    With ``setpoint_position/tf/listen`` the position is that of a frame on /tf, and there are no topics.
     """
 
     name = "setpoint_position"
@@ -43,15 +47,30 @@ class SetpointPositionPlugin(Plugin):
         self._geoid = uas.params.get("global_position/geoid_height", 0.0)
         self._frame = MavFrame(uas, self.name)
         self._goal: GeoPoseStamped | None = None  # waits for the vehicle's position
+        self._waits_long = False  # and has done so when last looked
         self._place, self._local_position = Feed(self._on_place), Feed(None)
         self.messages = {"GLOBAL_POSITION_INT": self._place, "LOCAL_POSITION_NED": self._local_position}
+        self._listener = None
+        if uas.params.get("setpoint_position/tf/listen", False):
+            self._listener = TfListener(uas, self.name, "target_position", self._transform)
+            return
         uas.subscribe("setpoint_position/local", PoseStamped, self._local)
         uas.subscribe("setpoint_position/global", GeoPoseStamped, self._global)
         uas.subscribe(_GOAL, GeoPoseStamped, self._take_goal)
+        uas.timer(_PATIENCE, self._look)
 
     def connected(self, connected: bool) -> None:
         """Forget a goal whose vehicle has gone, or was set back."""
-        self._goal = None
+        self._goal, self._waits_long = None, False
+        if self._listener is not None:
+            self._listener.clear()
+
+    def _transform(self, transform: TransformStamped) -> None:
+        pose = PoseStamped(header=transform.header)
+        pose.pose.orientation = transform.transform.rotation
+        translation = transform.transform.translation
+        if self.uas.finite("/tf", vector_fields("translation", translation)):
+            self._send(xyz(translation), pose)
 
     def _local(self, pose: PoseStamped) -> None:
         p = pose.pose.position
@@ -81,19 +100,22 @@ class SetpointPositionPlugin(Plugin):
             text = "%s: latitude %s, longitude %s are no place; the message is not forwarded"
             self.uas.warn(_GOAL, text, _GOAL, place.latitude, place.longitude)
             return
-        if self._goal is not None:
-            self.uas.warn(_GOAL, "%s: a goal is left out: the vehicle's position has not come since", _GOAL)
         self._goal = pose
         if not self._place.always:
             self._place.always = self._local_position.always = True
             self.uas.refresh()
+
+    def _look(self) -> None:
+        if self._waits_long:
+            self.uas.warn(_GOAL, "%s: a goal waits: the vehicle's place on Earth does not come", _GOAL)
+        self._waits_long = self._goal is not None
 
     def _on_place(self, place: Any) -> None:
         """Send the goal that waits, seen from the vehicle's place (GLOBAL_POSITION_INT)."""
         local, pose = self.uas.latest("LOCAL_POSITION_NED"), self._goal
         if pose is None or local is None or abs(local.time_boot_ms - place.time_boot_ms) > _APART_MS:
             return
-        self._goal = None
+        self._goal, self._waits_long = None, False
         goal = pose.pose.position
         here = place.lat / 1e7, place.lon / 1e7, place.alt / 1e3 + self._geoid
         way = frames.geodetic_to_enu((goal.latitude, goal.longitude, goal.altitude), here)
