@@ -14,7 +14,7 @@ import rospy
 from gazebo_msgs.msg import ModelStates
 from geographic_msgs.msg import GeoPoseStamped
 from geometry_msgs.msg import PoseStamped, Quaternion, Transform, TwistStamped, Vector3, Vector3Stamped
-from mavros_msgs.msg import AttitudeTarget, GlobalPositionTarget, Thrust
+from mavros_msgs.msg import AttitudeTarget, GlobalPositionTarget, ManualControl, Thrust
 from mavros_msgs.srv import CommandBool, SetMode
 from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
@@ -47,6 +47,7 @@ class Pilot:
             "setpoint_position/global_to_local": GeoPoseStamped,
             "setpoint_accel/accel": Vector3Stamped,
             "setpoint_trajectory/local": MultiDOFJointTrajectory,
+            "manual_control/send": ManualControl,
         }
         if self._attitude_topic:
             kinds["setpoint_attitude/attitude"] = PoseStamped
@@ -55,7 +56,8 @@ class Pilot:
         self._mouths = {topic: lockstep.Publisher(MAVROS + topic, kind) for topic, kind in kinds.items()}
         lockstep.Subscriber("/gazebo/model_states", ModelStates, self._see)
         lockstep.Subscriber(MAVROS + "setpoint_raw/target_attitude", AttitudeTarget, self._feel)
-        self._pose = self._twist = None
+        lockstep.Subscriber(MAVROS + "manual_control/control", ManualControl, self._note)
+        self._pose = self._twist = self._sticks = None
         self._thrust = 0.0
         self._legs: dict[str, object] = {}
         self._course = self._fly()
@@ -71,6 +73,9 @@ class Pilot:
 
     def _feel(self, target: AttitudeTarget) -> None:
         self._thrust = target.thrust
+
+    def _note(self, control: ManualControl) -> None:
+        self._sticks = control
 
     def _place(self) -> tuple[float, float, float]:
         p = self._pose.position
@@ -106,6 +111,10 @@ class Pilot:
         x, y, z = self._place()
         self._draw([(x + 0.1 * i, y, z) for i in range(21)])
         yield from self._leg("trajectory", 2.5, lambda: None)
+        yield from self._leg("hands on", 0.5, lambda: self._push(0.0))
+        self._legs["pilot"] = [rospy.ServiceProxy(MAVROS + "set_mode", SetMode)(custom_mode="POSCTL").mode_sent]
+        yield from self._leg("sticks", 2.0, lambda: self._push(300.0))
+        self._legs["followed"] = [self._sticks.x, self._sticks.z]
 
     def _geo(self, east: float, north: float) -> GeoPoseStamped:
         message = GeoPoseStamped()
@@ -142,6 +151,9 @@ class Pilot:
 
     def _accelerate(self, acceleration: tuple[float, float, float]) -> None:
         self._say("setpoint_accel/accel", Vector3Stamped(vector=Vector3(*acceleration)))
+
+    def _push(self, x: float) -> None:
+        self._say("manual_control/send", ManualControl(x=x, z=500.0))
 
     def _draw(self, places: list[tuple[float, float, float]]) -> None:
         message = MultiDOFJointTrajectory()

@@ -71,3 +71,11 @@ def test_setpoint_trajectory_leads_it_along(legs: dict[str, Leg]) -> None:
     begin, end = legs["trajectory"]
     assert 0.7 < end[0] - begin[0] < 2.5
     assert end[1] == pytest.approx(begin[1], abs=PLACE)
+
+
+def test_manual_control_flies_it_by_hand(legs: dict[str, Leg]) -> None:
+    """The stick leads forward, and it heads east."""
+    begin, end = legs["sticks"]
+    assert 0.5 < end[0] - begin[0] < 4.0
+    assert end[1:] == pytest.approx(begin[1:], abs=PLACE)
+    assert legs["followed"] == pytest.approx([0.3, 0.5], abs=1e-3)
