@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_control.mavros.pairing import Pairing
@@ -53,6 +53,7 @@ def test_nothing_comes_after_clear():
     assert pairing.add(1, 5, "b") == []
 
 
+@settings(max_examples=50)
 @given(
     st.lists(st.tuples(st.integers(0, 1), st.integers(0, 20)), max_size=60),
     st.integers(1, 5),
@@ -70,6 +71,7 @@ def test_each_is_used_once_and_in_order(steps, size):
         assert len(set(used)) == len(used)
 
 
+@settings(max_examples=50)
 @given(st.integers(1, 100), st.integers(-49, 49))
 def test_two_regular_streams_pair_with_the_nearest(period, percent):
     """A thrust that comes with each attitude, its stamp less than half a period off, is its partner."""

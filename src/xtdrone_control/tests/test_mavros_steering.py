@@ -278,10 +278,15 @@ class TestGlobalPosition:
         bench.send(self.LOCAL, self.HERE)
         assert bench.received() == [], "a goal is sent once"
 
-    def test_the_position_is_asked_for_from_the_first_goal_on(self, bench):
+    def test_the_position_is_asked_for_while_goals_come(self, bench):
         assert not {32, 33} & bench.link.wanted
         bench.call("setpoint_position/global_to_local", geo_pose())
         assert {32, 33} <= bench.link.wanted
+        bench.send(self.LOCAL, self.HERE)
+        for seconds in range(11):
+            assert {32, 33} <= bench.link.wanted
+            bench.uas.step(seconds * 1_000_000_000)
+        assert not {32, 33} & bench.link.wanted
 
     def test_a_goal_waits_for_positions_of_one_time(self, bench):
         bench.call("setpoint_position/global_to_local", geo_pose())

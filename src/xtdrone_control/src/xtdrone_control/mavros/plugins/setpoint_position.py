@@ -24,7 +24,8 @@ from xtdrone_control.mavros.uas import Uas
 
 _GOAL = "setpoint_position/global_to_local"
 _APART_MS = 500  # at most, the vehicle's local and its global position
-_PATIENCE = 1.0  # s between looks for a goal that waits
+_LOOK_PERIOD = 1.0  # s between looks for a goal that waits, and whether any have come
+_QUIET_LOOKS = 10  # without a goal, after which the vehicle's position is not wanted any more
 
 
 class SetpointPositionPlugin(Plugin):
@@ -32,9 +33,9 @@ class SetpointPositionPlugin(Plugin):
 
     ``local`` is metres ENU. ``global`` is sent as it is, its altitude above mean sea level as PX4 takes it.
     ``global_to_local`` is turned here into a local position: the vehicle's own plus the way from its place on Earth to
-    the goal's. Heights on both are those of ``global_position/global``. The first goal asks the autopilot for the
-    vehicle's position; each goal is sent when that has come, the latest alone if there are several. (MAVROS sends at
-    once, in the beginning from where it believes to be, and leaves out a goal without a newer stamp.)
+    the goal's. Heights on both are those of ``global_position/global``. Goals make the plugin ask the autopilot for the
+    vehicle's position; each is sent when that has come, the latest alone if there are several. (MAVROS sends at once,
+    in the beginning from where it believes to be, and leaves out a goal without a newer stamp.)
 
     With ``setpoint_position/tf/listen`` the position is that of a frame on /tf, and there are no topics.
     """
@@ -48,6 +49,7 @@ class SetpointPositionPlugin(Plugin):
         self._frame = MavFrame(uas, self.name)
         self._goal: GeoPoseStamped | None = None  # waits for the vehicle's position
         self._waits_long = False  # and has done so when last looked
+        self._quiet = 0  # looks since the last goal
         self._place, self._local_position = Feed(self._on_place), Feed(None)
         self.messages = {"GLOBAL_POSITION_INT": self._place, "LOCAL_POSITION_NED": self._local_position}
         self._listener = None
@@ -57,7 +59,7 @@ class SetpointPositionPlugin(Plugin):
         uas.subscribe("setpoint_position/local", PoseStamped, self._local)
         uas.subscribe("setpoint_position/global", GeoPoseStamped, self._global)
         uas.subscribe(_GOAL, GeoPoseStamped, self._take_goal)
-        uas.timer(_PATIENCE, self._look)
+        uas.timer(_LOOK_PERIOD, self._look)
 
     def connected(self, connected: bool) -> None:
         """Forget a goal whose vehicle has gone, or was set back."""
@@ -100,20 +102,30 @@ class SetpointPositionPlugin(Plugin):
             text = "%s: latitude %s, longitude %s are no place; the message is not forwarded"
             self.uas.warn(_GOAL, text, _GOAL, place.latitude, place.longitude)
             return
-        self._goal = pose
-        if not self._place.always:
-            self._place.always = self._local_position.always = True
+        self._goal, self._quiet = pose, 0
+        self._want_place(True)
+
+    def _want_place(self, wanted: bool) -> None:
+        """Ask the autopilot for the vehicle's position, or no more."""
+        if wanted != self._place.always:
+            self._place.always = self._local_position.always = wanted
             self.uas.refresh()
 
     def _look(self) -> None:
         if self._waits_long:
             self.uas.warn(_GOAL, "%s: a goal waits: the vehicle's place on Earth does not come", _GOAL)
         self._waits_long = self._goal is not None
+        self._quiet += 1
+        if self._quiet > _QUIET_LOOKS and self._goal is None:
+            self._want_place(False)
 
     def _on_place(self, place: Any) -> None:
         """Send the goal that waits, seen from the vehicle's place (GLOBAL_POSITION_INT)."""
-        local, pose = self.uas.latest("LOCAL_POSITION_NED"), self._goal
-        if pose is None or local is None or abs(local.time_boot_ms - place.time_boot_ms) > _APART_MS:
+        pose = self._goal
+        if pose is None:
+            return
+        local = self.uas.latest("LOCAL_POSITION_NED")
+        if local is None or abs(local.time_boot_ms - place.time_boot_ms) > _APART_MS:
             return
         self._goal, self._waits_long = None, False
         goal = pose.pose.position

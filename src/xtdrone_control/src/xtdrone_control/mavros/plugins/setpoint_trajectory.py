@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -44,6 +45,7 @@ class SetpointTrajectoryPlugin(Plugin):
         self._desired.message.header.frame_id = uas.params.get("setpoint_trajectory/frame_id", "map")
         self._points: list[MultiDOFJointTrajectoryPoint] = []  # not sent yet
         self._start_ns = 0
+        self._lock = Lock()  # reset comes in a thread of its own
         uas.subscribe(_TOPIC, MultiDOFJointTrajectory, self._take)
         uas.service("setpoint_trajectory/reset", Trigger, self._reset)
         uas.timer(_EVERY_STEP, self._step)
@@ -60,8 +62,9 @@ class SetpointTrajectoryPlugin(Plugin):
         fields = [field for index, point in enumerate(points) for field in _fields(f"points[{index}]", point)]
         if not self.uas.finite(_TOPIC, fields):
             return
-        self._start_ns = self.uas.ros.now_ns()
-        self._points = list(points)
+        with self._lock:
+            self._start_ns = self.uas.ros.now_ns()
+            self._points = list(points)
         if self._desired.taken:
             self._publish(points)
 
@@ -72,16 +75,18 @@ class SetpointTrajectoryPlugin(Plugin):
         self._desired.publish(path)
 
     def _step(self) -> None:
-        points = self._points
-        if not points:
-            return
-        elapsed_ns = self.uas.now_ns - self._start_ns
-        due = 0
-        while due < len(points) and points[due].time_from_start.to_nsec() <= elapsed_ns:
-            due += 1
-        if due:
+        if self._points and (point := self._take_due()) is not None:
+            self._send(point)
+
+    def _take_due(self) -> MultiDOFJointTrajectoryPoint | None:
+        """Take off the points whose time has come and return the last of them."""
+        with self._lock:
+            points, elapsed_ns = self._points, self.uas.now_ns - self._start_ns
+            due = 0
+            while due < len(points) and points[due].time_from_start.to_nsec() <= elapsed_ns:
+                due += 1
             self._points = points[due:]
-            self._send(points[due - 1])
+        return points[due - 1] if due else None
 
     def _send(self, point: MultiDOFJointTrajectoryPoint) -> None:
         mask = 0
@@ -107,10 +112,9 @@ class SetpointTrajectoryPlugin(Plugin):
         )
 
     def _reset(self, _: Any) -> TriggerResponse:
-        if not self._points:
-            return TriggerResponse(success=False, message="no trajectory is being flown")
-        self._points = []
-        return TriggerResponse(success=True, message="")
+        with self._lock:
+            flying, self._points = bool(self._points), []
+        return TriggerResponse(success=flying, message="" if flying else "no trajectory is being flown")
 
 
 def _fields(name: str, point: MultiDOFJointTrajectoryPoint) -> list[tuple[str, float]]:
