@@ -32,12 +32,12 @@ class TfListener:
             plugin: whose settings hold.
             child: the child frame where the settings name none.
             take: called at the rate with the latest transform, also when it is the same as before, as in MAVROS; None
-                for who asks by ``latest`` alone.
+                when the plugin asks by ``latest`` alone.
 
         Raises:
             ValueError: a rate that is not positive and finite.
         """
-        import tf2_py  # only who listens needs it
+        import tf2_py  # a node that does not listen starts without it
 
         get = uas.params.get
         self._frame = get(f"{plugin}/tf/frame_id", "map")
