@@ -35,7 +35,8 @@ class Firmware:
 
     def __init__(self, vehicle: Vehicle) -> None:
         model = load_vehicle(vehicle.type)
-        parameters = Parameters({**model.parameters, "EKF2_MAG_DECL": 3.0, "CBRK_SUPPLY_CHK": 894281})
+        own = {"EKF2_MAG_DECL": 3.0, "CBRK_SUPPLY_CHK": 894281, "MPC_TKO_RAMP_T": 1.0}
+        parameters = Parameters({**model.parameters, **own})
         self.autopilot = Autopilot([model.rotor_layout], None)
         parameters.write_to(self.autopilot.params[0])
         self.commander = Commander(vehicle, self.autopilot, parameters, 0)

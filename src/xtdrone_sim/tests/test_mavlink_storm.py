@@ -140,6 +140,7 @@ class World:
     def __init__(self) -> None:
         self.vehicle = Elsewhere("iris", 0, 0)
         self.simulation = Simulation((self.vehicle,), seed=3)
+        self.simulation.commanders[0].parameters.set("MPC_TKO_RAMP_T", 1.0)  # soon in the air
         self.server = MavlinkServer((self.vehicle,), self.simulation.autopilot, self.simulation.commanders)
         self.client = Speaker(self.vehicle.offboard_remote_port, self.vehicle.offboard_local_port)
 

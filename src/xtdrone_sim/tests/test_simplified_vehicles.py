@@ -87,7 +87,7 @@ def test_position_is_approached_as_a_p_controller_does():
     vehicles = flown(Model(order=1))
     vehicles.steer_one(0, POSITION, (1.0, -2.0, 101.0))
     fly(vehicles, 2.0)
-    left = (1.0 - 0.8 * 0.004) ** 500
+    left = (1.0 - 0.95 * 0.004) ** 500
     assert vehicles.position[0, :2] == pytest.approx([1.0 - left, -2.0 + 2.0 * left], abs=1e-12)
     assert vehicles.position[0, 2] == pytest.approx(101.0 - (1.0 - 0.004) ** 500, abs=1e-11)
 

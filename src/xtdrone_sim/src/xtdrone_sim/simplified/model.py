@@ -74,7 +74,7 @@ class Model:
     acceleration_vertical: float = 8.0
     delay: float = 0.145
     delay_vertical: float = 0.023
-    position_gain: float = 0.8
+    position_gain: float = 0.95
     position_gain_vertical: float = 1.0
     yaw_rate: float = 3.5
     yaw_gain: float = 2.8
