@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import FLEET, START_LIMIT, WALL_LIMIT, Graph, Stack, poll, wait_for_ports
+from conftest import FLEET, REPOSITORY, START_LIMIT, WALL_LIMIT, Graph, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
@@ -25,6 +27,12 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import BatteryState, Imu, NavSatFix
 from std_msgs.msg import Float64
+
+from xtdrone_control import waypoint_file
+from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.mavros.programs import mavcmd, mavparam, mavsafety, mavsys, mavwp, parameter_formats
+from xtdrone_control.mavros.programs.client import ProgramError, execute
+from xtdrone_control.waypoint_file import Row
 
 DATUM = (47.397742, 8.545594, 488.0)  # of the world "empty": degrees, degrees, m AMSL
 GEOID = 47.3  # m over the ellipsoid there
@@ -234,6 +242,109 @@ def test_a_real_client_gets_acks_and_messages(stack: Stack, station: Station) ->
 
 
 # ---- in flight
+
+
+class Typed:
+    """A program of MAVROS as it is typed, against iris_0's MAVROS; in this process, which is a node already."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, program: Any, line: str) -> str:
+        """Return what it prints."""
+        self._capsys.readouterr()
+        execute(program.parser(), ["-n", "iris_0/mavros", *line.split()])
+        return str(self._capsys.readouterr().out)
+
+    def fails(self, program: Any, line: str) -> str:
+        """Return its last words."""
+        with pytest.raises(ProgramError) as error:
+            self(program, line)
+        return str(error.value)
+
+
+@pytest.fixture
+def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
+    return Typed(capsys)
+
+
+def test_mavros_s_programs_read_and_write_parameters(stack: Stack, typed: Typed, tmp_path: Path) -> None:
+    before = typed(mavparam, "get MPC_XY_VEL_MAX")
+    assert typed(mavparam, "set MPC_XY_VEL_MAX 7.5") == "7.5\n"
+    assert typed(mavparam, "set NAV_RCL_ACT 1") == "1\n"
+    for name in ("all.txt", "all.parm"):
+        assert "Parameters received: " in typed(mavparam, f"-v dump {tmp_path / name}")
+        values = parameter_formats.read((tmp_path / name).read_text(), name)
+        assert (len(values) > 500, values["MPC_XY_VEL_MAX"], values["NAV_RCL_ACT"]) == (True, 7.5, 1)
+    assert typed(mavparam, f"set MPC_XY_VEL_MAX {before}") == before
+    assert "Parameters transfered: 1\n" in typed(mavparam, f"-v load {tmp_path / 'all.txt'}")
+    assert typed(mavparam, "get MPC_XY_VEL_MAX") == "7.5\n"
+    (tmp_path / "some.parm").write_text(f"MPC_XY_VEL_MAX {before}\nNO_SUCH_NAME 1\n")
+    assert typed.fails(mavparam, f"load {tmp_path / 'some.parm'}") == (
+        "1 of 2 parameters are not taken: NO_SUCH_NAME is not there"
+    )
+    assert typed(mavparam, "get MPC_XY_VEL_MAX") == before
+    assert "no such parameter" in typed.fails(mavparam, "get NO_SUCH_NAME")
+    assert "'7,5' is not allowed" in typed.fails(mavparam, "set MPC_XY_VEL_MAX 7,5")
+    assert "No such file" in typed.fails(mavparam, f"load {tmp_path / 'none'}")
+
+
+def test_mavros_s_programs_carry_missions(stack: Stack, typed: Typed, tmp_path: Path) -> None:
+    takeoff = PlanItem(22, 3, (0.0, 0.0, 0.0, math.nan), DATUM[0], DATUM[1], 10.0)
+    points = [PlanItem(16, 3, (float(i), 0.0, 0.0, 0.0), DATUM[0] + i * 1e-4, DATUM[1], 10.0) for i in (1, 2)]
+    rows = [Row(item, i == 0) for i, item in enumerate((takeoff, *points))]
+    mine, theirs = tmp_path / "mine.waypoints", tmp_path / "theirs.waypoints"
+    mine.write_text(waypoint_file.write(rows))
+    assert typed(mavwp, f"-v load {mine}") == "Waypoints transfered: 3\n"
+    typed(mavwp, f"dump {theirs}")
+    found = waypoint_file.read(theirs.read_text(), "theirs")
+    assert [row.item.command for row in found] == [22, 16, 16]
+    assert [row.item.x for row in found] == pytest.approx([row.item.x for row in rows], abs=1e-7)
+    assert typed(mavwp, "-v set 2") == "Command ACK: 0\nSet current done.\n"
+    assert "WAYPOINT (16)" in typed(mavwp, "show")
+    assert len(typed(mavwp, "show -p").splitlines()) == 7  # names, three items, three rules
+    assert typed(mavwp, f"-v load -p {mine}").startswith("Home: latitude 47.39")
+    assert "has not taken the mission" in typed.fails(mavwp, f"load -s 1 {mine}")
+    assert typed(mavwp, "-v clear").endswith("Waypoints cleared\n")
+    assert typed(mavwp, "-v pull") == "Waypoints received: 0\n"
+
+
+def test_mavros_s_programs_command(stack: Stack, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert typed(mavsys, "--wait mode -c auto.loiter") == "Mode changed.\n"
+    assert "mode AUTO.NOWHERE is not known" in typed.fails(mavsys, "mode -c auto.nowhere")
+    assert typed(mavsys, "rate --position 5 --stream-id 10 5") == ""
+    assert typed(mavsys, "-v message_interval --id 32 --rate 0") == "Command ACK: 0\n"
+    assert "a value is not allowed" in typed.fails(mavsys, "rate --all 70000")
+    assert typed(mavcmd, "-v long 511 32 0 0 0 0 0 0") == "Command ACK: 0\n"
+    assert "MAV_RESULT 3 (unsupported)" in typed.fails(mavcmd, "long 31000 0 0 0 0 0 0 0")
+    assert typed(mavcmd, "-v sethome -c 0 0 0") == "Command ACK: 0\n"
+    assert typed(mavsafety, "-v arm") == "Command ACK: 0\n"
+    stack.wait_state(0, armed=True)
+    assert typed(mavsafety, "-v kill") == "Command ACK: 0\n"
+    stack.wait_state(0, armed=False)
+    monkeypatch.setattr(mavsafety, "_SUBSCRIBER_LIMIT", 0.0)
+    assert "no MAVROS subscribes to it" in typed.fails(mavsafety, "safetyarea -p1 0 0 0 -p2 9 9 9")
+
+
+def test_mavros_s_programs_are_found_by_their_names(stack: Stack) -> None:
+    """Each is run once, all at the same time; one speaks to a MAVROS that is not there."""
+    folder = REPOSITORY / "src/xtdrone_control/mavros"
+    lines = {
+        "mavsys": "-n iris_0/mavros message_interval --id 32 --rate 0",
+        "mavcmd": "-n /iris_0/mavros long 511 32 0 0 0 0 0 0",
+        "mavparam": "-n iris_0/mavros get SYS_AUTOSTART",
+        "mavwp": "-n iris_0/mavros dump -",
+        "mavsafety": "arm",
+    }
+    start = {name: [sys.executable, str(folder / name)] for name in lines} | {"mavwp": ["rosrun", "mavros", "mavwp"]}
+    programs = {name: stack.start(name, [*start[name], *line.split()]) for name, line in lines.items()}
+    codes = {name: program.end() for name, program in programs.items()}
+    assert codes == dict.fromkeys(lines, 0) | {"mavsafety": 1}, {n: p.output for n, p in programs.items()}
+    assert programs["mavparam"].output.strip().isdigit()
+    assert programs["mavwp"].output.split() == ["QGC", "WPL", "120"]
+    assert programs["mavsafety"].output == (
+        "mavsafety: service /mavros/cmd/arming is not offered; name a MAVROS by -n: iris_0/mavros, iris_1/mavros\n"
+    )
 
 
 def test_taking_off_is_told_by_texts_and_states(stack: Stack, station: Station) -> None:

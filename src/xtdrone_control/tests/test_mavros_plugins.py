@@ -9,7 +9,14 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from mavros_fakes import Bench
 from mavros_msgs.msg import AttitudeTarget, HomePosition, PositionTarget, StatusText
-from mavros_msgs.srv import CommandBoolRequest, CommandTOLRequest, SetMavFrameRequest, SetModeRequest
+from mavros_msgs.srv import (
+    CommandBoolRequest,
+    CommandTOLRequest,
+    CommandTriggerControlRequest,
+    CommandTriggerIntervalRequest,
+    SetMavFrameRequest,
+    SetModeRequest,
+)
 from nav_msgs.msg import Odometry
 from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix
@@ -577,6 +584,16 @@ class TestCommandServices:
         response, sent = answered("cmd/takeoff", request, 0)
         assert response.success
         assert (sent.command, sent.param4, sent.param5, sent.param6, sent.param7) == (22, 90.0, 47.5, 8.5, 500.0)
+
+    def test_camera_trigger(self, answered):
+        request = CommandTriggerControlRequest(trigger_enable=True, sequence_reset=False, trigger_pause=True)
+        response, sent = answered("cmd/trigger_control", request, 3)
+        assert (response.success, response.result) == (False, 3)
+        assert (sent.command, sent.param1, sent.param2, sent.param3) == (2003, 1.0, 0.0, 1.0)
+        request = CommandTriggerIntervalRequest(cycle_time=250.0, integration_time=5.0)
+        response, sent = answered("cmd/trigger_interval", request, 0)
+        assert response.success
+        assert (sent.command, sent.param1, sent.param2) == (214, 250.0, 5.0)
 
 
 class TestDemand:

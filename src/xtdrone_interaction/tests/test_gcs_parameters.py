@@ -1,4 +1,4 @@
-"""Parameters by the ground station: files, encodings, and real doors while time stands."""
+"""Parameters by the ground station: encodings, and real doors while time stands."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control import parameter_text
 from xtdrone_control.autopilot.parameters import NAMES
-from xtdrone_interaction.gcs import GcsError, Peer, command, parameter_text, parameters, station
+from xtdrone_control.parameter_text import LIMITS, REAL32, ParameterFile
+from xtdrone_interaction.gcs import GcsError, Peer, command, parameters, station
 from xtdrone_interaction.gcs.exchanges import RefusalError
-from xtdrone_interaction.gcs.parameter_text import LIMITS, REAL32, ParameterFile, ParameterFileError
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 INT32 = 6
@@ -24,68 +25,6 @@ whole = st.sampled_from(sorted(LIMITS)).flatmap(
     lambda kind: st.integers(*LIMITS[kind]).map(lambda value: (value, kind))
 )
 values = st.one_of(floats, whole)
-names = st.from_regex(r"[A-Z][A-Z0-9_]{0,15}", fullmatch=True)
-files = st.builds(
-    ParameterFile, st.integers(1, 255), st.dictionaries(names, values, min_size=1), st.sampled_from(["", "PX4 Pro"])
-)
-
-
-# ---- files
-
-
-@settings(max_examples=100, deadline=None)
-@given(files)
-def test_what_is_written_is_read_again(content):
-    assert parameter_text.parse(parameter_text.text_of(content)) == content
-
-
-def test_a_file_of_qgroundcontrol_is_read(tmp_path):
-    path = tmp_path / "a.params"
-    path.write_text(
-        "# Onboard parameters for Vehicle 1\n#\n# Stack: PX4 Pro\n# Vehicle: Multi-Rotor\n# Version: 1.14.3 \n#\n"
-        "# Vehicle-Id Component-Id Name Value Type\n"
-        "1\t1\tMPC_XY_VEL_MAX\t12.000000000000000000\t9\n1\t1\tSYS_AUTOSTART\t4001\t6\n"
-    )
-    content = parameter_text.read(path)
-    assert content == ParameterFile(1, {"MPC_XY_VEL_MAX": (12.0, 9), "SYS_AUTOSTART": (4001, 6)}, "PX4 Pro")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "no parameters are in it"),
-        ("1 1 A 1 9", "line 1: 1 columns are not allowed, 5 with tabs between"),
-        ("1\t1\tA\t1\t9\n2\t1\tB\t1\t9", "parameters of several vehicles: 1, 2"),
-        ("1\t1\tA\t1\t9\n1\t1\tA\t2\t9", "line 2: A stands there a second time"),
-        ("0\t1\tA\t1\t9", "vehicle id '0' is not allowed, 1 to 255"),
-        ("1\t1\tA B\t1\t9", "name 'A B' is not allowed"),
-        ("1\t1\tA\tnan\t9", "A: 'nan' of type '9' is not allowed, a finite number"),
-        ("1\t1\tA\t1e60\t9", "a finite number of 32 bits"),
-        ("1\t1\tA\t1.5\t6", "a whole number from -2147483648 to 2147483647"),
-        ("1\t1\tA\tinf\t6", "a whole number"),
-        ("1\t1\tA\tx\t6", "a whole number"),
-        ("1\t1\tA\t300\t2", "a whole number from -128 to 127"),
-        ("1\t1\tA\t1\t10", "a type of 1, 2, 3, 4, 5, 6 or 9"),
-        ("1\t1\tA\t1\tfloat", "a type of"),
-    ],
-)
-def test_files_that_are_none(text, message):
-    with pytest.raises(ParameterFileError) as error:
-        parameter_text.parse(text, "a.params")
-    assert message in str(error.value)
-    assert str(error.value).startswith("a.params")
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
-        parameter_text.read(tmp_path / "none.params")
-
-
-def test_a_file_without_an_end_is_refused(tmp_path):
-    with (tmp_path / "large.params").open("wb") as file:
-        file.truncate(1 << 30)
-    with pytest.raises(ParameterFileError, match=r"cannot be read: it has 1024\.0 MB, at most 4 MB are allowed"):
-        parameter_text.read(tmp_path / "large.params")
 
 
 # ---- encodings

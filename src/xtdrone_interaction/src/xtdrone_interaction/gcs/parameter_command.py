@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from xtdrone_control.parameter_text import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
+
 from . import parameters, station
 from .arguments import Adder, UsageError, chosen, run
 from .display import Display, tell_errors
 from .exchanges import Beat, Exchange
-from .parameter_text import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
 from .peers import GcsError, Peer
 
 _WILD = frozenset("*?[")

@@ -13,8 +13,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.parameter_text import LIMITS, REAL32, ParameterFile, Value, as_float32, checked, shown
+
 from .exchanges import Beat, Exchange, Progress, RefusalError, nobody, request
-from .parameter_text import LIMITS, REAL32, ParameterFile, Value, as_float32, checked, shown
 
 IDENTITY = ("MAV_SYS_ID", "MAV_COMP_ID", "SYSID_THISMAV", "MAV_SYSID")
 """Parameters that say who a vehicle is; no other vehicle may have them."""

@@ -15,6 +15,10 @@ from mavros_msgs.srv import (
     CommandLongResponse,
     CommandTOL,
     CommandTOLResponse,
+    CommandTriggerControl,
+    CommandTriggerControlResponse,
+    CommandTriggerInterval,
+    CommandTriggerIntervalResponse,
     CommandVtolTransition,
     CommandVtolTransitionResponse,
 )
@@ -43,6 +47,8 @@ class CommandPlugin(Plugin):
         uas.service("cmd/set_home", CommandHome, self._set_home)
         uas.service("cmd/takeoff", CommandTOL, self._takeoff)
         uas.service("cmd/land", CommandTOL, self._land)
+        uas.service("cmd/trigger_control", CommandTriggerControl, self._trigger_control)
+        uas.service("cmd/trigger_interval", CommandTriggerInterval, self._trigger_interval)
         uas.service("cmd/vtol_transition", CommandVtolTransition, self._vtol_transition)
 
     def _on_ack(self, frame: bytes) -> None:
@@ -119,6 +125,14 @@ class CommandPlugin(Plugin):
     def _land(self, request: Any) -> CommandTOLResponse:
         place = request.latitude, request.longitude, request.altitude
         return CommandTOLResponse(*self._call(mavlink.MAV_CMD_NAV_LAND, 0.0, 0.0, 0.0, request.yaw, *place))
+
+    def _trigger_control(self, request: Any) -> CommandTriggerControlResponse:
+        flags = (request.trigger_enable, request.sequence_reset, request.trigger_pause)
+        return CommandTriggerControlResponse(*self._call(mavlink.MAV_CMD_DO_TRIGGER_CONTROL, *map(float, flags)))
+
+    def _trigger_interval(self, request: Any) -> CommandTriggerIntervalResponse:
+        times = (request.cycle_time, request.integration_time)
+        return CommandTriggerIntervalResponse(*self._call(mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, *times))
 
     def _vtol_transition(self, request: Any) -> CommandVtolTransitionResponse:
         state = float(request.state)

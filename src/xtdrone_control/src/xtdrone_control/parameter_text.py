@@ -159,7 +159,7 @@ def text_of(content: ParameterFile) -> str:
     lines += ["# Vehicle-Id Component-Id Name Value Type"]
     for name in sorted(content.values):
         value, kind = content.values[name]
-        lines.append(f"{content.system}\t1\t{name}\t{shown(value, kind)}\t{kind}")
+        lines.append(f"{content.system}\t1\t{name}\t{written(value, kind)}\t{kind}")
     return "\n".join(lines) + "\n"
 
 
@@ -168,6 +168,11 @@ def shown(value: float, kind: int) -> str:
     if kind != REAL32:
         return str(int(value))
     return str(np.float32(value)).removesuffix(".0")
+
+
+def written(value: float, kind: int) -> str:
+    """Return a value as files have it: a REAL32 always with a decimal point, by which MAVROS's mavparam knows it."""
+    return np.format_float_positional(np.float32(value), trim="0") if kind == REAL32 else str(int(value))
 
 
 def write(path: Path, content: ParameterFile) -> None:

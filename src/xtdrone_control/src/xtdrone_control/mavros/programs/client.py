@@ -1,0 +1,276 @@
+"""What MAVROS's programs share: their common arguments, calls of services, messages of topics, and how they end."""
+
+from __future__ import annotations
+
+import argparse
+import queue
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import genpy
+import rosgraph
+import rospy
+from mavros_msgs.msg import State
+
+from xtdrone_control.bounded_file import MOST_TEXT, ContentError, read_text
+
+DEFAULT_NAMESPACE = "mavros"
+STANDARD = "-"
+"""In place of a file's name: standard input or output."""
+
+_WALL_LIMIT = 30.0  # s; ROS's time may stand still
+_SLICE = 0.05  # s between looks at ROS's time
+_CONNECT_LIMIT = 3.0  # s of wall time for a topic's connection
+_INTERRUPTED = 130
+_RESULTS = (
+    "accepted",
+    "temporarily rejected",
+    "denied",
+    "unsupported",
+    "failed",
+    "in progress",
+    "cancelled",
+)  # MAV_RESULT
+
+Handler = Callable[["Mavros", argparse.Namespace], None]
+
+
+class ProgramError(Exception):
+    """What was asked for was not done: the message is one line."""
+
+
+def result_words(result: int) -> str:
+    """Return a MAV_RESULT as number and word."""
+    return f"{result} ({_RESULTS[result]})" if result < len(_RESULTS) else str(result)
+
+
+class Ear:
+    """A subscription whose messages wait to be taken."""
+
+    def __init__(self, topic: str, kind: type) -> None:
+        """Subscribe.
+
+        Args:
+            topic: its absolute name.
+            kind: its message type.
+        """
+        self._messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._subscriber = rospy.Subscriber(topic, kind, self._messages.put, queue_size=100, tcp_nodelay=True)
+
+    def connected(self) -> bool:
+        """Wait until there is a publisher, 3 s at most, and return whether there is."""
+        end = time.monotonic() + _CONNECT_LIMIT
+        while not self._subscriber.get_num_connections():
+            if time.monotonic() > end or rospy.is_shutdown():
+                return False
+            time.sleep(_SLICE)
+        return True
+
+    def next(self, limit: float | None, fits: Callable[[Any], bool] = lambda _: True) -> Any:
+        """Return the next message that fits, None when the time is over.
+
+        Args:
+            limit: s by the wall's clock and by ROS's, whichever takes longer, and 30 s of wall time at most, for ROS's
+                may stand still; None: any time.
+            fits: says whether it is one that is waited for.
+        """
+        begun, ros_begun = time.monotonic(), 0.0
+        while not rospy.is_shutdown():
+            try:
+                message = self._messages.get(timeout=_SLICE)
+            except queue.Empty:
+                pass
+            else:
+                if fits(message):
+                    return message
+            waited = time.monotonic() - begun
+            ros_begun = ros_begun or rospy.get_time()  # 0 until /clock has come
+            if limit is not None and waited > limit and (waited > _WALL_LIMIT or rospy.get_time() - ros_begun > limit):
+                return None
+        return None
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._subscriber.unregister()
+
+
+class Mavros:
+    """The MAVROS that a program speaks to.
+
+    Attributes:
+        namespace: absolute, as ``/iris_0/mavros``.
+        verbose: say more.
+    """
+
+    def __init__(self, namespace: str, verbose: bool = False) -> None:
+        """Note whom to speak to.
+
+        Args:
+            namespace: with or without the leading slash.
+            verbose: say more.
+        """
+        self.namespace = "/" + namespace.strip("/")
+        self.verbose = verbose
+
+    def topic(self, name: str) -> str:
+        """Return the absolute name of a topic, service or parameter of MAVROS."""
+        return f"{self.namespace}/{name}"
+
+    def note(self, text: str) -> None:
+        """Print a line that only a verbose program prints."""
+        if self.verbose:
+            print(text, flush=True)
+
+    def call(self, service: str, kind: Any, **fields: Any) -> Any:
+        """Call a service of MAVROS.
+
+        Raises:
+            ProgramError: it is not offered, does not answer, or a field does not fit into its type.
+        """
+        name = self.topic(service)
+        if not _is_offered(name):
+            raise ProgramError(f"service {name} is not offered{_advice(self.namespace)}")
+        try:
+            return rospy.ServiceProxy(name, kind)(**fields)
+        except (genpy.SerializationError, rospy.ROSSerializationException) as error:
+            raise ProgramError(f"{service}: a value is not allowed: {_line(error)}") from error
+        except rospy.ROSException as error:
+            raise ProgramError(f"{name}: {_line(error)}") from error
+        except rospy.ServiceException as error:
+            raise ProgramError(f"{name}: {_line(error)}") from error
+
+    def command(self, service: str, kind: Any, **fields: Any) -> None:
+        """Call a service of the kind whose answer is the autopilot's acknowledgement.
+
+        Raises:
+            ProgramError: see :meth:`call`; or the command was not accepted.
+        """
+        answer = self.call(service, kind, **fields)
+        if not answer.success:
+            told = f", MAV_RESULT {result_words(answer.result)}" if hasattr(answer, "result") else ""
+            raise ProgramError(f"{service}: the vehicle has not accepted it{told}; MAVROS's log says more")
+        self.note(f"Command ACK: {getattr(answer, 'result', 0)}")
+
+    def ear(self, topic: str, kind: type) -> Ear:
+        """Subscribe to a topic of MAVROS."""
+        return Ear(self.topic(topic), kind)
+
+    def wait_connected(self) -> None:
+        """Wait until MAVROS is connected to the vehicle, for any time.
+
+        Raises:
+            ProgramError: the program is to end.
+        """
+        ear = self.ear("state", State)
+        connected = ear.next(None, lambda state: state.connected)
+        ear.close()
+        if connected is None:
+            raise ProgramError("ended while waiting for the vehicle's connection")
+
+
+def new_parser(description: str) -> argparse.ArgumentParser:
+    """Return a parser that has the arguments of every program."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument(
+        "-n", "--mavros-ns", default=DEFAULT_NAMESPACE, help="MAVROS's namespace, as iris_0/mavros (%(default)s)"
+    )
+    parser.add_argument("-v", "--verbose", action="store_true", help="say more")
+    parser.add_argument("--wait", action="store_true", help="wait until MAVROS is connected to the vehicle")
+    return parser
+
+
+def execute(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
+    """Do what a command line asks; the process is a ROS node already.
+
+    Raises:
+        ProgramError: it was not done.
+        SystemExit: the command line is wrong, or asks for help.
+    """
+    found = parser.parse_args(arguments)
+    mavros = Mavros(found.mavros_ns, found.verbose)
+    if found.wait:
+        mavros.wait_connected()
+    found.run(mavros, found)
+
+
+def main(name: str, parser: argparse.ArgumentParser) -> int:
+    """Run a program with the process's arguments; return its exit status.
+
+    0: done; 1: not done, with the reason on standard error; 2: a wrong command line.
+    """
+    arguments = rospy.myargv(sys.argv)[1:]
+    parser.prog = name
+    parser.parse_args(arguments)  # a wrong one, or --help, needs no master
+    try:
+        if not rosgraph.is_master_online():
+            raise ProgramError(f"no ROS master answers at {rosgraph.get_master_uri()}: start a launch file first")
+        rospy.init_node(name, anonymous=True)
+        execute(parser, arguments)
+    except ProgramError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
+    except (KeyboardInterrupt, rospy.ROSInterruptException):
+        return _INTERRUPTED
+    return 0
+
+
+def read_file(name: str) -> str:
+    r"""Return the text of a file, or of standard input for ``-``, with ``\n`` at the lines' ends.
+
+    Raises:
+        ProgramError: it cannot be read, or is too large.
+    """
+    if name == STANDARD:
+        text = sys.stdin.read(MOST_TEXT + 1)
+        if len(text) > MOST_TEXT:
+            raise ProgramError(f"standard input: more than {MOST_TEXT >> 20} MB are not allowed")
+        return text
+    try:
+        return read_text(name)
+    except (OSError, ContentError) as error:
+        _refuse_file(name, "read", error)
+
+
+def write_file(name: str, text: str) -> None:
+    """Write a file, or to standard output for ``-``.
+
+    Raises:
+        ProgramError: it cannot be written.
+    """
+    if name == STANDARD:
+        sys.stdout.write(text)
+        return
+    try:
+        Path(name).write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        _refuse_file(name, "written", error)
+
+
+def _refuse_file(name: str, done: str, error: Exception) -> NoReturn:
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    raise ProgramError(f"{name}: cannot be {done}: {reason}") from error
+
+
+def _is_offered(service: str) -> bool:
+    try:
+        rosgraph.Master(rospy.get_name()).lookupService(service)
+    except (rosgraph.MasterError, OSError):
+        return False
+    return True
+
+
+def _advice(namespace: str) -> str:
+    """Return where there is a MAVROS, if there is none in the namespace."""
+    states = [name for name, kind in rospy.get_published_topics() if kind == State._type]
+    found = sorted(name.removesuffix("/state") for name in states if name.endswith("/state"))
+    if namespace in found:
+        return " by this MAVROS"
+    named = ", ".join(name.strip("/") for name in found[:8]) + ", ..." * (len(found) > 8)
+    return f"; name a MAVROS by -n: {named}" if found else "; no MAVROS runs"
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,146 @@
+"""``mavparam``: read and write the autopilot's parameters, one by one or all as a file."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import rospy
+from mavros_msgs.msg import ParamValue
+from mavros_msgs.srv import ParamGet, ParamPull, ParamPush, ParamSet
+
+from xtdrone_control.parameter_text import as_float32
+
+from . import parameter_formats
+from .client import STANDARD, Mavros, ProgramError, new_parser, read_file, write_file
+from .client import main as run_program
+from .parameter_formats import MAVPROXY, MISSION_PLANNER, QGC, FormatError, Number
+
+_OPTIONS = (
+    ("-mp", "--mission-planner", MISSION_PLANNER, "Mission Planner's"),
+    ("-qgc", "--qgroundcontrol", QGC, "QGroundControl's"),
+    ("-mavpx", "--mavproxy", MAVPROXY, "MAVProxy's"),
+)
+_MOST_NAMED = 5  # in a message
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the program's command line."""
+    found = new_parser("Read and write the autopilot's parameters.")
+    verbs = found.add_subparsers(required=True, metavar="VERB")
+
+    load = verbs.add_parser("load", help="set what a file says")
+    load.set_defaults(run=_load)
+    load.add_argument("file", help="the file; -: standard input")
+    _add_formats(load, "what the file looks like")
+
+    dump = verbs.add_parser("dump", help="write all parameters into a file")
+    dump.set_defaults(run=_dump)
+    dump.add_argument("file", help="the file; -: standard output")
+    dump.add_argument("-f", "--force", action="store_true", help="ask the autopilot, whatever MAVROS knows already")
+    _add_formats(dump, "QGroundControl's for *.txt, else Mission Planner's")
+
+    get = verbs.add_parser("get", help="print a parameter")
+    get.set_defaults(run=_get)
+    get.add_argument("param_id", help="its name")
+
+    change = verbs.add_parser("set", help="set a parameter, and print what it is then")
+    change.set_defaults(run=_set)
+    change.add_argument("param_id", help="its name")
+    change.add_argument("value", help="a whole number, or one with a decimal point for a float")
+    return found
+
+
+def _add_formats(verb: argparse.ArgumentParser, default: str) -> None:
+    group = verb.add_mutually_exclusive_group()
+    for short, long, kind, owner in _OPTIONS:
+        words = f"{owner} format (default: {default})"
+        group.add_argument(short, long, dest="format", action="store_const", const=kind, default="", help=words)
+
+
+def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
+    name = arguments.file
+    try:
+        values = parameter_formats.read(read_file(name), name, arguments.format)
+    except FormatError as error:
+        raise ProgramError(str(error)) from error
+    _pull(mavros, False)  # so that MAVROS knows each name and type
+    for key, value in values.items():
+        rospy.set_param(mavros.topic(f"param/{key}"), value)
+    answer = mavros.call("param/push", ParamPush)
+    if not answer.success:
+        raise ProgramError("param/push: MAVROS has not sent them; its log says more")
+    mavros.note(f"Parameters transfered: {answer.param_transfered}")
+    _check_taken(mavros, values)
+
+
+def _check_taken(mavros: Mavros, values: dict[str, Number]) -> None:
+    """Ask for what was loaded.
+
+    Raises:
+        ProgramError: the autopilot has something else.
+    """
+    wrong = []
+    for name, value in values.items():
+        answer = mavros.call("param/get", ParamGet, param_id=name)
+        if not answer.success:
+            wrong.append(f"{name} is not there")
+        elif as_float32(_number(answer)) != as_float32(value):
+            wrong.append(f"{name} stays {_number(answer)}")
+    if wrong:
+        named = "; ".join(wrong[:_MOST_NAMED]) + "; ..." * (len(wrong) > _MOST_NAMED)
+        raise ProgramError(f"{len(wrong)} of {len(values)} parameters are not taken: {named}")
+
+
+def _dump(mavros: Mavros, arguments: argparse.Namespace) -> None:
+    mavros.note(f"Parameters received: {_pull(mavros, arguments.force)}")
+    found: Any = rospy.get_param(mavros.topic("param"), {})
+    values = {name: value for name, value in found.items() if isinstance(value, (int, float))}
+    kind = arguments.format or parameter_formats.format_of(arguments.file)
+    system = rospy.get_param(mavros.topic("target_system_id"), 1)
+    write_file(arguments.file, parameter_formats.write(values, kind, system))
+    if arguments.file != STANDARD:
+        mavros.note(f"{len(values)} parameters written to {arguments.file}")
+
+
+def _get(mavros: Mavros, arguments: argparse.Namespace) -> None:
+    answer = mavros.call("param/get", ParamGet, param_id=arguments.param_id)
+    if not answer.success:
+        raise ProgramError(f"{arguments.param_id}: the autopilot has no such parameter, or does not answer")
+    print(_number(answer))
+
+
+def _set(mavros: Mavros, arguments: argparse.Namespace) -> None:
+    try:
+        value = parameter_formats.number_of(arguments.value)
+    except ValueError as error:
+        raise ProgramError(f"{arguments.param_id}: {arguments.value!r} is not allowed, {error}") from error
+    asked = ParamValue(real=value) if isinstance(value, float) else ParamValue(integer=value)
+    answer = mavros.call("param/set", ParamSet, param_id=arguments.param_id, value=asked)
+    if not answer.success:
+        raise ProgramError(f"{arguments.param_id}: the autopilot has not taken {value}; MAVROS's log says more")
+    print(_number(answer))
+
+
+def _pull(mavros: Mavros, force: bool) -> int:
+    """Have MAVROS put all parameters on ROS's parameter server; return how many.
+
+    Raises:
+        ProgramError: it has not got them.
+    """
+    answer = mavros.call("param/pull", ParamPull, force_pull=force)
+    if not answer.success:
+        raise ProgramError("param/pull: the autopilot has not told all its parameters; MAVROS's log says more")
+    return int(answer.param_received)
+
+
+def _number(answer: Any) -> Number:
+    """Return the value of a response; MAVROS leaves the one of its two fields that does not count at 0."""
+    if answer.value.integer:
+        return int(answer.value.integer)
+    return float(answer.value.real) if answer.value.real else 0
+
+
+def main() -> int:
+    """Run the program; return its exit status."""
+    return run_program("mavparam", parser())
