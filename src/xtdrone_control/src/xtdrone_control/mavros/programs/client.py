@@ -57,7 +57,8 @@ class Ear:
             topic: its absolute name.
             kind: its message type.
         """
-        self._messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        # No SimpleQueue: Python 3.11's waits for ever when a signal's handler takes longer than the time-out.
+        self._messages: queue.Queue[Any] = queue.Queue()
         self._subscriber = rospy.Subscriber(topic, kind, self._messages.put, queue_size=100, tcp_nodelay=True)
 
     def connected(self) -> bool:
@@ -137,9 +138,7 @@ class Mavros:
             return rospy.ServiceProxy(name, kind)(**fields)
         except (genpy.SerializationError, rospy.ROSSerializationException) as error:
             raise ProgramError(f"{service}: a value is not allowed: {_line(error)}") from error
-        except rospy.ROSException as error:
-            raise ProgramError(f"{name}: {_line(error)}") from error
-        except rospy.ServiceException as error:
+        except (rospy.ROSException, rospy.ServiceException) as error:
             raise ProgramError(f"{name}: {_line(error)}") from error
 
     def command(self, service: str, kind: Any, **fields: Any) -> None:
