@@ -149,7 +149,7 @@ def test_mavros_on_another_host_flies_on_when_datagrams_get_lost(tmp_path: Path)
         first, second = site.hosts
         launch = site.launch(
             first, "multi_vehicle.launch", "vehicles:=iris:2", "rows:=2", "speed:=0", "host:=0.0.0.0",
-            "mavros:=false", "participants:=3", f"digest:={site.digest}",
+            "mavros:=elsewhere", "participants:=3", f"digest:={site.digest}",
         )  # fmt: skip
         layer = site.launch(second, "mavros.launch", f"fcu_host:={first.address}")
         node = REPOSITORY / "src/xtdrone_control/nodes/multirotor_communication.py"

@@ -39,7 +39,7 @@ from .stopping import Stop
 _CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
 _SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
 _JOIN_REPORT = 5.0  # s between two words on who has not joined
-_HOLD_WARNING = 20.0  # s of waiting for autopilots after which such words are warnings, which are on screen
+_HOLD_WARNING = 20.0  # s of waiting after which such words are warnings, which are on screen
 _LEAST_HANG_LIMIT = 2.0  # s; participants send a keep-alive each second
 _CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
 
@@ -328,19 +328,19 @@ class SimulatorNode:
                 return
             if now >= word:
                 word += _JOIN_REPORT
-                write = rospy.loginfo if now - begun < _HOLD_WARNING else rospy.logwarn
-                write("simulator: holding time at 0: %s", missing)
+                _hold_word(now - begun)("simulator: holding time at 0: %s", missing)
             self._serve(_SLICE)
             self._server.poll(0.0)
 
     def _wait_for_participants(self) -> None:
         expected = self._control.held = self._settings.participants if self._settings.lockstep else 0
-        end = time.monotonic() + self._settings.start_limit
-        while expected and time.monotonic() < end:
+        begun = time.monotonic()
+        while expected and time.monotonic() - begun < self._settings.start_limit:
             if self._server.wait_for(expected, _JOIN_REPORT, self._serve):
                 rospy.loginfo("simulator: %d participants have joined, time starts", len(self._server.participants))
                 return
-            rospy.loginfo("simulator: holding time at 0: %s", self._server.missing(expected))
+            write = _hold_word(time.monotonic() - begun)
+            write("simulator: holding time at 0: %s", self._server.missing(expected))
         if expected:
             rospy.logwarn(
                 "simulator: time starts without all participants after %.0f s: %s",
@@ -459,6 +459,12 @@ class SimulatorNode:
         if listened:
             self._states.publish(states)
         self._truth.publish(states, now)
+
+
+def _hold_word(waited: float) -> Callable[..., None]:
+    """Return what logs that time is held at 0, after ``waited`` wall seconds."""
+    write: Callable[..., None] = rospy.loginfo if waited < _HOLD_WARNING else rospy.logwarn
+    return write
 
 
 def _is_loopback(address: str) -> bool:

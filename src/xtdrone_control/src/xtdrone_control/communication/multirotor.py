@@ -56,7 +56,8 @@ class _Services:
 
     In lockstep a call is waited for: the simulator waits, so the outcome falls into the same tick each time. In real
     time a slow answer would interrupt the set-point stream and end OFFBOARD, so the call goes on beside it. Either way
-    a thread of its own makes the call, since rospy waits for an answer without a limit.
+    a thread of its own makes the call, since rospy waits for an answer without a limit. Meanwhile the simulator is told
+    that time is needed: a PX4 answers only then, and a MAVROS that takes no part in the lockstep cannot say so.
     """
 
     def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
@@ -94,7 +95,8 @@ class _Services:
 
     def _make(self, call: Future[tuple[bool, str]], request: Request) -> None:
         try:
-            call.set_result(self._call(request))
+            with lockstep.needs_time():
+                call.set_result(self._call(request))
         except Exception as error:  # for `finished` to raise
             call.set_exception(error)
 

@@ -10,7 +10,8 @@ Private parameters, besides those of ``config/px4_config.yaml``:
   ports and of the two above; every further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` for PX4s
   that are started as PX4's own scripts start them.
 - ``~fcu_url``, with ``~tgt_system`` and ``~tgt_component``: a single vehicle as real MAVROS has it; topics are in the
-  node's own namespace.
+  node's own namespace, and ``/xtdrone/swarm`` is none of them.
+- ``~lockstep`` (true): false: run on the ROS time even if there is a simulator with a lockstep, as a real MAVROS does.
 - ``~system_id``, ``~component_id``: what the node sends as (1, 240).
 """
 
@@ -148,7 +149,8 @@ class MavrosNode:
         # The ports before anything is advertised, so that a node that cannot run leaves no trace.
         self._links = _open(vehicles, source)
         self._receiver = Receiver(self._links)
-        self._swarm = Swarm(self._ros, len(vehicles))
+        # The swarm's topic is a fleet's: a MAVROS of one vehicle has others beside it.
+        self._swarm = None if shared.get("fcu_url", "") else Swarm(self._ros, len(vehicles))
         self._uas = [
             Uas(
                 vehicle.name,
@@ -156,7 +158,7 @@ class MavrosNode:
                 link,
                 _params(vehicle, settings),
                 self._ros,
-                (*PLUGINS, self._swarm.member(index)),
+                (*PLUGINS, *([self._swarm.member(index)] if self._swarm else [])),
             )
             for index, (vehicle, link) in enumerate(zip(vehicles, self._links, strict=True))
         ]
@@ -168,7 +170,8 @@ class MavrosNode:
         """Publish the swarm, run the timers and tell the simulator what was sent; once a turn."""
         if lockstep.is_active():
             self._receive_uncounted()
-        self._swarm.publish()
+        if self._swarm is not None:
+            self._swarm.publish()
         now_ns = self._ros.now_ns()
         for uas in self._uas:
             uas.step(now_ns)

@@ -1,0 +1,34 @@
+"""How the communication node calls MAVROS's services."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+from xtdrone_control.communication import multirotor
+from xtdrone_control.communication.core import Request
+
+
+def test_time_may_flow_while_an_answer_is_waited_for_in_a_turn(monkeypatch):
+    """A PX4 answers a MAVROS that takes no part in the lockstep only then."""
+    seen = []
+
+    @contextmanager
+    def needs_time():
+        seen.append("begin")
+        yield
+        seen.append("end")
+
+    def proxy(name, kind):
+        def call(*_):
+            seen.append(name)
+            return kind._response_class()
+
+        return call
+
+    monkeypatch.setattr(multirotor.lockstep, "needs_time", needs_time)
+    monkeypatch.setattr(multirotor.rospy, "ServiceProxy", proxy)
+    services = multirotor._Services("iris_0", in_lockstep=True)
+    services.submit(Request("ARM", True))
+    assert seen == ["begin", "/iris_0/mavros/cmd/arming", "end"]
+    [(_, accepted, reason)] = services.finished()
+    assert (accepted, reason) == (False, "MAV_RESULT 0")
