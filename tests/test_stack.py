@@ -27,6 +27,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import BatteryState, Imu, NavSatFix
 from std_msgs.msg import Float64
+from xtdrone_msgs.srv import SetSpeed
 
 from xtdrone_control import waypoint_file
 from xtdrone_control.autopilot.plan import PlanItem
@@ -268,6 +269,15 @@ def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
     return Typed(capsys)
 
 
+@pytest.fixture
+def unhurried(stack: Stack) -> Iterator[None]:
+    """The simulation leaves the processors to programs that live by wall time."""
+    stack.graph.call("/simulator/set_speed", SetSpeed, speed=1.0)
+    yield
+    stack.graph.call("/simulator/set_speed", SetSpeed, speed=0.0)
+
+
+@pytest.mark.usefixtures("unhurried")
 def test_mavros_s_programs_read_and_write_parameters(stack: Stack, typed: Typed, tmp_path: Path) -> None:
     before = typed(mavparam, "get MPC_XY_VEL_MAX")
     assert typed(mavparam, "set MPC_XY_VEL_MAX 7.5") == "7.5\n"
@@ -326,6 +336,7 @@ def test_mavros_s_programs_command(stack: Stack, typed: Typed, monkeypatch: pyte
     assert "no MAVROS subscribes to it" in typed.fails(mavsafety, "safetyarea -p1 0 0 0 -p2 9 9 9")
 
 
+@pytest.mark.usefixtures("unhurried")
 def test_mavros_s_programs_are_found_by_their_names(stack: Stack) -> None:
     """Each is run once, all at the same time; one speaks to a MAVROS that is not there."""
     folder = REPOSITORY / "src/xtdrone_control/mavros"
