@@ -398,10 +398,10 @@ def test_content(world):
     assert gpos.lon == pytest.approx(85453280, abs=300)
     assert (gpos.alt, gpos.relative_alt, gpos.vx, gpos.vz, gpos.hdg) == (518000, 30000, 100, -50, 27000)
     odom = got["ODOMETRY"]
-    assert (odom.vx, odom.vy, odom.vz) == pytest.approx((-2.0, 1.0, -0.5))
+    assert (odom.vx, odom.vy, odom.vz) == pytest.approx((1.0, 2.0, -0.5))
     assert odom.pose_covariance[0] == pytest.approx(0.04)
     assert odom.pose_covariance[1] == 0.0
-    assert (odom.frame_id, odom.child_frame_id) == (1, 12)
+    assert (odom.frame_id, odom.child_frame_id) == (1, 1)  # PX4 v1.14's: LOCAL_NED both
     gps = got["GPS_RAW_INT"]
     assert (gps.fix_type, gps.vel, gps.cog, gps.h_acc, gps.eph) == (3, 200, 27000, 900, 65535)
     assert got["SCALED_PRESSURE"].press_abs == pytest.approx(955.98)

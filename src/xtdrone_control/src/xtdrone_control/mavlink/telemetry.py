@@ -40,7 +40,7 @@ _HEALTHY_EXTENDED = 1
 _FIX_3D = 3  # GPS_FIX_TYPE
 
 _DISARMED_PWM, _LEAST_PWM = 900, 1000
-_FRAME_LOCAL_NED, _FRAME_BODY_FRD, _ESTIMATOR_AUTOPILOT = 1, 12, 8
+_FRAME_LOCAL_NED, _ESTIMATOR_AUTOPILOT = 1, 8
 _GRAVITY_UNITS = 1000.0 / 9.80665
 # where the diagonal of a 6 x 6 matrix lies in its upper triangle by rows
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
@@ -256,14 +256,9 @@ class Telemetry:
         return 0.0, math.hypot(vx, vy), self._altitude(), -vz, int(self._heading()), throttle
 
     def odometry(self) -> Values | None:
-        """Pose in local NED, velocity in body FRD, with their variances, once there has been a fix."""
+        """Pose and velocity in local NED, as PX4 v1.14's EKF2 has it, with variances; once there has been a fix."""
         if not self.located:
             return None
-        w, x, y, z = self.q
-        vx, vy, vz = self.velocity
-        forward = vx * (1 - 2 * (y * y + z * z)) + 2 * vy * (x * y + w * z) + 2 * vz * (x * z - w * y)
-        right = 2 * vx * (x * y - w * z) + vy * (1 - 2 * (x * x + z * z)) + 2 * vz * (y * z + w * x)
-        down = 2 * vx * (x * z + w * y) + 2 * vy * (y * z - w * x) + vz * (1 - 2 * (x * x + y * y))
         p = self._variances.tolist()
         pose, velocity = _diagonal(p[6:9] + p[0:3]), _diagonal(p[3:6] + p[9:12])
         resets = int(self._estimator["reset_counter"]) & 0xFF
@@ -271,14 +266,12 @@ class Telemetry:
             self.time_us,
             *self.position,
             *self.q,
-            forward,
-            right,
-            down,
+            *self.velocity,
             *self.rates,
             *pose,
             *velocity,
             _FRAME_LOCAL_NED,
-            _FRAME_BODY_FRD,
+            _FRAME_LOCAL_NED,
             resets,
             _ESTIMATOR_AUTOPILOT,
             0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from nav_msgs.msg import Odometry
@@ -11,7 +12,10 @@ from xtdrone_control import frames
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
-_LOCAL_NED, _BODY_FRD, _LOCAL_FRD = 1, 12, 20  # MAV_FRAME
+# MAV_FRAME
+_LOCAL_NED, _BODY_NED, _BODY_FRD, _LOCAL_FRD = 1, 8, 12, 20
+_PARENTS = (_LOCAL_NED, _LOCAL_FRD)
+_BODIES = (_BODY_FRD, _BODY_NED)
 _ESTIMATOR_VISION = 2  # MAV_ESTIMATOR_TYPE
 
 
@@ -21,6 +25,9 @@ class OdometryPlugin(Plugin):
     Poses are ENU, twists FLU in the child's frame. MAVROS asks tf how ``odom`` and its children lie; here ``odom`` is
     ENU and its child FLU, as MAVROS's own static transforms have them. What goes out is declared MAV_FRAME_LOCAL_FRD
     and MAV_FRAME_BODY_FRD, as in MAVROS: the autopilot does not take its x for north.
+
+    PX4 v1.14's own ODOMETRY has its velocity in LOCAL_NED. MAVROS takes every velocity for the body's; here one of a
+    local frame is turned into the body. What of a covariance is not known (NaN) is 0.
     """
 
     name = "odometry"
@@ -28,15 +35,14 @@ class OdometryPlugin(Plugin):
     def __init__(self, uas: Uas) -> None:
         """Advertise and subscribe."""
         super().__init__(uas)
-        parent = uas.params.get("odometry/fcu/odom_parent_id_des", "map")
         child = uas.params.get("odometry/fcu/odom_child_id_des", "base_link")
         self._in = uas.topic("odometry/in", Odometry(child_frame_id=child))
-        self._in.message.header.frame_id = parent
+        self._in.message.header.frame_id = uas.params.get("odometry/fcu/map_id_des", "map")
         self.messages = {"ODOMETRY": Feed(self._on_odometry, self._in)}
         uas.subscribe("odometry/out", Odometry, self._out)
 
     def _on_odometry(self, m: Any) -> None:
-        if m.frame_id != _LOCAL_NED or m.child_frame_id != _BODY_FRD:
+        if m.frame_id not in _PARENTS or m.child_frame_id not in (*_PARENTS, *_BODIES):
             self.uas.warn("odometry/in", "ODOMETRY in frames %d, %d is not published", m.frame_id, m.child_frame_id)
             return
         odometry = self._in.message
@@ -45,11 +51,15 @@ class OdometryPlugin(Plugin):
         p, q = pose.position, pose.orientation
         p.x, p.y, p.z = frames.ned_to_enu(m.x, m.y, m.z)
         q.w, q.x, q.y, q.z = frames.attitude_ned_to_enu(*m.q)
+        velocity, covariance = (m.vx, m.vy, m.vz), _matrix(m.velocity_covariance)
+        if m.child_frame_id not in _BODIES:
+            to_body = m.q[0], -m.q[1], -m.q[2], -m.q[3]
+            velocity, covariance = frames.rotate(to_body, velocity), _turned(to_body, covariance)
         v, w = twist.linear, twist.angular
-        v.x, v.y, v.z = frames.frd_to_flu(m.vx, m.vy, m.vz)
+        v.x, v.y, v.z = frames.frd_to_flu(*velocity)
         w.x, w.y, w.z = frames.frd_to_flu(m.rollspeed, m.pitchspeed, m.yawspeed)
-        odometry.pose.covariance = frames.covariance_enu_to_ned(frames.from_upper_triangle(m.pose_covariance))
-        odometry.twist.covariance = frames.covariance_flu_to_frd(frames.from_upper_triangle(m.velocity_covariance))
+        odometry.pose.covariance = frames.covariance_enu_to_ned(_matrix(m.pose_covariance))
+        odometry.twist.covariance = frames.covariance_flu_to_frd(covariance)
         self._in.publish(odometry)
 
     def _out(self, odometry: Odometry) -> None:
@@ -71,3 +81,17 @@ class OdometryPlugin(Plugin):
                 0,
             )
         )
+
+
+def _matrix(upper: Sequence[float]) -> list[float]:
+    """Return a covariance of MAVLink's as a 6x6 matrix, row by row."""
+    return frames.from_upper_triangle([value if value == value else 0.0 for value in upper])
+
+
+def _turned(q: frames.Quaternion, covariance: list[float]) -> list[float]:
+    """Return a 6x6 covariance, row by row, with the vector of its first three turned by ``q``."""
+    columns = [frames.rotate(q, (covariance[i], covariance[6 + i], covariance[12 + i])) for i in range(6)]
+    rows = [[column[i] for column in columns] for i in range(3)]
+    turned = [[*frames.rotate(q, (row[0], row[1], row[2])), *row[3:]] for row in rows]
+    below = [[turned[0][i], turned[1][i], turned[2][i], *covariance[6 * i + 3 : 6 * i + 6]] for i in range(3, 6)]
+    return [value for row in (*turned, *below) for value in row]
