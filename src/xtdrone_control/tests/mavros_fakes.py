@@ -51,9 +51,9 @@ class FakeRos:
         return self.time_ns
 
     def publisher(self, topic: str, kind: type, latch: bool) -> FakePublisher:
-        """Make a publisher."""
-        self.publishers[topic] = FakePublisher()
-        return self.publishers[topic]
+        """Make a publisher; one for all of a topic, as rospy does."""
+        self.kinds[topic] = kind
+        return self.publishers.setdefault(topic, FakePublisher())
 
     def subscriber(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
         """Keep the callback."""

@@ -602,7 +602,7 @@ class TestDemand:
     def test_nothing_is_decoded_that_nobody_takes(self, bench):
         bench.send(HEARTBEAT)
         bench.send(ATTITUDE, POSITION)
-        assert bench.link.wanted == {mavlink.MAVLINK_MSG_ID_HEARTBEAT, 253, 242, 42, 46, 410}
+        assert bench.link.wanted == {mavlink.MAVLINK_MSG_ID_HEARTBEAT, 253, 242, 42, 46, 49, 410}
         assert bench.link.seen == {31: 1, 32: 1}
 
     def test_streams_follow_the_subscribers(self, bench):

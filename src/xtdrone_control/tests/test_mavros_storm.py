@@ -95,8 +95,8 @@ class Autopilot:
         bench.link.send = self.take  # type: ignore[method-assign]
         bench.uas.commands._send = bench.uas.plans._send = self.take
 
-    def take(self, asked: Any) -> None:
-        self.send(asked)
+    def take(self, asked: Any, component: int | None = None) -> None:
+        self.send(asked, component)
         answer = getattr(self, asked.get_type().lower(), lambda _: None)(asked)
         if answer is not None:
             self.bench.link.replies[answer.id](self.bench.frame(answer))
@@ -180,6 +180,7 @@ def storm(bench: Bench, call: Callable[[Any], Any], cls: Any, seed: str) -> tupl
     sent = kept = 0
     for _ in range(ROUNDS):
         before = bench.link.sent
+        bench.ros.time_ns += 10**9  # nothing comes too fast
         call(over_the_wire(message(cls, rng, rng.choice((0.0, 0.05, 0.3, 1.0)))))
         sent, kept = (sent + 1, kept) if bench.link.sent > before else (sent, kept + 1)
     return sent, kept

@@ -11,7 +11,7 @@ Nothing here uses numpy: on three floats plain Python is ten times faster.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import asin, atan2, copysign, cos, fmod, pi, radians, sin, sqrt
+from math import asin, atan2, copysign, cos, degrees, fmod, hypot, pi, radians, sin, sqrt
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -20,6 +20,7 @@ _HALF_SQRT = sqrt(0.5)
 _WGS84_A = 6378137.0  # m, equatorial radius
 _WGS84_F = 1.0 / 298.257223563
 _WGS84_E2 = _WGS84_F * (2.0 - _WGS84_F)
+_LATITUDE_STEPS = 6  # of the iteration; each is 300 times as close as the last
 
 
 def enu_to_ned(x: float, y: float, z: float) -> Vector:
@@ -167,3 +168,33 @@ def geodetic_to_enu(place: Vector, origin: Vector) -> Vector:
     sin_lon, cos_lon = sin(radians(origin[1])), cos(radians(origin[1]))
     outward = cos_lon * dx + sin_lon * dy
     return cos_lon * dy - sin_lon * dx, cos_lat * dz - sin_lat * outward, cos_lat * outward + sin_lat * dz
+
+
+def ecef_to_geodetic(x: float, y: float, z: float) -> Vector:
+    """Return WGS84 latitude, longitude (deg) and height over the ellipsoid (m) of an earth-centred place (m).
+
+    Exact to below a micrometre for places that are not near the earth's centre.
+    """
+    horizontal = hypot(x, y)
+    latitude = atan2(z, horizontal * (1.0 - _WGS84_E2))
+    for _ in range(_LATITUDE_STEPS):
+        sin_lat = sin(latitude)
+        normal = _WGS84_A / sqrt(1.0 - _WGS84_E2 * sin_lat * sin_lat)
+        latitude = atan2(z + _WGS84_E2 * normal * sin_lat, horizontal)
+    sin_lat, cos_lat = sin(latitude), cos(latitude)
+    height = horizontal * cos_lat + z * sin_lat - _WGS84_A * sqrt(1.0 - _WGS84_E2 * sin_lat * sin_lat)
+    return degrees(latitude), degrees(atan2(y, x)), height
+
+
+def enu_to_geodetic(position: Vector, origin: Vector) -> Vector:
+    """Return the place (latitude deg, longitude deg, height m) at ``position`` (m, ENU) from ``origin``; WGS84."""
+    east, north, up = position
+    ox, oy, oz = geodetic_to_ecef(*origin)
+    sin_lat, cos_lat = sin(radians(origin[0])), cos(radians(origin[0]))
+    sin_lon, cos_lon = sin(radians(origin[1])), cos(radians(origin[1]))
+    outward = cos_lat * up - sin_lat * north
+    return ecef_to_geodetic(
+        ox + cos_lon * outward - sin_lon * east,
+        oy + sin_lon * outward + cos_lon * east,
+        oz + cos_lat * north + sin_lat * up,
+    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,6 +117,12 @@ _MISSING = (
         "uint8_t[8] spec_version_hash, uint8_t[8] library_version_hash",
     ),
     message_type(
+        334,
+        "CELLULAR_STATUS",
+        "uint8_t status, uint8_t failure_reason, uint8_t type, uint8_t quality,"
+        "uint16_t mcc, uint16_t mnc, uint16_t lac",
+    ),
+    message_type(
         380,
         "TIME_ESTIMATE_TO_TARGET",
         "int32_t safe_return, int32_t land, int32_t mission_next_item, int32_t mission_end, int32_t commanded_action",
@@ -127,6 +134,9 @@ _MISSING = (
         "uint32_t peripherals_metadata_file_crc, char[100] peripherals_metadata_uri",
     ),
     message_type(397, "COMPONENT_METADATA", "uint32_t time_boot_ms, uint32_t file_crc, char[100] uri"),
+    message_type(
+        400, "PLAY_TUNE_V2", "uint8_t target_system, uint8_t target_component, uint32_t format, char[248] tune"
+    ),
     message_type(
         410,
         "EVENT",
@@ -158,5 +168,39 @@ _EXTENDED = (
     ),
 )
 
+
+class _MessageObject(mavlink.MAVLink_message):
+    """A message of a type that pymavlink has no class for, to be packed as pymavlink's message objects are."""
+
+    def __init__(self, kind: MessageType, values: Mapping[str, Any]) -> None:
+        super().__init__(kind.id, kind.msgname)
+        self._kind = kind
+        self.fieldnames, self.fieldtypes = kind.fieldnames, kind.fieldtypes
+        for name in kind.fieldnames:
+            setattr(self, name, values[name])
+
+    def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
+        flat: list[Any] = []
+        for name in self._kind.ordered_fieldnames:
+            value = getattr(self, name)
+            flat += value if isinstance(value, (list, tuple)) else [value]
+        payload = self._kind.unpacker.pack(*flat)
+        return bytes(self._pack(mav, self._kind.crc_extra, payload, force_mavlink1=force_mavlink1))
+
+
 MESSAGES: dict[int, Any] = {**mavlink.mavlink_map, **{entry.id: entry for entry in _MISSING + _EXTENDED}}
 MESSAGE_ID: dict[str, int] = {entry.msgname: number for number, entry in MESSAGES.items()}
+
+
+def message(name: str, values: Mapping[str, Any]) -> Any:
+    """Return message ``name`` as a message object of pymavlink's kind.
+
+    Args:
+        name: MAVLink name.
+        values: all fields' values by name; arrays as lists, texts as bytes.
+
+    Raises:
+        KeyError: the dialect has no such message, or a value is missing.
+    """
+    kind = MESSAGES[MESSAGE_ID[name]]
+    return _MessageObject(kind, values) if isinstance(kind, MessageType) else kind(**values)

@@ -116,6 +116,7 @@ class Link:
         sent: datagrams sent so far.
         received: datagrams read so far.
         wanted: ids of the messages that the main thread wants.
+        from_anyone: ids of those among them that it wants from whoever sends them, not from the autopilot alone.
         seen: how often each unwanted message came, by id; the stream manager clears it.
         replies: message id to the function that the receiver thread calls with each frame of it.
         malformed: datagrams that were no MAVLink, so far.
@@ -146,10 +147,12 @@ class Link:
         self.received = 0
         self.malformed = 0
         self.wanted: frozenset[int] = frozenset()
+        self.from_anyone: frozenset[int] = frozenset()
         self.seen: dict[int, int] = {}
         self.replies: dict[int, Callable[[bytes], None]] = {}
         self._queue: deque[tuple[int, int, bytes]] = deque()
         self._packer = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+        self._component = source[1]
         self._send_lock = threading.Lock()
         self._read_lock = threading.Lock()
         self._throttle = Throttle()
@@ -166,13 +169,18 @@ class Link:
                 f"{error.strerror or error}; is another mavros or ground station using it?"
             ) from error
 
-    def send(self, message: Any) -> None:
+    def send(self, message: Any, component: int | None = None) -> None:
         """Send a pymavlink message object; safe from any thread.
+
+        Args:
+            message: the message.
+            component: id of the component to send as, 0..255; None: this end's own.
 
         Raises:
             FieldError: a value that its field cannot hold; nothing is sent.
         """
         with self._send_lock:
+            self._packer.srcComponent = self._component if component is None else component
             buffer = pack(message, self._packer)
             self._packer.seq = (self._packer.seq + 1) & 0xFF
             try:
@@ -210,9 +218,12 @@ class Link:
         self.socket.close()
 
     def _take(self, datagram: bytes, index: int) -> None:
-        wanted, target = self.wanted, self.target
+        wanted, target, from_anyone = self.wanted, self.target, self.from_anyone
         try:
             for number, system, component, frame in split(datagram):
+                if number in from_anyone:
+                    self._queue.append((index, number, frame))
+                    continue
                 if system != target[0]:
                     continue
                 reply = self.replies.get(number)

@@ -18,6 +18,25 @@ _ALLOWED = {
 }
 _NAMES = {number: name for name, number in _ALLOWED.items()}
 
+_PREFIX = "MAV_FRAME_"
+_BY_NAME = {
+    entry.name.removeprefix(_PREFIX): number
+    for number, entry in mavlink.enums["MAV_FRAME"].items()
+    if not entry.name.endswith("ENUM_END")
+}
+
+
+def mav_frame(uas: Uas, parameter: str, default: str) -> int:
+    """Return the MAV_FRAME that a parameter names, as ``LOCAL_NED``.
+
+    Raises:
+        ValueError: there is no such frame.
+    """
+    name = uas.params.get(parameter, default)
+    if name not in _BY_NAME:
+        raise ValueError(f"{parameter}: {name!r} is no MAVLink frame; {', '.join(_BY_NAME)} are")
+    return _BY_NAME[name]
+
 
 class MavFrame:
     """A plugin's frame: from ``<plugin>/mav_frame``, changed by the service of the same name, which sets the parameter.

@@ -52,16 +52,29 @@ def pack(message: Any, packer: Any) -> bytes:
         raise
 
 
+def require_finite(message: Any) -> None:
+    """Look whether every number of a pymavlink message object is finite.
+
+    Raises:
+        FieldError: one that is not.
+    """
+    for name, kind, value in _fields(message):
+        if kind in ("float", "double") and not abs(value) <= FLOAT32_MAX:
+            raise FieldError(f"{message.msgname}.{name}", value, FLOAT32_RANGE)
+
+
 def whole(value: float) -> int | float:
     """Return a number rounded to an integer; one that is not finite comes back, for :func:`pack` to refuse it."""
     return round(value) if abs(value) <= FLOAT32_MAX else value
 
 
-def source(message: Any, value: float) -> str | None:
+def source(message: Any, value: Any) -> str | None:
     """Return which field of a ROS message holds ``value`` or its negative, as ``pose.position.x``; None if none does.
 
     Conversions between frames move and negate numbers, so this finds where one comes from.
     """
+    if not isinstance(value, (int, float)):
+        return None
     return next((name for name, found in _leaves(message, "") if found in (value, -value)), None)
 
 

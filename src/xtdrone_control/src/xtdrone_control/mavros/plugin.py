@@ -81,13 +81,21 @@ class Feed:
         handler: takes the decoded message; None when only the latest one is kept, for ``Uas.latest``.
         topics: the message is wanted while one of them is taken.
         always: it is wanted in any case.
+        anyone: it is taken from every system and component on the link, not from the autopilot alone.
     """
 
-    def __init__(self, handler: Callable[[Any], None] | None, *topics: Topic, always: bool = False) -> None:
+    def __init__(
+        self,
+        handler: Callable[[Any], None] | None,
+        *topics: Topic,
+        always: bool = False,
+        anyone: bool = False,
+    ) -> None:
         """Take handler and topics."""
         self.handler = handler
         self.topics = topics
         self.always = always
+        self.anyone = anyone
 
     @property
     def wanted(self) -> bool:

@@ -71,6 +71,7 @@ class Uas:
         refusals: why the autopilot refuses.
         target: system and component id of the autopilot.
         connected: heartbeats come.
+        geoid_height: height of the geoid over the ellipsoid, m: what NavSatFix and GeoPoint have more than AMSL.
         time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while it is unknown.
     """
 
@@ -112,8 +113,8 @@ class Uas:
         self.streams = Streams(self._request_interval, _RATES | params.get("stream_rates", {}))
         self._manage_streams = params.get("manage_streams", True)
         self._geoid = _geoid(params.get("global_position/geoid", _GEOIDS[0]))
-        blacklist = params.get("plugin_blacklist", [])
-        self.plugins = [kind(self) for kind in plugins if not _listed(kind.name, blacklist)]
+        denied = [*params.get("plugin_denylist", []), *params.get("plugin_blacklist", [])]
+        self.plugins = [kind(self) for kind in plugins if not _listed(kind.name, denied)]
         for plugin in self.plugins:
             self._connect(plugin)
         self.timer(_REFRESH_PERIOD, self.refresh)
@@ -121,9 +122,17 @@ class Uas:
 
     # What plugins use
 
-    def topic(self, name: str, message: Any, latch: bool = False) -> Topic:
-        """Advertise ``<prefix>/<name>`` (or an absolute name) for messages like ``message``, which is then reused."""
-        topic = Topic(self.ros.publisher(self._path(name), type(message), latch), message, latch)
+    def topic(self, name: str, message: Any, latch: bool = False, on_demand: bool = False) -> Topic:
+        """Advertise ``<prefix>/<name>`` (or an absolute name) for messages like ``message``, which is then reused.
+
+        Args:
+            name: the topic's name.
+            message: gives its type.
+            latch: keep the last message for whoever subscribes later.
+            on_demand: a latched topic too counts as taken only while somebody subscribes.
+        """
+        publisher = self.ros.publisher(self._path(name), type(message), latch)
+        topic = Topic(publisher, message, latch and not on_demand)
         self._topics.append(topic)
         return topic
 
@@ -293,13 +302,15 @@ class Uas:
         """Look which topics are taken, want the messages that they need, and ask the autopilot for them."""
         for topic in self._topics:
             topic.refresh()
-        wanted = set()
+        wanted, from_anyone = set(), set()
         for number, slot in self._slots.items():
             feeds = [feed for feed in slot.feeds if feed.wanted]
             slot.active = tuple(feed.handler for feed in feeds if feed.handler is not None)
             if feeds:
                 wanted.add(number)
-        self.link.wanted = frozenset(wanted)
+            if any(feed.anyone for feed in feeds):
+                from_anyone.add(number)
+        self.link.wanted, self.link.from_anyone = frozenset(wanted), frozenset(from_anyone)
         seen, self.link.seen = self.link.seen, {}
         if self._manage_streams and self.connected:
             self.streams.update(wanted, seen)
@@ -349,7 +360,8 @@ class Uas:
     def _stamp_ns(self, header: Any, boot_ns: int) -> None:
         offset = self.time_offset_ns
         ns = self.now_ns if offset is None else boot_ns + offset
-        header.stamp.secs, header.stamp.nsecs = divmod(ns, _NS)
+        seconds, header.stamp.nsecs = divmod(ns, _NS)
+        header.stamp.secs = seconds & 0xFFFFFFFF  # what the autopilot says may be any number
 
     def _request_interval(self, number: int, interval_us: int) -> None:
         log.debug("%s: %s every %d us", self.name, message_name(number), interval_us)

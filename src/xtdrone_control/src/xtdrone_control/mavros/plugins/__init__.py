@@ -5,16 +5,27 @@ from __future__ import annotations
 from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.plugins.actuator_control import ActuatorControlPlugin
 from xtdrone_control.mavros.plugins.altitude import AltitudePlugin
+from xtdrone_control.mavros.plugins.cam_imu_sync import CamImuSyncPlugin
+from xtdrone_control.mavros.plugins.camera import CameraPlugin
 from xtdrone_control.mavros.plugins.command import CommandPlugin
+from xtdrone_control.mavros.plugins.debug_value import DebugValuePlugin
+from xtdrone_control.mavros.plugins.distance_sensor import DistanceSensorPlugin
+from xtdrone_control.mavros.plugins.esc_status import EscStatusPlugin
+from xtdrone_control.mavros.plugins.fake_gps import FakeGpsPlugin
 from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
+from xtdrone_control.mavros.plugins.gps_rtk import GpsRtkPlugin
 from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
 from xtdrone_control.mavros.plugins.imu import ImuPlugin
+from xtdrone_control.mavros.plugins.landing_target import LandingTargetPlugin
 from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
 from xtdrone_control.mavros.plugins.manual_control import ManualControlPlugin
 from xtdrone_control.mavros.plugins.mocap_pose_estimate import MocapPlugin
 from xtdrone_control.mavros.plugins.mount_control import MountControlPlugin
+from xtdrone_control.mavros.plugins.obstacle_distance import ObstacleDistancePlugin
 from xtdrone_control.mavros.plugins.odom import OdometryPlugin
 from xtdrone_control.mavros.plugins.param import ParamPlugin
+from xtdrone_control.mavros.plugins.passed_on import PASSED_ON
+from xtdrone_control.mavros.plugins.px4flow import Px4FlowPlugin
 from xtdrone_control.mavros.plugins.rc_io import RcIoPlugin
 from xtdrone_control.mavros.plugins.setpoint_accel import SetpointAccelPlugin
 from xtdrone_control.mavros.plugins.setpoint_attitude import SetpointAttitudePlugin
@@ -27,6 +38,7 @@ from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
 from xtdrone_control.mavros.plugins.trajectory import TrajectoryPlugin
 from xtdrone_control.mavros.plugins.vfr_hud import VfrHudPlugin
 from xtdrone_control.mavros.plugins.vision_pose_estimate import VisionPosePlugin
+from xtdrone_control.mavros.plugins.vision_speed_estimate import VisionSpeedPlugin
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
 
 PLUGINS: tuple[type[Plugin], ...] = (
@@ -57,4 +69,16 @@ PLUGINS: tuple[type[Plugin], ...] = (
     MocapPlugin,
     OdometryPlugin,
     MountControlPlugin,
+    CamImuSyncPlugin,
+    CameraPlugin,
+    DebugValuePlugin,
+    DistanceSensorPlugin,
+    EscStatusPlugin,
+    FakeGpsPlugin,
+    GpsRtkPlugin,
+    LandingTargetPlugin,
+    ObstacleDistancePlugin,
+    Px4FlowPlugin,
+    VisionSpeedPlugin,
+    *PASSED_ON,
 )

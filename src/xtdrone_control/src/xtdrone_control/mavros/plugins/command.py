@@ -1,10 +1,12 @@
-"""Commands: services that send COMMAND_LONG or COMMAND_INT and wait for the ack."""
+"""Commands: services that send COMMAND_LONG and wait for the ack, COMMAND_INT and COMMAND_ACK, which do not."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from mavros_msgs.srv import (
+    CommandAck,
+    CommandAckResponse,
     CommandBool,
     CommandBoolResponse,
     CommandHome,
@@ -26,23 +28,34 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.codec import decoder
 from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.relay import wrapped
+from xtdrone_control.mavros.transactions import ACK_LIMIT
 from xtdrone_control.mavros.uas import Uas
 
+_SYSTEM_CONTROL = 250  # MAV_COMP_ID_SYSTEM_CONTROL
 _decode_ack = decoder("COMMAND_ACK")
 
 
 class CommandPlugin(Plugin):
-    """MAVROS's command: ``success`` is that the ack says "accepted"; without an ack the result is 4, failed."""
+    """MAVROS's command: ``success`` is that the ack says "accepted"; without an ack the result is 4, failed.
+
+    As in MAVROS, ``command_int`` and ``command_ack`` succeed when the message is sent.
+    """
 
     name = "command"
 
     def __init__(self, uas: Uas) -> None:
         """Offer the services."""
         super().__init__(uas)
+        self._limit = uas.params.get("cmd/command_ack_timeout", ACK_LIMIT)  # s, wall
+        system, component = uas.target
+        quirk = uas.params.get("cmd/use_comp_id_system_control", False)
+        self._target = system, _SYSTEM_CONTROL if quirk else component
         self._arming = False  # the last command to arm or disarm asked for arming
         self.replies = {"COMMAND_ACK": self._on_ack}
         uas.service("cmd/command", CommandLong, self._command)
         uas.service("cmd/command_int", CommandInt, self._command_int)
+        uas.service("cmd/command_ack", CommandAck, self._command_ack)
         uas.service("cmd/arming", CommandBool, self._arm)
         uas.service("cmd/set_home", CommandHome, self._set_home)
         uas.service("cmd/takeoff", CommandTOL, self._takeoff)
@@ -61,17 +74,14 @@ class CommandPlugin(Plugin):
 
     def _call(self, command: int, *params: float) -> tuple[bool, int]:
         """Send COMMAND_LONG with up to seven parameters; return success and MAV_RESULT."""
-        system, component = self.uas.target
         values = (*params, *(0.0,) * (7 - len(params)))
         if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             self._arming = values[0] == 1.0
         result = self.uas.commands.call(
             command,
-            lambda attempt: mavlink.MAVLink_command_long_message(system, component, command, attempt, *values),
+            lambda attempt: mavlink.MAVLink_command_long_message(*self._target, command, attempt, *values),
+            limit=self._limit,
         )
-        return self._outcome(command, result)
-
-    def _outcome(self, command: int, result: int | None) -> tuple[bool, int]:
         if result is None:
             self.uas.warn(f"command {command}", "command %d: the autopilot has not answered", command)
             return False, mavlink.MAV_RESULT_FAILED
@@ -86,10 +96,8 @@ class CommandPlugin(Plugin):
         return CommandLongResponse(*self._call(request.command, *params))
 
     def _command_int(self, request: Any) -> CommandIntResponse:
-        system, component = (0, 0) if request.broadcast else self.uas.target
         message = mavlink.MAVLink_command_int_message(
-            system,
-            component,
+            *((0, 0) if request.broadcast else self._target),
             request.frame,
             request.command,
             request.current,
@@ -104,9 +112,19 @@ class CommandPlugin(Plugin):
         )
         if request.broadcast:
             self.uas.link.send(message)
-            return CommandIntResponse(True)
-        success, _ = self._outcome(request.command, self.uas.commands.call(request.command, lambda _: message))
-        return CommandIntResponse(success)
+        else:
+            self.uas.commands.send(request.command, message)
+        return CommandIntResponse(True)
+
+    def _command_ack(self, request: Any) -> CommandAckResponse:
+        """Acknowledge a command that the autopilot has sent."""
+        param2 = wrapped(request.result_param2, 32)
+        self.uas.link.send(
+            mavlink.MAVLink_command_ack_message(
+                request.command, request.result, request.progress, param2, *self._target
+            )
+        )
+        return CommandAckResponse(True, mavlink.MAV_RESULT_ACCEPTED)
 
     def _arm(self, request: Any) -> CommandBoolResponse:
         arm = 1.0 if request.value else 0.0
@@ -127,11 +145,12 @@ class CommandPlugin(Plugin):
         return CommandTOLResponse(*self._call(mavlink.MAV_CMD_NAV_LAND, 0.0, 0.0, 0.0, request.yaw, *place))
 
     def _trigger_control(self, request: Any) -> CommandTriggerControlResponse:
-        flags = (request.trigger_enable, request.sequence_reset, request.trigger_pause)
-        return CommandTriggerControlResponse(*self._call(mavlink.MAV_CMD_DO_TRIGGER_CONTROL, *map(float, flags)))
+        switches = (request.trigger_enable, request.sequence_reset, request.trigger_pause)
+        return CommandTriggerControlResponse(*self._call(mavlink.MAV_CMD_DO_TRIGGER_CONTROL, *map(float, switches)))
 
     def _trigger_interval(self, request: Any) -> CommandTriggerIntervalResponse:
-        times = (request.cycle_time, request.integration_time)
+        """Set the times (ms), which the autopilot takes while triggering is off."""
+        times = request.cycle_time, request.integration_time
         return CommandTriggerIntervalResponse(*self._call(mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, *times))
 
     def _vtol_transition(self, request: Any) -> CommandVtolTransitionResponse:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from math import cos, radians, sin
 from typing import Any
 
-from geometry_msgs.msg import TwistStamped
+from geographic_msgs.msg import GeoPointStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 from std_msgs.msg import Float64, UInt32
+from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.packing import whole
+from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
 from xtdrone_control.mavros.uas import Uas
 
 _UNKNOWN = 65535  # of the 16-bit fields
@@ -22,7 +25,7 @@ _NAN = float("nan")
 class GlobalPositionPlugin(Plugin):
     """MAVROS's global_position.
 
-    Heights of NavSatFix are over the ellipsoid: the autopilot's AMSL plus EGM96's geoid there, as MAVROS adds it; with
+    Heights of NavSatFix and GeoPoint are over the ellipsoid: the autopilot's AMSL plus EGM96's geoid there, as MAVROS adds it; with
     ``global_position/geoid: none`` they stay AMSL.
 
     ``global_position/local`` is relative to home, or to the first fix before a home has come. Its velocity is ENU
@@ -32,7 +35,7 @@ class GlobalPositionPlugin(Plugin):
     name = "global_position"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise the topics."""
+        """Advertise and subscribe."""
         super().__init__(uas)
         get = uas.params.get
         frame = get("global_position/frame_id", "map")
@@ -51,18 +54,63 @@ class GlobalPositionPlugin(Plugin):
         self._local = uas.topic("global_position/local", Odometry(child_frame_id=body))
         self._relative = uas.topic("global_position/rel_alt", Float64())
         self._heading = uas.topic("global_position/compass_hdg", Float64())
+        self._gp_origin = uas.topic("global_position/gp_origin", GeoPointStamped(), latch=True)
+        self._offset = uas.topic("global_position/gp_lp_offset", PoseStamped())
+        self._tf = self._transforms()
+        earth = get("global_position/tf/global_frame_id", "earth")
+        self._gp_origin.message.header.frame_id = self._offset.message.header.frame_id = earth
         self._raw.message.header.frame_id = self._global.message.header.frame_id = body
         self._raw_velocity.message.header.frame_id = self._local.message.header.frame_id = frame
         self._local.message.twist.covariance = [-1.0, *[0.0] * 35]  # unknown
+        local = [self._local] if self._tf is None else [self._local, self._tf]
         self.messages = {
             "GPS_RAW_INT": [
                 Feed(self._on_gps, self._raw, self._raw_velocity, self._satellites),
-                Feed(None, self._global, self._local),
+                Feed(None, self._global, *local),
             ],
-            "GLOBAL_POSITION_INT": Feed(self._on_global, self._global, self._local, self._relative, self._heading),
-            "ATTITUDE_QUATERNION": Feed(None, self._local),
-            "HOME_POSITION": Feed(None, self._local),
+            "GLOBAL_POSITION_INT": Feed(self._on_global, self._global, *local, self._relative, self._heading),
+            "ATTITUDE_QUATERNION": Feed(None, *local),
+            "HOME_POSITION": Feed(None, *local),
+            "GPS_GLOBAL_ORIGIN": Feed(self._on_origin, self._gp_origin),
+            "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET": Feed(self._on_offset, self._offset),
         }
+        uas.subscribe("global_position/set_gp_origin", GeoPointStamped, self._set_origin)
+
+    def _transforms(self) -> Topic | None:
+        """Advertise the transform of ``global_position/local``, if ``global_position/tf/send`` asks for it."""
+        get = self.uas.params.get
+        if not get("global_position/tf/send", False):
+            return None
+        transform = TransformStamped(child_frame_id=get("global_position/tf/child_frame_id", "base_link"))
+        transform.header.frame_id = get("global_position/tf/frame_id", "map")
+        return self.uas.topic("/tf", TFMessage([transform]))
+
+    def _on_origin(self, origin: Any) -> None:
+        message = self._gp_origin.message
+        self.uas.stamp_now(message.header)
+        place = self._place(origin.latitude, origin.longitude, origin.altitude)
+        message.position.latitude, message.position.longitude, message.position.altitude = place
+        self._gp_origin.publish(message)
+
+    def _set_origin(self, origin: Any) -> None:
+        place = origin.position
+        self.uas.link.send(
+            mavlink.MAVLink_set_gps_global_origin_message(
+                self.uas.target[0],
+                whole(place.latitude * 1e7),
+                whole(place.longitude * 1e7),
+                whole((place.altitude - self.uas.geoid_height(place.latitude, place.longitude)) * 1e3),
+            )
+        )
+
+    def _on_offset(self, offset: Any) -> None:
+        message = self._offset.message
+        self.uas.stamp(message.header, offset.time_boot_ms)
+        point, q = message.pose.position, message.pose.orientation
+        point.x, point.y, point.z = frames.ned_to_enu(offset.x, offset.y, offset.z)
+        attitude = frames.quaternion_from_rpy(offset.roll, offset.pitch, offset.yaw)
+        q.w, q.x, q.y, q.z = frames.attitude_ned_to_enu(*attitude)
+        self._offset.publish(message)
 
     def _place(self, latitude: int, longitude: int, altitude: int) -> frames.Vector:
         """Return deg, deg and m over the ellipsoid of MAVLink's 1e-7 deg and mm AMSL."""
@@ -92,7 +140,8 @@ class GlobalPositionPlugin(Plugin):
         if self._heading.taken:
             self._heading.message.data = position.hdg / 100.0 if position.hdg != _UNKNOWN else _NAN
             self._heading.publish(self._heading.message)
-        if not (self._global.taken or self._local.taken):
+        with_tf = self._tf is not None and self._tf.taken
+        if not (self._global.taken or self._local.taken or with_tf):
             return
         place = self._place(position.lat, position.lon, position.alt)
         raw = self._latest_fix()
@@ -104,7 +153,7 @@ class GlobalPositionPlugin(Plugin):
             fix.position_covariance = raw.position_covariance
             fix.position_covariance_type = raw.position_covariance_type
             self._global.publish(fix)
-        if self._local.taken:
+        if self._local.taken or with_tf:
             self._publish_local(position, place, raw)
 
     def _publish_local(self, position: Any, place: frames.Vector, raw: NavSatFix) -> None:
@@ -121,7 +170,15 @@ class GlobalPositionPlugin(Plugin):
         q.w, q.x, q.y, q.z = attitude[0]
         linear.x, linear.y, linear.z = frames.ned_to_enu(position.vx / 100.0, position.vy / 100.0, position.vz / 100.0)
         odom.pose.covariance = _pose_covariance(raw.position_covariance, self._rotation_variance)
-        self._local.publish(odom)
+        if self._local.taken:
+            self._local.publish(odom)
+        if self._tf is not None and self._tf.taken:
+            [transform] = self._tf.message.transforms
+            self.uas.stamp(transform.header, position.time_boot_ms)
+            to = transform.transform.translation
+            to.x, to.y, to.z = point.x, point.y, point.z
+            transform.transform.rotation = q
+            self._tf.publish(self._tf.message)
 
     def _origin(self, place: frames.Vector, raw: NavSatFix) -> frames.Vector | None:
         home = self.uas.latest("HOME_POSITION")

@@ -22,7 +22,8 @@ class MountControlPlugin(Plugin):
     """MAVROS's mount_control.
 
     Angles of ``command`` are degrees, and like those of ``orientation`` MAVLink's: pitch positive up, yaw positive to
-    the right of the heading. ``status`` is there for who looks for it: PX4 sends nothing that would come out of it.
+    the right of the heading; ``mount_control/negate_measured_roll`` (and pitch, yaw) turns the sign of what a gimbal
+    says of itself. ``status`` is there for who looks for it: PX4 sends nothing that would come out of it.
     """
 
     name = "mount_control"
@@ -31,13 +32,18 @@ class MountControlPlugin(Plugin):
         """Advertise, subscribe and offer the service."""
         super().__init__(uas)
         self._orientation = uas.topic("mount_control/orientation", Quaternion())
+        self._signs = [
+            -1.0 if uas.params.get(f"mount_control/negate_measured_{axis}", False) else 1.0
+            for axis in ("roll", "pitch", "yaw")
+        ]
         uas.topic("mount_control/status", Vector3Stamped())
         self.messages = {"MOUNT_ORIENTATION": Feed(self._on_orientation, self._orientation)}
         uas.subscribe("mount_control/command", MountControl, self._command)
         uas.service("mount_control/configure", MountConfigure, self._configure)
 
     def _on_orientation(self, mount: Any) -> None:
-        angles = (math.radians(angle) for angle in (mount.roll, mount.pitch, mount.yaw))
+        measured = zip(self._signs, (mount.roll, mount.pitch, mount.yaw), strict=True)
+        angles = (math.radians(sign * angle) for sign, angle in measured)
         q = self._orientation.message
         q.w, q.x, q.y, q.z = frames.quaternion_from_rpy(*angles)
         self._orientation.publish(q)

@@ -1,4 +1,4 @@
-"""State of the autopilot: heartbeat, battery, texts, estimator flags; flight mode and message rates on request.
+"""State of the autopilot: heartbeat, version, battery, texts, estimator flags; mode and message rates on request.
 
 Beyond MAVROS's: what PX4 tells by events alone is logged, and published with the texts (``refusals``).
 """
@@ -6,9 +6,10 @@ Beyond MAVROS's: what PX4 tells by events alone is logged, and published with th
 from __future__ import annotations
 
 import logging
+import threading
 from typing import Any
 
-from mavros_msgs.msg import EstimatorStatus, ExtendedState, State, StatusText, SysStatus
+from mavros_msgs.msg import EstimatorStatus, ExtendedState, State, StatusText, SysStatus, VehicleInfo
 from mavros_msgs.srv import (
     MessageInterval,
     MessageIntervalResponse,
@@ -16,10 +17,13 @@ from mavros_msgs.srv import (
     SetModeResponse,
     StreamRate,
     StreamRateResponse,
+    VehicleInfoGet,
+    VehicleInfoGetResponse,
 )
 from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import BatteryState
 
+from xtdrone_control.mavlink.codec import decoder, version
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.uas import Uas
@@ -30,6 +34,7 @@ _NS = 1_000_000_000
 _NAN = float("nan")
 # s, wall. MAVROS does not wait at all; this keeps the order in a simulation that stands still while the caller waits.
 _MODE_ACK_LIMIT = 0.5
+_VERSION_LIMIT = 2.0  # s, wall, between the ack of the request and the version
 _UINT16_MAX = 65535
 _MAVLINK_VERSION = 3  # the heartbeat's mavlink_version field
 _TEXT_LENGTH = 50  # bytes of a STATUSTEXT
@@ -44,6 +49,18 @@ _TECHNOLOGY = {
     mavlink.MAV_BATTERY_TYPE_LION: BatteryState.POWER_SUPPLY_TECHNOLOGY_LION,
     mavlink.MAV_BATTERY_TYPE_NIMH: BatteryState.POWER_SUPPLY_TECHNOLOGY_NIMH,
 }
+
+# the same in AUTOPILOT_VERSION and VehicleInfo
+_VERSION_FIELDS = (
+    "capabilities",
+    "flight_sw_version",
+    "middleware_sw_version",
+    "os_sw_version",
+    "board_version",
+    "vendor_id",
+    "product_id",
+    "uid",
+)
 
 _ESTIMATOR_FLAGS = {
     "attitude_status_flag": mavlink.ESTIMATOR_ATTITUDE,
@@ -61,8 +78,14 @@ _ESTIMATOR_FLAGS = {
 }
 
 
+_decode_version = decoder("AUTOPILOT_VERSION")
+
+
 class SysStatusPlugin(Plugin):
-    """MAVROS's sys_status."""
+    """MAVROS's sys_status.
+
+    ``vehicle_info_get`` knows the autopilot alone, and asks for its version when that is first wanted.
+    """
 
     name = "sys_status"
 
@@ -75,6 +98,10 @@ class SysStatusPlugin(Plugin):
         self._text_parts: list[str] = []
         self._armed = False
         self._booted = False
+        self._heartbeat: Any = None  # the last
+        self._version: Any = None
+        self._version_known = threading.Event()
+        self._info_ns = 0  # when either of them came
         self._state = uas.topic("state", State(), latch=True)
         self._extended = uas.topic("extended_state", ExtendedState())
         self._battery = uas.topic("battery", BatteryState())
@@ -90,16 +117,20 @@ class SysStatusPlugin(Plugin):
             "ESTIMATOR_STATUS": Feed(self._on_estimator, self._estimator),
             "SYS_STATUS": Feed(self._on_sys_status, self._sys_status),
         }
+        self.replies = {"AUTOPILOT_VERSION": self._on_version}
         uas.subscribe("statustext/send", StatusText, self._send_text)
         uas.service("set_mode", SetMode, self._set_mode)
         uas.service("set_message_interval", MessageInterval, self._set_message_interval)
         uas.service("set_stream_rate", StreamRate, self._set_stream_rate)
+        uas.service("vehicle_info_get", VehicleInfoGet, self._vehicle_info_get)
         if rate > 0.0:
             uas.timer(1.0 / rate, self._send_heartbeat)
         uas.timer(min(1.0, self._timeout_ns / _NS), self._check_connection)
 
     def connected(self, connected: bool) -> None:
-        """Publish the state of an autopilot that is lost: not connected, not armed, no mode."""
+        """Publish the state of an autopilot that is lost: not connected, not armed, no mode; forget its version."""
+        self._version = None
+        self._version_known.clear()
         if not connected:
             self._armed = self._booted = False
             state = self._state.message = State()
@@ -124,7 +155,8 @@ class SysStatusPlugin(Plugin):
 
     def _on_heartbeat(self, heartbeat: Any) -> None:
         uas = self.uas
-        self._last_heartbeat_ns = uas.now_ns
+        self._last_heartbeat_ns = self._info_ns = uas.now_ns
+        self._heartbeat = heartbeat
         booted = heartbeat.system_status not in (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT)
         if self._booted and not booted:
             uas.rebooted()
@@ -272,6 +304,53 @@ class SysStatusPlugin(Plugin):
             )
         )
         return StreamRateResponse()
+
+    def _on_version(self, frame: bytes) -> None:
+        """Take AUTOPILOT_VERSION in the receiver thread."""
+        component = frame[6] if version(frame) == 2 else frame[4]
+        if component == self.uas.target[1]:  # else of a camera, say
+            self._version = _decode_version(frame)
+            self._info_ns = self.uas.now_ns
+            self._version_known.set()
+
+    def _vehicle_info_get(self, request: Any) -> VehicleInfoGetResponse:
+        heartbeat, asked = self._heartbeat, (request.sysid, request.compid)
+        known = heartbeat is not None
+        if not request.get_all and not (known and asked in ((0, 0), self.uas.target)):
+            return VehicleInfoGetResponse(success=False)
+        if known and self._version is None:
+            self._request_version()
+        return VehicleInfoGetResponse(success=True, vehicles=[self._vehicle_info(heartbeat)] if known else [])
+
+    def _request_version(self) -> None:
+        """Ask for the version, and wait for it if the autopilot will tell it."""
+        command = mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES
+        result = self.uas.commands.call(
+            command,
+            lambda attempt: mavlink.MAVLink_command_long_message(
+                *self.uas.target, command, attempt, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            ),
+        )
+        if result == mavlink.MAV_RESULT_ACCEPTED:
+            with self.uas.ros.needs_time():
+                self._version_known.wait(_VERSION_LIMIT)
+
+    def _vehicle_info(self, heartbeat: Any) -> VehicleInfo:
+        info = VehicleInfo(available_info=VehicleInfo.HAVE_INFO_HEARTBEAT)
+        info.header.stamp.secs, info.header.stamp.nsecs = divmod(self._info_ns, _NS)
+        info.sysid, info.compid = self.uas.target
+        for field in ("autopilot", "type", "system_status", "base_mode", "custom_mode"):
+            setattr(info, field, getattr(heartbeat, field))
+        info.mode = mode_name(heartbeat.base_mode, heartbeat.custom_mode)
+        custom = heartbeat.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        info.mode_id = heartbeat.custom_mode if custom else heartbeat.base_mode
+        found = self._version
+        if found is not None:
+            info.available_info |= VehicleInfo.HAVE_INFO_AUTOPILOT_VERSION
+            for field in _VERSION_FIELDS:
+                setattr(info, field, getattr(found, field))
+            info.flight_custom_version = f"{int.from_bytes(bytes(found.flight_custom_version), 'little'):016x}"
+        return info
 
 
 def _text(data: Any) -> str:

@@ -1,4 +1,4 @@
-"""The autopilot's clock: the offset that stamps need outside simulation, and the time reference."""
+"""The autopilot's clock: the offset that stamps need outside simulation, its status, and the time reference."""
 
 from __future__ import annotations
 
@@ -18,31 +18,40 @@ _RESTART_NS = 1_000_000_000  # an offset that is off by more than this comes fro
 class SysTimePlugin(Plugin):
     """MAVROS's sys_time, its MAVLink time synchronisation reduced to an exponential average.
 
-    In simulation the autopilot's boot time is the ROS time and nothing is exchanged.
+    In simulation the autopilot's boot time is the ROS time: clocks are compared for ``timesync_status`` alone, while it
+    has subscribers, and no stamp depends on it.
     """
 
     name = "sys_time"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise the topics; outside simulation, begin to exchange TIMESYNC."""
+        """Advertise the topics; begin to exchange TIMESYNC, in simulation while its status is taken."""
         super().__init__(uas)
         self._alpha = uas.params.get("time/timesync_avg_alpha", 0.6)
         rate = uas.params.get("conn/timesync_rate", 10.0)
         source = uas.params.get("time/time_ref_source", "fcu")
         self._reference = uas.topic("time_reference", TimeReference(source=source))
         self._status = uas.topic("timesync_status", TimesyncStatus())
+        self._offset_ns: int | None = None
+        self._stamps = not uas.ros.use_sim_time  # they need the offset
         self.messages = {"SYSTEM_TIME": Feed(self._on_system_time, self._reference)}
-        if not uas.ros.use_sim_time and rate > 0.0:
-            self.messages["TIMESYNC"] = Feed(self._on_timesync, always=True)
+        if rate > 0.0:
+            self.messages["TIMESYNC"] = Feed(self._on_timesync, self._status, always=self._stamps)
             uas.timer(1.0 / rate, self._send)
 
     def connected(self, connected: bool) -> None:
         """Forget the offset of an autopilot that may have restarted."""
-        if connected and not self.uas.ros.use_sim_time:
-            self.uas.time_offset_ns = None
+        if connected:
+            self._keep(None)
+
+    def _keep(self, offset_ns: int | None) -> None:
+        self._offset_ns = offset_ns
+        if self._stamps:
+            self.uas.time_offset_ns = offset_ns
 
     def _send(self) -> None:
-        self.uas.link.send(mavlink.MAVLink_timesync_message(0, self.uas.ros.now_ns()))
+        if self._stamps or self._status.taken:
+            self.uas.link.send(mavlink.MAVLink_timesync_message(0, self.uas.ros.now_ns()))
 
     def _on_timesync(self, sync: Any) -> None:
         now = self.uas.ros.now_ns()
@@ -50,16 +59,16 @@ class SysTimePlugin(Plugin):
             self.uas.link.send(mavlink.MAVLink_timesync_message(now, sync.ts1))
             return
         observed = (sync.ts1 + now) // 2 - sync.tc1  # the autopilot's answer lies halfway
-        offset = self.uas.time_offset_ns
+        offset = self._offset_ns
         if offset is None or abs(observed - offset) > _RESTART_NS:
             offset = observed
         else:
             offset += round(self._alpha * (observed - offset))
-        self.uas.time_offset_ns = offset
+        self._keep(offset)
         if self._status.taken:
             status = self._status.message
             self.uas.stamp_now(status.header)
-            status.remote_timestamp_ns = sync.tc1
+            status.remote_timestamp_ns = max(sync.tc1, 0)
             status.observed_offset_ns = observed
             status.estimated_offset_ns = offset
             status.round_trip_time_ms = (now - sync.ts1) / 1e6

@@ -1,0 +1,107 @@
+"""Values that a program or the autopilot shows for debugging."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mavros_msgs.msg import DebugValue
+
+from xtdrone_control.mavros.packing import FieldError
+from xtdrone_control.mavros.relay import In, Out, Relay, text
+from xtdrone_control.mavros.uas import Uas
+
+_NONE = -1  # index or array_id of what has none
+_NAME = 10  # bytes
+_FLOATS = 58  # of a DEBUG_FLOAT_ARRAY
+
+
+def _debug(m: Any) -> Mapping[str, Any]:
+    return {"type": DebugValue.TYPE_DEBUG, "index": m.ind, "array_id": _NONE, "value_float": m.value}
+
+
+def _named(kind: int, m: Any) -> dict[str, Any]:
+    return {"type": kind, "index": _NONE, "array_id": _NONE, "name": m.name.rstrip("\0")}
+
+
+def _vector(m: Any) -> Mapping[str, Any]:
+    return {**_named(DebugValue.TYPE_DEBUG_VECT, m), "data": [m.x, m.y, m.z]}
+
+
+def _array(m: Any) -> Mapping[str, Any]:
+    return {**_named(DebugValue.TYPE_DEBUG_FLOAT_ARRAY, m), "array_id": m.array_id, "data": list(m.data)}
+
+
+def _float(m: Any) -> Mapping[str, Any]:
+    return {**_named(DebugValue.TYPE_NAMED_VALUE_FLOAT, m), "value_float": m.value}
+
+
+def _int(m: Any) -> Mapping[str, Any]:
+    return {**_named(DebugValue.TYPE_NAMED_VALUE_INT, m), "value_int": m.value}
+
+
+def _send_debug(m: Any) -> Mapping[str, Any]:
+    return {"ind": m.index, "value": m.value_float}
+
+
+def _send_vector(m: Any) -> Mapping[str, Any]:
+    """Return the first three numbers.
+
+    Raises:
+        FieldError: there are fewer.
+    """
+    if len(m.data) < 3:
+        raise FieldError("data", f"{len(m.data)} numbers", "3 of them")
+    return {"name": text(m.name, _NAME), **dict(zip("xyz", m.data, strict=False))}
+
+
+def _send_array(m: Any) -> Mapping[str, Any]:
+    """Return the array; what does not fit is cut, as in MAVROS. MAVROS leaves the array's id 0."""
+    data = [*m.data, *[0.0] * _FLOATS][:_FLOATS]
+    return {"name": text(m.name, _NAME), "array_id": max(m.array_id, 0), "data": data}
+
+
+def _send_float(m: Any) -> Mapping[str, Any]:
+    return {"name": text(m.name, _NAME), "value": m.value_float}
+
+
+def _send_int(m: Any) -> Mapping[str, Any]:
+    return {"name": text(m.name, _NAME), "value": m.value_int}
+
+
+_TOPIC = "debug_value/send"
+_SENT = {
+    DebugValue.TYPE_DEBUG: In(_TOPIC, DebugValue, "DEBUG", _send_debug),
+    DebugValue.TYPE_DEBUG_VECT: In(_TOPIC, DebugValue, "DEBUG_VECT", _send_vector),
+    DebugValue.TYPE_DEBUG_FLOAT_ARRAY: In(_TOPIC, DebugValue, "DEBUG_FLOAT_ARRAY", _send_array),
+    DebugValue.TYPE_NAMED_VALUE_FLOAT: In(_TOPIC, DebugValue, "NAMED_VALUE_FLOAT", _send_float),
+    DebugValue.TYPE_NAMED_VALUE_INT: In(_TOPIC, DebugValue, "NAMED_VALUE_INT", _send_int),
+}
+
+
+class DebugValuePlugin(Relay):
+    """MAVROS's debug_value."""
+
+    name = "debug_value"
+    outs = (
+        Out("DEBUG", "debug_value/debug", DebugValue, _debug, anyone=True),
+        Out("DEBUG_VECT", "debug_value/debug_vector", DebugValue, _vector, anyone=True),
+        Out("DEBUG_FLOAT_ARRAY", "debug_value/debug_float_array", DebugValue, _array, anyone=True),
+        Out("NAMED_VALUE_FLOAT", "debug_value/named_value_float", DebugValue, _float, anyone=True),
+        Out("NAMED_VALUE_INT", "debug_value/named_value_int", DebugValue, _int, anyone=True),
+    )
+
+    def __init__(self, uas: Uas) -> None:
+        """Advertise and subscribe."""
+        super().__init__(uas)
+        uas.subscribe(_TOPIC, DebugValue, self._send)
+
+    def _send(self, value: Any) -> None:
+        """Send a value as the message that its type names.
+
+        Raises:
+            FieldError: a type that there is not, or a value that does not fit.
+        """
+        if value.type not in _SENT:
+            raise FieldError("type", value.type, f"{min(_SENT)} to {max(_SENT)}")
+        _SENT[value.type].forward(self.uas, value)
