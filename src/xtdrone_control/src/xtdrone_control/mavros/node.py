@@ -17,6 +17,7 @@ Private parameters, besides those of ``config/px4_config.yaml``:
 
 from __future__ import annotations
 
+import resource
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -220,6 +221,7 @@ def main() -> int:
         advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
         print(f"mavros: no ROS master answers at {uri}; {advice}", file=sys.stderr)
         return _FAILED
+    _allow_many_files()
     lockstep.init_node("mavros", rate=RATE)
     try:
         settings = rospy.get_param("~", {})
@@ -244,6 +246,12 @@ def main() -> int:
     finally:
         node.close()
     return lockstep.exit_status()
+
+
+def _allow_many_files() -> None:
+    """Allow as many files as the system lets us: rospy opens one for each topic."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
 def _fleet(settings: Mapping[str, Any]) -> str:

@@ -71,7 +71,6 @@ class Uas:
         refusals: why the autopilot refuses.
         target: system and component id of the autopilot.
         connected: heartbeats come.
-        geoid_height: height of the geoid over the ellipsoid, m: what NavSatFix and GeoPoint have more than AMSL.
         time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while it is unknown.
     """
 

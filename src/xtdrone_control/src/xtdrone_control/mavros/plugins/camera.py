@@ -26,7 +26,7 @@ class CameraPlugin(Plugin):
         self.uas.stamp(message.header, captured.time_boot_ms)
         geo, q = message.geo, message.orientation
         geo.latitude, geo.longitude = captured.lat / 1e7, captured.lon / 1e7
-        geo.altitude = captured.alt / 1e3 + self.uas.geoid_height
+        geo.altitude = captured.alt / 1e3 + self.uas.geoid_height(geo.latitude, geo.longitude)
         q.w, q.x, q.y, q.z = captured.q
         message.relative_alt = captured.relative_alt / 1e3
         message.image_index = captured.image_index

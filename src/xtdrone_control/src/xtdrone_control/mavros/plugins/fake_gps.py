@@ -96,7 +96,7 @@ class FakeGpsPlugin(Plugin):
         if all(map(math.isfinite, position)):
             self._last = now_ns, position
         latitude, longitude, height = frames.enu_to_geodetic(position, self._origin)
-        return (latitude, longitude, height - self.uas.geoid_height), velocity
+        return (latitude, longitude, height - self.uas.geoid_height(latitude, longitude)), velocity
 
     def _hil_gps(self, _: Any, place: frames.Vector, velocity: frames.Vector) -> dict[str, Any]:
         vn, ve, vd = velocity

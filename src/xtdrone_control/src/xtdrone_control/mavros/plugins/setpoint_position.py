@@ -45,7 +45,6 @@ class SetpointPositionPlugin(Plugin):
     def __init__(self, uas: Uas) -> None:
         """Subscribe."""
         super().__init__(uas)
-        self._geoid = uas.params.get("global_position/geoid_height", 0.0)
         self._frame = MavFrame(uas, self.name)
         self._goal: GeoPoseStamped | None = None  # waits for the vehicle's position
         self._waits_long = False  # and has done so when last looked
@@ -129,7 +128,8 @@ class SetpointPositionPlugin(Plugin):
             return
         self._goal, self._waits_long = None, False
         goal = pose.pose.position
-        here = place.lat / 1e7, place.lon / 1e7, place.alt / 1e3 + self._geoid
+        latitude, longitude = place.lat / 1e7, place.lon / 1e7
+        here = latitude, longitude, place.alt / 1e3 + self.uas.geoid_height(latitude, longitude)
         way = frames.geodetic_to_enu((goal.latitude, goal.longitude, goal.altitude), here)
         x, y, z = frames.ned_to_enu(local.x, local.y, local.z)
         position = x + way[0], y + way[1], z + way[2]
