@@ -2,5 +2,5 @@
 
 ``connection`` moves frames (``mavlink.codec`` decodes them), ``uas`` is the hub of one vehicle, ``plugins`` has one
 module for each MAVROS plugin and one with the tables of those that pass messages on (``relay``), ``streams`` asks the
-autopilot for what somebody takes, ``node`` ties it to ROS.
+autopilot for what has subscribers, ``node`` ties it to ROS.
 """

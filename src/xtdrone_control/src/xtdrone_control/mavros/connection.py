@@ -116,7 +116,7 @@ class Link:
         sent: datagrams sent so far.
         received: datagrams read so far.
         wanted: ids of the messages that the main thread wants.
-        from_anyone: ids of those among them that it wants from whoever sends them, not from the autopilot alone.
+        from_anyone: ids of those among them that it wants from every sender, not from the autopilot alone.
         seen: how often each unwanted message came, by id; the stream manager clears it.
         replies: message id to the function that the receiver thread calls with each frame of it.
         malformed: datagrams that were no MAVLink, so far.

@@ -7,7 +7,7 @@ integers. This is the one place that notices a value which a MAVLink field canno
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
@@ -52,14 +52,14 @@ def pack(message: Any, packer: Any) -> bytes:
         raise
 
 
-def require_finite(message: Any) -> None:
-    """Look whether every number of a pymavlink message object is finite.
+def require_finite(message: Any, free: Collection[str] = ()) -> None:
+    """Look whether every number of a pymavlink message object is finite, but for those of the fields ``free``.
 
     Raises:
         FieldError: one that is not.
     """
     for name, kind, value in _fields(message):
-        if kind in ("float", "double") and not abs(value) <= FLOAT32_MAX:
+        if kind in ("float", "double") and not abs(value) <= FLOAT32_MAX and name.partition("[")[0] not in free:
             raise FieldError(f"{message.msgname}.{name}", value, FLOAT32_RANGE)
 
 

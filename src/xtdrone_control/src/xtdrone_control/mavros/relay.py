@@ -6,7 +6,7 @@ the header's frame are filled in by themselves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from operator import attrgetter
 from typing import Any, ClassVar
@@ -104,6 +104,7 @@ class In:
         *,
         as_component: str = "",
         rate: tuple[str, float] | None = None,
+        free: Collection[str] = (),
     ) -> None:
         """Take a row.
 
@@ -114,10 +115,12 @@ class In:
             convert: from the ROS message to MAVLink fields, over those of the same name; what neither has is 0.
             as_component: ROS field with the id of the component to send as.
             rate: parameter and default (Hz) of the highest rate; what comes faster is dropped.
+            free: MAVLink fields that need not be finite, as those where NaN says that a value is not known.
         """
         self.topic, self.kind, self.message, self.rate = topic, kind, message, rate
         self._convert = convert
         self._as_component = as_component
+        self._free = frozenset(free)
         definition: Any = MESSAGES[MESSAGE_ID[message]]
         lengths = dict(zip(definition.ordered_fieldnames, definition.lengths, strict=True))
         self._zeros = {
@@ -142,7 +145,7 @@ class In:
         values |= {name: _plain(getattr(ros, name)) for name in self._same}
         values |= self._convert(ros)
         out = message(self.message, values)
-        require_finite(out)
+        require_finite(out, self._free)
         uas.link.send(out, getattr(ros, self._as_component) if self._as_component else None)
 
 

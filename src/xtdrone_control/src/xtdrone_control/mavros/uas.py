@@ -127,8 +127,8 @@ class Uas:
         Args:
             name: the topic's name.
             message: gives its type.
-            latch: keep the last message for whoever subscribes later.
-            on_demand: a latched topic too counts as taken only while somebody subscribes.
+            latch: keep the last message for later subscribers.
+            on_demand: a latched topic too counts as taken only while it has subscribers.
         """
         publisher = self.ros.publisher(self._path(name), type(message), latch)
         topic = Topic(publisher, message, latch and not on_demand)
@@ -307,8 +307,8 @@ class Uas:
             slot.active = tuple(feed.handler for feed in feeds if feed.handler is not None)
             if feeds:
                 wanted.add(number)
-            if any(feed.anyone for feed in feeds):
-                from_anyone.add(number)
+                if any(feed.anyone for feed in feeds):
+                    from_anyone.add(number)
         self.link.wanted, self.link.from_anyone = frozenset(wanted), frozenset(from_anyone)
         seen, self.link.seen = self.link.seen, {}
         if self._manage_streams and self.connected:

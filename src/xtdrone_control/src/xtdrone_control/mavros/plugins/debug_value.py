@@ -70,11 +70,12 @@ def _send_int(m: Any) -> Mapping[str, Any]:
 
 
 _TOPIC = "debug_value/send"
+_FREE = ("value", "x", "y", "z", "data")  # a number that is none is worth showing
 _SENT = {
-    DebugValue.TYPE_DEBUG: In(_TOPIC, DebugValue, "DEBUG", _send_debug),
-    DebugValue.TYPE_DEBUG_VECT: In(_TOPIC, DebugValue, "DEBUG_VECT", _send_vector),
-    DebugValue.TYPE_DEBUG_FLOAT_ARRAY: In(_TOPIC, DebugValue, "DEBUG_FLOAT_ARRAY", _send_array),
-    DebugValue.TYPE_NAMED_VALUE_FLOAT: In(_TOPIC, DebugValue, "NAMED_VALUE_FLOAT", _send_float),
+    DebugValue.TYPE_DEBUG: In(_TOPIC, DebugValue, "DEBUG", _send_debug, free=_FREE),
+    DebugValue.TYPE_DEBUG_VECT: In(_TOPIC, DebugValue, "DEBUG_VECT", _send_vector, free=_FREE),
+    DebugValue.TYPE_DEBUG_FLOAT_ARRAY: In(_TOPIC, DebugValue, "DEBUG_FLOAT_ARRAY", _send_array, free=_FREE),
+    DebugValue.TYPE_NAMED_VALUE_FLOAT: In(_TOPIC, DebugValue, "NAMED_VALUE_FLOAT", _send_float, free=_FREE),
     DebugValue.TYPE_NAMED_VALUE_INT: In(_TOPIC, DebugValue, "NAMED_VALUE_INT", _send_int),
 }
 

@@ -77,7 +77,7 @@ class DistanceSensorPlugin(Plugin):
     def _on_distance(self, m: Any) -> None:
         sensor = self._sensors.get(m.id)
         if sensor is None:
-            self.uas.warn(f"distance {m.id}", "distance_sensor: DISTANCE_SENSOR of id %d is nobody's", m.id)
+            self.uas.warn(f"distance {m.id}", "distance_sensor: no sensor has the id %d of a DISTANCE_SENSOR", m.id)
         else:
             sensor.publish(m)
 

@@ -23,7 +23,7 @@ class MountControlPlugin(Plugin):
 
     Angles of ``command`` are degrees, and like those of ``orientation`` MAVLink's: pitch positive up, yaw positive to
     the right of the heading; ``mount_control/negate_measured_roll`` (and pitch, yaw) turns the sign of what a gimbal
-    says of itself. ``status`` is there for who looks for it: PX4 sends nothing that would come out of it.
+    says of itself. ``status`` is advertised and stays silent: what MAVROS fills it with is ArduPilot's.
     """
 
     name = "mount_control"

@@ -1,7 +1,6 @@
 """Plugins of MAVROS that pass messages on: rows of tables. PX4 v1.14 in simulation sends few of them by itself.
 
-Where MAVROS's own arithmetic cannot be meant, this does what is: HIL_RC_INPUTS_RAW carries microseconds, and texts that
-are too long are cut between characters of a byte each.
+HIL_RC_INPUTS_RAW carries microseconds, as MAVLink says; MAVROS divides by a hundred too much.
 """
 
 from __future__ import annotations
@@ -118,7 +117,7 @@ CompanionProcessStatusPlugin = relay(
 
 
 class EscTelemetryPlugin(Plugin):
-    """MAVROS's esc_telemetry: the topic, for who looks for it. What would fill it is ArduPilot's alone."""
+    """MAVROS's esc_telemetry: the topic, which stays silent. What would fill it is ArduPilot's alone."""
 
     name = "esc_telemetry"
 
@@ -197,6 +196,9 @@ def _hil_sensor(m: Any) -> Fields:
     return values | pressures
 
 
+FLOW_GYRO = ("integrated_xgyro", "integrated_ygyro", "integrated_zgyro")  # NaN: not measured; PX4 itself says it so
+
+
 def turned_flow(m: Any) -> Fields:
     """Return the angles of an optical flow, of either kind of message, in FRD from FLU or the other way round."""
     return {
@@ -222,7 +224,7 @@ HilPlugin = relay(
     In("hil/state", HilStateQuaternion, "HIL_STATE_QUATERNION", _hil_state),
     In("hil/gps", HilGPS, "HIL_GPS", _hil_gps),
     In("hil/imu_ned", HilSensor, "HIL_SENSOR", _hil_sensor),
-    In("hil/optical_flow", OpticalFlowRad, "HIL_OPTICAL_FLOW", _hil_flow),
+    In("hil/optical_flow", OpticalFlowRad, "HIL_OPTICAL_FLOW", _hil_flow, free=FLOW_GYRO),
     In("hil/rc_inputs", RCIn, "HIL_RC_INPUTS_RAW", _hil_rc),
 )
 
@@ -234,7 +236,7 @@ def _compass(m: Any) -> Fields:
 class MagCalibrationStatusPlugin(Relay):
     """MAVROS's mag_calibration_status.
 
-    ``mag_calibration/status`` is there for who looks for it: the progress is a message of ArduPilot's alone. MAVROS
+    ``mag_calibration/status`` stays silent: the progress is a message of ArduPilot's alone. MAVROS
     publishes a report only after such a progress; here every one.
     """
 

@@ -8,7 +8,7 @@ from mavros_msgs.msg import OpticalFlowRad
 from sensor_msgs.msg import Range, Temperature
 
 from xtdrone_control.mavros.plugin import Feed
-from xtdrone_control.mavros.plugins.passed_on import turned_flow
+from xtdrone_control.mavros.plugins.passed_on import FLOW_GYRO, turned_flow
 from xtdrone_control.mavros.relay import In, Relay
 from xtdrone_control.mavros.uas import Uas
 
@@ -21,7 +21,7 @@ class Px4FlowPlugin(Relay):
     """MAVROS's px4flow: angles in FLU; the distance comes as a range finder's too."""
 
     name = "px4flow"
-    ins = (In("px4flow/raw/send", OpticalFlowRad, "OPTICAL_FLOW_RAD", _sent),)
+    ins = (In("px4flow/raw/send", OpticalFlowRad, "OPTICAL_FLOW_RAD", _sent, free=FLOW_GYRO),)
 
     def __init__(self, uas: Uas) -> None:
         """Advertise and subscribe."""

@@ -45,5 +45,5 @@ class VisionSpeedPlugin(Plugin):
         twist = "speed_twist_cov" if uas.params.get("vision_speed/twist_cov", True) else "speed_twist"
         topic = twist if uas.params.get("vision_speed/listen_twist", True) else "speed_vector"
         kind, convert = _ROWS[topic]
-        row = In(f"vision_speed/{topic}", kind, "VISION_SPEED_ESTIMATE", convert)
+        row = In(f"vision_speed/{topic}", kind, "VISION_SPEED_ESTIMATE", convert, free=("covariance",))
         uas.subscribe(row.topic, row.kind, lambda m: row.forward(uas, m))
