@@ -25,8 +25,8 @@ _NAN = float("nan")
 class GlobalPositionPlugin(Plugin):
     """MAVROS's global_position.
 
-    Heights of NavSatFix and GeoPoint are over the ellipsoid: the autopilot's AMSL plus EGM96's geoid there, as MAVROS adds it; with
-    ``global_position/geoid: none`` they stay AMSL.
+    Heights of NavSatFix and GeoPoint are over the ellipsoid: the autopilot's AMSL plus EGM96's geoid there, as MAVROS
+    adds it; with ``global_position/geoid: none`` they stay AMSL.
 
     ``global_position/local`` is relative to home, or to the first fix before a home has come. Its velocity is ENU
     (MAVROS leaves its z pointing down).
