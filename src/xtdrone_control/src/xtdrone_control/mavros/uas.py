@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import logging
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -137,7 +138,7 @@ class Uas:
 
     def geoid_height(self, latitude: float, longitude: float) -> float:
         """Return the geoid's height over the ellipsoid, m, at a place in deg; 0 if there is no such place."""
-        return self._geoid(latitude, longitude) if abs(latitude) <= _POLE else 0.0
+        return self._geoid(latitude, longitude) if abs(latitude) <= _POLE and math.isfinite(longitude) else 0.0
 
     def share(self, topic: Topic) -> None:
         """Take note of a topic that belongs to all vehicles: its subscribers count for this one's streams too."""
