@@ -1,4 +1,7 @@
-"""The whole stack over PX4s: ``multi_vehicle.launch autopilot:=hil``, and a stand-in for each vehicle's PX4."""
+"""The whole stack over PX4s: ``multi_vehicle.launch autopilot:=hil``, and a stand-in for each vehicle's PX4.
+
+Each vehicle has a MAVROS node of its own, as real MAVROS is started.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,8 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
             f"vehicles:={FLEET}",
             "rows:=2",
             "speed:=0",
-            "participants:=2",
+            "participants:=/iris_0/mavros,/iris_1/mavros,/communication",
+            "mavros_nodes:=per_uav",
             "autopilot:=hil",
             "fcu_url:=udp://:14540@127.0.0.1:14580",
         )

@@ -257,7 +257,7 @@ def test_the_benchmark_films_vehicles_that_circle(tmp_path: Path) -> None:
     ("file", "arguments", "count"),
     [
         ("multi_vehicle.launch", ["vehicles:=iris:2"], 3),
-        ("multi_vehicle.launch", ["vehicles:=iris:2", "tf:=true"], 3),
+        ("multi_vehicle.launch", ["vehicles:=iris:2,typhoon_h480", "tf:=true", "mavros_nodes:=per_uav"], 5),
         ("formation.launch", ["n:=6", "processes:=shared"], 7),
         ("search.launch", ["n:=2"], "/mavros,/cameras,/communication,/yolo,/yolo_human_tracking,/search_mission"
                                     ",/robot_tf,/swarm_markers"),

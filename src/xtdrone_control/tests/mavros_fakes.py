@@ -110,8 +110,10 @@ class Bench:
         self.uas.refresh()
 
     def frame(self, message: Any) -> bytes:
-        """Return ``message`` as the autopilot sends it."""
-        return bytes(message.pack(self._packer))
+        """Return ``message`` as the autopilot sends it; the next one has the next sequence number."""
+        frame = bytes(message.pack(self._packer))
+        self._packer.seq = (self._packer.seq + 1) & 0xFF
+        return frame
 
     def send(self, *messages: Any) -> None:
         """Send messages as the autopilot and let the plugins handle them."""

@@ -20,6 +20,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control import frames
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.dialect import MESSAGE_ID
+from xtdrone_control.mavros.node import system_state
 
 HERE = Path(__file__).parent
 NODE = HERE.parent / "nodes" / "mavros_node.py"
@@ -274,6 +275,20 @@ def test_taken_port_is_named(master):
     taken.close()
     assert node.returncode == 1
     assert f"iris_0: UDP port {port} cannot be bound" in output
+
+
+def test_the_master_is_asked_who_publishes(master, monkeypatch):
+    proxy, environment = master
+    monkeypatch.setenv("ROS_MASTER_URI", environment["ROS_MASTER_URI"])
+    leader = "/leader", "/iris_0/mavros/wheel/send"
+    proxy.registerPublisher(*leader, "std_msgs/Empty", "http://127.0.0.1:1")
+    publishers, subscribers = system_state()
+    proxy.unregisterPublisher(*leader, "http://127.0.0.1:1")
+    assert publishers["/iris_0/mavros/wheel/send"] == ["/leader"]
+    assert "/iris_0/mavros/wheel/send" not in subscribers
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{free_tcp_port()}")
+    with pytest.raises(OSError, match=r"."):
+        system_state()
 
 
 def test_missing_master_is_named():

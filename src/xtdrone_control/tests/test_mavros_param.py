@@ -2,81 +2,35 @@
 
 from __future__ import annotations
 
-import threading
-import time
-
 import pytest
-from mavros_fakes import Bench
 from mavros_msgs.msg import ParamValue
 from mavros_msgs.srv import ParamGetRequest, ParamPullRequest, ParamPushRequest, ParamSetRequest
-from service_fakes import Served
+from mavros_pair import Pair
 
-from xtdrone_control.autopilot.parameters import NAMES, Parameters
+from xtdrone_control.autopilot.parameters import NAMES
 from xtdrone_control.mavros.plugins.param import ParamPlugin
-
-_WALL_LIMIT = 120.0  # s; only a broken run takes so long
-
-
-class Pair:
-    """The plugin and, behind its socket, the services of a vehicle."""
-
-    def __init__(self) -> None:
-        self.bench = Bench([ParamPlugin])
-        self.served = Served(Parameters({"MAV_SYS_ID": 1}), system=1)
-        self.lost = 0  # messages of the autopilot that are not delivered
-
-    def call(self, service: str, request):
-        """Call a service in a thread, as rospy does, and play the autopilot until it is done."""
-        results = []
-        handler = self.bench.ros.services[f"/iris_0/mavros/param/{service}"]
-        thread = threading.Thread(target=lambda: results.append(handler(request)), daemon=True)
-        thread.start()
-        end = time.monotonic() + _WALL_LIMIT
-        while thread.is_alive():
-            assert time.monotonic() < end, "the service hangs"
-            self.turn()
-            thread.join(0.001)
-        return results[0]
-
-    def turn(self) -> None:
-        """Let the autopilot read, pass 20 ms and send."""
-        for message in self.bench.received():
-            self.served.ask(message)
-            self._deliver()
-        self.served.autopilot.time_us += 20_000
-        self.served.link.frames.clear()
-        self.served.receiver.update(self.served.autopilot.time_us)
-        self._deliver()
-
-    def _deliver(self) -> None:
-        for frame in self.served.link.frames:
-            if self.lost:
-                self.lost -= 1
-            else:
-                self.bench.send_raw(frame)
-        self.served.link.frames.clear()
 
 
 @pytest.fixture
 def pair():
-    pair = Pair()
+    pair = Pair(ParamPlugin)
     yield pair
     pair.bench.close()
 
 
 def test_get(pair):
-    answer = pair.call("get", ParamGetRequest("MPC_XY_CRUISE"))
+    answer = pair.call("param/get", ParamGetRequest("MPC_XY_CRUISE"))
     assert (answer.success, answer.value.integer, answer.value.real) == (True, 0, 5.0)
-    answer = pair.call("get", ParamGetRequest("COM_DL_LOSS_T"))
+    answer = pair.call("param/get", ParamGetRequest("COM_DL_LOSS_T"))
     assert (answer.success, answer.value.integer, answer.value.real) == (True, 10, 0.0)
 
 
 def test_unknown_names_fail(pair, monkeypatch):
     monkeypatch.setattr("xtdrone_control.mavros.plugins.param._TRY_LIMIT", 0.02)
-    assert not pair.call("get", ParamGetRequest("NO_SUCH")).success
-    assert not pair.call("get", ParamGetRequest("")).success
-    assert not pair.call("get", ParamGetRequest("A_NAME_THAT_IS_TOO_LONG")).success
-    assert not pair.call("set", ParamSetRequest("NO_SUCH", ParamValue(1, 0.0))).success
+    assert not pair.call("param/get", ParamGetRequest("NO_SUCH")).success
+    assert not pair.call("param/get", ParamGetRequest("")).success
+    assert not pair.call("param/get", ParamGetRequest("A_NAME_THAT_IS_TOO_LONG")).success
+    assert not pair.call("param/set", ParamSetRequest("NO_SUCH", ParamValue(1, 0.0))).success
 
 
 @pytest.mark.parametrize(
@@ -89,7 +43,7 @@ def test_unknown_names_fail(pair, monkeypatch):
     ],
 )
 def test_set_takes_the_parameters_type(pair, name, value, stored):
-    answer = pair.call("set", ParamSetRequest(name, value))
+    answer = pair.call("param/set", ParamSetRequest(name, value))
     assert answer.success
     assert pair.served.parameters.get(name) == stored
     assert stored in (answer.value.integer, answer.value.real)
@@ -97,42 +51,42 @@ def test_set_takes_the_parameters_type(pair, name, value, stored):
 
 
 def test_set_out_of_the_types_range_fails(pair):
-    answer = pair.call("set", ParamSetRequest("COM_DL_LOSS_T", ParamValue(1 << 40, 0.0)))
+    answer = pair.call("param/set", ParamSetRequest("COM_DL_LOSS_T", ParamValue(1 << 40, 0.0)))
     assert not answer.success
     assert answer.value.integer == 10
 
 
 def test_pull_mirrors_all(pair):
-    answer = pair.call("pull", ParamPullRequest(False))
+    answer = pair.call("param/pull", ParamPullRequest(False))
     assert (answer.success, answer.param_received) == (True, len(NAMES))
     mirrored = pair.bench.ros.params["/iris_0/mavros/param"]
     assert sorted(mirrored) == sorted(NAMES)
     assert mirrored["COM_DL_LOSS_T"] == 10
     pair.served.parameters.set("COM_DL_LOSS_T", 11)
-    pair.call("pull", ParamPullRequest(False))
+    pair.call("param/pull", ParamPullRequest(False))
     assert pair.bench.ros.params["/iris_0/mavros/param"]["COM_DL_LOSS_T"] == 10, "known already"
-    pair.call("pull", ParamPullRequest(True))
+    pair.call("param/pull", ParamPullRequest(True))
     assert pair.bench.ros.params["/iris_0/mavros/param"]["COM_DL_LOSS_T"] == 11
 
 
 def test_pull_over_a_lossy_line(pair, monkeypatch):
     monkeypatch.setattr("xtdrone_control.mavros.plugins.param._TRY_LIMIT", 0.1)
     pair.lost = 30
-    answer = pair.call("pull", ParamPullRequest(True))
+    answer = pair.call("param/pull", ParamPullRequest(True))
     assert (answer.success, answer.param_received) == (True, len(NAMES))
 
 
 def test_push_writes_what_differs(pair):
-    pair.call("pull", ParamPullRequest(True))
+    pair.call("param/pull", ParamPullRequest(True))
     pair.bench.ros.params["/iris_0/mavros/param"]["MPC_XY_CRUISE"] = 6.5
     pair.bench.ros.params["/iris_0/mavros/param"]["NOBODYS"] = 1
-    answer = pair.call("push", ParamPushRequest())
+    answer = pair.call("param/push", ParamPushRequest())
     assert (answer.success, answer.param_transfered) == (True, 1)
     assert pair.served.parameters.get("MPC_XY_CRUISE") == 6.5
 
 
 def test_values_are_published(pair):
     pair.bench.take("param/param_value")
-    pair.call("get", ParamGetRequest("MPC_XY_CRUISE"))
+    pair.call("param/get", ParamGetRequest("MPC_XY_CRUISE"))
     (message,) = pair.bench.published("param/param_value")
     assert (message.param_id, message.value.real, message.param_count) == ("MPC_XY_CRUISE", 5.0, len(NAMES))

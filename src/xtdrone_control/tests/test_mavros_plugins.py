@@ -22,6 +22,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix
 
 from xtdrone_control import frames
+from xtdrone_control.mavros.params import ParamError
 from xtdrone_control.mavros.plugins import PLUGINS
 
 NAN = float("nan")
@@ -128,6 +129,46 @@ class TestLocalPosition:
         assert (transform.header.frame_id, transform.child_frame_id) == ("map", "iris_0/base_link")
         assert xyz(transform.transform.translation) == (2.0, 1.0, 3.0)
         bench.close()
+
+
+class TestSettings:
+    """Settings by MAVROS's names."""
+
+    def test_global_transform_is_sent_on_request(self):
+        settings = {"tf": {"send": True, "frame_id": "earth_map", "child_frame_id": "iris_0/gps"}}
+        bench = Bench(PLUGINS, {"global_position": settings})
+        bench.ros.publishers["/tf"].connections = 1
+        bench.uas.refresh()
+        home = mavlink.MAVLink_home_position_message(475000000, 85000000, 480000, 0.0, 0.0, 0.0, Q_NED, 0.0, 0.0, 0.0)
+        bench.send(
+            ATTITUDE, home, mavlink.MAVLink_global_position_int_message(7000, 475000000, 85000000, 0, 1500, 0, 0, 0, 0)
+        )
+        [message] = bench.ros.publishers["/tf"].messages
+        [transform] = message.transforms
+        assert (transform.header.frame_id, transform.child_frame_id) == ("earth_map", "iris_0/gps")
+        assert xyz(transform.transform.translation) == approx((0.0, 0.0, 1.5))
+        assert same_rotation(wxyz(transform.transform.rotation), Q_ENU)
+        bench.close()
+
+    def test_heartbeats_say_what_sends_them(self):
+        bench = Bench(PLUGINS, {"conn": {"heartbeat_mav_type": "GCS"}})
+        bench.uas.step(0)
+        assert [m.type for m in bench.received() if m.get_type() == "HEARTBEAT"] == [mavlink.MAV_TYPE_GCS]
+        bench.close()
+
+    def test_time_of_day_outside_simulation(self):
+        bench = Bench(PLUGINS, {"time": {"timesync_mode": "NONE"}}, use_sim_time=False)
+        bench.ros.time_ns = 1_600_000_000_000_000_000
+        bench.uas.step(bench.ros.time_ns)
+        sent = {m.get_type(): m for m in bench.received()}
+        assert sent["SYSTEM_TIME"].time_unix_usec == 1_600_000_000_000_000
+        assert "TIMESYNC" not in sent
+        bench.close()
+
+    @pytest.mark.parametrize(("group", "name"), [("conn", "heartbeat_mav_type"), ("time", "timesync_mode")])
+    def test_words_that_are_none_are_named(self, group, name):
+        with pytest.raises(ParamError, match=f"{group}/{name}: 'ROUGH'"):
+            Bench(PLUGINS, {group: {name: "ROUGH"}})
 
 
 class TestImu:
@@ -602,7 +643,7 @@ class TestDemand:
     def test_nothing_is_decoded_that_nobody_takes(self, bench):
         bench.send(HEARTBEAT)
         bench.send(ATTITUDE, POSITION)
-        assert bench.link.wanted == {mavlink.MAVLINK_MSG_ID_HEARTBEAT, 253, 242, 42, 46, 49, 410}
+        assert bench.link.wanted == {mavlink.MAVLINK_MSG_ID_HEARTBEAT, 253, 242, 42, 46, 49, 410, 118, 120}
         assert bench.link.seen == {31: 1, 32: 1}
 
     def test_streams_follow_the_subscribers(self, bench):

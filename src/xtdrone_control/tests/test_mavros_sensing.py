@@ -53,7 +53,7 @@ SENSORS = {
 
 @pytest.fixture(scope="module")
 def shared():
-    made = Bench(PLUGINS, {"distance_sensor": SENSORS})
+    made = Bench(PLUGINS, {"distance_sensor": SENSORS, "global_position": {"geoid": "none"}})
     yield made
     made.close()
 
@@ -364,7 +364,7 @@ def test_what_does_not_fit_is_refused_by_name(bench, caplog, topic, ros, said):
 def test_nothing_is_wanted_without_a_subscriber(bench):
     assert bench.link.wanted == {MESSAGE_ID[name] for name in (
         "HEARTBEAT", "STATUSTEXT", "EVENT", "HOME_POSITION", "MISSION_CURRENT", "MISSION_ITEM_REACHED",
-        "GPS_GLOBAL_ORIGIN")}  # fmt: skip
+        "GPS_GLOBAL_ORIGIN", "LOG_ENTRY", "LOG_DATA")}  # fmt: skip
     assert not bench.link.from_anyone
 
 
@@ -638,7 +638,10 @@ class TestFakeGps:
     """Positions in metres to a fix."""
 
     def fixes(self, params, topic, kind, path, stamps=((5, 0.0), (6, 3.0))):
-        bench = Bench([kind_ for kind_ in PLUGINS if kind_.name == "fake_gps"], {"fake_gps": params})
+        bench = Bench(
+            [kind_ for kind_ in PLUGINS if kind_.name == "fake_gps"],
+            {"fake_gps": params, "global_position": {"geoid": "none"}},
+        )
         for seconds, east in stamps:
             bench.ros.time_ns = seconds * 1_000_000_000
             bench.call(

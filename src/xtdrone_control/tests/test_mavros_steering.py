@@ -50,7 +50,7 @@ QUATERNION = {"setpoint_attitude": {"use_quaternion": True}}
 
 @contextmanager
 def opened(params=None):
-    made = Bench(PLUGINS, params)
+    made = Bench(PLUGINS, {"global_position": {"geoid": "none"}} | (params or {}))
     yield made
     made.close()
 

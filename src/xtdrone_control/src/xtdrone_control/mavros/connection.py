@@ -29,6 +29,9 @@ _LARGEST_DATAGRAM = 65535
 _HIGHEST_PORT = 65535
 _PROBE_PORT = 9  # any: nothing is sent to it
 
+RAW = -1
+"""Stands in the place of a message id for every frame, undecoded."""
+
 
 class LinkError(RuntimeError):
     """A link that cannot be opened: an address that is malformed or taken."""
@@ -113,9 +116,11 @@ class Link:
         name: the vehicle's name, for messages.
         port: the local port.
         remote: where frames go to.
+        source: system and component id that this end sends as.
         sent: datagrams sent so far.
+        sent_bytes: bytes sent so far.
         received: datagrams read so far.
-        wanted: ids of the messages that the main thread wants.
+        wanted: ids of the messages that the main thread wants; ``RAW`` for every frame of every sender.
         from_anyone: ids of those among them that it wants from every sender, not from the autopilot alone.
         seen: how often each unwanted message came, by id; the stream manager clears it.
         replies: message id to the function that the receiver thread calls with each frame of it.
@@ -143,7 +148,8 @@ class Link:
         self.name = name
         self.port = url.bind_port
         self.target = target
-        self.sent = 0
+        self.source = source
+        self.sent = self.sent_bytes = 0
         self.received = 0
         self.malformed = 0
         self.wanted: frozenset[int] = frozenset()
@@ -183,14 +189,28 @@ class Link:
             self._packer.srcComponent = self._component if component is None else component
             buffer = pack(message, self._packer)
             self._packer.seq = (self._packer.seq + 1) & 0xFF
-            try:
-                self.socket.sendto(buffer, self.remote)
-            except OSError as error:
-                if self._throttle.passes("send"):
-                    host, port = self.remote
-                    log.warning("%s: cannot send to %s:%d: %s", self.name, host, port, error.strerror or error)
-                return
-            self.sent += 1
+            self._send(buffer)
+
+    def send_frame(self, frame: bytes) -> None:
+        """Send a frame as it is; safe from any thread."""
+        with self._send_lock:
+            self._send(frame)
+
+    @property
+    def sequence(self) -> int:
+        """The sequence number of the next message."""
+        return int(self._packer.seq)
+
+    def _send(self, buffer: bytes) -> None:
+        try:
+            self.socket.sendto(buffer, self.remote)
+        except OSError as error:
+            if self._throttle.passes("send"):
+                host, port = self.remote
+                log.warning("%s: cannot send to %s:%d: %s", self.name, host, port, error.strerror or error)
+            return
+        self.sent += 1
+        self.sent_bytes += len(buffer)
 
     def read(self) -> None:
         """Take every datagram that has arrived; for any thread."""
@@ -219,8 +239,11 @@ class Link:
 
     def _take(self, datagram: bytes, index: int) -> None:
         wanted, target, from_anyone = self.wanted, self.target, self.from_anyone
+        raw = RAW in wanted
         try:
             for number, system, component, frame in split(datagram):
+                if raw:
+                    self._queue.append((index, RAW, frame))
                 if number in from_anyone:
                     self._queue.append((index, number, frame))
                     continue

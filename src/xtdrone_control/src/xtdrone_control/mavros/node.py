@@ -9,19 +9,25 @@ Private parameters, besides those of ``config/px4_config.yaml``:
 - ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``, in place of upstream's
   ports and of the two above; every further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` for PX4s
   that are started as PX4's own scripts start them.
-- ``~fcu_url``, with ``~tgt_system`` and ``~tgt_component``: a single vehicle as real MAVROS has it; topics are in the
-  node's own namespace, and ``/xtdrone/swarm`` is none of them.
+- ``~vehicle``: serve this vehicle of the fleet alone, as ``iris_0``; topics are in the node's own namespace. With a
+  node for each vehicle, named ``/iris_0/mavros`` and so on, this is how real MAVROS is started for a fleet.
+- ``~fcu_url``, with ``~target_system_id`` and ``~target_component_id`` (or ``~tgt_system`` and ``~tgt_component``, as
+  MAVROS's launch files call them): a single vehicle as real MAVROS has it; topics are in the
+  node's own namespace.
 - ``~lockstep`` (true): false: run on the ROS time even if there is a simulator with a lockstep, as a real MAVROS does.
 - ``~system_id``, ``~component_id``: what the node sends as (1, 240).
 """
 
 from __future__ import annotations
 
+import itertools
 import resource
 import sys
 import time
-from collections.abc import Callable, Mapping
+import xmlrpc.client
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
+from http.client import HTTPException
 from typing import Any, NamedTuple
 
 import rosgraph
@@ -29,12 +35,15 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, Vehicle, check_instance, parse_fleet
+from xtdrone_control.mavros import left_out
 from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
 from xtdrone_control.mavros.params import Params
-from xtdrone_control.mavros.plugin import Publisher
+from xtdrone_control.mavros.plugin import PluginKind, Publisher
+from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.swarm import Swarm
 from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.watch import Registrations, Watch
 
 RATE = 50.0  # Hz of simulated time; PX4's fastest telemetry on the offboard link that MAVROS publishes
 _FAILED = 1
@@ -107,13 +116,24 @@ def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instanc
     params = Params(settings)
     url = params.get("fcu_url", "")
     if url:
-        target = params.get("tgt_system", 1), params.get("tgt_component", 1)
+        system = params.get("target_system_id", params.get("tgt_system", 1))
+        target = system, params.get("target_component_id", params.get("tgt_component", 1))
         name = node_name.rpartition("/")[0].strip("/") or "fcu"
         return [Connection(name, node_name, parse_fcu_url(url), target)]
     text = params.get("fleet", fleet)
     if not text:
         raise FleetError("vehicles: none are named; set /xtdrone/fleet, as iris:9, or fcu_url for a single one")
     vehicles = parse_fleet(text, check_instance(instance))
+    only = params.get("vehicle", "")
+    if not only:
+        return _fleet_connections(params, vehicles)
+    chosen = [vehicle for vehicle in vehicles if vehicle.name == only]
+    if not chosen:
+        raise FleetError(f"vehicle: {only!r} is not in the fleet, {vehicles[0].name} to {vehicles[-1].name} are")
+    return [connection._replace(prefix=node_name) for connection in _fleet_connections(params, chosen)]
+
+
+def _fleet_connections(params: Params, vehicles: Iterable[Vehicle]) -> list[Connection]:
     fleet_url = params.get("fleet_url", "")
     if fleet_url:
         first = parse_fcu_url(fleet_url)
@@ -150,19 +170,19 @@ class MavrosNode:
         # The ports before anything is advertised, so that a node that cannot run leaves no trace.
         self._links = _open(vehicles, source)
         self._receiver = Receiver(self._links)
-        # The swarm's topic is a fleet's: a MAVROS of one vehicle has others beside it.
-        self._swarm = None if shared.get("fcu_url", "") else Swarm(self._ros, len(vehicles))
+        params = [_params(vehicle, settings) for vehicle in vehicles]
+        for complaint in _complaints(params):
+            rospy.logwarn(f"mavros: {complaint}")
+        if shared.get("gcs_url", ""):
+            rospy.logwarn("mavros: gcs_url is not offered; a ground station has a port of its own at the autopilot")
+        alone = bool(shared.get("fcu_url", "") or shared.get("vehicle", ""))
+        self._swarm = None if alone else Swarm(self._ros, len(vehicles))  # one vehicle is none
         self._uas = [
-            Uas(
-                vehicle.name,
-                vehicle.prefix,
-                link,
-                _params(vehicle, settings),
-                self._ros,
-                (*PLUGINS, *([self._swarm.member(index)] if self._swarm else [])),
-            )
-            for index, (vehicle, link) in enumerate(zip(vehicles, self._links, strict=True))
+            Uas(vehicle.name, vehicle.prefix, link, own, self._ros, (*PLUGINS, *self._swarm_member(index)))
+            for index, (vehicle, link, own) in enumerate(zip(vehicles, self._links, params, strict=True))
         ]
+        prefixes = [vehicle.prefix for vehicle in vehicles]
+        self._watch = Watch(rospy.get_name(), prefixes, left_out.subscribed(), system_state)
         lockstep.declare_udp([link.port for link in self._links], self._serve)
         lockstep.add_reset_hook(self._time_gone_back)
         self._receiver.start()
@@ -179,9 +199,17 @@ class MavrosNode:
         for link in self._links:
             lockstep.datagrams_sent(link.remote[1], link.sent)
 
+    def watch(self) -> None:
+        """Begin to look for publishers whose messages nothing here takes."""
+        self._watch.start()
+
     def close(self) -> None:
         """End the receiver thread and close the ports."""
+        self._watch.stop()
         self._receiver.stop()
+
+    def _swarm_member(self, index: int) -> list[PluginKind]:
+        return [] if self._swarm is None else [self._swarm.member(index)]
 
     def _time_gone_back(self) -> None:
         for uas in self._uas:
@@ -237,6 +265,7 @@ def main() -> int:
     rospy.loginfo(f"mavros: serving {', '.join(vehicle.name for vehicle in vehicles)}")
     try:
         lockstep.start()
+        node.watch()
         lockstep.spin(node.step)
     except rospy.ROSInterruptException:
         pass  # shut down while joining
@@ -284,6 +313,27 @@ def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:
             link.close()
         raise
     return links
+
+
+def _complaints(params: Iterable[Params]) -> list[str]:
+    """Return what is wrong with the vehicles' lists of plugins, each sentence once."""
+    names = [plugin.name for plugin in PLUGINS if plugin.listed]
+    absent = left_out.plugin_reasons()
+    sentences = (PluginLists(own).complaints(names, absent) for own in params)
+    return list(dict.fromkeys(itertools.chain.from_iterable(sentences)))
+
+
+def system_state() -> tuple[Registrations, Registrations]:
+    """Ask the master for publishers and subscribers.
+
+    Raises:
+        OSError: it does not answer.
+    """
+    try:
+        publishers, subscribers, _ = rosgraph.Master(rospy.get_name()).getSystemState()
+    except (rosgraph.MasterException, xmlrpc.client.Error, HTTPException) as error:
+        raise OSError(str(error)) from error
+    return dict(publishers), dict(subscribers)
 
 
 def _params(vehicle: Connection, settings: Mapping[str, Any]) -> Params:

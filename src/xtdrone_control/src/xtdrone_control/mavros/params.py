@@ -29,10 +29,14 @@ class Params:
         Raises:
             ParamError: the value is not of the default's type (an int passes for a float).
         """
+        return _checked(name, self.get_any(name, default), default)
+
+    def get_any(self, name: str, default: Any) -> Any:
+        """Return parameter ``name``, of whatever type, or ``default``."""
         for tree in self._trees:
             value = _find(tree, name)
             if value is not None:
-                return _checked(name, value, default)
+                return value
         return default
 
 

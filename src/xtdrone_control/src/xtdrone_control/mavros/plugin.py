@@ -82,6 +82,7 @@ class Feed:
         topics: the message is wanted while one of them is taken.
         always: it is wanted in any case.
         anyone: it is taken from every system and component on the link, not from the autopilot alone.
+        all_streams: while it is wanted, whatever the autopilot can send is.
     """
 
     def __init__(
@@ -90,12 +91,14 @@ class Feed:
         *topics: Topic,
         always: bool = False,
         anyone: bool = False,
+        all_streams: bool = False,
     ) -> None:
         """Take handler and topics."""
         self.handler = handler
         self.topics = topics
         self.always = always
         self.anyone = anyone
+        self.all_streams = all_streams
 
     @property
     def wanted(self) -> bool:
@@ -109,17 +112,18 @@ class Plugin:
     A subclass makes its topics and services in ``__init__`` and fills:
 
     Attributes:
-        messages: MAVLink name to feed, or feeds, decoded and handled in the main thread.
+        messages: MAVLink name to feed, or feeds, decoded and handled in the main thread; ``RAW`` for every frame.
         replies: MAVLink name to handler of the raw frame, called in the receiver thread at once; for answers to
             requests that a service waits for.
     """
 
     name = ""
+    listed = True
 
     def __init__(self, uas: Uas) -> None:
         """Take the vehicle's hub."""
         self.uas = uas
-        self.messages: dict[str, Feed | Sequence[Feed]] = {}
+        self.messages: dict[str | int, Feed | Sequence[Feed]] = {}
         self.replies: dict[str, Callable[[bytes], None]] = {}
 
     def connected(self, connected: bool) -> None:
@@ -131,9 +135,11 @@ class PluginKind(Protocol):
 
     Attributes:
         name: the plugin's name.
+        listed: users can leave it out by its name; otherwise it is part of the node.
     """
 
     name: str
+    listed: bool
 
     def __call__(self, uas: Uas) -> Plugin:
         """Make the plugin of a vehicle."""

@@ -55,6 +55,10 @@ class Streams:
         self._refused.clear()
         self._user.clear()
 
+    def switched_off(self) -> set[int]:
+        """Return the ids of the messages that the autopilot was asked to stop."""
+        return {number for number, interval in self._asked.items() if interval == OFF_US}
+
     def leave(self, number: int) -> None:
         """Leave message ``number`` to the user, who has set its interval by service."""
         self._user.add(number)

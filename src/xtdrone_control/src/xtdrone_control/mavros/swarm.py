@@ -63,6 +63,7 @@ class SwarmPlugin(Plugin):
     """One vehicle's part of the swarm's topic."""
 
     name = "swarm"
+    listed = False
 
     def __init__(self, uas: Uas, swarm: Swarm, index: int) -> None:
         """Feed row ``index`` of ``swarm``."""
@@ -85,6 +86,7 @@ class _Member:
     """Makes the plugin of one vehicle."""
 
     name = SwarmPlugin.name
+    listed = SwarmPlugin.listed
 
     def __init__(self, swarm: Swarm, index: int) -> None:
         self._swarm = swarm

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import logging
 import math
 from collections.abc import Callable, Iterable
@@ -14,11 +13,12 @@ from xtdrone_control import frames
 from xtdrone_control.geoid import undulation
 from xtdrone_control.mavlink.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.dialect import MESSAGE_ID
-from xtdrone_control.mavros.connection import Link
+from xtdrone_control.mavros.connection import RAW, Link
 from xtdrone_control.mavros.packing import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
 from xtdrone_control.mavros.params import Params
 from xtdrone_control.mavros.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic
+from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.refusals import Refusals
 from xtdrone_control.mavros.streams import Streams
 from xtdrone_control.mavros.throttle import Throttle
@@ -106,15 +106,15 @@ class Uas:
         self._throttle = Throttle()
         self._topics: list[Topic] = []
         self._timers: list[_Timer] = []
-        self._slots: dict[int, _Slot] = {}
+        self._slots: dict[int, _Slot] = {RAW: _Slot(lambda frame: frame)}
         self._attitude_of: Any = None
         self._attitude: tuple[frames.Quaternion, frames.Vector] | None = None
         self._attitude_slot = self._slot("ATTITUDE_QUATERNION")
         self.streams = Streams(self._request_interval, _RATES | params.get("stream_rates", {}))
         self._manage_streams = params.get("manage_streams", True)
         self._geoid = _geoid(params.get("global_position/geoid", _GEOIDS[0]))
-        denied = [*params.get("plugin_denylist", []), *params.get("plugin_blacklist", [])]
-        self.plugins = [kind(self) for kind in plugins if not _listed(kind.name, denied)]
+        lists = PluginLists(params)
+        self.plugins = [kind(self) for kind in plugins if not kind.listed or lists.loads(kind.name)]
         for plugin in self.plugins:
             self._connect(plugin)
         self.timer(_REFRESH_PERIOD, self.refresh)
@@ -313,7 +313,10 @@ class Uas:
         self.link.wanted, self.link.from_anyone = frozenset(wanted), frozenset(from_anyone)
         seen, self.link.seen = self.link.seen, {}
         if self._manage_streams and self.connected:
-            self.streams.update(wanted, seen)
+            if any(feed.wanted and feed.all_streams for feed in self._slots[RAW].feeds):
+                self.streams.update(wanted - {RAW} | self.streams.switched_off(), ())
+            else:
+                self.streams.update(wanted - {RAW}, seen)
 
     def set_connected(self, connected: bool, why: str = "lost") -> None:
         """Take note that heartbeats come, or stay away (``why``, for the log)."""
@@ -342,7 +345,9 @@ class Uas:
         for name, handler in plugin.replies.items():
             self.link.replies[MESSAGE_ID[name]] = handler
 
-    def _slot(self, name: str) -> _Slot:
+    def _slot(self, name: str | int) -> _Slot:
+        if isinstance(name, int):
+            return self._slots[name]
         number = MESSAGE_ID[name]
         if number not in self._slots:
             self._slots[number] = _Slot(decoder(name))
@@ -379,10 +384,6 @@ def _geoid(model: str) -> Callable[[float, float], float]:
     if model not in _GEOIDS:
         raise ValueError(f"parameter global_position/geoid: {model!r} is not allowed, {' and '.join(_GEOIDS)} are")
     return undulation if model == _GEOIDS[0] else lambda latitude, longitude: 0.0
-
-
-def _listed(name: str, patterns: Iterable[str]) -> bool:
-    return any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def _denied(kind: Any) -> Any:

@@ -9,16 +9,20 @@ from xtdrone_control.mavros.plugins.cam_imu_sync import CamImuSyncPlugin
 from xtdrone_control.mavros.plugins.camera import CameraPlugin
 from xtdrone_control.mavros.plugins.command import CommandPlugin
 from xtdrone_control.mavros.plugins.debug_value import DebugValuePlugin
+from xtdrone_control.mavros.plugins.diagnostics import DiagnosticsPlugin
 from xtdrone_control.mavros.plugins.distance_sensor import DistanceSensorPlugin
 from xtdrone_control.mavros.plugins.esc_status import EscStatusPlugin
 from xtdrone_control.mavros.plugins.fake_gps import FakeGpsPlugin
+from xtdrone_control.mavros.plugins.ftp import FtpPlugin
 from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
 from xtdrone_control.mavros.plugins.gps_rtk import GpsRtkPlugin
 from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
 from xtdrone_control.mavros.plugins.imu import ImuPlugin
 from xtdrone_control.mavros.plugins.landing_target import LandingTargetPlugin
 from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
+from xtdrone_control.mavros.plugins.log_transfer import LogTransferPlugin
 from xtdrone_control.mavros.plugins.manual_control import ManualControlPlugin
+from xtdrone_control.mavros.plugins.mavlink_bridge import MavlinkBridge
 from xtdrone_control.mavros.plugins.mocap_pose_estimate import MocapPlugin
 from xtdrone_control.mavros.plugins.mount_control import MountControlPlugin
 from xtdrone_control.mavros.plugins.obstacle_distance import ObstacleDistancePlugin
@@ -81,4 +85,8 @@ PLUGINS: tuple[type[Plugin], ...] = (
     Px4FlowPlugin,
     VisionSpeedPlugin,
     *PASSED_ON,
+    FtpPlugin,
+    LogTransferPlugin,
+    MavlinkBridge,
+    DiagnosticsPlugin,
 )

@@ -30,7 +30,7 @@ class OdometryPlugin(Plugin):
     local frame is turned into the body. What of a covariance is not known (NaN) is 0.
     """
 
-    name = "odometry"
+    name = "odom"
 
     def __init__(self, uas: Uas) -> None:
         """Advertise and subscribe."""

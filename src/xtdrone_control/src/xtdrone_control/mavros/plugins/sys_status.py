@@ -24,6 +24,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import BatteryState
 
 from xtdrone_control.mavlink.codec import decoder, version
+from xtdrone_control.mavros.params import ParamError
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.px4_modes import ModeError, mode_name, mode_number
 from xtdrone_control.mavros.uas import Uas
@@ -90,10 +91,15 @@ class SysStatusPlugin(Plugin):
     name = "sys_status"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise topics and services, begin to send heartbeats."""
+        """Advertise topics and services, begin to send heartbeats.
+
+        Raises:
+            ParamError: a ``conn/heartbeat_mav_type`` that MAVLink has not.
+        """
         super().__init__(uas)
         self._timeout_ns = round(uas.params.get("conn/timeout", 10.0) * _NS)
         rate = uas.params.get("conn/heartbeat_rate", 1.0)
+        self._own_type = _vehicle_type(uas.params.get("conn/heartbeat_mav_type", "ONBOARD_CONTROLLER"))
         self._last_heartbeat_ns = 0
         self._text_parts: list[str] = []
         self._armed = False
@@ -140,7 +146,7 @@ class SysStatusPlugin(Plugin):
     def _send_heartbeat(self) -> None:
         self.uas.link.send(
             mavlink.MAVLink_heartbeat_message(
-                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                self._own_type,
                 mavlink.MAV_AUTOPILOT_INVALID,
                 mavlink.MAV_MODE_MANUAL_ARMED,
                 0,
@@ -351,6 +357,13 @@ class SysStatusPlugin(Plugin):
                 setattr(info, field, getattr(found, field))
             info.flight_custom_version = f"{int.from_bytes(bytes(found.flight_custom_version), 'little'):016x}"
         return info
+
+
+def _vehicle_type(name: str) -> int:
+    number = getattr(mavlink, f"MAV_TYPE_{name}", None)
+    if number is None:
+        raise ParamError(f"parameter conn/heartbeat_mav_type: {name!r} is no MAV_TYPE, as ONBOARD_CONTROLLER")
+    return int(number)
 
 
 def _text(data: Any) -> str:

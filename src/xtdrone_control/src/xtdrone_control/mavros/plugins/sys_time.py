@@ -9,9 +9,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from rospy import Time
 from sensor_msgs.msg import TimeReference
 
+from xtdrone_control.mavros.params import ParamError
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
+_MODES = ("MAVLINK", "NONE")
 _RESTART_NS = 1_000_000_000  # an offset that is off by more than this comes from another clock
 
 
@@ -25,7 +27,13 @@ class SysTimePlugin(Plugin):
     name = "sys_time"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise the topics; begin to exchange TIMESYNC, in simulation while its status is taken."""
+        """Advertise the topics; begin to exchange TIMESYNC, in simulation while its status is taken.
+
+        Outside simulation SYSTEM_TIME is sent, too.
+
+        Raises:
+            ParamError: a ``time/timesync_mode`` that is not offered.
+        """
         super().__init__(uas)
         self._alpha = uas.params.get("time/timesync_avg_alpha", 0.6)
         rate = uas.params.get("conn/timesync_rate", 10.0)
@@ -35,7 +43,13 @@ class SysTimePlugin(Plugin):
         self._offset_ns: int | None = None
         self._stamps = not uas.ros.use_sim_time  # they need the offset
         self.messages = {"SYSTEM_TIME": Feed(self._on_system_time, self._reference)}
-        if rate > 0.0:
+        mode = uas.params.get("time/timesync_mode", "MAVLINK")
+        if mode not in _MODES:
+            raise ParamError(f"parameter time/timesync_mode: {mode!r} is not offered, {' or '.join(_MODES)}")
+        system_time_rate = uas.params.get("conn/system_time_rate", 1.0)
+        if self._stamps and system_time_rate > 0.0:
+            uas.timer(1.0 / system_time_rate, self._send_system_time)
+        if rate > 0.0 and mode != "NONE":
             self.messages["TIMESYNC"] = Feed(self._on_timesync, self._status, always=self._stamps)
             uas.timer(1.0 / rate, self._send)
 
@@ -52,6 +66,10 @@ class SysTimePlugin(Plugin):
     def _send(self) -> None:
         if self._stamps or self._status.taken:
             self.uas.link.send(mavlink.MAVLink_timesync_message(0, self.uas.ros.now_ns()))
+
+    def _send_system_time(self) -> None:
+        """Tell the time of day to an autopilot that has no clock; the boot time is the autopilot's own."""
+        self.uas.link.send(mavlink.MAVLink_system_time_message(self.uas.ros.now_ns() // 1000, 0))
 
     def _on_timesync(self, sync: Any) -> None:
         now = self.uas.ros.now_ns()

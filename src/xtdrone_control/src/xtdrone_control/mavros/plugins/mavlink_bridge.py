@@ -1,0 +1,41 @@
+"""Every MAVLink frame from the autopilot as a topic, and frames from a topic to it."""
+
+from __future__ import annotations
+
+from mavros_msgs.msg import Mavlink
+
+from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.raw_frames import RawFrameError, fill, to_frame
+from xtdrone_control.mavros.uas import RAW, Uas
+
+
+class MavlinkBridge(Plugin):
+    """MAVROS's bridge: ``mavlink/from`` and ``mavlink/to``, beside the vehicle's ``mavros`` namespace.
+
+    While ``mavlink/from`` is taken no stream of the autopilot's is switched off, and those that were come again.
+    """
+
+    name = "mavlink"
+    listed = False
+
+    def __init__(self, uas: Uas) -> None:
+        """Advertise and subscribe."""
+        super().__init__(uas)
+        space = uas.prefix.rpartition("/")[0] + "/mavlink"
+        self._from = uas.topic(f"{space}/from", Mavlink())
+        self.messages = {RAW: Feed(self._publish, self._from, all_streams=True)}
+        uas.subscribe(f"{space}/to", Mavlink, self._send)
+
+    def _publish(self, frame: bytes) -> None:
+        message = self._from.message
+        self.uas.stamp_now(message.header)
+        fill(message, frame)
+        self._from.publish(message)
+
+    def _send(self, message: Mavlink) -> None:
+        try:
+            frame = to_frame(message)
+        except RawFrameError as error:
+            self.uas.warn("mavlink/to", "a message on mavlink/to is not forwarded: %s", error)
+            return
+        self.uas.link.send_frame(frame)

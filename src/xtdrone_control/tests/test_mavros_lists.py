@@ -1,0 +1,109 @@
+"""Which plugins are loaded, and what is told of topics and services that nothing here takes."""
+
+from __future__ import annotations
+
+import pytest
+from mavros_fakes import Bench
+
+from xtdrone_control.fleet import FleetError
+from xtdrone_control.mavros.left_out import LeftOut
+from xtdrone_control.mavros.node import connections
+from xtdrone_control.mavros.params import ParamError, Params
+from xtdrone_control.mavros.plugin_lists import PluginLists
+from xtdrone_control.mavros.plugins import PLUGINS
+from xtdrone_control.mavros.watch import Watch
+
+NAMES = ["sys_status", "sys_time", "setpoint_raw", "setpoint_velocity", "imu"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "loaded"),
+    [
+        ({}, NAMES),
+        ({"plugin_denylist": ["setpoint_*"]}, ["sys_status", "sys_time", "imu"]),
+        ({"plugin_blacklist": ["SETPOINT_*", "imu"]}, ["sys_status", "sys_time"]),
+        ({"plugin_allowlist": ["sys_*"]}, ["sys_status", "sys_time"]),
+        ({"plugin_denylist": ["*"], "plugin_whitelist": ["imu"]}, ["imu"]),
+        ({"plugin_denylist": ["setpoint_*"], "plugin_allowlist": ["setpoint_ra?"]}, [*NAMES[:3], "imu"]),
+        ({"plugin_denylist": ["i[lm]u"], "plugin_blacklist": ["*_time"]}, ["sys_status", *NAMES[2:4]]),
+    ],
+)
+def test_lists_as_mavros_evaluates_them(settings, loaded):
+    lists = PluginLists(Params(settings))
+    assert [name for name in NAMES if lists.loads(name)] == loaded
+
+
+def test_patterns_without_an_effect_are_complained_of():
+    settings = {"plugin_denylist": ["imu_pub", "px4flow", "imu"], "plugin_whitelist": ["px4*", "setpoint_*"]}
+    complaints = list(PluginLists(Params(settings)).complaints(NAMES, {"px4flow": "has none"}))
+    assert complaints == [
+        "plugin_denylist: 'imu_pub' is the name of no plugin",
+        "plugin_whitelist: 'px4*' is not offered here (px4flow: has none)",
+    ]
+
+
+def test_a_pattern_that_is_no_text_is_named():
+    with pytest.raises(ParamError, match="plugin_denylist: 3 is no pattern"):
+        PluginLists(Params({"plugin_denylist": [3]}))
+
+
+def test_what_is_part_of_the_node_is_not_listed():
+    bench = Bench(PLUGINS, {"plugin_allowlist": ["imu"]})
+    assert {plugin.name for plugin in bench.uas.plugins if plugin.listed} == {"imu"}
+    assert "/iris_0/mavlink/to" in bench.ros.subscribers
+    bench.close()
+
+
+class TestWatch:
+    """Publishers that nothing here hears."""
+
+    OWN = "/mavros"
+    SUBSCRIBERS = {"/iris_0/mavros/setpoint_raw/local": [OWN], "/iris_1/mavros/setpoint_raw/local": [OWN]}  # noqa: RUF012
+
+    def watch(self, publishers, subscribers=None):
+        left_out = {"setpoint_accel/accel": LeftOut("not yet", "setpoint_raw/local")}
+        state = publishers, self.SUBSCRIBERS | (subscribers or {})
+        return Watch(self.OWN, ["/iris_0/mavros", "/iris_1/mavros"], left_out, lambda: state)
+
+    def test_a_topic_that_is_left_out_is_told_of_once(self, caplog):
+        watch = self.watch({"/iris_1/mavros/setpoint_accel/accel": ["/leader"]})
+        watch.look()
+        watch.look()
+        assert [record.getMessage() for record in caplog.records] == [
+            "/iris_1/mavros/setpoint_accel/accel, on which /leader publishes, is not taken here: not yet; "
+            "use setpoint_raw/local"
+        ]
+
+    @pytest.mark.parametrize(
+        ("topic", "said"),
+        [
+            ("/iris_0/mavros/setpoint_raw/locl", "has no subscriber; is /iris_0/mavros/setpoint_raw/local meant?"),
+            ("/mavros/setpoint_raw/local", "belongs to no vehicle"),
+            ("/iris_0/mavros/gps_input/gps_input", "no plugin that is loaded takes it; plugin_denylist may leave"),
+            ("/iris_0/setpoint_accel/accel", None),
+            ("/iris_0/mavros/setpoint_raw/local", None),
+        ],
+    )
+    def test_what_is_told(self, caplog, topic, said):
+        self.watch({topic: ["/leader"]}).look()
+        if said is None:
+            assert caplog.text == ""
+        else:
+            assert said in caplog.text
+
+    def test_topics_with_other_ends_are_theirs(self, caplog):
+        here = {"/iris_0/mavros/setpoint_raw/locl": ["/leader"], "/iris_0/mavros/setpoint_accel/accel": [self.OWN]}
+        self.watch(here, {"/iris_0/mavros/setpoint_raw/locl": ["/viewer"]}).look()
+        assert caplog.text == ""
+
+
+def test_a_node_serves_one_vehicle_of_the_fleet():
+    (only,) = connections({"vehicle": "typhoon_h480_0"}, "iris:2,typhoon_h480:1", "/typhoon_h480_0/mavros")
+    assert (only.prefix, only.url.bind_port, only.target) == ("/typhoon_h480_0/mavros", 24542, (3, 1))
+    with pytest.raises(FleetError, match="vehicle: 'iris_2' is not in the fleet, iris_0 to iris_1"):
+        connections({"vehicle": "iris_2"}, "iris:2", "/iris_2/mavros")
+
+
+def test_the_target_has_mavros_names():
+    (link,) = connections({"fcu_url": "udp://:1@", "target_system_id": 7, "tgt_component": 2}, "", "/mavros")
+    assert link.target == (7, 2)

@@ -1,0 +1,147 @@
+"""What MAVROS offers is offered here or left out by name, and docs/mavros.md says the same.
+
+``./xtdrone shell python src/xtdrone_control/tests/test_mavros_surface.py`` writes the table of that page.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import yaml
+from mavros_fakes import Bench
+
+from xtdrone_control.mavros.left_out import LEFT_OUT, explain
+from xtdrone_control.mavros.params import Params
+from xtdrone_control.mavros.plugin_lists import PluginLists
+from xtdrone_control.mavros.plugins import PLUGINS
+
+_DATA = Path(__file__).parent / "data" / "mavros_surface.txt"
+_LISTS = Path(__file__).parents[1] / "config" / "px4_pluginlists.yaml"
+_PAGE = Path(__file__).parents[3] / "docs" / "mavros.md"
+_TABLE = re.compile(r"(?<=<!-- made by test_mavros_surface.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
+# What a node has without a plugin: rospy's, and the transforms that a parameter switches on.
+_OTHERS = {
+    "published /rosout rosgraph_msgs/Log",
+    "published /tf tf2_msgs/TFMessage",
+    "service get_loggers roscpp/GetLoggers",
+    "service set_logger_level roscpp/SetLoggerLevel",
+}
+
+
+class Offered(NamedTuple):
+    """One topic or service: "published", "subscribed" or "service", its name below the namespace, and its type."""
+
+    direction: str
+    name: str
+    kind: str
+
+
+def mavros() -> set[Offered]:
+    """Return what MAVROS offers."""
+    lines = [line.split() for line in _DATA.read_text().splitlines() if not line.startswith("#")]
+    return {Offered(direction, _short(name), kind) for direction, name, kind in lines}
+
+
+def ours() -> dict[Offered, str]:
+    """Return what is offered here, to the plugin."""
+    found = {}
+    for plugin in PLUGINS:
+        bench = Bench([plugin])
+        ros = bench.ros
+        for direction, names in (
+            ("published", ros.publishers),
+            ("subscribed", ros.subscribers),
+            ("service", ros.services),
+        ):
+            found |= {Offered(direction, _short(name), ros.kinds[name]._type): plugin.name for name in names}
+        bench.close()
+    return found
+
+
+def left_out() -> dict[tuple[str, str], tuple[str, str]]:
+    """Return direction and name of what is left out, to the plugin and the reason."""
+    found = {}
+    for plugin, entries in LEFT_OUT.items():
+        for entry in entries:
+            for direction, names in (
+                ("published", entry.published),
+                ("subscribed", entry.subscribed),
+            ):
+                found |= {(direction, name): (plugin, explain(entry)) for name in names}
+    return found
+
+
+def _short(name: str) -> str:
+    return re.sub(r"^/(iris_0/)?(mavros/|(?=mavlink/))", "", name).replace("mavlink/", "/mavlink/")
+
+
+def table() -> str:
+    """Return the tables of the page."""
+    here: defaultdict[str, list[str]] = defaultdict(list)
+    known = {(entry.direction, entry.name) for entry in mavros()}
+    for entry, plugin in sorted(ours().items()):
+        extra = "" if (entry.direction, entry.name) in known else " (ours)"
+        here[plugin].append(f"`{entry.name}`{_MARK[entry.direction]}{extra}")
+    lists = PluginLists(Params(yaml.safe_load(_LISTS.read_text(encoding="utf-8"))))
+    rows = [
+        f"| {plugin}{'' if lists.loads(plugin) else ' (not by default)'} | {', '.join(names)} |"
+        for plugin, names in sorted(here.items())
+    ]
+    reasons: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    for (direction, name), key in sorted(left_out().items(), key=lambda item: item[0][1]):
+        reasons[key].append(f"`{name}`{_MARK[direction]}")
+    for plugin, entries in LEFT_OUT.items():
+        for bare in entries:
+            if not (bare.published or bare.subscribed):
+                reasons[plugin, explain(bare)] = ["all of it"]
+    out = [f"| {plugin} | {', '.join(names)} | {why} |" for (plugin, why), names in sorted(reasons.items())]
+    return "\n".join(
+        [
+            "",
+            "| plugin | offered |",
+            "|---|---|",
+            *rows,
+            "",
+            "| plugin | left out | because |",
+            "|---|---|---|",
+            *out,
+            "",
+            "",
+        ]
+    )
+
+
+_MARK = {"published": "", "subscribed": " ←", "service": " ()"}
+
+
+@pytest.fixture(scope="module")
+def offered() -> dict[Offered, str]:
+    return ours()
+
+
+def test_all_of_mavros_is_offered_or_left_out(offered):
+    neither = {e for e in mavros() - set(offered) if (e.direction, e.name) not in left_out()}
+    assert {" ".join(entry) for entry in neither} <= _OTHERS
+
+
+def test_what_is_offered_is_not_called_left_out(offered):
+    both = {(entry.direction, entry.name) for entry in offered} & set(left_out())
+    assert not both, "to be taken out of left_out.py"
+
+
+def test_what_is_left_out_is_mavros():
+    assert set(left_out()) <= {(entry.direction, entry.name) for entry in mavros()}
+
+
+def test_the_page_says_the_same():
+    found = _TABLE.search(_PAGE.read_text(encoding="utf-8"))
+    assert found, "the table's marks"
+    assert found[0] == table(), f"run {Path(__file__).name} as a program"
+
+
+if __name__ == "__main__":
+    _PAGE.write_text(_TABLE.sub(lambda _: table(), _PAGE.read_text(encoding="utf-8")), encoding="utf-8")
