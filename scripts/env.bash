@@ -4,6 +4,16 @@ xtdrone_root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 
 unset PYTHONPATH PYTHONHOME ROS_PACKAGE_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH ROSLISP_PACKAGE_DIRECTORIES
 
+# catkin's set-up scripts write a file there.
+if [[ -n ${TMPDIR:-} && ! (-d $TMPDIR && -w $TMPDIR) ]]; then
+  echo "xtdrone: TMPDIR is $TMPDIR, which is not there or cannot be written to; temporary files go to /tmp" >&2
+  unset TMPDIR
+fi
+if [[ ! -w ${TMPDIR:-/tmp} ]]; then
+  echo "xtdrone: /tmp cannot be written to by $(id -un); set TMPDIR to a folder that can" >&2
+  return 1
+fi
+
 # catkin's set-up scripts read variables that may not be set.
 xtdrone_nounset="$(shopt -po nounset || true)"
 set +u
@@ -19,6 +29,14 @@ unset xtdrone_nounset
 
 export VIRTUAL_ENV="$xtdrone_root/.venv"
 export PATH="$VIRTUAL_ENV/bin:$PATH"
+
+# Compiled kernels are kept in the user's cache; where they cannot be, every start would take minutes.
+xtdrone_cache="${XDG_CACHE_HOME:-${HOME:-$(echo ~)}/.cache}"
+if ! mkdir -p "$xtdrone_cache/xtdrone" 2>/dev/null || [[ ! -w $xtdrone_cache/xtdrone ]]; then
+  export XDG_CACHE_HOME="$xtdrone_root/.setup/cache"
+  echo "xtdrone: $xtdrone_cache cannot be written to; compiled kernels are kept in $XDG_CACHE_HOME" >&2
+fi
+unset xtdrone_cache
 
 # Neither ROS nor MAVLink asks who calls (docs/multi-machine.md), so master and nodes listen on this machine alone unless
 # an address is named. A master on another machine has to call back, at an address that only the user knows.

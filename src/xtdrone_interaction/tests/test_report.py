@@ -17,7 +17,7 @@ from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
 from xtdrone_interaction import report as reports
 from xtdrone_interaction.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
-from xtdrone_interaction.plots import save_figures, save_plots
+from xtdrone_interaction.plots import figures, save_figures, save_plots
 from xtdrone_interaction.record import Change, FlightRecord, RecordError, Track, read_record, regular_times
 
 
@@ -127,6 +127,27 @@ def test_a_lost_vehicle_is_named_and_counts_until_it_is_lost(tmp_path: Path) -> 
     gone = [{**event, "vehicle": name} for name in record.names[1:]]
     report = reports.make_report(replace(record, events=[*record.events[:-1], *gone, record.events[-1]]))
     assert [item["pattern"] for item in report["reconfigurations"]] == ["cube"]
+
+
+def test_a_cut_record_is_reported_as_far_as_it_goes(flight_bag: Path) -> None:
+    whole = read_record(flight_bag)
+    assert (whole.cut, whole.unrecorded) == (None, [])
+
+    def cut(end: float) -> FlightRecord:
+        return replace(whole, truth=whole.truth.between(0.0, end), estimate=whole.estimate.between(0.0, end))
+
+    report = reports.make_report(cut(25.0))
+    assert report["reconfigurations"] == reports.make_report(whole)["reconfigurations"][:1]
+    assert report["cut"] == pytest.approx(25.0, abs=0.04)
+    assert report["unrecorded"] == list(PATTERNS[1:])
+    assert report["shortcomings"] == [
+        "the record is cut: positions end at 25.0 s, the flight at 53.0 s; patterns not judged: cube, pyramid, triangle"
+    ]
+    assert [name for name, _ in figures(cut(25.0))] == ["formations.png", "distances.png"]
+    assert [name for name, _ in figures(cut(9.0))] == ["distances.png"]
+    early = replace(whole, events=[{**event, "time": event["time"] + 90.0} for event in whole.events])
+    with pytest.raises(RecordError, match=r"it is cut, the positions end at 5\d\.\d s, before the take-off at 91\.0 s"):
+        reports.make_report(early)
 
 
 def test_a_collision_is_a_shortcoming(tmp_path: Path) -> None:

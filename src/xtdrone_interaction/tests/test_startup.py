@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
-from xtdrone_interaction.hints import advice
+from xtdrone_interaction.deaths import Death
+from xtdrone_interaction.hints import advice, trouble
+from xtdrone_interaction.missing import nodes, not_joined
 from xtdrone_interaction.startup import Startup
 
 
@@ -60,7 +63,87 @@ def test_what_the_simulator_says_of_the_start_is_understood(logs: Logs) -> None:
     assert (logs.startup.runs, logs.startup.joined) == (True, 5)
 
 
+_NODES = """\
+PARAMETERS
+ * /follower_1/class:
+
+NODES
+  /
+    follower_1 (xtdrone_coordination/follower_consensus.py)
+    leader (xtdrone_coordination/leader.py)
+    recorder (rosbag/record)
+    simulator (xtdrone_sim/simulator.py)
+  /team/
+    mine (my_package/mine.py)
+    other (my_package/mine.py)
+
+auto-starting new master
+process[simulator-2]: started with pid [1]
+process[leader-3]: started with pid [1]
+process[team/mine-4]: started with pid [{pid}]
+"""
+
+
+def test_nodes_that_have_not_joined_are_named_with_what_is_known(tmp_path: Path) -> None:
+    log = tmp_path / "run" / "team-mine-4-stdout.log"
+    log.parent.mkdir()
+    log.write_text("reading the map\n")
+    lines = _NODES.format(pid=os.getpid()).splitlines()
+    assert nodes(lines) == ["follower_1", "leader", "team/mine", "team/other"]
+    dead = {"leader": Death("leader", None, "has died (exit code 1)", "/a/leader.log")}
+    words = not_joined(lines, ["/team/other"], dead, tmp_path)
+    assert words.split("; ") == [
+        "follower_1 was never started", "leader has died (exit code 1), see /a/leader.log",
+        f"team/mine runs, see {log}",
+    ]  # fmt: skip
+    assert not_joined(lines, ["/follower_1", "/leader", "/team/mine", "/team/other"], {}, tmp_path) == ""
+    assert "team/mine is gone" in not_joined(_NODES.format(pid=1 << 30).splitlines(), [], {}, tmp_path)
+
+
 def test_advice_is_given_for_what_is_known() -> None:
     assert advice("[INFO] all is well") == []
     assert "--instance" in advice("FATAL: iris_1 ground-station link: UDP port 18571 cannot be bound")[0]
     assert "ulimit -n" in advice("OSError: [Errno 24] Too many open files")[0]
+
+
+_LOG = """\
+[rosout-1] process[simulator-2]: started with pid [5]
+[ERROR] [1.5, 0.0]: iris_0: FCU: Failsafe activated
+[ERROR] [1.5, 0.0]: iris_0: FCU: Failsafe activated
+Traceback (most recent call last):
+  File "/a/node.py", line 7, in main
+    raise OptionError("ERROR: no such thing") from error
+[INFO] [2.5, 0.0]: leader: another node's line
+subprocess.TimeoutExpired: Command 'x' timed out
+Exception ignored in: <function Socket.__del__ at 0x7f>
+Traceback (most recent call last):
+  File "/a/socket.py", line 9, in __del__
+    raise ValueError
+ValueError: closed
+terminate called after throwing an instance of 'std::bad_alloc'
+  what():  std::bad_alloc
+[follower_1-8] process has died [pid 9, exit code -9, cmd /a/follower.py].
+================REQUIRED process [{node}] has died!
+process has {how}
+log file: /a/{node}*.log
+Initiating shutdown!
+================
+[recorder-4] killing on exit
+[ERROR] [3.5, 9.0]: leader: the simulator is gone
+"""
+_SHOWN = [
+    "[ERROR] [1.5, 0.0]: iris_0: FCU: Failsafe activated",
+    "subprocess.TimeoutExpired: Command 'x' timed out",
+    "terminate called after throwing an instance of 'std::bad_alloc'",
+    "what():  std::bad_alloc",
+    "[follower_1-8] process has died [pid 9, exit code -9, cmd /a/follower.py].",
+]
+
+
+def test_trouble_is_what_went_wrong_and_nothing_else() -> None:
+    done = _LOG.format(node="formation_director-11", how="finished cleanly")
+    assert trouble(done.splitlines()) == _SHOWN
+    how = "died [pid 7, exit code -11, cmd /a/simulator.py]."
+    died = _LOG.format(node="simulator-2", how=how)
+    assert trouble(died.splitlines()) == [*_SHOWN, "REQUIRED process [simulator-2] has died!", f"process has {how}"]
+    assert trouble(["[ INFO] all is well", '    log.error("ERROR")']) == []

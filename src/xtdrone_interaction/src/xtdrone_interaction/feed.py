@@ -8,7 +8,7 @@ Lines have a ``kind``:
 ===========  ======================================================================================================
 master       the master answers and the topics are subscribed to
 status       of the simulator: ``text``: why the world stands still, ``held``: that is as it should be, ``joined``:
-             how many take part, ``time``: simulated, s, ``paused``
+             names of those that take part, ``time``: simulated, s, ``paused``
 estimators   every vehicle's estimator has started; ``time``: simulated, s
 (others)     messages (std_msgs/String with JSON) of the topics that were asked for, as ``message``
 ===========  ======================================================================================================
@@ -193,7 +193,7 @@ class _Node:
             "status",
             text=standstill(status),
             held=bool(status.paused or status.waiting_for),
-            joined=len(status.participants),
+            joined=list(status.participants),
             time=self._time,
             paused=bool(status.paused),
         )

@@ -24,7 +24,8 @@ from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
 from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.feed import Feed, answers
-from xtdrone_interaction.hints import advice
+from xtdrone_interaction.hints import advice, trouble
+from xtdrone_interaction.missing import not_joined
 from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.sim_cli import MASTER_FILE, announce
@@ -38,8 +39,8 @@ _PATIENCE = 25.0  # s that roslaunch gets to stop its nodes
 _NODE_PATIENCE = 8.0  # s that a node gets to stop
 _STOPPED = 5.0  # s between two looks, from which on this program has been stopped
 _VITAL = ("simulator", "mavros", "formation_director", "search_mission")  # without which no flight goes on
-_TROUBLE = re.compile(r"\b(ERROR|FATAL)\b|(Error|Exception)\b|has died|cannot launch|RLException|Invalid <")
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+_INCOMPLETE = "participants have "  # joined, or not: the simulator's words while it waits for them at the start
 _TROUBLE_LINES = 12
 
 
@@ -115,7 +116,15 @@ class Launch:
         environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment.get('PATH', '')}"
         if self.master_port and not {"ROS_IP", "ROS_HOSTNAME"} & environment.keys():
             environment["ROS_IP"] = "127.0.0.1"
+        if not _is_writable(Path(environment.get("ROS_HOME") or os.path.expanduser("~/.ros"))):
+            environment["ROS_HOME"] = str(self.out / "logs")  # where nodes run: without it roslaunch starts none
         return environment
+
+
+def _is_writable(folder: Path) -> bool:
+    """Return whether files can be made in ``folder``, which is made where it is not there."""
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,7 +263,16 @@ class Watch:
             return f"the ROS master at {self._launch.master_uri} does not answer"
         if self.status is None:
             return "no simulator has started"
-        return str(self.status["text"]) or f"simulated time is {self.status['time']:.1f} s"
+        text = str(self.status["text"])
+        if _INCOMPLETE in text:
+            text += self.not_joined()
+        return text or f"simulated time is {self.status['time']:.1f} s"
+
+    def not_joined(self) -> str:
+        """Name the nodes that have not joined the simulator, with what is known of each; empty, or after a colon."""
+        joined = () if self.status is None else self.status["joined"]
+        words = not_joined(_log_lines(self._launch), joined, self.deaths.found, self._launch.log.parent)
+        return f": {words}" if words else ""
 
     def finish(self) -> None:
         """Have the launch end by itself."""
@@ -446,8 +464,8 @@ def _log_lines(flight: Launch) -> list[str]:
 def print_trouble(launch: Launch, console: Console) -> None:
     """Print what the launch's log says of the cause, and what to do about it."""
     lines = _log_lines(launch)
-    for line in [line for line in lines if _TROUBLE.search(line)][:_TROUBLE_LINES]:
-        console.print(f"  {escape(line.strip(' ='))}", highlight=False, soft_wrap=True)
+    for line in trouble(lines)[:_TROUBLE_LINES]:
+        console.print(f"  {escape(line)}", highlight=False, soft_wrap=True)
     for words in advice("\n".join(lines)):
         console.print(f"What to do: {escape(words)}", highlight=False, soft_wrap=True)
     console.print(f"All of it: {launch.log.parent}", highlight=False, soft_wrap=True)

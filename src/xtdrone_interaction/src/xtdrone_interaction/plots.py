@@ -84,7 +84,8 @@ def figures(record: FlightRecord) -> Iterator[tuple[str, Figure]]:
         if before is not None:
             yield f"response_{number}_{before}_to_{window.pattern}.png", response(record, before, window)
         before = window.pattern
-    yield "formations.png", formations(record)
+    if before is not None:
+        yield "formations.png", formations(record)
     yield "distances.png", distances(record)
 
 

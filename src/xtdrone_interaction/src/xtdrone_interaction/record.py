@@ -49,6 +49,7 @@ ODOMETRY = tuple(f"pose.{field}" for field in _POSE)
 _BAG_BEGIN = b"#ROSBAG V2.0\n"
 _BASE_STEP = 0.004  # s; every period of the simulator is a multiple of it
 _MEDIAN_SPAN = 10.0  # s; the recorder's clock is right most of the time in any span of this length
+_TAIL = 1.0  # s of a flight's end that a recorder may miss though nothing happened to it
 
 
 class RecordError(ValueError):
@@ -154,9 +155,25 @@ class FlightRecord:
         return [e for e in self.events if e["event"] == "phase"]
 
     @property
+    def cut(self) -> float | None:
+        """When the positions end, s, if that is before the flight's end: its recorder was killed or stopped."""
+        end = float(self.track.time[-1])
+        return end if self.events and end < self.events[-1]["time"] - _TAIL else None
+
+    @property
     def windows(self) -> list[Window]:
-        """The reconfigurations in order; one whose slots were never assigned is left out."""
-        windows = []
+        """The reconfigurations in order; without those never assigned or ``unrecorded``."""
+        end = self.track.time[-1] + _TAIL
+        return [window for window in self._flown() if window.end <= end]
+
+    @property
+    def unrecorded(self) -> list[Window]:
+        """The reconfigurations whose positions were not recorded to their end, in order."""
+        end = self.track.time[-1] + _TAIL
+        return [window for window in self._flown() if window.end > end]
+
+    def _flown(self) -> list[Window]:
+        windows: list[Window] = []
         ends = [p["time"] for p in self.phases[1:]] + [self.events[-1]["time"]]
         search = 0
         for phase, end in zip(self.phases, ends, strict=True):

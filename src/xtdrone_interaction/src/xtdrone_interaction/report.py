@@ -107,11 +107,21 @@ def assignment_distances(before: Array, after: Array) -> tuple[float, float]:
 
 
 def flight_part(record: FlightRecord, track: Track) -> Track:
-    """Return the part of ``track`` from the beginning of take-off on."""
+    """Return the part of ``track`` from the beginning of take-off on.
+
+    Raises:
+        RecordError: there is none.
+    """
     starts = [p["time"] for p in record.phases if p["phase"] == "take-off"]
     if not starts:
         raise RecordError("flight record: there was no take-off")
-    return track.between(starts[0], np.inf)
+    part = track.between(starts[0], np.inf)
+    if not len(part.time):
+        raise RecordError(
+            f"flight record: it is cut, the positions end at {track.time[-1]:.1f} s, before the take-off at "
+            f"{starts[0]:.1f} s"
+        )
+    return part
 
 
 def measure(record: FlightRecord, track: Track) -> list[Reconfiguration]:
@@ -181,6 +191,9 @@ def make_report(record: FlightRecord, settings: dict[str, Any] | None = None) ->
         "least_distance_time": float(flight.time[distances.argmin()]),
         "too_close": _too_close(record.names, flight, distances),
         "collisions": record.collisions,
+        "cut": record.cut,
+        "unrecorded": [window.pattern for window in record.unrecorded],
+        "end_time": last["time"],
         "sim_time": sim,
         "wall_time": wall,
         "real_time_factor": sim / wall if wall else None,
@@ -235,9 +248,20 @@ def _words_of_too_close(found: dict[str, Any]) -> str:
     )
 
 
+def _words_of_cut(report: dict[str, Any]) -> str:
+    end = report["end_time"]
+    missing = ", ".join(report["unrecorded"])
+    return (
+        f"the record is cut: positions end at {report['cut']:.1f} s, the flight at {end:.1f} s"
+        f"{'; patterns not judged: ' * bool(missing)}{missing}"
+    )
+
+
 def shortcomings(report: dict[str, Any]) -> list[str]:
     """Return what the flight missed, in words; an empty list is a good flight."""
     found = []
+    if report["cut"] is not None:
+        found.append(_words_of_cut(report))
     if report["outcome"] != "done":
         found.append(f"the flight ended with {report['outcome']!r}")
     for item in report["lost"]:
