@@ -44,3 +44,23 @@ def test_wrong_words_are_refused_with_what_is_allowed(
     assert (run.returncode, run.stdout) == (2, "")
     for word in words:
         assert word in run.stderr
+
+
+def test_too_low_a_limit_of_memory_is_refused(tmp_path: Path) -> None:
+    low = 'ulimit -v 300000; exec "$@"'
+    run = subprocess.run(
+        ["bash", "-c", low, "_", REPOSITORY / "xtdrone", "demo", "formation"],
+        capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert (run.returncode, run.stdout) == (1, "")
+    assert "ulimit -v, is 300000 kB; at least 500000 are needed" in run.stderr
+
+
+def test_folders_that_cannot_be_written_to_have_others_take_their_place() -> None:
+    run = subprocess.run(
+        ["bash", "-c", 'source "$0/scripts/env.bash"; echo "${TMPDIR-unset} $XDG_CACHE_HOME"', REPOSITORY],
+        env={"PATH": "/usr/bin:/bin", "HOME": "/proc/self", "TMPDIR": "/proc/no"}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert run.stdout.split() == ["unset", f"{REPOSITORY}/.setup/cache"], run.stderr
+    assert "TMPDIR is /proc/no, which is not there" in run.stderr
+    assert "/proc/self/.cache cannot be written to" in run.stderr
