@@ -51,6 +51,9 @@ class FakeLink:
     def send_values(self, message: Any, values: Any, _now_us: int) -> None:
         self._take(message.frame(message.payload(values), 0, self.system_id, 1))
 
+    def send_payload(self, message: Any, payload: bytes) -> None:
+        self._take(message.frame(payload, 0, self.system_id, 1))
+
     def _take(self, frame: bytes) -> None:
         self.frames.append(bytes(frame))
         ((number, _, _, frame),) = split(bytes(frame))
@@ -77,12 +80,13 @@ class Served:
         self.commander.update()
         self.commander.texts.clear()
 
-    def ask(self, message: Any, link: FakeLink | None = None) -> list[Any]:
+    def ask(self, message: Any, link: FakeLink | None = None, *, participant: bool = False) -> list[Any]:
         """Give the services ``message`` (pymavlink's, or a ready frame) and return what they answer at once."""
         link = link or self.link
         link.sent.clear()
         frame = message if isinstance(message, bytes) else bytes(message.pack(link.client))
-        self.receiver.take(link, frame, ("127.0.0.1", 14550), self.autopilot.time_us)
+        sender, now_us = ("127.0.0.1", 14550), self.autopilot.time_us
+        self.receiver.take(link, frame, sender, now_us, participant=participant)
         return [answer for _, answer in link.sent]
 
     def command(self, number: int, *params: float, link: FakeLink | None = None) -> tuple[int | None, list[str]]:

@@ -56,13 +56,31 @@ def test_a_second_request_begins_anew_without_the_hash(served):
     assert values(served.run(1.0))[0][2].param_id == NAMES[0]
 
 
-def test_lists_of_two_clients_do_not_mix(served):
+def test_lists_of_two_clients_do_not_mix_and_share_the_rate(served):
     served.ask(request_list())
     served.run(0.024)
     served.ask(request_list(), served.other)
     served.other.sent.clear()
-    assert len(values(served.run(1.0))) == len(NAMES) - 20 + 1, "the hash ends it"
+    found = values(served.run(2.0))
+    assert len(found) == len(NAMES) - 20 + 1, "the hash ends it"
+    assert [t - found[0][0] for t, _, _ in found][20:60:20] == [40_000, 80_000]
     assert [m.param_id for _, m in values(served.other.sent)] == [*NAMES, "_HASH_CHECK"]
+
+
+def test_the_list_of_a_participant_does_not_wait_for_others(served):
+    served.ask(request_list(), served.other)
+    served.ask(request_list(), participant=True)
+    assert len(values(served.run(len(NAMES) * 0.001 + 0.02))) == len(NAMES) + 1
+
+
+def test_a_value_has_the_bytes_of_pymavlinks_message(served):
+    served.run(0.004)
+    for name, kind in (("MPC_XY_P", FLOAT), ("MIS_DIST_1WP", FLOAT), ("NAV_DLL_ACT", INT32)):
+        (m,) = served.ask(mavlink.MAVLink_param_request_read_message(SYSTEM, 1, name.encode(), -1))
+        bits = struct.pack("<i", int(served.parameters.get(name)))
+        value = served.parameters.get(name) if kind == FLOAT else struct.unpack("<f", bits)[0]
+        again = mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(NAMES), m.param_index)
+        assert served.link.frames[-1] == bytes(again.pack(mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=1)))
 
 
 def test_messages_to_all_systems_are_left_alone_as_px4_does(served):

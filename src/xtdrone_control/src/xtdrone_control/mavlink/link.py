@@ -158,11 +158,12 @@ class Link:
         """Queue a message given by its values in wire order, or several; ``flush`` sends them."""
         try:
             for one in values if isinstance(values, list) else [values]:
-                self._queue_payload(message, message.payload(one))
+                self.send_payload(message, message.payload(one))
         except PackingError as error:
             self.warn("packing", f"not sent: {error}", now_us)
 
-    def _queue_payload(self, message: Format, payload: bytes) -> None:
+    def send_payload(self, message: Format, payload: bytes) -> None:
+        """Queue a message given by its payload (``Format.payload``); ``flush`` sends it."""
         self._queue(message.frame(payload, self._mav.seq, self.system_id, COMPONENT_ID))
 
     def _queue(self, frame: bytes) -> None:
@@ -201,7 +202,7 @@ class Link:
             if message is HEARTBEAT:
                 self._beat_wall = time.monotonic()
             for payload in payloads:
-                self._queue_payload(message, payload)
+                self.send_payload(message, payload)
 
     def _ping(self) -> Values:
         """PING as PX4 sends it to find out how long the way is; the answer is not used."""

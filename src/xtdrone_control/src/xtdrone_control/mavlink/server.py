@@ -297,17 +297,18 @@ class MavlinkServer:
     def _take_turns(self, now_us: int) -> None:
         """Act on what waits as long as there is credit for it."""
         answered: dict[Port, None] = {}
-        acted = True
-        while acted:
-            acted = False
-            for place, sender in self._turns.waiting():
+        waiting = self._turns.waiting()
+        while waiting:
+            served = []
+            for place, sender in waiting:
                 purse = self._purse_for(place[1], sender, now_us)
-                if purse is None:
+                if purse is None:  # nor will there be one in this round
                     continue
-                acted = True
                 datagram = self._turns.take(place, sender)
                 purse.left -= self._take(*place, datagram, sender, now_us)
                 answered[place[1]] = None
+                served.append((place, sender))
+            waiting = [key for key in served if self._turns.waits(*key)]
         for port in answered:
             port.flush(now_us)
 

@@ -134,6 +134,10 @@ class Turns(Generic[Place]):
         """Return place and address of all senders that wait, the next to be served first."""
         return list(self._queues)
 
+    def waits(self, place: Place, sender: tuple[str, int]) -> bool:
+        """Return whether a sender waits."""
+        return (place, sender) in self._queues
+
     def take(self, place: Place, sender: tuple[str, int]) -> bytes:
         """Return the oldest datagram of a sender that waits, who goes to the end of the line."""
         key = (place, sender)

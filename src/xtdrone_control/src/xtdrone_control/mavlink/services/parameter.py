@@ -3,6 +3,9 @@
 As PX4's: the hash comes first, so that a ground station that knows these values can stop the list by sending it back,
 then 20 parameters each 20 ms, and the hash once more; a second request while a list is running begins it anew. Unknown
 names and other types get no answer, values out of range are taken. A written value is told to everybody.
+
+Clients that take no part in the lockstep share those 20 parameters each 20 ms: there may be many of them, and a list
+costs far more than asking for it.
 """
 
 from __future__ import annotations
@@ -15,11 +18,13 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.parameters import FLOAT, INDEX, INT32, NAMES, ParameterError, describe
 from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.packing import Format
 from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
 
 _HASH_NAME = "_HASH_CHECK"
 _HASH_TYPE = 5  # MAV_PARAM_TYPE_UINT32
 _NO_INDEX = 0xFFFF
+_PARAM_VALUE = Format("PARAM_VALUE")
 _BURST = 20
 _BURST_PERIOD_US = 20_000
 
@@ -38,11 +43,15 @@ class ParameterService(Service):
         """Serve ``vehicle``."""
         super().__init__(vehicle)
         self._parameters = vehicle.commander.parameters
-        self._lists: dict[Link, int] = {}  # who gets a list now, and which parameter is next
+        self._lists: dict[
+            Link, int
+        ] = {}  # who gets a list now, and which parameter is next; the next to be served first
+        self._participants: set[Link] = set()  # those of them that take part in the lockstep
 
     def update(self, now_us: int) -> None:
         """Send the next parameters of the lists that are running."""
-        for link in self.waiting:
+        others = [link for link in self._lists if link not in self._participants]
+        for link in [link for link in self._lists if link in self._participants] + others[:1]:
             self.send_part(link, now_us)
         self._schedule(now_us)
 
@@ -53,14 +62,16 @@ class ParameterService(Service):
 
     def send_part(self, link: Link, _now_us: int) -> None:
         """Queue the next parameters of a list."""
-        start = self._lists[link]
+        start = self._lists.pop(link)
+        if not link.open:
+            self._participants.discard(link)
+            return
         for name in NAMES[start : start + _BURST]:
             self._send_parameter((link,), name)
-        self._lists[link] = start + _BURST
-        if not link.open:
-            del self._lists[link]
-        elif start + _BURST >= len(NAMES):
-            del self._lists[link]
+        if start + _BURST < len(NAMES):
+            self._lists[link] = start + _BURST  # at the end of the line
+        else:
+            self._participants.discard(link)
             self._send_hash(link)
 
     def _schedule(self, now_us: int) -> None:
@@ -76,6 +87,8 @@ class ParameterService(Service):
         if link not in self._lists:
             self._send_hash(link)
         self._lists[link] = 0
+        if self.vehicle.participant:
+            self._participants.add(link)
         self._schedule(self.vehicle.now_us)
 
     def _param_request_read(self, link: Link, m: Any) -> None:
@@ -97,6 +110,7 @@ class ParameterService(Service):
             return
         if m.param_id == _HASH_NAME:  # a ground station that has the values already
             self._lists.pop(link, None)
+            self._participants.discard(link)
             return
         value = m.param_value
         if m.param_type == INT32:
@@ -116,9 +130,9 @@ class ParameterService(Service):
         if describe(name).type == INT32:
             kind = INT32
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
-        message = mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(NAMES), INDEX[name])
+        payload = _PARAM_VALUE.payload((value, len(NAMES), INDEX[name], name.encode(), kind))
         for link in links:
-            link.send_message(message)
+            link.send_payload(_PARAM_VALUE, payload)
 
     def _send_hash(self, link: Link) -> None:
         (value,) = struct.unpack("<f", struct.pack("<I", self._parameters.hash()))
