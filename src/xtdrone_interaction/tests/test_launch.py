@@ -23,7 +23,7 @@ from xtdrone_interaction.launched import master_port
 pytestmark = pytest.mark.skipif(shutil.which("roslaunch") is None, reason="ROS is not there")
 LIMIT = 120.0  # s of wall time; only a broken run takes it
 _MODULES = {
-    "launch": ["xtdrone_interaction.launch_cli"],
+    "launch": ["xtdrone_interaction", "launch"],
     "demo": ["xtdrone_interaction", "demo"],
 }  # as ./xtdrone has it
 LAUNCH = """\
@@ -163,6 +163,19 @@ def test_what_cannot_be_launched_is_refused_before_anything_starts(
     assert status == 2
     assert words in " ".join(capfd.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["launch", "demo"])
+def test_a_library_that_memory_is_too_short_for_is_told_in_one_line(tmp_path: Path, command: str) -> None:
+    (tmp_path / "numpy.py").write_text("raise ImportError('lib.so: failed to map segment from shared object')")
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    run = subprocess.run(
+        [sys.executable, "-m", "xtdrone_interaction", command],
+        env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert run.returncode == 1
+    assert run.stderr.startswith("xtdrone: ImportError: memory is short: ")
+    assert run.stderr.count("\n") == 1
 
 
 def test_a_missing_program_is_named_before_anything_starts(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

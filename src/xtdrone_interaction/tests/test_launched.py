@@ -54,3 +54,13 @@ def test_a_flight_ends_when_the_simulator_drops_what_it_cannot_do_without(
             launched._watch(watch, flight)
     else:
         launched._watch(watch, flight)
+
+
+@pytest.mark.parametrize(("home", "moved"), [("/proc/self", True), ("", False)])
+def test_nodes_run_where_they_can_when_the_home_cannot_be_written_to(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: str, moved: bool
+) -> None:
+    monkeypatch.delenv("ROS_HOME", raising=False)
+    monkeypatch.setenv("HOME", home or str(tmp_path))
+    environment = launched.Launch("a.launch", {}, tmp_path, 11311, headless=True).environment()
+    assert environment.get("ROS_HOME") == (str(tmp_path / "logs") if moved else None)

@@ -43,9 +43,7 @@ class ParameterService(Service):
         """Serve ``vehicle``."""
         super().__init__(vehicle)
         self._parameters = vehicle.commander.parameters
-        self._lists: dict[
-            Link, int
-        ] = {}  # who gets a list now, and which parameter is next; the next to be served first
+        self._lists: dict[Link, int] = {}  # who gets a list, the next first, and which parameter is next
         self._participants: set[Link] = set()  # those of them that take part in the lockstep
 
     def update(self, now_us: int) -> None:
