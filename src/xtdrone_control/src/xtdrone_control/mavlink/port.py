@@ -321,6 +321,8 @@ class Port:
         link = self._links.get(sender)
         if link is not None:
             link.dropped += 1
+        if not self._may_warn("flood", now_us):
+            return
         who = "strangers send" if link is None else f"{sender[0]}:{sender[1]} sends"
         self.warn("flood", f"{who} more than can be served; {self.dropped} datagrams were dropped so far", now_us)
 
@@ -340,6 +342,8 @@ class Port:
             self._room.make(now_us)
         if len(self._links) >= MAX_CLIENTS or self._room.left < 1:
             self.refused += 1
+            if not self._may_warn("room", now_us):
+                return None
             clients = f"{MAX_CLIENTS} clients" if self._room.left > 0 else "as many clients as all ports may have"
             self.warn("room", f"{sender[0]}:{sender[1]} is not served: there are {clients} already", now_us)
             return None
@@ -455,10 +459,13 @@ class Port:
 
     def warn(self, kind: str, text: str, now_us: int, name: str = "") -> None:
         """Log a warning, at most one of each ``kind`` a simulated second and a wall second."""
-        last = self._warned.get(kind)
-        if last is not None and now_us - last[0] < _WARNING_INTERVAL_US:
-            return
-        wall = time.monotonic()
-        if last is None or wall - last[1] >= _WARNING_INTERVAL_S:
-            self._warned[kind] = now_us, wall
+        if self._may_warn(kind, now_us):
+            self._warned[kind] = now_us, time.monotonic()
             _log.warning("%s: %s", name or self.name, text)
+
+    def _may_warn(self, kind: str, now_us: int) -> bool:
+        """Return whether the last warning of a kind is long enough ago."""
+        last = self._warned.get(kind)
+        if last is None:
+            return True
+        return now_us - last[0] >= _WARNING_INTERVAL_US and time.monotonic() - last[1] >= _WARNING_INTERVAL_S
