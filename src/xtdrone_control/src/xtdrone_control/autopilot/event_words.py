@@ -23,6 +23,7 @@ MODES = {
     modes.STABILIZED: ("stab", "stabilized"),
     modes.AUTO_TAKEOFF: ("takeoff", "take-off"),
     modes.AUTO_LAND: ("land", "land"),
+    modes.AUTO_FOLLOW_TARGET: ("follow_target", "follow me"),
     modes.AUTO_PRECLAND: ("precland", "precision landing"),
     modes.ORBIT: ("orbit", "orbit"),
 }

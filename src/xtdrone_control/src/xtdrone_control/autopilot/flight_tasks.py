@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from .follow_task import follow_task, start_following
 from .kernel import kernel
 from .rotation import constrain, wrap_pi, yaw_of
 from .state import (
@@ -19,6 +20,7 @@ from .state import (
     TAKEOFF_RAMPUP,
     TASK_ALTITUDE,
     TASK_DESCEND,
+    TASK_FOLLOW,
     TASK_GOTO,
     TASK_LAND,
     TASK_ORBIT,
@@ -615,6 +617,7 @@ def _begin_task(c, s, e):
     c.brake_boost = 1.0
     c.unsmoothed_climb = 0.0
     c.leg_state = -1
+    start_following(c)
     for i in range(2):
         c.stick_acceleration[i] = 0.0
     for i in range(3):
@@ -641,6 +644,8 @@ def generate_setpoint(c, s, e, p, dt):
         land_task(c, s, e, p, dt)
     elif s.task == TASK_ORBIT:
         orbit_task(c, s, e, p, dt)
+    elif s.task == TASK_FOLLOW:
+        follow_task(c, s, e, p, dt)
     elif s.task == TASK_DESCEND:
         descend_task(c, p)
     elif s.task == TASK_STICKS:

@@ -81,6 +81,9 @@ OFFBOARD = Mode("OFFBOARD", "OFFBOARD", 14, 6, 0, _CUSTOM | _STABILISED, _ATTITU
 STABILIZED = Mode("STABILIZED", "STAB", 15, 7, 0, _STICKS, _ATTITUDE, sticks=True)
 AUTO_TAKEOFF = Mode("AUTO.TAKEOFF", "AUTO_TAKEOFF", 17, MAIN_AUTO, 2, _PILOT, _EXACT)
 AUTO_LAND = Mode("AUTO.LAND", "AUTO_LAND", 18, MAIN_AUTO, 6, _PILOT, _ABOUT, prevents_arming=True)
+AUTO_FOLLOW_TARGET = Mode(
+    "AUTO.FOLLOW_TARGET", "AUTO_FOLLOW_TARGET", 19, MAIN_AUTO, 8, _CUSTOM | _STABILISED, _EXACT, prevents_arming=True
+)
 ORBIT = Mode("ORBIT", "ORBIT", 21, 3, 1, _CUSTOM | _STABILISED, _EXACT)
 AUTO_PRECLAND = Mode("AUTO.PRECLAND", "AUTO_PRECLAND", 20, MAIN_AUTO, 9, _PILOT, _EXACT, prevents_arming=True)
 
@@ -97,13 +100,14 @@ SUPPORTED = (
     AUTO_MISSION,
     AUTO_RTL,
     AUTO_LAND,
+    AUTO_FOLLOW_TARGET,
     AUTO_PRECLAND,
 )
 ALL = (*SUPPORTED, ORBIT, DESCEND, TERMINATION)
 _BY_CUSTOM_MODE = {mode.custom_mode: mode for mode in SUPPORTED}
 _BY_STATE = {mode.state: mode for mode in SUPPORTED}
 # PX4's numbers of a flight mode in COM_FLTMODE1..6 and in events (navigation_mode_t), by navigation state
-_NUMBERS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 10: 6, 14: 7, 15: 8, 17: 10, 18: 11, 20: 13, 21: 14}
+_NUMBERS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 10: 6, 14: 7, 15: 8, 17: 10, 18: 11, 19: 12, 20: 13, 21: 14}
 _BY_NUMBER = {number: _BY_STATE[state] for state, number in _NUMBERS.items() if state in _BY_STATE}
 UNKNOWN_NUMBER = 255
 

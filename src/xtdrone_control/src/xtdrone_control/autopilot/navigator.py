@@ -9,6 +9,7 @@ from . import feasibility, geo, geofence, modes, plan
 from .announcements import Announcements
 from .course import CRITICAL, INFO, NAN, Course, Home, braking_time
 from .events import ERROR
+from .follow_target import FollowTarget
 from .geofence import Fence
 from .mission import Mission
 from .modes import Mode
@@ -38,6 +39,7 @@ class Navigator:
         payload: camera, gimbal and actuators that a mission commands.
         precision_landing: takes the landing target that somebody sees.
         orbit: what flies circles.
+        follow_target: what follows a target that reports where it is.
     """
 
     def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
@@ -59,6 +61,7 @@ class Navigator:
         self.mission.set_home = self._set_home
         self._return = Return(self._course, self.mission, self.precision_landing)
         self.orbit = Orbit(self._course)
+        self.follow_target = FollowTarget(self._course)
         self._mission_ended = False
         self._checked: tuple[object, ...] = ()
         self._valid = False
@@ -104,6 +107,8 @@ class Navigator:
             self._start_takeoff()
         elif mode is modes.AUTO_MISSION:
             self._mission_ended = self.mission.activate()
+        elif mode is modes.AUTO_FOLLOW_TARGET:
+            self.follow_target.start()
         elif self._view.landed:
             self._view.start_task(TASK_IDLE)  # these modes do not leave the ground
         elif mode is modes.AUTO_LAND:
@@ -138,6 +143,8 @@ class Navigator:
         mode = self._mode
         if mode is modes.AUTO_MISSION:
             return self._update_mission()
+        if mode is modes.AUTO_FOLLOW_TARGET:
+            self.follow_target.update()
         if self._view.landed:
             return None
         if mode is modes.AUTO_TAKEOFF and self._course.at_height(self._course.goal[2]):

@@ -21,6 +21,7 @@ _SLOT = {
     8: "stabilized",
     10: "take-off",
     11: "land",
+    12: "follow me",
     13: "precision landing",
 }
 _CHANNEL = {0: "none", **{number: f"channel {number}" for number in range(1, 19)}}
@@ -56,6 +57,7 @@ CHOICES: dict[str, dict[int, str]] = {
     "EKF2_OF_CTRL": _OFF_ON,
     "EKF2_RNG_CTRL": {0: "never", 1: "when low and slow", 2: "always"},
     "FD_ACT_EN": _OFF_ON,
+    "FLW_TGT_ALT_M": {0: "home", 1: "the ground below", 2: "the target"},
     "GF_ACTION": {0: "none", 1: "warning", 2: "hold", 3: "return", 4: "terminate", 5: "land"},
     "GF_PREDICT": _OFF_ON,
     "GF_SOURCE": {0: "estimate", 1: "GPS"},

@@ -212,6 +212,11 @@ _KERNEL_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("LNDMC_Z_VEL_MAX", 0.25, 0.0, _INF, "m/s", "largest vertical velocity that counts as standing"),
     ("IMU_GYRO_CUTOFF", 40.0, 0.0, 1000.0, "Hz", "low-pass on the rates; 0: none"),
     ("IMU_DGYRO_CUTOFF", 30.0, 0.0, 1000.0, "Hz", "low-pass on the angular acceleration; 0: none"),
+    ("FLW_TGT_ALT_M", 0, 0, 2, "", "FLW_TGT_HT counts from: 0 home, 1 the ground below, 2 the target"),
+    ("FLW_TGT_DST", 8.0, 1.0, _INF, "m", "horizontal distance from a target that is followed"),
+    ("FLW_TGT_FA", 180.0, -180.0, 180.0, "", "side of it: degrees clockwise from its course; 180 is behind it"),
+    ("FLW_TGT_HT", 8.0, 8.0, _INF, "m", "height at which it is followed"),
+    ("FLW_TGT_MAX_VEL", 5.0, 0.0, 20.0, "", "speed round it towards that side, m/s"),
     ("COM_SPOOLUP_TIME", 1.0, 0.0, 30.0, "s", "time that motors idle between arming and take-off"),
 )
 
@@ -271,6 +276,7 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("FD_FAIL_P_TTRI", 0.3, 0.02, 5.0, "s", "time after which it is"),
     ("FD_FAIL_R", 60, 0, 180, "deg", "roll that is a failure; 0: none"),
     ("FD_FAIL_R_TTRI", 0.3, 0.02, 5.0, "s", "time after which it is"),
+    ("FLW_TGT_RS", 0.1, 0.0, 1.0, "", "how smooth the motion of a followed target is taken to be; 0.1: by its reports"),
     ("GF_ACTION", 2, 0, 5, "", "on a breached geofence: 0 nothing, 1 warning, 2 hold, 3 return, 4 terminate, 5 land"),
     ("MAN_ARM_GESTURE", 1, 0, 1, "", "1: sticks arm and disarm, throttle down and yaw to the side"),
     ("MAV_COMP_ID", 1, 1, 250, "", "MAVLink component id, which the fleet gives"),

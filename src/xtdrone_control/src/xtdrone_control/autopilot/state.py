@@ -28,6 +28,7 @@ TASK_ALTITUDE = 8  # ALTCTL: tilt and climb rate from sticks, height held when t
 TASK_MANUAL = 9  # STABILIZED and MANUAL: tilt, yaw rate and thrust from raw sticks
 TASK_ACRO = 10  # ACRO: body rates and thrust from raw sticks
 TASK_ORBIT = 11  # ORBIT: a circle at goal_position's height
+TASK_FOLLOW = 12  # AUTO.FOLLOW_TARGET: a place beside the target, seen from its course
 
 # SETPOINT.orbit_yaw: MAVLink ORBIT_YAW_BEHAVIOUR
 ORBIT_TO_CENTRE, ORBIT_INITIAL_HEADING, ORBIT_UNCONTROLLED, ORBIT_ALONG_CIRCLE = 0, 1, 2, 3
@@ -291,6 +292,12 @@ SETPOINT = np.dtype(
         ("orbit_speed", "f8"),  # m/s along the circle, positive clockwise from above
         ("orbit_yaw", "i4"),  # ORBIT_*
         ("orbit_heading", "f8"),  # rad, when the orbit was commanded
+        # TASK_FOLLOW
+        ("target_position", "f8", 3),  # m, local, estimate at target_time; NaN while no target is known
+        ("target_velocity", "f8", 3),  # m/s, local
+        ("target_acceleration", "f8", 3),  # m/s^2, local
+        ("target_time", "f8"),  # s, CONTROL.armed_time for which they hold
+        ("home_z", "f8"),  # m, local: home's down coordinate when the mode began
         ("failed_rotors", "i4"),  # bit i: rotor i does not turn and gets no command
     ],
     align=True,
@@ -353,6 +360,15 @@ CONTROL = np.dtype(
         ("brake_boost", "f8"),
         ("hold_xy", "i4"),
         ("hold_z", "i4"),
+        # FOLLOW: the target's filtered motion, and the vehicle's angle round it on a jerk-limited path
+        ("followed_position", "f8", 3),  # m, local; NaN before the first estimate
+        ("followed_velocity", "f8", 3),  # m/s, local
+        ("followed_course", "f8"),  # rad from north, 0 until the target moves
+        ("angle_position", "f8", (1,)),  # rad from north, of the direction from target to vehicle; not wrapped
+        ("angle_velocity", "f8", (1,)),  # rad/s
+        ("angle_acceleration", "f8", (1,)),  # rad/s^2
+        ("angle_times", "f8", (1, 3)),  # the angle's plan, as smooth_times and smooth_direction
+        ("angle_direction", "f8", (1,)),
         # what the task asks for; the position loop makes sp_* of it
         ("task_position", "f8", 3),
         ("task_velocity", "f8", 3),

@@ -202,7 +202,7 @@ class StatusTopics:
         r = self._records["vehicle_control_mode"]
         r["flag_armed"] = c.armed
         r["flag_control_manual_enabled"] = bool(mode.flags & modes.MANUAL.flags & ~1)
-        r["flag_control_auto_enabled"] = mode.main == modes.MAIN_AUTO
+        r["flag_control_auto_enabled"] = mode.main == modes.MAIN_AUTO and mode is not modes.AUTO_FOLLOW_TARGET
         r["flag_control_offboard_enabled"] = mode is modes.OFFBOARD
         r["flag_control_rates_enabled"] = True
         r["flag_control_attitude_enabled"] = mode is not modes.ACRO and task != TASK_RATES

@@ -6,6 +6,7 @@ from xtdrone_control.mavlink.service import Service, Vehicle
 
 from .command import CommandService
 from .event import EventService
+from .follow import FollowService
 from .ftp import FtpService
 from .gimbal import GimbalService
 from .log import LogService
@@ -28,6 +29,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         PresenceService(vehicle),
         commands,
         SetpointService(vehicle),
+        FollowService(vehicle),
         SigningService(vehicle),
         ManualService(vehicle),
         ParameterService(vehicle),
