@@ -60,7 +60,6 @@ def test_disarmed_every_mode_can_be_chosen(flight):
     ("custom_mode", "texts"),
     [
         (4 << 16 | 1 << 24, ["Unsupported auto mode"]),  # AUTO.READY
-        (4 << 16 | 8 << 24, ["Unsupported auto mode"]),  # AUTO.FOLLOW_TARGET: nobody is followed
         (3 << 16 | 1 << 24, []),  # orbit
     ],
 )
