@@ -17,6 +17,7 @@ with warnings.catch_warnings():
     mavsdk = pytest.importorskip("mavsdk")
     from mavsdk.action import ActionError
     from mavsdk.component_metadata import MetadataType
+    from mavsdk.follow_me import Config, TargetLocation
     from mavsdk.geofence import FenceType, GeofenceData, Point, Polygon
     from mavsdk.mission import MissionItem, MissionPlan
     from mavsdk.offboard import OffboardError, PositionNedYaw, VelocityNedYaw
@@ -238,6 +239,26 @@ def test_offboard_velocity(client):
 def test_go_to_a_place(client):
     client.run(client.drone.action.goto_location(HOME[0] + 1e-4, HOME[1], 494.0, 0.0))
     near(client, 11.1, 0.0, -6.0, 1.0)
+
+
+def test_follow_me(client):
+    """In front of a target that stands, whose course counts as north: above the place where the vehicle is."""
+    follow = client.drone.follow_me
+    config = Config(9.0, 6.0, 0.5, Config.FollowAltitudeMode.CONSTANT, 4.0, 0.0)
+    client.run(follow.set_config(config))
+    get = client.drone.param.get_param_float
+    assert [client.run(get(f"FLW_TGT_{name}")) for name in ("HT", "DST", "RS", "MAX_VEL", "FA")] == [9, 6, 0.5, 4, 0]
+    client.run(follow.start())
+    client.until(client.drone.telemetry.flight_mode(), lambda mode: mode is FlightMode.FOLLOW_ME)
+    client.until(client.drone.telemetry.position())  # a message later the plugin has seen the mode, too
+    target = item(5.1, 0.0, 488.0)
+    location = TargetLocation(target.latitude_deg, target.longitude_deg, 488.0, 0.0, 0.0, 0.0)
+    client.run(follow.set_target_location(location))
+    near(client, 11.1, 0.0, -9.0)
+    heading = client.until(client.drone.telemetry.heading(), lambda heading: abs(heading.heading_deg - 180.0) < 5.0)
+    assert heading.heading_deg == pytest.approx(180.0, abs=5.0)
+    client.run(follow.stop())
+    client.until(client.drone.telemetry.flight_mode(), lambda mode: mode is FlightMode.HOLD)
 
 
 def item(north: float, east: float, altitude: float, speed: float = 5.0) -> MissionItem:

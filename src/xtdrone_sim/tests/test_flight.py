@@ -203,6 +203,38 @@ def test_orbit(flying, radius, speed, behaviour):
     flying.run(4.0)
 
 
+def test_follows_a_target(flying):
+    """8 m behind a target that goes east at 2 m/s, 8 m over home, facing it; beside where it was lost, when it is.
+
+    The set-point has no error behind a constant velocity, so what is left is the estimate's, 0.15 m as below.
+    """
+    flying.setpoint = None
+    start = flying.estimate()
+    follow, course = flying.commander.navigator.follow_target, np.array([0.0, 2.0, 0.0])
+
+    def report(seconds: float) -> np.ndarray:
+        target = np.array([start[0] + 12.0, start[1], 0.0]) + course * seconds
+        follow.report(flying.view.to_global(tuple(target)), tuple(course))
+        return target
+
+    report(0.0)
+    assert flying.commander.request(modes.AUTO_FOLLOW_TARGET) == 0
+    for second in range(20):
+        report(second)
+        flying.run(1.0)
+    target = report(20.0)
+    height = flying.commander.home.position[2] - 8.0
+    np.testing.assert_allclose(flying.position, (target[0], target[1] - 8.0, height), atol=0.15)
+    np.testing.assert_allclose(flying.velocity, course, atol=0.1)
+    assert flying.view.yaw == pytest.approx(math.pi / 2, abs=0.05)
+    flying.run(15.0)
+    assert flying.commander.mode is modes.AUTO_FOLLOW_TARGET
+    np.testing.assert_allclose(flying.position, (target[0], target[1] + 6.0 - 8.0, height), atol=0.15)
+    flying.setpoint = (tuple(flying.estimate()), UNSET, UNSET, math.nan, 0.0)
+    flying.run(0.1)
+    assert flying.commander.request(modes.OFFBOARD) == 0
+
+
 def test_estimate_stays_with_the_truth(flying):
     error = flying.estimate() - flying.position
     assert np.linalg.norm(error) < 0.15
