@@ -148,6 +148,11 @@ def test_place_beside_the_target(speed, parameters, z):
     np.testing.assert_allclose(position, (*(target + beside), z), atol=2e-3)
     np.testing.assert_allclose(feed_forward, (*velocity[:2], NAN), atol=2e-3)
     np.testing.assert_allclose(acceleration, (0.0, 0.0, NAN), atol=2e-3)
+    flight.run(0.1)
+    height = -z if get("FLW_TGT_ALT_M") == 0 else get("FLW_TGT_HT")
+    # seen from where the vehicle has been put, a step behind
+    pitch = flight.commander.navigator.payload.gimbal[1]
+    assert pitch == pytest.approx(-math.atan2(height, distance), abs=1e-3 + speed * DT / distance)
     if distance > 1.1:
         assert math.remainder(flight.control["task_yaw"] - angle - math.pi, math.tau) == pytest.approx(0.0, abs=0.01)
 

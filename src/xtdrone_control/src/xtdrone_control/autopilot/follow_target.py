@@ -6,6 +6,7 @@ reported positions and velocities. ``follow_task`` makes the set-point of it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from . import geo
 from .course import Course
+from .follow_task import OVER_GROUND, OVER_TARGET
 from .state import TASK_FOLLOW
 from .vehicle_view import Vector
 
@@ -181,6 +183,22 @@ class FollowTarget:
             self._update_estimate()
         elif self._course.home is not None:
             self.start()
+
+    def camera_pitch(self) -> float:
+        """Return the pitch, rad from the horizon and positive up, at which the target is seen; NaN while there is none.
+
+        As PX4's: how far it is down depends on FLW_TGT_ALT_M, as the vehicle's height does.
+        """
+        view = self._course.view
+        if not self._following:
+            return math.nan
+        x, y, z = view.position
+        north, east, down = view.control["followed_position"].tolist()
+        mode = self._course.parameters.get("FLW_TGT_ALT_M")
+        if mode != OVER_TARGET:
+            measured = mode == OVER_GROUND and view.estimator["terrain_valid"]
+            down = float(view.estimator["terrain"] if measured else view.setpoint["home_z"])
+        return -math.atan2(down - z, math.hypot(north - x, east - y))
 
     def _update_estimate(self) -> None:
         self._estimate.advance(self._course.view.time_us)

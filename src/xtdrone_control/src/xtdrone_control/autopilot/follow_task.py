@@ -24,7 +24,7 @@ _LEAST_HEIGHT = 1.0  # m over the ground, below which it only climbs
 _ASCENT = 0.5  # m/s, at which it does
 _FACING_DISTANCE = 1.0  # m from the target, from which the vehicle turns to it
 _TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s of wanted climb that begin a take-off
-_OVER_GROUND, _OVER_TARGET = 1, 2  # FLW_TGT_ALT_M
+OVER_GROUND, OVER_TARGET = 1, 2  # FLW_TGT_ALT_M
 
 # the angle round the target as the one axis of a smoothed path, as ``trajectory`` wants it
 _AnglePath = namedtuple(
@@ -94,9 +94,9 @@ def _ground(s, e):
 def _wanted_height(c, s, e, p):
     """Return the down coordinate (m, local) to fly at."""
     mode = int(p.flw_tgt_alt_m)
-    if mode == _OVER_GROUND:
+    if mode == OVER_GROUND:
         return _ground(s, e) - p.flw_tgt_ht
-    if mode == _OVER_TARGET:
+    if mode == OVER_TARGET:
         return c.followed_position[2] - p.flw_tgt_ht
     return s.home_z - p.flw_tgt_ht
 

@@ -11,6 +11,7 @@ from .course import CRITICAL, INFO, NAN, Course, Home, braking_time
 from .events import ERROR
 from .follow_target import FollowTarget
 from .geofence import Fence
+from .gimbal import NOBODY
 from .mission import Mission
 from .modes import Mode
 from .orbit import Orbit
@@ -144,7 +145,7 @@ class Navigator:
         if mode is modes.AUTO_MISSION:
             return self._update_mission()
         if mode is modes.AUTO_FOLLOW_TARGET:
-            self.follow_target.update()
+            self._follow_on()
         if self._view.landed:
             return None
         if mode is modes.AUTO_TAKEOFF and self._course.at_height(self._course.goal[2]):
@@ -156,6 +157,12 @@ class Navigator:
         elif mode is modes.ORBIT:
             self.orbit.update()
         return None
+
+    def _follow_on(self) -> None:
+        self.follow_target.update()
+        gimbal, pitch = self.payload.gimbal_manager, self.follow_target.camera_pitch()
+        if gimbal.primary == NOBODY and math.isfinite(pitch):  # yaw: the vehicle faces the target
+            gimbal.look((0.0, pitch, 0.0))
 
     def _update_mission(self) -> Mode | None:
         if self._mission_ended or self.mission.update():
