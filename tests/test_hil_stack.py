@@ -5,19 +5,23 @@ Each vehicle has a MAVROS node of its own, as real MAVROS is started.
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 from collections.abc import Iterator
 
 import pytest
-from conftest import FLEET, REPOSITORY, Graph, Stack, poll, wait_for_ports
+from conftest import REPOSITORY, Graph, Stack, poll, wait_for_ports
 
 pytest.importorskip("rospy")
 
-from geometry_msgs.msg import Pose
+from geometry_msgs.msg import Pose, PoseStamped
 from rosgraph_msgs.msg import Log
 
+FLEET = "iris:3"
+VEHICLES = range(3)
 HEIGHT = 3.0  # m
+NEAR = 1.0  # m; noise of GPS and barometer is a third of it, two vehicles are 3 m apart
 PX4 = REPOSITORY / "src" / "xtdrone_sim" / "tests" / "px4_stand_in.py"
 
 
@@ -34,12 +38,22 @@ def hears(stack: Stack, *texts: str) -> None:
     )
 
 
+def in_one_frame(stack: Stack, index: int) -> bool:
+    """Whether the vehicle's own position is its place in the world, which is not where its PX4 began to count."""
+    pose = stack.graph.hear(f"/iris_{index}/mavros/local_position/pose", PoseStamped).last
+    truth = stack.pose(index)
+    if pose is None or truth is None:
+        return False
+    own, place = pose.pose.position, truth.position
+    return math.dist((own.x, own.y, own.z), (place.x, place.y, place.z)) < NEAR
+
+
 def fly(stack: Stack, index: int) -> None:
-    """Take off in OFFBOARD by XTDrone's commands; PX4's local frame starts where it stands."""
-    stack.wait_state(index, sim=60.0)
+    """Take off in OFFBOARD by XTDrone's commands, over the spawn place."""
+    stack.wait(lambda: in_one_frame(stack, index), f"iris_{index} counts from the world's origin", sim=60.0)
     place = stack.pose(index).position
     target = Pose()
-    target.position.z = HEIGHT
+    target.position.x, target.position.y, target.position.z = place.x, place.y, HEIGHT
     stack.graph.say(f"/xtdrone/iris_{index}/cmd_pose_enu", target)
     stack.command(index, "OFFBOARD")
     stack.wait_state(index, mode="OFFBOARD")
@@ -54,7 +68,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
     wait_for_ports()
     graph.hear("/rosout", Log)
-    stack = Stack(graph, tmp_path_factory.mktemp("hil"))
+    stack = Stack(graph, tmp_path_factory.mktemp("hil"), FLEET)
     try:
         stack.launch(
             "multi_vehicle.launch",
@@ -76,13 +90,22 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 def test_time_waits_for_the_px4s(stack):
     hears(stack, "holding time at 0: no PX4 has connected for iris_0 (TCP port 4560), iris_1 (TCP port 4561)")
     assert stack.time == 0.0
-    for instance in range(2):
+    for instance in VEHICLES:
         start_px4(stack, instance)
     stack.wait(lambda: stack.time > 1.0, "time starts")
     hears(stack, "iris_0's PX4 answers: in lockstep", "iris_1's PX4 answers: in lockstep")
 
 
-def test_both_fly_by_xtdrones_commands(stack):
+def test_they_count_from_one_origin_before_they_are_armed(stack):
+    for index in VEHICLES:
+        stack.wait(lambda index=index: in_one_frame(stack, index), f"iris_{index} counts from the world's origin")
+        stack.wait_state(index, armed=False)
+    spawned = [stack.pose(index).position for index in VEHICLES]
+    assert [(round(place.x), round(place.y)) for place in spawned] == [(0, 3), (3, 3), (0, 6)]
+    hears(stack, *(f"iris_{index}: the local frame begins at the shared origin" for index in VEHICLES))
+
+
+def test_two_fly_by_xtdrones_commands(stack):
     for index in range(2):
         fly(stack, index)
     stack.pass_time(2.0)

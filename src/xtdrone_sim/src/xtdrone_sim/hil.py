@@ -72,7 +72,7 @@ class Hil:
             fleet: the vehicles, in order of their global index.
             models: one a vehicle.
             world: where they fly.
-            datum: of no use: PX4's local frames start at its own first fix.
+            datum: of no use here: PX4 takes its local frame's origin by MAVLink, which the simulator does not serve.
             host: address to listen on; "0.0.0.0" for every network.
             hang_limit: wall seconds that an armed PX4's answer is waited for, 0 for ever.
             idle: called now and then with 0 while waiting; may raise.

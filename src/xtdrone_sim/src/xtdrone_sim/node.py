@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -38,7 +38,8 @@ class Settings(NodeSettings):
         autopilot: "builtin" is ours; "hil" has PX4s connect to the vehicles' simulator links (``~autopilot``).
         world: name or file (``~world``); its absolute path is set as ``/xtdrone/world`` for who draws it.
         seed: of the sensor noise (``~seed``).
-        shared_datum: one local frame for all (``~shared_datum``).
+        shared_datum: one local frame for all (``~shared_datum``); for PX4s its origin is set as
+            ``/xtdrone/shared_origin``, from which the MAVROS layer sends it.
         params: folder in which changed parameters outlive the simulator, empty for none (``~params``).
         log_dir: folder for the vehicles' ULogs; empty for none (``~log_dir``).
     """
@@ -96,6 +97,7 @@ class FullScene:
             autopilots=self._factory(settings),
         )
         rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
+        rospy.set_param("/xtdrone/shared_origin", self._origin_for_px4s(settings))
         self.step_us = self._simulation.step_us
         self._models = self._simulation.world.model.models
         self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
@@ -122,6 +124,12 @@ class FullScene:
             ),
         }
         return factories[settings.autopilot]
+
+    def _origin_for_px4s(self, settings: Settings) -> dict[str, float]:
+        """Return where PX4s' local frames are to begin, empty if they need not be told."""
+        if settings.autopilot != "hil" or not settings.shared_datum:
+            return {}
+        return asdict(self._simulation.world.model.datum)
 
     @property
     def time_us(self) -> int:

@@ -42,8 +42,8 @@ class PluginLists:
         """Yield a sentence for each pattern that cannot have the effect that it was written for.
 
         Args:
-            here: names of the plugins that there are.
-            left_out: names of MAVROS's plugins that there are not, to the reason. To deny them is no mistake.
+            here: names of the plugins of this layer.
+            left_out: names of MAVROS's plugins that this layer lacks, to the reason. To deny them is no mistake.
         """
         here = list(here)
         for name, patterns in (self._deny | self._allow).items():

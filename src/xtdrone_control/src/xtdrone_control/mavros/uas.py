@@ -70,6 +70,7 @@ class Uas:
         commands: commands with acks.
         plans: transfers of missions, geofences and rally points.
         refusals: why the autopilot refuses.
+        arming_held: why the vehicle is not to be armed yet; empty when it may be.
         target: system and component id of the autopilot.
         connected: heartbeats come.
         time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while it is unknown.
@@ -99,6 +100,7 @@ class Uas:
         self.commands = Commands(link.send, ros.needs_time)
         self.plans = PlanTransfers(link.send, link.target, ros.needs_time)
         self.refusals = Refusals()
+        self.arming_held = ""
         self.connected = False
         self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
         self.now_ns = 0

@@ -37,6 +37,7 @@ from xtdrone_control.mavros.plugins.setpoint_position import SetpointPositionPlu
 from xtdrone_control.mavros.plugins.setpoint_raw import SetpointRawPlugin
 from xtdrone_control.mavros.plugins.setpoint_trajectory import SetpointTrajectoryPlugin
 from xtdrone_control.mavros.plugins.setpoint_velocity import SetpointVelocityPlugin
+from xtdrone_control.mavros.plugins.shared_origin import SharedOriginPlugin
 from xtdrone_control.mavros.plugins.sys_status import SysStatusPlugin
 from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
 from xtdrone_control.mavros.plugins.trajectory import TrajectoryPlugin
@@ -89,4 +90,5 @@ PLUGINS: tuple[type[Plugin], ...] = (
     LogTransferPlugin,
     MavlinkBridge,
     DiagnosticsPlugin,
+    SharedOriginPlugin,
 )

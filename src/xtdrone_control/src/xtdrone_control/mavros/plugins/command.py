@@ -77,6 +77,9 @@ class CommandPlugin(Plugin):
         values = (*params, *(0.0,) * (7 - len(params)))
         if command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             self._arming = values[0] == 1.0
+            if self._arming and self.uas.arming_held:
+                self.uas.warn("arming", "not armed yet: %s", self.uas.arming_held)
+                return False, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
         result = self.uas.commands.call(
             command,
             lambda attempt: mavlink.MAVLink_command_long_message(*self._target, command, attempt, *values),

@@ -146,7 +146,7 @@ def _turned_yaw(yaw: float) -> float:
 
 
 def _columns(vectors: Sequence[frames.Vector]) -> Iterable[list[float]]:
-    """Return the x, y and z of five vectors, NaN for those that there are not."""
+    """Return the x, y and z of five vectors, NaN for missing ones."""
     filled = [*vectors, *[_UNUSED] * (_COUNT - len(vectors))]
     return [[vector[axis] for vector in filled] for axis in range(3)]
 
