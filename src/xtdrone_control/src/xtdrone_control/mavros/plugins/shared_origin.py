@@ -84,7 +84,8 @@ class SharedOriginPlugin(Plugin):
         self._wanted: Origin | None = None
         self._heard: Origin | None = None
         self._tries = 0
-        self.messages = {"GPS_GLOBAL_ORIGIN": Feed(self._on_origin, always=True)}
+        self._feed = Feed(self._on_origin)
+        self.messages = {"GPS_GLOBAL_ORIGIN": self._feed}
         uas.timer(PERIOD, self._look)
 
     def connected(self, connected: bool) -> None:
@@ -96,6 +97,7 @@ class SharedOriginPlugin(Plugin):
         except ValueError as error:
             self._wanted = None
             log.error("%s: %s", self.uas.name, error)
+        self._feed.always = self._wanted is not None
 
     def _on_origin(self, origin: Any) -> None:
         if self._wanted is None:
