@@ -72,8 +72,9 @@ class SharedOriginPlugin(Plugin):
     """Asks where the autopilot's local frame begins, and sets its origin until it is the shared one.
 
     PX4 says nothing before it has a position. It answers SET_GPS_GLOBAL_ORIGIN at once, before its estimator has acted,
-    so the answer to a try may still be the old origin; in the air it does not act at all (mavlink_receiver and EKF2 of
-    PX4 v1.14). Until the frames agree, or all tries have failed, the vehicle is not armed through this layer.
+    so the answer to a try may still be the old origin; some versions do not act at all in the air (PX4's
+    mavlink_receiver.cpp and EKF2.cpp). From the first answer on until the frames agree, or all tries have failed, the
+    vehicle is not armed through this layer.
     """
 
     name = "shared_origin"
