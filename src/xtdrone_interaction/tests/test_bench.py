@@ -19,6 +19,7 @@ from typing import Any
 
 import fake_roslaunch
 import pytest
+import yaml
 from rich.console import Console
 
 from xtdrone_control.lockstep.server import LockstepServer
@@ -579,9 +580,8 @@ def test_flights_to_compare_differ_in_the_lockstep_alone(lockstep: str, tmp_path
     words = ["n:=2", f"lockstep:={lockstep}", f"plan:={tmp_path}/plan.json", f"out:={tmp_path}"]
     command = ["roslaunch", "--dump-params", str(options.repository() / "launch" / "bench_free.launch"), *words]
     printed = subprocess.run(command, check=True, capture_output=True, text=True, timeout=PATIENCE).stdout
-    parameters = dict(line.split(": ", 1) for line in printed.splitlines() if line.startswith("/"))
-    assert parameters["/lockstep/wait"] == lockstep
-    assert parameters["/simulator/lockstep"] == lockstep
+    parameters = yaml.safe_load(printed)
+    assert parameters["/lockstep/wait"] is parameters["/simulator/lockstep"] is (lockstep == "true")
     assert float(parameters["/simulator/speed"]) == {"true": 0.0, "false": 1.0}[lockstep]
 
 
