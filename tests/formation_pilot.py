@@ -1,7 +1,7 @@
 """A lockstep participant for tests: flies three vehicles into a formation, the same way after every reset.
 
 It tells on ``/pilot/flight`` (String, JSON) a checksum of the true motion of all vehicles and of all that leader,
-followers and avoidance say in the first 13 s, each with its time.
+followers and avoidance say in the first 15.5 s, each with its time.
 """
 
 from __future__ import annotations
@@ -91,11 +91,11 @@ class Pilot:
         elif self._turn in (75, 90):
             for publisher in self._commands:
                 publisher.publish("OFFBOARD" if self._turn == 75 else "ARM")
-        elif self._turn == 210:
+        elif self._turn == 285:
             self._pattern.publish("cube")
-        elif self._turn == 360:
+        elif self._turn == 435:
             self._course.publish(Twist(linear=Vector3(0.5, 0.0, 0.0)))
-        elif self._turn == 390:
+        elif self._turn == 465:
             sums = {topic: total.hexdigest() for topic, total in self._sums.items()}
             told = {"sums": sums, "counts": self._counts, "errors": self._errors(), "time": rospy.get_time()}
             self._flight.publish(json.dumps(told))

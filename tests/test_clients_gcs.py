@@ -126,6 +126,6 @@ def flown(watched: bool) -> tuple[np.ndarray, int]:
 def test_a_station_that_only_asks_changes_nothing_in_the_flight():
     alone, _ = flown(False)
     watched, asked = flown(True)
-    assert alone[-1, 2] > 1.0
+    assert alone[-1, 2] > 0.2  # in the air
     assert asked > 20
     np.testing.assert_array_equal(alone, watched)
