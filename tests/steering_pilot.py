@@ -20,11 +20,13 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from xtdrone_control import lockstep
+from xtdrone_control.geoid import undulation
 
 RATE = 50.0
 MAVROS = "/iris_0/mavros/"
 DATUM = (47.397742, 8.545594, 488.0)  # degrees, degrees, m AMSL
 EARTH = 6371000.0  # m
+GEOID = undulation(*DATUM[:2])
 HEIGHT = 2.5  # m
 TILT = 0.1  # rad
 QUATERNION = "setpoint_attitude/use_quaternion"
@@ -97,7 +99,7 @@ class Pilot:
         mode = rospy.ServiceProxy(MAVROS + "set_mode", SetMode)(custom_mode="OFFBOARD")
         arming = rospy.ServiceProxy(MAVROS + "cmd/arming", CommandBool)(value=True)
         self._legs["services"] = [mode.mode_sent, arming.success]
-        yield from self._leg("raw global", 6.0, lambda: self._raw_global(2.0, 3.0))
+        yield from self._leg("raw global", 8.5, lambda: self._raw_global(2.0, 3.0))
         hover = self._thrust
         if self._attitude_topic:
             yield from self._leg("attitude east", 1.5, lambda: self._tilt(hover, TILT, 0.0))
@@ -106,7 +108,7 @@ class Pilot:
             yield from self._leg("rates", 2.0, lambda: self._turn(hover, 0.5))
         yield from self._leg("global", 4.0, lambda: self._say("setpoint_position/global", self._geo(0.0, 6.0)))
         goal = "setpoint_position/global_to_local"
-        yield from self._leg("global to local", 4.0, lambda: self._say(goal, self._geo(2.0, 4.0)))
+        yield from self._leg("global to local", 4.0, lambda: self._say(goal, self._geo(2.0, 4.0, GEOID)))
         yield from self._leg("acceleration", 1.0, lambda: self._accelerate((0.0, 1.0, 0.0)))
         x, y, z = self._place()
         self._draw([(x + 0.1 * i, y, z) for i in range(21)])
@@ -116,11 +118,12 @@ class Pilot:
         yield from self._leg("sticks", 2.0, lambda: self._push(300.0))
         self._legs["followed"] = [self._sticks.x, self._sticks.z]
 
-    def _geo(self, east: float, north: float) -> GeoPoseStamped:
+    def _geo(self, east: float, north: float, geoid: float = 0.0) -> GeoPoseStamped:
+        """A goal over mean sea level, or over the ellipsoid: with the ``geoid``'s height over that, m."""
         message = GeoPoseStamped()
         place = message.pose.position
         place.latitude, place.longitude = latitude_longitude(east, north)
-        place.altitude = DATUM[2] + HEIGHT
+        place.altitude = DATUM[2] + HEIGHT + geoid
         message.pose.orientation = turned(0.0, 0.0)
         return message
 
