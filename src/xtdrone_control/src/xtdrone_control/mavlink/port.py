@@ -183,13 +183,13 @@ class Port:
     def version_for(self, spoken: int, before: int) -> int:
         """Return the MAVLink version for a client that speaks version ``spoken``.
 
-        He is answered in MAVLink 2 once he has spoken it, else in MAVLink 1. A real PX4 sends MAVLink 2 to everybody
+        It is answered in MAVLink 2 once it has spoken it, else in MAVLink 1. A real PX4 sends MAVLink 2 to all clients
         unless MAV_PROTO_VER is set otherwise, which a client that knows only MAVLink 1 could not read. With 1 in that
         parameter all are answered in MAVLink 1.
 
         Args:
             spoken: version of the client's last frame.
-            before: what was sent to him until now; 0 when this is his first frame.
+            before: what was sent to it until now; 0 when this is its first frame.
         """
         if self.telemetry.protocol == 1:
             return 1
@@ -334,7 +334,7 @@ class Port:
             link.malformed += 1
 
     def link_of(self, sender: Address, now_us: int) -> Link | None:
-        """Return the link to ``sender``, who has sent a valid message; None when there is no room for him."""
+        """Return the link to ``sender``, which has sent a valid message; None when there is no room for it."""
         link = self._links.get(sender)
         if link is not None:
             return link

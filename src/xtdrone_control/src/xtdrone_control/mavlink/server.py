@@ -193,7 +193,7 @@ class MavlinkServer:
         Args:
             ports: ports of first clients.
             host: address of the machine to send to.
-            override: also where the client has spoken already: he is gone.
+            override: also where the client has spoken already: it is gone.
         """
         wanted = set(ports)
         for port in self._ports:
