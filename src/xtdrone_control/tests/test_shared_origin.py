@@ -95,7 +95,7 @@ def test_an_origin_that_another_px4_begins_with_is_moved_too(px4):
     px4.origin = SPAWN
     for _ in range(4):
         px4.pass_time()
-    px4.origin = SPAWN  # started anew, and quicker than the connection's time-out
+    px4.origin = SPAWN  # restarted, faster than the connection times out
     px4.bench.send(mavlink.MAVLink_gps_global_origin_message(*SPAWN, 0))
     px4.pass_time()
     assert px4.origin == SHARED
