@@ -198,7 +198,7 @@ prepare_kernels() {
   [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
   say "kernels: compiling those that changed"
   # shellcheck disable=SC2016
-  if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_sim.prepare' _ "$root"; then
+  if logged kernels bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_swarm.prepare' _ "$root"; then
     printf '%s' "$want" >"$stamp"
     hand_over "$root/src"
   else

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots import Builtin
-from xtdrone_sim.pacing import Pacer
+from xtdrone_sim.autopilots.backend import Builtin
+from xtdrone_sim.runtime.pacing import Pacer
 from xtdrone_sim.simulation import Simulation
 
 CHUNK_US = 8000  # simulated time between two looks at the sockets

@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from xtdrone_control import lockstep
-from xtdrone_control.geoid import undulation
+from xtdrone_control.geodesy.geoid import undulation
 
 RATE = 50.0
 MAVROS = "/iris_0/mavros/"

@@ -28,8 +28,8 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Empty, Trigger
 
-from xtdrone_sim.simplified.node import Settings, main
-from xtdrone_sim.simplified.swarm import Swarm
+from xtdrone_swarm.simplified.node import Settings, main
+from xtdrone_swarm.swarm import Swarm
 
 FLIGHT_LIMIT = 300.0  # s of wall time
 

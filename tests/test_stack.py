@@ -29,11 +29,11 @@ from sensor_msgs.msg import BatteryState, Imu, NavSatFix
 from std_msgs.msg import Float64
 from xtdrone_msgs.srv import SetSpeed
 
-from xtdrone_control import waypoint_file
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.mavros.programs import mavcmd, mavparam, mavsafety, mavsys, mavwp, parameter_formats
 from xtdrone_control.mavros.programs.client import ProgramError, execute
-from xtdrone_control.waypoint_file import Row
+from xtdrone_control.plans import waypoint_file
+from xtdrone_control.plans.waypoint_file import Row
 
 DATUM = (47.397742, 8.545594, 488.0)  # of the world "empty": degrees, degrees, m AMSL
 GEOID = 47.3  # m over the ellipsoid there

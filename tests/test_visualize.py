@@ -21,8 +21,8 @@ from geometry_msgs.msg import Point, Pose, PoseStamped
 from std_msgs.msg import Float32MultiArray, Int32MultiArray, String
 
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_sim.simplified.view import palette
-from xtdrone_sim.simplified.view.ros import MODEL_STATES, Flight, pattern_name, pose_topic
+from xtdrone_swarm.view import palette
+from xtdrone_swarm.view.ros import MODEL_STATES, Flight, pattern_name, pose_topic
 
 NAMES = ("iris_0", "iris_1", "iris_2")
 FPS = 10.0
@@ -168,7 +168,7 @@ def test_the_window_shows_the_flight_and_holds_nothing_up(
 
 
 def window_processes(stack: Stack) -> list[int]:
-    return [pid for pid, command in stack.processes().items() if "-m xtdrone_sim.simplified.view iris 3" in command]
+    return [pid for pid, command in stack.processes().items() if "-m xtdrone_swarm.view iris 3" in command]
 
 
 def start_simulator(stack: Stack, *arguments: str) -> Program:

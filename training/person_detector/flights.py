@@ -27,11 +27,11 @@ from make_data import REGION, Scene, View, people_of
 
 from xtdrone_coordination.search.evidence import Candidate, Evidence, Sighting, nearest
 from xtdrone_coordination.search.mission import MissionSettings
-from xtdrone_sim import people
-from xtdrone_sim.poses import from_rpy, rotate
-from xtdrone_sim.scenery import Ground, outdoor
-from xtdrone_sim.sdf import SdfWorld
-from xtdrone_sim.visual import Mesh, Pose, Visual
+from xtdrone_sim.vehicles.poses import from_rpy, rotate
+from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
+from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds.scenery import Ground, outdoor
+from xtdrone_sim.worlds.sdf import SdfWorld
 
 RATE = 2.0  # pictures a second
 SPEED = 4.0  # m/s

@@ -29,14 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
-from xtdrone_sim import people
-from xtdrone_sim.poses import compose, from_rpy, rotate
-from xtdrone_sim.rendering import Renderer
-from xtdrone_sim.scenery import Ground, outdoor
-from xtdrone_sim.sdf import SdfWorld
-from xtdrone_sim.urdf import Description
-from xtdrone_sim.vehicle_model import VehicleModel, load_vehicle
-from xtdrone_sim.visual import Mesh, Pose, Visual
+from xtdrone_sim.cameras.rendering import Renderer
+from xtdrone_sim.vehicles.poses import compose, from_rpy, rotate
+from xtdrone_sim.vehicles.urdf import Description
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
+from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
+from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds.scenery import Ground, outdoor
+from xtdrone_sim.worlds.sdf import SdfWorld
 
 VEHICLE = "typhoon_h480"
 HEIGHTS = ((8, 15), (15, 25), (5, 8), (0.4, 5))  # m

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import PARAMS, Parameters
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, FAILURES, SENSORS, SETPOINT, TASK_GOTO, records
 from xtdrone_control.fleet import Vehicle
 

@@ -9,7 +9,7 @@ from typing import Any
 from mavros_fakes import Bench
 from service_fakes import Served
 
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.mavros.plugin import Plugin
 
 _WALL_LIMIT = 120.0  # s; only a broken run takes so long

@@ -7,8 +7,10 @@ from typing import Any
 
 from autopilot_fakes import ORIGIN, Flight
 
-from xtdrone_control.autopilot import geo, modes, plan
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.geodesy import geo
 
 NAN = math.nan
 

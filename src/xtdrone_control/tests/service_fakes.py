@@ -7,14 +7,14 @@ from typing import Any
 from autopilot_fakes import FIRST_ID, FakeAutopilot
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.codec import decoder, split
-from xtdrone_control.mavlink.dialect import MESSAGES
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.reports import Reports
-from xtdrone_control.mavlink.streams import GCS_RATES, Streams
+from xtdrone_control.mavlink.streams.rare_telemetry import Reports
+from xtdrone_control.mavlink.streams.streams import GCS_RATES, Streams
+from xtdrone_control.mavlink.wire.codec import decoder, split
+from xtdrone_control.mavlink.wire.dialect import MESSAGES
 
 SYSTEM = FIRST_ID + 1
 

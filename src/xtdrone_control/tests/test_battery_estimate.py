@@ -7,10 +7,10 @@ import math
 import pytest
 from autopilot_fakes import Flight
 
-from xtdrone_control.autopilot.battery import BatteryEstimate
-from xtdrone_control.autopilot.commander import Result
-from xtdrone_control.autopilot.failsafe import BATTERY_CRITICAL, BATTERY_EMERGENCY, BATTERY_LOW, BATTERY_OK
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.commander.battery import BatteryEstimate
+from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.autopilot.commander.failsafe import BATTERY_CRITICAL, BATTERY_EMERGENCY, BATTERY_LOW, BATTERY_OK
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 
 STEP_US = 100_000
 

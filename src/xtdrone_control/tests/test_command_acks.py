@@ -10,9 +10,10 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot import modes, plan
-from xtdrone_control.autopilot.parameters import Parameters
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 
 _REFERENCE = Path(__file__).parent / "data" / "px4_command_acks.csv"
 

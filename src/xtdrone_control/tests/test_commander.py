@@ -8,9 +8,9 @@ import pytest
 from autopilot_fakes import ORIGIN, Flight
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander import Result
-from xtdrone_control.autopilot.failsafe import Action
-from xtdrone_control.autopilot.inputs import SetpointError
+from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.autopilot.commander.failsafe import Action
+from xtdrone_control.autopilot.commander.inputs import SetpointError
 from xtdrone_control.autopilot.state import (
     TASK_ATTITUDE,
     TASK_DESCEND,

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import attitude_control, control_allocator, position_control, rotation
-from xtdrone_control.autopilot.parameters import PARAMS, Parameters
+from xtdrone_control import rotation
+from xtdrone_control.autopilot.control import attitude_control, control_allocator, position_control
+from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS
 
 IRIS = np.array([[0.13, 0.22, -0.023], [-0.13, -0.20, -0.023], [0.13, -0.22, -0.023], [-0.13, 0.20, -0.023]])

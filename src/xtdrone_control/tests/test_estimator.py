@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import estimator, geo
-from xtdrone_control.autopilot.parameters import PARAMS, Parameters
-from xtdrone_control.autopilot.rotation import from_euler, integrate, rotate_inverse
+from xtdrone_control.autopilot.estimator import ekf
+from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import ESTIMATOR, N_STATES, SENSORS
+from xtdrone_control.geodesy import geo
+from xtdrone_control.rotation import from_euler, integrate, rotate_inverse
 
 DT = 0.004
 DATUM = (47.397742, 8.545594, 488.0)
@@ -88,7 +89,7 @@ class Flight:
         s["gps_vel"] = velocity + 0.05 * self.rng.standard_normal(3)
         s["gps_satellites"] = 12
         s["gps_fix"], s["gps_eph"], s["gps_epv"], s["gps_speed_accuracy"] = 3, 0.05, 0.05, 0.05
-        estimator.update(self.e[0], s, self.p[0], DT, self.work)
+        ekf.update(self.e[0], s, self.p[0], DT, self.work)
 
     def errors(self) -> tuple[float, float, float]:
         """Position (m), velocity (m/s) and attitude (rad) error norms now."""
@@ -129,7 +130,7 @@ def test_covariance_prediction_equals_the_dense_product():
     e["delta_velocity"][0] = (0.02, 0.01, -0.08)
     e["since_predict"] = dt = 0.008
     before, q = e["P"][0].copy(), e["q"][0].copy()
-    rotation = np.stack([np.array(estimator.rotate(q, *row)) for row in np.eye(3)], axis=1)
+    rotation = np.stack([np.array(ekf.rotate(q, *row)) for row in np.eye(3)], axis=1)
 
     def cross(v):
         return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
@@ -142,7 +143,7 @@ def test_covariance_prediction_equals_the_dense_product():
     phi[6:9, 3:6] = dt * np.eye(3)
     names = ("ekf2_gyr_noise", "ekf2_acc_noise", None, "ekf2_gyr_b_noise", "ekf2_acc_b_noise", "ekf2_mag_b_noise")
     noise = np.repeat([p[name] if name else 0.0 for name in names], 3)
-    estimator.predict_covariance(e[0], p)
+    ekf.predict_covariance(e[0], p)
     np.testing.assert_allclose(e["P"][0], phi @ before @ phi.T + np.diag((noise * dt) ** 2), rtol=1e-9, atol=1e-12)
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.failsafe import (
+from xtdrone_control.autopilot.commander.failsafe import (
     BATTERY_CRITICAL,
     BATTERY_EMERGENCY,
     BATTERY_LOW,
@@ -23,7 +23,7 @@ from xtdrone_control.autopilot.failsafe import (
     possible,
     triggered,
 )
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 
 STEP_US = 100_000
 

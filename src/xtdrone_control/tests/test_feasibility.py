@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from mission_fakes import MissionFlight, at, do
 
-from xtdrone_control.autopilot import modes, plan
-from xtdrone_control.autopilot.commander import Result
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.autopilot.navigator import plan
 
 TAKEOFF = at(0, 0, command=plan.TAKEOFF)
 GOOD = at(20, 0)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from xtdrone_control.autopilot import geo
+from xtdrone_control.geodesy import geo
 
 _ORIGIN = (47.397742, 8.545594)
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.autopilot import geofence, plan
-from xtdrone_control.autopilot.geofence import Circle, Fence, Polygon
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot.navigator import geofence, plan
+from xtdrone_control.autopilot.navigator.geofence import Circle, Fence, Polygon
+from xtdrone_control.autopilot.navigator.plan import PlanItem
 
 coordinate = st.floats(-100.0, 100.0, allow_nan=False).map(lambda v: round(v, 3))
 point = st.tuples(coordinate, coordinate)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from xtdrone_control.geoid import undulation
+from xtdrone_control.geodesy.geoid import undulation
 
 # latitude, longitude, height in m: NGA's test points of EGM96 (OUTPUT.DAT of the program F477), and Timbuktu by
 # GeographicLib's GeoidEval with egm96-5 (its manual page).

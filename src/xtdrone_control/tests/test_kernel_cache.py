@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from numba.core import event
 
-from xtdrone_control.autopilot import kernel
+from xtdrone_control import kernel
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_a_change_elsewhere_does_not(package):
 def test_every_kernel_of_the_autopilot_counts():
     folder = Path(kernel.__file__).parent
     found = {path.name for path in kernel.sources([folder])}
-    assert {"estimator.py", "rotation.py", "geo.py", "state.py", "parameters.py"} <= found
+    assert {"ekf.py", "rotation.py", "geo.py", "state.py", "parameters.py"} <= found
     assert "commander.py" not in found
 
 

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat, named
 
 from xtdrone_control.autopilot.logger.folder import LogFolder
-from xtdrone_control.mavlink.services import log
+from xtdrone_control.mavlink.microservices import log
 
 _SYSTEM = FIRST_ID + 1
 _CHUNK = 90

@@ -17,12 +17,12 @@ from test_mavlink_server import Client, World, heartbeat, named
 
 from xtdrone_control.autopilot.autopilot import STEP_US
 from xtdrone_control.fleet import GCS_REMOTE_PORT
-from xtdrone_control.mavlink.codec import decoder, split
-from xtdrone_control.mavlink.dialect import MESSAGE_ID, MESSAGES
-from xtdrone_control.mavlink.packing import Format, as_version_1
 from xtdrone_control.mavlink.port import CLIENTS, MAX_CLIENTS, VEHICLE_CLIENTS
 from xtdrone_control.mavlink.receiver import Receiver
 from xtdrone_control.mavlink.turns import OWN_EARNINGS, OWN_SAVINGS, SAVINGS, STEP_EARNINGS, VEHICLE_EARNINGS
+from xtdrone_control.mavlink.wire.codec import decoder, split
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
+from xtdrone_control.mavlink.wire.packing import Format, as_version_1
 
 _SYSTEM = FIRST_ID + 1
 _REQUEST_POSITION = mavlink.MAVLink_command_long_message(_SYSTEM, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0)

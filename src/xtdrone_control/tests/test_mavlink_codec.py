@@ -9,12 +9,12 @@ import pytest
 from mavros_fakes import free_udp_port, udp_socket
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink import codec
-from xtdrone_control.mavros import px4_modes
-from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
-from xtdrone_control.mavros.params import ParamError, Params
-from xtdrone_control.mavros.streams import DEFAULT_RATE_US, OFF_US, Streams
-from xtdrone_control.mavros.transactions import Commands
+from xtdrone_control.mavlink.wire import codec
+from xtdrone_control.mavros.lib import px4_modes
+from xtdrone_control.mavros.lib.params import ParamError, Params
+from xtdrone_control.mavros.link.connection import FcuUrl, Link, LinkError, Receiver, parse_fcu_url
+from xtdrone_control.mavros.link.streams import DEFAULT_RATE_US, OFF_US, Streams
+from xtdrone_control.mavros.link.transactions import Commands
 
 HANDLED = [
     "ALTITUDE",

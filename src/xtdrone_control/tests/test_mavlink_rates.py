@@ -12,12 +12,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat, local_target, named
 
 from xtdrone_control.autopilot.autopilot import STEP_US
+from xtdrone_control.autopilot.estimator.vibration import update_vibration
 from xtdrone_control.autopilot.state import TASK_GOTO
-from xtdrone_control.autopilot.vibration import update_vibration
 from xtdrone_control.fleet import GCS_REMOTE_PORT
-from xtdrone_control.mavlink.codec import decoder, message_name, split
-from xtdrone_control.mavlink.reports import SILENT
-from xtdrone_control.mavlink.streams import GCS_RATES, ONBOARD_RATES
+from xtdrone_control.mavlink.streams.rare_telemetry import SILENT
+from xtdrone_control.mavlink.streams.streams import GCS_RATES, ONBOARD_RATES
+from xtdrone_control.mavlink.wire.codec import decoder, message_name, split
 
 _SYSTEM = FIRST_ID + 1
 _SECONDS = 20

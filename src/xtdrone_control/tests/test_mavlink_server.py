@@ -14,13 +14,13 @@ from autopilot_fakes import FIRST_ID, ORIGIN, FakeAutopilot
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import NAMES, Parameters
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.parameters.parameters import NAMES, Parameters
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.fleet import GCS_REMOTE_PORT, Vehicle
-from xtdrone_control.mavlink.dialect import MESSAGES
 from xtdrone_control.mavlink.port import LinkError
 from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.mavlink.wire.dialect import MESSAGES
 
 _SYSTEM = FIRST_ID + 1
 MAVROS_READS = 296  # bytes of a datagram; what comes after them is lost to it

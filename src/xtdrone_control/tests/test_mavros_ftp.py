@@ -32,7 +32,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from std_srvs.srv import EmptyRequest, TriggerRequest
 
 from xtdrone_control.autopilot.logger.folder import LogFolder
-from xtdrone_control.mavros import ftp_client
+from xtdrone_control.mavros.link import ftp_client
 from xtdrone_control.mavros.plugins.ftp import FtpPlugin
 from xtdrone_control.mavros.plugins.log_transfer import LogTransferPlugin
 

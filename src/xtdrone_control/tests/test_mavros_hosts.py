@@ -7,8 +7,8 @@ import socket
 import pytest
 
 from xtdrone_control.mavlink.port import LinkError, Port
-from xtdrone_control.mavros import connection
-from xtdrone_control.mavros.connection import FcuUrl, bind_host_for
+from xtdrone_control.mavros.link import connection
+from xtdrone_control.mavros.link.connection import FcuUrl, bind_host_for
 from xtdrone_control.mavros.node import connections
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.mavros.pairing import Pairing
+from xtdrone_control.mavros.link.pairing import Pairing
 
 
 def fed(*entries, size=10):

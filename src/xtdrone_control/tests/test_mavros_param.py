@@ -7,7 +7,7 @@ from mavros_msgs.msg import ParamValue
 from mavros_msgs.srv import ParamGetRequest, ParamPullRequest, ParamPushRequest, ParamSetRequest
 from mavros_pair import Pair
 
-from xtdrone_control.autopilot.parameters import NAMES
+from xtdrone_control.autopilot.parameters.parameters import NAMES
 from xtdrone_control.mavros.plugins.param import ParamPlugin
 
 

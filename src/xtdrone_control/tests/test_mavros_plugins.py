@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sensor_msgs.msg import NavSatFix
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.params import ParamError
+from xtdrone_control.mavros.lib.params import ParamError
 from xtdrone_control.mavros.plugins import PLUGINS
 
 NAN = float("nan")

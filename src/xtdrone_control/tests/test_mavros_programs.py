@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavros_msgs.msg import Waypoint
 
-from xtdrone_control import waypoint_file
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.mavros.programs import mavcmd, mavparam, mavsafety, mavsys, mavwp, parameter_formats
 from xtdrone_control.mavros.programs.parameter_formats import MAVPROXY, MISSION_PLANNER, QGC, FormatError
-from xtdrone_control.waypoint_file import Row, WaypointFileError
+from xtdrone_control.plans import waypoint_file
+from xtdrone_control.plans.waypoint_file import Row, WaypointFileError
 
 # ---- parameter files
 

@@ -11,8 +11,8 @@ from mavros_fakes import Bench
 from mavros_msgs.msg import Mavlink
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.mavros.link.raw_frames import RawFrameError, fill, to_frame
 from xtdrone_control.mavros.plugins import PLUGINS
-from xtdrone_control.mavros.raw_frames import RawFrameError, fill, to_frame
 
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 0x91, 6 << 16, 4, 3)
 

@@ -33,7 +33,7 @@ from sensor_msgs.msg import LaserScan, Range, Temperature
 from std_msgs.msg import UInt8
 
 from xtdrone_control import frames
-from xtdrone_control.mavlink.dialect import MESSAGE_ID, MESSAGES, message
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES, message
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.plugins.distance_sensor import turn
 from xtdrone_control.mavros.plugins.obstacle_distance import bins

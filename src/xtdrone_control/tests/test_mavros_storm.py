@@ -28,10 +28,10 @@ from mavros_msgs.srv import (
 )
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.packing import FLOAT32_MAX
+from xtdrone_control.mavros.lib.throttle import Throttle
+from xtdrone_control.mavros.link.packing import FLOAT32_MAX
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.plugins.ftp import FtpPlugin
-from xtdrone_control.mavros.throttle import Throttle
 
 ROUNDS = 60
 FTP = struct.Struct("<HBBBBBBI")

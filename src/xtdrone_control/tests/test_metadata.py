@@ -14,16 +14,18 @@ from autopilot_fakes import Flight
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot import events, metadata, modes, parameter_choices
-from xtdrone_control.autopilot.event_catalogue import CATALOGUE, CODES, ENUM_TYPES, MAX_ARGUMENTS
-from xtdrone_control.autopilot.events import event, event_id
-from xtdrone_control.autopilot.parameters import INT32, NAMES, describe
-from xtdrone_control.mavlink.codec import decoder, split
-from xtdrone_control.mavlink.dialect import MESSAGE_ID, MESSAGES
-from xtdrone_control.mavlink.services.metadata import checksum
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.events import events
+from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, CODES, ENUM_TYPES, MAX_ARGUMENTS
+from xtdrone_control.autopilot.events.events import event, event_id
+from xtdrone_control.autopilot.parameters import metadata, parameter_choices
+from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
+from xtdrone_control.mavlink.microservices.metadata import checksum
+from xtdrone_control.mavlink.wire.codec import decoder, split
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 
 # a module's file, not the package's: in a catkin workspace that is a stand-in in the devel space
-_PACKAGE = Path(events.__file__).parents[1]
+_PACKAGE = Path(events.__file__).parents[2]
 _SOURCES = [path for part in ("autopilot", "mavlink") for path in (_PACKAGE / part).rglob("*.py")]
 _EVENT_NAME = re.compile(
     r"(commander|check|failsafe|rtl|logger|navigator_(rtl|takeoff|reposition|mis)|mavlink_mission)_[a-z0-9_]+|"

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot import plan
+from xtdrone_control.autopilot.navigator import plan
 
 NAN = math.nan
 LATITUDE, LONGITUDE = 473977420, 85455940  # 1e-7 degrees

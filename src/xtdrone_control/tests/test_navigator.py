@@ -8,7 +8,7 @@ import pytest
 from autopilot_fakes import ORIGIN, Flight
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander import Result
+from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_IDLE, TASK_LAND
 
 

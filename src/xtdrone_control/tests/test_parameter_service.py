@@ -9,8 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot.parameters import FLOAT, INT32, NAMES, Parameters
-from xtdrone_control.mavlink import dialect
+from xtdrone_control.autopilot.parameters.parameters import FLOAT, INT32, NAMES, Parameters
+from xtdrone_control.mavlink.wire import dialect
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import inert_parameters
-from xtdrone_control.autopilot.parameters import (
+from xtdrone_control.autopilot.parameters import inert_parameters
+from xtdrone_control.autopilot.parameters.parameters import (
     FLOAT,
     INT32,
     NAMES,

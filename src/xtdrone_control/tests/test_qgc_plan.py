@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control import qgc_plan
-from xtdrone_control.autopilot import plan
-from xtdrone_control.autopilot.plan import PlanItem
-from xtdrone_control.qgc_plan import Plan, PlanError
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.plans import qgc_plan
+from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
 NAN = math.nan
 

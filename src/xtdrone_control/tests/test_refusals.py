@@ -11,12 +11,13 @@ from mavros_fakes import Bench
 from mavros_msgs.srv import CommandBoolRequest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import events, modes
-from xtdrone_control.autopilot.events import Event, event
-from xtdrone_control.autopilot.failsafe import Action, Cause
-from xtdrone_control.mavlink.packing import Format
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander.failsafe import Action, Cause
+from xtdrone_control.autopilot.events import events
+from xtdrone_control.autopilot.events.events import Event, event
+from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_control.mavros.lib.refusals import Refusals
 from xtdrone_control.mavros.plugins import PLUGINS
-from xtdrone_control.mavros.refusals import Refusals
 
 ALL_MODES = 0xFFFFFFFF
 SECOND = 1_000_000_000

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import estimator_fusion as fusion
-from xtdrone_control.autopilot.reset_follower import follow_resets
+from xtdrone_control.autopilot.estimator import fusion as fusion
+from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_resets
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR
 
 

@@ -7,8 +7,9 @@ import math
 import pytest
 from mission_fakes import MissionFlight, at
 
-from xtdrone_control.autopilot import modes, plan
-from xtdrone_control.autopilot.precision_landing import from_angles
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.precision_landing import from_angles
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
 
 

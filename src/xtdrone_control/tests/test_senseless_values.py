@@ -10,13 +10,15 @@ from autopilot_fakes import ORIGIN, Flight
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot import geo, modes, plan
+from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.autopilot import Autopilot, Datum, RotorLayout
-from xtdrone_control.autopilot.commander import Result
-from xtdrone_control.autopilot.manual_control import ManualControl
-from xtdrone_control.autopilot.parameters import Parameters
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.autopilot.commander.manual_control import ManualControl
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_GOTO
+from xtdrone_control.geodesy import geo
 
 NAN = math.nan
 NOTHING = (0.0, 0.0, 0.0, 0.0)

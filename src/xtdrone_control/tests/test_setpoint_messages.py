@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
-from xtdrone_control.autopilot.inputs import SetpointError
+from xtdrone_control.autopilot.commander.inputs import SetpointError
 from xtdrone_control.autopilot.state import TASK_ATTITUDE, TASK_RATES, TASK_TRAJECTORY
 from xtdrone_control.autopilot.vehicle_view import VehicleView
-from xtdrone_control.mavlink import codec, packing, setpoints
+from xtdrone_control.mavlink.commands import setpoints
+from xtdrone_control.mavlink.wire import codec, packing
 
 _NAN = math.nan
 _ORIGIN_ALTITUDE = 488.0

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_lockstep_server import FakeParticipant, Running, joined
 from test_mavlink_server import Client, World, heartbeat
 
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.communication.core import MultirotorCore
 from xtdrone_control.lockstep.reader import Inbox
 from xtdrone_control.lockstep.server import LockstepServer

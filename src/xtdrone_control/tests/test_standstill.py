@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from test_mavlink_server import Client, World, heartbeat
 
 from xtdrone_control.autopilot.logger.folder import LogFolder
-from xtdrone_control.autopilot.parameters import NAMES
+from xtdrone_control.autopilot.parameters.parameters import NAMES
 from xtdrone_control.fleet import GCS_REMOTE_PORT
 
 _PERIOD = 0.02

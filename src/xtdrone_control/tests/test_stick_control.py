@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import hover_thrust, rotation, stick_control, takeoff
-from xtdrone_control.autopilot.parameters import PARAMS, Parameters
+from xtdrone_control import rotation
+from xtdrone_control.autopilot.control import hover_thrust, takeoff
+from xtdrone_control.autopilot.flight_tasks import stick_control
+from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import (
     CONTROL,
     ESTIMATOR,

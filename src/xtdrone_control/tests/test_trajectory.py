@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot import trajectory
+from xtdrone_control.autopilot.flight_tasks import trajectory
 from xtdrone_control.autopilot.state import CONTROL
 
 DT = 0.02

@@ -11,12 +11,12 @@ from autopilot_fakes import FIRST_ID, FakeAutopilot
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import VISION_BODY, VISION_FRD, VISION_NED
 from xtdrone_control.fleet import Vehicle as FleetVehicle
+from xtdrone_control.mavlink.commands.vision_service import VisionService
 from xtdrone_control.mavlink.service import Vehicle
-from xtdrone_control.mavlink.services.vision import VisionService
 
 NAN = math.nan
 UNKNOWN = [NAN] + [0.0] * 20

@@ -18,9 +18,9 @@ from mavros_msgs.srv import (
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_control.mavros import plan_transfers
-from xtdrone_control.mavros.connection import FcuUrl, Link, Receiver
-from xtdrone_control.mavros.params import Params
+from xtdrone_control.mavros.lib.params import Params
+from xtdrone_control.mavros.link import plan_transfers
+from xtdrone_control.mavros.link.connection import FcuUrl, Link, Receiver
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
 from xtdrone_control.mavros.uas import Uas
 

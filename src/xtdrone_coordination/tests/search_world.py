@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from shapely.geometry import Polygon
 
-from xtdrone_control.autopilot import plan
+from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_coordination.search import mission as control
 from xtdrone_coordination.search.covered import shows

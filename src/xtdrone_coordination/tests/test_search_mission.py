@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from search_world import Thing, World, decoy, person
 
-from xtdrone_control.autopilot import plan
+from xtdrone_control.autopilot.navigator import plan
 from xtdrone_coordination.search.evidence import Candidate, Sighting
 from xtdrone_coordination.search.mission import MissionSettings
 from xtdrone_coordination.search.vehicle import State

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon
 
-from xtdrone_control import qgc_plan
-from xtdrone_control.autopilot import plan
+from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.plans import qgc_plan
 from xtdrone_coordination.search import plans as search_plans
 from xtdrone_coordination.search.coverage import sweep
 from xtdrone_coordination.search.plans import Datum, SearchOptions, plan_search, write_plans

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_coordination.search.coverage import Waypoint, length
 from xtdrone_coordination.search.covered import Covered

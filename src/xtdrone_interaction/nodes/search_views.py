@@ -31,7 +31,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_interaction.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.search_views import Picture, Views
-from xtdrone_sim.simplified.view.film import FilmError, FilmWriter
+from xtdrone_swarm.view.film import FilmError, FilmWriter
 
 _RATE = 2.0  # Hz of simulated time, pictures of the film
 _PLAYED_FASTER = 4.0  # the film runs so many times as fast as the flight

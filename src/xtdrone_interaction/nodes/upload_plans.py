@@ -21,8 +21,8 @@ from pathlib import Path
 import rospy
 from std_srvs.srv import Empty
 
-from xtdrone_control import qgc_plan
 from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
+from xtdrone_control.plans import qgc_plan
 from xtdrone_interaction.gcs import GcsError, upload_plans
 
 _RESUME = "/gazebo/unpause_physics"

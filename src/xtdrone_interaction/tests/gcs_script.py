@@ -6,7 +6,7 @@ from collections import deque
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink.codec import decoder
+from xtdrone_control.mavlink.wire.codec import decoder
 from xtdrone_interaction.gcs.exchanges import Beat
 
 PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA

@@ -377,7 +377,13 @@ def test_search_that_ends_too_early_is_no_measurement(
 
 
 def test_shares_of_the_cpu_time() -> None:
-    cpu = {"cameras": 1.0, "xtdrone_sim.camera_worker": 3.0, "simulator": 2.0, "record": 1.0, "search_mission": 1.0}
+    cpu = {
+        "cameras": 1.0,
+        "xtdrone_sim.cameras.camera_worker": 3.0,
+        "simulator": 2.0,
+        "record": 1.0,
+        "search_mission": 1.0,
+    }
     assert bench_search.shares(cpu) == {"cameras": 0.5, "yolo": 0.0, "simulator": 0.25, "mavros": 0.0, "others": 0.25}
     assert sum(bench_search.shares({}).values()) == 0.0
 
@@ -820,7 +826,7 @@ def test_drawing_and_sweep_give_their_benchmarks_what_was_chosen(
     assert (drawing["vehicles"], drawing["pictures_per_second"]) == (30, 1.0)
     assert (sweep["workers"], sweep["speed_up"]) == (4, 3.0)
     assert asked == [
-        ("drawing", "drawing-30", "xtdrone_sim.simplified.view.benchmark", ["--vehicles", "30", "--seconds", "1.0"]),
+        ("drawing", "drawing-30", "xtdrone_swarm.view.benchmark", ["--vehicles", "30", "--seconds", "1.0"]),
         ("sweep", "sweep-4", "xtdrone_interaction.sweep.benchmark", ["--workers", "4", "--seconds", "3.0"]),
     ]
 

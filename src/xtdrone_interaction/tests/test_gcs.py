@@ -9,10 +9,10 @@ import socket
 import pytest
 from gcs_field import COUNT, HOME, Field, LossyLine
 
-from xtdrone_control import qgc_plan
-from xtdrone_control.autopilot import plan
-from xtdrone_control.autopilot.plan import PlanItem
-from xtdrone_control.qgc_plan import Plan
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.plans import qgc_plan
+from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs import GcsError, Peer, command, display, exchanges, peers_of, station, upload_plans
 
 NAN = float("nan")

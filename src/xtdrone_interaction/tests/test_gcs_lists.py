@@ -10,9 +10,9 @@ from gcs_script import ARDUPILOT, talk, told
 from pymavlink.dialects.v20 import common as mavlink
 from test_gcs import survey
 
-from xtdrone_control import qgc_plan
-from xtdrone_control.autopilot import plan
-from xtdrone_control.qgc_plan import Plan
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.plans import qgc_plan
+from xtdrone_control.plans.qgc_plan import Plan
 from xtdrone_interaction.gcs import command, exchanges
 
 

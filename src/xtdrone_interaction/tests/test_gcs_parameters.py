@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import parameter_text
-from xtdrone_control.autopilot.parameters import NAMES
+from xtdrone_control.autopilot.parameters.parameters import NAMES
 from xtdrone_control.parameter_text import LIMITS, REAL32, ParameterFile
 from xtdrone_interaction.gcs import GcsError, Peer, command, parameters, station
 from xtdrone_interaction.gcs.exchanges import RefusalError

@@ -16,8 +16,8 @@ from xtdrone_interaction.plots import save_plots
 from xtdrone_interaction.record import FlightRecord, RecordError, read_record, save_record
 from xtdrone_interaction.report import make_report, write_report
 from xtdrone_interaction.swarm_flight import FormationFlight, fly_formation, outcome_of
-from xtdrone_sim.simplified import Swarm
-from xtdrone_sim.simplified.core_vehicles import CoreVehicles
+from xtdrone_swarm import Swarm
+from xtdrone_swarm.full_vehicles import CoreVehicles
 
 COUNT = 6
 PATTERNS = ["T", "diamond"]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Pictures of all cameras of the fleet; topics are listed in ``xtdrone_sim.camera_node``.
+"""Pictures of all cameras of the fleet; topics are listed in ``xtdrone_sim.cameras.camera_node``.
 
 Parameters:
     ~rate (Hz, 0.1 to 50; default 0: what each vehicle's file says): pictures a second of every camera.
@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 
 from xtdrone_control.communication.arguments import run_program
-from xtdrone_sim.camera_node import USAGE, main
+from xtdrone_sim.cameras.camera_node import USAGE, main
 
 if __name__ == "__main__":
     sys.exit(run_program(main, sys.argv, USAGE))

@@ -17,7 +17,7 @@ from __future__ import annotations
 import sys
 
 from xtdrone_control.communication.arguments import run_program
-from xtdrone_sim.robot_tf import main
+from xtdrone_sim.topics.robot_tf import main
 
 if __name__ == "__main__":
     sys.exit(run_program(main, sys.argv, "robot_tf.py"))

@@ -20,11 +20,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.autopilot import Autopilot
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 WALL_LIMIT = 120.0  # s; only a broken run takes so long
 ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000

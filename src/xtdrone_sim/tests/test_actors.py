@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from xtdrone_sim.actors import STANDING, TURN_RATE, Actors
-from xtdrone_sim.sdf import SdfActor, Trajectory, Waypoint
-from xtdrone_sim.visual import Pose
+from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.actors import STANDING, TURN_RATE, Actors
+from xtdrone_sim.worlds.sdf import SdfActor, Trajectory, Waypoint
 
 STRIDE = 1.25
 

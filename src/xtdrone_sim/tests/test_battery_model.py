@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import FAILURE_OFF, FAILURES, MAX_ROTORS, SENSORS, SETPOINT, records
-from xtdrone_sim.battery import Batteries, BatteryModel
-from xtdrone_sim.vehicle_model import ModelError, load_vehicle, read_description
+from xtdrone_sim.physics.battery import Batteries, BatteryModel
+from xtdrone_sim.vehicles.vehicle_model import ModelError, load_vehicle, read_description
 
 HOVER_SPEED = 663.0  # rad/s, of iris
 

@@ -47,5 +47,5 @@ def test_other_output_is_kept() -> None:
 
 @pytest.mark.parametrize("closed", ["1>&-", "2>&-", "1>&- 2>&-"])
 def test_a_process_without_a_terminal_can_do_it_too(closed: str) -> None:
-    command = f"exec '{sys.executable}' -c 'from xtdrone_sim.bullet import connect; connect()' {closed}"
+    command = f"exec '{sys.executable}' -c 'from xtdrone_sim.physics.bullet import connect; connect()' {closed}"
     assert subprocess.run(["bash", "-c", command], check=False, timeout=120).returncode == 0

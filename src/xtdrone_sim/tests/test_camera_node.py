@@ -26,7 +26,7 @@ import pytest
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_sim.poses import from_rpy
+from xtdrone_sim.vehicles.poses import from_rpy
 
 ROSMASTER = shutil.which("rosmaster")
 try:
@@ -100,8 +100,8 @@ def taker(file: str, freeze: str, thaw: str) -> None:
 
 def slow(file: str) -> None:
     """The cameras' node; each picture, of no content, takes a line of standard input."""
-    from xtdrone_sim.camera_node import CameraNode, Settings
-    from xtdrone_sim.cameras import cameras_of
+    from xtdrone_sim.cameras.camera_node import CameraNode, Settings
+    from xtdrone_sim.cameras.cameras import cameras_of
 
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -282,7 +282,7 @@ def test_a_fleet_without_cameras_is_named(graph: Graph) -> None:
     ],
 )
 def test_parameters_that_cannot_be_are_named(parameters: dict[str, Any], words: str) -> None:
-    from xtdrone_sim.camera_node import Settings
+    from xtdrone_sim.cameras.camera_node import Settings
 
     with pytest.raises(ValueError, match=re.escape(words)):
         Settings.read(parameters)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from xtdrone_sim import datagrams
-from xtdrone_sim.datagrams import Datagrams
-from xtdrone_sim.simulator_node import reachable_uri
+from xtdrone_sim.autopilots import datagrams
+from xtdrone_sim.autopilots.datagrams import Datagrams
+from xtdrone_sim.runtime.simulator_node import reachable_uri
 
 PORT = 34580
 

@@ -9,8 +9,8 @@ import pytest
 
 from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.commander import Result
-from xtdrone_control.autopilot.origin import move_origin
+from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.autopilot.estimator.origin import move_origin
 from xtdrone_control.autopilot.state import (
     FAILURE_GARBAGE,
     FAILURE_OFF,
@@ -24,7 +24,7 @@ from xtdrone_control.autopilot.state import (
     VISION_NED,
 )
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.mavlink.telemetry import Telemetry
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_sim.simulation import Simulation
 
 UNSET = (math.nan, math.nan, math.nan)

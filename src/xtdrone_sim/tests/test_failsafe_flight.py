@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from xtdrone_control.autopilot import modes, plan
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_sim.simulation import Simulation

@@ -18,7 +18,7 @@ from pyulog import ULog
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.logger import topics
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.autopilots import Builtin
+from xtdrone_sim.autopilots.backend import Builtin
 from xtdrone_sim.simulation import Simulation
 
 ARMED_US, LANDING_US = 2_000_000, 12_000_000

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import modes, plan
-from xtdrone_control.autopilot.parameters import INT32, NAMES, describe
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.reports import Reports
-from xtdrone_control.mavlink.streams import GCS_RATES, Streams
+from xtdrone_control.mavlink.streams.rare_telemetry import Reports
+from xtdrone_control.mavlink.streams.streams import GCS_RATES, Streams
 from xtdrone_sim.simulation import Simulation
 
 CALM, TROUBLED = 0, (1, 2)

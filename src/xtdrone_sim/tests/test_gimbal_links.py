@@ -12,14 +12,14 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.gimbal import Gimbals
-from xtdrone_sim.landing_gear import LandingGears
-from xtdrone_sim.links import Links
-from xtdrone_sim.plant import PLANT
-from xtdrone_sim.poses import compose, from_rpy, rotate
+from xtdrone_sim.physics.plant import PLANT
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.vehicle_model import ModelError, load_vehicle
-from xtdrone_sim.visual import Pose
+from xtdrone_sim.vehicles.gimbal import Gimbals
+from xtdrone_sim.vehicles.landing_gear import LandingGears
+from xtdrone_sim.vehicles.link_poses import Links
+from xtdrone_sim.vehicles.poses import compose, from_rpy, rotate
+from xtdrone_sim.vehicles.vehicle_model import ModelError, load_vehicle
+from xtdrone_sim.vehicles.visual import Pose
 
 STEP = 0.004
 MODEL = load_vehicle("typhoon_h480")

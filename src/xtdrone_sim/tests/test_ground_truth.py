@@ -10,7 +10,7 @@ pytest.importorskip("rospy")
 
 from geometry_msgs.msg import Pose, Quaternion, Twist, Vector3
 
-from xtdrone_sim.ground_truth import in_body
+from xtdrone_sim.sensors.ground_truth import in_body
 
 
 def test_a_body_that_looks_north_flies_north_ahead() -> None:

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from px4_stand_in import ACCEL, BARO, GYRO, MAG, WALL_LIMIT, StandIn
 
-from xtdrone_control.autopilot.geo import project
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.telemetry import EPOCH_US
-from xtdrone_sim import hil as hil_module
-from xtdrone_sim.hil import Hil
-from xtdrone_sim.hil_link import RELOCK_STEPS, STALE_US, HilError
+from xtdrone_control.geodesy.geo import project
+from xtdrone_control.mavlink.streams.telemetry import EPOCH_US
+from xtdrone_sim.autopilots import hil as hil_module
+from xtdrone_sim.autopilots.hil import Hil
+from xtdrone_sim.autopilots.hil_link import RELOCK_STEPS, STALE_US, HilError
 from xtdrone_sim.simulation import Simulation
 
 FLEET = (Vehicle("iris", 0, 71), Vehicle("iris", 1, 72))  # ports that no other test uses

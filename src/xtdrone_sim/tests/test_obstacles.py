@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_sim.obstacles import Obstacles
-from xtdrone_sim.plant import ASLEEP, FREE, PLANT, TOUCHING
-from xtdrone_sim.poses import from_rpy
-from xtdrone_sim.sdf import SdfLink, SdfModel
-from xtdrone_sim.vehicle_model import MODEL, load_vehicle
-from xtdrone_sim.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere
-from xtdrone_sim.world import World, load_world
+from xtdrone_sim.physics.obstacles import Obstacles
+from xtdrone_sim.physics.plant import ASLEEP, FREE, PLANT, TOUCHING
+from xtdrone_sim.physics.world import World, load_world
+from xtdrone_sim.vehicles.poses import from_rpy
+from xtdrone_sim.vehicles.vehicle_model import MODEL, load_vehicle
+from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere
+from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
 
 DT = 0.004
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from xtdrone_sim import people
+from xtdrone_sim.worlds import people
 
 NAMES = people.names()
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_sim import plant
-from xtdrone_sim.plant import PLANT
-from xtdrone_sim.vehicle_model import load_vehicle
+from xtdrone_sim.physics import plant
+from xtdrone_sim.physics.plant import PLANT
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 GRAVITY = 9.80665
 DT = 0.004

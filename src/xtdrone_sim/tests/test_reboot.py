@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import modes, plan
-from xtdrone_control.autopilot.plan import PlanItem
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots import Builtin
+from xtdrone_sim.autopilots.backend import Builtin
 from xtdrone_sim.simulation import Simulation
 
 REBOOT = 246

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from xtdrone_sim.package_files import MODELS
-from xtdrone_sim.poses import compose, from_rpy
-from xtdrone_sim.scenery import Ground, is_free, outdoor
-from xtdrone_sim.scenery import __main__ as program
-from xtdrone_sim.scenery.things import HIGHEST
-from xtdrone_sim.sdf import SdfWorld, load_world_file, read_world, write_world
-from xtdrone_sim.sdf.bounds import box_of
-from xtdrone_sim.visual import Box, Mesh, Pose
+from xtdrone_sim.vehicles.poses import compose, from_rpy
+from xtdrone_sim.vehicles.visual import Box, Mesh, Pose
+from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
+from xtdrone_sim.worlds.scenery import __main__ as program
+from xtdrone_sim.worlds.scenery.things import HIGHEST
+from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, read_world, write_world
+from xtdrone_sim.worlds.sdf.bounds import box_of
 
 CLEAR = (-3.0, -3.0, 18.0, 13.0)
 

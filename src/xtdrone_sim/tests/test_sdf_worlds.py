@@ -12,8 +12,11 @@ from hypothesis import strategies as st
 
 from xtdrone_control.autopilot.autopilot import Datum
 from xtdrone_sim.package_files import MODELS
-from xtdrone_sim.poses import from_rpy
-from xtdrone_sim.sdf import (
+from xtdrone_sim.vehicles.poses import from_rpy
+from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf, read_urdf
+from xtdrone_sim.vehicles.vehicle_model import CONFIG, ModelError
+from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.worlds.sdf import (
     Light,
     SdfActor,
     SdfError,
@@ -27,10 +30,7 @@ from xtdrone_sim.sdf import (
     world_file,
     write_world,
 )
-from xtdrone_sim.sdf.bounds import box_of
-from xtdrone_sim.urdf import UrdfError, parse_urdf, read_urdf
-from xtdrone_sim.vehicle_model import CONFIG, ModelError
-from xtdrone_sim.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
+from xtdrone_sim.worlds.sdf.bounds import box_of
 
 CONE = MODELS / "scenery" / "meshes" / "cone_0.obj"
 GRASS = MODELS / "scenery" / "textures" / "grass_0.jpg"

@@ -9,10 +9,10 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.speed import LEAST_SPEED
-from xtdrone_sim import node
-from xtdrone_sim.autopilots import Builtin
-from xtdrone_sim.pacing import Pacer
-from xtdrone_sim.services import target_speed
+from xtdrone_sim.autopilots.backend import Builtin
+from xtdrone_sim.runtime import full_simulation
+from xtdrone_sim.runtime.pacing import Pacer
+from xtdrone_sim.runtime.services import target_speed
 from xtdrone_sim.simulation import Simulation
 
 STEP = 0.004  # s
@@ -22,13 +22,13 @@ STEP = 0.004  # s
 def settings(monkeypatch):
     """Give a function that reads the settings with some parameters set."""
     values: dict[str, object] = {}
-    monkeypatch.setattr(node.rospy, "get_param", lambda name, default: values.get(name, default))
-    monkeypatch.setattr(node.rospy, "resolve_name", lambda name: name.replace("~", "/simulator/"))
+    monkeypatch.setattr(full_simulation.rospy, "get_param", lambda name, default: values.get(name, default))
+    monkeypatch.setattr(full_simulation.rospy, "resolve_name", lambda name: name.replace("~", "/simulator/"))
 
-    def read(**parameters: object) -> node.Settings:
+    def read(**parameters: object) -> full_simulation.Settings:
         values.clear()
         values.update({f"~{name}": value for name, value in parameters.items()})
-        return node.Settings.from_parameters()
+        return full_simulation.Settings.from_parameters()
 
     return read
 
@@ -105,7 +105,7 @@ def test_one_that_cannot_be_closed_does_not_keep_the_others_open():
         raise OSError("no space left")
 
     with pytest.raises(OSError, match="no space left"):
-        node.close_all(lambda: closed.append("server"), full, lambda: closed.append("mavlink"))
+        full_simulation.close_all(lambda: closed.append("server"), full, lambda: closed.append("mavlink"))
     assert closed == ["server", "mavlink"]
 
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from xtdrone_sim.simplified.core_vehicles import CoreVehicles
-from xtdrone_sim.simplified.simplified_vehicles import SimplifiedVehicles
-from xtdrone_sim.simplified.vehicles import VELOCITY, Vehicles
+from xtdrone_swarm.full_vehicles import CoreVehicles
+from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles
+from xtdrone_swarm.swarm_vehicles import VELOCITY, Vehicles
 
 
 @pytest.fixture(scope="module", params=[CoreVehicles, SimplifiedVehicles])

@@ -114,7 +114,7 @@ def measure_simplified(bench: Bench, vehicles: int) -> Row:
     """
     row = _row(vehicles)
     arguments = ["--vehicles", str(vehicles), "--seconds", str(bench.length.core_seconds)]
-    module = "xtdrone_sim.simplified.benchmark"
+    module = "xtdrone_swarm.benchmark"
     return row | _run_program(bench, "simplified", f"simplified-{vehicles}", module, arguments)[0]
 
 
@@ -129,7 +129,7 @@ def measure_drawing(bench: Bench, vehicles: int) -> Row:
     """
     row = _row(vehicles)
     arguments = ["--vehicles", str(vehicles), "--seconds", str(bench.length.core_seconds)]
-    module = "xtdrone_sim.simplified.view.benchmark"
+    module = "xtdrone_swarm.view.benchmark"
     return row | _run_program(bench, "drawing", f"drawing-{vehicles}", module, arguments)[0]
 
 
@@ -183,7 +183,7 @@ def measure_renderer(bench: Bench, width: int, height: int, backend: str) -> Row
     arguments = ["--width", str(width), "--height", str(height), "--backend", backend]
     arguments += ["--seconds", str(bench.length.core_seconds)]
     name = f"renderer-{width}x{height}-{backend}"
-    return row | _run_program(bench, "renderer", name, "xtdrone_sim.rendering.benchmark", arguments)[0]
+    return row | _run_program(bench, "renderer", name, "xtdrone_sim.cameras.rendering.benchmark", arguments)[0]
 
 
 def measure_rviz(bench: Bench, vehicles: int, width: int, height: int, antialiasing: bool) -> Row:

@@ -13,7 +13,7 @@ from xtdrone_coordination.search.plans import Datum, SearchOptions, plan_search,
 from xtdrone_coordination.search.region import read_region
 from xtdrone_interaction.bench_flight import Bench, Event, Row, find, fly, fresh_folder
 from xtdrone_interaction.search_prepare import ROWS, camera_of, made_world, shipped_region
-from xtdrone_sim.sdf import write_world
+from xtdrone_sim.worlds.sdf import write_world
 
 SEARCHERS = 6
 """How many vehicles search."""
@@ -23,7 +23,7 @@ _SEED = 0  # of the world
 # all rates, so that they differ in nothing else.
 _PLANNED = SearchOptions(speed=2.5, overlap=0.8)
 _PROGRAMS = {
-    "cameras": ("cameras", "xtdrone_sim.camera_worker"),  # the node, and the process that draws
+    "cameras": ("cameras", "xtdrone_sim.cameras.camera_worker"),  # the node, and the process that draws
     "yolo": ("yolo",),
     "simulator": ("simulator",),
     "mavros": ("mavros_node",),

@@ -1,4 +1,4 @@
-"""Compares flights by their digest files (see ``xtdrone_sim.digests``). No ROS here.
+"""Compares flights by their digest files (see ``xtdrone_sim.runtime.digests``). No ROS here.
 
 A digest file says, for each second of simulated time, how many messages a node had published on each of its topics, how
 many bytes these were, and their checksum; and the checksum of all vehicles' true states at every tick. The comparison
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-TRUTH = "truth"  # as xtdrone_sim.digests names it
+TRUTH = "truth"  # as xtdrone_sim.runtime.digests names it
 State = tuple[int, int, int]
 """Messages, bytes, checksum."""
 Key = tuple[str, str]

@@ -16,18 +16,18 @@ import yaml
 from numpy.typing import NDArray
 from shapely.geometry import Point, Polygon
 
-from xtdrone_control import qgc_plan
-from xtdrone_control.autopilot import plan as mission
+from xtdrone_control.autopilot.navigator import plan as mission
 from xtdrone_control.bounded_file import load_yaml, read_text
 from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.plans import qgc_plan
 from xtdrone_coordination.search.plans import Datum, SearchOptions, VehiclePlan, plan_search, write_plans
 from xtdrone_coordination.search.region import parse_region, read_region, region_data
 from xtdrone_interaction.geometry import natural_order
 from xtdrone_interaction.options import OptionError, repository
-from xtdrone_sim import people, scenery
-from xtdrone_sim.sdf import SdfWorld, load_world_file, write_world
-from xtdrone_sim.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.worlds import people, scenery
+from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
 
 if TYPE_CHECKING:
     from xtdrone_interaction.search_demo import SearchSettings

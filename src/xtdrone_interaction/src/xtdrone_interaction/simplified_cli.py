@@ -117,8 +117,8 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
     Raises:
         ValueError: a value that is not allowed.
     """
-    from xtdrone_sim.simplified.model import load_model
-    from xtdrone_sim.simplified.view import can_open
+    from xtdrone_swarm.simplified.model import load_model
+    from xtdrone_swarm.view import can_open
 
     count = arguments.n
     config = options.repository() / "src" / "xtdrone_sim" / "config"
@@ -239,7 +239,7 @@ def _recorded(arguments: argparse.Namespace) -> FlightRecord | None:
 
 def _film(wanted: str | None, out: Path, *, window: bool) -> Path | None:
     """Return where the film goes, None for no film."""
-    from xtdrone_sim.simplified.view import check_film
+    from xtdrone_swarm.view import check_film
 
     if wanted == "none" or (wanted is None and window):
         return None

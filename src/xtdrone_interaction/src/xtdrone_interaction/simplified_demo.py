@@ -35,7 +35,7 @@ from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of
 
 if TYPE_CHECKING:
     from xtdrone_coordination.network import NetworkOptions
-    from xtdrone_sim.simplified import Swarm
+    from xtdrone_swarm import Swarm
 
 SIMPLIFIED_TRUTH = "truth (simplified simulator, in one process)"
 FULL_TRUTH = "truth (full physics, in one process)"
@@ -131,11 +131,11 @@ def make_swarm(settings: SwarmSettings, *, full: bool, leader: type[Leader] | No
     Raises:
         PatternError, ModelError, FleetError, ValueError: a value that is not allowed.
     """
-    from xtdrone_sim.simplified import Swarm
+    from xtdrone_swarm import Swarm
 
     vehicles = None
     if full:
-        from xtdrone_sim.simplified.core_vehicles import CoreVehicles  # brings pybullet along
+        from xtdrone_swarm.full_vehicles import CoreVehicles  # brings pybullet along
 
         vehicles = CoreVehicles(settings.n, kind=settings.kind, seed=settings.seed)
     network: dict[str, Any] = {} if settings.network is None else {"network": settings.network}
@@ -279,8 +279,8 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
         speed: real-time factor, 0 for as fast as it can.
         display: where to say it.
     """
-    from xtdrone_sim.simplified.view import WindowError  # brings Matplotlib along
-    from xtdrone_sim.simplified.view.flight import play
+    from xtdrone_swarm.view import WindowError  # brings Matplotlib along
+    from xtdrone_swarm.view.flight import play
 
     try:
         play(swarm, lambda: next(turns, _END) is not _END, speed=speed or math.inf)
@@ -289,7 +289,7 @@ def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -
 
 
 def _frame(sim_time: float, places: Any, slots: Any, edges: Any, pattern: str) -> Any:
-    from xtdrone_sim.simplified.view import Frame
+    from xtdrone_swarm.view import Frame
 
     return Frame(sim_time, places, slots, edges, pattern)
 
@@ -375,7 +375,7 @@ def make_film(record: FlightRecord, path: Path, console: Console) -> Path:
     Raises:
         DemoError: it cannot be written.
     """
-    from xtdrone_sim.simplified.view import FilmError, film
+    from xtdrone_swarm.view import FilmError, film
 
     frames = list(film_frames(record))
     try:

@@ -18,7 +18,7 @@ from xtdrone_interaction.mission import CLEARANCE, SETTLE_LIMIT, FormationMissio
 from xtdrone_interaction.record import Change, FlightRecord, Track
 
 if TYPE_CHECKING:
-    from xtdrone_sim.simplified import Swarm
+    from xtdrone_swarm import Swarm
 
 SOURCE = "truth (in one process)"
 PROGRESS_TURNS = 6  # turns between two calls of ``progress``: 5 Hz of simulated time

@@ -1,9 +1,9 @@
-"""``@kernel`` for the simulator's inner loops; see ``xtdrone_control.autopilot.kernel``."""
+"""``@kernel`` for the simulator's inner loops; see ``xtdrone_control.kernel``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from xtdrone_control.autopilot import kernel as control_kernel
+from xtdrone_control import kernel as control_kernel
 
 kernel = control_kernel.compiler(Path(__file__).resolve().parent, Path(control_kernel.__file__).resolve().parent)

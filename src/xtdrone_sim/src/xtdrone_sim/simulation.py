@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
-from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle, spawn_grid
-
-from .autopilots import AutopilotsFactory, Builtin
-from .gimbal import Gimbals
-from .landing_gear import LandingGears
-from .sensors import Sensors
-from .vehicle_model import load_vehicle
-from .world import World, load_world
+from xtdrone_sim.autopilots.backend import AutopilotsFactory, Builtin
+from xtdrone_sim.physics.world import World, load_world
+from xtdrone_sim.sensors.sensor_models import Sensors
+from xtdrone_sim.vehicles.gimbal import Gimbals
+from xtdrone_sim.vehicles.landing_gear import LandingGears
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 
 class Simulation:

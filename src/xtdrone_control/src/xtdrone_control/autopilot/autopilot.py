@@ -13,19 +13,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .attitude_control import attitude_control
-from .control_allocator import allocate, mixing_matrix
-from .estimator import update as update_estimator
-from .flight_tasks import generate_setpoint
-from .hover_thrust import estimate_hover_thrust, reset_hover_thrust
-from .kernel import kernel
-from .land_detector import detect_landing
+from xtdrone_control.autopilot.control.attitude_control import attitude_control
+from xtdrone_control.autopilot.control.control_allocator import allocate, mixing_matrix
+from xtdrone_control.autopilot.control.hover_thrust import estimate_hover_thrust, reset_hover_thrust
+from xtdrone_control.autopilot.control.land_detector import detect_landing
+from xtdrone_control.autopilot.control.position_control import (
+    position_loop,
+    start_loops,
+    thrust_to_attitude,
+    use_hover_thrust,
+    velocity_loop,
+)
+from xtdrone_control.autopilot.control.rate_control import rate_control
+from xtdrone_control.autopilot.control.takeoff import update_ramp, update_takeoff
+from xtdrone_control.autopilot.estimator.ekf import update as update_estimator
+from xtdrone_control.autopilot.estimator.vibration import update_vibration
+from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_resets
+from xtdrone_control.autopilot.flight_tasks.flight_tasks import generate_setpoint
+from xtdrone_control.autopilot.flight_tasks.stick_control import stick_attitude, stick_rates, update_throttle_limits
+from xtdrone_control.autopilot.parameters.parameters import PARAMS
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import rotate
+
 from .logger.folder import LogFolder
-from .parameters import PARAMS
-from .position_control import position_loop, start_loops, thrust_to_attitude, use_hover_thrust, velocity_loop
-from .rate_control import rate_control
-from .reset_follower import follow_resets
-from .rotation import rotate
 from .state import (
     CONTROL,
     ESTIMATOR,
@@ -43,9 +53,6 @@ from .state import (
     TASK_RATES,
     records,
 )
-from .stick_control import stick_attitude, stick_rates, update_throttle_limits
-from .takeoff import update_ramp, update_takeoff
-from .vibration import update_vibration
 
 STEP_US = 4000  # PX4's SITL lockstep period
 TASK_STEPS = 5  # steps between two runs of the flight task: 50 Hz

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import geo
+from xtdrone_control.geodesy import geo
+
 from .state import SETPOINT
 
 if TYPE_CHECKING:

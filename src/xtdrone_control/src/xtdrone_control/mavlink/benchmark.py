@@ -21,8 +21,8 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, Datum, RotorLayout
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.autopilot.parameters import Parameters
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import FleetError, parse_fleet
 
 from .port import LOOPBACK

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from .packing import COMPONENT_ID, Format, PackingError, as_version_1
-from .streams import HEARTBEAT, Payloads, Streams
-from .telemetry import Telemetry, Values
+from xtdrone_control.mavlink.streams.streams import HEARTBEAT, Payloads, Streams
+from xtdrone_control.mavlink.streams.telemetry import Telemetry, Values
+from xtdrone_control.mavlink.wire.packing import COMPONENT_ID, Format, PackingError, as_version_1
+
 from .turns import OWN_EARNINGS, OWN_SAVINGS, Purse
 
 if TYPE_CHECKING:

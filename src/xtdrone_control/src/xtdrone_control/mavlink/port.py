@@ -19,10 +19,10 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.streams.streams import Payloads
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 
 from .link import Address, Link
-from .streams import Payloads
-from .telemetry import Telemetry
 
 LOOPBACK = "127.0.0.1"
 MAX_CLIENTS = 16  # on one port

@@ -7,12 +7,12 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from xtdrone_control.autopilot.commander import Commander
-from xtdrone_control.mavlink.codec import FrameError, decoder, split, version
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.mavlink.wire.codec import FrameError, decoder, split, version
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
+from xtdrone_control.mavlink.wire.packing import COMPONENT_ID
 
-from .dialect import MESSAGE_ID, MESSAGES
 from .link import Address, Link
-from .packing import COMPONENT_ID
 from .port import Port
 from .service import Handler, Service, Vehicle
 from .services import all_services

@@ -13,14 +13,14 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
-from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.streams.rare_telemetry import Reports
+from xtdrone_control.mavlink.streams.streams import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
 
 from .link import Address, Link
 from .port import CLIENTS, LOOPBACK, VEHICLE_CLIENTS, Port, Room
 from .receiver import Receiver
-from .reports import Reports
-from .streams import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
 from .turns import SAVINGS, STEP_EARNINGS, VEHICLE_EARNINGS, Purse, Turns, cost
 
 if TYPE_CHECKING:

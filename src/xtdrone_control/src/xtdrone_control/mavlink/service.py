@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from xtdrone_control.autopilot.commander import Commander
+from xtdrone_control.autopilot.commander.commander import Commander
 
 from .link import Link
 

@@ -36,8 +36,8 @@ import rospy
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, Vehicle, check_instance, parse_fleet
 from xtdrone_control.mavros import left_out
-from xtdrone_control.mavros.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
-from xtdrone_control.mavros.params import Params
+from xtdrone_control.mavros.lib.params import Params
+from xtdrone_control.mavros.link.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
 from xtdrone_control.mavros.plugin import PluginKind, Publisher
 from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS

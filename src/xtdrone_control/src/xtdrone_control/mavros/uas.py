@@ -10,19 +10,19 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.geoid import undulation
-from xtdrone_control.mavlink.codec import Decoder, FrameError, decoder, message_name
-from xtdrone_control.mavlink.dialect import MESSAGE_ID
-from xtdrone_control.mavros.connection import RAW, Link
-from xtdrone_control.mavros.packing import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
-from xtdrone_control.mavros.params import Params
-from xtdrone_control.mavros.plan_transfers import PlanTransfers
+from xtdrone_control.geodesy.geoid import undulation
+from xtdrone_control.mavlink.wire.codec import Decoder, FrameError, decoder, message_name
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavros.lib.params import Params
+from xtdrone_control.mavros.lib.refusals import Refusals
+from xtdrone_control.mavros.lib.throttle import Throttle
+from xtdrone_control.mavros.link.connection import RAW, Link
+from xtdrone_control.mavros.link.packing import FLOAT32_MAX, FLOAT32_RANGE, FieldError, source
+from xtdrone_control.mavros.link.plan_transfers import PlanTransfers
+from xtdrone_control.mavros.link.streams import Streams
+from xtdrone_control.mavros.link.transactions import Commands
 from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic
 from xtdrone_control.mavros.plugin_lists import PluginLists
-from xtdrone_control.mavros.refusals import Refusals
-from xtdrone_control.mavros.streams import Streams
-from xtdrone_control.mavros.throttle import Throttle
-from xtdrone_control.mavros.transactions import Commands
 
 log = logging.getLogger("rosout.mavros")
 

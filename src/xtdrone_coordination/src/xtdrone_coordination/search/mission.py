@@ -39,7 +39,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from xtdrone_control.autopilot.plan import Items
+from xtdrone_control.autopilot.navigator.plan import Items
 from xtdrone_control.checks import check_choice, check_range
 from xtdrone_control.pinhole import Pinhole
 

@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from xtdrone_control.autopilot import plan
-from xtdrone_control.autopilot.plan import Items
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import Items
 
 from .coverage import Point, Waypoint
 from .evidence import Candidate, Evidence

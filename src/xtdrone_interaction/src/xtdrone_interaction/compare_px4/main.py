@@ -19,7 +19,7 @@ from xtdrone_interaction.compare_px4.events import Match
 from xtdrone_interaction.compare_px4.metrics import Figure
 from xtdrone_interaction.compare_px4.pilot import PilotError
 from xtdrone_interaction.options import OptionError
-from xtdrone_sim.vehicle_model import CONFIG, ModelError
+from xtdrone_sim.vehicles.vehicle_model import CONFIG, ModelError
 
 _MARK = {True: "within", False: "OUTSIDE"}
 

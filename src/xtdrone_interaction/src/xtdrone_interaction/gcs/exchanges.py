@@ -21,11 +21,11 @@ from typing import Any, NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import plan
-from xtdrone_control.autopilot.plan import FRAME_MISSION, Items, PlanItem
-from xtdrone_control.mavlink import mission_items
-from xtdrone_control.mavlink.dialect import MESSAGE_ID
-from xtdrone_control.qgc_plan import FRAME_GLOBAL, Place, Plan
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
+from xtdrone_control.mavlink.microservices import mission_items
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.plans.qgc_plan import FRAME_GLOBAL, Place, Plan
 
 SYSTEM, COMPONENT = 254, mavlink.MAV_COMP_ID_MISSIONPLANNER
 """Who we are; 255 is QGroundControl's system id, which may be there too."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import geo
+from xtdrone_control.geodesy import geo
 
 from .exchanges import Beat, Exchange, RefusalError, request
 from .parameters import fetch

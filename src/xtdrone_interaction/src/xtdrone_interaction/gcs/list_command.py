@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control import qgc_plan
-from xtdrone_control.autopilot import plan
-from xtdrone_control.autopilot.plan import Items
-from xtdrone_control.qgc_plan import Plan, PlanError
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import Items
+from xtdrone_control.plans import qgc_plan
+from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
 from . import exchanges, station
 from .arguments import Adder, Runner, UsageError, chosen, run

@@ -10,10 +10,11 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-from xtdrone_control import qgc_plan
-from xtdrone_control.autopilot import feasibility, geo, geofence, plan
-from xtdrone_control.autopilot.feasibility import Situation
-from xtdrone_control.qgc_plan import Plan, PlanError
+from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
+from xtdrone_control.autopilot.navigator.feasibility import Situation
+from xtdrone_control.geodesy import geo
+from xtdrone_control.plans import qgc_plan
+from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
 from . import exchanges, station
 from .arguments import Adder, UsageError, chosen, named, run

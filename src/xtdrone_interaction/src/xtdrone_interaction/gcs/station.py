@@ -23,9 +23,9 @@ from typing import Any, Generic, TypeVar
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.fleet import MAX_VEHICLES
-from xtdrone_control.mavlink.codec import FrameError, decoder, split
-from xtdrone_control.mavlink.dialect import MESSAGE_ID
-from xtdrone_control.qgc_plan import Plan
+from xtdrone_control.mavlink.wire.codec import FrameError, decoder, split
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.plans.qgc_plan import Plan
 
 from . import exchanges
 from .exchanges import Beat, Exchange, Heard, Progress, RefusalError, Say

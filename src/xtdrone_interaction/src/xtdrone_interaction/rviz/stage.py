@@ -21,7 +21,7 @@ from xtdrone_interaction.launched import DemoError, signals_wait
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.rviz.film_options import FilmSettings
 from xtdrone_interaction.rviz.views import SHIPPED, Array, make_view, marker_parameters
-from xtdrone_sim.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 DRAWER = "rviz_offscreen"
 TF, MARKERS = "robot_tf", "swarm_markers"

@@ -13,7 +13,7 @@ import rospy
 from xtdrone_control.communication.arguments import ArgumentError, needed_fleet
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.rviz.views import SHIPPED, make_view
-from xtdrone_sim.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 
 def configuration(view: str) -> Path:

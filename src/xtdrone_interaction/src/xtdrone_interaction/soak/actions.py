@@ -16,10 +16,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot import geo, plan
-from xtdrone_control.autopilot.plan import FRAME_MISSION, PlanItem
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.qgc_plan import FRAME_RELATIVE, Plan
+from xtdrone_control.geodesy import geo
+from xtdrone_control.plans.qgc_plan import FRAME_RELATIVE, Plan
 from xtdrone_interaction.gcs import GcsError, GroundStation, Peer, exchanges, flight, parameters
 from xtdrone_interaction.gcs.exchanges import Beat, Exchange
 from xtdrone_interaction.soak.samples import figures

@@ -15,7 +15,7 @@ from xtdrone_coordination.follower import FollowerOptions
 from xtdrone_coordination.leader import LeaderOptions
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_interaction.options import MAX_SWARM, OptionError
-from xtdrone_sim.simplified import Model
+from xtdrone_swarm import Model
 
 Value = bool | int | float | str
 

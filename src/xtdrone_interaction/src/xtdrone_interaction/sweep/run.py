@@ -23,8 +23,8 @@ from xtdrone_interaction.record import Change, FlightRecord, Track
 from xtdrone_interaction.report import measure
 from xtdrone_interaction.sweep.parameters import CLASS, DEFAULTS, Value, group_of
 from xtdrone_interaction.sweep.sources import Source, load
-from xtdrone_sim.simplified import Swarm
-from xtdrone_sim.simplified.model import load_model
+from xtdrone_swarm import Swarm
+from xtdrone_swarm.simplified.model import load_model
 
 COLLISION_DISTANCE = 0.5  # m between the middles of two vehicles; nearer ones have touched
 _SOURCE = "truth (in one process)"
@@ -117,7 +117,7 @@ def make_swarm(common: Mapping[str, Any], parameters: Mapping[str, Value], seed:
     if options["network"] is not None:
         settings["network"] = options["network"]
     if common["engine"] == "core":
-        from xtdrone_sim.simplified.core_vehicles import CoreVehicles
+        from xtdrone_swarm.full_vehicles import CoreVehicles
 
         vehicles: Any = CoreVehicles(count, kind=kind, places=places, seed=seed)
         return Swarm(count, vehicles=vehicles, **settings)

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot.parameters import NAMES as PARAMETER_NAMES
-from xtdrone_control.autopilot.parameters import Parameters, describe
+from xtdrone_control.autopilot.parameters.parameters import NAMES as PARAMETER_NAMES
+from xtdrone_control.autopilot.parameters.parameters import Parameters, describe
 
 from . import status, ulog
 from .folder import LogFolder, log_name
@@ -33,7 +33,7 @@ from .ulog import Format, UlogWriter
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
-    from xtdrone_control.autopilot.commander import Commander, CommandListener
+    from xtdrone_control.autopilot.commander.commander import Commander, CommandListener
 
 STEP_US = 4000
 BASE_PERIOD_US = 20_000  # shortest period of all topics but those of the sensors

@@ -16,9 +16,9 @@ from .messages import message_format
 from .ulog import Format, data_template
 
 if TYPE_CHECKING:
-    from xtdrone_control.autopilot.commander import Commander
-    from xtdrone_control.autopilot.failsafe import Flags
-    from xtdrone_control.autopilot.manual_control import Sticks
+    from xtdrone_control.autopilot.commander.commander import Commander
+    from xtdrone_control.autopilot.commander.failsafe import Flags
+    from xtdrone_control.autopilot.commander.manual_control import Sticks
 
 STATUS_PERIOD_US = 500_000  # PX4's commander publishes its state this often without a change
 _BATTERY_PERIOD_US = 200_000

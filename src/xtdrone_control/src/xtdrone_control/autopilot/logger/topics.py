@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot import geo
 from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION, MAX_ROTORS
+from xtdrone_control.geodesy import geo
 
 EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0, as the telemetry has it
 

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavros.params import ParamError, Params
+from xtdrone_control.mavros.lib.params import ParamError, Params
+from xtdrone_control.mavros.lib.px4_modes import mode_name
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.plugin_lists import PluginLists
-from xtdrone_control.mavros.px4_modes import mode_name
 from xtdrone_control.mavros.uas import RAW, Uas
 
 _OK, _WARN, _ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

@@ -22,7 +22,7 @@ from mavros_msgs.srv import (
 )
 from std_srvs.srv import Empty, EmptyResponse
 
-from xtdrone_control.mavros.ftp_client import FtpClient, FtpError
+from xtdrone_control.mavros.link.ftp_client import FtpClient, FtpError
 from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
 

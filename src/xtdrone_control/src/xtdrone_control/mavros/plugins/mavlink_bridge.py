@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from mavros_msgs.msg import Mavlink
 
+from xtdrone_control.mavros.link.raw_frames import RawFrameError, fill, to_frame
 from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.raw_frames import RawFrameError, fill, to_frame
 from xtdrone_control.mavros.uas import RAW, Uas
 
 

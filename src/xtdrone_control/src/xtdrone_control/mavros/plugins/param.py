@@ -21,7 +21,7 @@ from mavros_msgs.srv import (
 )
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink.codec import FrameError, decoder
+from xtdrone_control.mavlink.wire.codec import FrameError, decoder
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 

@@ -8,16 +8,16 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from mavros_msgs.msg import Thrust
 
-from xtdrone_control.mavros.pairing import Pairing
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.setpoints import (
+from xtdrone_control.mavros.lib.setpoints import (
     ONLY_ATTITUDE_THRUST,
     ONLY_RATES_THRUST,
     attitude_target,
     vector_fields,
     xyz,
 )
-from xtdrone_control.mavros.tf_listener import TfListener
+from xtdrone_control.mavros.lib.tf_listener import TfListener
+from xtdrone_control.mavros.link.pairing import Pairing
+from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
 
 _ATTITUDE, _RATES, _THRUST = "setpoint_attitude/attitude", "setpoint_attitude/cmd_vel", "setpoint_attitude/thrust"

@@ -9,9 +9,8 @@ from geometry_msgs.msg import PoseStamped, TransformStamped
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.mav_frames import MavFrame
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.setpoints import (
+from xtdrone_control.mavros.lib.mav_frames import MavFrame
+from xtdrone_control.mavros.lib.setpoints import (
     ONLY_GLOBAL_POSITION_YAW,
     ONLY_POSITION_YAW,
     global_target,
@@ -19,7 +18,8 @@ from xtdrone_control.mavros.setpoints import (
     vector_fields,
     xyz,
 )
-from xtdrone_control.mavros.tf_listener import TfListener
+from xtdrone_control.mavros.lib.tf_listener import TfListener
+from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
 _GOAL = "setpoint_position/global_to_local"

@@ -9,8 +9,7 @@ from typing import Any
 from mavros_msgs.msg import AttitudeTarget, GlobalPositionTarget, PositionTarget
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Feed, Plugin
-from xtdrone_control.mavros.setpoints import (
+from xtdrone_control.mavros.lib.setpoints import (
     attitude_target,
     global_target,
     position_target,
@@ -18,6 +17,7 @@ from xtdrone_control.mavros.setpoints import (
     vector_fields,
     xyz,
 )
+from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
 _LOCAL_FRAMES = (

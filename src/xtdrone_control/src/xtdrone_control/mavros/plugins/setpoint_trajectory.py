@@ -11,9 +11,9 @@ from std_srvs.srv import Trigger, TriggerResponse
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.mav_frames import MavFrame
+from xtdrone_control.mavros.lib.mav_frames import MavFrame
+from xtdrone_control.mavros.lib.setpoints import position_target, set_xyz, vector_fields, xyz
 from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.setpoints import position_target, set_xyz, vector_fields, xyz
 from xtdrone_control.mavros.uas import Uas
 
 _TOPIC = "setpoint_trajectory/local"

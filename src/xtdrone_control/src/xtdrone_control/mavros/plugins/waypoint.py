@@ -17,7 +17,7 @@ from mavros_msgs.srv import (
     WaypointSetCurrentResponse,
 )
 
-from xtdrone_control.mavros.plan_transfers import MISSION
+from xtdrone_control.mavros.link.plan_transfers import MISSION
 from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 

@@ -9,9 +9,9 @@ from typing import Any
 from mavros_msgs.msg import CommandCode, Waypoint, WaypointList
 from mavros_msgs.srv import WaypointClear, WaypointPull, WaypointPush, WaypointSetCurrent
 
-from xtdrone_control import waypoint_file
-from xtdrone_control.autopilot.plan import PlanItem
-from xtdrone_control.waypoint_file import Row, WaypointFileError
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+from xtdrone_control.plans import waypoint_file
+from xtdrone_control.plans.waypoint_file import Row, WaypointFileError
 
 from .client import Ear, Mavros, ProgramError, new_parser, read_file, write_file
 from .client import main as run_program

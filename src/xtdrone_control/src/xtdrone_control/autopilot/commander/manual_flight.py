@@ -1,0 +1,88 @@
+"""Flight by hand: what the cascade follows in the modes that a pilot steers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander.inputs import shaped
+from xtdrone_control.autopilot.commander.manual_control import CENTRED, Sticks
+from xtdrone_control.autopilot.modes import Mode
+from xtdrone_control.autopilot.state import (
+    TASK_ACRO,
+    TASK_ALTITUDE,
+    TASK_DESCEND,
+    TASK_MANUAL,
+    TASK_STICKS,
+    TASK_TRAJECTORY,
+)
+from xtdrone_control.autopilot.vehicle_view import VehicleView
+
+Get = Callable[[str], float]
+
+_NAN = math.nan
+_UNSET = (_NAN, _NAN, _NAN)
+_TASKS = {
+    modes.POSCTL: TASK_STICKS,
+    modes.ALTCTL: TASK_ALTITUDE,
+    modes.STABILIZED: TASK_MANUAL,
+    modes.MANUAL: TASK_MANUAL,
+    modes.ACRO: TASK_ACRO,
+}
+# where the throttle stick is thrust, not climb rate
+MANUAL_THRUST = (modes.STABILIZED, modes.MANUAL, modes.ACRO)
+
+
+class HandFlight:
+    """Hands one vehicle's sticks to the cascade."""
+
+    def __init__(self, view: VehicleView, get: Get) -> None:
+        """Steer ``view``; ``get`` returns a parameter by name."""
+        self._view = view
+        self._get = get
+
+    def steer(self, mode: Mode, sticks: Sticks | None, blind: bool, *, restart: bool = False) -> None:
+        """Let the cascade follow the sticks, centred ones where there are none.
+
+        In POSCTL and ALTCTL without a pilot the vehicle stops and sinks, as PX4's flight tasks fail then.
+
+        Args:
+            mode: one of the modes that a pilot steers.
+            sticks: the pilot's; None when there is no pilot.
+            blind: there is no horizontal estimate.
+            restart: the mode begins.
+        """
+        task = _TASKS[mode]
+        if sticks is None and mode not in MANUAL_THRUST:
+            self._sink(blind, restart)
+            return
+        self._write(sticks or CENTRED, mode)
+        if restart or self._view.setpoint["task"] != task:
+            self._view.start_task(task)
+
+    def _write(self, sticks: Sticks, mode: Mode) -> None:
+        x, y, z, yaw = sticks
+        if mode not in MANUAL_THRUST:
+            get = self._get
+            dead_zone, expo = get("MPC_HOLD_DZ"), get("MPC_XY_MAN_EXPO")
+            if mode is modes.POSCTL:  # in ALTCTL the tilt goes straight with the stick
+                x, y = shaped(x, dead_zone, expo), shaped(y, dead_zone, expo)
+            z = shaped(z, dead_zone, get("MPC_Z_MAN_EXPO"))
+            yaw = shaped(yaw, dead_zone, get("MPC_YAW_EXPO"))
+        fields = self._view.setpoint_fields
+        for name, value in (("stick_x", x), ("stick_y", y), ("stick_z", z), ("stick_yaw", yaw)):
+            fields[name][0] = value
+
+    def _sink(self, blind: bool, restart: bool) -> None:
+        """Stop and sink at MPC_LAND_SPEED, keeping the heading; level where the horizontal estimate is lost."""
+        setpoint = self._view.setpoint
+        task = TASK_DESCEND if blind else TASK_TRAJECTORY
+        if not restart and setpoint["task"] == task:
+            return
+        if not blind:
+            setpoint["position"] = _UNSET
+            setpoint["velocity"] = (0.0, 0.0, self._get("MPC_LAND_SPEED"))
+            setpoint["acceleration"] = _UNSET
+            setpoint["yaw"] = setpoint["yaw_rate"] = _NAN
+        self._view.start_task(task)

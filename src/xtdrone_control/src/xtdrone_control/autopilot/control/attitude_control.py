@@ -1,0 +1,52 @@
+"""Attitude control of one vehicle: attitude set-point to body rate set-points.
+
+D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich 2013, with the yaw weight
+of PX4's mc_att_control: tilt is corrected first, heading with less authority.
+"""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import conjugate_multiply, constrain, multiply, rotate, rotate_inverse
+
+
+@kernel
+def attitude_control(c, e, p):
+    """Fill c.sp_rates (rad/s, body) from c.sp_q, the estimate's q and the yaw-rate feed-forward c.sp_yaw_rate."""
+    q = e.q
+    # the turn that takes only the thrust axis (body z) where it should be
+    ex, ey, ez = rotate(q, 0.0, 0.0, 1.0)
+    dx, dy, dz = rotate(c.sp_q, 0.0, 0.0, 1.0)
+    dot = ex * dx + ey * dy + ez * dz
+    if dot < -0.99999:
+        reduced = (c.sp_q[0], c.sp_q[1], c.sp_q[2], c.sp_q[3])
+    else:
+        w = 1.0 + dot
+        cx, cy, cz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
+        norm = math.sqrt(w * w + cx * cx + cy * cy + cz * cz)
+        reduced = multiply((w / norm, cx / norm, cy / norm, cz / norm), (q[0], q[1], q[2], q[3]))
+    # what is left is a turn about the thrust axis: weigh it
+    mix = conjugate_multiply(reduced, c.sp_q)
+    weight = p.mc_yaw_weight
+    half = weight * math.atan2(mix[3], mix[0]) if mix[0] >= 0.0 else weight * math.atan2(-mix[3], -mix[0])
+    heading = (math.cos(half), 0.0, 0.0, math.sin(half))
+    desired = multiply(reduced, heading)
+    error = conjugate_multiply(q, desired)
+    scale = 2.0 if error[0] >= 0.0 else -2.0
+    # PX4 divides the yaw gain by the weight, so that MC_YAW_P is the gain of a pure heading error
+    c.sp_rates[0] = scale * error[1] * p.mc_roll_p
+    c.sp_rates[1] = scale * error[2] * p.mc_pitch_p
+    c.sp_rates[2] = scale * error[3] * p.mc_yaw_p / weight
+    if not math.isnan(c.sp_yaw_rate):
+        fx, fy, fz = rotate_inverse(q, 0.0, 0.0, c.sp_yaw_rate)
+        c.sp_rates[0] += fx
+        c.sp_rates[1] += fy
+        c.sp_rates[2] += fz
+    roll_max = math.radians(p.mc_rollrate_max)
+    pitch_max = math.radians(p.mc_pitchrate_max)
+    yaw_max = math.radians(p.mc_yawrate_max)
+    c.sp_rates[0] = constrain(c.sp_rates[0], -roll_max, roll_max)
+    c.sp_rates[1] = constrain(c.sp_rates[1], -pitch_max, pitch_max)
+    c.sp_rates[2] = constrain(c.sp_rates[2], -yaw_max, yaw_max)

@@ -1,0 +1,174 @@
+"""Control allocation: normalised torques and collective thrust to motor commands, for any fixed-rotor multicopter.
+
+The mixing matrix is the pseudo-inverse of the rotor effectiveness, scaled as PX4 v1.14's ActuatorEffectivenessRotors
+and ControlAllocationPseudoInverse scale it; saturation is resolved in PX4's order without air mode
+(ControlAllocationSequentialDesaturation): thrust gives way to roll and pitch, yaw gives way to all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.autopilot.state import MAX_ROTORS
+from xtdrone_control.kernel import kernel
+
+_LEAST_SHARE = 0.1  # of the mean thrust in hover, with which a rotor has room to give torques
+
+
+def effectiveness(positions: NDArray[np.float64], moment_ratios: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what each rotor's thrust does, shape (4, n): roll, pitch and yaw torque, and thrust upwards.
+
+    Args:
+        positions: (n, 3) rotor places, body FRD, m, relative to the centre of mass.
+        moment_ratios: (n,) torque about body z per thrust, m (CA_ROTORn_KM): positive for counter-clockwise rotors
+            seen from above, whose reaction turns the body clockwise, PX4's sign.
+
+    Raises:
+        ValueError: fewer than 4 or more than ``MAX_ROTORS`` rotors, or rotors that cannot control all four axes.
+    """
+    count = len(positions)
+    if not 4 <= count <= MAX_ROTORS:
+        raise ValueError(f"rotors: {count} is not allowed, 4 to {MAX_ROTORS}")
+    # thrust along -z: torque = r x (0, 0, -1) + km (0, 0, 1)
+    matrix = np.stack([-positions[:, 1], positions[:, 0], moment_ratios, np.ones(count)])
+    if np.linalg.matrix_rank(matrix) < 4:
+        raise ValueError("rotors: the arrangement leaves an axis without control")
+    return matrix
+
+
+def mixing_matrix(
+    positions: NDArray[np.float64], moment_ratios: NDArray[np.float64], failed: int = 0
+) -> NDArray[np.float64]:
+    """Return the mixer, shape (n, 4): columns roll, pitch, yaw torque and collective thrust to motor commands.
+
+    Args:
+        positions: see ``effectiveness``.
+        moment_ratios: see ``effectiveness``.
+        failed: bit i is set when rotor i is not to be used. The others share its work if they hover with all axes in
+            hand; if not, yaw is given up.
+
+    Raises:
+        ValueError: see ``effectiveness``.
+    """
+    matrix = effectiveness(positions, moment_ratios)
+    works = np.flatnonzero([not failed >> i & 1 for i in range(len(positions))])
+    mix = np.zeros((len(positions), 4))
+    axes = np.array([0, 1, 2, 3] if _hovers(matrix[:, works]) else [0, 1, 3])
+    mix[np.ix_(works, axes)] = np.linalg.pinv(matrix[axes][:, works])
+    mix[:, 3] = np.maximum(mix[:, 3], 0.0)  # no rotor pulls down
+    _scale(mix[works], mix)
+    mix[np.abs(mix) < 1e-3] = 0.0
+    return mix
+
+
+def _hovers(matrix: NDArray[np.float64]) -> bool:
+    """Return whether rotors hover with all four axes in hand: each carries a share of the weight that can be taken off.
+
+    A hexacopter whose rotors turn in alternation does not once one of them has failed: the opposite one stands still.
+    """
+    if np.linalg.matrix_rank(matrix) < 4:
+        return False
+    shares = np.linalg.pinv(matrix)[:, 3]
+    return bool(shares.min() > _LEAST_SHARE * shares.mean())
+
+
+def _scale(used: NDArray[np.float64], mix: NDArray[np.float64]) -> None:
+    """Scale the columns of ``mix`` as PX4 does, by those of its rows that take part."""
+    roll_pitch = max(_rms_scale(used[:, 0]), _rms_scale(used[:, 1]))
+    for axes, scale in (([0, 1], roll_pitch), ([2], np.max(np.abs(used[:, 2]))), ([3], np.mean(used[:, 3]))):
+        if scale > 0.0:
+            mix[:, axes] /= scale
+
+
+def _rms_scale(column: NDArray[np.float64]) -> float:
+    """Return PX4's norm of a roll or pitch column: sqrt(sum of squares over half of the rotors that take part)."""
+    used = np.count_nonzero(np.abs(column) > 1e-3)
+    return float(np.sqrt(np.sum(column**2) / (used / 2.0))) if used else 0.0
+
+
+@kernel
+def _gain_to_limits(u, direction, count, low, high):
+    """Return the step along ``direction`` that balances the worst excess over ``high`` and under ``low``."""
+    k_min, k_max = 0.0, 0.0
+    for i in range(count):
+        d = direction[i]
+        if abs(d) < 1e-6:
+            continue
+        if u[i] < low:
+            k = (low - u[i]) / d
+        elif u[i] > high:
+            k = (high - u[i]) / d
+        else:
+            continue
+        k_min = min(k_min, k)
+        k_max = max(k_max, k)
+    return k_min + k_max
+
+
+@kernel
+def _desaturate(u, direction, count, low, high, only_decrease):
+    """Move ``u`` along ``direction`` until limits are met as well as can be (two passes, the second by halves)."""
+    k = _gain_to_limits(u, direction, count, low, high)
+    if only_decrease and k > 0.0:
+        return
+    for i in range(count):
+        u[i] += k * direction[i]
+    k = 0.5 * _gain_to_limits(u, direction, count, low, high)
+    if only_decrease and k > 0.0:
+        return
+    for i in range(count):
+        u[i] += k * direction[i]
+
+
+@kernel
+def _mix_yaw(u, c, mix, count):
+    """Add yaw, which may use a little more than the range before it is cut (15 % in PX4); then thrust gives way."""
+    for i in range(count):
+        u[i] += mix[2, i] * c.sp_torque[2]
+    _desaturate(u, mix[2], count, 0.0, 1.15, False)
+    _desaturate(u, mix[3], count, 0.0, 1.0, True)
+
+
+@kernel
+def _note_unallocated(c, unmix, count):
+    """Flag the torque axes that got less than was asked for, by the sign of what is missing."""
+    for axis in range(3):
+        given = 0.0
+        for i in range(count):
+            given += unmix[axis, i] * c.actuators[i]
+        missing = c.sp_torque[axis] - given
+        c.saturation_pos[axis] = 1 if missing > 1e-6 else 0
+        c.saturation_neg[axis] = 1 if missing < -1e-6 else 0
+
+
+@kernel
+def allocate(c, mix, unmix, count, airmode):
+    """Fill c.actuators (0..1) from c.sp_torque and c.sp_thrust, and the saturation flags of the torque axes.
+
+    Args:
+        c: ``CONTROL`` record.
+        mix: (4, MAX_ROTORS) transposed mixer, so that each axis is a contiguous row.
+        unmix: (4, MAX_ROTORS) pseudo-inverse of the mixer: motor commands to torques and thrust.
+        count: number of rotors.
+        airmode: MC_AIRMODE: 0 thrust may only fall for the torques, 1 also rise for roll and pitch, 2 for yaw too.
+    """
+    u = c.actuators
+    for i in range(count):
+        u[i] = mix[0, i] * c.sp_torque[0] + mix[1, i] * c.sp_torque[1] + mix[3, i] * c.sp_thrust
+    if airmode == 2:
+        for i in range(count):
+            u[i] += mix[2, i] * c.sp_torque[2]
+        _desaturate(u, mix[3], count, 0.0, 1.0, False)
+        _desaturate(u, mix[2], count, 0.0, 1.0, False)
+    elif airmode == 1:
+        _desaturate(u, mix[3], count, 0.0, 1.0, False)
+        _mix_yaw(u, c, mix, count)
+    else:
+        _desaturate(u, mix[3], count, 0.0, 1.0, True)
+        _desaturate(u, mix[0], count, 0.0, 1.0, False)
+        _desaturate(u, mix[1], count, 0.0, 1.0, False)
+        _mix_yaw(u, c, mix, count)
+    for i in range(count):
+        u[i] = min(max(u[i], 0.0), 1.0)
+    _note_unallocated(c, unmix, count)

@@ -1,0 +1,66 @@
+"""The thrust that holds the vehicle, estimated in flight (PX4 mc_hover_thrust_estimator).
+
+A Kalman filter of one constant state h: acceleration upwards = g (thrust / h - 1), linearised about h; the noise of
+the acceleration is learnt from what remains.
+"""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import constrain
+
+GRAVITY = 9.80665
+_RESIDUAL_TAU = 1.0  # s
+_NOISE_TAU = 2.0  # s, in which the noise is learnt
+_FIRST_NOISE = 5.0  # m^2/s^4
+_STUCK = 0.2  # low-passed test ratio from which the estimate is taken for wrong
+_SMALL_VARIANCE = 0.001  # below which the estimate is used
+_VALID_TIME = 2.0  # s for which the variance must have been that small
+
+
+@kernel
+def reset_hover_thrust(c, p):
+    """Forget the estimate: MPC_THR_HOVER, as uncertain as HTE_HT_ERR_INIT says."""
+    c.hover_estimate = p.mpc_thr_hover
+    c.hover_variance = p.hte_ht_err_init * p.hte_ht_err_init
+    c.hover_noise = _FIRST_NOISE
+    c.hover_residual = 0.0
+    c.hover_test_ratio = 0.0
+    c.hover_valid_time = 0.0
+    c.hover_valid = 0
+
+
+@kernel
+def estimate_hover_thrust(c, e, p, thrust, dt):
+    """Advance the filter of a vehicle in the air by ``dt`` s; ``thrust`` (0..1) is the vertical part of the command."""
+    h = c.hover_estimate
+    acceleration = -e.acceleration[2]
+    fast_z = max(abs(e.velocity[2]) - p.hte_vz_thr + 1.0, 1.0)
+    fast_xy = max(math.hypot(e.velocity[0], e.velocity[1]) - p.hte_vxy_thr + 1.0, 1.0)
+    noise = c.hover_noise * max(fast_z * fast_z, fast_xy * fast_xy)
+    variance = c.hover_variance + p.hte_ht_noise * p.hte_ht_noise * dt * dt
+    slope = -GRAVITY * thrust / (h * h)
+    spread = max(slope * slope * variance + noise, noise)
+    innovation = acceleration - (GRAVITY * thrust / h - GRAVITY)
+    ratio = innovation * innovation / (p.hte_acc_gate * p.hte_acc_gate * spread)
+    residual = innovation
+    if ratio < 1.0:
+        gain = variance * slope / spread
+        low, high = p.mpc_thr_hover - p.hte_thr_range, p.mpc_thr_hover + p.hte_thr_range
+        h = constrain(h + gain * innovation, max(low, 0.1), min(high, 0.9))
+        variance = constrain((1.0 - gain * slope) * variance, 1e-10, 1.0)
+        residual = acceleration - (GRAVITY * thrust / h - GRAVITY)
+    elif abs(c.hover_test_ratio) > _STUCK:
+        variance += 1e3 * p.hte_ht_noise * p.hte_ht_noise * dt
+    c.hover_estimate, c.hover_variance = h, variance
+    share = dt / (_RESIDUAL_TAU + dt)
+    c.hover_residual += share * (residual - c.hover_residual)
+    c.hover_test_ratio += share * (constrain(math.copysign(ratio, innovation), -1.0, 1.0) - c.hover_test_ratio)
+    share = dt / (_NOISE_TAU + dt)
+    scatter = (residual - c.hover_residual) ** 2 + slope * slope * variance
+    c.hover_noise = constrain((1.0 - share) * c.hover_noise + share * scatter, 1.0, 400.0)
+    small = variance < _SMALL_VARIANCE and (c.hover_valid or ratio < 1.0)
+    c.hover_valid_time = c.hover_valid_time + dt if small else 0.0
+    c.hover_valid = 1 if c.hover_valid_time >= _VALID_TIME else 0

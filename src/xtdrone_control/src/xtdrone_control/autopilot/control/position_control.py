@@ -1,0 +1,189 @@
+"""Position and velocity control of one vehicle: set-points in the local frame to a thrust vector and an attitude.
+
+The cascade of PX4 v1.14's mc_pos_control/PositionControl: P on position, PID on velocity to a wanted acceleration,
+acceleration to a thrust vector under tilt and thrust limits, thrust vector and yaw to an attitude.
+"""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import constrain, from_axes, yaw_of
+
+GRAVITY = 9.80665
+
+
+@kernel
+def _limit_horizontal(first_x, first_y, second_x, second_y, limit):
+    """Return first + second with norm <= limit, the first vector having priority (PX4 ControlMath::constrainXY)."""
+    sx, sy = first_x + second_x, first_y + second_y
+    if sx * sx + sy * sy <= limit * limit:
+        return sx, sy
+    n1 = math.hypot(first_x, first_y)
+    if n1 >= limit:
+        return first_x / n1 * limit, first_y / n1 * limit
+    n2 = math.hypot(second_x, second_y)
+    if n2 < 1e-9:
+        return first_x, first_y
+    ux, uy = second_x / n2, second_y / n2
+    along = ux * first_x + uy * first_y
+    share = -along + math.sqrt(along * along - n1 * n1 + limit * limit)
+    return first_x + ux * share, first_y + uy * share
+
+
+@kernel
+def start_loops(c):
+    """Take over the task's set-point; the loops turn it into what is told as set-point and into thrust."""
+    for i in range(3):
+        c.sp_position[i] = c.task_position[i]
+        c.sp_velocity[i] = c.task_velocity[i]
+        c.sp_acceleration[i] = c.task_acceleration[i]
+    c.sp_yaw = c.task_yaw
+    c.sp_yaw_rate = c.task_yaw_rate
+
+
+@kernel
+def position_loop(c, e, p, speed_up, speed_down):
+    """Fill c.sp_velocity from c.sp_position (P) and the velocity feed-forward that stands in c.sp_velocity.
+
+    NaN in either means "not controlled"; a velocity stays NaN only when both are. Horizontally the part from the
+    position error has priority over the feed-forward.
+    """
+    fx = (c.sp_position[0] - e.position[0]) * p.mpc_xy_p
+    fy = (c.sp_position[1] - e.position[1]) * p.mpc_xy_p
+    fz = (c.sp_position[2] - e.position[2]) * p.mpc_z_p
+    vx, vy, vz = c.sp_velocity[0], c.sp_velocity[1], c.sp_velocity[2]
+    x_controlled = not (math.isnan(fx) and math.isnan(vx))
+    y_controlled = not (math.isnan(fy) and math.isnan(vy))
+    fx, fy = 0.0 if math.isnan(fx) else fx, 0.0 if math.isnan(fy) else fy
+    vx, vy = 0.0 if math.isnan(vx) else vx, 0.0 if math.isnan(vy) else vy
+    vx, vy = _limit_horizontal(fx, fy, vx, vy, p.mpc_xy_vel_max)
+    if x_controlled:
+        c.sp_velocity[0] = vx
+    if y_controlled:
+        c.sp_velocity[1] = vy
+    if not math.isnan(fz):
+        vz = fz if math.isnan(vz) else fz + vz
+    if not math.isnan(vz):
+        # at the start of a take-off the upper limit lies below the lower one, and holds
+        c.sp_velocity[2] = -speed_up if vz < -speed_up else min(vz, max(speed_down, -speed_up))
+
+
+@kernel
+def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
+    """Fill c.sp_acceleration and c.sp_thrust_vector from c.sp_velocity (PID) and the acceleration feed-forward.
+
+    Args:
+        c, e, p: records.
+        dt: s since the last call.
+        tilt_max: rad.
+        thrust_min: least collective thrust, 0..1.
+    """
+    integral = c.velocity_integral
+    thrust_min, thrust_max = max(thrust_min, 1e-3), p.mpc_thr_max  # a vector of some length tells the attitude
+    error_x = c.sp_velocity[0] - e.velocity[0]
+    error_y = c.sp_velocity[1] - e.velocity[1]
+    error_z = c.sp_velocity[2] - e.velocity[2]
+    accel_x = error_x * p.mpc_xy_vel_p_acc + integral[0] - e.velocity_dot[0] * p.mpc_xy_vel_d_acc
+    accel_y = error_y * p.mpc_xy_vel_p_acc + integral[1] - e.velocity_dot[1] * p.mpc_xy_vel_d_acc
+    accel_z = error_z * p.mpc_z_vel_p_acc + integral[2] - e.velocity_dot[2] * p.mpc_z_vel_d_acc
+    c.sp_acceleration[0] = _add_ignoring_nan(c.sp_acceleration[0], accel_x)
+    c.sp_acceleration[1] = _add_ignoring_nan(c.sp_acceleration[1], accel_y)
+    c.sp_acceleration[2] = _add_ignoring_nan(c.sp_acceleration[2], accel_z)
+    error_x = 0.0 if math.isnan(error_x) else error_x
+    error_y = 0.0 if math.isnan(error_y) else error_y
+    error_z = 0.0 if math.isnan(error_z) else error_z
+
+    _acceleration_to_thrust(c, tilt_max, thrust_min)
+    thrust = c.sp_thrust_vector
+
+    # vertical anti-windup: no further up while at full thrust, no further down while at least thrust
+    if (thrust[2] >= -thrust_min and error_z >= 0.0) or (thrust[2] <= -thrust_max and error_z <= 0.0):
+        error_z = 0.0
+
+    # vertical thrust first, but a margin is kept for the horizontal axes
+    horizontal = math.hypot(thrust[0], thrust[1])
+    allocated = min(horizontal, p.mpc_thr_xy_marg)
+    vertical_limit = math.sqrt(max(thrust_max * thrust_max - allocated * allocated, 0.0))
+    thrust[2] = max(thrust[2], -vertical_limit)
+    horizontal_limit = math.sqrt(max(thrust_max * thrust_max - thrust[2] * thrust[2], 0.0))
+    if horizontal > horizontal_limit:
+        thrust[0] *= horizontal_limit / horizontal
+        thrust[1] *= horizontal_limit / horizontal
+
+    # horizontal anti-windup by what was not produced (tracking anti-windup)
+    produced_x = thrust[0] * GRAVITY / c.hover_thrust
+    produced_y = thrust[1] * GRAVITY / c.hover_thrust
+    wanted = math.hypot(c.sp_acceleration[0], c.sp_acceleration[1])
+    produced = math.hypot(produced_x, produced_y)
+    if wanted > produced:
+        gain = 2.0 / p.mpc_xy_vel_p_acc
+        error_x -= gain * (c.sp_acceleration[0] - produced_x)
+        error_y -= gain * (c.sp_acceleration[1] - produced_y)
+
+    integral[0] += error_x * p.mpc_xy_vel_i_acc * dt
+    integral[1] += error_y * p.mpc_xy_vel_i_acc * dt
+    integral[2] = constrain(integral[2] + error_z * p.mpc_z_vel_i_acc * dt, -GRAVITY, GRAVITY)
+
+
+@kernel
+def _add_ignoring_nan(value, addition):
+    if math.isnan(addition):
+        return 0.0 if math.isnan(value) else value
+    return addition if math.isnan(value) else value + addition
+
+
+@kernel
+def _acceleration_to_thrust(c, tilt_max, thrust_min):
+    """Turn c.sp_acceleration into the normalised thrust vector (local) by the hover thrust, under a tilt limit."""
+    ax, ay, az = c.sp_acceleration[0], c.sp_acceleration[1], c.sp_acceleration[2]
+    # thrust points up along -z of the body; gravity is what a level hover produces
+    bx, by, bz = -ax, -ay, GRAVITY
+    norm = math.sqrt(bx * bx + by * by + bz * bz)
+    bx, by, bz = bx / norm, by / norm, bz / norm
+    tilt = math.acos(constrain(bz, -1.0, 1.0))
+    if tilt > tilt_max:
+        horizontal = math.hypot(bx, by)
+        bx *= math.sin(tilt_max) / horizontal
+        by *= math.sin(tilt_max) / horizontal
+        bz = math.cos(tilt_max)
+    vertical = az * (c.hover_thrust / GRAVITY) - c.hover_thrust
+    collective = min(vertical / bz, -thrust_min)
+    c.sp_thrust_vector[0] = bx * collective
+    c.sp_thrust_vector[1] = by * collective
+    c.sp_thrust_vector[2] = bz * collective
+
+
+@kernel
+def thrust_to_attitude(c, e):
+    """Fill c.sp_q and c.sp_thrust from the thrust vector and c.sp_yaw (PX4 ControlMath::thrustToAttitude)."""
+    tx, ty, tz = c.sp_thrust_vector[0], c.sp_thrust_vector[1], c.sp_thrust_vector[2]
+    norm = math.sqrt(tx * tx + ty * ty + tz * tz)
+    c.sp_thrust = norm
+    z = (0.0, 0.0, 1.0) if norm < 1e-6 else (-tx / norm, -ty / norm, -tz / norm)
+    yaw = yaw_of(e.q) if math.isnan(c.sp_yaw) else c.sp_yaw
+    # x axis of the body: in the vertical plane of the heading, at right angles to z
+    yx, yy = -math.sin(yaw), math.cos(yaw)
+    xx, xy, xz = yy * z[2], -yx * z[2], yx * z[1] - yy * z[0]
+    if z[2] < 0.0:  # upside down: keep the nose on the heading
+        xx, xy, xz = -xx, -xy, -xz
+    n = math.sqrt(xx * xx + xy * xy + xz * xz)
+    x = (xx / n, xy / n, xz / n)
+    y = (z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0])
+    q = from_axes(x, y, z)
+    for i in range(4):
+        c.sp_q[i] = q[i]
+
+
+@kernel
+def use_hover_thrust(c, estimate):
+    """Make accelerations thrust by ``estimate`` (0..1) from now on, without a step in the thrust.
+
+    PX4 PositionControl::updateHoverThrust: the velocity integral takes up the difference.
+    """
+    before = c.hover_thrust
+    if estimate == before or math.isnan(c.sp_acceleration[2]):
+        return
+    c.hover_thrust = estimate
+    c.velocity_integral[2] += (c.sp_acceleration[2] - GRAVITY) * before / estimate + GRAVITY - c.sp_acceleration[2]

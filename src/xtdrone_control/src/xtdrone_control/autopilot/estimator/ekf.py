@@ -1,0 +1,241 @@
+"""Error-state extended Kalman filter over the IMU and whatever else measures the vehicle's state; one vehicle a call.
+
+The nominal state is attitude, velocity, position and the biases of gyroscope, accelerometer and magnetometer; the error
+state is the 18-vector ``(dtheta, dv, dp, dbg, dba, dbm)`` with dtheta a rotation vector in the body frame, so that
+q_true = q * exp(dtheta) (J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, chapters 5 and 6).
+The nominal state is propagated with every IMU sample, the covariance every ``COVARIANCE_PERIOD`` with the increments
+summed in between, as PX4's EKF2 does at its own rate; measurements are fused as scalars in sequence, each with an
+innovation gate: the updates are in ``estimator_fusion``, which sensor is used when is in ``estimator_sources``.
+
+Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused when they come, so the
+EKF2_*_DELAY have no counterpart; there is one filter, not one an IMU; no wind, drag, side-slip or air-speed; the
+magnetometer's heading is fused, its bias estimated with it, never its three axes; GPS drift on the ground is not
+checked (EKF2_GPS_CHECK bits 32 to 256).
+"""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.autopilot.estimator.aiding import fuse_sources, note_imu, update_status
+from xtdrone_control.autopilot.estimator.fusion import BA, BG, BM, POS, THETA, VEL, YAW_UNKNOWN_STD, set_yaw_variance
+from xtdrone_control.autopilot.state import N_STATES
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import assign_unit, constrain, exponential, from_euler, multiply, rotate
+
+GRAVITY = 9.80665  # m/s^2
+COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whole IMU samples
+ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
+_LONGEST_ALIGNMENT = 500  # IMU samples after which it goes on without a magnetometer
+_MIN_MAG_SAMPLES = 5
+
+
+@kernel
+def align(e, s, p):
+    """Average IMU and magnetometer at rest; set attitude and covariance once there are enough samples."""
+    for i in range(3):
+        e.accel_mean[i] += s.accel[i]
+    e.samples += 1
+    if s.mag_fresh:
+        for i in range(3):
+            e.mag_mean[i] += s.mag[i]
+        e.mag_samples += 1
+    wants_mag = int(p.ekf2_mag_type) != 5
+    no_mag = not wants_mag or e.samples >= _LONGEST_ALIGNMENT
+    if e.samples < ALIGNMENT_SAMPLES or (e.mag_samples < _MIN_MAG_SAMPLES and not no_mag):
+        return
+    ax, ay, az = e.accel_mean[0], e.accel_mean[1], e.accel_mean[2]
+    roll = math.atan2(-ay, -az)
+    pitch = math.atan2(ax, math.sqrt(ay * ay + az * az))
+    yaw = 0.0
+    if wants_mag and e.mag_samples >= _MIN_MAG_SAMPLES:
+        level = from_euler(roll, pitch, 0.0)
+        mx, my, mz = rotate(level, e.mag_mean[0], e.mag_mean[1], e.mag_mean[2])
+        e.field_samples = e.mag_samples
+        e.field[0] = math.sqrt(mx * mx + my * my) / e.mag_samples
+        e.field[1] = mz / e.mag_samples
+        yaw = math.radians(p.ekf2_mag_decl) - math.atan2(my, mx)
+        e.heading_aligned = 1
+        e.time_heading_fuse_us = s.time_us
+    q = from_euler(roll, pitch, yaw)
+    for i in range(4):
+        e.q[i] = q[i]
+    _first_covariance(e, p)
+    e.initialised = e.attitude_valid = 1
+    e.time_aligned_us = s.time_us
+
+
+@kernel
+def _first_covariance(e, p):
+    """Set the covariance after the alignment.
+
+    An accelerometer bias b tilts the aligned attitude by (d x b) / g^2, d the specific force at rest in the body frame:
+    both are one error seen twice, and must be correlated from the start.
+    """
+    for i in range(N_STATES):
+        for j in range(N_STATES):
+            e.P[i, j] = 0.0
+    for i in range(3):
+        e.P[VEL + i, VEL + i] = p.ekf2_gps_v_noise**2
+        e.P[POS + i, POS + i] = p.ekf2_gps_p_noise**2
+        e.P[BG + i, BG + i] = p.ekf2_gbias_init**2
+        e.P[BA + i, BA + i] = p.ekf2_abias_init**2
+        e.P[BM + i, BM + i] = p.ekf2_mag_noise**2
+        e.P[THETA + i, THETA + i] = p.ekf2_angerr_init**2
+    set_yaw_variance(e, YAW_UNKNOWN_STD**2)
+    dx, dy, dz = rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), 0.0, 0.0, -1.0)
+    g = ((0.0, -dz, dy), (dz, 0.0, -dx), (-dy, dx, 0.0))  # [d]x, d of length 1
+    variance = p.ekf2_abias_init**2
+    for i in range(3):
+        for j in range(3):
+            e.P[THETA + i, BA + j] = e.P[BA + j, THETA + i] = g[i][j] / GRAVITY * variance
+            along = g[i][0] * g[j][0] + g[i][1] * g[j][1] + g[i][2] * g[j][2]
+            e.P[THETA + i, THETA + j] += along * variance / GRAVITY**2
+
+
+@kernel
+def propagate(e, s, p, dt):
+    """Advance the nominal state by one IMU sample and the filtered rates that the controllers use."""
+    gx = s.gyro[0] - e.gyro_bias[0]
+    gy = s.gyro[1] - e.gyro_bias[1]
+    gz = s.gyro[2] - e.gyro_bias[2]
+    ax = s.accel[0] - e.accel_bias[0]
+    ay = s.accel[1] - e.accel_bias[1]
+    az = s.accel[2] - e.accel_bias[2]
+    # specific force turned at the middle of the step, so that a constant rate brings no bias
+    half = exponential(0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
+    middle = multiply(e.q, half)
+    fx, fy, fz = rotate(middle, ax, ay, az)
+    assign_unit(e.q, multiply(middle, half))
+    fz += GRAVITY
+    e.acceleration[0], e.acceleration[1], e.acceleration[2] = fx, fy, fz
+    for i in range(3):
+        before = e.velocity[i]
+        e.velocity[i] = before + e.acceleration[i] * dt
+        e.position[i] += 0.5 * (before + e.velocity[i]) * dt
+    e.delta_angle[0] += gx * dt
+    e.delta_angle[1] += gy * dt
+    e.delta_angle[2] += gz * dt
+    e.delta_velocity[0] += ax * dt
+    e.delta_velocity[1] += ay * dt
+    e.delta_velocity[2] += az * dt
+    e.since_predict += dt
+    _filter_for_control(e, gx, gy, gz, p, dt)
+
+
+@kernel
+def _low_pass(cutoff_hz, dt):
+    """Return the gain of a discrete first-order low-pass (PX4's AlphaFilter); 0 Hz switches it off."""
+    step = 2.0 * math.pi * cutoff_hz * dt
+    return step / (1.0 + step) if cutoff_hz > 0.0 else 1.0
+
+
+@kernel
+def _filter_for_control(e, gx, gy, gz, p, dt):
+    rate_gain = _low_pass(p.imu_gyro_cutoff, dt)
+    accel_gain = _low_pass(p.imu_dgyro_cutoff, dt)
+    velocity_gain = _low_pass(p.mpc_veld_lp, dt)
+    raw = (gx, gy, gz)
+    for i in range(3):
+        before = e.rates[i]
+        e.rates[i] += rate_gain * (raw[i] - before)
+        e.angular_acceleration[i] += accel_gain * ((e.rates[i] - before) / dt - e.angular_acceleration[i])
+        e.velocity_dot[i] += velocity_gain * (e.acceleration[i] - e.velocity_dot[i])
+
+
+@kernel
+def predict_covariance(e, p):
+    """P <- Phi P Phi' + Q over the increments summed since the last call.
+
+    Phi has identity blocks but for d(theta)/d(theta) = I - [da]x, d(theta)/d(bg) = -I dt, d(v)/d(theta) = -R [dv]x,
+    d(v)/d(ba) = -R dt, d(p)/d(v) = I dt; the products below visit only those blocks.
+    """
+    dt = e.since_predict
+    P = e.P
+    dax, day, daz = e.delta_angle[0], e.delta_angle[1], e.delta_angle[2]
+    dvx, dvy, dvz = e.delta_velocity[0], e.delta_velocity[1], e.delta_velocity[2]
+    # columns of R, and of M = -R [dv]x = R [-dv]x
+    r00, r10, r20 = rotate(e.q, 1.0, 0.0, 0.0)
+    r01, r11, r21 = rotate(e.q, 0.0, 1.0, 0.0)
+    r02, r12, r22 = rotate(e.q, 0.0, 0.0, 1.0)
+    m00, m10, m20 = rotate(e.q, 0.0, -dvz, dvy)
+    m01, m11, m21 = rotate(e.q, dvz, 0.0, -dvx)
+    m02, m12, m22 = rotate(e.q, -dvy, dvx, 0.0)
+
+    # rows: P <- Phi P, position first because it uses the old velocity, velocity before attitude likewise
+    for j in range(N_STATES):
+        t0, t1, t2 = P[0, j], P[1, j], P[2, j]
+        P[6, j] += dt * P[3, j]
+        P[7, j] += dt * P[4, j]
+        P[8, j] += dt * P[5, j]
+        b0, b1, b2 = P[12, j], P[13, j], P[14, j]
+        P[3, j] += m00 * t0 + m01 * t1 + m02 * t2 - dt * (r00 * b0 + r01 * b1 + r02 * b2)
+        P[4, j] += m10 * t0 + m11 * t1 + m12 * t2 - dt * (r10 * b0 + r11 * b1 + r12 * b2)
+        P[5, j] += m20 * t0 + m21 * t1 + m22 * t2 - dt * (r20 * b0 + r21 * b1 + r22 * b2)
+        P[0, j] = t0 + daz * t1 - day * t2 - dt * P[9, j]
+        P[1, j] = t1 - daz * t0 + dax * t2 - dt * P[10, j]
+        P[2, j] = t2 + day * t0 - dax * t1 - dt * P[11, j]
+    # columns: P <- P Phi'. Phi leaves the biases as they are, so their rows are the columns that the rows have left
+    for i in range(BG):
+        t0, t1, t2 = P[i, 0], P[i, 1], P[i, 2]
+        P[i, 6] += dt * P[i, 3]
+        P[i, 7] += dt * P[i, 4]
+        P[i, 8] += dt * P[i, 5]
+        b0, b1, b2 = P[i, 12], P[i, 13], P[i, 14]
+        P[i, 3] += m00 * t0 + m01 * t1 + m02 * t2 - dt * (r00 * b0 + r01 * b1 + r02 * b2)
+        P[i, 4] += m10 * t0 + m11 * t1 + m12 * t2 - dt * (r10 * b0 + r11 * b1 + r12 * b2)
+        P[i, 5] += m20 * t0 + m21 * t1 + m22 * t2 - dt * (r20 * b0 + r21 * b1 + r22 * b2)
+        P[i, 0] = t0 + daz * t1 - day * t2 - dt * P[i, 9]
+        P[i, 1] = t1 - daz * t0 + dax * t2 - dt * P[i, 10]
+        P[i, 2] = t2 + day * t0 - dax * t1 - dt * P[i, 11]
+    for i in range(BG, N_STATES):
+        for j in range(BG):
+            P[i, j] = P[j, i]
+
+    angle_variance = (p.ekf2_gyr_noise * dt) ** 2
+    velocity_variance = (p.ekf2_acc_noise * dt) ** 2
+    gyro_bias_variance = (p.ekf2_gyr_b_noise * dt) ** 2
+    accel_bias_variance = (p.ekf2_acc_b_noise * dt) ** 2
+    mag_bias_variance = (p.ekf2_mag_b_noise * dt) ** 2
+    for i in range(3):
+        P[THETA + i, THETA + i] += angle_variance
+        P[VEL + i, VEL + i] += velocity_variance
+        P[BG + i, BG + i] += gyro_bias_variance
+        P[BA + i, BA + i] += accel_bias_variance
+        P[BM + i, BM + i] += mag_bias_variance
+    for i in range(3):
+        e.delta_angle[i] = 0.0
+        e.delta_velocity[i] = 0.0
+    e.since_predict = 0.0
+
+
+@kernel
+def _limit_biases(e, p):
+    for i in range(3):
+        e.accel_bias[i] = constrain(e.accel_bias[i], -p.ekf2_abl_lim, p.ekf2_abl_lim)
+        e.gyro_bias[i] = constrain(e.gyro_bias[i], -p.ekf2_gyr_b_lim, p.ekf2_gyr_b_lim)
+
+
+@kernel
+def update(e, s, p, dt, work):
+    """Run the filter of one vehicle for one IMU sample.
+
+    Args:
+        e: ``ESTIMATOR`` record.
+        s: ``SENSORS`` record with this step's samples; the flags of flow, range and vision are cleared.
+        p: ``PARAMS`` record.
+        dt: s since the last sample.
+        work: (2, N_STATES) scratch.
+    """
+    if note_imu(e, s):
+        if e.initialised:
+            propagate(e, s, p, dt)
+            if e.since_predict >= COVARIANCE_PERIOD - 1e-9:
+                predict_covariance(e, p)
+        else:
+            align(e, s, p)
+    if e.initialised:
+        fuse_sources(e, s, p, work)
+        _limit_biases(e, p)
+        update_status(e, s, p, work)
+    s.flow_fresh = s.range_fresh = s.vision_fresh = 0

@@ -1,0 +1,302 @@
+"""Measurement updates and resets of the estimator's state, one scalar at a time.
+
+Every measurement is a scalar with an innovation (measured less predicted), a row H of its derivative by the error
+state, a variance and a gate in standard deviations. The test ratio is innovation^2 / (gate^2 (H P H' + R)); a
+measurement is fused when it is at most 1. The error state and its meaning are those of ``estimator``: the attitude
+error is a rotation vector in the body frame, q_true = q * exp(dtheta).
+"""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.autopilot.state import N_STATES
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import integrate, multiply, rotate, wrap_pi
+
+THETA, VEL, POS, BG, BA, BM = 0, 3, 6, 9, 12, 15
+YAW_UNKNOWN_STD = 1.0  # rad, before the magnetometer has been fused
+_FIELD_SAMPLES = 1000  # over which the magnetic field is smoothed
+_LEVEL_LIMIT = 1e-4  # squared sine of the angle to the vertical under which there is no heading
+
+
+@kernel
+def correct(e, gain, row, innovation, variance):
+    """Kalman update by a scalar: ``row`` = H P (N_STATES,), ``variance`` = H P H' + R; ``gain`` is scratch."""
+    P = e.P
+    inverse = 1.0 / variance
+    for i in range(N_STATES):
+        gain[i] = row[i] * inverse
+    for i in range(N_STATES):
+        for j in range(i + 1):
+            P[i, j] -= gain[i] * row[j]
+    for i in range(N_STATES):
+        for j in range(i):
+            P[j, i] = P[i, j]
+    for i in range(N_STATES):
+        gain[i] *= innovation
+    integrate(e.q, gain[0], gain[1], gain[2])
+    for i in range(3):
+        e.velocity[i] += gain[VEL + i]
+        e.position[i] += gain[POS + i]
+        e.gyro_bias[i] += gain[BG + i]
+        e.accel_bias[i] += gain[BA + i]
+        e.mag_bias[i] += gain[BM + i]
+
+
+@kernel
+def fuse_state(e, index, innovation, noise_variance, gate, work):
+    """Fuse a direct measurement of error state ``index``; return its innovation test ratio (fused when <= 1)."""
+    variance = e.P[index, index] + noise_variance
+    ratio = innovation * innovation / (gate * gate * variance)
+    if ratio > 1.0:
+        return ratio
+    for i in range(N_STATES):
+        work[1, i] = e.P[index, i]
+    correct(e, work[0], work[1], innovation, variance)
+    return ratio
+
+
+@kernel
+def _fuse_two_blocks(e, first, a, second, b, innovation, noise_variance, gate, work):
+    """Fuse a scalar with H = ``a`` (3-tuple) from error state ``first`` on, ``b`` from ``second``; return its ratio."""
+    row = work[1]
+    for i in range(N_STATES):
+        row[i] = (
+            a[0] * e.P[first, i]
+            + a[1] * e.P[first + 1, i]
+            + a[2] * e.P[first + 2, i]
+            + b[0] * e.P[second, i]
+            + b[1] * e.P[second + 1, i]
+            + b[2] * e.P[second + 2, i]
+        )
+    variance = noise_variance
+    for i in range(3):
+        variance += a[i] * row[first + i] + b[i] * row[second + i]
+    ratio = innovation * innovation / (gate * gate * variance)
+    if ratio <= 1.0:
+        correct(e, work[0], row, innovation, variance)
+    return ratio
+
+
+@kernel
+def magnetic_heading(e, s, declination):
+    """Return how far the magnetic field is from ``declination`` (rad), and that angle's derivatives.
+
+    The field less its bias, turned by the present attitude, points to the declination when all is right. The
+    derivatives are those for the field that was to be expected, smoothed (``follow_field``) and at the declination, not
+    for the sample: at a constant heading yaw and bias are not told apart, and must not seem so. Derivatives with the
+    sample's noise in their direction drive both along together for ever, as the innovation has the same noise and the
+    product of both a mean; with it in their length each sample seems to see another share of the bias.
+
+    Returns:
+        innovation (rad); derivative by the attitude error (3-tuple); by the bias (3-tuple); 0 when the field is
+        vertical and has no heading, else 1.
+    """
+    bx, by, bz = s.mag[0] - e.mag_bias[0], s.mag[1] - e.mag_bias[1], s.mag[2] - e.mag_bias[2]
+    mx, my, mz = rotate(e.q, bx, by, bz)
+    level = mx * mx + my * my
+    if level < _LEVEL_LIMIT * (level + mz * mz):
+        return 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0
+    strength = e.field[0]
+    cos, sin = math.cos(declination), math.sin(declination)
+    w, x, y, z = e.q[0], -e.q[1], -e.q[2], -e.q[3]
+    bx, by, bz = rotate((w, x, y, z), strength * cos, strength * sin, e.field[1])
+    # the angle's derivative by a change of the local field is (-sin, cos, 0) / strength; in the body frame:
+    gx, gy, gz = rotate((w, x, y, z), -sin / strength, cos / strength, 0.0)
+    # an attitude error changes the local field by R (dtheta x b), hence g . (dtheta x b) = (b x g) . dtheta
+    attitude = (by * gz - bz * gy, bz * gx - bx * gz, bx * gy - by * gx)
+    return wrap_pi(declination - math.atan2(my, mx)), attitude, (-gx, -gy, -gz), 1
+
+
+@kernel
+def follow_field(e, s):
+    """Let ``field`` follow the sample, slowly: noise in it would pass for knowledge."""
+    mx, my, mz = rotate(e.q, s.mag[0] - e.mag_bias[0], s.mag[1] - e.mag_bias[1], s.mag[2] - e.mag_bias[2])
+    e.field_samples = min(e.field_samples + 1, _FIELD_SAMPLES)
+    e.field[0] += (math.sqrt(mx * mx + my * my) - e.field[0]) / e.field_samples
+    e.field[1] += (mz - e.field[1]) / e.field_samples
+
+
+@kernel
+def fuse_heading(e, s, p, work):
+    """Fuse the heading that the magnetometer shows, if it shows one."""
+    innovation, attitude, bias, found = magnetic_heading(e, s, math.radians(p.ekf2_mag_decl))
+    if not found:
+        return
+    e.innov_yaw = innovation
+    e.test_ratio_mag = _fuse_two_blocks(
+        e, THETA, attitude, BM, bias, innovation, p.ekf2_head_noise**2, p.ekf2_hdg_gate, work
+    )
+    if e.test_ratio_mag <= 1.0:
+        e.time_heading_fuse_us = s.time_us
+
+
+@kernel
+def yaw_derivative(q):
+    """Return the derivatives (y, z) of the Euler yaw by the attitude error; the one by x is 0. Zeros at a pole."""
+    r00 = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
+    r10 = 2.0 * (q[1] * q[2] + q[0] * q[3])
+    r01 = 2.0 * (q[1] * q[2] - q[0] * q[3])
+    r11 = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
+    r02 = 2.0 * (q[1] * q[3] + q[0] * q[2])
+    r12 = 2.0 * (q[2] * q[3] - q[0] * q[1])
+    level = r00 * r00 + r10 * r10
+    if level < _LEVEL_LIMIT:
+        return 0.0, 0.0
+    return -(r00 * r12 - r10 * r02) / level, (r00 * r11 - r10 * r01) / level
+
+
+@kernel
+def fuse_yaw(e, innovation, noise_variance, gate, work):
+    """Fuse a measured Euler yaw; return its test ratio."""
+    hy, hz = yaw_derivative(e.q)
+    return _fuse_two_blocks(
+        e, THETA, (0.0, hy, hz), VEL, (0.0, 0.0, 0.0), innovation, noise_variance, gate, work
+    )  # fmt: skip
+
+
+@kernel
+def body_velocity(e):
+    """Return the estimated velocity in the body frame, m/s."""
+    return rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), e.velocity[0], e.velocity[1], e.velocity[2])
+
+
+@kernel
+def flow_prediction(e, hagl):
+    """Return what a flow sensor that looks down should see once its own rotation is taken off, and its derivatives.
+
+    Signs as in OPTICAL_FLOW_RAD: x = -v_y / range, y = v_x / range with the body's velocity and the range along its z
+    axis to level ground ``hagl`` (m) below: range = hagl / R33.
+
+    Returns:
+        (x, y) rad/s; derivative of x by attitude and by velocity (3-tuples); of y likewise.
+    """
+    q = e.q
+    vx, vy, vz = body_velocity(e)
+    r20 = 2.0 * (q[1] * q[3] - q[0] * q[2])
+    r21 = 2.0 * (q[2] * q[3] + q[0] * q[1])
+    r22 = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+    near = r22 / hagl  # 1 / range
+    # v_body changes by v_body x dtheta, R33 by R31 dtheta_y - R32 dtheta_x
+    dx, dy = -r21 / hagl, r20 / hagl
+    x_attitude = (-vz * near - vy * dx, -vy * dy, vx * near)
+    y_attitude = (vx * dx, -vz * near + vx * dy, vy * near)
+    # rows of R' are the body axes in the local frame
+    c0 = rotate(q, 1.0, 0.0, 0.0)
+    c1 = rotate(q, 0.0, 1.0, 0.0)
+    x_velocity = (-near * c1[0], -near * c1[1], -near * c1[2])
+    y_velocity = (near * c0[0], near * c0[1], near * c0[2])
+    return (-vy * near, vx * near), x_attitude, x_velocity, y_attitude, y_velocity
+
+
+@kernel
+def fuse_flow(e, x, y, hagl, noise_variance, gate, work):
+    """Fuse a flow (rad/s, rotation taken off, signs as in ``flow_prediction``); return the larger test ratio."""
+    predicted, attitude, velocity, _, _ = flow_prediction(e, hagl)
+    e.innov_flow[0] = x - predicted[0]
+    first = _fuse_two_blocks(e, THETA, attitude, VEL, velocity, e.innov_flow[0], noise_variance, gate, work)
+    predicted, _, _, attitude, velocity = flow_prediction(e, hagl)
+    e.innov_flow[1] = y - predicted[1]
+    second = _fuse_two_blocks(e, THETA, attitude, VEL, velocity, e.innov_flow[1], noise_variance, gate, work)
+    return max(first, second)
+
+
+@kernel
+def _forget(e, index, count, variance):
+    """Set the variance of ``count`` error states from ``index`` on, and their correlations with all others to 0."""
+    for i in range(index, index + count):
+        for j in range(N_STATES):
+            e.P[i, j] = 0.0
+            e.P[j, i] = 0.0
+        e.P[i, i] = variance
+
+
+@kernel
+def reset_position(e, north, east, variance):
+    """Set the horizontal position (m) and its variance (m^2)."""
+    e.delta_xy[0], e.delta_xy[1] = north - e.position[0], east - e.position[1]
+    e.position[0], e.position[1] = north, east
+    e.last_position[0], e.last_position[1] = north, east
+    _forget(e, POS, 2, variance)
+    if e.located:
+        e.reset_counter_xy += 1
+        e.reset_counter += 1
+
+
+@kernel
+def reset_velocity(e, north, east, variance):
+    """Set the horizontal velocity (m/s) and its variance."""
+    e.delta_vxy[0], e.delta_vxy[1] = north - e.velocity[0], east - e.velocity[1]
+    e.velocity[0], e.velocity[1] = north, east
+    _forget(e, VEL, 2, variance)
+    if e.located:
+        e.reset_counter_vxy += 1
+        e.reset_counter += 1
+
+
+@kernel
+def reset_height(e, down, variance):
+    """Set the vertical position (m, down) and its variance. The ground stays where it is below the vehicle."""
+    e.delta_z = down - e.position[2]
+    e.position[2] = down
+    e.terrain += e.delta_z
+    _forget(e, POS + 2, 1, variance)
+    if e.altitude_valid:
+        e.reset_counter_z += 1
+        e.reset_counter += 1
+
+
+@kernel
+def reset_vertical_velocity(e, down, variance):
+    """Set the vertical velocity (m/s, down) and its variance."""
+    e.delta_vz = down - e.velocity[2]
+    e.velocity[2] = down
+    _forget(e, VEL + 2, 1, variance)
+    if e.located:
+        e.reset_counter_vz += 1
+        e.reset_counter += 1
+
+
+@kernel
+def set_yaw_variance(e, variance):
+    """Let the attitude error about the local vertical have ``variance`` (rad^2) and no correlations."""
+    vx, vy, vz = rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), 0.0, 0.0, 1.0)
+    for i in range(N_STATES):
+        along = vx * e.P[0, i] + vy * e.P[1, i] + vz * e.P[2, i]
+        e.P[0, i] -= vx * along
+        e.P[1, i] -= vy * along
+        e.P[2, i] -= vz * along
+    for i in range(N_STATES):
+        along = vx * e.P[i, 0] + vy * e.P[i, 1] + vz * e.P[i, 2]
+        e.P[i, 0] -= vx * along
+        e.P[i, 1] -= vy * along
+        e.P[i, 2] -= vz * along
+    v = (vx, vy, vz)
+    for i in range(3):
+        for j in range(3):
+            e.P[i, j] += v[i] * v[j] * variance
+    for i in range(3):  # rounding of the two projections
+        for j in range(i):
+            value = 0.5 * (e.P[i, j] + e.P[j, i])
+            e.P[i, j] = value
+            e.P[j, i] = value
+
+
+@kernel
+def reset_mag_bias(e, variance):
+    """Forget the magnetometer's bias; ``variance`` (gauss^2) is its uncertainty then."""
+    for i in range(3):
+        e.mag_bias[i] = 0.0
+    _forget(e, BM, 3, variance)
+
+
+@kernel
+def reset_yaw(e, turn, variance):
+    """Turn the attitude by ``turn`` (rad) about the local vertical, and set the heading's variance."""
+    w, x, y, z = multiply((math.cos(0.5 * turn), 0.0, 0.0, math.sin(0.5 * turn)), e.q)
+    e.q[0], e.q[1], e.q[2], e.q[3] = w, x, y, z
+    set_yaw_variance(e, variance)
+    e.delta_heading = turn
+    e.reset_counter_heading += 1
+    e.reset_counter += 1

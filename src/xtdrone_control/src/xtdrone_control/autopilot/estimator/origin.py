@@ -1,0 +1,56 @@
+"""The local frame's origin, set from outside, as PX4 v1.14's Ekf::setEkfGlobalOrigin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from xtdrone_control.autopilot.state import HEIGHT_RANGE, HEIGHT_VISION
+from xtdrone_control.geodesy import geo
+
+_LOWEST, _HIGHEST = -12_000.0, 100_000.0  # m AMSL: a deep-sea trench, the edge of space
+
+
+def is_origin(latitude: float, longitude: float, altitude: float) -> bool:
+    """Return whether a place (degrees, m AMSL) can be an origin."""
+    return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and _LOWEST < altitude < _HIGHEST
+
+
+def move_origin(e: Any, latitude: float, longitude: float, altitude: float) -> None:
+    """Set the origin of an ``ESTIMATOR`` record.
+
+    Where the place of the vehicle is known, it stays, and its local position changes: that counts as a reset. Else the
+    local position stays, and the origin gives it a place.
+
+    Args:
+        e: the record.
+        latitude: degrees.
+        longitude: degrees.
+        altitude: m AMSL.
+
+    Raises:
+        ValueError: not a place.
+    """
+    if not is_origin(latitude, longitude, altitude):
+        raise ValueError(f"origin {latitude}, {longitude}, {altitude} m is no place")
+    if e["origin_set"] and e["position_valid"]:
+        x, y, _ = e["position"].tolist()
+        place = geo.reproject(x, y, float(e["origin_lat"]), float(e["origin_lon"]))
+        north, east = geo.project(*place, latitude, longitude)
+        _shift(e, north - x, east - y, altitude - float(e["origin_alt"]))
+    e["origin_lat"], e["origin_lon"], e["origin_alt"] = latitude, longitude, altitude
+    e["origin_set"] = 1
+    e["global_valid"] = int(e["position_valid"]) & int(e["heading_aligned"])
+
+
+def _shift(e: Any, north: float, east: float, down: float) -> None:
+    e["position"] += (north, east, down)
+    e["last_position"] += (north, east)
+    e["vision_offset"] -= (north, east)
+    for source in (HEIGHT_RANGE, HEIGHT_VISION):  # barometer and GPS measure over sea, so they follow by themselves
+        e["height_offset"][source] += down
+    e["terrain"] += down
+    e["delta_xy"] = (north, east)
+    e["delta_z"] = down
+    for counter in ("reset_counter_xy", "reset_counter_z"):
+        e[counter] += 1
+    e["reset_counter"] += 2

@@ -1,0 +1,185 @@
+"""The goal that the cascade flies to, and where the vehicle is seen from it: what all AUTO modes are made of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from xtdrone_control.autopilot.events.announcements import Announcements
+from xtdrone_control.autopilot.parameters.parameters import Parameters
+from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
+from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
+
+NAN = math.nan
+UNSET: Vector = (NAN, NAN, NAN)
+INFO, CRITICAL = 6, 2  # MAV_SEVERITY
+
+# MPC_YAW_MODE
+_TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
+_BRAKING_DELAY = 0.6  # s
+_LEAST_SPEED = 0.3  # m/s, below which a velocity tells no heading
+_LEAST_BRAKING = 2.0  # m/s^2, the least sensible value of PX4's MPC_ACC_*; parameters may be anything
+
+
+def braking_time(speed: float, deceleration: float) -> float:
+    """Return the seconds that it takes to brake from ``speed`` (m/s) at ``deceleration`` (m/s^2), at least 2."""
+    return speed / max(deceleration, _LEAST_BRAKING)
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where a return goes to.
+
+    Attributes:
+        latitude: degrees.
+        longitude: degrees.
+        altitude: m AMSL.
+        position: m, local NED.
+        yaw: rad.
+        time_us: when it was set.
+    """
+
+    latitude: float
+    longitude: float
+    altitude: float
+    position: Vector
+    yaw: float
+    time_us: int
+
+
+class Course:
+    """The goals of one vehicle's AUTO modes.
+
+    Attributes:
+        view: the vehicle.
+        parameters: its parameters.
+        announcements: what the operator is told.
+        home: None until the first valid position.
+        goal: m, local NED.
+        landing: the vehicle is on its way to the ground.
+        taking_off: it climbs to where a take-off ends.
+    """
+
+    def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
+        """Prepare; nothing is asked of the cascade."""
+        self.view = view
+        self.parameters = parameters
+        self.announcements = announcements
+        self.home: Home | None = None
+        self.goal: Vector = (0.0, 0.0, 0.0)
+        self.landing = False
+        self.taking_off = False
+        self._heading_free = False
+
+    # goals
+
+    def fly_to(
+        self,
+        position: Vector,
+        yaw: float = NAN,
+        *,
+        onward: Vector = UNSET,
+        radius: float = NAN,
+    ) -> None:
+        """Fly to ``position``.
+
+        Args:
+            position: m, local NED.
+            yaw: rad; NaN keeps the heading, see ``free_heading``.
+            onward: where it goes from there without a stop, m, local NED; NaN to stop there.
+            radius: m from ``position`` at which the way onward begins.
+        """
+        self.goal = position
+        self.landing = self.taking_off = False
+        self._heading_free = False
+        setpoint = self.view.setpoint
+        setpoint["goal_position"] = position
+        setpoint["goal_yaw"] = yaw
+        setpoint["onward_position"] = onward
+        setpoint["goal_radius"] = radius
+        self.view.start_task(TASK_GOTO)
+
+    def take_off(self, position: Vector, yaw: float) -> None:
+        """Climb to ``position`` (m, local NED) at MPC_TKO_SPEED, with heading ``yaw`` (rad, NaN keeps it)."""
+        self.view.setpoint["climb_speed"] = self.parameters.get("MPC_TKO_SPEED")
+        self.fly_to(position, yaw)
+        self.taking_off = True
+
+    def land(self, place: Vector) -> None:
+        """Land at ``place`` (m, local NED), whose height is that of home when there is one."""
+        ground = place[2] if self.home is None else self.home.position[2]
+        self.goal = (place[0], place[1], ground)
+        self.landing = True
+        self.taking_off = self._heading_free = False
+        setpoint = self.view.setpoint
+        setpoint["goal_position"] = self.goal
+        setpoint["goal_yaw"] = NAN
+        setpoint["onward_position"] = UNSET
+        self.view.start_task(TASK_LAND)
+
+    def hold(self) -> None:
+        """Stop, and stay there."""
+        self.fly_to(self.stopping_place())
+
+    def shift(self, north: float, east: float) -> None:
+        """Move the present goal to ``north``, ``east`` (m, local), at its height."""
+        self.goal = (north, east, self.goal[2])
+        self.view.setpoint["goal_position"] = self.goal
+
+    def look(self, yaw: float) -> None:
+        """Have heading ``yaw`` (rad) on the way to the present goal."""
+        self.view.setpoint["goal_yaw"] = yaw
+
+    def free_heading(self) -> None:
+        """Let MPC_YAW_MODE say where the vehicle looks on the way to the present goal."""
+        self._heading_free = True
+        self.update_heading()
+
+    def update_heading(self) -> None:
+        """Look where MPC_YAW_MODE says; within the acceptance radius the heading stays."""
+        if not self._heading_free or self.distance_to(self.goal) <= self.parameters.get("NAV_ACC_RAD"):
+            return
+        mode = self.parameters.get("MPC_YAW_MODE")
+        if mode in (_TOWARDS_HOME, _AWAY_FROM_HOME) and self.home is not None:
+            if self.distance_to(self.home.position) > self.parameters.get("NAV_ACC_RAD"):
+                towards = self.bearing_to(self.home.position)
+                self.look(towards if mode == _TOWARDS_HOME else towards + math.pi)
+            return
+        if mode == _ALONG_TRAJECTORY:
+            north, east, _ = self.view.velocity
+            if math.hypot(north, east) > _LEAST_SPEED:
+                self.look(math.atan2(east, north))
+            return
+        self.look(self.bearing_to(self.goal))
+
+    # where the vehicle is
+
+    def stopping_place(self) -> Vector:
+        """Return the place where the vehicle comes to rest when it brakes now, at its height.
+
+        That is v^2 / 2a ahead, and what it flies while its deceleration rises (PX4 computeBrakingDistanceFromVelocity).
+        """
+        x, y, z = self.view.position
+        vx, vy, _ = self.view.velocity
+        # times v
+        ahead = 0.5 * braking_time(math.hypot(vx, vy), self.parameters.get("MPC_ACC_HOR")) + _BRAKING_DELAY
+        return x + vx * ahead, y + vy * ahead, z
+
+    def distance_to(self, position: Vector) -> float:
+        """Return the horizontal distance to ``position``, m."""
+        x, y, _ = self.view.position
+        return math.hypot(position[0] - x, position[1] - y)
+
+    def bearing_to(self, position: Vector) -> float:
+        """Return the bearing of ``position``, rad from north to east."""
+        x, y, _ = self.view.position
+        return math.atan2(position[1] - y, position[0] - x)
+
+    def at_height(self, z: float) -> bool:
+        """Return whether the vehicle is within NAV_MC_ALT_RAD of ``z`` (m, local NED)."""
+        return abs(self.view.position[2] - z) < self.parameters.get("NAV_MC_ALT_RAD")
+
+    @property
+    def ground(self) -> float:
+        """Height of home, m, local NED; the vehicle's own while there is no home."""
+        return self.view.position[2] if self.home is None else self.home.position[2]

@@ -1,0 +1,655 @@
+"""From what the flight mode wants (``SETPOINT``) to the trajectory set-points that the position controller follows.
+
+One function a task, after PX4 v1.14's flight tasks: OFFBOARD trajectories pass as they are, goals are approached on a
+jerk-limited path along the leg between two places, landing follows PX4's speed profile, sticks command accelerations,
+tilts or climb rates. Each fills task_position, task_velocity, task_acceleration (NaN: not controlled), task_yaw,
+task_yaw_rate and want_takeoff of ``CONTROL``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.autopilot.flight_tasks.follow_task import follow_task, start_following
+from xtdrone_control.autopilot.flight_tasks.trajectory import follow, plan, plan_axis, stopping_speed, turning_speed
+from xtdrone_control.autopilot.state import (
+    ORBIT_ALONG_CIRCLE,
+    ORBIT_INITIAL_HEADING,
+    ORBIT_UNCONTROLLED,
+    TAKEOFF_RAMPUP,
+    TASK_ALTITUDE,
+    TASK_DESCEND,
+    TASK_FOLLOW,
+    TASK_GOTO,
+    TASK_LAND,
+    TASK_ORBIT,
+    TASK_STICKS,
+    TASK_TRAJECTORY,
+)
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import constrain, wrap_pi, yaw_of
+
+GRAVITY = 9.80665
+_NAN = math.nan
+_NO_LEG, _BEHIND, _AHEAD, _OFF = 0, 1, 2, 3  # leg_state: on the way, goal is behind, start is ahead, off the leg
+_LEAD = 5.0  # m, least distance ahead on the leg to which a turn is steered (L1 guidance)
+_WAIT_SPEED = 0.7  # m/s downwards, from which the smoothing of the height starts at take-off, as in PX4
+_TAKEOFF_CLIMB = 0.3  # m/s of wanted climb that begins a take-off
+_TAKEOFF_STICK = 0.3  # of the throttle stick, likewise
+_YAW_TAU = 0.2  # s, filter of the yaw rate that belongs to a moving heading
+_BRAKE_TAU = 0.8  # s, in which braking by a centred stick grows
+_YAW_STILL = 0.001  # rad/s, below which the heading is held
+_OVERSPEED = 1.3  # times the speed limits: brake first
+
+
+@kernel
+def _or_default(value, default):
+    return default if math.isnan(value) else value
+
+
+@kernel
+def clear_task(c):
+    """Mark every axis of the trajectory set-point as not controlled."""
+    for i in range(3):
+        c.task_position[i] = _NAN
+        c.task_velocity[i] = _NAN
+        c.task_acceleration[i] = _NAN
+    c.task_yaw = _NAN
+    c.task_yaw_rate = _NAN
+
+
+@kernel
+def _start_smoothing(c, i, position, velocity, acceleration):
+    c.smooth_position[i] = position
+    c.smooth_velocity[i] = velocity
+    c.smooth_acceleration[i] = acceleration
+    c.smooth_direction[i] = 0.0
+    for k in range(3):
+        c.smooth_times[i, k] = 0.0
+
+
+# the leg that is flown
+
+
+@kernel
+def _set_leg(c, s, e):
+    """Take a new goal: its leg begins at the goal before when that led on to it, else where the vehicle is."""
+    onwards = True  # NaN, no onward place, makes it false
+    for i in range(3):
+        onwards = onwards and abs(c.leg_onward[i] - s.goal_position[i]) < 1e-3
+    for i in range(3):
+        c.leg_start[i] = c.leg_goal[i] if onwards else e.position[i]
+        c.leg_goal[i] = s.goal_position[i]
+        c.leg_onward[i] = s.onward_position[i]
+    c.goal_from_ground = 1 if c.takeoff_state < TAKEOFF_RAMPUP else 0
+
+
+@kernel
+def _leg_changed(c, s):
+    for i in range(3):
+        if not abs(c.leg_goal[i] - s.goal_position[i]) < 1e-3:
+            return True
+        # both NaN is no change
+        same = c.leg_onward[i] == s.onward_position[i] or (
+            math.isnan(c.leg_onward[i]) and math.isnan(s.onward_position[i])
+        )
+        if not same:
+            return True
+    return False
+
+
+@kernel
+def _state_on_leg(c, e, radius):
+    """Return where the vehicle is seen from its leg, and the nearest place on it (tuple)."""
+    dx, dy = c.leg_goal[0] - c.leg_start[0], c.leg_goal[1] - c.leg_start[1]
+    length = math.hypot(dx, dy)
+    if length < 1e-6:
+        return _NO_LEG, 0.0, 0.0
+    ux, uy = dx / length, dy / length
+    fx, fy = e.position[0] - c.leg_start[0], e.position[1] - c.leg_start[1]
+    along = fx * ux + fy * uy
+    nx, ny = c.leg_start[0] + ux * along, c.leg_start[1] + uy * along
+    if along > length:
+        return _BEHIND, nx, ny
+    if along < 0.0 and math.hypot(fx, fy) > radius:
+        return _AHEAD, nx, ny
+    if math.hypot(e.position[0] - nx, e.position[1] - ny) > radius:
+        return _OFF, nx, ny
+    return _NO_LEG, nx, ny
+
+
+@kernel
+def _update_way(c, s, e, radius):
+    """Fill way_*: the leg, or the way back to it (PX4 FlightTaskAuto::_updateInternalWaypoints)."""
+    changed = _leg_changed(c, s)
+    if changed:
+        _set_leg(c, s, e)
+    state, nx, ny = _state_on_leg(c, e, radius)
+    if not (changed or state != c.leg_state or state == _OFF):
+        return
+    c.leg_state = state
+    for i in range(3):
+        c.way_start[i] = e.position[i] if state != _NO_LEG else c.leg_start[i]
+        if state in (_NO_LEG, _BEHIND):
+            c.way_goal[i] = c.leg_goal[i]
+            c.way_onward[i] = c.leg_onward[i]
+        else:
+            c.way_onward[i] = c.leg_goal[i]
+            c.way_goal[i] = c.leg_start[i]
+    if state == _OFF:
+        c.way_goal[0], c.way_goal[1], c.way_goal[2] = nx, ny, c.leg_goal[2]
+
+
+@kernel
+def _turning(c, radius):
+    """Return whether the path turns: it moves, but not towards the goal."""
+    vx, vy = c.smooth_velocity[0], c.smooth_velocity[1]
+    gx, gy = c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1]
+    speed, distance = math.hypot(vx, vy), math.hypot(gx, gy)
+    return speed > 0.2 and distance > radius and vx * gx + vy * gy < 0.98 * speed * distance
+
+
+@kernel
+def _lead_point(c, radius):
+    """Return the point on the leg that a turn is steered to: some way ahead of the nearest one (L1 guidance)."""
+    ux, uy, uz = c.way_goal[0] - c.way_start[0], c.way_goal[1] - c.way_start[1], c.way_goal[2] - c.way_start[2]
+    length = math.sqrt(ux * ux + uy * uy + uz * uz)
+    if length > 0.0:
+        ux, uy, uz = ux / length, uy / length, uz / length
+    fx = c.smooth_position[0] - c.way_start[0]
+    fy = c.smooth_position[1] - c.way_start[1]
+    fz = c.smooth_position[2] - c.way_start[2]
+    along = fx * ux + fy * uy + fz * uz
+    across2 = (fx - ux * along) ** 2 + (fy - uy * along) ** 2 + (fz - uz * along) ** 2
+    lead = max(radius, _LEAD)
+    ahead = along + math.sqrt(max(lead * lead - across2, 0.0))
+    return c.way_start[0] + ux * ahead, c.way_start[1] + uy * ahead, c.way_start[2] + uz * ahead
+
+
+@kernel
+def _speed_through(c, p, radius, cruise):
+    """Return the horizontal speed (m/s) at the goal, from where it goes on to way_onward; 0 to stop there.
+
+    A circle of the acceptance radius joins the two legs, flown with a share of MPC_ACC_HOR (PX4
+    trajectory::computeStartXYSpeedFromWaypoints). Where the height changes the vehicle stops.
+    """
+    ox, oy = c.way_onward[0] - c.way_goal[0], c.way_onward[1] - c.way_goal[1]
+    gx, gy = c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1]
+    onward, distance = math.hypot(ox, oy), math.hypot(gx, gy)
+    # written so that NaN, no onward place, stops
+    if not (onward >= radius and onward > 1e-3 and distance > 1e-6):
+        return 0.0
+    if abs(c.way_goal[2] - c.smooth_position[2]) >= p.nav_mc_alt_rad:
+        return 0.0
+    if abs(c.way_onward[2] - c.way_goal[2]) >= p.nav_mc_alt_rad:
+        return 0.0
+    # legs meet at this angle, pi straight on
+    angle = math.acos(constrain(-(ox * gx + oy * gy) / (onward * distance), -1.0, 1.0))
+    leaving = min(cruise, stopping_speed(onward, p.mpc_acc_hor, p.mpc_jerk_auto, 0.0))
+    return min(turning_speed(angle, p.mpc_xy_traj_p * p.mpc_acc_hor, radius), leaving, cruise)
+
+
+@kernel
+def _horizontal_speed(c, p, radius, cruise):
+    distance = math.hypot(c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1])
+    final = _speed_through(c, p, radius, cruise)
+    speed = min(stopping_speed(distance, p.mpc_acc_hor, p.mpc_jerk_auto, final), cruise)
+    if _turning(c, radius):
+        return min(c.turn_speed, speed)
+    c.turn_speed = speed
+    return speed
+
+
+@kernel
+def _clamp(vx, vy, vz, speed_xy, speed_z):
+    """Return the velocity, shortened so that neither part exceeds its speed; small parts are shortened alone."""
+    norm = math.hypot(vx, vy)
+    if norm > speed_xy and norm > 1e-7:
+        scale = speed_xy / norm
+        vx, vy = vx * scale, vy * scale
+        if not (speed_xy < 0.5 and norm < 0.5):
+            vz *= scale
+    norm = abs(vz)
+    if norm > speed_z and norm > 1e-7:
+        scale = speed_z / norm
+        vz *= scale
+        if not (speed_z < 0.5 and norm < 0.5):
+            vx, vy = vx * scale, vy * scale
+    return vx, vy, vz
+
+
+@kernel
+def _wanted_velocity(c, p, radius, cruise, height_speed):
+    """Return the velocity (tuple, m/s, local) that leads from the smoothed place to the goal."""
+    speed = _horizontal_speed(c, p, radius, cruise)
+    if _turning(c, radius):
+        px, py, pz = _lead_point(c, radius)
+    else:
+        px, py, pz = c.way_goal[0], c.way_goal[1], c.way_goal[2]
+    dx, dy, dz = px - c.smooth_position[0], py - c.smooth_position[1], pz - c.smooth_position[2]
+    norm = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if norm < 1e-9:
+        return 0.0, 0.0, 0.0
+    total = math.sqrt(speed * speed + height_speed * height_speed) / norm
+    return _clamp(dx * total, dy * total, dz * total, speed, height_speed)
+
+
+@kernel
+def _wanted_horizontal(c, p, radius, cruise):
+    """Return the horizontal velocity (tuple, m/s, local) that leads to the goal."""
+    speed = _horizontal_speed(c, p, radius, cruise)
+    if _turning(c, radius):
+        px, py, _ = _lead_point(c, radius)
+    else:
+        px, py = c.way_goal[0], c.way_goal[1]
+    dx, dy = px - c.smooth_position[0], py - c.smooth_position[1]
+    norm = math.hypot(dx, dy)
+    if norm < 1e-9:
+        return 0.0, 0.0
+    return dx / norm * speed, dy / norm * speed
+
+
+# AUTO
+
+
+@kernel
+def _vertical_limits(c, s, e, p):
+    """Return the largest speed and acceleration of the height's path, m/s and m/s^2; a take-off begins slowly."""
+    if c.unsmoothed_climb >= 0.0:
+        return _or_default(s.descend_speed, p.mpc_z_v_auto_dn), p.mpc_acc_down_max
+    speed, accel = _or_default(s.climb_speed, p.mpc_z_v_auto_up), p.mpc_acc_up_max
+    if c.goal_from_ground and c.ground_z - e.position[2] < p.mpc_land_alt1:
+        speed = _or_default(s.climb_speed, p.mpc_tko_speed)
+        accel = min(accel, p.mpc_tko_speed / max(p.mpc_tko_ramp_t, 1e-3))
+        # the path stays at the vehicle's height, so that its start does not lead into the ground
+        c.smooth_position[2] = e.position[2]
+    return speed, accel
+
+
+@kernel
+def _update_braking(c, p):
+    speed = math.hypot(c.smooth_velocity[0], c.smooth_velocity[1])
+    down = c.smooth_velocity[2]
+    if not c.braking:
+        too_fast = speed > _OVERSPEED * p.mpc_xy_vel_max
+        too_fast = too_fast or down > _OVERSPEED * p.mpc_z_vel_max_dn or down < -_OVERSPEED * p.mpc_z_vel_max_up
+        c.braking = 1 if too_fast else 0
+    elif abs(down) < 0.01 and speed < 0.01:
+        c.braking = 0
+
+
+@kernel
+def _lag_stretch(c, e, p):
+    """Return how much slower time passes on the path: it waits for a vehicle that is behind it."""
+    dx, dy = c.smooth_position[0] - e.position[0], c.smooth_position[1] - e.position[1]
+    if dx * c.smooth_velocity[0] + dy * c.smooth_velocity[1] < 0.0:
+        return 1.0
+    return 1.0 - constrain(math.hypot(dx, dy) / p.mpc_xy_err_max, 0.0, 1.0)
+
+
+@kernel
+def _smooth(c, s, e, p, wanted, dt):
+    """Move the smoothed path on, plan it towards ``wanted`` (tuple, m/s) and make it the set-point."""
+    speed_z, accel_z = _vertical_limits(c, s, e, p)
+    accel_xy, jerk = p.mpc_acc_hor, p.mpc_jerk_auto
+    c.speed_down = max(p.mpc_z_vel_max_dn, 1.2 * p.mpc_z_v_auto_dn)  # room for corrections of the height
+    if c.braking:
+        wanted = (0.0, 0.0, 0.0)
+        accel_xy = accel_z = jerk = GRAVITY
+        speed_z = max(speed_z, abs(c.smooth_velocity[2]))
+        c.speed_down = max(c.speed_down, abs(c.smooth_velocity[2]))
+    step = dt * _lag_stretch(c, e, p)
+    for i in range(3):
+        follow(c, i, jerk, step)
+        c.task_position[i] = c.smooth_position[i]
+        c.task_velocity[i] = c.smooth_velocity[i]
+        c.task_acceleration[i] = c.smooth_acceleration[i]
+    plan(c, wanted, (p.mpc_xy_vel_max, p.mpc_xy_vel_max, speed_z), (accel_xy, accel_xy, accel_z), jerk)
+    c.unsmoothed_climb = wanted[2]
+
+
+@kernel
+def _smooth_yaw(c, wanted, p, dt):
+    """Turn the heading towards ``wanted`` (rad; NaN: no turn) at MPC_YAWRAUTO_MAX at most, with its yaw rate."""
+    limit = math.radians(p.mpc_yawrauto_max)
+    turn = 0.0
+    if not math.isnan(wanted):
+        turn = constrain(wrap_pi(wanted - c.smooth_yaw), -limit * dt, limit * dt)
+    c.smooth_yaw = wrap_pi(c.smooth_yaw + turn)
+    c.smooth_yaw_rate += dt / (_YAW_TAU + dt) * (turn / dt - c.smooth_yaw_rate)
+    c.task_yaw = c.smooth_yaw
+    c.task_yaw_rate = constrain(c.smooth_yaw_rate, -limit, limit)
+
+
+@kernel
+def _goal_radius(s, p):
+    return max(_or_default(s.goal_radius, p.nav_acc_rad), 0.05)
+
+
+@kernel
+def _wait_on_ground(c, e):
+    """Before the take-off ramps up the path stays at the vehicle."""
+    for i in range(3):
+        _start_smoothing(c, i, e.position[i], _WAIT_SPEED if i == 2 else 0.0, 0.0)
+
+
+@kernel
+def goto_task(c, s, e, p, dt):
+    """Fly to goal_position on a smoothed path, and on to onward_position without a stop if there is one."""
+    radius = _goal_radius(s, p)
+    cruise = min(_or_default(s.cruise_speed, p.mpc_xy_cruise), p.mpc_xy_vel_max)
+    _update_way(c, s, e, radius)
+    if c.takeoff_state < TAKEOFF_RAMPUP:
+        _wait_on_ground(c, e)
+    _update_braking(c, p)
+    speed_z, accel_z = _vertical_limits(c, s, e, p)
+    distance = abs(c.way_goal[2] - c.smooth_position[2])
+    height_speed = min(speed_z, stopping_speed(distance, accel_z, p.mpc_jerk_auto, 0.0))
+    wanted = _wanted_velocity(c, p, radius, cruise, height_speed)
+    c.want_takeoff = 1 if wanted[2] < -_TAKEOFF_CLIMB else 0
+    _smooth(c, s, e, p, wanted, dt)
+    _smooth_yaw(c, s.goal_yaw, p, dt)
+
+
+@kernel
+def _landing_speed(height, p):
+    """Return PX4's descent speed (m/s) at ``height`` m: the largest over ALT1, MPC_LAND_SPEED under ALT2."""
+    upper = max(p.mpc_land_alt1, p.mpc_land_alt2)
+    if height >= upper:
+        return p.mpc_z_vel_max_dn
+    if height <= p.mpc_land_alt2:
+        return p.mpc_land_speed
+    share = (height - p.mpc_land_alt2) / (upper - p.mpc_land_alt2)
+    return p.mpc_land_speed + share * (p.mpc_z_vel_max_dn - p.mpc_land_speed)
+
+
+@kernel
+def land_task(c, s, e, p, dt):
+    """Stay over the goal's xy and descend; goal_position[2] is the height of the ground, as far as known."""
+    radius = _goal_radius(s, p)
+    cruise = min(_or_default(s.cruise_speed, p.mpc_xy_cruise), p.mpc_xy_vel_max)
+    _update_way(c, s, e, radius)
+    if c.takeoff_state < TAKEOFF_RAMPUP:
+        _wait_on_ground(c, e)
+    _update_braking(c, p)
+    x, y = _wanted_horizontal(c, p, radius, cruise)
+    _smooth(c, s, e, p, (x, y, _landing_speed(s.goal_position[2] - e.position[2], p)), dt)
+    _smooth_yaw(c, s.goal_yaw, p, dt)
+
+
+@kernel
+def descend_task(c, p):
+    """Descend with a level attitude: nothing is known of the horizontal motion."""
+    c.task_acceleration[0] = 0.0
+    c.task_acceleration[1] = 0.0
+    c.task_velocity[2] = p.mpc_land_speed
+    c.task_yaw_rate = 0.0
+
+
+@kernel
+def _orbit_heading(s, x, y):
+    """Return the heading (rad; NaN: not controlled) at the unit vector (x, y) from the centre to the vehicle."""
+    if s.orbit_yaw == ORBIT_UNCONTROLLED:
+        return _NAN
+    if s.orbit_yaw == ORBIT_INITIAL_HEADING:
+        return s.orbit_heading
+    if s.orbit_yaw == ORBIT_ALONG_CIRCLE:
+        sign = 1.0 if s.orbit_speed > 0.0 else -1.0
+        return math.atan2(sign * x, -sign * y)
+    return math.atan2(-y, -x)
+
+
+@kernel
+def orbit_task(c, s, e, p, dt):
+    """Fly along the circle, and back onto it at 1 m/s a metre (PX4 FlightTaskOrbit::generate_circle_setpoints)."""
+    x, y = e.position[0] - s.orbit_centre[0], e.position[1] - s.orbit_centre[1]
+    distance = math.hypot(x, y)
+    x, y = (x / distance, y / distance) if distance > 1e-6 else (1.0, 0.0)
+    pull = s.orbit_radius - distance
+    c.task_velocity[0] = -y * s.orbit_speed + x * pull
+    c.task_velocity[1] = x * s.orbit_speed + y * pull
+    inwards = s.orbit_speed * s.orbit_speed / s.orbit_radius
+    c.task_acceleration[0] = -x * inwards
+    c.task_acceleration[1] = -y * inwards
+    c.task_position[2] = s.goal_position[2]
+    heading = _orbit_heading(s, x, y)
+    if not math.isnan(heading):
+        _smooth_yaw(c, heading, p, dt)
+
+
+# OFFBOARD
+
+
+@kernel
+def trajectory_task(c, s, e):
+    """OFFBOARD: the given position, velocity and acceleration; with no heading given the present one is kept.
+
+    As in PX4 a yaw rate alone turns the vehicle, it holds no heading: ``task_yaw`` is NaN then.
+    """
+    for i in range(3):
+        c.task_position[i] = s.position[i]
+        c.task_velocity[i] = s.velocity[i]
+        c.task_acceleration[i] = s.acceleration[i]
+    c.task_yaw = s.yaw
+    c.task_yaw_rate = s.yaw_rate
+    z, vz, az = s.position[2], s.velocity[2], s.acceleration[2]
+    c.want_takeoff = 1 if z < e.position[2] or vz < 0.0 or az < 0.0 else 0
+
+
+# by stick
+
+
+@kernel
+def _stick_yaw(c, s, e, p, dt):
+    """Turn by stick, past a first-order filter; hold the heading when the stick is centred."""
+    wanted = s.stick_yaw * math.radians(p.mpc_man_y_max)
+    c.smooth_yaw_rate += dt / (p.mpc_man_y_tau + dt) * (wanted - c.smooth_yaw_rate)
+    if abs(c.smooth_yaw_rate) > _YAW_STILL:
+        c.smooth_yaw = _NAN
+    elif math.isnan(c.smooth_yaw):
+        c.smooth_yaw = yaw_of(e.q)
+    c.task_yaw = c.smooth_yaw
+    c.task_yaw_rate = c.smooth_yaw_rate
+
+
+@kernel
+def _stick_height(c, s, e, p, dt):
+    """Climb or sink by stick under limits of jerk and acceleration; a centred stick brakes, then holds the height."""
+    wanted = -s.stick_z * (p.mpc_z_vel_max_up if s.stick_z > 0.0 else p.mpc_z_vel_max_dn)
+    height = c.ground_z - e.position[2]
+    if wanted > 0.0:
+        wanted = min(wanted, _landing_speed(height, p))
+    elif height < max(p.mpc_land_alt1, p.mpc_land_alt2):
+        upper, lower = max(p.mpc_land_alt1, p.mpc_land_alt2), p.mpc_land_alt2
+        share = constrain((height - lower) / max(upper - lower, 1e-3), 0.0, 1.0)
+        wanted = max(wanted, -(p.mpc_tko_speed + share * (p.mpc_z_vel_max_up - p.mpc_tko_speed)))
+    if c.takeoff_state < TAKEOFF_RAMPUP:
+        _start_smoothing(c, 2, e.position[2], 0.0, 0.0)
+    accel = p.mpc_acc_up_max if wanted < c.smooth_velocity[2] else p.mpc_acc_down_max
+    follow(c, 2, p.mpc_jerk_max, dt)
+    plan_axis(c, 2, wanted, accel, p.mpc_jerk_max)
+    still = wanted == 0.0 and abs(c.smooth_velocity[2]) < 1e-3
+    if not still:
+        c.hold_z = 0
+    elif not c.hold_z and abs(e.velocity[2]) < p.mpc_hold_max_z:
+        c.hold_z = 1
+        c.smooth_position[2] = e.position[2]
+    c.task_velocity[2] = c.smooth_velocity[2]
+    c.task_acceleration[2] = c.smooth_acceleration[2]
+    if c.hold_z:
+        c.task_position[2] = c.smooth_position[2]
+    c.want_takeoff = 1 if s.stick_z > _TAKEOFF_STICK else 0
+
+
+@kernel
+def _turned(c, e, x, y):
+    """Return (x, y) turned from the heading's frame into the local one, as a tuple."""
+    yaw = yaw_of(e.q) if math.isnan(c.smooth_yaw) else c.smooth_yaw
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return cos * x - sin * y, sin * x + cos * y
+
+
+@kernel
+def _unit_limited(x, y):
+    norm = max(math.hypot(x, y), 1.0)
+    return x / norm, y / norm
+
+
+@kernel
+def altitude_task(c, s, e, p, dt):
+    """ALTCTL: sticks tilt the vehicle up to MPC_MAN_TILT_MAX and command a climb rate."""
+    _stick_yaw(c, s, e, p, dt)
+    x, y = _unit_limited(s.stick_x, s.stick_y)
+    keep = dt / (p.mc_man_tilt_tau + dt)
+    c.stick_acceleration[0] += keep * (x - c.stick_acceleration[0])
+    c.stick_acceleration[1] += keep * (y - c.stick_acceleration[1])
+    most = math.tan(math.radians(min(p.mpc_man_tilt_max, 89.0))) * GRAVITY
+    x, y = _turned(c, e, c.stick_acceleration[0], c.stick_acceleration[1])
+    c.task_acceleration[0] = x * most
+    c.task_acceleration[1] = y * most
+    _stick_height(c, s, e, p, dt)
+
+
+@kernel
+def _drag(c, p, centred, dt):
+    """Return the deceleration (tuple, m/s^2) that limits the speed by stick, and brakes with a centred one."""
+    boost = max(2.0, math.sqrt(p.mpc_vel_manual)) if centred else 1.0
+    c.brake_boost += dt / (_BRAKE_TAU + dt) * (boost - c.brake_boost)
+    speed = math.hypot(c.smooth_velocity[0], c.smooth_velocity[1])
+    if speed < 1e-9:
+        return 0.0, 0.0
+    shaped = speed if speed > 1.0 else math.sqrt(speed)  # stronger below 1 m/s, so that it stops
+    gain = 2.0 * p.mpc_acc_hor / p.mpc_vel_manual * c.brake_boost * shaped / speed
+    return gain * c.smooth_velocity[0], gain * c.smooth_velocity[1]
+
+
+@kernel
+def _stick_accelerations(c, s, e, p, dt):
+    """Integrate what the horizontal sticks ask for to a velocity; once that is 0 the place is held (MPC_POS_MODE 4)."""
+    x, y = _unit_limited(s.stick_x, s.stick_y)
+    x, y = _turned(c, e, x, y)
+    step = p.mpc_jerk_max * dt
+    most = 2.0 * p.mpc_acc_hor  # the mean is half of it, because of the drag
+    c.stick_acceleration[0] += constrain(x * most - c.stick_acceleration[0], -step, step)
+    c.stick_acceleration[1] += constrain(y * most - c.stick_acceleration[1], -step, step)
+    ax, ay = c.stick_acceleration[0], c.stick_acceleration[1]
+    dx, dy = _drag(c, p, x == 0.0 and y == 0.0, dt)
+    vx, vy = c.smooth_velocity[0], c.smooth_velocity[1]
+    if ax * ax + ay * ay < 1e-7 and vx * vx + vy * vy < (dx * dx + dy * dy) * dt * dt:
+        dx = dy = vx = vy = 0.0
+    ax, ay = ax - dx, ay - dy
+    largest = math.tan(math.radians(p.mpc_tiltmax_air)) * GRAVITY
+    norm = math.hypot(ax, ay)
+    if norm > largest:
+        ax, ay = ax * largest / norm, ay * largest / norm
+    vx, vy = vx + ax * dt, vy + ay * dt
+    moving = vx * vx + vy * vy > 1e-7
+    if moving and c.hold_xy:
+        c.hold_xy = 0
+        vx, vy = c.sp_velocity[0], c.sp_velocity[1]  # no jump for what the position loop has asked for
+    elif not moving and not c.hold_xy:
+        c.hold_xy = 1
+        c.smooth_position[0], c.smooth_position[1] = e.position[0], e.position[1]
+    c.smooth_velocity[0], c.smooth_velocity[1] = vx, vy
+    c.task_acceleration[0], c.task_acceleration[1] = ax, ay
+
+
+@kernel
+def _stick_velocities(c, s, e, p, dt):
+    """Sticks command velocities under limits of acceleration and jerk (MPC_POS_MODE other than 4)."""
+    x, y = _unit_limited(s.stick_x, s.stick_y)
+    x, y = _turned(c, e, x, y)
+    for i in range(2):
+        follow(c, i, p.mpc_jerk_max, dt)
+        c.task_acceleration[i] = c.smooth_acceleration[i]
+    plan_axis(c, 0, x * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
+    plan_axis(c, 1, y * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
+    if x != 0.0 or y != 0.0:
+        c.hold_xy = 0
+    elif not c.hold_xy and math.hypot(e.velocity[0], e.velocity[1]) < p.mpc_hold_max_xy:
+        c.hold_xy = 1
+        c.smooth_position[0], c.smooth_position[1] = e.position[0], e.position[1]
+
+
+@kernel
+def sticks_task(c, s, e, p, dt):
+    """POSCTL: sticks steer in the heading's frame; a centred stick brakes and then holds the place."""
+    _stick_yaw(c, s, e, p, dt)
+    if c.takeoff_state < TAKEOFF_RAMPUP:
+        for i in range(2):
+            _start_smoothing(c, i, e.position[i], 0.0, 0.0)
+            c.stick_acceleration[i] = 0.0
+    if p.mpc_pos_mode >= 3.5:
+        _stick_accelerations(c, s, e, p, dt)
+    else:
+        _stick_velocities(c, s, e, p, dt)
+    for i in range(2):
+        c.task_velocity[i] = c.smooth_velocity[i]
+        if c.hold_xy:
+            c.task_position[i] = c.smooth_position[i]
+    _stick_height(c, s, e, p, dt)
+
+
+@kernel
+def _auto(task):
+    return task in (TASK_GOTO, TASK_LAND)
+
+
+@kernel
+def _begin_task(c, s, e):
+    """Start a new kind of task where the vehicle is, or where the task before has led it."""
+    go_on = _auto(c.last_task) or c.last_task in (TASK_STICKS, TASK_ALTITUDE, TASK_ORBIT)
+    for i in range(3):
+        x, v, a = c.task_position[i], c.task_velocity[i], c.task_acceleration[i]
+        if not go_on or math.isnan(x):
+            x = e.position[i]
+        if not go_on or math.isnan(v):
+            v = e.velocity[i]
+        if not go_on or math.isnan(a):
+            a = 0.0
+        _start_smoothing(c, i, x, v, a)
+    heading = c.task_yaw
+    c.smooth_yaw = heading if go_on and not math.isnan(heading) else yaw_of(e.q)
+    c.smooth_yaw_rate = 0.0
+    c.braking = 0
+    c.hold_xy = 0
+    c.hold_z = 0
+    c.brake_boost = 1.0
+    c.unsmoothed_climb = 0.0
+    c.leg_state = -1
+    start_following(c)
+    for i in range(2):
+        c.stick_acceleration[i] = 0.0
+    for i in range(3):
+        c.leg_start[i] = e.position[i]
+        c.leg_goal[i] = _NAN
+        c.leg_onward[i] = _NAN
+
+
+@kernel
+def generate_setpoint(c, s, e, p, dt):
+    """Fill the trajectory set-point of ``c`` for the present task, ``dt`` s after the last call."""
+    if s.task_changed and c.last_task != s.task:
+        if not (_auto(c.last_task) and _auto(s.task)):
+            _begin_task(c, s, e)
+        c.last_task = s.task
+    clear_task(c)
+    c.want_takeoff = 0
+    c.speed_down = p.mpc_z_vel_max_dn
+    if s.task == TASK_TRAJECTORY:
+        trajectory_task(c, s, e)
+    elif s.task == TASK_GOTO:
+        goto_task(c, s, e, p, dt)
+    elif s.task == TASK_LAND:
+        land_task(c, s, e, p, dt)
+    elif s.task == TASK_ORBIT:
+        orbit_task(c, s, e, p, dt)
+    elif s.task == TASK_FOLLOW:
+        follow_task(c, s, e, p, dt)
+    elif s.task == TASK_DESCEND:
+        descend_task(c, p)
+    elif s.task == TASK_STICKS:
+        sticks_task(c, s, e, p, dt)
+    elif s.task == TASK_ALTITUDE:
+        altitude_task(c, s, e, p, dt)
+    s.task_changed = 0

@@ -1,0 +1,162 @@
+"""The set-point of a vehicle that follows a target (PX4 v1.14's FlightTaskAutoFollowTarget), for ``flight_tasks``.
+
+``SETPOINT.target_*`` has the estimate of the target's motion, see ``follow_target``. It goes through a second-order
+filter; the vehicle's place is FLW_TGT_DST from the filtered target, at the angle FLW_TGT_FA clockwise from its course,
+and goes round it to that angle on a jerk-limited path with at most FLW_TGT_MAX_VEL.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+
+from xtdrone_control.autopilot.flight_tasks.trajectory import follow, plan_axis, stopping_speed
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import wrap_pi
+
+_NAN = math.nan
+_FREQUENCY, _DAMPING = 1.0, 0.7071  # rad/s and share, of the filter over the target's motion
+_COURSE_SPEED = 1.0  # m/s, below which a velocity tells no course
+_MAX_JERK, _MAX_ACCELERATION = 4.0, 2.0  # m/s^3 and m/s^2, along the circle round the target
+_LEAST_DISTANCE = 1.0  # m, FLW_TGT_DST's minimum; parameters may be anything
+_HEIGHT_WINDOW = 3.0  # m from the wanted height, within which the vehicle moves horizontally
+_LEAST_HEIGHT = 1.0  # m over the ground, below which it only climbs
+_ASCENT = 0.5  # m/s, at which it does
+_FACING_DISTANCE = 1.0  # m from the target, from which the vehicle turns to it
+_TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s of wanted climb that begin a take-off
+OVER_GROUND, OVER_TARGET = 1, 2  # FLW_TGT_ALT_M
+
+# the angle round the target as the one axis of a smoothed path, as ``trajectory`` wants it
+_AnglePath = namedtuple(
+    "_AnglePath", ("smooth_position", "smooth_velocity", "smooth_acceleration", "smooth_times", "smooth_direction")
+)
+
+
+@kernel
+def start_following(c):
+    """Forget the target; its course is taken for north until it moves, and the vehicle's place begins there."""
+    for i in range(3):
+        c.followed_position[i] = _NAN
+        c.followed_velocity[i] = 0.0
+    c.followed_course = 0.0
+    c.angle_position[0] = 0.0
+    c.angle_velocity[0] = 0.0
+    c.angle_acceleration[0] = 0.0
+
+
+@kernel
+def _filter_target(c, s, dt):
+    """Move the filtered target on by ``dt`` s towards the estimate; the first estimate is taken as it is.
+
+    The error is taken at the end of the step, so that there is none behind a target of constant velocity.
+    """
+    age = c.armed_time - s.target_time
+    for i in range(3):
+        position = s.target_position[i] + (s.target_velocity[i] + 0.5 * s.target_acceleration[i] * age) * age
+        velocity = s.target_velocity[i] + s.target_acceleration[i] * age
+        if math.isnan(c.followed_position[i]):
+            c.followed_position[i] = position
+            c.followed_velocity[i] = velocity
+            continue
+        c.followed_position[i] += c.followed_velocity[i] * dt
+        error, slip = position - c.followed_position[i], velocity - c.followed_velocity[i]
+        c.followed_velocity[i] += (_FREQUENCY * error + 2.0 * _DAMPING * slip) * _FREQUENCY * dt
+    _update_course(c, s)
+
+
+@kernel
+def _update_course(c, s):
+    """Take the filtered velocity's direction, unless the target is slow: the filter swings back when it stops."""
+    north, east = c.followed_velocity[0], c.followed_velocity[1]
+    moves = math.hypot(s.target_velocity[0], s.target_velocity[1]) >= _COURSE_SPEED
+    if moves and math.hypot(north, east) >= _COURSE_SPEED:
+        c.followed_course = math.atan2(east, north)
+
+
+@kernel
+def _go_round(c, p, distance, dt):
+    """Move the angle round the target on by ``dt`` s towards FLW_TGT_FA from its course, on the shorter way."""
+    left = wrap_pi(c.followed_course + math.radians(p.flw_tgt_fa) - c.angle_position[0])
+    accel, jerk = _MAX_ACCELERATION / distance, _MAX_JERK / distance
+    rate = min(stopping_speed(abs(left), accel, jerk, 0.0), max(p.flw_tgt_max_vel, 0.0) / distance)
+    path = _AnglePath(c.angle_position, c.angle_velocity, c.angle_acceleration, c.angle_times, c.angle_direction)
+    plan_axis(path, 0, math.copysign(rate, left), accel, jerk)
+    follow(path, 0, jerk, dt)
+
+
+@kernel
+def _ground(s, e):
+    """Return the down coordinate (m, local) of the ground below as far as measured, else of home."""
+    return e.terrain if e.terrain_valid else s.home_z
+
+
+@kernel
+def _wanted_height(c, s, e, p):
+    """Return the down coordinate (m, local) to fly at."""
+    mode = int(p.flw_tgt_alt_m)
+    if mode == OVER_GROUND:
+        return _ground(s, e) - p.flw_tgt_ht
+    if mode == OVER_TARGET:
+        return c.followed_position[2] - p.flw_tgt_ht
+    return s.home_z - p.flw_tgt_ht
+
+
+@kernel
+def _go_beside(c, e, distance):
+    """Fill the horizontal set-point: the place on the circle round the target, and how it moves."""
+    x, y = math.cos(c.angle_position[0]), math.sin(c.angle_position[0])
+    along, faster = c.angle_velocity[0] * distance, c.angle_acceleration[0] * distance
+    inwards = along * along / distance
+    c.task_position[0] = c.followed_position[0] + x * distance
+    c.task_position[1] = c.followed_position[1] + y * distance
+    c.task_velocity[0] = c.followed_velocity[0] - y * along
+    c.task_velocity[1] = c.followed_velocity[1] + x * along
+    c.task_acceleration[0] = -x * inwards - y * faster
+    c.task_acceleration[1] = -y * inwards + x * faster
+
+
+@kernel
+def _face_target(c, e):
+    """Turn to the target, unless it is right below."""
+    north, east = c.followed_position[0] - e.position[0], c.followed_position[1] - e.position[1]
+    if math.hypot(north, east) > _FACING_DISTANCE:
+        c.smooth_yaw = math.atan2(east, north)
+
+
+@kernel
+def _climb_first(c, e):
+    """Climb slowly, and do nothing else: the ground is near."""
+    for i in range(2):
+        c.task_position[i] = _NAN
+        c.task_velocity[i] = 0.0
+        c.task_acceleration[i] = _NAN
+    c.task_position[2] = e.position[2]
+    c.task_velocity[2] = -_ASCENT
+
+
+@kernel
+def follow_task(c, s, e, p, dt):
+    """Keep distance, height and angle to the target and face it; stop while no target is known.
+
+    Away from the wanted height the vehicle stops horizontally and climbs or sinks first. (PX4 does not let it stop but
+    leaves the last velocity in the set-point.)
+    """
+    if math.isnan(s.target_position[0]):
+        for i in range(3):
+            c.task_velocity[i] = 0.0
+        c.task_yaw = c.smooth_yaw
+        return
+    distance = max(p.flw_tgt_dst, _LEAST_DISTANCE)
+    _filter_target(c, s, dt)
+    _go_round(c, p, distance, dt)
+    _face_target(c, e)
+    c.task_yaw = c.smooth_yaw
+    c.task_position[2] = _wanted_height(c, s, e, p)
+    if _ground(s, e) - e.position[2] < _LEAST_HEIGHT:
+        _climb_first(c, e)
+    elif abs(c.task_position[2] - e.position[2]) < _HEIGHT_WINDOW:
+        _go_beside(c, e, distance)
+    else:
+        c.task_position[0], c.task_position[1] = e.position[0], e.position[1]
+    rises = c.task_position[2] < e.position[2] - _TAKEOFF_RISE or c.task_velocity[2] < -_TAKEOFF_CLIMB
+    c.want_takeoff = 1 if rises else 0

@@ -1,0 +1,112 @@
+"""The ORBIT mode: a circle round a place, reached on the shortest way (PX4 v1.14's FlightTaskOrbit)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from xtdrone_control.autopilot.events.announcements import CRITICAL
+from xtdrone_control.autopilot.events.events import ERROR
+from xtdrone_control.autopilot.flight_tasks.auto_setpoint import Course
+from xtdrone_control.autopilot.state import ORBIT_TO_CENTRE, TASK_ORBIT
+from xtdrone_control.autopilot.vehicle_view import Vector
+
+LEAST_RADIUS = 1.0  # m
+_LARGEST_SPEED = 10.0  # m/s
+_LARGEST_ACCELERATION = 2.0  # m/s^2, towards the centre
+_DEFAULT_SPEED = 1.0  # m/s
+_REACHED = 0.5  # of the radius, at most; m from the circle at which the approach ends
+
+
+class Orbit:
+    """The circle that one vehicle flies.
+
+    Attributes:
+        centre: north and east, m, local NED.
+        radius: m.
+        speed: m/s along the circle, positive clockwise as seen from above.
+        yaw_behaviour: MAVLink ORBIT_YAW_BEHAVIOUR.
+        circling: whether the circle has been reached.
+    """
+
+    def __init__(self, course: Course) -> None:
+        """Prepare; nothing is asked of the cascade until ``start``."""
+        self._course = course
+        self._commanded = False
+        self._altitude = math.nan
+        self._next_centre: tuple[float, float] | None = None
+        self.centre = (0.0, 0.0)
+        self.radius = LEAST_RADIUS
+        self.speed = _DEFAULT_SPEED
+        self.yaw_behaviour = ORBIT_TO_CENTRE
+        self.circling = False
+
+    def command(self, radius: float, speed: float, yaw_behaviour: float, place: Sequence[float]) -> None:
+        """Store what DO_ORBIT asks for; NaN keeps what was flown before. ``start`` flies it.
+
+        A radius outside its limits is announced and cut, and a speed that needs more than 2 m/s^2 towards the centre is
+        lowered.
+
+        Args:
+            radius: m, positive clockwise, 1 m to MC_ORBIT_RAD_MAX.
+            speed: m/s along the circle, up to 10.
+            yaw_behaviour: MAVLink ORBIT_YAW_BEHAVIOUR.
+            place: the centre's latitude and longitude in degrees, and the altitude to fly at, m AMSL.
+        """
+        view = self._course.view
+        clockwise = self.speed > 0.0 if math.isnan(radius) else radius > 0.0
+        wanted = self.radius if math.isnan(radius) else abs(radius)
+        largest = self._course.parameters.get("MC_ORBIT_RAD_MAX")
+        if not LEAST_RADIUS <= wanted <= largest:
+            text = "Orbit radius limit exceeded"
+            self._course.announcements.tell(CRITICAL, text, "orbit_radius_exceeded", level=ERROR)
+            wanted = min(max(wanted, LEAST_RADIUS), largest)
+        self.radius = wanted
+        size = abs(self.speed if math.isnan(speed) else speed)
+        size = min(size, _LARGEST_SPEED, math.sqrt(_LARGEST_ACCELERATION * wanted))
+        self.speed = size if clockwise else -size
+        if math.isfinite(yaw_behaviour):
+            self.yaw_behaviour = int(yaw_behaviour)
+        if view.has_origin and math.isfinite(place[0]) and math.isfinite(place[1]):
+            north, east, _ = view.to_local(place[0], place[1], 0.0)
+            self._next_centre = (north, east)
+        self._altitude = place[2]
+
+    def start(self) -> None:
+        """Fly to the nearest place on the circle, looking there."""
+        view = self._course.view
+        x, y, z = self._course.stopping_place()
+        if self._next_centre is None and not self._commanded:
+            self.centre = (x - self.radius, y)
+        elif self._next_centre is not None:
+            self.centre = self._next_centre
+        self._commanded = True
+        if math.isfinite(self._altitude) and view.has_origin:
+            z = view.origin[2] - self._altitude
+        setpoint = view.setpoint
+        setpoint["orbit_centre"] = self.centre
+        setpoint["orbit_radius"] = self.radius
+        setpoint["orbit_speed"] = self.speed
+        setpoint["orbit_yaw"] = self.yaw_behaviour
+        setpoint["orbit_heading"] = view.yaw
+        self.circling = False
+        goal = self._nearest(z)
+        self._course.fly_to(goal, self._course.bearing_to(goal))
+
+    def update(self) -> None:
+        """Begin to circle once the circle is reached; call at 10 Hz."""
+        if self.circling:
+            return
+        near = min(self._course.parameters.get("NAV_ACC_RAD"), _REACHED * self.radius)
+        if self._course.distance_to(self._course.goal) < near and self._course.at_height(self._course.goal[2]):
+            self.circling = True
+            self._course.view.start_task(TASK_ORBIT)
+
+    def _nearest(self, z: float) -> Vector:
+        x, y, _ = self._course.view.position
+        north, east = x - self.centre[0], y - self.centre[1]
+        distance = math.hypot(north, east)
+        if distance < 1e-3:
+            north, distance = 1.0, 1.0
+        scale = self.radius / distance
+        return self.centre[0] + north * scale, self.centre[1] + east * scale, z

@@ -1,0 +1,193 @@
+"""Jerk-limited smoothing of a velocity set-point, and the speeds from which a stop or a turn is still possible.
+
+The profile of PX4's motion_planning library: in each axis the acceleration rises, stays and falls again, so that the
+wanted velocity is reached in the least time under limits of acceleration and jerk; axes that would be faster wait for
+the slowest. State and plan live in ``CONTROL``: smooth_position, smooth_velocity, smooth_acceleration, and smooth_times
+with smooth_direction, the plan that is followed until the next call of ``plan``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from xtdrone_control.kernel import kernel
+from xtdrone_control.rotation import constrain
+
+_EPSILON = 1.1920929e-07  # PX4's FLT_EPSILON
+
+
+@kernel
+def stopping_speed(distance, accel, jerk, final):
+    """Return the speed, m/s, from which ``distance`` m suffice to slow down to ``final`` m/s.
+
+    From v^2 + (4 a^2 / j) v = 2 a d + v_final^2: braking at ``accel`` m/s^2 after a rise of the deceleration under
+    ``jerk`` m/s^3 that is counted twice, to be careful.
+    """
+    b = 4.0 * accel * accel / jerk
+    c = 2.0 * accel * distance + final * final
+    return max(0.5 * (-b + math.sqrt(b * b + 4.0 * c)), final)
+
+
+@kernel
+def turning_speed(angle, accel, radius):
+    """Return the speed, m/s, of a circle that touches both legs ``radius`` m from the corner, under ``accel`` m/s^2.
+
+    ``angle`` (rad) lies between the legs: pi goes straight on.
+    """
+    return math.sqrt(accel * radius * math.tan(0.5 * min(angle, math.pi - _EPSILON)))
+
+
+@kernel
+def _sign(value):
+    return 1.0 if value > 0.0 else -1.0 if value < 0.0 else 0.0
+
+
+@kernel
+def _direction(a, v, wanted, jerk):
+    """Return the sign of the first jerk: towards ``wanted`` from the velocity at which the acceleration has gone."""
+    settled = v
+    if abs(a) > _EPSILON:
+        time = abs(a) / jerk
+        settled = v + a * time - 0.5 * _sign(a) * jerk * time * time
+    direction = _sign(wanted - settled)
+    return _sign(a) if direction == 0.0 else direction
+
+
+@kernel
+def _saturate(a, j, time, accel):
+    """Return the time for which the acceleration may rise from ``a`` under ``j`` before it exceeds ``accel``."""
+    reached = a + j * time
+    if reached > accel:
+        return (accel - a) / j
+    if reached < -accel:
+        return (-accel - a) / j
+    return time
+
+
+@kernel
+def _rise_time(a, dv, j, accel):
+    """Return how long the jerk ``j`` lasts for a velocity change of ``dv`` in the least time."""
+    delta = 2.0 * a * a + 4.0 * j * dv
+    if delta < 0.0:
+        return 0.0
+    root = 0.5 * math.sqrt(delta)
+    plus, minus = (-a + root) / j, (-a - root) / j
+    time = 0.0
+    if plus >= 0.0 and a / j + plus >= 0.0:
+        time = plus
+    elif minus >= 0.0 and a / j + minus >= 0.0:
+        time = minus
+    return max(_saturate(a, j, time, accel), 0.0)
+
+
+@kernel
+def _rise_time_within(total, a, dv, j, accel):
+    """Return how long the jerk ``j`` lasts for a velocity change of ``dv`` in ``total`` s."""
+    b = j * total - a
+    delta = total * total * j * j + 2.0 * total * a * j - a * a - 4.0 * j * dv
+    if delta < 0.0:
+        return 0.0
+    root = math.sqrt(delta)
+    plus, minus = max((b - root) / (2.0 * j), 0.0), max((b + root) / (2.0 * j), 0.0)
+    time = 0.0
+    if a / j + plus >= 0.0 and a / j + 2.0 * plus <= total:
+        time = plus
+    elif a / j + minus >= 0.0 and a / j + 2.0 * minus <= total:
+        time = minus
+    return _saturate(a, j, time, accel)
+
+
+@kernel
+def plan_axis(c, i, wanted, accel, jerk):
+    """Plan axis ``i`` towards the velocity ``wanted``, m/s, for itself; return the time that its plan takes, s."""
+    a, v = c.smooth_acceleration[i], c.smooth_velocity[i]
+    direction = _direction(a, v, wanted, jerk)
+    times = c.smooth_times[i]
+    c.smooth_direction[i] = direction
+    if direction == 0.0:
+        times[0] = times[1] = times[2] = 0.0
+        return 0.0
+    j, dv = direction * jerk, wanted - v
+    rise = _rise_time(a, dv, j, accel)
+    fall = max(a / j + rise, 0.0)
+    level = 0.0
+    top = a + j * rise
+    if abs(top) > _EPSILON:
+        gained = 0.5 * j * (rise * rise - fall * fall) + j * rise * fall + a * (rise + fall)
+        level = max((dv - gained) / top, 0.0)
+    times[0], times[1], times[2] = rise, level, fall
+    return rise + level + fall
+
+
+@kernel
+def _stretch_axis(c, i, wanted, accel, jerk, total):
+    """Plan axis ``i`` anew so that it takes ``total`` s."""
+    direction = c.smooth_direction[i]
+    if direction == 0.0:
+        return
+    a, j = c.smooth_acceleration[i], direction * jerk
+    rise = _rise_time_within(total, a, wanted - c.smooth_velocity[i], j, accel)
+    fall = max(a / j + rise, 0.0)
+    c.smooth_times[i, 0] = rise
+    c.smooth_times[i, 1] = max(total - rise - fall, 0.0)
+    c.smooth_times[i, 2] = fall
+
+
+@kernel
+def plan(c, wanted, speeds, accels, jerk):
+    """Plan all axes from the present state towards the velocities ``wanted``, m/s, so that they arrive together.
+
+    Args:
+        c: ``CONTROL`` record.
+        wanted, speeds, accels: tuples of 3: velocities, largest speeds and accelerations.
+        jerk: m/s^3.
+    """
+    x, y, z = (
+        constrain(wanted[0], -speeds[0], speeds[0]),
+        constrain(wanted[1], -speeds[1], speeds[1]),
+        constrain(wanted[2], -speeds[2], speeds[2]),
+    )
+    tx, ty, tz = (
+        plan_axis(c, 0, x, accels[0], jerk),
+        plan_axis(c, 1, y, accels[1], jerk),
+        plan_axis(c, 2, z, accels[2], jerk),
+    )
+    longest = max(tx, ty, tz)
+    if longest <= _EPSILON:
+        return
+    if tx < longest:
+        _stretch_axis(c, 0, x, accels[0], jerk, longest)
+    if ty < longest:
+        _stretch_axis(c, 1, y, accels[1], jerk, longest)
+    if tz < longest:
+        _stretch_axis(c, 2, z, accels[2], jerk, longest)
+
+
+@kernel
+def _coast(c, i, j, time):
+    """Move axis ``i`` on by ``time`` s under the jerk ``j``."""
+    a, v = c.smooth_acceleration[i], c.smooth_velocity[i]
+    c.smooth_acceleration[i] = a + j * time
+    c.smooth_velocity[i] = v + a * time + 0.5 * j * time * time
+    c.smooth_position[i] += v * time + 0.5 * a * time * time + j * time * time * time / 6.0
+
+
+@kernel
+def follow(c, i, jerk, dt):
+    """Move axis ``i`` on along its plan by ``dt`` s."""
+    times = c.smooth_times[i]
+    j = c.smooth_direction[i] * jerk
+    time = min(dt, times[0])
+    _coast(c, i, j, time)
+    rest = dt - time
+    if rest > 0.0:
+        time = min(rest, times[1])
+        _coast(c, i, 0.0, time)
+        rest -= time
+    if rest > 0.0:
+        time = min(rest, times[2])
+        _coast(c, i, -j, time)
+        rest -= time
+    if rest > 0.0:
+        c.smooth_acceleration[i] = 0.0
+        _coast(c, i, 0.0, rest)

@@ -1,0 +1,201 @@
+"""What a mission tells the payload: camera, gimbal, actuators. It is kept, told on and counted; nothing here moves.
+
+A camera or a gimbal of the simulator (or a driver of a real one) reads ``gimbal`` and ``actuators`` and hangs itself on
+``on_camera_trigger``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.gimbal import GimbalManager
+from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
+
+_MAX_WAITING = 64
+_NEVER_US = 1 << 62
+_ACTUATORS = 6
+_SHOTS_UNLIMITED = -1
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One trigger of the camera.
+
+    Attributes:
+        number: counts from 1.
+        time_us: simulated time, microseconds.
+        position: m, local NED.
+    """
+
+    number: int
+    time_us: int
+    position: Vector
+
+
+class Payload:
+    """Camera trigger, gimbal set-point and actuators of one vehicle.
+
+    Attributes:
+        gimbal_manager: where the gimbal is told to look, and who may say so.
+        gimbal_attitude: where the camera points, as the simulator or a driver writes it: roll and pitch from the
+            horizon, yaw from the heading, rad; None when no gimbal is fitted.
+        actuators: outputs of DO_SET_ACTUATOR, -1..1, NaN until set.
+        recording: a video is being taken.
+        on_camera_trigger: called with every shot; None when there is no camera.
+        shots: those that no link has told yet; the oldest are dropped beyond 64.
+        count: shots so far.
+    """
+
+    def __init__(self, view: VehicleView) -> None:
+        """Start with the camera off."""
+        self._view = view
+        self.gimbal_manager = GimbalManager(view)
+        self.gimbal_attitude: Vector | None = None
+        self.actuators = [math.nan] * _ACTUATORS
+        self.recording = False
+        self.on_camera_trigger: Callable[[Shot], None] | None = None
+        self.shots: deque[Shot] = deque(maxlen=_MAX_WAITING)
+        self.count = 0
+        self._distance = 0.0
+        self._last: Vector | None = None
+        self._interval_us = 0
+        self._next_us = _NEVER_US
+        self._left = _SHOTS_UNLIMITED
+        self._paused = False
+
+    @property
+    def gimbal(self) -> Vector:
+        """Roll, pitch, yaw set-point of now, rad; pitch positive up, yaw from the heading. NaN: not controlled."""
+        return self.gimbal_manager.angles
+
+    def obey(self, command: int, params: Sequence[float]) -> bool:
+        """Obey a command for the payload; ``params`` are its seven, of which those that are not finite count as 0.
+
+        Returns:
+            Whether it is one.
+        """
+        handler = _HANDLERS.get(command)
+        if handler is None:
+            return False
+        handler(self, [p if math.isfinite(p) else 0.0 for p in params])
+        return True
+
+    def pause(self, paused: bool) -> None:
+        """Let the camera wait while no mission is flown."""
+        self._paused = paused
+
+    def update(self) -> None:
+        """Trigger what is due; call at about 10 Hz."""
+        if self._paused:
+            return
+        if self._distance > 0.0 and self._far_enough():
+            self._shoot()
+        if self._view.time_us >= self._next_us:
+            self._shoot()
+            self._next_us += self._interval_us
+            self._left -= self._left > 0
+            if self._left == 0:
+                self._next_us = _NEVER_US
+
+    def _far_enough(self) -> bool:
+        if self._last is None:
+            return True
+        x, y, _ = self._view.position
+        return math.hypot(x - self._last[0], y - self._last[1]) >= self._distance
+
+    def _shoot(self) -> None:
+        self.count += 1
+        self._last = self._view.position
+        shot = Shot(self.count, self._view.time_us, self._last)
+        self.shots.append(shot)
+        if self.on_camera_trigger is not None:
+            self.on_camera_trigger(shot)
+
+    # commands
+
+    def _set_distance(self, p: Sequence[float]) -> None:
+        self._distance = max(p[0], 0.0)
+        self._last = self._view.position
+        if p[2] == 1.0:
+            self._shoot()
+
+    def _repeat(self, interval: float, shots: int) -> None:
+        self._interval_us = max(round(interval * 1e6), 1)
+        self._left = shots
+        self._next_us = self._view.time_us
+
+    def _set_interval(self, p: Sequence[float]) -> None:
+        if p[0] > 0.0:
+            self._repeat(p[0] * 1e-3, _SHOTS_UNLIMITED)
+        elif p[0] == 0.0:
+            self._next_us = _NEVER_US
+
+    def _start_images(self, p: Sequence[float]) -> None:
+        if p[2] == 1.0 or p[1] <= 0.0:
+            self._shoot()
+        else:
+            self._repeat(p[1], round(p[2]) if p[2] > 0.0 else _SHOTS_UNLIMITED)
+
+    def _stop_images(self, _p: Sequence[float]) -> None:
+        self._next_us = _NEVER_US
+        self._distance = 0.0
+
+    def _digicam(self, p: Sequence[float]) -> None:
+        if p[4] == 1.0:
+            self._shoot()
+
+    def _trigger_control(self, p: Sequence[float]) -> None:
+        if p[2] in (0.0, 1.0):
+            self._paused = p[2] == 1.0
+        if p[0] == 0.0:
+            self._next_us = _NEVER_US
+            self._distance = 0.0
+
+    def _mount(self, p: Sequence[float]) -> None:
+        self.gimbal_manager.mount(p)
+
+    def _pitch_yaw(self, p: Sequence[float]) -> None:
+        self.gimbal_manager.pitch_yaw(p)
+
+    def _set_actuators(self, p: Sequence[float]) -> None:
+        if p[6] == 0.0:
+            self.actuators = [min(max(value, -1.0), 1.0) for value in p[:_ACTUATORS]]
+
+    def _record(self, recording: bool) -> None:
+        self.recording = recording
+
+    def _nothing(self, _p: Sequence[float]) -> None:
+        """Take a command that has nothing to act on here: a camera's zoom, a gimbal's configuration."""
+
+
+_HANDLERS: dict[int, Callable[[Payload, Sequence[float]], None]] = {
+    plan.TRIGGER_DISTANCE: Payload._set_distance,
+    plan.TRIGGER_INTERVAL: Payload._set_interval,
+    plan.TRIGGER_CONTROL: Payload._trigger_control,
+    plan.START_IMAGES: Payload._start_images,
+    plan.STOP_IMAGES: Payload._stop_images,
+    plan.DIGICAM_CONTROL: Payload._digicam,
+    plan.MOUNT_CONTROL: Payload._mount,
+    plan.GIMBAL_PITCHYAW: Payload._pitch_yaw,
+    plan.SET_ACTUATOR: Payload._set_actuators,
+    plan.START_VIDEO: lambda payload, _: payload._record(True),
+    plan.STOP_VIDEO: lambda payload, _: payload._record(False),
+    **dict.fromkeys(
+        (
+            plan.CONTROL_VIDEO,
+            plan.MOUNT_CONFIGURE,
+            plan.GIMBAL_CONFIGURE,
+            plan.OBLIQUE_SURVEY,
+            plan.CAMERA_MODE,
+            plan.CAMERA_ZOOM,
+            plan.CAMERA_FOCUS,
+            plan.GRIPPER,
+            plan.WINCH,
+        ),
+        Payload._nothing,
+    ),
+}

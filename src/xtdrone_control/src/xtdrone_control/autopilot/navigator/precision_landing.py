@@ -1,0 +1,198 @@
+"""Landing on a target that something on board sees, as PX4 v1.14's precland: approach, descend, search, or land anyway.
+
+The target comes as LANDING_TARGET messages; PLD_* parameters say how patient the vehicle is.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, Course
+from xtdrone_control.autopilot.vehicle_view import Vector
+
+OPPORTUNISTIC, REQUIRED = 1, 2  # land_precision of an item, RTL_PLD_MD
+_CONFIRMATION_US = 1_000_000  # of being over the target before the descent
+
+
+class _State(enum.Enum):
+    START = enum.auto()
+    APPROACH = enum.auto()
+    DESCEND = enum.auto()
+    FINAL = enum.auto()
+    SEARCH = enum.auto()
+    FALLBACK = enum.auto()
+
+
+@dataclass(frozen=True)
+class LandingTarget:
+    """Where the target was seen.
+
+    Attributes:
+        position: m, local NED.
+        time_us: when, simulated microseconds.
+    """
+
+    position: Vector
+    time_us: int
+
+
+class PrecisionLanding:
+    """One vehicle's precision landing.
+
+    Attributes:
+        target: where the target was seen last; None before.
+        active: a precision landing is under way.
+    """
+
+    def __init__(self, course: Course) -> None:
+        """Prepare; nothing happens until ``start``."""
+        self._course = course
+        self._get = course.parameters.get
+        self.target: LandingTarget | None = None
+        self.active = False
+        self._mode = REQUIRED
+        self._state = _State.START
+        self._place: Vector = (0.0, 0.0, 0.0)
+        self._height = 0.0
+        self._searches = 0
+        self._since_us = 0
+        self._over_us: int | None = None
+
+    def see(self, position: Vector) -> None:
+        """Note the target at ``position`` (m, local NED)."""
+        self.target = LandingTarget(position, self._course.view.time_us)
+
+    def start(self, place: Vector, mode: int = REQUIRED) -> None:
+        """Begin over ``place`` (m, local NED).
+
+        Args:
+            place: where to land when there is no target, and where to look for it.
+            mode: ``OPPORTUNISTIC`` lands at once without a target, ``REQUIRED`` searches for it.
+        """
+        self.active = True
+        self._mode = mode
+        self._place = place
+        self._height = self._course.view.position[2]
+        self._searches = 0
+        self._state = _State.START
+        self._course.fly_to((place[0], place[1], self._height))
+        if self._seen:
+            self._approach()
+        elif mode == OPPORTUNISTIC:
+            self._fall_back("No landing target visible, landing normally")
+
+    def stop(self) -> None:
+        """End it, whatever was going on."""
+        self.active = False
+
+    def update(self) -> None:
+        """Go on; call at 10 Hz while it is active."""
+        step = {
+            _State.START: self._wait_at_start,
+            _State.APPROACH: self._update_approach,
+            _State.DESCEND: self._update_descent,
+            _State.SEARCH: self._update_search,
+        }.get(self._state)
+        if step is not None:
+            step()
+
+    @property
+    def _seen(self) -> LandingTarget | None:
+        """The target, if it was seen within PLD_BTOUT."""
+        target = self.target
+        fresh = target is not None and self._course.view.time_us - target.time_us <= self._get("PLD_BTOUT") * 1e6
+        return target if fresh else None
+
+    def _enter(self, state: _State) -> None:
+        self._state = state
+        self._since_us = self._course.view.time_us
+        self._over_us = None
+
+    def _wait_at_start(self) -> None:
+        if self._seen:
+            self._approach()
+        elif self._course.distance_to(self._place) < self._get("NAV_ACC_RAD"):
+            self._search_or_land()
+
+    def _approach(self) -> None:
+        target = self._seen
+        assert target is not None
+        self._enter(_State.APPROACH)
+        self._course.fly_to((target.position[0], target.position[1], self._course.view.position[2]))
+
+    def _update_approach(self) -> None:
+        target = self._seen
+        if target is None:
+            self._lose()
+            return
+        self._course.shift(*target.position[:2])
+        if not self._over(target):
+            self._over_us = None
+            return
+        now = self._course.view.time_us
+        self._over_us = now if self._over_us is None else self._over_us
+        if now - self._over_us >= _CONFIRMATION_US:
+            self._enter(_State.DESCEND)
+            self._course.land(target.position)
+
+    def _over(self, target: LandingTarget) -> bool:
+        return self._course.distance_to(target.position) < self._get("PLD_HACC_RAD")
+
+    def _update_descent(self) -> None:
+        target = self._seen
+        height = self._course.ground - self._course.view.position[2]
+        if target is not None and target.position[2] - self._course.view.position[2] < self._get("PLD_FAPPR_ALT"):
+            self._enter(_State.FINAL)
+        elif target is not None:
+            self._course.shift(*target.position[:2])
+        elif height < self._get("PLD_FAPPR_ALT"):
+            self._enter(_State.FINAL)
+        else:
+            self._lose()
+
+    def _lose(self) -> None:
+        self._course.announcements.say(CRITICAL, "Lost landing target while landing")
+        self._search_or_land()
+
+    def _search_or_land(self) -> None:
+        if self._mode == OPPORTUNISTIC or self._searches >= self._get("PLD_MAX_SRCH"):
+            self._fall_back("Search failed, landing normally")
+            return
+        self._searches += 1
+        self._enter(_State.SEARCH)
+        self._course.announcements.say(INFO, "Precision land: searching for the target")
+        height = self._course.ground - self._get("PLD_SRCH_ALT")
+        self._course.fly_to((self._place[0], self._place[1], min(height, self._course.view.position[2])))
+
+    def _update_search(self) -> None:
+        if self._seen:
+            self._approach()
+        elif self._course.view.time_us - self._since_us > self._get("PLD_SRCH_TOUT") * 1e6:
+            self._fall_back("Search timed out, landing normally")
+
+    def _fall_back(self, text: str) -> None:
+        self._enter(_State.FALLBACK)
+        self._course.announcements.say(CRITICAL, text)
+        self._course.land((*self._course.stopping_place()[:2], self._place[2]))
+
+
+def from_angles(x: float, y: float, height: float, place: Vector, yaw: float) -> Vector:
+    """Return where a target is that a camera looking down sees at angles ``x``, ``y``.
+
+    Args:
+        x: rad, forwards from straight down.
+        y: rad, to the right.
+        height: m over the target.
+        place: of the vehicle, m, local NED.
+        yaw: its heading, rad.
+
+    Returns:
+        m, local NED; NaN where the angles show no ground.
+    """
+    if not (abs(x) < 0.5 * math.pi and abs(y) < 0.5 * math.pi):
+        return NAN, NAN, NAN
+    ahead, right = height * math.tan(x), height * math.tan(y)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return place[0] + cos * ahead - sin * right, place[1] + sin * ahead + cos * right, place[2] + height

@@ -1,0 +1,88 @@
+"""COMMAND_LONG, COMMAND_INT and SET_MODE, with their acknowledgements.
+
+As in PX4 a command must name this system and its autopilot (or all components); others are passed over without a word,
+as is one that says it comes from this very autopilot. Only questions for version and capabilities may go to all
+systems. A repeated command (``confirmation`` above 0) is obeyed and acknowledged again.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.mavlink.commands.commands import (
+    Command,
+    CommandError,
+    CommandHandler,
+    from_command_int,
+    from_command_long,
+)
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.wire.packing import COMPONENT_ID
+
+_FOR_ALL_SYSTEMS = (mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES)
+
+
+class CommandService(Service):
+    """Obeys commands and acknowledges them."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "COMMAND_LONG": "_command_long",
+        "COMMAND_INT": "_command_int",
+        "SET_MODE": "_set_mode",
+    }
+    CAPABILITIES = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    )
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._commands = CommandHandler(vehicle)
+
+    def run(self, command: Command, link: Link) -> Result | None:
+        """Obey ``command``; return its result, None for no acknowledgement. Other answers are queued on ``link``."""
+        result = self._commands.run(command, link)
+        note = self.vehicle.commander.on_command
+        if note is not None:
+            note(command.number, command.params, link.sender, result)
+        return result
+
+    def _is_for_us(self, link: Link, m: Any) -> bool:
+        if link.sender == (self.vehicle.system_id, COMPONENT_ID):
+            return False
+        return m.target_system == self.vehicle.system_id or m.command in _FOR_ALL_SYSTEMS
+
+    def _command_long(self, link: Link, m: Any) -> None:
+        if self._is_for_us(link, m):
+            params = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
+            try:
+                self._acknowledge(link, m.command, self.run(from_command_long(m.command, params), link))
+            except CommandError as error:
+                self._refuse(link, m.command, error)
+
+    def _command_int(self, link: Link, m: Any) -> None:
+        if self._is_for_us(link, m):
+            params = (m.param1, m.param2, m.param3, m.param4)
+            try:
+                command = from_command_int(m.command, m.frame, params, m.x, m.y, m.z)
+                self._acknowledge(link, m.command, self.run(command, link))
+            except CommandError as error:
+                self._refuse(link, m.command, error)
+
+    def _refuse(self, link: Link, command: int, error: CommandError) -> None:
+        link.warn("command", str(error), self.vehicle.now_us)
+        self._acknowledge(link, command, Result.DENIED)
+
+    def _acknowledge(self, link: Link, command: int, result: Result | None) -> None:
+        if result is not None:
+            link.send_message(mavlink.MAVLink_command_ack_message(command, result, 0, 0, *link.sender))
+
+    def _set_mode(self, link: Link, m: Any) -> None:
+        result = self.vehicle.commander.set_mode(m.base_mode, m.custom_mode)
+        self._acknowledge(link, mavlink.MAV_CMD_DO_SET_MODE, result)

@@ -1,0 +1,65 @@
+"""Messages of the gimbal protocol's second version; its commands are in ``commands``, its streams in ``reports``."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control import frames
+from xtdrone_control.autopilot.navigator.gimbal import GimbalManager
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.streams.rare_telemetry import GIMBAL_CAPABILITIES, GIMBAL_DEVICE, GIMBAL_RANGE
+
+_DEVICES = (0, GIMBAL_DEVICE)  # 0: all
+
+
+class GimbalService(Service):
+    """Takes set-points of whoever has primary control, and tells what the gimbal is."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "GIMBAL_MANAGER_SET_ATTITUDE": "_set_attitude",
+        "GIMBAL_MANAGER_SET_PITCHYAW": "_set_pitch_yaw",
+    }
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._payload = vehicle.commander.navigator.payload
+        vehicle.on_request[mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION] = self._tell_device
+
+    def _manager(self, link: Link, m: Any) -> GimbalManager | None:
+        """Return the gimbal's manager if a set-point of this sender counts."""
+        manager = self._payload.gimbal_manager
+        if self._payload.gimbal_attitude is None or m.gimbal_device_id not in _DEVICES:
+            return None
+        return manager if manager.controlled_by(link.sender) else None
+
+    def _set_attitude(self, link: Link, m: Any) -> None:
+        manager = self._manager(link, m)
+        if manager is None:
+            return
+        nan = (math.nan,) * 3
+        norm = math.sqrt(sum(value * value for value in m.q))  # NaN: only the rates count
+        angles = frames.rpy_from_quaternion(tuple(value / norm for value in m.q)) if 0.0 < norm < math.inf else nan
+        rates = (m.angular_velocity_y, m.angular_velocity_z)
+        self.vehicle.in_turn(lambda: manager.look(angles, m.flags, rates))
+
+    def _set_pitch_yaw(self, link: Link, m: Any) -> None:
+        manager = self._manager(link, m)
+        if manager is not None:
+            angles = (0.0, m.pitch, m.yaw)
+            self.vehicle.in_turn(lambda: manager.look(angles, m.flags, (m.pitch_rate, m.yaw_rate)))
+
+    def _tell_device(self, link: Link) -> bool:
+        if self._payload.gimbal_attitude is None:
+            return False
+        name = self.vehicle.commander.vehicle.type.encode("ascii", "replace")[:32]
+        time_ms = self.vehicle.now_us // 1000
+        message = mavlink.MAVLink_gimbal_device_information_message(
+            time_ms, b"XTDrone", name, b"", 0, 0, 0, GIMBAL_CAPABILITIES & 0xFFFF, 0, *GIMBAL_RANGE, GIMBAL_DEVICE
+        )
+        link.send_message(message)
+        return True

@@ -1,0 +1,46 @@
+"""SET_GPS_GLOBAL_ORIGIN and SET_HOME_POSITION."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.commander.commander import WARNING
+from xtdrone_control.autopilot.estimator.origin import move_origin
+from xtdrone_control.mavlink.commands.command_service import CommandService
+from xtdrone_control.mavlink.commands.commands import Command
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+
+
+class PlaceService(Service):
+    """Sets the local frame's origin and the home position."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {"SET_GPS_GLOBAL_ORIGIN": "_set_origin", "SET_HOME_POSITION": "_set_home"}
+
+    def __init__(self, vehicle: Vehicle, commands: CommandService) -> None:
+        """Serve ``vehicle``; ``commands`` sends the origin back."""
+        super().__init__(vehicle)
+        self._commands = commands
+        self._estimator = vehicle.autopilot.estimator[vehicle.index]
+
+    def _set_origin(self, link: Link, m: Any) -> None:
+        # as in PX4, an origin that comes in the air is passed over without a word
+        if self.vehicle.commander.view.landed:
+            try:
+                move_origin(self._estimator, m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
+            except ValueError as error:
+                self.vehicle.commander.say(WARNING, str(error))
+        self._commands.run(
+            Command(mavlink.MAV_CMD_REQUEST_MESSAGE, (MESSAGE_ID["GPS_GLOBAL_ORIGIN"], 0, 0, 0, 0, 0, 0)),
+            link,
+        )
+
+    def _set_home(self, _link: Link, m: Any) -> None:
+        self.vehicle.in_turn(lambda: self._take_home(m))
+
+    def _take_home(self, m: Any) -> None:
+        if self.vehicle.commander.set_home((m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)):
+            self.vehicle.commander.say(WARNING, "Home position rejected")

@@ -1,0 +1,38 @@
+"""Manual control: MANUAL_CONTROL (a joystick at a ground station) and RC_CHANNELS_OVERRIDE (a radio's channels)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from xtdrone_control.autopilot.commander.inputs import SetpointError
+from xtdrone_control.autopilot.commander.manual_control import CHANNELS
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import Service
+
+_RANGE = 1000.0
+_UNUSED = 0x7FFF  # INT16_MAX: no such axis
+
+
+class ManualService(Service):
+    """Hands sticks and radio channels to the commander, in the turn of set-points."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "MANUAL_CONTROL": "_manual_control",
+        "RC_CHANNELS_OVERRIDE": "_rc_channels_override",
+    }
+
+    def _manual_control(self, link: Link, m: Any) -> None:
+        """x, y, r of -1000..1000; z of 0..1000 with 500 in the middle, as PX4 takes it."""
+        x, y, yaw = (0.0 if value == _UNUSED else value / _RANGE for value in (m.x, m.y, m.r))
+        z = 0.0 if m.z == _UNUSED else 2.0 * m.z / _RANGE - 1.0
+        self.vehicle.in_turn(lambda: self._take_sticks(link, x, y, z, yaw))
+
+    def _take_sticks(self, link: Link, x: float, y: float, z: float, yaw: float) -> None:
+        try:
+            self.vehicle.commander.manual_control(x, y, z, yaw)
+        except SetpointError as error:
+            link.warn("manual", f"sticks rejected: {error}", self.vehicle.now_us)
+
+    def _rc_channels_override(self, _link: Link, m: Any) -> None:
+        channels = [getattr(m, f"chan{number}_raw") for number in range(1, CHANNELS + 1)]
+        self.vehicle.in_turn(lambda: self.vehicle.commander.radio_control(channels))

@@ -1,0 +1,64 @@
+"""Set-point messages of OFFBOARD."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.commander.commander import CRITICAL, Commander
+from xtdrone_control.autopilot.commander.inputs import SetpointError
+from xtdrone_control.mavlink.commands import setpoints
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import Service, Vehicle
+
+_TEXT_INTERVAL_US = 1_000_000
+
+
+class SetpointService(Service):
+    """Hands set-points to the commander."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "SET_POSITION_TARGET_LOCAL_NED": "_local_target",
+        "SET_POSITION_TARGET_GLOBAL_INT": "_global_target",
+        "SET_ATTITUDE_TARGET": "_attitude_target",
+    }
+    CAPABILITIES = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    )
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._tell_again_us = 0
+
+    def _local_target(self, link: Link, m: Any) -> None:
+        self._steer(link, setpoints.local_target, m)
+
+    def _global_target(self, link: Link, m: Any) -> None:
+        self._steer(link, setpoints.global_target, m)
+
+    def _attitude_target(self, link: Link, m: Any) -> None:
+        self._steer(link, setpoints.attitude_target, m)
+
+    def _steer(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
+        self.vehicle.in_turn(lambda: self._take_setpoint(link, take, m))
+
+    def _take_setpoint(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
+        try:
+            take(self.vehicle.commander, m)
+            if self.vehicle.commander.offboard_incomplete:
+                text = "set-point cannot be flown: an axis has no finite value, the vehicle stops and waits"
+                link.warn("set-point that cannot be flown", text, self.vehicle.now_us)
+        except SetpointError as error:
+            if isinstance(error, setpoints.RefusedSetpointError):
+                self._tell(str(error))
+            link.warn("set-point", f"set-point rejected: {error}", self.vehicle.now_us)
+
+    def _tell(self, text: str) -> None:
+        """Tell the operator, at most once a second."""
+        if self.vehicle.now_us >= self._tell_again_us:
+            self._tell_again_us = self.vehicle.now_us + _TEXT_INTERVAL_US
+            self.vehicle.commander.say(CRITICAL, text)

@@ -1,0 +1,85 @@
+"""Events: told to everybody as they happen, told again to who has missed one (https://mavlink.io/en/services/events.html).
+
+As PX4's: numbers begin shortly before they wrap around, the last 20 events can be asked for, and every 3 s each client
+hears the latest number, by which it knows whether it has missed one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, ClassVar
+
+from xtdrone_control.autopilot.events.event_catalogue import MAX_ARGUMENTS
+from xtdrone_control.autopilot.events.events import Event
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import Service, Vehicle
+from xtdrone_control.mavlink.wire.packing import Format
+
+_EVENT, _CURRENT, _ERROR = (Format(name) for name in ("EVENT", "CURRENT_EVENT_SEQUENCE", "RESPONSE_EVENT_ERROR"))
+_FIRST_SEQUENCE = 0xFFFF - 10
+_KEPT = 20
+_LOOK_INTERVAL_US = 100_000
+_SEQUENCE_INTERVAL_US = 3_000_000
+_ARGUMENTS = 40
+_RESET = 1  # MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET: nothing has happened yet
+_UNAVAILABLE = 0  # MAV_EVENT_ERROR_REASON
+_EVERYBODY = 0
+
+assert MAX_ARGUMENTS <= _ARGUMENTS
+
+
+class EventService(Service):
+    """Tells the commander's events."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {"REQUEST_EVENT": "_request_event"}
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._sequence = _FIRST_SEQUENCE
+        self._kept: deque[tuple[int, Event]] = deque(maxlen=_KEPT)
+        self._told_us: dict[Link, int] = {}  # when each client heard the latest number
+        self.due_us = 0
+
+    def update(self, now_us: int) -> None:
+        """Tell what has happened, and the latest number to whom it is due."""
+        self.due_us = (now_us // _LOOK_INTERVAL_US + 1) * _LOOK_INTERVAL_US
+        links = self.vehicle.clients()
+        self._told_us = {link: self._told_us[link] for link in links if link in self._told_us}
+        for link in links:
+            if now_us - self._told_us.get(link, -_SEQUENCE_INTERVAL_US) >= _SEQUENCE_INTERVAL_US:
+                self._told_us[link] = now_us
+                flags = 0 if self._kept else _RESET
+                link.send_values(_CURRENT, (self._sequence, flags), now_us)
+        events = self.vehicle.commander.events
+        while events:
+            self._sequence = self._sequence + 1 & 0xFFFF
+            self._kept.append((self._sequence, events.popleft()))
+            for link in links:
+                self._send(link, *self._kept[-1])
+
+    def _send(self, link: Link, sequence: int, event: Event) -> None:
+        arguments = event.arguments.ljust(_ARGUMENTS, b"\0")
+        time_ms = event.time_us // 1000
+        values = (event.number, time_ms, sequence, _EVERYBODY, _EVERYBODY, event.log_levels, *arguments)
+        link.send_values(_EVENT, values, self.vehicle.now_us)
+
+    def _request_event(self, link: Link, m: Any) -> None:
+        """Send events ``first_sequence`` to ``last_sequence`` again, and say which are gone.
+
+        Of a range longer than what is kept, what is too old is answered once.
+        """
+        first, count = m.first_sequence, (m.last_sequence - m.first_sequence & 0xFFFF) + 1
+        if count > _KEPT:
+            self._refuse(link, first)
+            first, count = m.last_sequence - _KEPT + 1 & 0xFFFF, _KEPT
+        kept = dict(self._kept)
+        for sequence in (first + i & 0xFFFF for i in range(count)):
+            if sequence in kept:
+                self._send(link, sequence, kept[sequence])
+            else:
+                self._refuse(link, sequence)
+
+    def _refuse(self, link: Link, sequence: int) -> None:
+        oldest = min((number for number, _ in self._kept), key=lambda n: n - sequence & 0xFFFF, default=self._sequence)
+        link.send_values(_ERROR, (sequence, oldest, *link.sender, _UNAVAILABLE), self.vehicle.now_us)

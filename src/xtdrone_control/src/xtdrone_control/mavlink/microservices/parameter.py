@@ -1,0 +1,139 @@
+"""The parameter protocol: list, read, write, and the hash of all.
+
+As PX4's: the hash comes first, so that a ground station that knows these values can stop the list by sending it back,
+then 20 parameters each 20 ms, and the hash once more; a second request while a list is running begins it anew. Unknown
+names and other types get no answer, values out of range are taken. A written value is told to everybody.
+
+Clients that take no part in the lockstep share those 20 parameters each 20 ms: there may be many of them, and a list
+costs far more than asking for it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.parameters.parameters import FLOAT, INDEX, INT32, NAMES, ParameterError, describe
+from xtdrone_control.mavlink.link import Link
+from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
+from xtdrone_control.mavlink.wire.packing import Format
+
+_HASH_NAME = "_HASH_CHECK"
+_HASH_TYPE = 5  # MAV_PARAM_TYPE_UINT32
+_NO_INDEX = 0xFFFF
+_PARAM_VALUE = Format("PARAM_VALUE")
+_BURST = 20
+_BURST_PERIOD_US = 20_000
+
+
+class ParameterService(Service):
+    """Lists, reads and writes the vehicle's parameters."""
+
+    MESSAGES: ClassVar[dict[str, str]] = {
+        "PARAM_REQUEST_LIST": "_param_request_list",
+        "PARAM_REQUEST_READ": "_param_request_read",
+        "PARAM_SET": "_param_set",
+    }
+    CAPABILITIES = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Serve ``vehicle``."""
+        super().__init__(vehicle)
+        self._parameters = vehicle.commander.parameters
+        self._lists: dict[Link, int] = {}  # who gets a list, the next first, and which parameter is next
+        self._participants: set[Link] = set()  # those of them that take part in the lockstep
+
+    def update(self, now_us: int) -> None:
+        """Send the next parameters of the lists that are running."""
+        others = [link for link in self._lists if link not in self._participants]
+        for link in [link for link in self._lists if link in self._participants] + others[:1]:
+            self.send_part(link, now_us)
+        self._schedule(now_us)
+
+    @property
+    def waiting(self) -> list[Link]:
+        """Who gets a list now."""
+        return list(self._lists)
+
+    def send_part(self, link: Link, _now_us: int) -> None:
+        """Queue the next parameters of a list."""
+        start = self._lists.pop(link)
+        if not link.open:
+            self._participants.discard(link)
+            return
+        for name in NAMES[start : start + _BURST]:
+            self._send_parameter((link,), name)
+        if start + _BURST < len(NAMES):
+            self._lists[link] = start + _BURST  # at the end of the line
+        else:
+            self._participants.discard(link)
+            self._send_hash(link)
+
+    def _schedule(self, now_us: int) -> None:
+        self.due_us = (now_us // _BURST_PERIOD_US + 1) * _BURST_PERIOD_US if self._lists else NEVER_US
+
+    def _is_for_us(self, m: Any) -> bool:
+        """Say whether ``m`` names this system: PX4 leaves parameter messages to all systems alone."""
+        return bool(m.target_system == self.vehicle.system_id)
+
+    def _param_request_list(self, link: Link, m: Any) -> None:
+        if not self._is_for_us(m):
+            return
+        if link not in self._lists:
+            self._send_hash(link)
+        self._lists[link] = 0
+        if self.vehicle.participant:
+            self._participants.add(link)
+        self._schedule(self.vehicle.now_us)
+
+    def _param_request_read(self, link: Link, m: Any) -> None:
+        if not self._is_for_us(m):
+            return
+        if m.param_index < 0:
+            name = m.param_id
+        elif m.param_index < len(NAMES):
+            name = NAMES[m.param_index]
+        else:
+            return
+        if name == _HASH_NAME:
+            self._send_hash(link)
+        elif name in INDEX:
+            self._send_parameter((link,), name)
+
+    def _param_set(self, link: Link, m: Any) -> None:
+        if not self._is_for_us(m):
+            return
+        if m.param_id == _HASH_NAME:  # a ground station that has the values already
+            self._lists.pop(link, None)
+            self._participants.discard(link)
+            return
+        value = m.param_value
+        if m.param_type == INT32:
+            (value,) = struct.unpack("<i", struct.pack("<f", value))
+        try:
+            self._parameters.set(m.param_id, value, m.param_type)
+        except ParameterError as error:
+            # PX4 answers nothing; the log says why
+            link.warn("parameter", f"parameter not set: {error}", self.vehicle.now_us)
+            return
+        self._parameters.save()
+        self._send_parameter(dict.fromkeys((link, *self.vehicle.clients())), m.param_id)
+
+    def _send_parameter(self, links: Iterable[Link], name: str) -> None:
+        value: float = self._parameters.get(name)
+        kind = FLOAT
+        if describe(name).type == INT32:
+            kind = INT32
+            (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
+        payload = _PARAM_VALUE.payload((value, len(NAMES), INDEX[name], name.encode(), kind))
+        for link in links:
+            link.send_payload(_PARAM_VALUE, payload)
+
+    def _send_hash(self, link: Link) -> None:
+        (value,) = struct.unpack("<f", struct.pack("<I", self._parameters.hash()))
+        link.send_message(
+            mavlink.MAVLink_param_value_message(_HASH_NAME.encode(), value, _HASH_TYPE, len(NAMES), _NO_INDEX)
+        )

@@ -1,0 +1,320 @@
+"""When each telemetry message is due on a link.
+
+Due times are multiples of a stream's interval, so that the vehicles' telemetry falls on the same ticks and a flight is
+the same in every run. Default rates are those of PX4 v1.14's onboard and normal (ground-station) modes; the ground
+station's have upstream XTDrone's 50 Hz set. GPS_GLOBAL_ORIGIN, which PX4 sends when it changes, comes every 10 s here,
+for whoever comes later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+
+from xtdrone_control.mavlink.streams.rare_telemetry import SILENT, silent, source
+from xtdrone_control.mavlink.streams.telemetry import Telemetry, Values
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavlink.wire.packing import Format, PackingError
+
+_NEVER_US = 1 << 62
+_LEAST_INTERVAL_US = 4000  # the autopilot's step
+_LARGEST_INTERVAL_US = (1 << 31) - 1  # what MESSAGE_INTERVAL can tell
+_FALLBACK_RATE = 1.0  # Hz, for a message without a default rate when its default is asked for
+
+Source = Callable[[], Values | list[Values] | None]
+Payloads = dict[int, tuple[bytes, ...]]
+
+ONBOARD_RATES: dict[str, float] = {
+    "HEARTBEAT": 1.0,
+    "TIMESYNC": 10.0,
+    "ALTITUDE": 10.0,
+    "ATTITUDE": 100.0,
+    "ATTITUDE_QUATERNION": 50.0,
+    "ATTITUDE_TARGET": 10.0,
+    "BATTERY_STATUS": 0.5,
+    "DISTANCE_SENSOR": 10.0,
+    "ESC_INFO": 10.0,
+    "ESC_STATUS": 10.0,
+    "ESTIMATOR_STATUS": 1.0,
+    "EXTENDED_SYS_STATE": 5.0,
+    "GLOBAL_POSITION_INT": 50.0,
+    "GPS_GLOBAL_ORIGIN": 0.1,
+    "GPS_RAW_INT": 5.0,
+    "HIGHRES_IMU": 50.0,
+    "HOME_POSITION": 0.5,
+    "LINK_NODE_STATUS": 1.0,
+    "LOCAL_POSITION_NED": 30.0,
+    "ODOMETRY": 30.0,
+    "OPEN_DRONE_ID_LOCATION": 1.0,
+    "OPEN_DRONE_ID_SYSTEM": 1.0,
+    "OPTICAL_FLOW_RAD": 10.0,
+    "PING": 1.0,
+    "POSITION_TARGET_GLOBAL_INT": 10.0,
+    "POSITION_TARGET_LOCAL_NED": 10.0,
+    "RC_CHANNELS": 20.0,
+    "SCALED_PRESSURE": 1.0,
+    "SERVO_OUTPUT_RAW": 10.0,
+    "SYSTEM_TIME": 1.0,
+    "SYS_STATUS": 5.0,
+    "TIME_ESTIMATE_TO_TARGET": 1.0,
+    "UTM_GLOBAL_POSITION": 1.0,
+    "VFR_HUD": 10.0,
+    "VIBRATION": 0.5,
+}
+
+# sent while a gimbal is fitted
+_GIMBAL_RATES = {"GIMBAL_DEVICE_ATTITUDE_STATUS": 1.0, "GIMBAL_MANAGER_STATUS": 0.5, "MOUNT_ORIENTATION": 10.0}
+
+_ORBIT_RATES = {"ORBIT_EXECUTION_STATUS": 5.0}  # sent in ORBIT
+
+GCS_RATES: dict[str, float] = {
+    "HEARTBEAT": 1.0,
+    "ALTITUDE": 1.0,
+    "ATTITUDE": 50.0,
+    "ATTITUDE_QUATERNION": 50.0,
+    "ATTITUDE_TARGET": 50.0,
+    "BATTERY_STATUS": 0.5,
+    "DISTANCE_SENSOR": 0.5,
+    "ESC_INFO": 1.0,
+    "ESC_STATUS": 1.0,
+    "ESTIMATOR_STATUS": 0.5,
+    "EXTENDED_SYS_STATE": 1.0,
+    "GLOBAL_POSITION_INT": 50.0,
+    "GPS_GLOBAL_ORIGIN": 0.1,
+    "GPS_RAW_INT": 1.0,
+    "HOME_POSITION": 0.5,
+    "LINK_NODE_STATUS": 1.0,
+    "LOCAL_POSITION_NED": 50.0,
+    "OPEN_DRONE_ID_LOCATION": 1.0,
+    "OPEN_DRONE_ID_SYSTEM": 1.0,
+    "OPTICAL_FLOW_RAD": 10.0,
+    "PING": 0.1,
+    "POSITION_TARGET_GLOBAL_INT": 1.0,
+    "POSITION_TARGET_LOCAL_NED": 50.0,
+    "RC_CHANNELS": 20.0,
+    "SCALED_PRESSURE": 1.0,
+    "SERVO_OUTPUT_RAW": 50.0,
+    "SYS_STATUS": 1.0,
+    "TIME_ESTIMATE_TO_TARGET": 1.0,
+    "UTM_GLOBAL_POSITION": 0.5,
+    "VFR_HUD": 4.0,
+    "VIBRATION": 0.1,
+}
+
+# can be asked for, without a default rate
+_OTHERS = (
+    "SCALED_IMU",
+    "MANUAL_CONTROL",
+    "ACTUATOR_CONTROL_TARGET",
+    "ACTUATOR_OUTPUT_STATUS",
+    "GIMBAL_MANAGER_INFORMATION",
+    *SILENT,
+    *_ORBIT_RATES,
+)
+FORMATS: dict[int, Format] = {
+    f.number: f
+    for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_GIMBAL_RATES, *_OTHERS]))
+}
+LINK_MESSAGES = ("PING", "LINK_NODE_STATUS", "HIGHRES_IMU")  # these are a link's own, all others the vehicle's
+HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
+_PAYLOAD_BYTES = 4000.0  # a second: "mavlink start -r 4000" of PX4's payload link
+_FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame besides its payload
+
+
+def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
+    """Return ``rates`` multiplied by one factor so that a link carries ``limit`` bytes a second; HEARTBEAT stays."""
+    load = {name: rate * (FORMATS[MESSAGE_ID[name]].size + _FRAME_OVERHEAD) for name, rate in rates.items()}
+    beat = load["HEARTBEAT"]
+    factor = min((limit - beat) / (sum(load.values()) - beat), 1.0)
+    return {name: rate if name == "HEARTBEAT" else rate * factor for name, rate in rates.items()}
+
+
+PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
+ONBOARD_RATES |= _GIMBAL_RATES | _ORBIT_RATES  # not of the payload link: without a gimbal its rates would be others
+GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5}
+
+
+def _allowed(interval_us: float) -> int:
+    return round(min(max(interval_us, _LEAST_INTERVAL_US), _LARGEST_INTERVAL_US))
+
+
+class _Stream:
+    """One message of a link."""
+
+    __slots__ = ("format", "interval_us", "shared", "values")
+
+    def __init__(self, message: Format, values: Source, shared: bool) -> None:
+        self.format = message
+        self.values = values
+        self.shared = shared  # the same for every client
+        self.interval_us = _NEVER_US
+
+    def read(self, report: Callable[[str], None]) -> Values | list[Values] | None:
+        """Return what is to be sent now; ``report`` is told when it cannot be made."""
+        try:
+            return self.values()
+        except (ValueError, ArithmeticError) as error:  # an estimate that is not finite, a parameter that is 0
+            report(f"not sent: {self.format.name}: {error}")
+            return None
+
+    def payloads(self, report: Callable[[str], None]) -> tuple[bytes, ...]:
+        """Return the payloads of what is to be sent now; ``report`` is told when it cannot be made."""
+        values = self.read(report)
+        if values is None:
+            return ()
+        pack = self.format.payload
+        try:
+            return tuple(map(pack, values)) if isinstance(values, list) else (pack(values),)
+        except PackingError as error:
+            report(f"not sent: {error}")
+            return ()
+
+
+class _Group:
+    """Streams with one interval, which are due together."""
+
+    __slots__ = ("due_us", "interval_us", "streams")
+
+    def __init__(self, interval_us: int, now_us: int) -> None:
+        self.interval_us = interval_us
+        self.streams: list[_Stream] = []
+        self.schedule(now_us)
+
+    def schedule(self, now_us: int) -> None:
+        """Set the first due time after ``now_us``."""
+        self.due_us = (now_us // self.interval_us + 1) * self.interval_us
+
+
+class Streams:
+    """The streams of one link of one vehicle.
+
+    Attributes:
+        next_due_us: when the next message is due.
+        active: whether more than the heartbeat is sent.
+    """
+
+    def __init__(
+        self,
+        telemetry: Telemetry,
+        rates: Mapping[str, float],
+        own: Mapping[str, Source] | None = None,
+        changed: Callable[[], None] = silent,
+    ) -> None:
+        """Take the default ``rates`` (message name to Hz). Nothing but the heartbeat is due before ``start``.
+
+        Args:
+            telemetry: gives the messages' values.
+            rates: default rates, message name to Hz.
+            own: gives the values of messages that tell of the link itself; without it they are not sent.
+            changed: called when ``next_due_us`` has changed but by ``due``.
+        """
+        self._defaults = rates
+        self._changed = changed
+        self.active = False
+        own = own or {}
+        self._streams = {
+            number: _Stream(f, own.get(f.name, silent) if f.name in LINK_MESSAGES else source(telemetry, f.name),
+                            f.name not in LINK_MESSAGES)
+            for number, f in FORMATS.items()
+        }  # fmt: skip
+        for name, rate in rates.items():
+            self._streams[MESSAGE_ID[name]].interval_us = round(1e6 / rate)
+        beat = self._streams[HEARTBEAT.number]
+        self._beat = _Group(beat.interval_us, -1)
+        self._beat.streams.append(beat)
+        self._groups = [self._beat]
+        self.next_due_us = self._beat.due_us
+
+    def start(self, now_us: int) -> None:
+        """Begin with all streams: somebody listens."""
+        if not self.active:
+            self.active = True
+            self._rebuild(now_us)
+
+    def stop(self) -> None:
+        """Go back to the heartbeat alone: nobody listens."""
+        if self.active:
+            self.active = False
+            self._rebuild(0)
+
+    def interval(self, number: int) -> int | None:
+        """Return the interval of message ``number`` in us; -1 when it is off, None when there is no such stream."""
+        stream = self._streams.get(number)
+        if stream is None:
+            return None
+        return -1 if stream.interval_us == _NEVER_US else stream.interval_us
+
+    def set_interval(self, number: int, interval_us: float, now_us: int) -> bool:
+        """Set the interval of a message as MAV_CMD_SET_MESSAGE_INTERVAL does.
+
+        Args:
+            number: message id.
+            interval_us: microseconds, cut to what is possible; negative: off; 0: the default.
+            now_us: simulated time.
+
+        Returns:
+            Whether there is such a stream and it may be changed; the heartbeat may not.
+        """
+        stream = self._streams.get(number)
+        if stream is None or number == HEARTBEAT.number:
+            return False
+        if interval_us == 0:
+            interval_us = round(1e6 / self._defaults.get(stream.format.name, _FALLBACK_RATE))
+        stream.interval_us = _NEVER_US if interval_us < 0 else _allowed(interval_us)
+        self._rebuild(now_us)
+        return True
+
+    def _rebuild(self, now_us: int) -> None:
+        """Group the streams by interval; what was due stays due."""
+        groups: dict[int, _Group] = {}
+        if self.active:
+            known = {group.interval_us: group.due_us for group in self._groups if group is not self._beat}
+            for stream in self._streams.values():
+                interval = stream.interval_us
+                if interval == _NEVER_US or stream.format is HEARTBEAT:
+                    continue
+                group = groups.get(interval)
+                if group is None:
+                    group = groups[interval] = _Group(interval, now_us)
+                    group.due_us = min(known.get(interval, _NEVER_US), group.due_us)
+                group.streams.append(stream)
+        self._groups = [self._beat, *(groups[interval] for interval in sorted(groups))]
+        self.next_due_us = min(group.due_us for group in self._groups)
+        self._changed()
+
+    def due(
+        self, now_us: int, shared: Payloads, report: Callable[[str], None]
+    ) -> Iterator[tuple[Format, tuple[bytes, ...]]]:
+        """Yield what is due by ``now_us``, and set when it is due again. A stream that is late is not made up for.
+
+        Args:
+            now_us: simulated time, microseconds.
+            shared: payloads that were made at this time for other clients of the vehicle, by message id; those that
+                are made here are added.
+            report: told of a message that cannot be made of the present estimate.
+
+        Yields:
+            Message and payloads, mostly one.
+        """
+        for group in self._groups:
+            if group.due_us > now_us:
+                continue
+            group.schedule(now_us)
+            for stream in group.streams:
+                if not stream.shared:
+                    yield stream.format, stream.payloads(report)
+                    continue
+                number = stream.format.number
+                payloads = shared.get(number)
+                if payloads is None:
+                    payloads = shared[number] = stream.payloads(report)
+                yield stream.format, payloads
+        self.next_due_us = min(group.due_us for group in self._groups)
+
+    def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Values | list[Values]] | None:
+        """Return message ``number`` as it is now, or None when it cannot be given; ``report`` as in ``due``.
+
+        Several values are several messages.
+        """
+        stream = self._streams.get(number)
+        values = None if stream is None else stream.read(report)
+        return None if stream is None or values is None else (stream.format, values)

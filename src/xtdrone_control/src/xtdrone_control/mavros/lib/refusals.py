@@ -1,0 +1,124 @@
+"""Why the autopilot refuses to arm or to change its mode, and why a failsafe acts, for users without a ground station.
+
+PX4 v1.14 tells such reasons by events alone (MAVLink EVENT): a report of the checks that fail, each for some modes. It
+begins with the summary of the arming checks and ends with that of the vehicle's health; PX4 sends one when something
+has changed and whenever it refuses to arm. MAVROS ignores events.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, NamedTuple
+
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.events import event_words
+from xtdrone_control.autopilot.events.event_catalogue import HEALTH, WITH_CHECKS, Definition
+from xtdrone_control.autopilot.events.events import ERROR
+
+_NS = 1_000_000_000
+_ARMING_LIMIT_NS = _NS // 2  # between a refusal and the report that explains it
+_LATE_LIMIT_NS = 3 * _NS  # PX4 does not report changes more often than every 2 s
+_SUMMARY, _END = "commander_arming_check_summary", "commander_health_summary"
+_FAILSAFE = "commander_failsafe_enter"
+_ALL_MODES = 0xFFFFFFFF
+_CHECK = struct.Struct("<IB")  # modes, component
+_CRITICAL = 2  # MAV_SEVERITY
+
+Line = tuple[int, str]  # MAV_SEVERITY and words
+
+
+class _Check(NamedTuple):
+    """A failing check: the navigation states that it concerns, a bit each, its level and its words."""
+
+    modes: int
+    level: int
+    words: str
+
+    def stands_against(self, state: int) -> bool:
+        """Whether it keeps the vehicle from a navigation state; what concerns all modes may be a mere warning."""
+        return bool(self.modes >> state & 1) and (self.modes != _ALL_MODES or self.level <= ERROR)
+
+
+class Refusals:
+    """Follows the events of one autopilot.
+
+    Attributes:
+        custom_mode: the autopilot's mode as far as it is known; set by who hears of it.
+    """
+
+    def __init__(self) -> None:
+        """Start with nothing known."""
+        self.custom_mode = 0
+        self._checks: tuple[_Check, ...] = ()  # the last whole report
+        self._coming: list[_Check] | None = None  # the report that comes in
+        self._arming_until_ns = -1
+        self._late: tuple[str, int, int] | None = None  # words, navigation state, until when
+
+    def arming_refused(self, now_ns: int) -> None:
+        """Take note of an ack that refuses arming; it must come before the events that follow it."""
+        self._arming_until_ns = now_ns + _ARMING_LIMIT_NS
+
+    def reset(self) -> None:
+        """Forget all: another autopilot, or the same after a reboot."""
+        self._checks, self._coming, self._late = (), None, None
+        self._arming_until_ns = -1
+
+    def take(self, event: Any, now_ns: int) -> list[Line]:
+        """Take an EVENT and return what a user should read now.
+
+        Args:
+            event: the message.
+            now_ns: ROS time.
+        """
+        definition = event_words.definition_of(event.id)
+        name = definition.name if definition else ""
+        if name == _SUMMARY:
+            self._coming = []
+        elif name == _END:
+            return self._report(now_ns)
+        elif self._coming is not None and (definition is None or definition.group != "default"):
+            self._coming.append(_check(event, definition))
+        elif definition is not None and (definition.kind == WITH_CHECKS or name.startswith(_FAILSAFE)):
+            return self._tell(event, definition, now_ns)
+        return []
+
+    def _report(self, now_ns: int) -> list[Line]:
+        """Take the end of a report, and explain with it what waits for an explanation."""
+        if self._coming is None:
+            return []
+        self._checks, self._coming = tuple(self._coming), None
+        lines = []
+        if now_ns <= self._arming_until_ns:
+            mode = modes.from_custom_mode(self.custom_mode)
+            reasons = self._reasons(mode.state if mode else None) or self._reasons(None)
+            lines.append((_CRITICAL, f"Arming denied: {reasons or 'for a reason that is not known here'}"))
+        self._arming_until_ns = -1
+        if self._late is not None:
+            words, state, until_ns = self._late
+            self._late = None
+            if (reasons := self._reasons(state)) and now_ns <= until_ns:
+                lines.append((_CRITICAL, f"{words}: {reasons}"))
+        return lines
+
+    def _tell(self, event: Any, definition: Definition, now_ns: int) -> list[Line]:
+        values = definition.layout.unpack_from(bytes(event.arguments))
+        words, level = event_words.told(definition, values), event.log_levels & 0xF
+        if definition.kind != WITH_CHECKS:
+            return [(level, words)]
+        mode = modes.from_custom_mode(values[0])
+        reasons = self._reasons(mode.state) if mode else ""
+        if mode and not reasons:
+            self._late = words, mode.state, now_ns + _LATE_LIMIT_NS
+        return [(level, f"{words}: {reasons}" if reasons else words)]
+
+    def _reasons(self, state: int | None) -> str:
+        """Return what stands against a navigation state; None for any."""
+        states = range(32) if state is None else (state,)
+        return "; ".join(check.words for check in self._checks if any(map(check.stands_against, states)))
+
+
+def _check(event: Any, definition: Definition | None) -> _Check:
+    concerned, _ = _CHECK.unpack_from(bytes(event.arguments))
+    kind = "health" if definition and definition.group == HEALTH else "arming"
+    words = definition.message if definition else f"{kind} check 0x{event.id:08x}, which is not known here"
+    return _Check(concerned, event.log_levels & 0xF, words)

@@ -1,0 +1,378 @@
+"""UDP links to the autopilots and the thread that reads them.
+
+The receiver thread cuts datagrams into frames. Answers that somebody waits for (``Link.replies``) are handled in that
+thread at once, for the waiting thread may be the one that holds the simulation; telemetry that a plugin wants is queued
+for the main thread; the rest is dropped undecoded.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import select
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.mavlink.wire.codec import FrameError, split
+from xtdrone_control.mavros.lib.throttle import Throttle
+from xtdrone_control.mavros.link.packing import pack
+
+log = logging.getLogger("rosout.mavros")
+
+_RECEIVE_BUFFER = 1 << 20  # bytes; a tick's telemetry of one vehicle is some hundred
+_LARGEST_DATAGRAM = 65535
+_HIGHEST_PORT = 65535
+_PROBE_PORT = 9  # any: nothing is sent to it
+
+RAW = -1
+"""Stands in the place of a message id for every frame, undecoded."""
+
+
+class LinkError(RuntimeError):
+    """A link that cannot be opened: an address that is malformed or taken."""
+
+
+class FcuUrl(NamedTuple):
+    """The parts of a MAVROS ``fcu_url`` that names UDP ends."""
+
+    bind_host: str
+    bind_port: int
+    remote_host: str
+    remote_port: int
+
+    def shifted(self, number: int) -> FcuUrl:
+        """Return the same ends with both ports ``number`` higher.
+
+        Raises:
+            LinkError: there is no such port.
+        """
+        highest = max(self.bind_port, self.remote_port) + number
+        if highest > _HIGHEST_PORT:
+            raise LinkError(f"fleet_url: vehicle {number} would get port {highest}, at most {_HIGHEST_PORT}")
+        return self._replace(bind_port=self.bind_port + number, remote_port=self.remote_port + number)
+
+
+def parse_fcu_url(url: str) -> FcuUrl:
+    """Return the ends of ``udp://[bind_host][:bind_port]@[remote_host][:remote_port]``.
+
+    Left out parts are MAVROS's: bind 0.0.0.0:14555, remote 127.0.0.1:14550.
+
+    Raises:
+        LinkError: another scheme or form, or a port that is not in 1..65535.
+    """
+    match = re.fullmatch(r"udp://([^:@/]*)(?::(\d+))?@([^:@/]*)(?::(\d+))?/?(?:\?ids=\d+,\d+)?", url)
+    if match is None:
+        raise LinkError(f"fcu_url: {url!r} is not of the form udp://[host][:port]@[host][:port]")
+    parts = FcuUrl(match[1] or "0.0.0.0", int(match[2] or 14555), match[3] or "127.0.0.1", int(match[4] or 14550))
+    for port in (parts.bind_port, parts.remote_port):
+        if not 1 <= port <= _HIGHEST_PORT:
+            raise LinkError(f"fcu_url: port {port} in {url!r} is not in 1..{_HIGHEST_PORT}")
+    return parts
+
+
+def bind_host_for(fcu_host: str, bind_host: str = "") -> str:
+    """Return the address to bind for autopilots at ``fcu_host``, after a look whether they can be reached from there.
+
+    Args:
+        fcu_host: name or IPv4 address of the machine with the autopilots.
+        bind_host: address of this machine; empty: 127.0.0.1 if the autopilots are there, else 0.0.0.0, every network.
+
+    Raises:
+        LinkError: a name without an address, an address to which there is no way, or one that is not this machine's.
+    """
+    try:
+        remote = socket.gethostbyname(fcu_host)
+    except (OSError, UnicodeError) as error:
+        raise LinkError(f"fcu_host: {fcu_host!r} has no IPv4 address: {_reason(error)}") from error
+    bind_host = bind_host or ("127.0.0.1" if remote.startswith("127.") else "0.0.0.0")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((bind_host, 0))
+        except (OSError, UnicodeError) as error:
+            reason = _reason(error)
+            raise LinkError(f"bind_host: {bind_host!r} cannot be bound, is it this machine's? {reason}") from error
+        try:
+            probe.connect((remote, _PROBE_PORT))  # asks for a way, sends nothing
+        except OSError as error:
+            raise LinkError(
+                f"fcu_host: {fcu_host!r} ({remote}) cannot be reached from {bind_host}: {_reason(error)}"
+            ) from error
+    return bind_host
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+class Link:
+    """One vehicle's UDP link.
+
+    Attributes:
+        name: the vehicle's name, for messages.
+        port: the local port.
+        remote: where frames go to.
+        source: system and component id that this end sends as.
+        sent: datagrams sent so far.
+        sent_bytes: bytes sent so far.
+        received: datagrams read so far.
+        wanted: ids of the messages that the main thread wants; ``RAW`` for every frame of every sender.
+        from_anyone: ids of those among them that it wants from every sender, not from the autopilot alone.
+        seen: how often each unwanted message came, by id; the stream manager clears it.
+        replies: message id to the function that the receiver thread calls with each frame of it.
+        malformed: datagrams that were no MAVLink, so far.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        url: FcuUrl,
+        target: tuple[int, int] = (1, 1),
+        source: tuple[int, int] = (1, 240),
+    ) -> None:
+        """Bind the local port.
+
+        Args:
+            name: vehicle, for messages.
+            url: both ends.
+            target: system and component id of the autopilot; frames of others are ignored.
+            source: system and component id that this end sends as.
+
+        Raises:
+            LinkError: the local port cannot be bound or the remote host has no address.
+        """
+        self.name = name
+        self.port = url.bind_port
+        self.target = target
+        self.source = source
+        self.sent = self.sent_bytes = 0
+        self.received = 0
+        self.malformed = 0
+        self.wanted: frozenset[int] = frozenset()
+        self.from_anyone: frozenset[int] = frozenset()
+        self.seen: dict[int, int] = {}
+        self.replies: dict[int, Callable[[bytes], None]] = {}
+        self._queue: deque[tuple[int, int, bytes]] = deque()
+        self._packer = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+        self._component = source[1]
+        self._send_lock = threading.Lock()
+        self._read_lock = threading.Lock()
+        self._throttle = Throttle()
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self.remote = (socket.gethostbyname(url.remote_host), url.remote_port)
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            self.socket.setblocking(False)
+            self.socket.bind((url.bind_host, url.bind_port))
+        except OSError as error:
+            self.socket.close()
+            raise LinkError(
+                f"{name}: UDP port {url.bind_port} cannot be bound for {url.remote_host}:{url.remote_port}: "
+                f"{error.strerror or error}; is another mavros or ground station using it?"
+            ) from error
+
+    def send(self, message: Any, component: int | None = None) -> None:
+        """Send a pymavlink message object; safe from any thread.
+
+        Args:
+            message: the message.
+            component: id of the component to send as, 0..255; None: this end's own.
+
+        Raises:
+            FieldError: a value that its field cannot hold; nothing is sent.
+        """
+        with self._send_lock:
+            self._packer.srcComponent = self._component if component is None else component
+            buffer = pack(message, self._packer)
+            self._packer.seq = (self._packer.seq + 1) & 0xFF
+            self._send(buffer)
+
+    def send_frame(self, frame: bytes) -> None:
+        """Send a frame as it is; safe from any thread."""
+        with self._send_lock:
+            self._send(frame)
+
+    @property
+    def sequence(self) -> int:
+        """The sequence number of the next message."""
+        return int(self._packer.seq)
+
+    def _send(self, buffer: bytes) -> None:
+        try:
+            self.socket.sendto(buffer, self.remote)
+        except OSError as error:
+            if self._throttle.passes("send"):
+                host, port = self.remote
+                log.warning("%s: cannot send to %s:%d: %s", self.name, host, port, error.strerror or error)
+            return
+        self.sent += 1
+        self.sent_bytes += len(buffer)
+
+    def read(self) -> None:
+        """Take every datagram that has arrived; for any thread."""
+        with self._read_lock:
+            while True:
+                try:
+                    datagram = self.socket.recv(_LARGEST_DATAGRAM)
+                except (BlockingIOError, ConnectionRefusedError):
+                    return
+                # Frames are queued before the count says that they are there.
+                self._take(datagram, self.received + 1)
+                self.received += 1
+
+    def drain(self, count: int | None = None) -> list[tuple[int, bytes]]:
+        """Return (message id, frame) of what is wanted out of the first ``count`` datagrams (None: all), in order."""
+        queue = self._queue
+        frames = []
+        while queue and (count is None or queue[0][0] <= count):
+            _, number, frame = queue.popleft()
+            frames.append((number, frame))
+        return frames
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+    def _take(self, datagram: bytes, index: int) -> None:
+        wanted, target, from_anyone = self.wanted, self.target, self.from_anyone
+        raw = RAW in wanted
+        try:
+            for number, system, component, frame in split(datagram):
+                if raw:
+                    self._queue.append((index, RAW, frame))
+                if number in from_anyone:
+                    self._queue.append((index, number, frame))
+                    continue
+                if system != target[0]:
+                    continue
+                reply = self.replies.get(number)
+                if reply is not None:
+                    reply(frame)
+                if number in wanted:
+                    if component == target[1]:
+                        self._queue.append((index, number, frame))
+                elif reply is None:
+                    self.seen[number] = self.seen.get(number, 0) + 1
+        except FrameError as error:
+            self.malformed += 1
+            if self._throttle.passes("malformed"):
+                log.warning("%s: MAVLink datagram of %d bytes dropped: %s", self.name, len(datagram), error)
+
+
+class Receiver:
+    """The thread that reads all links."""
+
+    def __init__(self, links: Iterable[Link]) -> None:
+        """Take the links; ``start`` begins."""
+        self._links = list(links)
+        self._by_port = {link.port: link for link in self._links}
+        self._uncounted: dict[int, int] = {}  # came before the simulator began to count, by port
+        self._batches = 0  # how often the thread has read something
+        self._arrived = threading.Condition()
+        self._stop_read, self._stop_write = socket.socketpair()
+        self._thread = threading.Thread(target=self._run, name="mavlink receiver", daemon=True)
+
+    def start(self) -> None:
+        """Start reading."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and close the links."""
+        self._stop_write.send(b"x")
+        self._thread.join()
+        for link in self._links:
+            link.close()
+        self._stop_read.close()
+        self._stop_write.close()
+
+    def wait(self, expected: Mapping[int, int], limit: float) -> dict[int, int]:
+        """Wait until each port has received as many datagrams as ``expected`` says.
+
+        Args:
+            expected: port to cumulative count; ports that are none of ours are ignored.
+            limit: seconds of wall time after which to give up.
+
+        Returns:
+            Ports that still miss datagrams, with how many; empty when all have come.
+        """
+        pairs = [(self._by_port[port], count) for port, count in expected.items() if port in self._by_port]
+
+        def complete() -> bool:
+            return all(link.received >= count for link, count in pairs)
+
+        # What was sent on this machine is in the sockets by now, so the thread need not be waited for.
+        for link, count in pairs:
+            if link.received < count:
+                link.read()
+        if complete():
+            return {}
+        with self._arrived:
+            self._arrived.wait_for(complete, limit)
+        return {link.port: count - link.received for link, count in pairs if link.received < count}
+
+    def wait_counted(self, expected: Mapping[int, int], limit: float) -> dict[int, int]:
+        """Wait for datagrams as the simulator counts them; it has not counted what came before this node had joined.
+
+        Args:
+            expected: port to cumulative count of the simulator's.
+            limit: seconds of wall time after which to give up.
+
+        Returns:
+            For the ports of ``expected`` that are ours: up to which datagram, since the port was bound, this turn
+            reaches.
+        """
+        targets = {}
+        for port, count in expected.items():
+            link = self._by_port.get(port)
+            if link is None:
+                continue
+            if port not in self._uncounted:
+                link.read()  # what was sent before the simulator said its first count is in the socket by now
+                self._uncounted[port] = max(0, link.received - count)
+            targets[port] = count + self._uncounted[port]
+        self.wait(targets, limit)
+        return targets
+
+    def counted(self) -> dict[int, int]:
+        """Return how many of the datagrams that the simulator counts have been read, by port."""
+        return {link.port: link.received - self._uncounted.get(link.port, 0) for link in self._links}
+
+    def is_counted(self, port: int) -> bool:
+        """Whether the simulator has ever said how many datagrams it has sent to ``port``."""
+        return port in self._uncounted
+
+    def wait_any(self, limit: float) -> None:
+        """Wait until something has been read, at most ``limit`` seconds of wall time."""
+        seen = self._batches
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._batches != seen, limit)
+
+    def _run(self) -> None:
+        poller = select.epoll()
+        poller.register(self._stop_read.fileno(), select.EPOLLIN)
+        by_descriptor = {link.socket.fileno(): link for link in self._links}
+        for descriptor in by_descriptor:
+            poller.register(descriptor, select.EPOLLIN)
+        stop = self._stop_read.fileno()
+        try:
+            while True:
+                for descriptor, _ in poller.poll():
+                    if descriptor == stop:
+                        return
+                    self._read(by_descriptor[descriptor])
+                with self._arrived:
+                    self._batches += 1
+                    self._arrived.notify_all()
+        finally:
+            poller.close()
+
+    @staticmethod
+    def _read(link: Link) -> None:
+        try:
+            link.read()
+        except Exception:  # one bad handler must not end the thread that every vehicle depends on
+            log.exception("%s: receiving MAVLink failed", link.name)

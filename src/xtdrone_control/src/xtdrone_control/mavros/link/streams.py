@@ -1,0 +1,85 @@
+"""Asks the autopilot for the messages that somebody takes, and to stop those that nobody does.
+
+A stream is switched off when it is seen to arrive though no plugin wants it, and asked for when a plugin begins to want
+it. An autopilot that refuses is asked a few times and then left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+
+# Answers and events: nobody asks for them at a rate, and to silence them would break a protocol.
+_UNMANAGED_NAMES = (
+    "HEARTBEAT STATUSTEXT COMMAND_ACK PING TIMESYNC AUTOPILOT_VERSION PARAM_VALUE GPS_GLOBAL_ORIGIN MISSION_ACK "
+    "MISSION_COUNT MISSION_CURRENT MISSION_ITEM MISSION_ITEM_INT MISSION_ITEM_REACHED MISSION_REQUEST "
+    "MISSION_REQUEST_INT FILE_TRANSFER_PROTOCOL LOG_ENTRY LOG_DATA"
+)
+UNMANAGED = frozenset(MESSAGE_ID[name] for name in _UNMANAGED_NAMES.split()) | {410, 411}  # 410, 411: PX4's events
+
+DEFAULT_RATE_US = 0  # SET_MESSAGE_INTERVAL: the autopilot's own rate
+OFF_US = -1
+
+_ATTEMPTS = 3
+
+
+class Streams:
+    """What one autopilot has been asked for."""
+
+    def __init__(self, request: Callable[[int, int], None], rates: Mapping[str, float]) -> None:
+        """Take how to ask.
+
+        Args:
+            request: called with message id and interval in microseconds.
+            rates: message name to Hz, for those that are not to come at the autopilot's own rate.
+
+        Raises:
+            ValueError: an unknown message name, or a rate that is not positive.
+        """
+        self._request = request
+        self._rates: dict[int, int] = {}
+        for name, rate in rates.items():
+            if name not in MESSAGE_ID:
+                raise ValueError(f"stream_rates: message {name!r} is not in the MAVLink dialect")
+            if not rate > 0.0:
+                raise ValueError(f"stream_rates/{name}: {rate} Hz is not allowed, more than 0")
+            self._rates[MESSAGE_ID[name]] = round(1e6 / rate)
+        self._asked: dict[int, int] = {}
+        self._refused: dict[int, int] = {}
+        self._user: set[int] = set()
+
+    def reset(self) -> None:
+        """Forget what was asked: the autopilot has (re)started."""
+        self._asked.clear()
+        self._refused.clear()
+        self._user.clear()
+
+    def switched_off(self) -> set[int]:
+        """Return the ids of the messages that the autopilot was asked to stop."""
+        return {number for number, interval in self._asked.items() if interval == OFF_US}
+
+    def leave(self, number: int) -> None:
+        """Leave message ``number`` to the user, who has set its interval by service."""
+        self._user.add(number)
+
+    def update(self, wanted: Iterable[int], unwanted_seen: Iterable[int]) -> None:
+        """Ask for changes.
+
+        Args:
+            wanted: ids that plugins want now.
+            unwanted_seen: ids that came since the last call though they were not wanted.
+        """
+        wanted = frozenset(wanted)
+        for number in sorted(wanted - UNMANAGED - self._user):
+            interval = self._rates.get(number, DEFAULT_RATE_US)
+            if self._asked.get(number) != interval:
+                self._asked[number] = interval
+                self._refused.pop(number, None)
+                self._request(number, interval)
+        for number in sorted(set(unwanted_seen) - wanted - UNMANAGED - self._user):
+            tries = self._refused.get(number, 0)
+            if tries < _ATTEMPTS:
+                self._refused[number] = tries + 1
+                self._asked[number] = OFF_US
+                self._request(number, OFF_US)

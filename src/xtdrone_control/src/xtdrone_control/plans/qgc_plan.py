@@ -1,0 +1,404 @@
+"""QGroundControl's .plan files: mission, geofence and rally points of one vehicle, to plan items and back.
+
+The format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. An item's frame and
+parameters count, its ``Altitude`` keys only help to draw it; patterns are expanded to the items they hold; DO_JUMP's
+target, a ``doJumpId`` in the file, becomes the index of an item.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
+from xtdrone_control.bounded_file import MB, ContentError, load_json, read_text
+from xtdrone_control.mavlink.microservices import mission_items
+
+SUFFIX = ".plan"
+LARGEST = 16 * MB  # some thousand items have a few
+FRAME_GLOBAL, FRAME_RELATIVE = 0, 3  # MAV_FRAME: altitude over sea level, over home
+
+_MAVLINK_FRAMES = {0: FRAME_GLOBAL, 5: FRAME_GLOBAL, 3: FRAME_RELATIVE, 6: FRAME_RELATIVE, 2: FRAME_MISSION}
+_ALTITUDE_MODES = {FRAME_RELATIVE: 1, FRAME_GLOBAL: 2}  # QGroundControl's: relative to launch, AMSL
+_GENERIC, _ARDUPILOT, _PX4 = 0, 3, 12  # MAV_AUTOPILOT
+_FOREIGN = {_GENERIC: "no autopilot in particular", _ARDUPILOT: "ArduPilot"}
+_MULTICOPTER = 2  # MAV_TYPE
+_PATTERNS = ("survey", "CorridorScan")  # those whose items stand in the file
+_TRANSECTS = "TransectStyleComplexItem"
+_LARGEST_COMMAND = 0xFFFF
+_LARGEST_NUMBER = 3.4e38  # what MAVLink's floats hold
+_LEAST_CORNERS = 3
+_FAR_ALTITUDE = 100_000.0  # m, either way
+_PLACED_POLYGONS = {plan.FENCE_INCLUSION: True, plan.FENCE_EXCLUSION: False}
+_PLACED_CIRCLES = {plan.FENCE_CIRCLE_INCLUSION: True, plan.FENCE_CIRCLE_EXCLUSION: False}
+
+Place = tuple[float, float, float]
+
+
+class PlanError(ValueError):
+    """A plan that cannot be used: the message names the file, the item, the value and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a .plan file holds for one vehicle.
+
+    Attributes:
+        mission: the items; DO_JUMP's param1 is the index of the item to jump to.
+        fence: FENCE_* items: corners polygon by polygon, circles, a return point.
+        rally: RALLY_POINT items.
+        home: planned home: latitude, longitude, degrees, altitude, m AMSL. The vehicle's own home counts in flight.
+        cruise_speed, hover_speed: m/s, with which QGroundControl estimates times; the vehicle is not told.
+        firmware: MAV_AUTOPILOT that it was drawn for. Its items are taken as PX4 takes them, whatever that is.
+    """
+
+    mission: Items
+    fence: Items = ()
+    rally: Items = ()
+    home: Place = (0.0, 0.0, 0.0)
+    cruise_speed: float = 15.0
+    hover_speed: float = 5.0
+    firmware: int = _PX4
+
+    @property
+    def drawn_for(self) -> str:
+        """For which autopilot it was drawn, in words; empty for PX4."""
+        return _FOREIGN.get(self.firmware, "")
+
+    def items(self, kind: int) -> Items:
+        """Return the list of a MAV_MISSION_TYPE: 0 mission, 1 fence, 2 rally."""
+        return (self.mission, self.fence, self.rally)[kind]
+
+
+# ---- reading
+
+
+def read(path: str | Path) -> Plan:
+    """Return the plan in a file.
+
+    Raises:
+        PlanError: it cannot be read, is no plan, or holds what cannot be used.
+    """
+    try:
+        text = read_text(path, LARGEST)
+    except (OSError, ContentError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise PlanError(f"{path}: cannot be read: {reason}") from error
+    return parse(text, str(path))
+
+
+def parse(text: str, name: str = "plan") -> Plan:
+    """Return the plan that a .plan file's text describes; ``name`` is what messages call it.
+
+    Raises:
+        PlanError: it is no plan, or holds what cannot be used.
+    """
+    try:
+        content = load_json(text, _no_constant)
+    except ValueError as error:
+        raise PlanError(f"{name}: is no JSON: {error}") from error
+    file = _Value(name, content)
+    file.get("fileType").one_of(("Plan",))
+    file.get("version").one_of((1,))
+    mission = file.get("mission")
+    mission.get("version").one_of((2,))
+    firmware = mission.get("firmwareType", _PX4).one_of((_PX4, *_FOREIGN))
+    return Plan(
+        _read_mission(mission),
+        _read_fence(file.get("geoFence", {})),
+        _read_rally(file.get("rallyPoints", {})),
+        _read_place(mission.get("plannedHomePosition"), 3),
+        mission.get("cruiseSpeed", 15.0).number(0.0, 1000.0),
+        mission.get("hoverSpeed", 5.0).number(0.0, 1000.0),
+        firmware,
+    )
+
+
+def _no_constant(constant: str) -> float:
+    raise ValueError(f"{constant} is no number of JSON; null stands for a parameter that is not given")
+
+
+class _Value:
+    """A value of the file with the path that leads to it, for messages."""
+
+    def __init__(self, where: str, value: Any) -> None:
+        self.where = where
+        self.value = value
+
+    def refuse(self, allowed: str) -> PlanError:
+        """Return the error that says what would be allowed here."""
+        shown = json.dumps(self.value)
+        return PlanError(f"{self.where}: {shown[:60]}{'...' * (len(shown) > 60)} is not allowed, {allowed}")
+
+    def get(self, key: str, default: Any = None) -> _Value:
+        """Return what stands under ``key`` of this object, the default if nothing does.
+
+        Raises:
+            PlanError: this is no object, or nothing stands there and there is no default.
+        """
+        if not isinstance(self.value, dict):
+            raise self.refuse("an object")
+        if key in self.value:
+            return _Value(f"{self.where}: {key}", self.value[key])
+        if default is None:
+            raise PlanError(f"{self.where}: {key} is missing")
+        return _Value(f"{self.where}: {key}", default)
+
+    def list(self, name: str, length: int | None = None) -> list[_Value]:
+        """Return the elements of this list, called ``name`` and a number from 1.
+
+        Raises:
+            PlanError: this is no list, or not of ``length``.
+        """
+        if not isinstance(self.value, list) or length not in (None, len(self.value)):
+            raise self.refuse("a list" if length is None else f"a list of {length}")
+        return [_Value(f"{self.where}: {name} {i}", value) for i, value in enumerate(self.value, 1)]
+
+    def one_of(self, allowed: Sequence[Any]) -> Any:
+        """Return this value, which must be one of ``allowed``."""
+        if isinstance(self.value, bool) or self.value not in allowed:
+            raise self.refuse(" or ".join(json.dumps(value) for value in allowed))
+        return self.value
+
+    def whole(self, low: int, high: int) -> int:
+        """Return this whole number within limits."""
+        if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
+            raise self.refuse(f"a whole number from {low} to {high}")
+        return self.value
+
+    def flag(self) -> bool:
+        """Return this truth value."""
+        if not isinstance(self.value, bool):
+            raise self.refuse("true or false")
+        return self.value
+
+    def number(self, low: float, high: float) -> float:
+        """Return this number within limits."""
+        number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
+        if not number or not low <= self.value <= high:
+            raise self.refuse(f"a number from {low:g} to {high:g}")
+        return float(self.value)
+
+    def parameter(self) -> float:
+        """Return this parameter: a number, or NaN for null."""
+        return math.nan if self.value is None else self.number(-_LARGEST_NUMBER, _LARGEST_NUMBER)
+
+
+def _read_mission(mission: _Value) -> Items:
+    found = list(chain.from_iterable(_read_item(item) for item in mission.get("items").list("item")))
+    index_of: dict[int, int] = {}
+    for i, (_, jump_id, _) in enumerate(found):
+        if jump_id is not None:
+            index_of.setdefault(jump_id, i)
+    return tuple(_with_index(where, item, index_of) for where, _, item in found)
+
+
+def _read_item(entry: _Value) -> list[tuple[_Value, int | None, PlanItem]]:
+    """Return an entry's items, each with where it stands and its doJumpId."""
+    if entry.get("type").one_of(("SimpleItem", "ComplexItem")) == "SimpleItem":
+        return [_read_simple(entry)]
+    entry.get("complexItemType").one_of(_PATTERNS)
+    items = entry.get(_TRANSECTS).get("Items")
+    return [_read_simple(item) for item in items.list("item")]
+
+
+def _read_simple(entry: _Value) -> tuple[_Value, int | None, PlanItem]:
+    entry.get("type").one_of(("SimpleItem",))
+    command = entry.get("command").whole(0, _LARGEST_COMMAND)
+    frame = _MAVLINK_FRAMES[entry.get("frame").one_of(tuple(sorted(_MAVLINK_FRAMES)))]
+    placed = frame != FRAME_MISSION
+    if not mission_items.takes(command, placed):
+        kind = "with" if placed else "without"
+        raise entry.get("command").refuse(f"a MAV_CMD that PX4 takes {kind} a place (frame {frame})")
+    values = entry.get("params").list("param", 7)
+    params = [value.parameter() for value in values]
+    x, y, z = _read_place_of(values) if placed else [0.0 if math.isnan(value) else value for value in params[4:]]
+    jump_id = entry.get("doJumpId").whole(0, 1 << 30) if "doJumpId" in entry.value else None
+    item = PlanItem(
+        command,
+        frame,
+        (params[0], params[1], params[2], params[3]),
+        x,
+        y,
+        z,
+        entry.get("autoContinue", True).flag(),
+    )
+    return entry, jump_id, item
+
+
+def _read_place_of(params: list[_Value]) -> Place:
+    return (
+        params[4].number(-90.0, 90.0),
+        params[5].number(-180.0, 180.0),
+        params[6].number(-_FAR_ALTITUDE, _FAR_ALTITUDE),
+    )
+
+
+def _with_index(where: _Value, item: PlanItem, index_of: dict[int, int]) -> PlanItem:
+    """Return ``item`` with the index in place of the doJumpId if it jumps."""
+    if item.command != plan.JUMP:
+        return item
+    target = item.params[0]
+    index = index_of.get(int(target)) if target == target // 1 else None
+    if index is None:
+        ids = f"{min(index_of)} to {max(index_of)}" if index_of else "none there"
+        raise PlanError(f"{where.where}: DO_JUMP to {target:g} is not allowed, the doJumpId of an item ({ids})")
+    return replace(item, params=(float(index), *item.params[1:]))
+
+
+def _read_place(value: _Value, length: int) -> Place:
+    """Return [latitude, longitude] or [latitude, longitude, altitude]; the altitude is 0 where there is none."""
+    numbers = value.list("number", length)
+    altitude = numbers[2].number(-_FAR_ALTITUDE, _FAR_ALTITUDE) if length == 3 else 0.0
+    return numbers[0].number(-90.0, 90.0), numbers[1].number(-180.0, 180.0), altitude
+
+
+def _placed(command: int, frame: int, param1: float, place: Place) -> PlanItem:
+    return PlanItem(command, frame, (param1, 0.0, 0.0, 0.0), *place, autocontinue=False)
+
+
+def _read_fence(fence: _Value) -> Items:
+    if not fence.value:
+        return ()
+    fence.get("version").one_of((2,))
+    items: list[PlanItem] = []
+    for polygon in fence.get("polygons", []).list("polygon"):
+        command = plan.FENCE_INCLUSION if polygon.get("inclusion").flag() else plan.FENCE_EXCLUSION
+        corners = polygon.get("polygon").list("corner")
+        if len(corners) < _LEAST_CORNERS:
+            raise polygon.get("polygon").refuse(f"at least {_LEAST_CORNERS} corners")
+        items += [_placed(command, FRAME_GLOBAL, float(len(corners)), _read_place(corner, 2)) for corner in corners]
+    for entry in fence.get("circles", []).list("circle"):
+        command = plan.FENCE_CIRCLE_INCLUSION if entry.get("inclusion").flag() else plan.FENCE_CIRCLE_EXCLUSION
+        radius = entry.get("circle").get("radius").number(0.0, _FAR_ALTITUDE)
+        items.append(_placed(command, FRAME_GLOBAL, radius, _read_place(entry.get("circle").get("center"), 2)))
+    if fence.value.get("breachReturn"):
+        place = _read_place(fence.get("breachReturn"), 3)
+        items.append(_placed(plan.FENCE_RETURN_POINT, FRAME_RELATIVE, 0.0, place))
+    return tuple(items)
+
+
+def _read_rally(rally: _Value) -> Items:
+    if not rally.value:
+        return ()
+    rally.get("version").one_of((1, 2))
+    points = rally.get("points").list("point")
+    return tuple(_placed(plan.RALLY_POINT, FRAME_RELATIVE, 0.0, _read_place(point, 3)) for point in points)
+
+
+# ---- writing
+
+
+def write(path: str | Path, content: Plan) -> None:
+    """Write a plan into a file.
+
+    Raises:
+        PlanError: it cannot be told in this format; nothing is written.
+        OSError: it cannot be written there.
+    """
+    Path(path).write_text(text_of(content), encoding="utf-8")
+
+
+def text_of(content: Plan) -> str:
+    """Return a .plan file's text, as QGroundControl writes it.
+
+    Raises:
+        PlanError: it cannot be told in this format: a number that is not finite, a jump out of the mission, corners
+            that make no polygon.
+    """
+    document = {
+        "fileType": "Plan",
+        "geoFence": _fence_object(content.fence),
+        "groundStation": "QGroundControl",
+        "mission": {
+            "cruiseSpeed": content.cruise_speed,
+            "firmwareType": content.firmware,
+            "hoverSpeed": content.hover_speed,
+            "items": [_item_object(i, item, len(content.mission)) for i, item in enumerate(content.mission)],
+            "plannedHomePosition": list(content.home),
+            "vehicleType": _MULTICOPTER,
+            "version": 2,
+        },
+        "rallyPoints": {"points": [list(_place(point)) for point in content.rally], "version": 2},
+        "version": 1,
+    }
+    try:
+        return json.dumps(document, indent=4, allow_nan=False) + "\n"
+    except ValueError as error:
+        raise PlanError("plan: a number that is not finite is not allowed outside an item's parameters") from error
+
+
+def _told(value: float, where: str) -> float | None:
+    if math.isinf(value):
+        raise PlanError(f"{where}: {value} is not allowed, a finite number or NaN")
+    return None if math.isnan(value) else float(value)
+
+
+def _place(item: PlanItem) -> Place:
+    return float(item.x), float(item.y), float(item.z)
+
+
+def _item_object(index: int, item: PlanItem, count: int) -> dict[str, Any]:
+    where = f"item {index + 1}"
+    if item.frame not in _MAVLINK_FRAMES:
+        raise PlanError(f"{where}: frame {item.frame} is not allowed, {sorted(_MAVLINK_FRAMES)}")
+    frame = _MAVLINK_FRAMES[item.frame]
+    first = item.params[0]
+    if item.command == plan.JUMP:
+        if first not in range(count):
+            raise PlanError(f"{where}: DO_JUMP to {first} is not allowed, the index of an item: 0 to {count - 1}")
+        first += 1.0
+    params = [_told(value, where) for value in (first, *item.params[1:], *_place(item))]
+    found: dict[str, Any] = {}
+    if item.has_position and frame in _ALTITUDE_MODES:
+        found = {"AMSLAltAboveTerrain": None, "Altitude": params[6], "AltitudeMode": _ALTITUDE_MODES[frame]}
+    return found | {
+        "autoContinue": item.autocontinue,
+        "command": item.command,
+        "doJumpId": index + 1,
+        "frame": frame,
+        "params": params,
+        "type": "SimpleItem",
+    }
+
+
+def _fence_object(fence: Items) -> dict[str, Any]:
+    polygons: list[dict[str, Any]] = []
+    circles: list[dict[str, Any]] = []
+    found: dict[str, Any] = {"circles": circles, "polygons": polygons, "version": 2}
+    i = 0
+    while i < len(fence):
+        item = fence[i]
+        i += 1
+        if item.command in _PLACED_POLYGONS:
+            corners = _corners(fence, i - 1)
+            i += len(corners) - 1
+            path = [[corner.x, corner.y] for corner in corners]
+            polygons.append({"inclusion": _PLACED_POLYGONS[item.command], "polygon": path, "version": 1})
+        elif item.command in _PLACED_CIRCLES:
+            circle = {"center": [item.x, item.y], "radius": item.params[0]}
+            circles.append({"circle": circle, "inclusion": _PLACED_CIRCLES[item.command], "version": 1})
+        elif item.command == plan.FENCE_RETURN_POINT:
+            found["breachReturn"] = list(_place(item))
+        else:
+            raise PlanError(f"fence item {i}: command {item.command} is not allowed, 5000 to 5004")
+    return found
+
+
+def _corners(fence: Items, start: int) -> Items:
+    """Return the corners of the polygon that begins at ``start``."""
+    first = fence[start]
+    corners = fence[start : start + int(first.params[0])] if math.isfinite(first.params[0]) else ()
+    alike = all(c.command == first.command and c.params[0] == first.params[0] for c in corners)
+    if len(corners) < _LEAST_CORNERS or len(corners) != first.params[0] or not alike:
+        raise PlanError(
+            f"fence item {start + 1}: a polygon of {first.params[0]:g} corners is not allowed, "
+            f"at least {_LEAST_CORNERS} that follow each other"
+        )
+    return corners

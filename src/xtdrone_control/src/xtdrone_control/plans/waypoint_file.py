@@ -1,0 +1,107 @@
+"""Mission files in the text format ``QGC WPL``, of QGroundControl's first years, Mission Planner, MAVProxy and MAVROS.
+
+After the line ``QGC WPL 110`` (or 120) each line is an item: index, whether it is the current one, MAV_FRAME, MAV_CMD,
+param1 to param4, x (latitude), y (longitude), z (altitude), autocontinue; with tabs between. In a file of version 110
+the first item is home, as ArduPilot has it; 120 has no such item. ``#`` begins a comment.
+https://mavlink.io/en/file_formats/#mission_plain_text_file
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from xtdrone_control.autopilot.navigator.plan import PlanItem
+
+VERSIONS = (110, 120)
+_COLUMNS = 12
+_LARGEST_FLOAT = 3.4028234663852886e38  # what MAVLink's floats hold
+_NUMBERS = ("param1", "param2", "param3", "param4", "x", "y", "z")
+
+
+class WaypointFileError(ValueError):
+    """A file that cannot be read: the message names the file, the line, the value and what is allowed."""
+
+
+class Row(NamedTuple):
+    """One line.
+
+    Attributes:
+        item: degrees and m, or what its command means by the seven numbers.
+        current: whether the vehicle was flying it.
+    """
+
+    item: PlanItem
+    current: bool = False
+
+
+def read(text: str, name: str) -> list[Row]:
+    """Return the items of a file.
+
+    Args:
+        text: its content.
+        name: what messages call it.
+
+    Raises:
+        WaypointFileError: it is no such file.
+    """
+    rows: list[Row] = []
+    version = 0
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        where = f"{name}, line {number}"
+        if version:
+            rows.append(_row(line.split(), where))
+        else:
+            version = _version(line, where)
+    if not version:
+        raise WaypointFileError(f"{name}: is empty, its first line must be QGC WPL 110 or QGC WPL 120")
+    return rows
+
+
+def write(rows: Iterable[Row]) -> str:
+    """Return a file's text, of version 120 and with the line ends that MAVROS writes."""
+    lines = ["QGC WPL 120"]
+    for index, (item, current) in enumerate(rows):
+        numbers = (repr(float(value)) for value in (*item.params, item.x, item.y, item.z))
+        columns = (str(index), str(int(current)), str(item.frame), str(item.command), *numbers)
+        lines.append("\t".join((*columns, str(int(item.autocontinue)))))
+    return "".join(line + "\r\n" for line in lines)
+
+
+def _version(line: str, where: str) -> int:
+    words = line.split()
+    if len(words) == 3 and words[:2] == ["QGC", "WPL"] and words[2] in map(str, VERSIONS):
+        return int(words[2])
+    raise WaypointFileError(f"{where}: {line.strip()[:40]!r} is not allowed, QGC WPL 110 or QGC WPL 120")
+
+
+def _row(columns: list[str], where: str) -> Row:
+    if len(columns) != _COLUMNS:
+        raise WaypointFileError(f"{where}: {len(columns)} columns are not allowed, {_COLUMNS}")
+    _whole(columns[0], 0xFFFF, "index", where)
+    current = _whole(columns[1], 1, "current", where)
+    frame = _whole(columns[2], 0xFF, "frame", where)
+    command = _whole(columns[3], 0xFFFF, "command", where)
+    a, b, c, d, x, y, z = [_number(text, name, where) for text, name in zip(columns[4:11], _NUMBERS, strict=True)]
+    autocontinue = _whole(columns[11], 1, "autocontinue", where)
+    return Row(PlanItem(command, frame, (a, b, c, d), x, y, z, bool(autocontinue)), bool(current))
+
+
+def _whole(text: str, largest: int, name: str, where: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,9}", text) or int(text) > largest:
+        raise WaypointFileError(f"{where}: {name} {text!r} is not allowed, 0 to {largest}")
+    return int(text)
+
+
+def _number(text: str, name: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.inf
+    if abs(value) > _LARGEST_FLOAT:
+        raise WaypointFileError(f"{where}: {name} {text!r} is not allowed, a number of 32 bits or nan")
+    return value

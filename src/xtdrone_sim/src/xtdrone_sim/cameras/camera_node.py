@@ -1,0 +1,294 @@
+"""The cameras of all vehicles as a ROS node.
+
+=================================  ========================  ==========================================================
+topic or service                   type                      what
+=================================  ========================  ==========================================================
+/T/CAMERA/image_raw                sensor_msgs/Image         rgb8; stamp: the exposure
+/T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, no distortion
+/T/CAMERA/freeze                   std_srvs/SetBool          true: its pictures stop coming, as of one that has failed
+/xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   where everything is
+=================================  ========================  ==========================================================
+
+T is a vehicle, as ``typhoon_h480_0``, CAMERA its camera's name, as ``cgo3_camera``.
+
+In a turn in which a camera is due, what it sees is the newest scene, whose time is the picture's stamp; the picture is
+drawn by another process and published a fixed simulated time later. Flight goes on meanwhile, and time waits for a
+picture only when it is due. Cameras to which nobody listens take no pictures.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import rosgraph
+import rospy
+import yaml
+from geometry_msgs.msg import Pose as PoseMessage
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import SetBool, SetBoolResponse
+from xtdrone_msgs.msg import SceneState
+
+from xtdrone_control import lockstep
+from xtdrone_control.checks import check_choice, check_range
+from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.lockstep.names import future_name
+from xtdrone_sim.cameras.camera_worker import DrawingProcess, Drawn
+from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
+from xtdrone_sim.cameras.drawn_scene import ActorState, SceneAt, View
+from xtdrone_sim.cameras.rendering import BACKENDS
+from xtdrone_sim.vehicles.visual import Pose
+
+USAGE = "cameras.py"
+MOST_LATENCY = 10.0  # s
+
+_NAME = "cameras"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the node is told.
+
+    Attributes:
+        rate: pictures a second of every camera (``~rate``), Hz, 0.1 to 50; 0: what each vehicle's file says.
+        latency: simulated time from exposure to publishing (``~latency``), s, 0 to 10.
+        backend: of the renderer (``~backend``).
+    """
+
+    rate: float = 0.0
+    latency: float = 0.1
+    backend: str = "auto"
+
+    @staticmethod
+    def read(parameters: Mapping[str, Any]) -> Settings:
+        """Return the settings that private parameters say.
+
+        Raises:
+            ValueError: one is not allowed; the text names it.
+        """
+        rate = parameters.get("rate", 0.0)
+        if isinstance(rate, bool) or rate != 0:
+            check_range("~rate", rate, 0.1, MOST_TURNS, "Hz")
+        return Settings(
+            rate=float(rate),
+            latency=check_range("~latency", parameters.get("latency", 0.1), 0.0, MOST_LATENCY, "s"),
+            backend=check_choice("~backend", str(parameters.get("backend", "auto")), BACKENDS),
+        )
+
+    def rates(self, cameras: Sequence[Camera]) -> list[float]:
+        """Return each camera's rate, Hz."""
+        return [self.rate or camera.mount.rate for camera in cameras]
+
+
+class Drawer(Protocol):
+    """What draws; see ``camera_worker.DrawingProcess``."""
+
+    ended: int
+    last_end: str
+
+    def draw(self, scene: SceneAt, view: View) -> bytes | None:
+        """Return a picture's rows; None if it is lost."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+class _Shot(NamedTuple):
+    """A picture under way: whose, and when it was exposed."""
+
+    camera: int
+    stamp: rospy.Time
+
+
+class CameraNode:
+    """Takes pictures turn by turn.
+
+    Attributes:
+        lost: pictures so far that were to be taken and were not: the drawing process ended over them, or (out of
+            lockstep) the one before was still being drawn.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], settings: Settings, turns: float) -> None:
+        """Declare topics and services.
+
+        Args:
+            cameras: all that the node serves.
+            settings: see there.
+            turns: how often ``step`` is called, Hz.
+        """
+        self.lost = 0
+        self._cameras = list(cameras)
+        self._latency_us = round(settings.latency * 1e6)
+        self._exposures = Exposures(settings.rates(cameras), turns)
+        self._images = [lockstep.Publisher(f"{camera.topics}/image_raw", Image) for camera in cameras]
+        self._infos = [lockstep.Publisher(f"{camera.topics}/camera_info", CameraInfo) for camera in cameras]
+        self._frozen: set[int] = set()
+        self._services = [
+            rospy.Service(f"{camera.topics}/freeze", SetBool, lambda request, k=k: self._freeze(k, request.data))
+            for k, camera in enumerate(cameras)
+        ]
+        self._scene: SceneState | None = None
+        self._last: dict[int, rospy.Time] = {}  # stamp of each camera's newest picture
+        self._under_way: set[int] = set()
+        self._drawer: Drawer | None = None
+        self._deferred = Deferred(1, wait=lockstep.is_active())
+        lockstep.Subscriber("/xtdrone/scene", SceneState, self._take_scene, queue_size=1)
+        lockstep.add_reset_hook(self._restart)
+
+    def begin(self, drawer: Drawer) -> None:
+        """Take pictures from now on, drawn by ``drawer``, which is closed with the node."""
+        self._drawer = drawer
+
+    def _take_scene(self, message: SceneState) -> None:
+        self._scene = message
+
+    def _freeze(self, camera: int, frozen: bool) -> SetBoolResponse:
+        (self._frozen.add if frozen else self._frozen.discard)(camera)
+        words = "takes no pictures any more" if frozen else "takes pictures"
+        text = f"{self._cameras[camera].topics} {words}"
+        rospy.loginfo(text)
+        return SetBoolResponse(True, text)
+
+    def _restart(self) -> None:
+        """Forget what was before the time was set back."""
+        self._deferred.clear()
+        self._scene = None
+        self._last.clear()
+        self._under_way.clear()
+
+    def step(self) -> None:
+        """Publish what is due and expose what is due.
+
+        Raises:
+            DrawingError: pictures cannot be drawn.
+        """
+        now_us = rospy.Time.now().to_nsec() // 1000
+        for shot, picture in self._deferred.ready(now_us):
+            self._under_way.discard(shot.camera)
+            self._publish(shot, picture)
+        if self._scene is None or self._drawer is None:
+            return
+        stamp = self._scene.header.stamp
+        scene = None
+        for camera in self._exposures.due(now_us):
+            if camera in self._frozen or not self._heard(camera) or self._last.get(camera) == stamp:
+                continue
+            self._last[camera] = stamp
+            if camera in self._under_way and not lockstep.is_active():
+                self.lost += 1
+                continue
+            view = self._cameras[camera].view
+            if view.link not in self._scene.links:
+                rospy.logwarn_throttle(10.0, f"/xtdrone/scene does not have {view.link}: no pictures of its camera")
+                continue
+            scene = scene or _scene_of(self._scene)
+            self._under_way.add(camera)
+            self._deferred.put(_Shot(camera, stamp), now_us + self._latency_us, self._drawer.draw, scene, view)
+
+    def _heard(self, camera: int) -> bool:
+        return self._images[camera].get_num_connections() > 0 or self._infos[camera].get_num_connections() > 0
+
+    def _publish(self, shot: _Shot, picture: bytes | None) -> None:
+        camera = self._cameras[shot.camera]
+        if picture is None:
+            assert self._drawer is not None
+            self.lost += 1
+            rospy.logwarn(
+                f"the process that draws pictures has ended ({self._drawer.last_end}); there is another, "
+                f"a picture of {camera.topics} is lost ({self.lost} in all)"
+            )
+            return
+        if shot.camera in self._frozen:
+            return
+        info = camera_info(camera)
+        info.header.stamp = shot.stamp
+        pinhole = camera.mount.pinhole
+        image = Image(height=pinhole.height, width=pinhole.width, encoding="rgb8", step=3 * pinhole.width, data=picture)
+        image.header.stamp = shot.stamp
+        image.header.frame_id = info.header.frame_id
+        self._images[shot.camera].publish(image)
+        self._infos[shot.camera].publish(info)
+
+    def close(self) -> None:
+        """End the drawing."""
+        for service in self._services:
+            service.shutdown()
+        if self._drawer is not None:
+            self._drawer.close()
+        self._deferred.close()
+
+
+def camera_info(camera: Camera) -> CameraInfo:
+    """Return a camera's calibration; its stamp is zero."""
+    p = camera.mount.pinhole
+    info = CameraInfo(height=p.height, width=p.width, distortion_model="plumb_bob", D=[0.0] * 5)
+    info.header.frame_id = camera.frame_id
+    info.K = [p.fx, 0.0, p.cx, 0.0, p.fy, p.cy, 0.0, 0.0, 1.0]
+    info.R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    info.P = [p.fx, 0.0, p.cx, 0.0, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    return info
+
+
+def _scene_of(message: Any) -> SceneAt:
+    links = {name: _pose(pose) for name, pose in zip(message.links, message.poses, strict=True)}
+    actors = {
+        name: ActorState(_pose(pose), phase)
+        for name, pose, phase in zip(message.actors, message.actor_poses, message.actor_phases, strict=True)
+    }
+    return SceneAt(links, actors)
+
+
+def _pose(message: PoseMessage) -> Pose:
+    p, q = message.position, message.orientation
+    return Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+
+def private_parameters(arguments: Sequence[str]) -> dict[str, Any]:
+    """Return the node's private parameters before it is a node: how often it has its turn depends on them.
+
+    Args:
+        arguments: the command line, with ``_rate:=2`` and the like.
+    """
+    name = future_name(_NAME)
+    found = rosgraph.Master(name).getParam("/")
+    for part in name.strip("/").split("/"):
+        found = found.get(part, {}) if isinstance(found, Mapping) else {}
+    values = dict(found) if isinstance(found, Mapping) else {}
+    for argument in arguments:
+        key, mapped, text = argument.partition(":=")
+        if mapped and key.startswith("_") and not key.startswith("__"):
+            values[key[1:]] = yaml.safe_load(text)
+    return values
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Serve all cameras of the fleet until shutdown.
+
+    Raises:
+        ArgumentError: an argument or parameter is not allowed.
+        DrawingError: pictures cannot be drawn.
+    """
+    check_no_arguments(arguments)
+    parameters = private_parameters(sys.argv)
+    text = str(parameters.get("fleet") or rospy.get_param("/xtdrone/fleet", "typhoon_h480"))
+    fleet = fleet_of(text) or ()
+    try:
+        settings = Settings.read(parameters)
+        cameras = cameras_of(fleet)
+        turns = turn_rate(settings.rates(cameras))
+    except ValueError as error:
+        raise ArgumentError(str(error)) from error
+    if not cameras:
+        raise ArgumentError(f"/xtdrone/fleet: no vehicle of {text!r} has a camera")
+    lockstep.init_node(_NAME, rate=turns)
+    node = CameraNode(cameras, settings, turns)
+    try:
+        lockstep.start()  # from now on there is a simulator, which has set the world
+        world = str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty")))
+        node.begin(DrawingProcess(Drawn(world, text, settings.backend)))
+        lockstep.spin(node.step)
+    finally:
+        node.close()

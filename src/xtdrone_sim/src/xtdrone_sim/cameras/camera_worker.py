@@ -1,0 +1,163 @@
+"""The process that draws what cameras see, and who talks to it.
+
+Drawing holds Python's lock, and a renderer that fails may end its process: so it has one of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_sim.cameras.drawn_scene import DrawnScene, SceneAt, View
+from xtdrone_sim.cameras.rendering import Renderer, RendererError
+from xtdrone_sim.worlds.sdf import load_world_file
+
+_NAMES = {"egl": "pybullet's EGL renderer", "tiny": "pybullet's TinyRenderer"}
+_ATTEMPTS = 3  # processes in a row that end without a picture before it is given up
+
+
+class DrawingError(RuntimeError):
+    """Pictures cannot be drawn; the text says why."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What there is to draw.
+
+    Attributes:
+        world: name or file.
+        fleet: as ``typhoon_h480:6``.
+        backend: of the renderer.
+    """
+
+    world: str
+    fleet: str
+    backend: str = "auto"
+
+
+class DrawingProcess:
+    """Draws pictures in a process of its own; for one thread at a time.
+
+    Attributes:
+        ended: how many of its processes have ended unasked, each with the picture that it was drawing.
+        last_end: how the last of them ended, in words.
+    """
+
+    def __init__(self, drawn: Drawn) -> None:
+        """Start the process, which gets ready meanwhile."""
+        self.ended = 0
+        self.last_end = ""
+        self._drawn = drawn
+        self._fruitless = 0
+        self._lock = threading.Lock()  # over which process it is: close() may come while one draws
+        self._closed = False
+        self._start()
+
+    def _start(self) -> None:
+        ours, theirs = socket.socketpair()
+        with ours, theirs:
+            for end in (ours, theirs):
+                end.setblocking(True)  # rospy gives new sockets a time-out
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "xtdrone_sim.cameras.camera_worker", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the node; its end ends this too
+            )
+            self._connection = Connection(ours.detach())
+        self._ready = False
+        with contextlib.suppress(ConnectionError):  # it has ended already, which the first picture finds out
+            self._connection.send(self._drawn)
+
+    @property
+    def pid(self) -> int:
+        """The process's id."""
+        return self._process.pid
+
+    def draw(self, scene: SceneAt, view: View) -> bytes | None:
+        """Return a picture's rows, red, green and blue; None if the process ended over it: there is another then.
+
+        Raises:
+            DrawingError: the world cannot be drawn, or several processes have ended without drawing anything.
+        """
+        try:
+            if not self._ready:
+                self._answer()
+                self._ready = True
+            self._connection.send((scene, view))
+            picture = self._answer()
+        except (EOFError, ConnectionError):
+            self._replace()
+            return None
+        self._fruitless = 0
+        return picture
+
+    def _answer(self) -> bytes:
+        problem, picture = self._connection.recv()
+        if problem:
+            raise DrawingError(problem)
+        return picture
+
+    def _replace(self) -> None:
+        """Start another process in place of one that has ended, but for one that was to end."""
+        with self._lock:
+            if not self._closed:
+                self._start_another()
+
+    def _start_another(self) -> None:
+        self._connection.close()
+        status = self._process.wait()
+        self.ended += 1
+        self._fruitless += 1
+        self.last_end = f"signal {-status}" if status < 0 else f"exit status {status}"
+        if self._fruitless >= _ATTEMPTS:
+            raise DrawingError(
+                f"the drawing process ends again and again ({self.last_end}) before it has drawn anything"
+            )
+        self._start()
+
+    def close(self) -> None:
+        """End the process, from any thread; a picture that it is drawing is lost."""
+        with self._lock:
+            self._closed = True
+            self._process.kill()
+            self._process.wait()
+
+
+def _serve(connection: Connection) -> None:
+    """Draw what is asked for until nobody is there to ask."""
+    drawn: Drawn = connection.recv()
+    try:
+        renderer = Renderer(drawn.backend)
+        scene = DrawnScene(renderer, load_world_file(drawn.world), parse_fleet(drawn.fleet))
+    except (ValueError, OSError, RendererError) as error:
+        connection.send((f"{drawn.world}: {error}", None))
+        return
+    with renderer:
+        print(f"cameras: pictures are drawn by {_NAMES[renderer.backend]}", flush=True)
+        connection.send(("", None))
+        while True:
+            at, view = connection.recv()
+            try:
+                answer = ("", scene.draw(at, view).rgb.tobytes())
+            except ValueError as error:
+                answer = (str(error), b"")
+            connection.send(answer)
+
+
+def main() -> None:
+    """Serve the socket whose number is the first argument."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(EOFError, ConnectionError):  # who asked is gone
+        _serve(Connection(int(sys.argv[1])))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""A world, its vehicles and its people as bodies of a renderer, and what a camera sees of them at one time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_sim.cameras.rendering import Picture, Renderer
+from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.vehicles.visual import Box, Pose, Visual
+from xtdrone_sim.worlds import people
+from xtdrone_sim.worlds.sdf import SdfActor, SdfWorld
+
+OPTICAL = Pose((0.0, 0.0, 0.0), (-0.5, 0.5, -0.5, 0.5))
+"""The optical frame (x right, y down, z ahead) in a camera's link (x ahead, y left, z up)."""
+
+_GROUND = Visual(Box((2000.0, 2000.0, 0.1)), Pose((0.0, 0.0, -0.05)), (0.45, 0.5, 0.4, 1.0))
+
+
+@dataclass(frozen=True)
+class ActorState:
+    """Where an actor is.
+
+    Attributes:
+        pose: of the point between its feet, x ahead, world.
+        phase: of its walk, cycles; negative: it stands.
+    """
+
+    pose: Pose
+    phase: float = -1.0
+
+
+@dataclass(frozen=True)
+class SceneAt:
+    """Where everything is that moves, at one time.
+
+    Attributes:
+        links: pose in the world by Gazebo's name of the link (model::link).
+        actors: by name.
+    """
+
+    links: Mapping[str, Pose]
+    actors: Mapping[str, ActorState]
+
+
+@dataclass(frozen=True)
+class View:
+    """What a camera is to take a picture of.
+
+    Attributes:
+        link: Gazebo's name of its link.
+        pinhole: its picture.
+        near, far: m.
+    """
+
+    link: str
+    pinhole: Pinhole
+    near: float
+    far: float
+
+
+class DrawnScene:
+    """Bodies for everything in a world.
+
+    Attributes:
+        actors: bodies of each actor's postures: the stance, then the frames of its walk.
+        links: body by Gazebo's name of the link (model::link).
+    """
+
+    def __init__(self, renderer: Renderer, world: SdfWorld, fleet: Sequence[Vehicle] = ()) -> None:
+        """Add the world's models, the vehicles' links and the actors' postures.
+
+        Models stand where the world has them until ``draw`` is told otherwise; vehicles and actors are not seen before.
+
+        Args:
+            renderer: takes the bodies; stays the caller's.
+            world: what stands there; one without models gets a level ground.
+            fleet: vehicles, whose types are looked up by name.
+
+        Raises:
+            ValueError: a mesh, texture, person or vehicle type cannot be used; the text names it.
+        """
+        self.actors: dict[str, tuple[int, ...]] = {}
+        self.links: dict[str, int] = {}
+        self._renderer = renderer
+        self._light = world.light
+        self._shown: dict[str, int] = {}
+        if not world.models:
+            renderer.add([_GROUND])
+        for model in world.models:
+            for link in model.links:
+                self._add_link(f"{model.name}::{link.name}", link.visuals, compose(model.pose, link.pose))
+        types = {kind: load_vehicle(kind) for kind in dict.fromkeys(vehicle.type for vehicle in fleet)}
+        for vehicle in fleet:
+            for part in types[vehicle.type].urdf.moving:
+                self._add_link(f"{vehicle.name}::{part.name}", part.visuals, None)
+        skins = people.skins([actor.skin for actor in world.actors])
+        for actor, skin in zip(world.actors, skins, strict=True):
+            self._add_actor(actor, skin)
+
+    def _add_link(self, name: str, visuals: Sequence[Visual], pose: Pose | None) -> None:
+        if not visuals:
+            return
+        body = self.links[name] = self._renderer.add(visuals)
+        if pose is None:
+            self._renderer.hide(body)
+        else:
+            self._renderer.place(body, pose)
+
+    def _add_actor(self, actor: SdfActor, skin: str) -> None:
+        person = people.load(skin)
+        bodies = tuple(self._renderer.add(posture) for posture in (person.standing, *person.walk))
+        for body in bodies:
+            self._renderer.hide(body)
+        self.actors[actor.name] = bodies
+
+    def draw(self, scene: SceneAt, view: View, labels: bool = False) -> Picture:
+        """Return what a camera sees.
+
+        Args:
+            scene: where everything is; what it does not name stays where it was.
+            view: the camera, whose link is in ``scene``.
+            labels: fill the picture's labels too, with bodies as in ``links`` and ``actors``.
+
+        Raises:
+            ValueError: the scene has no such link.
+        """
+        if view.link not in scene.links:
+            raise ValueError(f"camera's link: {view.link!r} is not in the scene; there are {', '.join(scene.links)}")
+        for name, pose in scene.links.items():
+            body = self.links.get(name)
+            if body is not None:
+                self._renderer.place(body, pose)
+        for name, state in scene.actors.items():
+            self._place_actor(name, state)
+        camera = compose(scene.links[view.link], OPTICAL)
+        return self._renderer.draw(view.pinhole, camera, view.near, view.far, self._light, labels)
+
+    def _place_actor(self, name: str, state: ActorState) -> None:
+        bodies = self.actors.get(name)
+        if bodies is None:
+            return
+        frames = len(bodies) - 1
+        posture = 0 if state.phase < 0.0 or not frames else 1 + round(state.phase * frames) % frames
+        shown = self._shown.get(name)
+        if shown is not None and shown != posture:
+            self._renderer.hide(bodies[shown])
+        self._renderer.place(bodies[posture], state.pose)
+        self._shown[name] = posture

@@ -1,0 +1,5 @@
+"""Pictures of scenes: bodies of visuals, seen by pinhole cameras, drawn by pybullet (see docs/cameras.md)."""
+
+from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Picture, Renderer, RendererError
+
+__all__ = ["BACKENDS", "Picture", "Renderer", "RendererError"]

@@ -1,0 +1,94 @@
+"""Between which depths a picture is drawn.
+
+The EGL plugin's depth buffer has 16 bits, spread so that nearly all of them tell apart what is close to the near limit:
+with a limit of 5 cm, surfaces 10 cm apart become one at 20 m. So the near limit is moved out as far as nothing is
+missed, and where something close is seen there are two pictures, one of what is close and one of the rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_sim.cameras.rendering.triangles import rotation_matrix
+from xtdrone_sim.vehicles.visual import Pose
+
+SPLIT = 2.0  # m; what is nearer gets a picture of its own
+
+Array = NDArray[np.float64]
+
+
+class Extents:
+    """Where bodies are and how large."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._corners: list[Array] = []  # of each body's triangles, (n, 3, 3), own frame
+        self._low = np.empty((0, 3))
+        self._high = np.empty((0, 3))
+        self._turns = np.empty((0, 3, 3))
+        self._places = np.empty((0, 3))
+        self._shown = np.empty(0, bool)
+
+    def add(self, corners: Array) -> None:
+        """Take the next body, at the origin: its triangles' corners (n, 3, 3), m."""
+        some = len(corners) > 0
+        self._corners.append(corners)
+        self._low = np.concatenate([self._low, [corners.min(axis=(0, 1)) if some else np.zeros(3)]])
+        self._high = np.concatenate([self._high, [corners.max(axis=(0, 1)) if some else np.zeros(3)]])
+        self._turns = np.concatenate([self._turns, [np.eye(3)]])
+        self._places = np.concatenate([self._places, np.zeros((1, 3))])
+        self._shown = np.append(self._shown, some)
+
+    def place(self, body: int, pose: Pose | None) -> None:
+        """Note where a body is; None: hidden."""
+        self._shown[body] = pose is not None and len(self._corners[body]) > 0
+        if pose is not None:
+            self._turns[body] = rotation_matrix(pose)
+            self._places[body] = pose.position
+
+    def ranges(self, pinhole: Pinhole, pose: Pose, near: float, far: float) -> list[tuple[float, float]]:
+        """Return the limits, m, of the pictures to draw one over the other, the farthest first.
+
+        Args:
+            pinhole: the picture.
+            pose: of the optical frame.
+            near, far: limits that were asked for.
+        """
+        if near >= SPLIT or far <= SPLIT:
+            return [(near, far)]
+        eye, turn = np.asarray(pose.position, float), rotation_matrix(pose)
+        seen = np.einsum("bij,bi->bj", self._turns, eye - self._places)  # the eye in the bodies' frames
+        apart = np.linalg.norm(np.maximum(self._low - seen, 0.0) + np.maximum(seen - self._high, 0.0), axis=1)
+        x = max(pinhole.cx, pinhole.width - pinhole.cx) / pinhole.fx
+        y = max(pinhole.cy, pinhole.height - pinhole.cy) / pinhole.fy
+        least = np.where(self._shown, apart / np.sqrt(1.0 + x * x + y * y), np.inf)  # depth of anything that is seen
+        for body in np.flatnonzero(least < SPLIT):
+            corners = self._corners[body] @ self._turns[body].T + self._places[body]
+            depths = _depths_in_view(pinhole, (corners - eye) @ turn, near)
+            least[body] = depths.min(initial=np.inf)
+        nearest = least.min(initial=np.inf)
+        if nearest < SPLIT:
+            return [(SPLIT, far), (near, SPLIT)]
+        return [(min(nearest, 0.5 * (SPLIT + far)) * 0.999, far)]
+
+
+def _depths_in_view(pinhole: Pinhole, corners: Array, near: float) -> Array:
+    """Return the least depths of the triangles that may be in the picture, of none that is surely outside.
+
+    Args:
+        pinhole: the picture.
+        corners: (n, 3, 3) m, optical frame.
+        near: m.
+    """
+    x, y, z = corners[..., 0], corners[..., 1], corners[..., 2]
+    outside = [
+        z < near,
+        pinhole.fx * x + pinhole.cx * z < 0.0,
+        pinhole.fx * x + (pinhole.cx - pinhole.width) * z > 0.0,
+        pinhole.fy * y + pinhole.cy * z < 0.0,
+        pinhole.fy * y + (pinhole.cy - pinhole.height) * z > 0.0,
+    ]
+    seen = ~np.any([side.all(axis=1) for side in outside], axis=0)
+    return np.maximum(z[seen].min(axis=1), near) if seen.any() else np.empty(0)

@@ -1,0 +1,134 @@
+"""Batteries and motor controllers of all vehicles: voltage, currents, revolutions, at 10 Hz.
+
+Two models, by the vehicle's description (``battery: {model: ...}``):
+
+``drain`` (the default): what PX4 SITL's battery simulator does. The charge falls evenly from full to empty within
+SIM_BAT_DRAIN seconds while the vehicle is armed, not below SIM_BAT_MIN_PCT, and is full again when it is disarmed; the
+current is not measured (-1 A). A real PX4 v1.14.3 showed 100 %, 16.2 V and -1 A on the ground, with its 60 s and 50 %.
+
+``cell``: charge is what the motors and the avionics take; voltage is that of the cells at this charge, less what the
+internal resistance takes. A motor takes ``motor_power`` * speed^3 + ``idle_power``. The charge outlives disarming.
+
+Currents of single motors (SENSORS.esc_current) come from the motor powers in both models.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.autopilot.parameters.parameters import Parameters
+from xtdrone_control.autopilot.state import FAILURE_OFF
+
+if TYPE_CHECKING:
+    from xtdrone_control.autopilot.autopilot import Autopilot
+    from xtdrone_sim.physics.world import World
+
+_RPM = 60.0 / (2.0 * math.pi)
+# volts of a lithium-polymer cell at rest over its charge
+_CHARGES = np.array([0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
+_CELL_VOLTAGES = np.array([3.3, 3.55, 3.65, 3.72, 3.79, 3.87, 4.0, 4.18])
+_TURNING = 10.0  # rad/s above which a motor counts as turning
+
+
+@dataclass(frozen=True)
+class BatteryModel:
+    """A vehicle's battery and what draws on it.
+
+    Attributes:
+        cells: whether charge and voltage follow from the currents; otherwise the battery drains by SIM_BAT_DRAIN.
+        capacity: Ah.
+        resistance: ohm, of the whole battery.
+        motor_power: W s^3/rad^3; power of a motor over the cube of its speed.
+        idle_power: W, of a turning motor besides.
+        avionics_power: W, always.
+    """
+
+    cells: bool = False
+    capacity: float = 5.0
+    resistance: float = 0.015
+    motor_power: float = 1.5e-7
+    idle_power: float = 3.0
+    avionics_power: float = 5.0
+
+
+class Batteries:
+    """The batteries of all vehicles; writes ``battery_*`` and ``esc_*`` of the autopilot's ``sensors``."""
+
+    def __init__(
+        self, world: World, autopilot: Autopilot, models: Sequence[BatteryModel], parameters: Sequence[Parameters]
+    ) -> None:
+        """Start with full batteries.
+
+        Args:
+            world: whose rotors turn.
+            autopilot: whose sensors are written, and whose ``failures`` are obeyed.
+            models: one a vehicle.
+            parameters: one a vehicle: SIM_BAT_*, BAT1_*.
+        """
+        self._world = world
+        self._autopilot = autopilot
+        self._parameters = parameters
+        self._cells = np.array([m.cells for m in models])
+        self._capacity = np.array([m.capacity for m in models])
+        self._resistance = np.array([m.resistance for m in models])
+        self._motor_power = np.array([m.motor_power for m in models])[:, None]
+        self._idle_power = np.array([m.idle_power for m in models])[:, None]
+        self._avionics_power = np.array([m.avionics_power for m in models])
+        self._charge = np.ones(len(models))  # 0..1
+        self._voltage = np.zeros(len(models))
+        self._last_us: int | None = None
+        self.update(autopilot.time_us)
+
+    @property
+    def charge(self) -> NDArray[np.float64]:
+        """True charge of each battery, 0..1."""
+        return self._charge
+
+    def update(self, time_us: int) -> None:
+        """Advance to simulated time ``time_us`` (microseconds) and write what the sensors measure; call it at 10 Hz."""
+        elapsed = 0.0 if self._last_us is None else (time_us - self._last_us) * 1e-6
+        self._last_us = time_us
+        names = ("SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT", "BAT1_N_CELLS", "BAT1_V_EMPTY", "BAT1_V_CHARGED")
+        table = np.array([[p.get(name) for name in names] for p in self._parameters])
+        load_drop = np.array([p.get("BAT1_V_LOAD_DROP") for p in self._parameters])
+        drain, least, cells, empty, full = table.T
+        sensors = self._autopilot.sensors
+        speed = self._world.plant["rotor_speed"]
+        power = np.where(speed > _TURNING, self._motor_power * speed**3 + self._idle_power, 0.0)
+        total = power.sum(axis=1) + self._avionics_power
+        drained, drained_volts = self._drain(elapsed, drain, least, cells * empty, cells * full)
+        used, cell_volts, current = self._discharge(elapsed, total, cells)
+        self._charge = np.where(self._cells, used, drained)
+        volts = np.where(self._cells, cell_volts, drained_volts)
+        failed = self._autopilot.failures["battery"] == FAILURE_OFF
+        self._voltage = np.where(failed, cells * (empty - load_drop), volts)
+        sensors["battery_voltage"] = self._voltage
+        sensors["battery_current"] = np.where(self._cells, current, -1.0)
+        sensors["esc_rpm"] = speed * _RPM
+        sensors["esc_current"] = power / np.maximum(self._voltage, 1.0)[:, None]
+
+    def _drain(
+        self, elapsed: float, drain: np.ndarray, least: np.ndarray, empty: np.ndarray, full: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return charge and voltage of batteries that drain by the clock."""
+        armed = self._autopilot.setpoint["armed"] != 0
+        charge = np.where(armed, self._charge - elapsed / np.maximum(drain, 1e-3), 1.0)
+        charge = np.maximum(charge, least / 100.0)
+        return charge, empty + charge * (full - empty)
+
+    def _discharge(
+        self, elapsed: float, power: np.ndarray, cells: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return charge, voltage and current of batteries that the motors discharge."""
+        rest = cells * np.interp(self._charge, _CHARGES, _CELL_VOLTAGES)
+        # V I = P with V = rest - R I; a battery that cannot give the power gives the most it can
+        inside = np.maximum(rest**2 - 4.0 * self._resistance * power, 0.0)
+        current = (rest - np.sqrt(inside)) / (2.0 * self._resistance)
+        charge = np.maximum(self._charge - current * elapsed / (3600.0 * self._capacity), 0.0)
+        return charge, rest - self._resistance * current, current

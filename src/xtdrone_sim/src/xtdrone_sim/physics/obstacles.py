@@ -1,0 +1,175 @@
+"""What stands in a world and can be hit: which vehicles are near it, and its bodies in Bullet.
+
+Boxes along the axes around the shapes stand for them until a vehicle is near; a grid of columns finds those around a
+vehicle, so that their number costs nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_sim.kernel import kernel
+from xtdrone_sim.physics.bullet import BulletClient, pybullet
+from xtdrone_sim.physics.plant import FREE, TOUCHING
+from xtdrone_sim.vehicles.poses import compose
+from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Pose, Sphere
+from xtdrone_sim.worlds.sdf.bounds import box_of
+from xtdrone_sim.worlds.sdf.types import SdfModel
+
+_CELL = 8.0  # m, side of a column, at least
+_MOST_CELLS = 512  # along each axis
+
+
+@kernel
+def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limits, horizon, wanted):
+    """Set ``wanted`` to TOUCHING for every vehicle that is near a box.
+
+    Spheres around the vehicles, grown by the way that can be made until the next look.
+
+    Args:
+        plant: (n,) ``PLANT``.
+        models: (n,) ``MODEL``.
+        boxes: (k, 6) lowest and highest corner, m.
+        origin: (2,) m, corner of the grid.
+        cell: m, side of a column.
+        begins: (nx, ny + 1) where in ``items`` the boxes of each column begin; those of a column end where the next
+            one's of its row begin.
+        items: numbers of boxes.
+        limits: (2,) m of clearance under which a free vehicle counts as near, and one in Bullet's care.
+        horizon: s until the next look.
+        wanted: (n,) FREE, TOUCHING or ASLEEP; changed.
+
+    Returns:
+        How many vehicles are near a box.
+    """
+    near = 0
+    rows, columns = begins.shape[0], begins.shape[1] - 1
+    for i in range(plant.shape[0]):
+        v = plant[i]
+        x, y, z = v.position[0], v.position[1], v.position[2]
+        speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
+        reach = models[i].radius + speed * horizon + (limits[0] if v.contact == FREE else limits[1])
+        # A lost vehicle may be anywhere, or nowhere: compare as floating point before anything is a whole number.
+        ax, bx = (x - reach - origin[0]) / cell, (x + reach - origin[0]) / cell
+        ay, by = (y - reach - origin[1]) / cell, (y + reach - origin[1]) / cell
+        if not (ax < rows and bx >= 0.0 and ay < columns and by >= 0.0):
+            continue
+        found = False
+        for row in range(int(max(ax, 0.0)), int(min(bx, rows - 1.0)) + 1):
+            first, last = int(max(ay, 0.0)), int(min(by, columns - 1.0))
+            for k in range(begins[row, first], begins[row, last + 1]):
+                b = boxes[items[k]]
+                dx = max(max(b[0] - x, x - b[3]), 0.0)
+                dy = max(max(b[1] - y, y - b[4]), 0.0)
+                dz = max(max(b[2] - z, z - b[5]), 0.0)
+                if dx * dx + dy * dy + dz * dz < reach * reach:
+                    found = True
+                    break
+            if found:
+                break
+        if found:
+            wanted[i] = TOUCHING
+            near += 1
+    return near
+
+
+class Obstacles:
+    """All shapes of a world's models that can be hit.
+
+    Attributes:
+        count: how many.
+        owners: for each, the number of its model.
+    """
+
+    def __init__(self, models: Sequence[SdfModel]) -> None:
+        """Lay out boxes and grid.
+
+        Raises:
+            SdfError: a mesh file that cannot be read.
+        """
+        self._shapes: list[tuple[Geometry, Pose]] = []
+        self.owners: list[int] = []
+        for number, model in enumerate(models):
+            for link in model.links:
+                frame = compose(model.pose, link.pose)
+                for collision in link.collisions:
+                    self._shapes.append((collision.geometry, compose(frame, collision.pose)))
+                    self.owners.append(number)
+        self.count = len(self._shapes)
+        boxes = [np.concatenate(box_of(geometry, pose)) for geometry, pose in self._shapes]
+        self._boxes: NDArray[np.float64] = np.array(boxes, float).reshape(-1, 6)
+        self._lay_grid()
+
+    def _lay_grid(self) -> None:
+        boxes = self._boxes
+        low = boxes[:, :2].min(axis=0) if self.count else np.zeros(2)
+        high = boxes[:, 3:5].max(axis=0) if self.count else np.zeros(2)
+        self._origin = low
+        self._cell = max(_CELL, float((high - low).max()) / _MOST_CELLS)
+        rows, columns = (np.floor((high - low) / self._cell).astype(int) + 1).tolist()
+        members: list[list[list[int]]] = [[[] for _ in range(columns)] for _ in range(rows)]
+        cells = np.floor((boxes[:, [0, 1, 3, 4]] - np.tile(low, 2)) / self._cell).astype(int).tolist()
+        for number, (x0, y0, x1, y1) in enumerate(cells):
+            for row in range(x0, x1 + 1):
+                for column in range(y0, y1 + 1):
+                    members[row][column].append(number)
+        self._begins = np.zeros((rows, columns + 1), np.int64)
+        items: list[int] = []
+        for row in range(rows):
+            for column in range(columns):
+                self._begins[row, column] = len(items)
+                items += members[row][column]
+            self._begins[row, columns] = len(items)
+        self._items = np.array(items, np.int64)
+
+    def mark_near(
+        self,
+        plant: NDArray[np.void],
+        models: NDArray[np.void],
+        limits: NDArray[np.float64],
+        horizon: float,
+        wanted: NDArray[np.int64],
+    ) -> int:
+        """See ``mark_near_obstacles``."""
+        return int(
+            mark_near_obstacles(
+                *(plant, models, self._boxes, self._origin, self._cell, self._begins, self._items),
+                *(limits, horizon, wanted),
+            )
+        )
+
+    def load(self, client: BulletClient, friction: float, restitution: float) -> dict[int, int]:
+        """Make a body of each in Bullet; return the number of the model that each body belongs to."""
+        owner_of = {}
+        meshes: dict[Geometry, int] = {}
+        for (geometry, pose), owner in zip(self._shapes, self.owners, strict=True):
+            shape = meshes[geometry] if geometry in meshes else _shape(client, geometry)
+            meshes[geometry] = shape
+            body = client.createMultiBody(
+                0.0, shape, basePosition=pose.position, baseOrientation=pose.orientation, useMaximalCoordinates=True
+            )
+            client.changeDynamics(body, -1, lateralFriction=friction, restitution=restitution)
+            owner_of[body] = owner
+        return owner_of
+
+
+def _shape(client: BulletClient, geometry: Geometry) -> int:
+    """Return Bullet's number of a shape; meshes keep their hollows."""
+    if isinstance(geometry, Box):
+        return int(client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.5 * side for side in geometry.size]))
+    if isinstance(geometry, Sphere):
+        return int(client.createCollisionShape(pybullet.GEOM_SPHERE, radius=geometry.radius))
+    if isinstance(geometry, Cylinder):
+        return int(client.createCollisionShape(pybullet.GEOM_CYLINDER, radius=geometry.radius, height=geometry.length))
+    return int(
+        client.createCollisionShape(
+            pybullet.GEOM_MESH,
+            fileName=str(geometry.path),
+            meshScale=geometry.scale,
+            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+        )
+    )

@@ -1,0 +1,321 @@
+"""The physical world: free flight by our own kernel, contacts by Bullet, behind one ``step``.
+
+A vehicle that is far from the ground, from obstacles and from every other vehicle is integrated by
+``plant.integrate_free``; near them Bullet integrates it, with the same wrench. A vehicle that rests with its motors off
+sleeps. Bullet's own gravity is off: weight is part of the wrench, so parked bodies stay where they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.autopilot.autopilot import Datum
+from xtdrone_sim.kernel import kernel
+from xtdrone_sim.physics import plant as dynamics
+from xtdrone_sim.physics.bullet import connect, pybullet
+from xtdrone_sim.physics.obstacles import Obstacles
+from xtdrone_sim.physics.plant import ASLEEP, FREE, PLANT, TOUCHING
+from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
+from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, load_world_file
+
+_CHECK_STEPS = 5  # how often the contact sets are looked at; margins cover the motion in between
+_NEAR = 0.25  # m of clearance under which Bullet takes a body over
+_FAR = 0.40  # m of clearance over which it gives it back
+_REST_SPEED = 0.02  # m/s and rad/s under which a body with its motors off counts as at rest
+_REST_STEPS = 125  # steps at rest before it sleeps
+_SPAWN_GAP = 0.001  # m between a spawned body and the ground
+
+
+@dataclass(frozen=True)
+class WorldModel:
+    """What a world description says.
+
+    Attributes:
+        datum: WGS84 position of the map frame's origin.
+        gravity: m/s^2.
+        magnetic_field: gauss, ENU.
+        declination: degrees east.
+        wind: m/s, ENU.
+        friction, restitution: of the ground and of the models.
+        models: what stands there.
+        actors: people.
+    """
+
+    datum: Datum
+    gravity: float
+    magnetic_field: NDArray[np.float64]
+    declination: float
+    wind: NDArray[np.float64]
+    friction: float
+    restitution: float
+    models: tuple[SdfModel, ...] = ()
+    actors: tuple[SdfActor, ...] = ()
+
+
+def load_world(name: str) -> WorldModel:
+    """Return the world ``name``; see ``sdf.load_world_file``.
+
+    Raises:
+        ModelError: unknown world, missing field, or something that is not allowed.
+    """
+    world = load_world_file(name)
+    return WorldModel(
+        world.datum,
+        world.gravity,
+        np.array(world.magnetic_field),
+        world.declination,
+        np.array(world.wind),
+        world.friction,
+        world.restitution,
+        world.models,
+        world.actors,
+    )
+
+
+@kernel
+def sort_contacts(plant, models, armed, steps, dt, wanted):
+    """Fill ``wanted`` (n,) with FREE, TOUCHING or ASLEEP for every vehicle; return how many differ from now."""
+    mark_near(plant, models, steps, dt, wanted)
+    return let_sleep(plant, models, armed, wanted)
+
+
+@kernel
+def mark_near(plant, models, steps, dt, wanted):
+    """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
+
+    Spheres around the collision boxes, grown by the way that can be made until the next look.
+    """
+    count = plant.shape[0]
+    for i in range(count):
+        v, m = plant[i], models[i]
+        reach = abs(v.velocity[2]) * steps * dt
+        clearance = v.position[2] - m.radius - reach
+        near = clearance < (_NEAR if v.contact == FREE else _FAR)
+        wanted[i] = TOUCHING if near else FREE
+    for i in range(count):
+        v = plant[i]
+        for j in range(i):
+            o = plant[j]
+            dx = v.position[0] - o.position[0]
+            dy = v.position[1] - o.position[1]
+            dz = v.position[2] - o.position[2]
+            threshold = models[i].radius + models[j].radius + _FAR + 10.0 * steps * dt
+            squared = dx * dx + dy * dy + dz * dz
+            if squared > threshold * threshold:
+                continue
+            rvx = v.velocity[0] - o.velocity[0]
+            rvy = v.velocity[1] - o.velocity[1]
+            rvz = v.velocity[2] - o.velocity[2]
+            reach = math.sqrt(rvx * rvx + rvy * rvy + rvz * rvz) * steps * dt
+            clearance = math.sqrt(squared) - models[i].radius - models[j].radius - reach
+            if clearance < (_NEAR if v.contact == FREE or o.contact == FREE else _FAR):
+                wanted[i] = TOUCHING
+                wanted[j] = TOUCHING
+
+
+@kernel
+def let_sleep(plant, models, armed, wanted):
+    """Set ``wanted`` (n,) to ASLEEP for those that may sleep; return how many differ from now."""
+    changes = 0
+    for i in range(plant.shape[0]):
+        v = plant[i]
+        if v.contact == ASLEEP:
+            wanted[i] = TOUCHING if armed[i] or _disturbed(plant, models, i) else ASLEEP
+        elif wanted[i] == TOUCHING and not armed[i] and v.still_steps >= _REST_STEPS:
+            wanted[i] = ASLEEP
+        if wanted[i] != v.contact:
+            changes += 1
+    return changes
+
+
+@kernel
+def _disturbed(plant, models, i):
+    """Return whether a body that moves is within reach of sleeper ``i``."""
+    v = plant[i]
+    for j in range(plant.shape[0]):
+        o = plant[j]
+        if j == i or o.contact == ASLEEP:
+            continue
+        dx = v.position[0] - o.position[0]
+        dy = v.position[1] - o.position[1]
+        dz = v.position[2] - o.position[2]
+        reach = models[i].radius + models[j].radius + _NEAR
+        if dx * dx + dy * dy + dz * dz < reach * reach:
+            return True
+    return False
+
+
+class World:
+    """All bodies and what they do in one step.
+
+    Attributes:
+        plant: (n,) ``PLANT``, the vehicles' true state.
+        models: (n,) ``MODEL``.
+        time_step: s.
+        collisions: pairs that have touched since the start, lower index first: vehicles, and from n on the world's
+            models.
+    """
+
+    def __init__(
+        self,
+        model: WorldModel,
+        vehicles: Sequence[VehicleModel],
+        places: Sequence[tuple[float, float, float]],
+        time_step: float,
+    ) -> None:
+        """Place the vehicles.
+
+        Args:
+            model: the world.
+            vehicles: one model a vehicle.
+            places: (x, y, z) in m ENU of the ground under each vehicle's belly.
+            time_step: s.
+        """
+        count = len(vehicles)
+        self.model = model
+        self.time_step = time_step
+        self.plant = np.zeros(count, PLANT)
+        self.models = np.zeros(count, MODEL)
+        self.collisions: set[tuple[int, int]] = set()
+        for i, vehicle in enumerate(vehicles):
+            self.models[i] = vehicle.record
+        self.plant["position"] = np.asarray(places, float)
+        self.plant["position"][:, 2] += 0.5 * self.models["box"][:, 2] + _SPAWN_GAP
+        self.plant["q"][:, 0] = 1.0
+        self.plant["wind"] = model.wind
+        self.plant["contact"] = TOUCHING
+        self._wanted = np.full(count, TOUCHING)
+        self._steps = 0
+        self._obstacles = Obstacles(model.models)
+        self._near_obstacles = 0
+        self._limits = np.array([_NEAR, _FAR])
+        self._bullet = connect()
+        self._load_bullet()
+        self._touching = list(range(count))
+
+    def _load_bullet(self) -> None:
+        client = self._bullet
+        client.setTimeStep(self.time_step)
+        client.setGravity(0.0, 0.0, 0.0)
+        ground = client.createCollisionShape(pybullet.GEOM_PLANE)
+        self._ground = client.createMultiBody(0.0, ground)
+        client.changeDynamics(self._ground, -1, lateralFriction=self.model.friction, restitution=self.model.restitution)
+        self._bodies = []
+        for v, m in zip(self.plant, self.models, strict=True):
+            shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(0.5 * m["box"]).tolist())
+            body = client.createMultiBody(float(m["mass"]), shape, basePosition=v["position"].tolist())
+            client.changeDynamics(
+                body,
+                -1,
+                localInertiaDiagonal=m["inertia"].tolist(),
+                linearDamping=0.0,
+                angularDamping=0.0,
+                lateralFriction=self.model.friction,
+                restitution=self.model.restitution,
+                activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            )
+            self._bodies.append(body)
+        self._index_of = {body: i for i, body in enumerate(self._bodies)}
+        owners = self._obstacles.load(client, self.model.friction, self.model.restitution)
+        self._index_of.update((body, len(self._bodies) + owner) for body, owner in owners.items())
+
+    def step(self, actuators: NDArray[np.float64], armed: NDArray[np.int32]) -> None:
+        """Advance the world by one time step under motor commands (n, MAX_ROTORS), 0..1, and armed flags (n,)."""
+        if self._steps % _CHECK_STEPS == 0:
+            self._sort_contacts(armed)
+        self._steps += 1
+        touching = dynamics.step_all(self.plant, self.models, actuators, armed, self.model.gravity, self.time_step)
+        if touching:
+            self._step_bullet()
+
+    def _sort_contacts(self, armed: NDArray[np.int32]) -> None:
+        if not self._changed_contacts(armed):
+            return
+        contact = self.plant["contact"]
+        for i in np.flatnonzero(self._wanted != contact):
+            if self._wanted[i] == TOUCHING:
+                self._hand_over(i)
+            else:
+                self._park(i, asleep=bool(self._wanted[i] == ASLEEP))
+        contact[:] = self._wanted
+        self._touching = np.flatnonzero(contact == TOUCHING).tolist()
+
+    def _changed_contacts(self, armed: NDArray[np.int32]) -> int:
+        """Say in ``_wanted`` who integrates each vehicle; return for how many that is new."""
+        plant, models, wanted = self.plant, self.models, self._wanted
+        if not self._obstacles.count:
+            return int(sort_contacts(plant, models, armed, _CHECK_STEPS, self.time_step, wanted))
+        mark_near(plant, models, _CHECK_STEPS, self.time_step, wanted)
+        horizon = _CHECK_STEPS * self.time_step
+        self._near_obstacles = self._obstacles.mark_near(plant, models, self._limits, horizon, wanted)
+        return int(let_sleep(plant, models, armed, wanted))
+
+    def _hand_over(self, i: int) -> None:
+        """Give body ``i`` to Bullet in its present state."""
+        v, body = self.plant[i], self._bodies[i]
+        v["still_steps"] = 0
+        w, x, y, z = v["q"].tolist()
+        self._bullet.resetBasePositionAndOrientation(body, v["position"].tolist(), (x, y, z, w))
+        spin = dynamics.rotate(v["q"], *v["rates"].tolist())
+        self._bullet.resetBaseVelocity(body, v["velocity"].tolist(), spin)
+        self._bullet.setCollisionFilterGroupMask(body, -1, 1, -1)
+
+    def _park(self, i: int, *, asleep: bool) -> None:
+        """Take body ``i`` from Bullet: out of the way in free flight, an unmoved obstacle asleep."""
+        body = self._bodies[i]
+        self._bullet.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        if asleep:
+            self.plant[i]["velocity"] = 0.0
+            self.plant[i]["rates"] = 0.0
+            self.plant[i]["acceleration"] = 0.0
+            self.plant[i]["rotor_speed"] = 0.0
+        else:
+            self._bullet.setCollisionFilterGroupMask(body, -1, 0, 0)
+
+    def _step_bullet(self) -> None:
+        client, plant, models = self._bullet, self.plant, self.models
+        gravity, dt = self.model.gravity, self.time_step
+        for i in self._touching:
+            v, m = plant[i], models[i]
+            fx, fy, fz = v["force"].tolist()
+            weight = float(m["mass"]) * gravity
+            position = v["position"].tolist()
+            client.applyExternalForce(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
+            client.applyExternalTorque(self._bodies[i], -1, self._world_torque(v), pybullet.WORLD_FRAME)
+        client.stepSimulation()
+        for i in self._touching:
+            v = plant[i]
+            position, (x, y, z, w) = client.getBasePositionAndOrientation(self._bodies[i])
+            velocity, spin = client.getBaseVelocity(self._bodies[i])
+            v["acceleration"] = (np.array(velocity) - v["velocity"]) / dt
+            v["position"] = position
+            v["velocity"] = velocity
+            v["q"] = (w, x, y, z)
+            v["rates"] = dynamics.rotate_inverse(v["q"], *spin)
+            speed = max(*(abs(value) for value in velocity), *(abs(value) for value in spin))
+            spinning = bool(v["rotor_speed"].max() > 1.0)
+            v["still_steps"] = v["still_steps"] + 1 if speed < _REST_SPEED and not spinning else 0
+        if len(self._touching) > 1 or self._near_obstacles:
+            self._note_collisions()
+
+    @staticmethod
+    def _world_torque(v: np.void) -> tuple[float, float, float]:
+        return dynamics.rotate(v["q"], *v["torque"].tolist())
+
+    def _note_collisions(self) -> None:
+        """Remember who touches whom or what; called only while that may be."""
+        for point in self._bullet.getContactPoints():
+            a, b = self._index_of.get(point[1]), self._index_of.get(point[2])
+            if a is None or b is None or point[8] > 0.0:
+                continue
+            pair = (min(a, b), max(a, b))
+            self.collisions.add(pair)
+
+    def close(self) -> None:
+        """Disconnect from Bullet."""
+        self._bullet.disconnect()

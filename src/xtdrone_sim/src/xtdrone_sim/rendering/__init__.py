@@ -1,5 +1,0 @@
-"""Pictures of scenes: bodies of visuals, seen by pinhole cameras, drawn by pybullet (see docs/cameras.md)."""
-
-from .renderer import BACKENDS, Picture, Renderer, RendererError
-
-__all__ = ["BACKENDS", "Picture", "Renderer", "RendererError"]

@@ -1,0 +1,248 @@
+"""The full simulator: physics and autopilots of all vehicles, reached by MAVLink over UDP."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import rospy
+from gazebo_msgs.msg import ModelStates
+
+from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
+from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_sim.autopilots.backend import AutopilotsFactory, Builtin
+from xtdrone_sim.autopilots.datagrams import Datagrams
+from xtdrone_sim.autopilots.hil import Hil
+from xtdrone_sim.runtime.backend import Idle
+from xtdrone_sim.runtime.mailbox import Mailbox
+from xtdrone_sim.runtime.simulator_node import NodeSettings, choice, close_all, flag, integer, log, run_node
+from xtdrone_sim.simulation import Simulation
+from xtdrone_sim.topics.gazebo_messages import model_states
+from xtdrone_sim.topics.link_topics import SceneTopics
+from xtdrone_sim.worlds.actor_topics import ActorTopics
+from xtdrone_sim.worlds.sdf import world_file
+
+
+@dataclass(frozen=True)
+class Settings(NodeSettings):
+    """What the node's parameters ask, besides those of every simulator.
+
+    Attributes:
+        fleet: vehicles (``/xtdrone/fleet`` or ``~fleet``), on the ports of instance ``/xtdrone/instance``.
+        rows: spawn grid (``~rows``).
+        autopilot: "builtin" is ours; "hil" has PX4s connect to the vehicles' simulator links (``~autopilot``).
+        world: name or file (``~world``); its absolute path is set as ``/xtdrone/world`` for who draws it.
+        seed: of the sensor noise (``~seed``).
+        shared_datum: one local frame for all (``~shared_datum``); for PX4s its origin is set as
+            ``/xtdrone/shared_origin``, from which the MAVROS layer sends it.
+        params: folder in which changed parameters outlive the simulator, empty for none (``~params``).
+        log_dir: folder for the vehicles' ULogs; empty for none (``~log_dir``).
+    """
+
+    fleet: tuple[Vehicle, ...]
+    rows: int
+    autopilot: str
+    world: str
+    seed: int
+    shared_datum: bool
+    params: str
+    log_dir: str
+
+    @classmethod
+    def from_parameters(cls) -> Settings:
+        """Read the node's parameters.
+
+        Raises:
+            ValueError: one that is not allowed.
+        """
+        return cls(
+            **cls.common_parameters(),
+            fleet=parse_fleet(
+                str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1"))),
+                check_instance(rospy.get_param("/xtdrone/instance", 0)),
+            ),
+            rows=integer("~rows", 3, 1),
+            autopilot=choice("~autopilot", ("builtin", "hil")),
+            world=str(rospy.get_param("~world", "empty")),
+            seed=integer("~seed", 0, 0),
+            shared_datum=flag("~shared_datum", True),
+            params=str(rospy.get_param("~params", "")),
+            log_dir=str(rospy.get_param("~log_dir", "")),
+        )
+
+
+class FullScene:
+    """Physics, autopilots and the MAVLink server of all vehicles; see ``scene.Scene``."""
+
+    def __init__(self, settings: Settings) -> None:
+        """Place the fleet on the ground and bind its ports.
+
+        Raises:
+            ValueError: bad settings, unknown vehicle or world.
+            OSError: a port that is taken.
+        """
+        self.names: Sequence[str] = [vehicle.name for vehicle in settings.fleet]
+        self._idle: Idle = lambda _: None
+        self._simulation = Simulation(
+            settings.fleet,
+            rows=settings.rows,
+            world=settings.world,
+            seed=settings.seed,
+            shared_datum=settings.shared_datum,
+            autopilots=self._factory(settings),
+        )
+        rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
+        rospy.set_param("/xtdrone/shared_origin", self._origin_for_px4s(settings))
+        self.step_us = self._simulation.step_us
+        self._models = self._simulation.world.model.models
+        self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
+        self.scenery: Sequence[str] = [*(model.name for model in self._models), *self.actors]
+        self._autopilots = self._simulation.autopilots
+        self._mavlink = MavlinkServer(
+            self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
+        )
+
+    def _factory(self, settings: Settings) -> AutopilotsFactory:
+        """Return what makes the autopilots that the settings ask for."""
+        factories: dict[str, AutopilotsFactory] = {
+            "builtin": partial(
+                Builtin,
+                params=Path(settings.params).expanduser() if settings.params else None,
+                logs=Path(settings.log_dir).expanduser() if settings.log_dir else None,
+            ),
+            "hil": partial(
+                Hil,
+                host=settings.host,
+                hang_limit=settings.hang_limit,
+                idle=lambda timeout: self._idle(timeout),
+                log=log,
+            ),
+        }
+        return factories[settings.autopilot]
+
+    def _origin_for_px4s(self, settings: Settings) -> dict[str, float]:
+        """Return where PX4s' local frames are to begin, empty if they need not be told."""
+        if settings.autopilot != "hil" or not settings.shared_datum:
+            return {}
+        return asdict(self._simulation.world.model.datum)
+
+    @property
+    def time_us(self) -> int:
+        """Simulated time, microseconds."""
+        return self._simulation.time_us
+
+    @property
+    def gravity(self) -> float:
+        """In m/s^2."""
+        return self._simulation.world.model.gravity
+
+    @property
+    def need_time(self) -> bool:
+        """Whether the autopilots answer their clients only while time goes on."""
+        return self._autopilots.need_time
+
+    @property
+    def descriptors(self) -> Sequence[int]:
+        """MAVLink's, and those of the autopilots."""
+        return (self._mavlink.fileno(), *self._autopilots.descriptors)
+
+    @property
+    def patience(self) -> float:
+        """How long the MAVLink links may be left alone, wall s."""
+        return self._mavlink.patience
+
+    def open(self, server: LockstepServer, mailbox: Mailbox, idle: Idle) -> None:
+        """Count datagrams together with the lockstep's server."""
+        self._idle = idle
+        self._server = server
+        server.open_datagram_ports(self._mavlink.received)
+        self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
+        self._topics = SceneTopics(self._simulation, mailbox)
+        for name, model in zip(self.names, self._simulation.models, strict=True):
+            rospy.set_param(f"/{name}/robot_description", model.urdf.text)
+        self._actors = ActorTopics(self._simulation.world.model.actors, lambda: self.time_us)
+        self._topics.providers.append(self._actors.tell)
+
+    def missing(self) -> str:
+        """Say which autopilots have not connected."""
+        return self._autopilots.missing()
+
+    def serve(self, ready: Collection[int]) -> None:
+        """Receive MAVLink, and what comes from the autopilots."""
+        if self._mavlink.fileno() in ready or self._mavlink.backlog:
+            self._mavlink.receive(0.0)
+        if not set(ready).isdisjoint(self._autopilots.descriptors):
+            self._autopilots.serve()
+        self._mavlink.keep_alive(self._datagrams.counted_ports)
+
+    def next_due_us(self, now_us: int) -> int | None:
+        """Streams are sent on the way."""
+        return None
+
+    def next_told_us(self, now_us: int) -> int | None:
+        """Return when links are told of next."""
+        return self._topics.next_told_us(now_us)
+
+    def advance(self, until_us: int) -> None:
+        """Step, and send telemetry when it is due."""
+        self._datagrams.direct()
+        simulation, mavlink = self._simulation, self._mavlink
+        next_stream = mavlink.next_due_us
+        while simulation.time_us < until_us:
+            simulation.step()
+            if simulation.time_us >= next_stream:
+                mavlink.send_streams(simulation.time_us)
+                next_stream = mavlink.next_due_us
+        mavlink.send_streams(simulation.time_us)
+
+    def step(self) -> None:
+        """Advance by one step."""
+        self._simulation.step()
+
+    def tick(self, idle: Idle) -> None:
+        """Publish where links are, and run one barrier; set-points from participants act after it."""
+        self._topics.publish()
+        self._mavlink.hold_setpoints()
+        self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)
+        self._actors.receive()
+        self._datagrams.wait()
+        self._mavlink.release_setpoints()
+
+    def truth(self) -> bytes:
+        """Return the plant records."""
+        return self._simulation.world.plant.tobytes()
+
+    def model_states(self) -> ModelStates:
+        """Return the plant as Gazebo has it."""
+        message = model_states(self.names, self._simulation.world.plant, self._models)
+        self._actors.add_to(message)
+        return message
+
+    def collisions(self) -> set[tuple[int, int]]:
+        """Return which vehicles have hit each other or something."""
+        return self._simulation.world.collisions
+
+    def restart(self, time_us: int) -> None:
+        """Reboot all autopilots at their spawn places."""
+        self._simulation.restart(time_us)
+        self._actors.restart(time_us)
+        self._topics.restart()
+        self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
+
+    def close(self) -> None:
+        """Close the ports, and free the physics engine and what the autopilots hold."""
+        close_all(self._mavlink.close, self._simulation.close)
+
+
+def _make() -> tuple[Settings, FullScene]:
+    settings = Settings.from_parameters()
+    return settings, FullScene(settings)
+
+
+def main() -> int:
+    """Run the node; return its exit status."""
+    return run_node(_make, sys.argv)

@@ -1,0 +1,71 @@
+"""True motion with its exact time: what /gazebo/model_states has, each model on a topic of its own, with a header.
+
+=================================  ==================  ==========================================================
+published, while subscribed
+/xtdrone/T/ground_truth/odom       nav_msgs/Odometry   of vehicles and actors, at the rate of /gazebo/model_states
+=================================  ==================  ==========================================================
+
+Poses are in ``map`` (ENU, quaternion x, y, z, w), twists in the body's own axes (FLU), as nav_msgs/Odometry asks; all
+covariances are zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rospy
+from gazebo_msgs.msg import ModelStates
+from geometry_msgs.msg import Pose, Twist, Vector3
+from nav_msgs.msg import Odometry
+
+from xtdrone_control import lockstep
+from xtdrone_sim.vehicles.poses import conjugate, rotate
+
+
+def topic(name: str) -> str:
+    """Return where the truth of a model is published."""
+    return f"/xtdrone/{name}/ground_truth/odom"
+
+
+class GroundTruth:
+    """The topics of all that moves."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Advertise the topics of these models."""
+        self._publishers = {name: lockstep.Publisher(topic(name), Odometry) for name in names}
+        self._messages = {name: _empty(name) for name in names}
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody listens."""
+        return any(publisher.get_num_connections() for publisher in self._publishers.values())
+
+    def publish(self, states: ModelStates, time_us: int) -> None:
+        """Publish what is subscribed of ``states``, which are those of ``time_us``, microseconds."""
+        places = {name: i for i, name in enumerate(states.name)}
+        stamp = rospy.Time(time_us // 1_000_000, time_us % 1_000_000 * 1000)
+        for name, publisher in self._publishers.items():
+            i = places.get(name)
+            if i is None or not publisher.get_num_connections():
+                continue
+            message = self._messages[name]
+            message.header.stamp = stamp
+            message.pose.pose = states.pose[i]
+            message.twist.twist = in_body(states.pose[i], states.twist[i])
+            publisher.publish(message)
+
+
+def _empty(name: str) -> Odometry:
+    message = Odometry(child_frame_id=f"{name}/base_link")
+    message.header.frame_id = "map"
+    return message
+
+
+def in_body(pose: Pose, twist: Twist) -> Twist:
+    """Return a twist given in the world's axes in those of a body of this pose."""
+    q, linear, angular = pose.orientation, twist.linear, twist.angular
+    inverse = conjugate((q.x, q.y, q.z, q.w))
+    return Twist(
+        Vector3(*rotate(inverse, (linear.x, linear.y, linear.z))),
+        Vector3(*rotate(inverse, (angular.x, angular.y, angular.z))),
+    )

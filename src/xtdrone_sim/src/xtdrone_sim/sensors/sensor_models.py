@@ -1,0 +1,274 @@
+"""Sensor models of one vehicle, with noise from per-vehicle seeded streams.
+
+IMU, magnetometer, barometer, GPS, and where the vehicle has them an optical-flow camera and a range finder that look
+down on level ground at height 0 (they see no other vehicle).
+
+Vehicle i's noise depends on the seed and on i alone, not on how many vehicles fly. Streams are drawn a second ahead,
+in blocks, so that the kernel only adds; flow and range have a stream of their own.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from xtdrone_control.autopilot.autopilot import Autopilot
+from xtdrone_control.geodesy import geo
+from xtdrone_control.rotation import multiply, rotate_inverse
+from xtdrone_sim.kernel import kernel
+from xtdrone_sim.physics.world import World
+from xtdrone_sim.sensors.failure_injection import Failing
+
+STEPS = 250  # IMU samples a block: one second
+MAG_EVERY = 5  # steps: 50 Hz
+BARO_EVERY = 10  # 25 Hz
+GPS_EVERY = 25  # 10 Hz
+FLOW_EVERY = 10  # 25 Hz, optical flow and range
+_FAST = 6  # normals a step: gyro 3, accel 3
+_SLOW = 20  # normals a slot of MAG_EVERY steps: mag 3, baro 2, gps position 3, velocity 3, wander 3, IMU walks 6
+
+_DOWN = 5  # normals a sample of flow and range: flow 2, its gyroscope 2, range 1
+_DOWN_STREAM = 1  # second part of its spawn key
+_BEST_FLOW = 255
+
+BIAS = np.dtype(
+    [
+        ("rates", "f8", 3),  # rad/s, body FLU, true, of the step before
+        ("gyro", "f8", 3),  # rad/s, body FRD
+        ("accel", "f8", 3),  # m/s^2
+        ("mag", "f8", 3),  # gauss
+        ("baro", "f8"),  # m
+        ("gps", "f8", 3),  # m, NED
+    ],
+    align=True,
+)
+
+# International Standard Atmosphere, troposphere
+_P0 = 101325.0  # Pa
+_T0 = 288.15  # K
+_LAPSE = 0.0065  # K/m
+_EXPONENT = 5.25588
+
+_reproject = kernel(geo.reproject)
+
+
+@kernel
+def _imu(s, v, m, b, noise, gravity, dt):
+    """Gyroscope and accelerometer in body FRD; noise densities become sample noise by 1/sqrt(dt).
+
+    Both are means over the step, as an integrating IMU gives them: rates between its ends, force in the attitude of its
+    middle.
+    """
+    root = 1.0 / math.sqrt(dt)
+    wx, wy, wz = 0.5 * (b.rates[0] + v.rates[0]), 0.5 * (b.rates[1] + v.rates[1]), 0.5 * (b.rates[2] + v.rates[2])
+    for i in range(3):
+        b.rates[i] = v.rates[i]
+    middle = multiply(v.q, (1.0, -0.25 * dt * wx, -0.25 * dt * wy, -0.25 * dt * wz))  # half a step back; unit to 1e-6
+    fx, fy, fz = rotate_inverse(middle, v.acceleration[0], v.acceleration[1], v.acceleration[2] + gravity)
+    force = (fx, -fy, -fz)
+    rates = (wx, -wy, -wz)
+    for i in range(3):
+        s.gyro[i] = rates[i] + b.gyro[i] + m.gyro_noise_density * root * noise[i]
+        s.accel[i] = force[i] + b.accel[i] + m.accel_noise_density * root * noise[3 + i]
+
+
+@kernel
+def _walk_imu_biases(m, b, noise, dt):
+    """Let the IMU's biases walk for ``dt``; slowly enough that once a slot will do."""
+    root = math.sqrt(dt)
+    for i in range(3):
+        b.gyro[i] += m.gyro_random_walk * root * noise[14 + i]
+        b.accel[i] += m.accel_random_walk * root * noise[17 + i]
+
+
+@kernel
+def _magnetometer(s, v, m, b, noise, field):
+    x, y, z = rotate_inverse(v.q, field[0], field[1], field[2])
+    s.mag[0] = x + b.mag[0] + m.mag_noise * noise[0]
+    s.mag[1] = -y + b.mag[1] + m.mag_noise * noise[1]
+    s.mag[2] = -z + b.mag[2] + m.mag_noise * noise[2]
+    s.mag_fresh = 1
+
+
+@kernel
+def _barometer(s, v, m, b, noise, datum_altitude, dt):
+    b.baro += m.baro_drift * math.sqrt(dt) * noise[4]
+    altitude = datum_altitude + v.position[2] + b.baro + m.baro_noise * noise[3]
+    share = 1.0 - _LAPSE * altitude / _T0
+    s.baro_alt = altitude
+    s.baro_pressure = _P0 * share**_EXPONENT
+    s.baro_temperature = _T0 * share - 273.15
+    s.baro_fresh = 1
+
+
+@kernel
+def _ahead(v, i, time):
+    """Return where the body will be along world axis ``i`` in ``time`` s, going on as it does, m."""
+    return v.position[i] + time * (v.velocity[i] + 0.5 * time * v.acceleration[i])
+
+
+@kernel
+def _gps(s, v, m, b, noise, latitude, longitude, altitude, dt):
+    """GPS fix of position with white noise and a slow wander, velocity with white noise."""
+    keep = math.exp(-dt / m.gps_wander_time)
+    drive = m.gps_wander * math.sqrt(1.0 - keep * keep)
+    for i in range(3):
+        b.gps[i] = keep * b.gps[i] + drive * noise[11 + i]
+    north = _ahead(v, 1, m.gps_lead) + b.gps[0] + m.gps_horizontal_noise * noise[5]
+    east = _ahead(v, 0, m.gps_lead) + b.gps[1] + m.gps_horizontal_noise * noise[6]
+    down = -_ahead(v, 2, m.gps_lead) + b.gps[2] + m.gps_vertical_noise * noise[7]
+    s.gps_lat, s.gps_lon = _reproject(north, east, latitude, longitude)
+    s.gps_alt = altitude - down
+    s.gps_vel[0] = v.velocity[1] + m.gps_lead * v.acceleration[1] + m.gps_velocity_noise * noise[8]
+    s.gps_vel[1] = v.velocity[0] + m.gps_lead * v.acceleration[0] + m.gps_velocity_noise * noise[9]
+    s.gps_vel[2] = -v.velocity[2] - m.gps_lead * v.acceleration[2] + m.gps_velocity_noise * noise[10]
+    s.gps_eph = math.sqrt(m.gps_horizontal_noise**2 + m.gps_wander**2)
+    s.gps_epv = math.sqrt(m.gps_vertical_noise**2 + m.gps_wander**2)
+    s.gps_speed_accuracy = m.gps_velocity_noise
+    s.gps_fix = 3
+    s.gps_satellites = m.gps_satellites
+    s.gps_hdop = m.gps_hdop
+    s.gps_vdop = m.gps_vdop
+    s.gps_fresh = 1
+
+
+@kernel
+def _range_finder(s, m, noise, distance):
+    s.range_least = m.range_least
+    s.range_largest = m.range_largest
+    measured = distance + m.range_noise * noise[4]
+    within = m.range_least <= measured <= m.range_largest
+    s.range_distance = measured if within else m.range_largest
+    s.range_quality = 100 if within else 0
+    s.range_fresh = 1
+
+
+@kernel
+def _optical_flow(s, v, m, noise, distance):
+    """Angular flow of the ground in the image, its own rotation included; signs as in OPTICAL_FLOW_RAD."""
+    vx, vy, _ = rotate_inverse(v.q, v.velocity[0], v.velocity[1], v.velocity[2])
+    seen = m.flow_least <= distance <= m.flow_largest
+    flow = (v.rates[0] + vy / distance, -v.rates[1] + vx / distance)  # FLU's y is FRD's -y
+    for i in range(2):
+        s.flow_rate[i] = flow[i] + m.flow_noise * noise[i] if seen else 0.0
+    s.flow_gyro[0] = v.rates[0] + m.flow_gyro_noise * noise[2]
+    s.flow_gyro[1] = -v.rates[1] + m.flow_gyro_noise * noise[3]
+    s.flow_quality = _BEST_FLOW if seen else 0
+    s.flow_fresh = 1
+
+
+@kernel
+def _look_down(s, v, m, noise):
+    """Range finder and flow camera along the body's z axis, over level ground at height 0."""
+    cosine = 1.0 - 2.0 * (v.q[1] * v.q[1] + v.q[2] * v.q[2])
+    distance = max(v.position[2], 1e-3) / cosine if cosine > 0.1 else math.inf
+    if m.range_fitted:
+        _range_finder(s, m, noise, distance)
+    if m.flow_fitted:
+        _optical_flow(s, v, m, noise, distance)
+
+
+@kernel
+def sample_all(sensors, plant, models, bias, fast, slow, down, step, time_us, field, place, gravity, dt):
+    """Fill every vehicle's ``SENSORS`` record for step number ``step``.
+
+    Args:
+        sensors, plant, models, bias: record arrays, shape (n,).
+        fast: (n, STEPS, _FAST) standard normals of this block.
+        slow: (n, STEPS // MAG_EVERY, _SLOW) likewise.
+        down: (n, STEPS // FLOW_EVERY, _DOWN) likewise.
+        step: number of the step since the start.
+        time_us: simulated time, microseconds.
+        field: (3,) magnetic field, ENU, gauss.
+        place: latitude, longitude (deg) and altitude (m AMSL) of the world's origin.
+        gravity: m/s^2.
+        dt: s.
+    """
+    k = step % STEPS
+    slot = k // MAG_EVERY
+    for i in range(sensors.shape[0]):
+        s, v, m, b = sensors[i], plant[i], models[i], bias[i]
+        s.time_us = time_us
+        s.mag_fresh = 0
+        s.baro_fresh = 0
+        s.gps_fresh = 0
+        _imu(s, v, m, b, fast[i, k], gravity, dt)
+        if step % MAG_EVERY == 0:
+            _walk_imu_biases(m, b, slow[i, slot], dt * MAG_EVERY)
+            _magnetometer(s, v, m, b, slow[i, slot], field)
+        if step % BARO_EVERY == 0:
+            _barometer(s, v, m, b, slow[i, slot], place[2], dt * BARO_EVERY)
+        if step % GPS_EVERY == 0:
+            _gps(s, v, m, b, slow[i, slot], place[0], place[1], place[2], dt * GPS_EVERY)
+        if step % FLOW_EVERY == 0 and (m.range_fitted or m.flow_fitted):
+            _look_down(s, v, m, down[i, k // FLOW_EVERY])
+
+
+class Sensors:
+    """The sensors of all vehicles, writing into the autopilot's ``sensors`` records.
+
+    Attributes:
+        failing: what fails of them, and of the motors.
+    """
+
+    def __init__(self, world: World, autopilot: Autopilot, seed: int) -> None:
+        """Draw the turn-on biases.
+
+        Args:
+            world: true state.
+            autopilot: whose sensors are written.
+            seed: of all noise; vehicle i uses the i-th child of it.
+        """
+        count = len(world.plant)
+        self._world = world
+        self._autopilot = autopilot
+        self._streams = [
+            np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(i,)))) for i in range(count)
+        ]
+        self._bias = np.zeros(count, BIAS)
+        for i, stream in enumerate(self._streams):
+            m, b = world.models[i], self._bias[i]
+            b["gyro"] = m["gyro_turn_on_bias"] * stream.standard_normal(3)
+            b["accel"] = m["accel_turn_on_bias"] * stream.standard_normal(3)
+            b["mag"] = m["mag_bias"] * stream.standard_normal(3)
+            b["gps"] = m["gps_wander"] * stream.standard_normal(3)
+        self._fast = np.empty((count, STEPS, _FAST), np.float32)
+        self._slow = np.empty((count, STEPS // MAG_EVERY, _SLOW), np.float32)
+        fitted = (world.models["flow_fitted"] | world.models["range_fitted"]) != 0
+        self._down_streams = [
+            (i, np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(i, _DOWN_STREAM)))))
+            for i in np.flatnonzero(fitted).tolist()
+        ]
+        self._down = np.zeros((count, STEPS // FLOW_EVERY, _DOWN), np.float32)
+        self.failing = Failing(autopilot.failures, world.models, seed)
+        datum = world.model.datum
+        self._place = np.array([datum.latitude, datum.longitude, datum.altitude])
+
+    def sample(self, step: int, time_us: int) -> None:
+        """Sample every sensor that is due at step number ``step``."""
+        if step % STEPS == 0:
+            for i, stream in enumerate(self._streams):
+                stream.standard_normal(dtype=np.float32, out=self._fast[i])
+                stream.standard_normal(dtype=np.float32, out=self._slow[i])
+            for i, stream in self._down_streams:
+                stream.standard_normal(dtype=np.float32, out=self._down[i])
+        world = self._world
+        sample_all(
+            self._autopilot.sensors,
+            world.plant,
+            world.models,
+            self._bias,
+            self._fast,
+            self._slow,
+            self._down,
+            step,
+            time_us,
+            world.model.magnetic_field,
+            self._place,
+            world.model.gravity,
+            world.time_step,
+        )
+        was_failing = self.failing.any
+        if self.failing.look() or was_failing:
+            self.failing.sensors(self._autopilot.sensors)

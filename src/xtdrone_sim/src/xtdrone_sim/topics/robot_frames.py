@@ -1,0 +1,73 @@
+"""Frames of a vehicle for TF: ``VEHICLE/LINK`` for every link of its URDF, and the optical frames of its cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from xtdrone_sim.vehicles.poses import compose, from_axis_angle, from_rpy
+from xtdrone_sim.vehicles.urdf import FIXED
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel
+from xtdrone_sim.vehicles.visual import Pose
+
+OPTICAL = Pose(orientation=from_rpy(-1.5707963267948966, 0.0, -1.5707963267948966))  # z ahead, x right, y down
+
+
+class Frame(NamedTuple):
+    """A frame and where it is in another one.
+
+    Attributes:
+        parent, child: frame names.
+        pose: of the child's in the parent's.
+    """
+
+    parent: str
+    child: str
+    pose: Pose
+
+
+class RobotFrames:
+    """The frames of one vehicle.
+
+    Attributes:
+        body: frame of its root link.
+        fixed: those that never move in their parents; joints that nothing tells of are among them, at 0.
+    """
+
+    def __init__(self, name: str, model: VehicleModel) -> None:
+        """Read its description.
+
+        Args:
+            name: the vehicle's, as ``typhoon_h480_0``.
+            model: its type.
+        """
+        urdf = model.urdf
+        gimbal = model.gimbal.joints if model.gimbal else ()
+        told = {joint.name for joint in (*gimbal, *model.landing_gear)}
+        self.body = f"{name}/{urdf.root}"
+        self._name = name
+        self._turning = {joint.name: joint for joint in urdf.joints if joint.kind != FIXED and joint.name in told}
+        still = [joint for joint in urdf.joints if joint.name not in self._turning]
+        self.fixed = [Frame(f"{name}/{joint.parent}", f"{name}/{joint.child}", joint.pose) for joint in still]
+        links = {link.name for link in urdf.links}
+        for camera in model.cameras:
+            if camera.frame_id not in links:
+                self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{camera.frame_id}", OPTICAL))
+
+    def at_rest(self) -> list[Frame]:
+        """Return the frames on joints that turn, with all joints at 0."""
+        return self.turned(dict.fromkeys(self._turning, 0.0))
+
+    def turned(self, angles: Mapping[str, float]) -> list[Frame]:
+        """Return the frames on joints that turn.
+
+        Args:
+            angles: by joint, rad; others are left alone.
+        """
+        frames = []
+        for name, angle in angles.items():
+            joint = self._turning.get(name)
+            if joint is not None:
+                pose = compose(joint.pose, Pose(orientation=from_axis_angle(joint.axis, angle)))
+                frames.append(Frame(f"{self._name}/{joint.parent}", f"{self._name}/{joint.child}", pose))
+        return frames

@@ -1,0 +1,95 @@
+"""The node that publishes TF of all vehicles; see ``nodes/robot_tf.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+
+import rospy
+from geometry_msgs.msg import PoseStamped, Quaternion, Transform, TransformStamped, Vector3
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from xtdrone_control import lockstep
+from xtdrone_control.checks import check_range
+from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.lockstep.names import future_name
+from xtdrone_sim.topics.robot_frames import Frame, RobotFrames
+from xtdrone_sim.vehicles.vehicle_model import ModelError, VehicleModel, load_vehicle
+
+_RATE = 30.0  # Hz
+
+
+def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
+    """Return TF's message of a frame."""
+    header = Header(stamp=stamp, frame_id=frame.parent)
+    turn = Quaternion(*frame.pose.orientation)
+    return TransformStamped(header, frame.child, Transform(Vector3(*frame.pose.position), turn))
+
+
+class RobotTf:
+    """Collects what is told of the vehicles in a turn and publishes it as one message."""
+
+    def __init__(self, models: dict[str, VehicleModel], frame_id: str) -> None:
+        """Advertise and subscribe.
+
+        Args:
+            models: by vehicle's name.
+            frame_id: of the vehicles' positions.
+        """
+        self._frame_id = frame_id
+        self._new: dict[str, TransformStamped] = {}
+        self._told: set[RobotFrames] = set()  # of whose joints something has been heard; the others' are at 0
+        self._publisher = lockstep.Publisher("/tf", TFMessage)
+        self._static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
+        fixed = []
+        for name, model in models.items():
+            frames = RobotFrames(name, model)
+            fixed += [transform(frame, rospy.Time()) for frame in frames.fixed]
+            pose_topic = f"/{name}/mavros/local_position/pose"
+            lockstep.Subscriber(pose_topic, PoseStamped, partial(self._on_pose, frames))
+            if model.gimbal is not None or model.landing_gear:
+                lockstep.Subscriber(f"/{name}/joint_states", JointState, partial(self._on_joints, frames))
+        self._static.publish(TFMessage(fixed))
+
+    def step(self) -> None:
+        """Publish what has come since the last turn."""
+        if self._new:
+            self._publisher.publish(TFMessage(list(self._new.values())))
+            self._new.clear()
+
+    def _on_pose(self, frames: RobotFrames, message: PoseStamped) -> None:
+        p = message.pose.position
+        place = Transform(Vector3(p.x, p.y, p.z), message.pose.orientation)
+        header = Header(stamp=message.header.stamp, frame_id=self._frame_id)
+        self._new[frames.body] = TransformStamped(header, frames.body, place)
+        if frames not in self._told:
+            self._place(frames.at_rest(), message.header.stamp)
+
+    def _on_joints(self, frames: RobotFrames, message: JointState) -> None:
+        self._told.add(frames)
+        self._place(frames.turned(dict(zip(message.name, message.position, strict=True))), message.header.stamp)
+
+    def _place(self, frames: Iterable[Frame], stamp: rospy.Time) -> None:
+        for frame in frames:
+            self._new[frame.child] = transform(frame, stamp)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Serve the fleet until shutdown.
+
+    Raises:
+        ArgumentError: an argument, no fleet, or a parameter that is not allowed.
+    """
+    check_no_arguments(arguments)
+    fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
+    try:
+        types = {vehicle.type: load_vehicle(vehicle.type) for vehicle in fleet}
+        rate = check_range("~rate", rospy.get_param(f"{future_name('robot_tf')}/rate", _RATE), 1.0, 50.0, "Hz")
+    except (ModelError, ValueError) as error:
+        raise ArgumentError(str(error)) from error
+    lockstep.init_node("robot_tf", rate=rate)
+    node = RobotTf({vehicle.name: types[vehicle.type] for vehicle in fleet}, str(rospy.get_param("~frame_id", "map")))
+    lockstep.start()
+    lockstep.spin(node.step)

@@ -1,0 +1,177 @@
+"""Gimbals: joints that hold a camera's direction against what the body does.
+
+A gimbal turns about the body's z (yaw), then x (roll), then y (pitch). The direction in which it is told to look goes
+from the last one to the next at a limited rate; the joints then take what turns the camera there, whatever attitude the
+body has, within their limits and speeds. The camera's direction is roll, pitch, yaw as MAVLink has them: from the level
+frame along the vehicle's heading by yaw (positive to the right), pitch (positive up), roll (positive to the right).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.rotation import conjugate_multiply, constrain, multiply, wrap_pi, yaw_of
+from xtdrone_sim.kernel import kernel
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel
+
+YAW, ROLL, PITCH = range(3)  # joints, from the body outwards
+_REPORT_STEPS = 5  # 50 Hz: how often the autopilot is told, and asked where to look
+_LEVEL = 1e-6  # rad of roll; below, the order of turns makes no difference
+
+GIMBAL = np.dtype(
+    [
+        ("fitted", "i8"),
+        ("wanted", "f8", 3),  # roll, pitch, yaw, rad; NaN: level, ahead
+        ("slewed", "f8", 3),  # roll, pitch, yaw, rad: where it is told to look by now
+        ("rate", "f8"),  # rad/s of that
+        ("joint", "f8", 3),  # rad, yaw, roll, pitch joint, about the body's z, x, y
+        ("joint_rate", "f8", 3),  # rad/s
+        ("lower", "f8", 3),  # rad
+        ("upper", "f8", 3),
+        ("speed", "f8", 3),  # rad/s, largest
+        ("attitude", "f8", 3),  # roll, pitch, yaw, rad: where the camera looks
+    ],
+    align=True,
+)
+
+
+@kernel
+def _about(axis, angle):
+    """Return the quaternion (w, x, y, z) of a turn about axis 0, 1 or 2."""
+    c, s = math.cos(0.5 * angle), math.sin(0.5 * angle)
+    return c, s if axis == 0 else 0.0, s if axis == 1 else 0.0, s if axis == 2 else 0.0
+
+
+@kernel
+def direction(heading, roll, pitch, yaw):
+    """Return the camera's attitude (w, x, y, z), FLU in ENU, that looks along roll, pitch, yaw (see above)."""
+    return multiply(_about(2, heading - yaw), multiply(_about(1, -pitch), _about(0, roll)))
+
+
+@kernel
+def joints_of(q):
+    """Return yaw, roll and pitch joint angles, rad, that turn the camera from the body by ``q`` (w, x, y, z)."""
+    w, x, y, z = q
+    roll = math.asin(constrain(2.0 * (y * z + w * x), -1.0, 1.0))
+    yaw = math.atan2(-2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z))
+    pitch = math.atan2(-2.0 * (x * z - w * y), 1.0 - 2.0 * (x * x + y * y))
+    return yaw, roll, pitch
+
+
+@kernel
+def turn_of(yaw, roll, pitch):
+    """Return the camera's turn (w, x, y, z) from the body under joint angles, rad: the inverse of ``joints_of``."""
+    return multiply(_about(2, yaw), multiply(_about(0, roll), _about(1, pitch)))
+
+
+@kernel
+def _note_attitude(g, q, heading):
+    """Fill g.attitude from the joints and the body's attitude."""
+    camera = multiply(q, turn_of(g.joint[0], g.joint[1], g.joint[2]))
+    level = conjugate_multiply(_about(2, heading), camera)
+    yaw, roll, pitch = joints_of(level)
+    if abs(roll) > _LEVEL:
+        w, x, y, z = level
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        pitch = math.asin(constrain(2.0 * (w * y - z * x), -1.0, 1.0))
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    g.attitude[0] = roll
+    g.attitude[1] = -pitch
+    g.attitude[2] = wrap_pi(-yaw)
+
+
+@kernel
+def _slew(g, dt):
+    """Let the direction in which it is told to look go on; yaw takes the shorter way where its joint has no limits."""
+    step = g.rate * dt
+    for i in range(3):
+        wanted = g.wanted[i] if math.isfinite(g.wanted[i]) else 0.0
+        error = wanted - g.slewed[i]
+        if i == 2 and math.isinf(g.upper[0]) and math.isinf(g.lower[0]):
+            error = wrap_pi(error)
+        g.slewed[i] += constrain(error, -step, step)
+
+
+@kernel
+def step_all(gimbals, plant, dt):
+    """Advance the gimbals of all vehicles by ``dt`` s, to the bodies' present attitudes.
+
+    Args:
+        gimbals: (n,) ``GIMBAL``.
+        plant: (n,) ``PLANT``.
+        dt: s.
+    """
+    for i in range(gimbals.shape[0]):
+        g = gimbals[i]
+        if not g.fitted:
+            continue
+        q = plant[i].q
+        _slew(g, dt)
+        heading = yaw_of(q)
+        camera = direction(heading, g.slewed[0], g.slewed[1], g.slewed[2])
+        yaw, roll, pitch = joints_of(conjugate_multiply(q, camera))
+        yaw = g.joint[0] + wrap_pi(yaw - g.joint[0])  # no jump where the angle begins anew
+        angles = (yaw, roll, pitch)
+        for k in range(3):
+            wanted = constrain(angles[k], g.lower[k], g.upper[k])
+            turned = constrain(wanted - g.joint[k], -g.speed[k] * dt, g.speed[k] * dt)
+            g.joint[k] += turned
+            g.joint_rate[k] = turned / dt
+        _note_attitude(g, q, heading)
+
+
+class Gimbals:
+    """The gimbals of a fleet.
+
+    Attributes:
+        records: (n,) ``GIMBAL``.
+        any: whether a vehicle has one.
+    """
+
+    def __init__(self, models: Sequence[VehicleModel]) -> None:
+        """Fit them, looking ahead.
+
+        Args:
+            models: one a vehicle.
+        """
+        self.records = np.zeros(len(models), GIMBAL)
+        for record, model in zip(self.records, models, strict=True):
+            if model.gimbal is not None:
+                _fit(record, model)
+        self._fitted: list[int] = np.flatnonzero(self.records["fitted"]).tolist()
+        self.any = bool(self._fitted)
+
+    def step(self, steps: int, plant: NDArray[np.void], commanders: Sequence[Commander], dt: float) -> None:
+        """Advance by one step; now and then exchange set-points and attitudes with the autopilots.
+
+        Args:
+            steps: number of this step.
+            plant: (n,) ``PLANT``.
+            commanders: the autopilots' modes, one a vehicle; empty where the autopilots are not ours.
+            dt: s.
+        """
+        exchange = bool(commanders) and steps % _REPORT_STEPS == 0
+        if exchange:
+            for i in self._fitted:
+                self.records["wanted"][i] = commanders[i].navigator.payload.gimbal
+        step_all(self.records, plant, dt)
+        if exchange:
+            for i in self._fitted:
+                roll, pitch, yaw = self.records["attitude"][i].tolist()
+                commanders[i].navigator.payload.gimbal_attitude = (roll, pitch, yaw)
+
+
+def _fit(record: np.void, model: VehicleModel) -> None:
+    gimbal = model.gimbal
+    assert gimbal is not None
+    record["fitted"] = 1
+    record["wanted"] = math.nan
+    record["rate"] = gimbal.rate
+    for k, (joint, sign) in enumerate(zip(gimbal.joints, gimbal.signs, strict=True)):
+        record["lower"][k], record["upper"][k] = sorted((sign * joint.lower, sign * joint.upper))
+        record["speed"][k] = joint.velocity

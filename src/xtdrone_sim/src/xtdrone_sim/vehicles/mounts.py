@@ -1,0 +1,188 @@
+"""Cameras, gimbals and landing gears that a vehicle's YAML fits to the links and joints of its URDF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from xtdrone_control.checks import check_range
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_sim.vehicles.poses import multiply
+from xtdrone_sim.vehicles.urdf import FIXED, Description, Joint, UrdfError
+from xtdrone_sim.vehicles.visual import Vector
+
+_CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id"}
+_GIMBAL = {"yaw", "roll", "pitch", "rate"}
+_AXES: dict[str, Vector] = {"yaw": (0.0, 0.0, 1.0), "roll": (1.0, 0.0, 0.0), "pitch": (0.0, 1.0, 0.0)}
+_ALIGNED = 1e-6
+
+
+class MountError(ValueError):
+    """A camera, gimbal or landing gear that cannot be used; the text names field, value and what is allowed."""
+
+
+@dataclass(frozen=True)
+class CameraMount:
+    """A camera.
+
+    Attributes:
+        name: its topics are ``/VEHICLE/NAME/image_raw`` and ``camera_info``.
+        link: of the URDF; it looks along the link's x axis, z is up in the picture.
+        pinhole: its picture.
+        rate: pictures a simulated second, Hz.
+        near, far: m, between which it sees.
+        frame_id: its optical frame (x right, y down, z ahead), to which ``VEHICLE/`` is put in front.
+    """
+
+    name: str
+    link: str
+    pinhole: Pinhole
+    rate: float
+    near: float
+    far: float
+    frame_id: str
+
+
+@dataclass(frozen=True)
+class GimbalMount:
+    """A gimbal: three joints, one on the other, that turn about z, x and y.
+
+    Attributes:
+        joints: of yaw, roll and pitch, from the body outwards.
+        signs: 1, or -1 where a joint's axis is the opposite one, in the same order.
+        rate: rad/s by which the direction in which it is told to look changes at most.
+    """
+
+    joints: tuple[Joint, Joint, Joint]
+    signs: tuple[float, float, float]
+    rate: float
+
+    @property
+    def link(self) -> str:
+        """What it holds: the last joint's link."""
+        return self.joints[2].child
+
+
+def read_cameras(cameras: Any, urdf: Description) -> tuple[CameraMount, ...]:
+    """Return the cameras of a YAML's list ``cameras:``.
+
+    Args:
+        cameras: the list; None for no cameras.
+        urdf: the vehicle's links.
+
+    Raises:
+        MountError: a field that is missing, unknown or not allowed, a link that is not there, a name twice.
+    """
+    if not isinstance(cameras or [], list):
+        raise MountError(f"cameras: {cameras!r} is not allowed, a list")
+    mounts = tuple(_camera(entry, f"cameras, number {i}", urdf) for i, entry in enumerate(cameras or [], start=1))
+    names = [mount.name for mount in mounts]
+    for name in names:
+        if names.count(name) > 1:
+            raise MountError(f"cameras: name {name!r} is there {names.count(name)} times")
+    return mounts
+
+
+def _camera(entry: Any, where: str, urdf: Description) -> CameraMount:
+    _check_fields(entry, _CAMERA, {"name", "link", "width", "height", "hfov"}, where)
+    name, link = str(entry["name"]), str(entry["link"])
+    try:
+        pinhole = Pinhole.of_view(entry["width"], entry["height"], entry["hfov"])
+        near = check_range("near", entry.get("near", 0.05), 1e-3, 10.0, "m")
+        far = check_range("far", entry.get("far", 500.0), near, 1e5, "m")
+        rate = check_range("rate", entry.get("rate", 10.0), 0.1, 50.0, "Hz")
+        urdf.link(link)
+    except ValueError as error:
+        raise MountError(f"{where} ({name}): {error}") from error
+    return CameraMount(name, link, pinhole, rate, near, far, str(entry.get("frame_id", f"{name}_optical_frame")))
+
+
+def read_gimbal(gimbal: Any, urdf: Description) -> GimbalMount | None:
+    """Return the gimbal of a YAML's section ``gimbal:``.
+
+    Args:
+        gimbal: the section; None for no gimbal.
+        urdf: the vehicle's joints.
+
+    Raises:
+        MountError: a field that is missing, unknown or not allowed, a joint that is not there or turns about another
+            axis, joints that are not one on the other.
+    """
+    if gimbal is None:
+        return None
+    _check_fields(gimbal, _GIMBAL, {"yaw", "roll", "pitch"}, "gimbal")
+    try:
+        rate = check_range("gimbal: rate", gimbal.get("rate", math.pi / 2), 0.01, 100.0, "rad/s")
+        yaw, roll, pitch = (urdf.joint(str(gimbal[name])) for name in _AXES)
+    except UrdfError as error:
+        raise MountError(f"gimbal: {error}") from error
+    except ValueError as error:
+        raise MountError(str(error)) from error
+    signs = tuple(_sign(joint, name, urdf) for joint, name in ((yaw, "yaw"), (roll, "roll"), (pitch, "pitch")))
+    for outer, inner in ((yaw, roll), (roll, pitch)):
+        if urdf.carrier(inner.parent)[0] != outer.child:
+            raise MountError(
+                f"gimbal: joint {inner.name!r} is not allowed on link {inner.parent!r}, on {outer.child!r}"
+            )
+    return GimbalMount((yaw, roll, pitch), (signs[0], signs[1], signs[2]), rate)
+
+
+def read_landing_gear(joints: Any, urdf: Description) -> tuple[Joint, ...]:
+    """Return the joints of a YAML's list ``landing_gear:``: at 0 the vehicle stands on them, at their upper limits they
+    are out of the camera's way.
+
+    Args:
+        joints: their names; None for a vehicle whose legs do not move.
+        urdf: the vehicle's joints.
+
+    Raises:
+        MountError: no list, or a joint that is not there or has no limits of angle and speed.
+    """
+    if not isinstance(joints or [], list):
+        raise MountError(f"landing_gear: {joints!r} is not allowed, a list of joints")
+    found = []
+    for name in joints or []:
+        try:
+            joint = urdf.joint(str(name))
+        except UrdfError as error:
+            raise MountError(f"landing_gear: {error}") from error
+        if joint.kind != "revolute" or not (0.0 < joint.upper < math.inf and 0.0 < joint.velocity < math.inf):
+            raise MountError(
+                f"landing_gear: joint {joint.name!r} of type {joint.kind}, upper {joint.upper:g}, velocity "
+                f"{joint.velocity:g} is not allowed, revolute with limits above 0"
+            )
+        found.append(joint)
+    return tuple(found)
+
+
+def _sign(joint: Joint, name: str, urdf: Description) -> float:
+    """Return which way a joint of the gimbal turns."""
+    if joint.kind == FIXED:
+        raise MountError(f"gimbal: {name} joint {joint.name!r} of type fixed is not allowed, revolute or continuous")
+    rest = _rest_turn(joint, urdf)
+    if max(abs(part) for part in rest[:3]) > _ALIGNED:
+        raise MountError(f"gimbal: {name} joint {joint.name!r}: rpy is not allowed in its origin, or below it: 0 0 0")
+    along = sum(a * b for a, b in zip(joint.axis, _AXES[name], strict=True))
+    if abs(abs(along) - 1.0) > _ALIGNED:
+        axis = " ".join(f"{part:g}" for part in joint.axis)
+        wanted = " ".join(f"{part:g}" for part in _AXES[name])
+        raise MountError(f"gimbal: {name} joint {joint.name!r}: axis {axis} is not allowed, {wanted} or its opposite")
+    return 1.0 if along > 0.0 else -1.0
+
+
+def _rest_turn(joint: Joint, urdf: Description) -> tuple[float, float, float, float]:
+    """Return how a joint's frame is turned, at rest, to that of the moving link below it, (x, y, z, w)."""
+    _, pose = urdf.carrier(joint.parent)
+    return multiply(pose.orientation, joint.pose.orientation)
+
+
+def _check_fields(entry: Any, known: set[str], needed: set[str], where: str) -> None:
+    if not isinstance(entry, Mapping):
+        raise MountError(f"{where}: {entry!r} is not allowed, a mapping")
+    for name in entry:
+        if name not in known:
+            raise MountError(f"{where}: field {name!r} is not known; there are {', '.join(sorted(known))}")
+    for name in sorted(needed - set(entry)):
+        raise MountError(f"{where}: field {name!r} is missing")

@@ -1,0 +1,399 @@
+"""Vehicle models: YAML files, and the URDFs that they name, as checked values and as records for the kernels.
+
+A vehicle type is a file ``TYPE.yaml`` in a folder that the environment variable ``XTDRONE_VEHICLES`` names, or in the
+package's ``config/vehicles``; the YAML says how it flies, the URDF what it looks like and where its sensors are.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xtdrone_control.autopilot.autopilot import RotorLayout
+from xtdrone_control.autopilot.state import MAX_ROTORS
+from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_sim.package_files import CONFIG, MODELS
+from xtdrone_sim.physics.battery import BatteryModel
+from xtdrone_sim.vehicles.mounts import (
+    CameraMount,
+    GimbalMount,
+    MountError,
+    read_cameras,
+    read_gimbal,
+    read_landing_gear,
+)
+from xtdrone_sim.vehicles.urdf import Description, Joint, Link, UrdfError, read_urdf
+from xtdrone_sim.vehicles.visual import Box, Collision, Visual
+
+__all__ = [
+    "CONFIG",
+    "MODEL",
+    "CameraMount",
+    "GimbalMount",
+    "ModelError",
+    "VehicleModel",
+    "available",
+    "load_vehicle",
+    "read_description",
+]
+
+VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with vehicles of one's own, colons between them
+
+MODEL = np.dtype(
+    [
+        ("mass", "f8"),  # kg
+        ("inertia", "f8", 3),  # kg m^2, principal, body
+        ("box", "f8", 3),  # m, collision box
+        ("radius", "f8"),  # m, sphere around the box
+        ("rotor_count", "i8"),
+        ("rotor_position", "f8", (MAX_ROTORS, 3)),  # m, FLU
+        ("rotor_direction", "f8", MAX_ROTORS),  # +1 counter-clockwise seen from above, -1 clockwise
+        ("thrust_constant", "f8"),
+        ("moment_constant", "f8"),
+        ("time_constant_up", "f8"),
+        ("time_constant_down", "f8"),
+        ("max_speed", "f8"),
+        ("input_scaling", "f8"),
+        ("idle_speed", "f8"),
+        ("drag_coefficient", "f8"),
+        ("rolling_moment_coefficient", "f8"),
+        ("linear_drag", "f8"),  # N s/m, of the body
+        # sensors; densities per sqrt(Hz)
+        ("gyro_noise_density", "f8"),
+        ("gyro_random_walk", "f8"),
+        ("gyro_turn_on_bias", "f8"),
+        ("accel_noise_density", "f8"),
+        ("accel_random_walk", "f8"),
+        ("accel_turn_on_bias", "f8"),
+        ("mag_noise", "f8"),
+        ("mag_bias", "f8"),
+        ("baro_noise", "f8"),
+        ("baro_drift", "f8"),
+        ("gps_horizontal_noise", "f8"),
+        ("gps_vertical_noise", "f8"),
+        ("gps_velocity_noise", "f8"),
+        ("gps_wander", "f8"),
+        ("gps_lead", "f8"),  # s, by which a fix is newer than the estimator takes it for
+        ("gps_wander_time", "f8"),
+        ("gps_satellites", "i8"),
+        ("gps_hdop", "f8"),
+        ("gps_vdop", "f8"),
+        ("flow_fitted", "i8"),  # 1: it has such a sensor
+        ("flow_noise", "f8"),  # rad/s
+        ("flow_gyro_noise", "f8"),  # rad/s
+        ("flow_least", "f8"),  # m, range within which it sees the ground's texture
+        ("flow_largest", "f8"),
+        ("range_fitted", "i8"),
+        ("range_noise", "f8"),  # m
+        ("range_least", "f8"),
+        ("range_largest", "f8"),
+    ],
+    align=True,
+)
+
+URDF = "urdf"  # as mass or inertia: what the links of the URDF weigh
+_MOST_OFFSET = 0.01  # m of the centre of mass from the body's origin
+_MOST_PRODUCT = 0.05  # of inertia, as a share of the least moment
+
+# sensors that a vehicle may lack: section, prefix of the record's fields
+_OPTIONAL_SENSORS = (("optical_flow", "flow"), ("range_finder", "range"))
+_BATTERY_KINDS = ("drain", "cell")
+_DIRECTIONS = {"ccw": 1.0, "cw": -1.0}
+_ROTOR_FIELDS = (
+    "thrust_constant",
+    "moment_constant",
+    "time_constant_up",
+    "time_constant_down",
+    "max_speed",
+    "input_scaling",
+    "idle_speed",
+    "drag_coefficient",
+    "rolling_moment_coefficient",
+)
+
+
+class ModelError(ValueError):
+    """A vehicle or world description that cannot be used."""
+
+
+@dataclass(frozen=True)
+class VehicleModel:
+    """One vehicle type.
+
+    Attributes:
+        name: type name, as ``iris``.
+        record: ``MODEL`` record.
+        parameters: PX4 parameters that this airframe sets.
+        assumed_layout: what the autopilot takes the rotors' places for; None where it knows them.
+        battery: its battery.
+        urdf: its links and joints; the root is the body, with the centre of mass in its origin, x ahead, z up.
+        cameras: what it sees with.
+        gimbal: what holds a camera; None: no gimbal is fitted.
+        landing_gear: joints that are at 0 on the ground and at their upper limits in flight.
+    """
+
+    name: str
+    record: np.void
+    parameters: dict[str, float]
+    battery: BatteryModel
+    urdf: Description
+    assumed_layout: RotorLayout | None = None
+    cameras: tuple[CameraMount, ...] = ()
+    gimbal: GimbalMount | None = None
+    landing_gear: tuple[Joint, ...] = ()
+
+    @property
+    def rotor_layout(self) -> RotorLayout:
+        """Rotor places and moment ratios as the autopilot's allocator takes them (body FRD)."""
+        if self.assumed_layout is not None:
+            return self.assumed_layout
+        count = int(self.record["rotor_count"])
+        frd = self.record["rotor_position"][:count] * np.array([1.0, -1.0, -1.0])
+        return RotorLayout(frd, self.record["rotor_direction"][:count] * self.record["moment_constant"])
+
+
+def _folders(kind: str) -> list[Path]:
+    """Return where descriptions of a kind (vehicles, worlds) are looked for, in this order.
+
+    Raises:
+        ModelError: the environment names a folder that is not there.
+    """
+    own = os.environ.get(VEHICLES_VARIABLE, "") if kind == "vehicles" else ""
+    folders = [Path(part).expanduser() for part in own.split(":") if part]
+    for folder in folders:
+        if not folder.is_dir():
+            raise ModelError(f"environment variable {VEHICLES_VARIABLE}: {str(folder)!r} is no folder")
+    return [*folders, CONFIG / kind]
+
+
+def available(kind: str) -> list[str]:
+    """Return the names of all descriptions of a kind (vehicles, worlds)."""
+    return sorted({path.stem for folder in _folders(kind) for path in folder.glob("*.yaml")})
+
+
+def _find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
+    """Return the file of a description: ``name`` itself if it is a path.
+
+    Args:
+        kind: vehicles, worlds.
+        name: of the description.
+        above: files that extend it in turn, which it cannot be: one's own ``iris.yaml`` extends the package's ``iris``.
+
+    Raises:
+        ModelError: no such description.
+    """
+    if name.endswith((".yaml", ".yml")):
+        return Path(name)
+    paths = [path for folder in _folders(kind) if (path := folder / f"{name}.yaml").is_file()]
+    for path in paths:
+        if path not in above:
+            return path
+    if paths:
+        raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it leads back to {paths[-1]}")
+    raise ModelError(f"{kind}: {name!r} is not known; there are {', '.join(available(kind))}")
+
+
+def read_description(kind: str, name: str) -> dict[str, Any]:
+    """Return the YAML of a description of a kind (vehicles, worlds): ``<name>.yaml``, or the file ``name``.
+
+    ``extends: NAME`` in it takes everything from another description (a file's name: from its own folder) and says only
+    what differs.
+
+    Raises:
+        ModelError: no such description, not a YAML mapping, or one that extends itself.
+    """
+    return _read(kind, _find(kind, name), ())
+
+
+def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+    try:
+        description = load_yaml(read_text(path))
+    except OSError as error:
+        names = ", ".join(available(kind))
+        raise ModelError(f"{kind}: {path}: {error.strerror or error}; by name there are {names}") from error
+    except ContentError as error:
+        raise ModelError(f"{path}: not a YAML file: {error}") from error
+    if not isinstance(description, dict):
+        raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")
+    base = description.pop("extends", None)
+    if base is None:
+        return description
+    above = (*above, path)
+    below = _find(kind, str(base), above)
+    below = below if below.is_absolute() else path.parent / below
+    if below in above:
+        raise ModelError(f"{path}: extends: {base!r} is not allowed, it leads back to {below}")
+    return _merged(_read(kind, below, above), description)
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with the values of ``changes``; mappings are merged in turn."""
+    merged = dict(base)
+    for key, value in changes.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
+
+
+def load_vehicle(name: str) -> VehicleModel:
+    """Return the vehicle type ``name``.
+
+    Args:
+        name: a type, or a YAML file.
+
+    Raises:
+        ModelError: unknown type, or a field that is missing, not a number or not positive.
+    """
+    description = read_description("vehicles", name)
+    record = np.zeros(1, MODEL)[0]
+    try:
+        urdf = _description(description, _find("vehicles", name).parent)
+        _fill_body(record, description, urdf)
+        _fill_rotors(record, description)
+        _fill_sensors(record, description["sensors"])
+        assumed = _assumed_layout(record, description.get("control_allocation"))
+        cameras = read_cameras(description.get("cameras"), urdf)
+        gimbal = read_gimbal(description.get("gimbal"), urdf)
+        gear = read_landing_gear(description.get("landing_gear"), urdf)
+    except (KeyError, TypeError) as error:
+        raise ModelError(f"vehicle {name!r}: field {error} is missing or of the wrong kind") from error
+    except (MountError, UrdfError) as error:
+        raise ModelError(f"vehicle {name!r}: {error}") from error
+    parameters = {str(key): float(value) for key, value in description.get("parameters", {}).items()}
+    battery = _battery(description.get("battery", {}))
+    return VehicleModel(Path(name).stem, record, parameters, battery, urdf, assumed, cameras, gimbal, gear)
+
+
+def _description(description: dict[str, Any], folder: Path) -> Description:
+    """Return the URDF that a vehicle names; without one its collision box is what is seen of it.
+
+    Args:
+        description: the vehicle's YAML.
+        folder: where that lies; the URDF is looked for there, then in ``XTDRONE_VEHICLES``, then in ``models``.
+
+    Raises:
+        ModelError: it is not there.
+        UrdfError: it cannot be used.
+    """
+    name = description.get("urdf")
+    if name is None:
+        size = description.get("collision_box") or (1.0, 1.0, 1.0)  # what is not allowed is refused with the body
+        box = Box((float(size[0]), float(size[1]), float(size[2])))
+        return Description("vehicle", (Link("base_link", (Visual(box),), (Collision(box),)),))
+    folders = [folder, *_folders("vehicles")[:-1], MODELS]
+    for place in folders:
+        path = place / str(name)
+        if path.is_file():
+            return read_urdf(path)
+    raise ModelError(f"urdf: {str(name)!r} is not there; looked for in {', '.join(map(str, folders))}")
+
+
+def _battery(description: dict[str, Any]) -> BatteryModel:
+    fields = dict(description)
+    kind = fields.pop("model", "drain")
+    if kind not in _BATTERY_KINDS:
+        raise ModelError(f"battery model {kind!r} is not allowed, {' or '.join(_BATTERY_KINDS)}")
+    allowed = [field.name for field in dataclass_fields(BatteryModel) if field.name != "cells"]
+    for name in fields:
+        if name not in allowed:
+            raise ModelError(f"battery: field {name!r} is not known; there are {', '.join(allowed)}")
+    values = {name: _positive(fields, name) for name in fields}
+    return BatteryModel(cells=kind == "cell", **values)
+
+
+def _positive(description: dict[str, Any], field: str) -> float:
+    value = float(description[field])
+    if not value > 0.0 or not np.isfinite(value):
+        raise ModelError(f"{field}: {value} is not allowed, it must be positive")
+    return value
+
+
+def _fill_body(record: np.void, description: dict[str, Any], urdf: Description) -> None:
+    record["mass"] = _weighed(urdf)[0] if description["mass"] == URDF else _positive(description, "mass")
+    inertia = _weighed(urdf)[1] if description["inertia"] == URDF else description["inertia"]
+    for field, source, given in (
+        ("inertia", "inertia", inertia),
+        ("box", "collision_box", description["collision_box"]),
+    ):
+        values = np.asarray(given, float)
+        if values.shape != (3,) or not np.all(values > 0.0):
+            raise ModelError(f"{source}: {given} is not allowed, three positive numbers")
+        record[field] = values
+    record["radius"] = 0.5 * float(np.linalg.norm(record["box"]))
+    drag = float(description.get("linear_drag", 0.0))
+    if not (np.isfinite(drag) and drag >= 0.0):
+        raise ModelError(f"linear_drag: {drag} is not allowed, a number of at least 0")
+    record["linear_drag"] = drag
+
+
+def _weighed(urdf: Description) -> tuple[float, list[float]]:
+    """Return mass, kg, and principal inertia, kg m^2, of the URDF's links.
+
+    Raises:
+        ModelError: nothing weighs anything; the centre of mass is not in the body's origin, or the principal axes are
+            not the body's, which the plant takes them for.
+    """
+    mass, centre, inertia = urdf.mass()
+    if mass <= 0.0:
+        raise ModelError(f"mass: {URDF} is not allowed, no link of the URDF has an <inertial>")
+    if np.abs(centre).max() > _MOST_OFFSET:
+        where = " ".join(f"{part:.4f}" for part in centre)
+        raise ModelError(
+            f"mass: {URDF}: the centre of mass at {where} m is not allowed, within {_MOST_OFFSET} of {urdf.root}"
+        )
+    products = np.abs(inertia - np.diag(np.diag(inertia))).max()
+    if products > _MOST_PRODUCT * np.diag(inertia).min():
+        raise ModelError(
+            f"inertia: {URDF}: products of inertia of {products:.2g} kg m^2 are too large, at most "
+            f"{_MOST_PRODUCT:g} of the least moment {np.diag(inertia).min():.2g}"
+        )
+    return mass, np.diag(inertia).tolist()
+
+
+def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
+    for field in _ROTOR_FIELDS:
+        record[field] = float(description["rotor_model"][field])
+    for field in ("thrust_constant", "time_constant_up", "time_constant_down", "max_speed", "input_scaling"):
+        _positive(description["rotor_model"], field)
+    rotors = description["rotors"]
+    if not 4 <= len(rotors) <= MAX_ROTORS:
+        raise ModelError(f"rotors: {len(rotors)} is not allowed, 4 to {MAX_ROTORS}")
+    record["rotor_count"] = len(rotors)
+    for i, rotor in enumerate(rotors):
+        if rotor["direction"] not in _DIRECTIONS:
+            raise ModelError(f"rotor {i}: direction {rotor['direction']!r} is not allowed, ccw or cw")
+        record["rotor_position"][i] = rotor["position"]
+        record["rotor_direction"][i] = _DIRECTIONS[rotor["direction"]]
+
+
+def _assumed_layout(record: np.void, description: dict[str, Any] | None) -> RotorLayout | None:
+    """Return the layout of ``control_allocation``: ``positions`` (x, y a rotor, m, FLU) and ``moment_ratio`` (m).
+
+    Raises:
+        ModelError: not one position a rotor.
+    """
+    if description is None:
+        return None
+    count = int(record["rotor_count"])
+    positions = np.asarray(description["positions"], float)
+    if positions.shape != (count, 2):
+        raise ModelError(f"control_allocation: positions of shape {positions.shape} are not allowed, ({count}, 2)")
+    frd = np.column_stack([positions[:, 0], -positions[:, 1], np.zeros(count)])
+    return RotorLayout(frd, record["rotor_direction"][:count] * _positive(description, "moment_ratio"))
+
+
+def _fill_sensors(record: np.void, sensors: dict[str, Any]) -> None:
+    for field, value in sensors["imu"].items():
+        record[field] = float(value)
+    for prefix, sensor in (("mag", "magnetometer"), ("baro", "barometer"), ("gps", "gps")):
+        for field, value in sensors[sensor].items():
+            record[f"{prefix}_{field}"] = value
+    for section, prefix in _OPTIONAL_SENSORS:
+        for field, value in (sensors.get(section) or {}).items():
+            record[f"{prefix}_{field}"] = float(value)
+            record[f"{prefix}_fitted"] = 1

@@ -1,0 +1,183 @@
+"""People that stand, walk a script or are sent somewhere: where each is at a time, in closed form.
+
+An actor's state follows from what it was told last and from simulated time alone: however time is divided into steps,
+it is the same to the last bit. Actors walk through whatever is in their way.
+
+Frame: map, ENU, m. Yaw counter-clockwise from east, rad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from xtdrone_control.checks import check_range
+from xtdrone_sim.vehicles.visual import Pose, Vector
+from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
+
+TURN_RATE = 1.5  # rad/s, in place
+TURNS_IN_PLACE = math.radians(10.0)  # a greater change of heading is made before walking
+FASTEST = 10.0  # m/s that an actor can be sent at
+FARTHEST = 1e5  # m from the origin that it can be sent to
+STANDING = -1.0  # as phase
+
+
+class ActorState(NamedTuple):
+    """Where an actor is.
+
+    Attributes:
+        position: of the point between its feet, m, map.
+        yaw: rad.
+        phase: of its walk, cycles; ``STANDING`` while it stands.
+    """
+
+    position: Vector
+    yaw: float
+    phase: float
+
+
+class _Way(Protocol):
+    def at(self, time_us: int) -> ActorState:
+        """Return the state at a simulated time, microseconds."""
+
+
+class _Stand:
+    def __init__(self, state: ActorState) -> None:
+        self._state = state._replace(phase=STANDING)
+
+    def at(self, time_us: int) -> ActorState:
+        return self._state
+
+
+class _Walk:
+    """A turn in place where need be, then straight to a place, then standing."""
+
+    def __init__(
+        self, start: ActorState, begin_us: int, target: tuple[float, float], speed: float, stride: float
+    ) -> None:
+        x, y, self._z = start.position
+        self._start, self._begin_us, self._target = start, begin_us, target
+        self._speed, self._stride = speed, stride
+        self._distance = math.hypot(target[0] - x, target[1] - y)
+        heading = math.atan2(target[1] - y, target[0] - x) if self._distance > 0.0 else start.yaw
+        self._turn = math.remainder(heading - start.yaw, math.tau)
+        self._turning = abs(self._turn) / TURN_RATE if abs(self._turn) > TURNS_IN_PLACE else 0.0
+        self._first_phase = max(start.phase, 0.0) if self._turning == 0.0 else 0.0
+
+    def at(self, time_us: int) -> ActorState:
+        passed = (time_us - self._begin_us) * 1e-6
+        turned = math.copysign(min(abs(self._turn), TURN_RATE * passed), self._turn)
+        yaw = math.remainder(self._start.yaw + turned, math.tau)
+        way = self._speed * max(passed - self._turning, 0.0)
+        x, y, _ = self._start.position
+        if way >= self._distance:
+            return ActorState((*self._target, self._z), yaw, STANDING)
+        if passed < self._turning:
+            return ActorState((x, y, self._z), yaw, STANDING)
+        share = way / self._distance
+        place = (x + share * (self._target[0] - x), y + share * (self._target[1] - y), self._z)
+        return ActorState(place, yaw, self._first_phase + way / self._stride)
+
+
+class _Script:
+    """Waypoints at their times, with straight ways between."""
+
+    def __init__(self, trajectory: Trajectory, begin_us: int, stride: float) -> None:
+        waypoints = trajectory.waypoints
+        self._begin_us = begin_us + round(trajectory.delay_start * 1e6)
+        self._loop, self._stride = trajectory.loop, stride
+        self._times_us = np.array([round(waypoint.time * 1e6) for waypoint in waypoints])
+        self._places = np.array([waypoint.pose.position for waypoint in waypoints])
+        self._yaws = [yaw_of(waypoint.pose) for waypoint in waypoints]
+        legs = np.linalg.norm(np.diff(self._places[:, :2], axis=0), axis=1)
+        self._ways = np.concatenate([[0.0], np.cumsum(legs)])
+
+    def at(self, time_us: int) -> ActorState:
+        last_us = int(self._times_us[-1])
+        passed_us, rounds = time_us - self._begin_us, 0
+        if self._loop and last_us > 0 and passed_us > 0:
+            rounds, passed_us = divmod(passed_us, last_us)
+        if passed_us >= last_us:
+            return self._waypoint(-1)
+        k = int(np.searchsorted(self._times_us, passed_us, side="right")) - 1
+        if k < 0:
+            return self._waypoint(0)
+        share = (passed_us - int(self._times_us[k])) / int(self._times_us[k + 1] - self._times_us[k])
+        x, y, z = (self._places[k] + share * (self._places[k + 1] - self._places[k])).tolist()
+        turn = math.remainder(self._yaws[k + 1] - self._yaws[k], math.tau)
+        yaw = math.remainder(self._yaws[k] + share * turn, math.tau)
+        leg = float(self._ways[k + 1] - self._ways[k])
+        walked = rounds * float(self._ways[-1]) + float(self._ways[k]) + share * leg
+        return ActorState((x, y, z), yaw, walked / self._stride if leg > 0.0 else STANDING)
+
+    def _waypoint(self, k: int) -> ActorState:
+        x, y, z = self._places[k].tolist()
+        return ActorState((x, y, z), self._yaws[k], STANDING)
+
+
+class Actors:
+    """The people of a world.
+
+    Attributes:
+        names: in the world's order.
+    """
+
+    def __init__(self, actors: Sequence[SdfActor], strides: Sequence[float]) -> None:
+        """Let all begin what the world has for them, at time 0.
+
+        Args:
+            actors: the world's.
+            strides: way of a walk cycle of each, m, above 0.
+        """
+        self.names = [actor.name for actor in actors]
+        self._actors, self._strides = list(actors), list(strides)
+        self.restart(0)
+
+    def restart(self, time_us: int) -> None:
+        """Let all begin anew at a simulated time, microseconds."""
+        self._ways = [
+            _first_way(actor, time_us, stride) for actor, stride in zip(self._actors, self._strides, strict=True)
+        ]
+
+    def states(self, time_us: int) -> list[ActorState]:
+        """Return where all are at a simulated time, microseconds, not before they were told something."""
+        return [way.at(time_us) for way in self._ways]
+
+    def send(self, number: int, x: float, y: float, speed: float, time_us: int) -> None:
+        """Send one somewhere, whatever it has been doing; it stands when it is there.
+
+        Args:
+            number: which one, in the world's order.
+            x, y: where to, m, map.
+            speed: m/s; 0: it stands where it is; negative: at its own speed.
+            time_us: now.
+
+        Raises:
+            ValueError: a place or speed that is not allowed; nothing changes.
+        """
+        check_range(f"{self.names[number]}: x", x, -FARTHEST, FARTHEST, "m")
+        check_range(f"{self.names[number]}: y", y, -FARTHEST, FARTHEST, "m")
+        check_range(f"{self.names[number]}: v", speed, -FASTEST, FASTEST, "m/s")
+        here = self._ways[number].at(time_us)
+        speed = self._actors[number].speed if speed < 0.0 else speed
+        if speed == 0.0:
+            self._ways[number] = _Stand(here)
+        else:
+            self._ways[number] = _Walk(here, time_us, (x, y), speed, self._strides[number])
+
+
+def _first_way(actor: SdfActor, time_us: int, stride: float) -> _Way:
+    trajectory = actor.trajectory
+    if trajectory is not None and trajectory.auto_start:
+        return _Script(trajectory, time_us, stride)
+    pose = actor.pose if trajectory is None else trajectory.waypoints[0].pose
+    return _Stand(ActorState(pose.position, yaw_of(pose), STANDING))
+
+
+def yaw_of(pose: Pose) -> float:
+    """Return the heading of a pose's x axis, rad: people stand upright."""
+    x, y, z, w = pose.orientation
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

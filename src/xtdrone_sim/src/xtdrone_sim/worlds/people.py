@@ -1,0 +1,214 @@
+"""People: textured bodies that stand and walk.
+
+``models/people/<name>.npz`` holds a body at rest, its skin weights and the joints' transforms in a stance and in the
+frames of one walk cycle; ``<name>.png`` its skin and clothes. ``load`` makes Wavefront files of these postures, once,
+in a cache folder. ``training/people`` makes the bodies.
+
+Frame of a person: origin on the ground between the feet (below the pelvis while walking), x ahead, y left, z up, m.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rospkg
+
+from xtdrone_control.checks import check_choice
+from xtdrone_sim.vehicles.visual import Mesh, Visual
+
+SPLITS = ("train", "test")
+_FORMAT = b"1"  # of the cached files; another one makes them anew
+
+
+@dataclass(frozen=True)
+class Body:
+    """A person's surface and its postures.
+
+    Attributes:
+        height: m, without shoes, hair and hat.
+        stride: way of one walk cycle (two steps), m.
+        split: "train", or "test": kept from detectors until they are judged.
+        vertices: (V, 3), at rest, m.
+        triangles: (T, 3), counter-clockwise from outside.
+        texture_points: (P, 2), 0..1 from the picture's lower left corner.
+        texture_triangles: (T, 3), the corners' texture points.
+        weights: (V, 4), shares of ``joints``; rows sum to 1.
+        joints: (V, 4), what moves a vertex.
+        poses: (1 + frames, J, 3, 4), transforms p -> R p + t of positions at rest: the stance, then the walk.
+    """
+
+    height: float
+    stride: float
+    split: str
+    vertices: np.ndarray
+    triangles: np.ndarray
+    texture_points: np.ndarray
+    texture_triangles: np.ndarray
+    weights: np.ndarray
+    joints: np.ndarray
+    poses: np.ndarray
+
+    def posture(self, pose: int) -> np.ndarray:
+        """Return the vertices in a posture (0 stance, 1.. walk), (V, 3), m, by linear blend skinning."""
+        mixed = np.einsum("vk,vkij->vij", self.weights, self.poses[pose][self.joints])
+        return np.einsum("vij,vj->vi", mixed[..., :3], self.vertices) + mixed[..., 3]
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person as it is drawn.
+
+    Attributes:
+        name: as in ``names()``.
+        height: m, without shoes, hair and hat.
+        stride: way of one walk cycle (two steps), m.
+        standing: shapes of the stance.
+        walk: shapes of the frames of one walk cycle, evenly over it; at the first one the left heel strikes.
+    """
+
+    name: str
+    height: float
+    stride: float
+    standing: tuple[Visual, ...]
+    walk: tuple[tuple[Visual, ...], ...]
+
+    def posture(self, phase: float) -> tuple[Visual, ...]:
+        """Return the shapes at a phase of the walk, cycles; negative: standing."""
+        return self.standing if phase < 0.0 else self.walk[round(phase * len(self.walk)) % len(self.walk)]
+
+
+def models_folder() -> Path:
+    """Return the folder with the people's bodies and textures."""
+    source = Path(__file__).resolve().parents[3] / "models"
+    return (source if source.is_dir() else Path(rospkg.RosPack().get_path("xtdrone_sim")) / "models") / "people"
+
+
+def names(split: str | None = None) -> list[str]:
+    """Return who there is, sorted; ``split`` "train" or "test" returns those only.
+
+    Raises:
+        ValueError: no such split.
+    """
+    everybody = sorted(path.stem for path in models_folder().glob("*.npz"))
+    if split is None:
+        return everybody
+    check_choice("split", split, SPLITS)
+    return [name for name in everybody if read(name).split == split]
+
+
+def skins(wanted: Sequence[str]) -> list[str]:
+    """Return whom each of several actors looks like: as wanted, and where that is empty, all people in turn.
+
+    Raises:
+        ValueError: nobody has that name.
+    """
+    everybody = names() if wanted else []
+    for name in wanted:
+        if name:
+            check_choice("skin", name, tuple(everybody))
+    return [name or everybody[number % len(everybody)] for number, name in enumerate(wanted)]
+
+
+def read(name: str) -> Body:
+    """Read a person's body.
+
+    Raises:
+        ValueError: nobody has that name.
+    """
+    path = models_folder() / f"{name}.npz"
+    if not path.is_file():
+        raise ValueError(f"person: {name!r} is not known, there are {', '.join(names())}")
+    return read_file(path)
+
+
+def read_file(path: Path) -> Body:
+    """Read a body from its .npz.
+
+    Raises:
+        OSError: there is none.
+    """
+    with np.load(path) as data:
+        return Body(
+            height=float(data["height"]),
+            stride=float(data["stride"]),
+            split=str(data["split"]),
+            vertices=data["vertices"] * 1e-4,
+            triangles=data["triangles"].astype(int),
+            texture_points=data["texture_points"] / 65535.0,
+            texture_triangles=data["texture_triangles"].astype(int),
+            weights=data["weights"] / 255.0,
+            joints=data["joints"].astype(int),
+            poses=data["poses"].astype(float),
+        )
+
+
+def load(name: str) -> Person:
+    """Return a person; its files are made in the user's cache folder if they are not there.
+
+    Several processes may do so at once.
+
+    Raises:
+        ValueError: nobody has that name.
+        OSError: the cache folder (``$XDG_CACHE_HOME``, else ``~/.cache``) cannot be written.
+    """
+    body = read(name)
+    folder = _cached(name, body)
+    texture = models_folder() / f"{name}.png"
+    postures = [
+        (Visual(Mesh(folder / _file(pose)), colour=(1.0, 1.0, 1.0, 1.0), texture=texture),)
+        for pose in range(len(body.poses))
+    ]
+    return Person(name, body.height, body.stride, postures[0], tuple(postures[1:]))
+
+
+def _file(pose: int) -> str:
+    return f"walk_{pose - 1:02d}.obj" if pose else "standing.obj"
+
+
+def _cached(name: str, body: Body) -> Path:
+    """Return the folder with a person's Wavefront files; it appears whole or not at all."""
+    digest = hashlib.sha256(_FORMAT + (models_folder() / f"{name}.npz").read_bytes()).hexdigest()[:16]
+    above = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xtdrone" / "people"
+    folder = above / f"{name}-{digest}"
+    if folder.is_dir():
+        return folder
+    above.mkdir(parents=True, exist_ok=True)
+    fresh = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=above))
+    try:
+        for pose in range(len(body.poses)):
+            (fresh / _file(pose)).write_text(wavefront(body, pose))
+        fresh.chmod(0o755)
+        fresh.rename(folder)
+    except OSError:
+        shutil.rmtree(fresh, ignore_errors=True)
+        if not folder.is_dir():  # else another process was faster
+            raise
+    return folder
+
+
+def wavefront(body: Body, pose: int) -> str:
+    """Return a posture as the text of a Wavefront file, with normals and texture points."""
+    points = body.posture(pose)
+    lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in points.tolist()]
+    lines += [f"vt {u:.5f} {v:.5f}" for u, v in body.texture_points.tolist()]
+    lines += [f"vn {x:.3f} {y:.3f} {z:.3f}" for x, y, z in _normals(points, body.triangles).tolist()]
+    corners = zip((body.triangles + 1).tolist(), (body.texture_triangles + 1).tolist(), strict=True)
+    lines += ["f " + " ".join(f"{v}/{t}/{v}" for v, t in zip(face, uv, strict=True)) for face, uv in corners]
+    return "\n".join(lines) + "\n"
+
+
+def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return unit normals of the vertices, (V, 3)."""
+    corners = points[triangles]
+    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    out = np.zeros_like(points)
+    for corner in range(3):
+        np.add.at(out, triangles[:, corner], faces)
+    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)

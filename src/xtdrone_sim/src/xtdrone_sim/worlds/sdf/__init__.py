@@ -1,0 +1,30 @@
+"""Worlds from SDF files: a documented subset of what Gazebo Classic reads (see docs/worlds.md)."""
+
+from xtdrone_sim.worlds.sdf.types import (
+    Light,
+    SdfActor,
+    SdfError,
+    SdfLink,
+    SdfModel,
+    SdfWorld,
+    Trajectory,
+    Waypoint,
+)
+from xtdrone_sim.worlds.sdf.worlds import load_world_file, read_world, world_file, world_names
+from xtdrone_sim.worlds.sdf.writer import write_world
+
+__all__ = [
+    "Light",
+    "SdfActor",
+    "SdfError",
+    "SdfLink",
+    "SdfModel",
+    "SdfWorld",
+    "Trajectory",
+    "Waypoint",
+    "load_world_file",
+    "read_world",
+    "world_file",
+    "world_names",
+    "write_world",
+]

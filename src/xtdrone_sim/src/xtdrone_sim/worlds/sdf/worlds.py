@@ -1,0 +1,141 @@
+"""Worlds by their names and files, SDF or YAML."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from xtdrone_control.autopilot.autopilot import Datum
+from xtdrone_control.bounded_file import read_bytes
+from xtdrone_sim.package_files import CONFIG, PACKAGE
+from xtdrone_sim.vehicles.vehicle_model import ModelError, available, read_description
+from xtdrone_sim.worlds.sdf.reader import parse_world
+from xtdrone_sim.worlds.sdf.tree import LARGEST, Element
+from xtdrone_sim.worlds.sdf.types import SdfError, SdfWorld
+
+WORLDS = PACKAGE / "worlds"
+
+_ENDINGS = (".world", ".sdf")
+
+
+def world_names() -> list[str]:
+    """Return the names of all worlds that come with the package."""
+    return sorted({*available("worlds"), *(path.stem for path in WORLDS.glob("*.world"))})
+
+
+def world_path(name: str, beside: Path | None = None) -> Path | None:
+    """Return the SDF file that ``name`` means; None where it means a YAML file.
+
+    Args:
+        name: of a world of the package, or a path.
+        beside: folder in which relative paths begin; None for the working directory.
+    """
+    if name.endswith(_ENDINGS):
+        return (beside or Path()).joinpath(Path(name).expanduser()).absolute()
+    path = WORLDS / f"{name}.world"
+    return path if path.is_file() else None
+
+
+def world_file(name: str) -> Path:
+    """Return the absolute path of the file that ``name`` means, SDF or YAML; see ``load_world_file``.
+
+    Raises:
+        ModelError: there is no world of this name.
+    """
+    path = world_path(name)
+    if path is None and name.endswith((".yaml", ".yml")):
+        path = Path(name).expanduser().absolute()
+    if path is None:
+        _check_known(name)
+        path = CONFIG / "worlds" / f"{name}.yaml"
+    return path
+
+
+def _check_known(name: str) -> None:
+    if name not in world_names():
+        raise ModelError(f"worlds: {name!r} is not known; there are {', '.join(world_names())}")
+
+
+def load_world_file(name: str) -> SdfWorld:
+    """Return a world.
+
+    Args:
+        name: of ``worlds/*.world`` or ``config/worlds/*.yaml``, or a path that ends with .world, .sdf, .yaml or .yml.
+
+    Raises:
+        ModelError: unknown, or something in it is not allowed.
+    """
+    return _load(name, None, ())
+
+
+def read_world(text: str | bytes, path: Path) -> SdfWorld:
+    """Return the world that an SDF text describes.
+
+    Args:
+        text: of the file.
+        path: the file; relative paths in it begin in its folder, messages name it.
+
+    Raises:
+        SdfError: something that is not allowed; the message names file, line, element, value and what is allowed.
+    """
+    return _read(text, path.absolute(), ())
+
+
+def _load(name: str, beside: Path | None, extending: tuple[Path, ...]) -> SdfWorld:
+    path = world_path(name, beside)
+    if path is not None:
+        return _read(_text(path), path, extending)
+    if name.endswith((".yaml", ".yml")):
+        name = str((beside or Path()).joinpath(Path(name).expanduser()))
+    else:
+        _check_known(name)
+    return _from_yaml(name)
+
+
+def _read(text: str | bytes, path: Path, extending: tuple[Path, ...]) -> SdfWorld:
+    def extended(element: Element | None) -> SdfWorld:
+        if element is None:
+            return _from_yaml("empty")
+        if path in extending:
+            raise element.error(f"{element.string()!r} leads back to this file")
+        try:
+            return _load(element.string(), path.parent, (*extending, path))
+        except SdfError:
+            raise
+        except ModelError as error:
+            raise element.error(str(error)) from error
+
+    return parse_world(text, path, extended)
+
+
+def _text(path: Path) -> bytes:
+    try:
+        return read_bytes(path, LARGEST)
+    except OSError as error:
+        names = ", ".join(world_names())
+        raise SdfError(f"worlds: {path}: {error.strerror or error}; by name there are {names}") from error
+
+
+def _from_yaml(name: str) -> SdfWorld:
+    description = read_description("worlds", name)
+    try:
+        datum, field, ground = (description[key] for key in ("datum", "magnetic_field", "ground"))
+        declination, inclination = math.radians(field["declination"]), math.radians(field["inclination"])
+        horizontal = field["strength"] * math.cos(inclination)
+        x, y, z = (float(value) for value in description["wind"])
+        return SdfWorld(
+            Path(name).stem,
+            Datum(datum["latitude"], datum["longitude"], datum["altitude"]),
+            float(description["gravity"]),
+            (x, y, z),
+            (
+                horizontal * math.sin(declination),
+                horizontal * math.cos(declination),
+                -field["strength"] * math.sin(inclination),
+            ),
+            float(field["declination"]),
+            float(ground["friction"]),
+            float(ground["restitution"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"world {name!r}: field {error} is missing or of the wrong kind") from error

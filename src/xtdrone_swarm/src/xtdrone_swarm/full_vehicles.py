@@ -1,0 +1,300 @@
+"""The full simulator behind the cut of the simplified one: physics, sensors, estimators and autopilots in one process.
+
+So the very classes that a script has tried on simple vehicles fly in full physics, without ROS. What lies between them
+and the autopilots in the ROS stack is here too, as function calls: the communication node's rules
+(``xtdrone_control.communication.core``) and its stream of set-points at 30 Hz, the turn from ENU to NED that MAVROS
+makes, and PX4's reading of SET_POSITION_TARGET_LOCAL_NED. A command acts in the turn in which it is given; through
+topics it takes two or three turns more.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+
+import numpy as np
+
+from xtdrone_control import frames
+from xtdrone_control.autopilot import modes
+from xtdrone_control.autopilot.commander.commander import Result
+from xtdrone_control.communication.core import HOVER_SPEED, OWN_COMMANDS, PX4_MODES, MultirotorCore, Request
+from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
+from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
+from xtdrone_control.lockstep.protocol import Schedule
+from xtdrone_control.mavlink.commands.setpoints import local_target
+from xtdrone_coordination.patterns import origin_columns
+from xtdrone_sim.simulation import Simulation
+from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
+
+STREAM_RATE = 30  # Hz, of the set-points
+_TO_ENU = np.array([1.0, 1.0, -1.0])
+
+_KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)
+_MODES = {mode.name: mode for mode in modes.SUPPORTED}
+
+
+class CoreVehicles:
+    """Vehicles in full physics, each flown by our autopilot. See ``vehicles.Vehicles`` for the attributes.
+
+    ``position`` and ``velocity`` are the autopilot's estimates, as ``mavros/local_position`` tells them; NaN until
+    there is one, some tenths of a second after the start.
+
+    Attributes:
+        simulation: the simulator itself: world, sensors, autopilots.
+    """
+
+    def __init__(
+        self,
+        count: int = 9,
+        *,
+        kind: str = "iris",
+        places: Sequence[tuple[float, float, float]] | Array | None = None,
+        seed: int = 0,
+        world: str = "empty",
+        hover_speed: float = HOVER_SPEED,
+        cmd_timeout: float = 0.0,
+    ) -> None:
+        """Place the vehicles on the ground, disarmed.
+
+        Args:
+            count: how many, 1 to 250.
+            kind: vehicle type, a name in ``config/vehicles``.
+            places: (x, y, z) m ENU a vehicle; the spawn grid, which is the pattern ``origin``, if none are given.
+            seed: of all sensor noise.
+            world: a name in ``config/worlds`` or a file.
+            hover_speed: m/s (m/s^2 for accelerations); see ``MultirotorCore``.
+            cmd_timeout: s; see ``MultirotorCore``; 0: a command holds until the next.
+
+        Raises:
+            FleetError: ``count`` is out of range.
+            ModelError: unknown vehicle type or world.
+            ValueError: ``places`` are not ``count`` times three finite numbers, or another value is not allowed.
+        """
+        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MAX_VEHICLES:
+            raise FleetError(f"number of vehicles: {count!r} is not allowed in full physics; 1 to {MAX_VEHICLES}")
+        fleet = parse_fleet(f"{kind}:{count}")
+        self.simulation = Simulation(
+            fleet,
+            rows=origin_columns(count),
+            world=world,
+            seed=seed,
+            places=None if places is None else _checked_places(places, count),
+        )
+        self.names = tuple(vehicle.name for vehicle in fleet)
+        self.step_us = self.simulation.step_us
+        self._log = _Log()
+        self._schedule = Schedule(STREAM_RATE, self.step_us)
+        self._cores = [
+            MultirotorCore(name, self._log, hover_speed=hover_speed, cmd_timeout=cmd_timeout) for name in self.names
+        ]
+        self._begin()
+
+    def _begin(self) -> None:
+        self._targets: list[tuple[Setpoint, SimpleNamespace] | None] = [None] * len(self.names)
+        self._due_us = 0
+        self._look()
+
+    # the state
+
+    def _look(self) -> None:
+        """Take over where the simulation has come to."""
+        autopilot = self.simulation.autopilot
+        estimator = autopilot.estimator
+        commanders = self.simulation.commanders
+        self.time_us = self.simulation.time_us
+        valid = ((estimator["position_valid"] != 0) & (estimator["altitude_valid"] != 0))[:, None]
+        self.position = np.where(valid, estimator["position"][:, [1, 0, 2]] * _TO_ENU, np.nan)
+        self.velocity = np.where(valid, estimator["velocity"][:, [1, 0, 2]] * _TO_ENU, np.nan)
+        w, x, y, z = estimator["q"].T
+        yaw = 0.5 * math.pi - np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        self.yaw = np.arctan2(np.sin(yaw), np.cos(yaw))
+        self.true_position = np.array(self.simulation.world.plant["position"])
+        self._armed = [commander.armed for commander in commanders]
+        self._mode = [commander.mode.name for commander in commanders]
+        self.armed: Sequence[bool] = self._armed
+        self.mode: Sequence[str] = self._mode
+        attitudes = estimator["q"].tolist()
+        for i, core in enumerate(self._cores):
+            core.on_state(self.mode[i], self.armed[i])
+            if valid[i]:
+                w, x, y, z = frames.attitude_ned_to_enu(*attitudes[i])
+                px, py, pz = self.position[i].tolist()
+                core.on_pose((px, py, pz), (x, y, z, w))
+
+    @property
+    def collisions(self) -> list[str]:
+        """Which vehicles have touched each other or something since the start, in the simulator node's words."""
+        world = self.simulation.world
+        names = [*self.names, *(model.name for model in world.model.models)]
+        return [f"collision of {names[a]} and {names[b]}" for a, b in sorted(world.collisions)]
+
+    @property
+    def _now(self) -> float:
+        return self.time_us * 1e-6
+
+    # commands
+
+    def command(self, index: int, text: str) -> str:
+        """Give a vehicle an XTDrone command; see ``Vehicles``. One whose state holds already does nothing.
+
+        Returns:
+            Why it is refused, in the autopilot's words; "" when it is not.
+
+        Raises:
+            IndexError: there is no such vehicle.
+        """
+        self._check_index(index)
+        request = self._cores[index].on_command(text, self._now)
+        if request is None:
+            return ""
+        refusal = self._carry_out(index, request)
+        self._cores[index].on_result(request, not refusal, refusal, self._now)
+        commander = self.simulation.commanders[index]
+        self._armed[index], self._mode[index] = commander.armed, commander.mode.name
+        self._cores[index].on_state(self.mode[index], self.armed[index])
+        return refusal
+
+    def _carry_out(self, index: int, request: Request) -> str:
+        commander = self.simulation.commanders[index]
+        name = self.names[index]
+        if request.arm is not None:
+            obstacle = commander.arming_obstacle() if request.arm else "Not landed"
+            done = commander.arm_disarm(request.arm) is Result.ACCEPTED
+            word = "arming" if request.arm else "disarming"
+            return "" if done else f"{name}: {word} denied: {obstacle or 'the autopilot was terminated'}"
+        if request.command not in PX4_MODES:
+            commands = ", ".join(OWN_COMMANDS)
+            return f"{name}: {request.command!r} is no command ({commands}) and no PX4 mode ({', '.join(PX4_MODES)})"
+        mode = _MODES.get(request.command)
+        if mode is None:
+            return f"{name}: mode {request.command} is not flown; there are: {', '.join(_MODES)}"
+        if commander.request(mode) is Result.ACCEPTED:
+            return ""
+        reason = commander.mode_obstacle(mode)
+        return f"{name}: {request.command} is not available now" + (f": {reason}" if reason else "")
+
+    def steer(self, kind: int, vectors: Array, given: Mask) -> None:
+        """Set the set-points of some vehicles; see ``Vehicles``.
+
+        Raises:
+            ValueError: an unknown kind, another size, or a vector that is not finite, whose vehicle is named.
+        """
+        _check_kind(kind)
+        if vectors.shape != self.position.shape or given.shape != self.yaw.shape:
+            raise ValueError(
+                f"set-points: shapes {vectors.shape} and {given.shape} are not allowed, "
+                f"{self.position.shape} and {self.yaw.shape}"
+            )
+        for i in np.flatnonzero(given).tolist():
+            x, y, z = vectors[i].tolist()
+            self.steer_one(i, kind, (x, y, z))
+
+    def steer_one(self, index: int, kind: int, vector: tuple[float, float, float], yaw_rate: float = 0.0) -> None:
+        """Set one vehicle's set-point, ENU, with a yaw rate in rad/s; a POSITION keeps the present heading.
+
+        Raises:
+            IndexError: there is no such vehicle.
+            ValueError: an unknown kind, or a value that is not finite.
+        """
+        self._check_index(index)
+        _check_kind(kind)
+        if not all(map(math.isfinite, (*vector, yaw_rate))):
+            raise ValueError(
+                f"set-point of {self.names[index]}: {tuple(vector)}, yaw rate {yaw_rate}: finite numbers are needed"
+            )
+        core = self._cores[index]
+        if kind == VELOCITY:
+            core.on_target_velocity("velocity", vector, yaw_rate, self._now, body=False)
+        elif kind == ACCELERATION:
+            core.on_target_acceleration("acceleration", vector, yaw_rate, self._now, body=False)
+        elif kind == POSITION:
+            half = 0.5 * float(self.yaw[index])
+            core.on_target_pose("position", vector, (0.0, 0.0, math.sin(half), math.cos(half)), body=False)
+        else:
+            core.on_command("HOVER", self._now)
+
+    def _check_index(self, index: int) -> None:
+        if not 0 <= index < len(self.names):
+            raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
+
+    # time
+
+    def advance(self, time_us: int) -> None:
+        """Move on to ``time_us``, a multiple of ``step_us``; set-points go out at each 30 Hz turn on the way.
+
+        Raises:
+            ValueError: it is no such multiple, or lies behind.
+        """
+        if time_us % self.step_us or time_us < self.time_us:
+            raise ValueError(
+                f"time: {time_us} us is not allowed, a multiple of {self.step_us} us from {self.time_us} us on"
+            )
+        while self.time_us < time_us:
+            if self.time_us >= self._due_us:
+                self._send()
+                self._due_us = self._schedule.after_us(self.time_us)
+            self.simulation.run_until(min(self._due_us, time_us))
+            self._look()
+
+    def _send(self) -> None:
+        """Tell every autopilot its set-point, as the stream of mavros/setpoint_raw/local does."""
+        for i, (core, commander) in enumerate(zip(self._cores, self.simulation.commanders, strict=True)):
+            setpoint = core.tick(self._now)
+            known = self._targets[i]
+            if known is None or known[0] is not setpoint:
+                known = self._targets[i] = (setpoint, _target(setpoint))
+            local_target(commander, known[1])
+
+    def restart(self) -> None:
+        """Put all back to their start; see ``Vehicles``. Parameters that were changed stay changed."""
+        self.simulation.restart()
+        for core in self._cores:
+            core.restart()
+        self._begin()
+
+    def close(self) -> None:
+        """Free the physics engine."""
+        self.simulation.close()
+
+
+class _Log:
+    """The communication node's messages in this module's log."""
+
+    def __init__(self) -> None:
+        logger = logging.getLogger(__name__)
+        self.info = logger.debug
+        self.warning = logger.info  # refusals are returned to whoever commands
+        self.stream_warning = logger.warning
+
+
+def _target(setpoint: Setpoint) -> SimpleNamespace:
+    """Return a set-point with the fields of SET_POSITION_TARGET_LOCAL_NED, in NED or, in a body frame, FRD."""
+    local = setpoint.frame == FRAME_LOCAL_NED
+    turn = frames.enu_to_ned if local else frames.flu_to_frd
+    x, y, z = turn(*setpoint.position)
+    vx, vy, vz = turn(*setpoint.velocity)
+    afx, afy, afz = turn(*setpoint.acceleration)
+    return SimpleNamespace(
+        coordinate_frame=setpoint.frame,
+        type_mask=setpoint.type_mask,
+        x=x, y=y, z=z, vx=vx, vy=vy, vz=vz, afx=afx, afy=afy, afz=afz,
+        yaw=frames.yaw_enu_to_ned(setpoint.yaw) if local else -setpoint.yaw,
+        yaw_rate=-setpoint.yaw_rate,
+    )  # fmt: skip
+
+
+def _check_kind(kind: int) -> None:
+    if kind not in _KINDS:
+        raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
+
+
+def _checked_places(
+    places: Sequence[tuple[float, float, float]] | Array, count: int
+) -> list[tuple[float, float, float]]:
+    array = np.asarray(places, dtype=float)
+    if array.shape != (count, 3) or not np.isfinite(array).all():
+        shape = " x ".join(map(str, array.shape))
+        raise ValueError(f"places: {shape} numbers are not allowed; {count} x 3 finite ones, m ENU")
+    return [(x, y, z) for x, y, z in array.tolist()]

@@ -1,0 +1,115 @@
+"""From MAVROS's set-points to those of the simplified vehicles. Values are ENU or FLU, as MAVROS has them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from xtdrone_control.communication.setpoint import (
+    FRAME_BODY_NED,
+    FRAME_BODY_OFFSET_NED,
+    FRAME_LOCAL_NED,
+    IGNORE_ACCELERATION,
+    IGNORE_POSITION,
+    IGNORE_VELOCITY,
+    IGNORE_YAW,
+    IGNORE_YAW_RATE,
+    Setpoint,
+    Vector,
+    first_bad_field,
+)
+from xtdrone_swarm.swarm_vehicles import ACCELERATION, POSITION, VELOCITY
+
+FORCE = 512  # type_mask: the acceleration is a force
+
+_FRAMES = {FRAME_LOCAL_NED: "LOCAL_NED", FRAME_BODY_NED: "BODY_NED", FRAME_BODY_OFFSET_NED: "BODY_OFFSET_NED"}
+_KINDS = (
+    (IGNORE_POSITION, POSITION, "position"),
+    (IGNORE_VELOCITY, VELOCITY, "velocity"),
+    (IGNORE_ACCELERATION, ACCELERATION, "acceleration_or_force"),
+)
+
+
+class SetpointError(ValueError):
+    """A set-point that the simplified vehicles cannot fly; the message says which part of it."""
+
+
+class Wanted(NamedTuple):
+    """What a vehicle is to do.
+
+    Attributes:
+        kind: POSITION, VELOCITY or ACCELERATION.
+        vector: m, m/s or m/s^2, ENU.
+        yaw_rate: rad/s, counter-clockwise.
+        yaw: rad from east, counter-clockwise; NaN when the rate counts.
+    """
+
+    kind: int
+    vector: Vector
+    yaw_rate: float
+    yaw: float
+
+
+def wanted(setpoint: Setpoint, here: Vector, heading: float) -> Wanted:
+    """Return what a set-point asks of a vehicle.
+
+    LOCAL_NED is ENU. The vectors of BODY_NED and BODY_OFFSET_NED are FLU, turned by the heading; a position, and with
+    it the yaw, of BODY_OFFSET_NED counts from the vehicle, and BODY_NED has none. A yaw goes before a yaw rate; without
+    both the heading is kept.
+
+    Args:
+        setpoint: frame, mask and values of a mavros_msgs/PositionTarget.
+        here: the vehicle's place, m ENU.
+        heading: rad from east, counter-clockwise.
+
+    Raises:
+        SetpointError: another frame, a mask that asks for none or several of position, velocity and acceleration, or
+            for a part of one, a force, or a value that is not finite.
+    """
+    frame, mask = setpoint.frame, setpoint.type_mask
+    if frame not in _FRAMES:
+        known = ", ".join(f"{number} ({name})" for number, name in _FRAMES.items())
+        raise SetpointError(f"coordinate_frame {frame} is not flown, {known} are")
+    kind, name = _what(mask)
+    values: Vector = {POSITION: setpoint.position, VELOCITY: setpoint.velocity}.get(kind, setpoint.acceleration)
+    if kind == ACCELERATION and mask & FORCE:
+        raise SetpointError(f"type_mask {mask}: a force is not flown")
+    if kind == POSITION and frame == FRAME_BODY_NED:
+        raise SetpointError("coordinate_frame 8 (BODY_NED) has no position, 9 (BODY_OFFSET_NED) has")
+    yaw = math.nan if mask & IGNORE_YAW else setpoint.yaw
+    yaw_rate = 0.0 if mask & IGNORE_YAW_RATE or not mask & IGNORE_YAW else setpoint.yaw_rate
+    turning = (0.0 if mask & IGNORE_YAW else yaw, yaw_rate)
+    bad = first_bad_field((f"{name}.x", f"{name}.y", f"{name}.z", "yaw", "yaw_rate"), (*values, *turning))
+    if bad is not None:
+        raise SetpointError(f"{bad}: not flown")
+    if frame != FRAME_LOCAL_NED:
+        values = flu_to_enu(values, heading)
+    if frame == FRAME_BODY_OFFSET_NED:
+        yaw = math.remainder(heading + yaw, math.tau)
+        if kind == POSITION:
+            values = (here[0] + values[0], here[1] + values[1], here[2] + values[2])
+    return Wanted(kind, values, yaw_rate, yaw)
+
+
+def flu_to_enu(vector: Vector, heading: float) -> Vector:
+    """Return a vector of a level vehicle (forward, left, up) in ENU.
+
+    Args:
+        vector: in any unit.
+        heading: rad from east, counter-clockwise.
+    """
+    x, y, z = vector
+    cos, sin = math.cos(heading), math.sin(heading)
+    return cos * x - sin * y, sin * x + cos * y, z
+
+
+def _what(mask: int) -> tuple[int, str]:
+    """Return the one quantity that a mask asks for, with its name."""
+    asked = [(kind, name) for ignored, kind, name in _KINDS if not mask & ignored]
+    partly = [name for ignored, _, name in _KINDS if 0 < mask & ignored < ignored]
+    if partly:
+        raise SetpointError(f"type_mask {mask}: only a part of {' and '.join(partly)} is not flown")
+    if len(asked) != 1:
+        names = " and ".join(name for _, name in asked) or "nothing"
+        raise SetpointError(f"type_mask {mask} asks for {names}; one of position, velocity, acceleration is flown")
+    return asked[0]

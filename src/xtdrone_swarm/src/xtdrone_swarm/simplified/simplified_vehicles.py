@@ -1,0 +1,269 @@
+"""Simplified vehicles behind the cut that the algorithms see: see ``vehicles.Vehicles``, model.py and pilot.py."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xtdrone_control.communication.core import HOVER_SPEED, HOVER_YAW_RATE, OWN_COMMANDS, PX4_MODES
+from xtdrone_coordination.patterns import PITCH, origin_columns
+from xtdrone_swarm.simplified import pilot
+from xtdrone_swarm.simplified.kinematics import VEHICLE, advance, capture, set_at, set_many
+from xtdrone_swarm.simplified.model import Model, load_model
+from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
+
+STEP_US = 4000
+
+_KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)
+_SUCCESSORS = {"AUTO.TAKEOFF": "AUTO.LOITER"}  # modes entered by themselves when the commanded one has done its work
+
+
+class SimplifiedVehicles:
+    """Vehicles of first or second order, any number. See ``vehicles.Vehicles`` for the attributes.
+
+    What lies between commands and set-points in the ROS stack is here too, as ``MultirotorCore`` has it: HOVER and the
+    dead zone, which freeze the place of that moment. The arrays are the same objects for ever; they change with time.
+
+    Attributes:
+        model: what they are.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        *,
+        kind: str = "iris",
+        model: Model | str | None = None,
+        places: ArrayLike | None = None,
+        airborne: bool = False,
+        rate_step_us: int = STEP_US,
+        hover_speed: float | None = HOVER_SPEED,
+    ) -> None:
+        """Place the vehicles.
+
+        Args:
+            count: how many, at least 1.
+            kind: vehicle type, a name in ``config/vehicles``.
+            model: see ``model.load_model``.
+            places: shape (count, 3), m ENU, z at least 0; the spawn grid, which is the pattern ``origin``, if None.
+            airborne: armed, in OFFBOARD and holding at their places, instead of disarmed.
+            rate_step_us: base step, microseconds, at least 100.
+            hover_speed: m/s (m/s^2 for accelerations), 0 or more: a velocity that is not above it on any axis means
+                HOVER; None: every velocity is flown as it is.
+
+        Raises:
+            ValueError: a value that is not allowed; ModelError, one of these, for ``kind`` and ``model``.
+        """
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise ValueError(f"number of vehicles: {count!r} is not allowed, at least 1")
+        if isinstance(rate_step_us, bool) or not isinstance(rate_step_us, int) or rate_step_us < 100:
+            raise ValueError(f"base step: {rate_step_us!r} us is not allowed, a whole number of at least 100")
+        if hover_speed is not None and not 0.0 <= hover_speed < math.inf:
+            raise ValueError(f"hover_speed: {hover_speed} m/s is not allowed, 0 or more, or None")
+        self.names = tuple(f"{kind}_{i}" for i in range(count))
+        self.model = load_model(kind, model)
+        self.step_us = rate_step_us
+        self._dead_zone = -1.0 if hover_speed is None else float(hover_speed)
+        self._places = spawn_places(count) if places is None else checked_places(places, count)
+        self._airborne = airborne
+        self._record = self.model.record(rate_step_us)
+        depth = int(self._record["delay"].max()) + 1
+        self._vehicles = np.zeros(count, VEHICLE)
+        self._each = self._vehicles.view(np.recarray)  # single ones, by attributes; slower
+        self._delayed = np.zeros((count, depth, 4))
+        self.position = np.zeros((count, 3))
+        self.velocity = np.zeros((count, 3))
+        self.yaw = np.zeros(count)
+        self.true_position = self.position
+        self.restart()
+
+    def restart(self) -> None:
+        """Put all back to their start; see ``Vehicles``."""
+        vehicles = self._vehicles
+        vehicles[:] = np.zeros(1, VEHICLE)[0]
+        vehicles["position"] = vehicles["place"] = vehicles["home"] = vehicles["setpoint"] = self._places
+        vehicles["mode"] = pilot.OFFBOARD if self._airborne else pilot.LOITER
+        vehicles["armed"] = vehicles["flown"] = self._airborne
+        vehicles["kind"] = HOLD
+        vehicles["sp_yaw"] = math.nan
+        vehicles["wanted_kind"] = VELOCITY
+        self._delayed[:] = (0.0, 0.0, 0.0, VELOCITY)
+        self._last = [""] * len(self.names)
+        self.time_us = 0
+        self.position[:] = self._places
+        self.velocity[:] = 0.0
+        self.yaw[:] = 0.0
+        self._look()
+
+    def _look(self) -> None:
+        """Take over modes and arming; they change seldom."""
+        self._armed = [bool(armed) for armed in self._vehicles["armed"].tolist()]
+        self._mode = [pilot.MODE_NAMES[mode] for mode in self._vehicles["mode"].tolist()]
+        self.armed: Sequence[bool] = self._armed
+        self.mode: Sequence[str] = self._mode
+
+    # commands
+
+    def command(self, index: int, text: str) -> str:
+        """Give a vehicle an XTDrone command; see ``Vehicles``. One whose state holds already does nothing.
+
+        Returns:
+            Why it is refused, "" when it is not.
+
+        Raises:
+            IndexError: there is no such vehicle.
+        """
+        if not 0 <= index < len(self.names):
+            raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
+        if text == self._last[index] and self._holds(index, text):
+            return ""
+        self._last[index] = text
+        if text == "HOVER":
+            capture(self._each[index])
+            return ""
+        refusal = self._carry_out(index, text)
+        vehicle = self._each[index]
+        self._armed[index], self._mode[index] = bool(vehicle.armed), pilot.MODE_NAMES[vehicle.mode]
+        return f"{self.names[index]}: {refusal}" if refusal else ""
+
+    def _holds(self, index: int, text: str) -> bool:
+        if text == "HOVER":
+            return bool(self._vehicles[index]["hovering"])
+        if text in ("ARM", "DISARM"):
+            return self.armed[index] == (text == "ARM")
+        return self.mode[index] in (text, _SUCCESSORS.get(text))
+
+    def _carry_out(self, index: int, text: str) -> str:
+        vehicle = self._each[index]
+        if text == "ARM":
+            return self._arm(vehicle)
+        if text == "DISARM":
+            if vehicle.armed and vehicle.position[2] > 0.0:
+                return "disarming denied: it flies"
+            pilot.disarm(vehicle)
+            return ""
+        if text not in PX4_MODES:
+            return f"{text!r} is no command ({', '.join(OWN_COMMANDS)}) and no PX4 mode ({', '.join(PX4_MODES)})"
+        if text not in pilot.MODE_NAMES:
+            return f"mode {text} is not flown by the simplified pilot; there are: {', '.join(pilot.MODE_NAMES)}"
+        self._enter(vehicle, pilot.MODE_NAMES.index(text))
+        return ""
+
+    def _arm(self, vehicle: np.record) -> str:
+        if vehicle.armed:
+            return ""
+        if vehicle.mode in pilot.NO_ARMING:
+            return f"arming denied in mode {pilot.MODE_NAMES[vehicle.mode]}"
+        pilot.arm(vehicle)
+        return ""
+
+    def _enter(self, vehicle: np.record, mode: int) -> None:
+        pilot.enter(vehicle, mode)
+        vehicle.hovering = 0  # it moves on its own now: a later hover must be captured anew
+        if mode in (pilot.LOITER, pilot.POSCTL):
+            pilot.brake(vehicle, self._record[0])
+        if mode == pilot.OFFBOARD and vehicle.kind == HOLD:
+            vehicle.setpoint[:] = vehicle.position
+
+    # set-points
+
+    def steer(self, kind: int, vectors: Array, given: Mask) -> None:
+        """Set the set-points of some vehicles; see ``Vehicles``. HOLD captures their present places.
+
+        Raises:
+            ValueError: an unknown kind, another size, or a vector that is not finite, whose vehicle is named.
+        """
+        if kind not in _KINDS:
+            raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
+        if vectors.shape != self.position.shape or given.shape != self.yaw.shape:
+            raise ValueError(
+                f"set-points: shapes {vectors.shape} and {given.shape} are not allowed, "
+                f"{self.position.shape} and {self.yaw.shape}"
+            )
+        bad = set_many(self._vehicles, kind, vectors, given, self._dead_zone, HOVER_YAW_RATE)
+        if bad >= 0:
+            raise ValueError(f"set-point of {self.names[bad]}: {vectors[bad].tolist()}, finite numbers are needed")
+
+    def steer_one(
+        self,
+        index: int,
+        kind: int,
+        vector: tuple[float, float, float],
+        yaw_rate: float = 0.0,
+        *,
+        yaw: float = math.nan,
+    ) -> None:
+        """Set one vehicle's set-point, ENU, with a yaw rate in rad/s, or a heading in rad if one is given.
+
+        Raises:
+            IndexError: there is no such vehicle.
+            ValueError: an unknown kind, or a value that is not finite.
+        """
+        if not 0 <= index < len(self.names):
+            raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
+        if kind not in _KINDS:
+            raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
+        x, y, z = (float(value) for value in vector)
+        if not all(map(math.isfinite, (x, y, z, yaw_rate))) or math.isinf(yaw):
+            raise ValueError(
+                f"set-point of {self.names[index]}: {(x, y, z)}, yaw rate {yaw_rate}: finite numbers are needed"
+            )
+        set_at(self._vehicles, index, kind, x, y, z, float(yaw), float(yaw_rate), self._dead_zone, HOVER_YAW_RATE)
+
+    # time
+
+    def advance(self, time_us: int) -> None:
+        """Move on to ``time_us``, a multiple of ``step_us``; where one stops on the way changes nothing.
+
+        Raises:
+            ValueError: it is no such multiple, or lies behind.
+        """
+        steps, rest = divmod(time_us - self.time_us, self.step_us)
+        if rest or steps < 0:
+            raise ValueError(
+                f"time: {time_us} us is not allowed, a multiple of {self.step_us} us from {self.time_us} us on"
+            )
+        changed = advance(
+            self._vehicles,
+            self._record,
+            self._delayed,
+            self.time_us // self.step_us,
+            steps,
+            self.step_us * 1e-6,
+            self.position,
+            self.velocity,
+            self.yaw,
+        )
+        self.time_us = time_us
+        if changed:
+            self._look()
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def spawn_places(count: int) -> Array:
+    """Return the spawn grid, shape (count, 3), m ENU, filled along x first; upstream's, whose first row is at y = 3."""
+    columns = origin_columns(count)
+    index = np.arange(count)
+    return np.column_stack([PITCH * (index % columns), PITCH * (index // columns + 1), np.zeros(count)])
+
+
+def checked_places(places: ArrayLike, count: int) -> Array:
+    """Return ``places`` as an array of shape (count, 3).
+
+    Raises:
+        ValueError: another shape, not finite, or below the ground.
+    """
+    array = np.array(places, dtype=float)
+    if array.shape != (count, 3):
+        shape = " x ".join(map(str, array.shape))
+        raise ValueError(f"places: {shape} numbers are not allowed; {count} x 3, m ENU")
+    bad = ~np.isfinite(array).all(axis=1) | (array[:, 2] < 0.0)
+    if bad.any():
+        worst = int(np.argmax(bad))
+        raise ValueError(f"places: {array[worst].tolist()} of vehicle {worst} is not allowed, finite with z >= 0")
+    return array

@@ -1,0 +1,370 @@
+"""The simplified vehicles on the topics and services of MAVROS and XTDrone, in place of autopilots behind MAVLink.
+
+For each vehicle T (as iris_0), as the full stack's MAVROS layer has them:
+
+========================================  ==========================  ================================================
+published, if somebody takes it
+/T/mavros/local_position/pose             PoseStamped                 30 Hz, frame map
+/T/mavros/local_position/velocity_local   TwistStamped                30 Hz, ENU, frame base_link as MAVROS names it
+/T/mavros/state                           mavros_msgs/State           1 Hz, and at once when it changes
+/T/mavros/extended_state                  mavros_msgs/ExtendedState   5 Hz
+/xtdrone/swarm                            Float64MultiArray           30 Hz, see xtdrone_control.mavros.swarm
+subscribed
+/T/mavros/setpoint_raw/local              PositionTarget              see setpoints.py
+/xtdrone/T/cmd, cmd_vel_enu, ...          see xtdrone_control.communication.multirotor
+services
+/T/mavros/cmd/arming, set_mode            CommandBool, SetMode
+/T/mavros/cmd/takeoff, cmd/land           CommandTOL                  AUTO.TAKEOFF, AUTO.LAND; the place is not used
+========================================  ==========================  ================================================
+
+XTDrone's commands are carried out as long as no set-point has come over ``setpoint_raw/local`` for that vehicle: it has
+no communication node then. Where they have come and stop, the vehicle leaves OFFBOARD for POSCTL, which holds, as PX4
+does (COM_OF_LOSS_T, COM_OBL_RC_ACT). What is sent in a tick acts from that tick's time on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
+from typing import Any, Protocol
+
+import rospy
+from geometry_msgs.msg import Pose, PoseStamped, Twist, TwistStamped
+from mavros_msgs.msg import ExtendedState, PositionTarget, State
+from mavros_msgs.srv import (
+    CommandBool,
+    CommandBoolResponse,
+    CommandTOL,
+    CommandTOLResponse,
+    SetMode,
+    SetModeResponse,
+)
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
+
+from xtdrone_control import lockstep
+from xtdrone_control.autopilot import modes
+from xtdrone_control.communication.core import MultirotorCore
+from xtdrone_control.communication.multirotor import RosLog
+from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint, Vector
+from xtdrone_control.mavros.lib.px4_modes import ModeError, mode_name, mode_number
+from xtdrone_control.mavros.swarm import FIELDS, TOPIC
+from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
+from xtdrone_swarm.simplified.setpoints import SetpointError, wanted
+from xtdrone_swarm.swarm_vehicles import HOLD, Vehicles
+
+_ACCEPTED, _TEMPORARILY_REJECTED = 0, 1  # MAV_RESULT
+_STANDBY, _ACTIVE = 3, 4  # MAV_STATE
+_CUSTOM_MODE_ENABLED, _GUIDED, _MANUAL_INPUT = 1, 8, 64  # MAV_MODE_FLAG
+_FLAGS = {mode.name: mode.flags for mode in modes.SUPPORTED}
+_WARNING_PERIOD = 5.0  # wall s between two equal warnings
+
+_ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
+
+
+class SteeredVehicles(Vehicles, Protocol):
+    """Vehicles that take a heading too."""
+
+    def steer_one(
+        self,
+        index: int,
+        kind: int,
+        vector: tuple[float, float, float],
+        yaw_rate: float = 0.0,
+        *,
+        yaw: float = math.nan,
+    ) -> None:
+        """Set one vehicle's set-point, ENU, with a yaw rate in rad/s, or a heading in rad if one is given."""
+
+
+class VehicleTopics:
+    """Topics and services of one vehicle."""
+
+    def __init__(
+        self,
+        vehicles: SteeredVehicles,
+        index: int,
+        mailbox: Mailbox,
+        seconds: Callable[[], float],
+        *,
+        hover_speed: float,
+        cmd_timeout: float,
+        setpoint_timeout: float,
+    ) -> None:
+        """Advertise and subscribe.
+
+        Args:
+            vehicles: all of them.
+            index: which one this is.
+            mailbox: brings service calls to the simulator's thread.
+            seconds: returns the simulated time.
+            hover_speed: see ``MultirotorCore``.
+            cmd_timeout: see ``MultirotorCore``.
+            setpoint_timeout: s without a set-point after which OFFBOARD is left; 0: never.
+
+        Raises:
+            ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
+        """
+        self._vehicles = vehicles
+        self._index = index
+        self._mailbox = mailbox
+        self._seconds = seconds
+        self._setpoint_timeout = setpoint_timeout
+        self.name = name = vehicles.names[index]
+        self._core = MultirotorCore(name, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
+        base = f"/{name}/mavros"
+        self._pose_publisher = lockstep.Publisher(f"{base}/local_position/pose", PoseStamped)
+        self._velocity_publisher = lockstep.Publisher(f"{base}/local_position/velocity_local", TwistStamped)
+        self._state_publisher = lockstep.Publisher(f"{base}/state", State)
+        self._extended_publisher = lockstep.Publisher(f"{base}/extended_state", ExtendedState)
+        self._pose = PoseStamped()
+        self._pose.header.frame_id = "map"
+        self._velocity = TwistStamped()
+        self._velocity.header.frame_id = "base_link"
+        # First of all, so that a command of the same tick finds who is responsible for it.
+        lockstep.Subscriber(f"{base}/setpoint_raw/local", PositionTarget, self._on_target)
+        self._subscribe_commands(f"/xtdrone/{name}")
+        for service, kind, handler in (
+            ("cmd/arming", CommandBool, self._arm),
+            ("set_mode", SetMode, self._set_mode),
+            ("cmd/takeoff", CommandTOL, partial(self._take_off_or_land, "AUTO.TAKEOFF")),
+            ("cmd/land", CommandTOL, partial(self._take_off_or_land, "AUTO.LAND")),
+        ):
+            rospy.Service(f"{base}/{service}", kind, handler)
+        self.restart()
+
+    def _subscribe_commands(self, base: str) -> None:
+        lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
+        for frame, body in (("enu", False), ("flu", True)):
+            for kind, message, callback in (
+                ("pose", Pose, self._on_target_pose),
+                ("vel", Twist, self._on_target_velocity),
+                ("accel", Twist, self._on_target_acceleration),
+            ):
+                topic = f"{base}/cmd_{kind}_{frame}"
+                lockstep.Subscriber(topic, message, partial(callback, topic, body))
+
+    def restart(self) -> None:
+        """Know of no input and nothing said: as at the start."""
+        self._core.restart()
+        self._commanded = True  # by XTDrone's commands, not by set-points
+        self._target_at = -math.inf  # s, when the last set-point came
+        self._flown: Setpoint | None = None  # the set-point that the vehicle has from the core
+        self._said: tuple[str, bool] | None = None
+        self._looked = -1.0  # s, of simulated time
+
+    # what is to be seen
+
+    @property
+    def _here(self) -> Vector:
+        x, y, z = self._vehicles.position[self._index].tolist()
+        return x, y, z
+
+    @property
+    def _heading(self) -> float:
+        return float(self._vehicles.yaw[self._index])
+
+    def publish_motion(self, now: rospy.Time) -> None:
+        """Publish pose and velocity."""
+        if self._pose_publisher.get_num_connections():
+            pose = self._pose.pose
+            self._pose.header.stamp = now
+            pose.position.x, pose.position.y, pose.position.z = self._here
+            half = 0.5 * self._heading
+            pose.orientation.z, pose.orientation.w = math.sin(half), math.cos(half)
+            self._pose_publisher.publish(self._pose)
+        if self._velocity_publisher.get_num_connections():
+            linear = self._velocity.twist.linear
+            self._velocity.header.stamp = now
+            linear.x, linear.y, linear.z = self._vehicles.velocity[self._index].tolist()
+            self._velocity_publisher.publish(self._velocity)
+
+    def publish_state(self, now: rospy.Time, due: bool) -> None:
+        """Publish mode and arming, if that is due or they have changed."""
+        mode, armed = self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index])
+        changed = self._said != (mode, armed)
+        self._said = (mode, armed)
+        if not (due or changed) or not self._state_publisher.get_num_connections():
+            return
+        flags = _FLAGS.get(mode, 0)
+        message = State(connected=True, armed=armed, mode=mode)
+        message.guided, message.manual_input = bool(flags & _GUIDED), bool(flags & _MANUAL_INPUT)
+        message.system_status = _ACTIVE if armed else _STANDBY
+        message.header.stamp = now
+        self._state_publisher.publish(message)
+
+    def publish_extended(self, now: rospy.Time) -> None:
+        """Publish whether it is on the ground."""
+        if not self._extended_publisher.get_num_connections():
+            return
+        message = ExtendedState(landed_state=self._landed_state())
+        message.header.stamp = now
+        self._extended_publisher.publish(message)
+
+    def _landed_state(self) -> int:
+        index, mode = self._index, self._vehicles.mode[self._index]
+        if not self._vehicles.armed[index] or self._vehicles.position[index, 2] <= 0.0:
+            return _ON_GROUND
+        return {"AUTO.TAKEOFF": _TAKEOFF, "AUTO.LAND": _LANDING}.get(mode, _IN_AIR)
+
+    # set-points
+
+    def _on_target(self, target: PositionTarget) -> None:
+        if self._commanded:
+            self._commanded = False
+            rospy.logdebug("simulator: %s is flown by set-points now", self.name)
+        self._target_at = self._seconds()
+        p, v, a = target.position, target.velocity, target.acceleration_or_force
+        setpoint = Setpoint(
+            target.coordinate_frame,
+            target.type_mask,
+            (p.x, p.y, p.z),
+            (v.x, v.y, v.z),
+            (a.x, a.y, a.z),
+            target.yaw,
+            target.yaw_rate,
+        )
+        self._fly(setpoint)
+
+    def _fly(self, setpoint: Setpoint) -> None:
+        try:
+            kind, vector, yaw_rate, yaw = wanted(setpoint, self._here, self._heading)
+        except SetpointError as error:
+            text = f"simulator: /{self.name}/mavros/setpoint_raw/local: {error}; the set-point is ignored"
+            rospy.logwarn_throttle_identical(_WARNING_PERIOD, text)
+            return
+        self._vehicles.steer_one(self._index, kind, vector, yaw_rate, yaw=yaw)
+
+    def _miss_targets(self) -> None:
+        """Leave OFFBOARD when set-points have stopped: a vehicle must not fly on for ever as the last one said."""
+        silence = self._seconds() - self._target_at
+        if not 0.0 < self._setpoint_timeout < silence or self._vehicles.mode[self._index] != "OFFBOARD":
+            return
+        rospy.logwarn("simulator: %s: no set-point for %g s: POSCTL", self.name, self._setpoint_timeout)
+        self._vehicles.command(self._index, "POSCTL")
+
+    # XTDrone's commands
+
+    def _look(self) -> float:
+        """Take in how the vehicle is, once in a tick; return the simulated time, s."""
+        now = self._seconds()
+        if now != self._looked:
+            self._looked = now
+            half = 0.5 * self._heading
+            self._core.on_state(self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index]))
+            self._core.on_pose(self._here, (0.0, 0.0, math.sin(half), math.cos(half)))
+        return now
+
+    def act(self) -> None:
+        """Carry out what XTDrone's commands ask for, or look after set-points; 30 Hz, after what came in a tick."""
+        if not self._commanded:
+            self._miss_targets()
+            return
+        setpoint = self._core.tick(self._look())
+        if setpoint is self._flown and setpoint.frame == FRAME_LOCAL_NED:
+            return
+        if self._core.holding:
+            if setpoint is not self._flown:
+                self._vehicles.steer_one(self._index, HOLD, self._here)
+        else:
+            self._fly(setpoint)
+        self._flown = setpoint
+
+    def _on_command(self, message: String) -> None:
+        if not self._commanded:
+            return
+        now = self._look()
+        request = self._core.on_command(message.data, now)
+        if request is None:
+            return
+        refusal = self._vehicles.command(self._index, request.command)
+        self._core.on_result(request, not refusal, refusal, now)
+        self._core.on_state(self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index]))
+
+    def _on_target_pose(self, topic: str, body: bool, message: Pose) -> None:
+        if not self._commanded:
+            return
+        self._look()
+        p, q = message.position, message.orientation
+        self._core.on_target_pose(topic, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), body=body)
+
+    def _on_target_velocity(self, topic: str, body: bool, message: Twist) -> None:
+        if not self._commanded:
+            return
+        linear = message.linear
+        vector = (linear.x, linear.y, linear.z)
+        self._core.on_target_velocity(topic, vector, message.angular.z, self._look(), body=body)
+
+    def _on_target_acceleration(self, topic: str, body: bool, message: Twist) -> None:
+        if not self._commanded:
+            return
+        linear = message.linear
+        vector = (linear.x, linear.y, linear.z)
+        self._core.on_target_acceleration(topic, vector, message.angular.z, self._look(), body=body)
+
+    # services; handlers run in threads of rospy's
+
+    def _ask(self, text: str) -> str:
+        """Give the vehicle a command in the simulator's thread; return why it is refused, or "".
+
+        Raises:
+            ServiceException: the simulator shuts down.
+        """
+
+        def act(answer: Future[Any]) -> None:
+            answer.set_result(self._vehicles.command(self._index, text))
+
+        try:
+            return str(self._mailbox.put(act).result())
+        except ClosedError as error:
+            raise rospy.ServiceException(str(error)) from error
+
+    def _arm(self, request: Any) -> CommandBoolResponse:
+        return CommandBoolResponse(*self._outcome("ARM" if request.value else "DISARM"))
+
+    def _take_off_or_land(self, mode: str, _request: Any) -> CommandTOLResponse:
+        return CommandTOLResponse(*self._outcome(mode))
+
+    def _outcome(self, text: str) -> tuple[bool, int]:
+        refusal = self._ask(text)
+        if refusal:
+            rospy.logwarn("simulator: %s", refusal)
+        return not refusal, _TEMPORARILY_REJECTED if refusal else _ACCEPTED
+
+    def _set_mode(self, request: Any) -> SetModeResponse:
+        """Set a mode; ``mode_sent`` says that there is such a mode, as MAVROS means it, not that it was taken."""
+        try:
+            mode = mode_name(_CUSTOM_MODE_ENABLED, mode_number(request.custom_mode))
+        except ModeError as error:
+            rospy.logerr("simulator: %s: set_mode: %s", self.name, error)
+            return SetModeResponse(mode_sent=False)
+        self._outcome(mode)
+        return SetModeResponse(mode_sent=True)
+
+
+class SwarmTopic:
+    """All vehicles' positions and velocities in one message."""
+
+    def __init__(self, vehicles: Vehicles) -> None:
+        """Advertise."""
+        count = len(vehicles.names)
+        self._vehicles = vehicles
+        self._publisher = lockstep.Publisher(TOPIC, Float64MultiArray)
+        self._message = Float64MultiArray()
+        self._message.layout.dim = [
+            MultiArrayDimension("vehicle", count, count * FIELDS),
+            MultiArrayDimension("x y z vx vy vz, ENU", FIELDS, FIELDS),
+        ]
+
+    def publish(self) -> None:
+        """Publish, if somebody takes it."""
+        if not self._publisher.get_num_connections():
+            return
+        data: list[float] = []
+        rows = zip(self._vehicles.position.tolist(), self._vehicles.velocity.tolist(), strict=True)
+        for position, velocity in rows:
+            data += position
+            data += velocity
+        self._message.data = data
+        self._publisher.publish(self._message)

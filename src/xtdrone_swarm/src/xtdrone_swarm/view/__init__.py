@@ -1,0 +1,18 @@
+"""The picture of a swarm: off-screen, as a film, in a window. Matplotlib is needed only here."""
+
+from xtdrone_swarm.view.film import FilmError, FilmWriter, check_film, film
+from xtdrone_swarm.view.scene import Frame, SwarmView, palette
+from xtdrone_swarm.view.window import Window, WindowError, can_open
+
+__all__ = [
+    "FilmError",
+    "FilmWriter",
+    "Frame",
+    "SwarmView",
+    "Window",
+    "WindowError",
+    "can_open",
+    "check_film",
+    "film",
+    "palette",
+]

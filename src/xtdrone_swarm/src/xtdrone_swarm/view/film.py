@@ -1,0 +1,444 @@
+"""Films of a swarm: MP4 by ffmpeg, GIF and PNG by Pillow; drawn off-screen and written as the frames come.
+
+A film is written beside its place under another name and put there when it is finished, so that a film which is there
+can be read. One that is broken off by Ctrl-C is finished with the frames there are; one that fails leaves nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shutil
+import struct
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sized
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import GifImagePlugin, Image
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from scipy.spatial import cKDTree
+
+from xtdrone_swarm.view.scene import Frame, SwarmView
+
+FPS = 25.0
+FPS_RANGE = (0.1, 120.0)
+GIF_FASTEST = 50.0  # browsers slow down what is faster
+_GIF_TICK = 0.01  # s, the unit of a GIF's times
+_GIF_COLOURS = 256
+_LINE_PERIOD = 5.0  # s of wall time between two lines of progress where there is no terminal
+
+Picture = NDArray[np.uint8]
+
+
+class FilmError(ValueError):
+    """A film that cannot be written."""
+
+
+class _Encoder(Protocol):
+    """Writes pictures into a file."""
+
+    def add(self, picture: Picture) -> None:
+        """Take a picture, RGBA, shape (height, width, 4); it may be overwritten afterwards."""
+
+    def finish(self) -> None:
+        """Complete the file."""
+
+    def abandon(self) -> None:
+        """Stop; the file is of no use."""
+
+
+class FilmWriter:
+    """A film that grows picture by picture.
+
+    As a context manager it finishes the film at the end, also after Ctrl-C, and drops it after any other exception.
+
+    Attributes:
+        path: where the film will be.
+        frames: taken so far.
+        only_last: whether only the last picture counts, as for a PNG.
+    """
+
+    def __init__(
+        self, path: str | Path, size: tuple[int, int], fps: float = FPS, view: SwarmView | None = None
+    ) -> None:
+        """Begin a film; what is at ``path`` is replaced when the film is finished.
+
+        Args:
+            path: ends with .mp4, .gif or .png.
+            size: width and height of the pictures, pixels.
+            fps: pictures a second.
+            view: whose pictures they are: a GIF takes its colours from it.
+
+        Raises:
+            FilmError: an unknown ending, a rate out of range, a folder that is missing or cannot be written to, or no
+                ffmpeg.
+        """
+        self.path = check_film(path, fps)
+        self.frames = 0
+        kind = self.path.suffix.lower()
+        self.only_last = kind == ".png"
+        # A name of its own in the same folder, so that renaming is one step and two films do not mix.
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{self.path.stem}-", suffix=f".part{kind}", dir=self.path.parent)
+        except OSError as error:
+            raise FilmError(f"film {self.path}: cannot be written: {error.strerror}") from error
+        os.close(handle)
+        self._part = Path(name)
+        self._part.chmod(0o666 & ~_umask())
+        self._encoder: _Encoder
+        try:
+            if kind == ".mp4":
+                self._encoder = _Mp4(self._part, size, fps)
+            elif kind == ".gif":
+                self._encoder = _Gif(self._part, size, fps, view)
+            else:
+                self._encoder = _Png(self._part)
+        except BaseException:
+            self._part.unlink(missing_ok=True)
+            raise
+
+    def add(self, picture: Picture) -> None:
+        """Append a picture.
+
+        Args:
+            picture: RGBA, shape (height, width, 4); it may be overwritten afterwards.
+
+        Raises:
+            FilmError: it cannot be written, as on a full disk.
+        """
+        self._encoder.add(picture)
+        self.frames += 1
+
+    def finish(self) -> None:
+        """Complete the film and put it in its place.
+
+        Raises:
+            FilmError: no picture was taken, or the film cannot be written.
+        """
+        try:
+            if not self.frames:
+                raise FilmError(f"film {self.path}: there is no frame to write")
+            self._encoder.finish()
+            os.replace(self._part, self.path)
+        except BaseException:
+            self.abandon()
+            raise
+
+    def abandon(self) -> None:
+        """Drop the film; what was at its place stays."""
+        self._encoder.abandon()
+        self._part.unlink(missing_ok=True)
+
+    def __enter__(self) -> FilmWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None or (issubclass(kind, KeyboardInterrupt) and self.frames):
+            self.finish()
+        else:
+            self.abandon()
+
+
+def check_film(path: str | Path, fps: float = FPS) -> Path:
+    """Return ``path`` if a film can be written there, before anything is flown for it.
+
+    Raises:
+        FilmError: see :class:`FilmWriter`.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in (".mp4", ".gif", ".png"):
+        raise FilmError(f"film {path}: unknown ending {kind!r}; allowed are .mp4, .gif and .png (the last frame)")
+    fastest = GIF_FASTEST if kind == ".gif" else FPS_RANGE[1]
+    if isinstance(fps, bool) or not (isinstance(fps, int | float) and FPS_RANGE[0] <= fps <= fastest):
+        raise FilmError(f"film {path}: {fps!r} frames a second are not allowed, {FPS_RANGE[0]:g} to {fastest:g}")
+    if path.is_dir():
+        raise FilmError(f"film {path}: is a folder")
+    if not path.parent.is_dir():
+        raise FilmError(f"film {path}: the folder {path.parent} does not exist")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise FilmError(f"film {path}: the folder {path.parent} is not writable")
+    if kind == ".mp4" and shutil.which("ffmpeg") is None:
+        raise FilmError(f"film {path}: the program ffmpeg is missing (package ffmpeg); a .gif needs none")
+    return path
+
+
+def film(
+    frames: Iterable[Frame],
+    path: str | Path,
+    fps: float = FPS,
+    progress: bool | Console = True,
+    *,
+    view: SwarmView | None = None,
+    names: Iterable[str] | None = None,
+    total: int | None = None,
+    **options: Any,
+) -> Path:
+    """Draw frames and write them as a film; return its path.
+
+    Args:
+        frames: a state a picture, ``1 / fps`` apart for a film in real time. A generator may fly the swarm meanwhile.
+        path: ends with .mp4, .gif or .png (a picture of the last state with its trails).
+        fps: pictures a second.
+        progress: whether to show a progress bar; or the console to show it on.
+        view: what draws them; without it one is made for the first frame.
+        names: of the vehicles; without a view and names they are ``uav_0``, ``uav_1``, ...
+        total: number of frames, for the bar; needed only where ``frames`` has no length.
+        options: for :class:`SwarmView`: slots, edges, trails, size.
+
+    Raises:
+        FilmError: see :class:`FilmWriter`; or there is no frame.
+        ValueError: a frame does not fit the view.
+        KeyboardInterrupt: after the film was finished with the frames there were.
+    """
+    check_film(path, fps)
+    count = total if total is not None or not isinstance(frames, Sized) else len(frames)
+    source = iter(frames)
+    try:
+        first = next(source)
+    except StopIteration:
+        raise FilmError(f"film {path}: there is no frame to write") from None
+    if view is None:
+        named = tuple(names) if names is not None else tuple(f"uav_{i}" for i in range(len(first.positions)))
+        view = SwarmView(named, **options)
+    with FilmWriter(path, view.size, fps, view) as writer:
+        drawn = False
+        for frame in shown(_chain(first, source), count, f"film {writer.path.name}", progress):
+            view.update(frame)
+            if not writer.only_last:
+                writer.add(view.draw())
+            drawn = True
+        if writer.only_last and drawn:
+            writer.add(view.draw())
+    return writer.path
+
+
+def _chain(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
+    yield first
+    yield from rest
+
+
+def shown(frames: Iterable[Frame], total: int | None, text: str, progress: bool | Console) -> Iterator[Frame]:
+    """Yield the frames and show how many have gone: a bar on a terminal, else a line every few seconds.
+
+    Args:
+        frames: what to pass on.
+        total: how many there will be; None where that is not known.
+        text: what is being done.
+        progress: False: nothing is shown; or the console.
+    """
+    if progress is False:
+        yield from frames
+        return
+    console = Console(stderr=True) if progress is True else progress
+    if not console.is_terminal:
+        yield from _with_lines(frames, total, text, console)
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[moment]}"),
+    )
+    with Progress(*columns, console=console, refresh_per_second=5) as bar:
+        task = bar.add_task(text, total=total, moment="")
+        for frame in frames:
+            yield frame
+            bar.update(task, advance=1, moment=f"sim {frame.time:.1f} s")
+
+
+def _with_lines(frames: Iterable[Frame], total: int | None, text: str, console: Console) -> Iterator[Frame]:
+    said = time.monotonic()
+    for number, frame in enumerate(frames, 1):
+        yield frame
+        if time.monotonic() - said >= _LINE_PERIOD:
+            said = time.monotonic()
+            of = f"/{total}" if total is not None else ""
+            console.print(f"{text}: {number}{of} frames, sim {frame.time:.1f} s", highlight=False, soft_wrap=True)
+
+
+def _umask() -> int:
+    """Return the process's mask for new files; it can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+class _Mp4:
+    """H.264 in the 4:2:0 form that browsers play, by an ffmpeg that reads raw pictures from a pipe."""
+
+    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
+        self._path = path
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the encoder)
+        width, height = size
+        command = [
+            *("ffmpeg", "-hide_banner", "-loglevel", "error", "-nostdin", "-y"),
+            *("-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "pipe:0"),
+            *("-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-c:v", "libx264", "-pix_fmt", "yuv420p"),
+            *("-preset", "veryfast", "-crf", "19", "-movflags", "+faststart", "-f", "mp4", str(path)),
+        ]
+        # A session of its own: Ctrl-C is for us, who then finish the film. When we are killed, its pipe ends and so
+        # does it.
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, start_new_session=True
+        )
+
+    def add(self, picture: Picture) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(np.ascontiguousarray(picture).data)
+        except OSError as error:
+            raise FilmError(f"film: ffmpeg has ended: {self._said() or error}") from error
+
+    def finish(self) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.close()
+        except OSError as error:
+            raise FilmError(f"film: ffmpeg has ended: {self._said() or error}") from error
+        if self._process.wait() != 0:
+            raise FilmError(f"film: ffmpeg has failed: {self._said() or f'status {self._process.returncode}'}")
+        self._errors.close()
+
+    def abandon(self) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):  # what was left in the buffer has no reader
+                self._process.stdin.close()
+        self._errors.close()
+
+    def _said(self) -> str:
+        """Return the last line that ffmpeg wrote on standard error."""
+        self._process.kill()
+        self._process.wait()
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else ""
+
+
+class _Gif:
+    """A GIF with one palette, so that still parts do not flicker; of each frame only what is new is written."""
+
+    def __init__(self, path: Path, size: tuple[int, int], fps: float, view: SwarmView | None) -> None:
+        self._file = path.open("wb")
+        self._size = size
+        self._period = 1.0 / fps / _GIF_TICK
+        self._palette = None if view is None else _Palette(_colours_of(view))
+        self._before: NDArray[np.uint8] | None = None
+        self._number = 0
+
+    def add(self, picture: Picture) -> None:
+        try:
+            if self._before is None:
+                self._begin(picture)
+            self._append(picture)
+        except OSError as error:
+            raise FilmError(f"film: cannot be written: {error.strerror or error}") from error
+
+    def _begin(self, picture: Picture) -> None:
+        """Write the file's head: size, the palette of 256 colours, and that the film begins anew at its end."""
+        if self._palette is None:
+            few = Image.fromarray(np.ascontiguousarray(picture[..., :3])).quantize(_GIF_COLOURS)
+            self._palette = _Palette(np.array(few.getpalette(), dtype=np.uint8).reshape(-1, 3))
+        self._file.write(b"GIF89a" + struct.pack("<2H3B", *self._size, 0xF7, 0, 0) + self._palette.table)
+        self._file.write(b"\x21\xff\x0bNETSCAPE2.0" + struct.pack("<BBHB", 3, 1, 0, 0))
+
+    def _append(self, picture: Picture) -> None:
+        """Write the rectangle that differs from the picture before, which stays under it."""
+        assert self._palette is not None
+        index = self._palette.indices(picture)
+        rows = columns = slice(0, 1)  # nothing is new
+        if self._before is None:
+            rows, columns = slice(None), slice(None)
+        elif len(new := np.argwhere(index != self._before)):
+            (top, left), (bottom, right) = new.min(axis=0), new.max(axis=0)
+            rows, columns = slice(top, bottom + 1), slice(left, right + 1)
+        self._before = index
+        image = Image.fromarray(np.ascontiguousarray(index[rows, columns]), "P")
+        # Times are whole hundredths of a second: the sum is right, single frames are a hundredth longer.
+        start, end = (math.floor(self._period * k + 0.5) for k in (self._number, self._number + 1))
+        self._number += 1
+        corner = (int(columns.start or 0), int(rows.start or 0))
+        options = {"duration": 10 * (end - start), "disposal": 1, "include_color_table": False}
+        for block in GifImagePlugin.getdata(image, corner, **options):
+            self._file.write(block)
+
+    def finish(self) -> None:
+        try:
+            self._file.write(b";")
+            self._file.close()
+        except OSError as error:
+            raise FilmError(f"film: cannot be written: {error.strerror or error}") from error
+
+    def abandon(self) -> None:
+        with contextlib.suppress(OSError):  # a full disk
+            self._file.close()
+
+
+class _Palette:
+    """At most 256 colours, and the nearest of them to every colour of 6 bits a channel.
+
+    Pillow's own search takes neighbouring colours for one, and white for a tint.
+    """
+
+    def __init__(self, colours: NDArray[np.uint8]) -> None:
+        self._colours = colours
+        levels = np.round(np.arange(64) * (255.0 / 63.0))
+        cells = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
+        self._nearest = cKDTree(colours.astype(np.float64)).query(cells)[1].astype(np.uint8)
+
+    @property
+    def table(self) -> bytes:
+        """Return 256 colours, three bytes each."""
+        return self._colours.tobytes().ljust(3 * _GIF_COLOURS, b"\0")
+
+    def indices(self, picture: Picture) -> NDArray[np.uint8]:
+        """Return the number of the nearest colour of each pixel."""
+        cell = (picture[..., :3] >> 2).astype(np.int32)
+        return self._nearest[(cell[..., 0] << 12) | (cell[..., 1] << 6) | cell[..., 2]]
+
+
+def _colours_of(view: SwarmView) -> NDArray[np.uint8]:
+    """Return the colours of a view's pictures, with what they make with the white ground, shape (n, 3)."""
+    colours = np.unique(view.colours[1:], axis=0) if len(view.colours) > 1 else view.colours
+    greys = np.linspace(0.08, 1.0, 40)
+    tints = np.stack([greys * 0.93, greys * 0.965, greys], axis=1)  # text, grid and edges are bluish
+    panes = np.array([[1.0, 1.0, 1.0], [0.980, 0.984, 0.988], [0.953, 0.961, 0.973], [0.918, 0.941, 0.918]])
+    shares = np.linspace(0.0, 1.0, max(2, (_GIF_COLOURS - len(panes) - len(tints)) // len(colours) + 1))[1:]
+    mixed = (1.0 - shares[:, None, None] * (1.0 - colours)).reshape(-1, 3)
+    return np.round(255.0 * np.concatenate([panes, tints, mixed])[:_GIF_COLOURS]).astype(np.uint8)
+
+
+class _Png:
+    """The last picture."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._last: Picture | None = None
+
+    def add(self, picture: Picture) -> None:
+        self._last = picture.copy()
+
+    def finish(self) -> None:
+        assert self._last is not None
+        try:
+            Image.fromarray(self._last[..., :3]).save(self._path, "PNG", optimize=True)
+        except OSError as error:
+            raise FilmError(f"film {self._path}: cannot be written: {error}") from error
+
+    def abandon(self) -> None:
+        self._last = None
