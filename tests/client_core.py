@@ -15,7 +15,7 @@ from pathlib import Path
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots.backend import Builtin
+from xtdrone_sim.autopilots.backend import BuiltinAutopilot
 from xtdrone_sim.runtime.pacing import Pacer
 from xtdrone_sim.simulation import Simulation
 
@@ -25,7 +25,7 @@ CHUNK_US = 8000  # simulated time between two looks at the sockets
 def main(count: int, first: int, speed: float, logs: str = "", kind: str = "iris") -> None:
     """Run until standard input ends."""
     fleet = tuple(Vehicle(kind, i, first + i) for i in range(count))
-    simulation = Simulation(fleet, seed=1, autopilots=partial(Builtin, logs=Path(logs) if logs else None))
+    simulation = Simulation(fleet, seed=1, autopilots=partial(BuiltinAutopilot, logs=Path(logs) if logs else None))
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
     pacer = Pacer(speed)
     simulation.step()  # compiles what is not compiled yet

@@ -18,14 +18,14 @@ import sys
 from xtdrone_sim import node
 
 
-class Bursting(node.FullScene):
+class Bursting(node.FullSimulation):
     def advance(self, until_us):
         super().advance(until_us)
         if self.time_us > 200_000:
             raise RuntimeError("the plant\\nhas burst")
 
 
-node.FullScene = Bursting
+node.FullSimulation = Bursting
 sys.exit(node.main())
 """
 

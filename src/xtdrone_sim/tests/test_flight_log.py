@@ -18,7 +18,7 @@ from pyulog import ULog
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.logger import topics
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.autopilots.backend import Builtin
+from xtdrone_sim.autopilots.backend import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 
 ARMED_US, LANDING_US = 2_000_000, 12_000_000
@@ -62,7 +62,7 @@ class Flight:
 
     def __init__(self, folder: Path, **parameters: float) -> None:
         self.folder = folder
-        self.simulation = Simulation(parse_fleet("iris:2"), seed=3, autopilots=partial(Builtin, logs=folder))
+        self.simulation = Simulation(parse_fleet("iris:2"), seed=3, autopilots=partial(BuiltinAutopilot, logs=folder))
         self.commander = self.simulation.commanders[0]
         for name, value in parameters.items():
             self.commander.parameters.set(name, value)
@@ -302,9 +302,9 @@ import os, signal, sys
 from functools import partial
 from pathlib import Path
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.autopilots import Builtin
+from xtdrone_sim.autopilots import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
-simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(Builtin, logs=Path(sys.argv[1])))
+simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(BuiltinAutopilot, logs=Path(sys.argv[1])))
 simulation.run_until(3_900_000)
 os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -353,7 +353,7 @@ def _booted_with(folder: Path, mode: int) -> Flight:
 
 def test_an_older_log_stays(tmp_path):
     for _ in range(2):
-        simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(Builtin, logs=tmp_path))
+        simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(BuiltinAutopilot, logs=tmp_path))
         simulation.run_until(400_000)
         (_, text), *_ = simulation.commanders[0].texts
         simulation.close()

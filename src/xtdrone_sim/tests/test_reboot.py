@@ -17,7 +17,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots.backend import Builtin
+from xtdrone_sim.autopilots.backend import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 
 REBOOT = 246
@@ -28,7 +28,7 @@ class Fleet:
 
     def __init__(self, logs: Path | None = None) -> None:
         self.fleet = parse_fleet("iris:2")
-        self.simulation = Simulation(self.fleet, autopilots=partial(Builtin, logs=logs))
+        self.simulation = Simulation(self.fleet, autopilots=partial(BuiltinAutopilot, logs=logs))
         self.server = MavlinkServer(self.fleet, self.simulation.autopilot, self.simulation.commanders)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)

@@ -9,7 +9,7 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.speed import LEAST_SPEED
-from xtdrone_sim.autopilots.backend import Builtin
+from xtdrone_sim.autopilots.backend import BuiltinAutopilot
 from xtdrone_sim.runtime import full_simulation
 from xtdrone_sim.runtime.pacing import Pacer
 from xtdrone_sim.runtime.services import target_speed
@@ -113,14 +113,14 @@ def test_changed_parameters_outlive_the_simulator_where_a_folder_is_given(settin
     assert settings().params == ""
     assert settings(params="/somewhere").params == "/somewhere"
     fleet = parse_fleet("iris:2")
-    first = Simulation(fleet, autopilots=partial(Builtin, params=tmp_path))
+    first = Simulation(fleet, autopilots=partial(BuiltinAutopilot, params=tmp_path))
     first.commanders[1].parameters.set("MPC_XY_CRUISE", 7.0)
     assert first.commanders[1].parameters.save()
     first.restart()
     assert first.commanders[1].parameters.get("MPC_XY_CRUISE") == 7.0
     first.close()
     assert [file.name for file in tmp_path.iterdir()] == ["iris_1.params"]
-    second = Simulation(fleet, autopilots=partial(Builtin, params=tmp_path))
+    second = Simulation(fleet, autopilots=partial(BuiltinAutopilot, params=tmp_path))
     assert [c.parameters.get("MPC_XY_CRUISE") for c in second.commanders] == [5.0, 7.0]
     assert second.autopilot.params["mpc_xy_cruise"].tolist() == [5.0, 7.0]
     second.close()

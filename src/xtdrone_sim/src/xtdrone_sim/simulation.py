@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle, spawn_grid
-from xtdrone_sim.autopilots.backend import AutopilotsFactory, Builtin
+from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.physics.world import World, load_world
 from xtdrone_sim.sensors.sensor_models import Sensors
 from xtdrone_sim.vehicles.gimbal import Gimbals
@@ -45,7 +45,7 @@ class Simulation:
         seed: int = 0,
         shared_datum: bool = True,
         places: Sequence[tuple[float, float, float]] | None = None,
-        autopilots: AutopilotsFactory = Builtin,
+        autopilots: AutopilotFactory = BuiltinAutopilot,
     ) -> None:
         """Place the fleet on the ground.
 

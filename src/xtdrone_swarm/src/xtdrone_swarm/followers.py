@@ -22,7 +22,7 @@ class Maker(Protocol):
         """Return the follower of vehicle ``id``, which knows ``swarm``."""
 
 
-class Crew:
+class FollowerGroup:
     """All followers of a swarm, computed together.
 
     Attributes:

@@ -32,7 +32,7 @@ from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_coordination.topology import cut_off
 from xtdrone_swarm.flight_record import Choice, Record
-from xtdrone_swarm.followers import Crew
+from xtdrone_swarm.followers import FollowerGroup
 from xtdrone_swarm.simplified.model import Model
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles, spawn_places
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Vehicles
@@ -129,12 +129,12 @@ class Swarm:
         radio = None if network is None else make_network(count, _options(NetworkOptions, network), seed)
         self._warnings: list[str] = []  # of the present turn
         make = partial(follower, options=options, warn=self._warnings.append)
-        self._crew = Crew(count, make, radio)
-        self.followers = self._crew.followers
+        self._followers = FollowerGroup(count, make, radio)
+        self.followers = self._followers.followers
         self.leader = leader(
             count,
             patterns,
-            swarm=self._crew.state,
+            swarm=self._followers.state,
             options=_options(LeaderOptions, leader_options),
             warn=_LOG.warning,
         )
@@ -152,13 +152,13 @@ class Swarm:
         )
         self._passed: list[str] = []
         self._course: tuple[tuple[float, float, float], float] | None = None
-        self._crew.hear(self.vehicles.position, self.vehicles.velocity)
+        self._followers.hear(self.vehicles.position, self.vehicles.velocity)
 
     def restart(self) -> None:
         """Begin anew: the same inputs then lead to the same flight, to the last bit."""
         self.vehicles.restart()
         self.leader.restart()
-        self._crew.restart()
+        self._followers.restart()
         self._begin()
 
     def close(self) -> None:
@@ -204,7 +204,7 @@ class Swarm:
 
         By the topology; with a network, over links that are within its range now. None are before the first pattern.
         """
-        adjacency, network = self.leader.adjacency, self._crew.network
+        adjacency, network = self.leader.adjacency, self._followers.network
         if adjacency is None:
             return []
         return cut_off(adjacency) if network is None else network.cut_off(np.nonzero(adjacency))
@@ -269,13 +269,13 @@ class Swarm:
         if self._message is not None:
             offsets, adjacency = self._message
             self._message = None
-            self._crew.on_pattern(offsets)
-            self._crew.on_topology(adjacency)
-        self._crew.hear(vehicles.position, vehicles.velocity)
+            self._followers.on_pattern(offsets)
+            self._followers.on_topology(adjacency)
+        self._followers.hear(vehicles.position, vehicles.velocity)
         self._lead()
-        commands, given = self._crew.update()
+        commands, given = self._followers.update()
         vehicles.steer(self._kind, commands, given)
-        self._crew.tick()
+        self._followers.tick()
         if self._warnings:
             self._warn()
         if self.record is not None:
@@ -448,7 +448,7 @@ class Swarm:
         self._said = leader.pattern
         assert leader.offsets is not None
         assert leader.adjacency is not None
-        if self._crew.network is not None:
+        if self._followers.network is not None:
             self._name_those_out_of_range()
         self._message = leader.offsets.astype(np.float32).astype(float), leader.adjacency
         if self.record is not None:

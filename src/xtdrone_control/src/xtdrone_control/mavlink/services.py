@@ -5,13 +5,13 @@ from __future__ import annotations
 from xtdrone_control.mavlink.commands.command_service import CommandService
 from xtdrone_control.mavlink.commands.follow_service import FollowService
 from xtdrone_control.mavlink.commands.gimbal_service import GimbalService
-from xtdrone_control.mavlink.commands.home_service import PlaceService
+from xtdrone_control.mavlink.commands.home_service import HomeService
 from xtdrone_control.mavlink.commands.manual_service import ManualService
 from xtdrone_control.mavlink.commands.setpoint_service import SetpointService
 from xtdrone_control.mavlink.commands.vision_service import VisionService
 from xtdrone_control.mavlink.microservices.event import EventService
 from xtdrone_control.mavlink.microservices.ftp import FtpService
-from xtdrone_control.mavlink.microservices.heartbeat import PresenceService
+from xtdrone_control.mavlink.microservices.heartbeat import HeartbeatService
 from xtdrone_control.mavlink.microservices.log import LogService
 from xtdrone_control.mavlink.microservices.metadata import MetadataService
 from xtdrone_control.mavlink.microservices.mission import MissionService
@@ -25,7 +25,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
     """Return every service of ``vehicle``."""
     commands = CommandService(vehicle)
     return [
-        PresenceService(vehicle),
+        HeartbeatService(vehicle),
         commands,
         SetpointService(vehicle),
         FollowService(vehicle),
@@ -33,7 +33,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         ManualService(vehicle),
         ParameterService(vehicle),
         MissionService(vehicle),
-        PlaceService(vehicle, commands),
+        HomeService(vehicle, commands),
         LogService(vehicle),
         FtpService(vehicle),
         MetadataService(vehicle),

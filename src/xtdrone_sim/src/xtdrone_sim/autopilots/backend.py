@@ -56,7 +56,7 @@ class Autopilots(Protocol):
         """Free what is held."""
 
 
-class AutopilotsFactory(Protocol):
+class AutopilotFactory(Protocol):
     """Makes the autopilots of a fleet."""
 
     def __call__(
@@ -72,7 +72,7 @@ class AutopilotsFactory(Protocol):
         """
 
 
-class Builtin:
+class BuiltinAutopilot:
     """Our own autopilot: kernels at every step, mode logic at 10 Hz. See ``Autopilots``."""
 
     need_time = False
@@ -90,7 +90,7 @@ class Builtin:
         """Make the vehicles' parameters and plans, which outlive a restart.
 
         Args:
-            fleet, models, world, datum: see ``AutopilotsFactory``.
+            fleet, models, world, datum: see ``AutopilotFactory``.
             params: folder in which changed parameters outlive the simulator, a file ``<vehicle>.params`` each; None:
                 every run starts with the defaults.
             logs: folder for the vehicles' logs; None writes none.

@@ -14,7 +14,7 @@ from gazebo_msgs.msg import ModelStates
 from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_sim.autopilots.backend import AutopilotsFactory, Builtin
+from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.hil import Hil
 from xtdrone_sim.runtime.backend import Idle
@@ -75,7 +75,7 @@ class Settings(NodeSettings):
         )
 
 
-class FullScene:
+class FullSimulation:
     """Physics, autopilots and the MAVLink server of all vehicles; see ``scene.Scene``."""
 
     def __init__(self, settings: Settings) -> None:
@@ -106,11 +106,11 @@ class FullScene:
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
         )
 
-    def _factory(self, settings: Settings) -> AutopilotsFactory:
+    def _factory(self, settings: Settings) -> AutopilotFactory:
         """Return what makes the autopilots that the settings ask for."""
-        factories: dict[str, AutopilotsFactory] = {
+        factories: dict[str, AutopilotFactory] = {
             "builtin": partial(
-                Builtin,
+                BuiltinAutopilot,
                 params=Path(settings.params).expanduser() if settings.params else None,
                 logs=Path(settings.log_dir).expanduser() if settings.log_dir else None,
             ),
@@ -238,9 +238,9 @@ class FullScene:
         close_all(self._mavlink.close, self._simulation.close)
 
 
-def _make() -> tuple[Settings, FullScene]:
+def _make() -> tuple[Settings, FullSimulation]:
     settings = Settings.from_parameters()
-    return settings, FullScene(settings)
+    return settings, FullSimulation(settings)
 
 
 def main() -> int:

@@ -15,7 +15,7 @@ from xtdrone_control.mavlink.service import Service, Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 
 
-class PlaceService(Service):
+class HomeService(Service):
     """Sets the local frame's origin and the home position."""
 
     MESSAGES: ClassVar[dict[str, str]] = {"SET_GPS_GLOBAL_ORIGIN": "_set_origin", "SET_HOME_POSITION": "_set_home"}

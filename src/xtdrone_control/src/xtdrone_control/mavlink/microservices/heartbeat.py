@@ -12,7 +12,7 @@ from xtdrone_control.mavlink.service import Service
 _GCS_TYPE = 6  # MAV_TYPE_GCS
 
 
-class PresenceService(Service):
+class HeartbeatService(Service):
     """Knows who is there, and answers PING and TIMESYNC."""
 
     MESSAGES: ClassVar[dict[str, str]] = {"HEARTBEAT": "_heartbeat", "TIMESYNC": "_timesync", "PING": "_ping"}

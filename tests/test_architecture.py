@@ -1,0 +1,136 @@
+"""The direction of dependencies between packages and rooms, as docs/design.md states it."""
+
+from __future__ import annotations
+
+import ast
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ALLOWED = {
+    "xtdrone_control": set(),
+    "xtdrone_sim": {"xtdrone_control"},
+    "xtdrone_coordination": {"xtdrone_control"},
+    "xtdrone_perception": {"xtdrone_control"},
+    "xtdrone_swarm": {"xtdrone_control", "xtdrone_sim", "xtdrone_coordination"},
+    "xtdrone_interaction": {
+        "xtdrone_control",
+        "xtdrone_sim",
+        "xtdrone_coordination",
+        "xtdrone_perception",
+        "xtdrone_swarm",
+    },
+}
+"""The packages that each package may import."""
+TOP_LEVEL = {"benchmarks", "validation", "training"}
+"""Folders of programs that measure or check the packages: no package imports them."""
+ROOMS = {
+    "geodesy": set(),
+    "autopilot": {"geodesy"},
+    "plans": {"autopilot"},
+    "lockstep": set(),
+    "mavlink": {"autopilot", "geodesy", "plans", "lockstep"},
+    "communication": {"autopilot", "lockstep"},
+    "mavros": {"autopilot", "geodesy", "plans", "lockstep", "mavlink", "communication"},
+}
+"""Folders of xtdrone_control, and the other folders that each may import."""
+
+
+def _name(path: Path, root: Path) -> str:
+    parts = path.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@functools.cache
+def modules() -> dict[str, Path]:
+    """Return every module of the packages, by its dotted name."""
+    roots = [ROOT / "src" / package / "src" for package in ALLOWED]
+    return {_name(path, root): path for root in roots for path in root.rglob("*.py")}
+
+
+def _targets(name: str, path: Path) -> Iterator[str]:
+    """Yield the dotted names that a file imports, lazy and type-only imports included."""
+    parents = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            relative = parents[: len(parents) + 1 - node.level] if node.level else []
+            base = ".".join([*relative, *filter(None, [node.module])])
+            for alias in node.names:
+                full = f"{base}.{alias.name}"
+                yield full if full in modules() else base
+
+
+@functools.cache
+def imports() -> dict[str, set[str]]:
+    """Return, for every module, the modules of the packages that it imports."""
+    return {name: {t for t in _targets(name, path) if t in modules()} - {name} for name, path in modules().items()}
+
+
+def _circle() -> list[str]:
+    """Return the modules of one import cycle, in order, or nothing."""
+    done: set[str] = set()
+
+    def visit(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name in done:
+            return []
+        for other in sorted(imports()[name]):
+            if found := visit(other, [*way, name]):
+                return found
+        done.add(name)
+        return []
+
+    return next((found for name in sorted(imports()) if (found := visit(name, []))), [])
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_packages_import_only_those_below(package):
+    allowed = ALLOWED[package] | {package}
+    wrong = {
+        f"{name} imports {other}"
+        for name, others in imports().items()
+        if name.split(".")[0] == package
+        for other in others
+        if other.split(".")[0] not in allowed
+    }
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_nothing_installed_imports_a_top_level_program(package):
+    source = ROOT / "src" / package
+    files = [path for folder in ("src", "nodes", "examples") for path in (source / folder).rglob("*.py")]
+    wrong = {path.name for path in files for target in _targets(path.stem, path) if target.split(".")[0] in TOP_LEVEL}
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_package_xml_names_every_package_that_is_imported(package):
+    used = {
+        other.split(".")[0] for name, others in imports().items() if name.split(".")[0] == package for other in others
+    }
+    tree = ElementTree.parse(ROOT / "src" / package / "package.xml")
+    named = {element.text for tag in ("depend", "exec_depend") for element in tree.iter(tag)}
+    assert used - {package} <= named
+    assert {name for name in named if name in ALLOWED} <= ALLOWED[package]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_of_control_import_only_those_below(room):
+    wrong = set()
+    for name, others in imports().items():
+        if name.startswith(f"xtdrone_control.{room}."):
+            rooms = {other.split(".")[1] for other in others if other.startswith("xtdrone_control.")}
+            wrong |= {f"{name} imports {other}" for other in rooms & set(ROOMS) - ROOMS[room] - {room}}
+    assert not wrong
+
+
+def test_no_import_cycle():
+    assert " -> ".join(_circle()) == ""
