@@ -31,9 +31,9 @@ TOP_LEVEL = {"benchmarks", "validation", "training"}
 ROOMS = {
     "geodesy": set(),
     "autopilot": {"geodesy"},
-    "plans": {"autopilot"},
     "lockstep": set(),
-    "mavlink": {"autopilot", "geodesy", "plans", "lockstep"},
+    "mavlink": {"autopilot", "geodesy", "lockstep"},
+    "plans": {"autopilot", "mavlink"},
     "communication": {"autopilot", "lockstep"},
     "mavros": {"autopilot", "geodesy", "plans", "lockstep", "mavlink", "communication"},
 }

@@ -15,18 +15,18 @@ pytest.importorskip("rospy")
 FLEET = "iris:1"
 SIMULATOR = """
 import sys
-from xtdrone_sim import node
+from xtdrone_sim.runtime import full_simulation
 
 
-class Bursting(node.FullSimulation):
+class Bursting(full_simulation.FullSimulation):
     def advance(self, until_us):
         super().advance(until_us)
         if self.time_us > 200_000:
             raise RuntimeError("the plant\\nhas burst")
 
 
-node.FullSimulation = Bursting
-sys.exit(node.main())
+full_simulation.FullSimulation = Bursting
+sys.exit(full_simulation.main())
 """
 
 

@@ -32,9 +32,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from std_srvs.srv import EmptyRequest, TriggerRequest
 
 from xtdrone_control.autopilot.logger.folder import LogFolder
+from xtdrone_control.mavros.extras.log_transfer import LogTransferPlugin
 from xtdrone_control.mavros.link import ftp_client
 from xtdrone_control.mavros.plugins.ftp import FtpPlugin
-from xtdrone_control.mavros.extras.log_transfer import LogTransferPlugin
 
 _FOLDER = "/fs/microsd/log/2020-01-01"
 _CONTENT = random.Random(5).randbytes(3 * ftp_client.LARGEST)  # so that the last part is a whole one

@@ -34,9 +34,9 @@ from std_msgs.msg import UInt8
 
 from xtdrone_control import frames
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES, message
-from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.extras.distance_sensor import turn
 from xtdrone_control.mavros.extras.obstacle_distance import bins
+from xtdrone_control.mavros.plugins import PLUGINS
 
 CONFIG = Path(__file__).parents[1] / "config"
 NAN, INF = math.nan, math.inf

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from service_fakes import SYSTEM, Served
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.autopilot import Autopilot, Datum, RotorLayout
+from xtdrone_control.autopilot.autopilot import Autopilot, RotorLayout
 from xtdrone_control.autopilot.commander.commander import Result
 from xtdrone_control.autopilot.commander.manual_control import ManualControl
 from xtdrone_control.autopilot.navigator import plan
@@ -19,6 +19,7 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import TASK_GOTO
 from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy.datum import Datum
 
 NAN = math.nan
 NOTHING = (0.0, 0.0, 0.0, 0.0)

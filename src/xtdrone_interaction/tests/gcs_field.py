@@ -9,10 +9,11 @@ import threading
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import Autopilot, Datum, RotorLayout
+from xtdrone_control.autopilot.autopilot import Autopilot, RotorLayout
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_interaction.gcs import Peer
 

@@ -13,8 +13,7 @@ from shapely.ops import unary_union
 from xtdrone_control.plans import qgc_plan
 from xtdrone_interaction import cli, options, search_demo
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.search_demo import SearchSettings
-from xtdrone_interaction.search_prepare import is_search, prepare, read_prepared
+from xtdrone_interaction.search_prepare import SearchSettings, is_search, prepare, read_prepared
 from xtdrone_sim.worlds.sdf import load_world_file
 
 REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [30, 0], [30, 5], [25, 5]]]\n"

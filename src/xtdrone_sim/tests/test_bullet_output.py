@@ -9,8 +9,8 @@ import pytest
 
 WORLD = """
 print("before")
-from xtdrone_sim.vehicle_model import load_vehicle
-from xtdrone_sim.world import World, load_world
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
+from xtdrone_sim.physics.world import World, load_world
 for _ in range(2):
     World(load_world("empty"), [load_vehicle("iris")], [(0.0, 0.0, 0.0)], 0.004).close()
 print("after")
@@ -18,7 +18,7 @@ print("after")
 
 OTHERS = """
 import ctypes, os, sys
-from xtdrone_sim.bullet import without_lines
+from xtdrone_sim.physics.bullet import without_lines
 c = ctypes.CDLL(None)
 c.puts(b"first")
 with without_lines([b"argv"]):

@@ -302,7 +302,7 @@ import os, signal, sys
 from functools import partial
 from pathlib import Path
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_sim.autopilots import BuiltinAutopilot
+from xtdrone_sim.autopilots.backend import BuiltinAutopilot
 from xtdrone_sim.simulation import Simulation
 simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(BuiltinAutopilot, logs=Path(sys.argv[1])))
 simulation.run_until(3_900_000)

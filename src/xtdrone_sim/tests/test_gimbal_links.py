@@ -12,13 +12,14 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.plant import PLANT
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
 from xtdrone_sim.vehicles.poses import compose, from_rpy, rotate
-from xtdrone_sim.vehicles.vehicle_model import ModelError, load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Pose
 
 STEP = 0.004

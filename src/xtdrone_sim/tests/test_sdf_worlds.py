@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control.autopilot.autopilot import Datum
-from xtdrone_sim.package_files import MODELS
+from xtdrone_control.geodesy.datum import Datum
+from xtdrone_sim.descriptions import ModelError
+from xtdrone_sim.package_files import CONFIG, MODELS
 from xtdrone_sim.vehicles.poses import from_rpy
 from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf, read_urdf
-from xtdrone_sim.vehicles.vehicle_model import CONFIG, ModelError
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.sdf import (
     Light,

@@ -13,12 +13,13 @@ import yaml
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.package_files import CONFIG
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.robot_frames import RobotFrames
 from xtdrone_sim.vehicles.poses import compose, from_rpy, inverse, rotate
 from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf
-from xtdrone_sim.vehicles.vehicle_model import ModelError, available, load_vehicle, read_description
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Pose
 
 TYPHOON = "typhoon_h480"

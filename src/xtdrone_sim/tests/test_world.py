@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.plant import ASLEEP, FREE, TOUCHING
 from xtdrone_sim.physics.world import World, load_world
-from xtdrone_sim.vehicles.vehicle_model import ModelError, load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 DT = 0.004
 

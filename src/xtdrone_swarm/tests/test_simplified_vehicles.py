@@ -10,7 +10,7 @@ import pytest
 
 from xtdrone_control.communication.core import MultirotorCore
 from xtdrone_control.communication.setpoint import IGNORE_POSITION
-from xtdrone_sim.vehicles.vehicle_model import ModelError
+from xtdrone_sim.descriptions import ModelError
 from xtdrone_swarm import Model
 from xtdrone_swarm.full_vehicles import CoreVehicles
 from xtdrone_swarm.simplified.model import load_model

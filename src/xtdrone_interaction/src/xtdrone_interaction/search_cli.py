@@ -12,7 +12,8 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction import options
 from xtdrone_interaction.launched import master_port
 from xtdrone_interaction.options import OptionError, checked
-from xtdrone_interaction.search_demo import SearchSettings, run_search
+from xtdrone_interaction.search_demo import run_search
+from xtdrone_interaction.search_prepare import SearchSettings
 
 _HEIGHTS = (6.0, 25.0)  # m; of these the detector was trained
 _MAX_VEHICLES = 12  # their height steps stay within those heights

@@ -6,7 +6,7 @@ import contextlib
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from xtdrone_interaction.launched import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.record import RecordError
 from xtdrone_interaction.report import write_report
-from xtdrone_interaction.search_prepare import Prepared, prepare, read_prepared
+from xtdrone_interaction.search_prepare import Prepared, SearchSettings, prepare, read_prepared
 from xtdrone_interaction.search_record import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
 from xtdrone_interaction.search_report import make_report, print_report
 
@@ -26,60 +26,6 @@ _START_LIMIT = 90.0  # wall s until the first progress, and _START_LIMIT_VEHICLE
 _START_LIMIT_VEHICLE = 5.0
 _RESULTS = ("report.json", "map.png", "find.png", "views.png", "views.mp4")
 _LOOK_BELOW, _FOLLOW_BELOW = 2.5, 1.0  # m from the lowest vehicle's height down to those of looks and following
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """What is flown, and how.
-
-    Attributes:
-        n: number of vehicles.
-        type: vehicle type.
-        region: YAML file with the region, or empty for the shipped one.
-        plans: folder with the user's own .plan files, or empty: they are made for the region.
-        world: name or file, or empty: one is made from the seed.
-        persons: how many stand or walk in the world that is made.
-        walking: whether they walk.
-        height: of the lowest vehicle while it searches, m.
-        on_find: what the others do after a find: ``hold``, ``return`` or ``continue``.
-        follow_time: for how long a found person is followed, s.
-        time_limit: simulated time after which all return, s.
-        camera_rate: pictures of each camera, Hz.
-        film: make views.mp4.
-        seed: of world, sensor noise and biases.
-        speed: target real-time factor, 0 for unlimited.
-        out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
-        headless: plain lines instead of the live display.
-        logs: write the vehicles' flight logs into ``out / "logs"``.
-        instance: of the simulations on this machine.
-    """
-
-    n: int
-    type: str
-    region: str
-    plans: str
-    world: str
-    persons: int
-    walking: bool
-    height: float
-    on_find: str
-    follow_time: float
-    time_limit: float
-    camera_rate: float
-    film: bool
-    seed: int
-    speed: float
-    out: Path
-    master_port: int
-    headless: bool
-    logs: bool
-    instance: int = 0
-
-    def stored(self) -> dict[str, Any]:
-        """Return what the report keeps of it."""
-        unstored = ("out", "master_port", "headless", "instance")
-        return {key: value for key, value in asdict(self).items() if key not in unstored}
 
 
 def run_search(settings: SearchSettings, console: Console) -> int:

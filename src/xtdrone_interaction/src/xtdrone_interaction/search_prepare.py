@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import yaml
@@ -29,14 +29,65 @@ from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people, scenery
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
 
-if TYPE_CHECKING:
-    from xtdrone_interaction.search_demo import SearchSettings
-
 CAMERA = "cgo3_camera"  # whose pictures the detector gets
 WORLD, REGION, PIECES, PLANS = "search.world", "region.yaml", "pieces.yaml", "plans"  # in the results' folder
 ROWS = 3  # vehicles side by side on the spawn grid
 _MARGIN = 5.0  # m of scenery around the region's bounds
 _EDGE = 3.0  # m that people keep from the region's edge
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """What is flown, and how.
+
+    Attributes:
+        n: number of vehicles.
+        type: vehicle type.
+        region: YAML file with the region, or empty for the shipped one.
+        plans: folder with the user's own .plan files, or empty: they are made for the region.
+        world: name or file, or empty: one is made from the seed.
+        persons: how many stand or walk in the world that is made.
+        walking: whether they walk.
+        height: of the lowest vehicle while it searches, m.
+        on_find: what the others do after a find: ``hold``, ``return`` or ``continue``.
+        follow_time: for how long a found person is followed, s.
+        time_limit: simulated time after which all return, s.
+        camera_rate: pictures of each camera, Hz.
+        film: make views.mp4.
+        seed: of world, sensor noise and biases.
+        speed: target real-time factor, 0 for unlimited.
+        out: folder of the results.
+        master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
+        headless: plain lines instead of the live display.
+        logs: write the vehicles' flight logs into ``out / "logs"``.
+        instance: of the simulations on this machine.
+    """
+
+    n: int
+    type: str
+    region: str
+    plans: str
+    world: str
+    persons: int
+    walking: bool
+    height: float
+    on_find: str
+    follow_time: float
+    time_limit: float
+    camera_rate: float
+    film: bool
+    seed: int
+    speed: float
+    out: Path
+    master_port: int
+    headless: bool
+    logs: bool
+    instance: int = 0
+
+    def stored(self) -> dict[str, Any]:
+        """Return what the report keeps of it."""
+        unstored = ("out", "master_port", "headless", "instance")
+        return {key: value for key, value in asdict(self).items() if key not in unstored}
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from xtdrone_control.autopilot.flight_tasks.estimator_resets import follow_reset
 from xtdrone_control.autopilot.flight_tasks.flight_tasks import generate_setpoint
 from xtdrone_control.autopilot.flight_tasks.stick_control import stick_attitude, stick_rates, update_throttle_limits
 from xtdrone_control.autopilot.parameters.parameters import PARAMS
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation import rotate
 
@@ -60,15 +61,6 @@ POSITION_STEPS = 3  # of position control: 83 Hz, as PX4's estimator tells a pos
 _MIXER_PERIOD_US = 20_000
 _NO_THRUST = 100.0  # m/s^2 downwards: no thrust at all
 _TILT_SLEW = 0.2  # rad/s, of the tilt limit after take-off
-
-
-@dataclass(frozen=True)
-class Datum:
-    """WGS84 origin of a local frame: degrees and metres AMSL."""
-
-    latitude: float
-    longitude: float
-    altitude: float
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 EARTH_RADIUS = 6371000.0  # m, the sphere that PX4 projects from
+GRAVITY = 9.80665  # m/s^2, standard gravity (CONSTANTS_ONE_G of PX4's geo library)
 
 
 def project(latitude: float, longitude: float, origin_latitude: float, origin_longitude: float) -> tuple[float, float]:

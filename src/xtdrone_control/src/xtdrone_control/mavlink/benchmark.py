@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, Datum, RotorLayout
+from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, RotorLayout
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.geodesy.datum import Datum
 
 from .port import LOOPBACK
 from .server import MavlinkServer

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -14,9 +15,6 @@ from xtdrone_control.mavlink.wire.packing import COMPONENT_ID, Format, PackingEr
 
 from .turns import OWN_EARNINGS, OWN_SAVINGS, Purse
 
-if TYPE_CHECKING:
-    from .port import Port
-
 Address = tuple[str, int]
 
 _SILENCE_US = 5_000_000
@@ -24,6 +22,34 @@ _SILENCE_S = 5.0
 _BEAT_PERIOD = 1.0  # s of wall time, see keep_alive
 _TEXT_SIZE = 50  # STATUSTEXT.text
 _NEVER_US = -1
+
+
+class Endpoint(Protocol):
+    """The port of a link, as the link uses it; see ``port.Port``."""
+
+    system_id: int
+    telemetry: Telemetry
+    rates: Mapping[str, float]
+    by_wall: bool
+
+    @property
+    def first_version(self) -> int:
+        """MAVLink version of the first heartbeat to a client."""
+
+    def version_for(self, spoken: int, before: int) -> int:
+        """Return the MAVLink version for a client that speaks version ``spoken``."""
+
+    def streams_changed(self) -> None:
+        """Note that the rates of a link have changed."""
+
+    def send(self, datagram: bytes, peer: Address, now_us: int) -> bool:
+        """Send a datagram and return whether the operating system accepted it."""
+
+    def refuses(self, peer: Address) -> bool:
+        """Return whether the operating system reported that ``peer`` has no socket."""
+
+    def warn(self, kind: str, text: str, now_us: int, name: str = "") -> None:
+        """Log a warning, rate-limited by kind."""
 
 
 class Link:
@@ -57,7 +83,7 @@ class Link:
         purse: what the client may ask for when the others have used up what is common, see ``turns``.
     """
 
-    def __init__(self, port: Port, peer: Address, name: str) -> None:
+    def __init__(self, port: Endpoint, peer: Address, name: str) -> None:
         """Serve ``peer`` over ``port``; nothing but the heartbeat is sent before a client is known to be there."""
         self._port = port
         self.name = name

@@ -36,13 +36,13 @@ import rospy
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, Vehicle, check_instance, parse_fleet
 from xtdrone_control.mavros import left_out
+from xtdrone_control.mavros.feeds import Publisher
 from xtdrone_control.mavros.lib.params import Params
 from xtdrone_control.mavros.link.connection import FcuUrl, Link, LinkError, Receiver, bind_host_for, parse_fcu_url
-from xtdrone_control.mavros.plugin import PluginKind, Publisher
 from xtdrone_control.mavros.plugin_lists import PluginLists
 from xtdrone_control.mavros.plugins import PLUGINS
 from xtdrone_control.mavros.swarm import Swarm
-from xtdrone_control.mavros.uas import Uas
+from xtdrone_control.mavros.uas import PluginKind, Uas
 from xtdrone_control.mavros.watch import Registrations, Watch
 
 RATE = 50.0  # Hz of simulated time; PX4's fastest telemetry on the offboard link that MAVROS publishes

@@ -11,7 +11,8 @@ from typing import Any
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.plugin import Feed, Plugin, Ros, Topic
+from xtdrone_control.mavros.feeds import Feed, Ros, Topic
+from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
 
 TOPIC = "/xtdrone/swarm"

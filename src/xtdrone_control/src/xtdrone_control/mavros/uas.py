@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -13,6 +13,7 @@ from xtdrone_control import frames
 from xtdrone_control.geodesy.geoid import undulation
 from xtdrone_control.mavlink.wire.codec import Decoder, FrameError, decoder, message_name
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavros.feeds import Feed, Ros, Topic
 from xtdrone_control.mavros.lib.params import Params
 from xtdrone_control.mavros.lib.refusals import Refusals
 from xtdrone_control.mavros.lib.throttle import Throttle
@@ -21,7 +22,6 @@ from xtdrone_control.mavros.link.packing import FLOAT32_MAX, FLOAT32_RANGE, Fiel
 from xtdrone_control.mavros.link.plan_transfers import PlanTransfers
 from xtdrone_control.mavros.link.streams import Streams
 from xtdrone_control.mavros.link.transactions import Commands
-from xtdrone_control.mavros.plugin import Feed, Plugin, PluginKind, Ros, Topic
 from xtdrone_control.mavros.plugin_lists import PluginLists
 
 log = logging.getLogger("rosout.mavros")
@@ -56,6 +56,36 @@ class _Timer:
         self.period_ns = round(period * _NS)
         self.next_ns = 0
         self.call = call
+
+
+class LoadedPlugin(Protocol):
+    """A plugin of one vehicle, as the hub uses it; see ``plugin.Plugin``."""
+
+    @property
+    def messages(self) -> Mapping[str | int, Feed | Sequence[Feed]]:
+        """MAVLink names and the feeds of each."""
+
+    @property
+    def replies(self) -> Mapping[str, Callable[[bytes], None]]:
+        """MAVLink names and the handlers of raw frames."""
+
+    def connected(self, connected: bool) -> None:
+        """Handle the first heartbeat of the autopilot, or its loss."""
+
+
+class PluginKind(Protocol):
+    """What makes a plugin: a plugin class, or something that stands for one.
+
+    Attributes:
+        name: the plugin's name.
+        listed: users can leave it out by its name; otherwise it is part of the node.
+    """
+
+    name: str
+    listed: bool
+
+    def __call__(self, uas: Uas) -> LoadedPlugin:
+        """Make the plugin of a vehicle."""
 
 
 class Uas:
@@ -341,7 +371,7 @@ class Uas:
         self._attitude_of = self._attitude = None
         self.refusals.reset()
 
-    def _connect(self, plugin: Plugin) -> None:
+    def _connect(self, plugin: LoadedPlugin) -> None:
         for name, feeds in plugin.messages.items():
             self._slot(name).feeds += [feeds] if isinstance(feeds, Feed) else feeds
         for name, handler in plugin.replies.items():

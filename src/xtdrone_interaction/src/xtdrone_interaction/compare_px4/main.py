@@ -19,7 +19,8 @@ from xtdrone_interaction.compare_px4.events import Match
 from xtdrone_interaction.compare_px4.metrics import Figure
 from xtdrone_interaction.compare_px4.pilot import PilotError
 from xtdrone_interaction.options import OptionError
-from xtdrone_sim.vehicles.vehicle_model import CONFIG, ModelError
+from xtdrone_sim.descriptions import ModelError
+from xtdrone_sim.package_files import CONFIG
 
 _MARK = {True: "within", False: "OUTSIDE"}
 

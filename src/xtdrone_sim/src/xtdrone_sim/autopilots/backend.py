@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from xtdrone_control.autopilot.autopilot import Autopilot, Datum
+from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.logger.logger import Logger
 from xtdrone_control.autopilot.navigator.plan import Plans
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.physics.battery import Batteries
 from xtdrone_sim.physics.world import World, WorldModel
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel

@@ -24,10 +24,11 @@ from functools import partial
 
 import numpy as np
 
-from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot, Datum
+from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.fleet import Vehicle
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.autopilots.hil_link import HilLink, Log
 from xtdrone_sim.autopilots.hil_messages import Frames
 from xtdrone_sim.physics.world import World, WorldModel

@@ -16,45 +16,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.autopilot.state import FAILURE_OFF
-
-if TYPE_CHECKING:
-    from xtdrone_control.autopilot.autopilot import Autopilot
-    from xtdrone_sim.physics.world import World
+from xtdrone_sim.physics.world import World
+from xtdrone_sim.vehicles.vehicle_model import BatteryModel
 
 _RPM = 60.0 / (2.0 * math.pi)
 # volts of a lithium-polymer cell at rest over its charge
 _CHARGES = np.array([0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 _CELL_VOLTAGES = np.array([3.3, 3.55, 3.65, 3.72, 3.79, 3.87, 4.0, 4.18])
 _TURNING = 10.0  # rad/s above which a motor counts as turning
-
-
-@dataclass(frozen=True)
-class BatteryModel:
-    """A vehicle's battery and what draws on it.
-
-    Attributes:
-        cells: whether charge and voltage follow from the currents; otherwise the battery drains by SIM_BAT_DRAIN.
-        capacity: Ah.
-        resistance: ohm, of the whole battery.
-        motor_power: W s^3/rad^3; power of a motor over the cube of its speed.
-        idle_power: W, of a turning motor besides.
-        avionics_power: W, always.
-    """
-
-    cells: bool = False
-    capacity: float = 5.0
-    resistance: float = 0.015
-    motor_power: float = 1.5e-7
-    idle_power: float = 3.0
-    avionics_power: float = 5.0
 
 
 class Batteries:

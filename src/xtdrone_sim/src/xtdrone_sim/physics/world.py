@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.autopilot.autopilot import Datum
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics import plant as dynamics
 from xtdrone_sim.physics.bullet import connect, pybullet

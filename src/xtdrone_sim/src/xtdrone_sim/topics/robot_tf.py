@@ -15,8 +15,9 @@ from xtdrone_control import lockstep
 from xtdrone_control.checks import check_range
 from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.lockstep.names import future_name
+from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.topics.robot_frames import Frame, RobotFrames
-from xtdrone_sim.vehicles.vehicle_model import ModelError, VehicleModel, load_vehicle
+from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
 _RATE = 30.0  # Hz
 

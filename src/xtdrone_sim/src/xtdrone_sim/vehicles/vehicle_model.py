@@ -6,7 +6,6 @@ package's ``config/vehicles``; the YAML says how it flies, the URDF what it look
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
@@ -16,9 +15,8 @@ import numpy as np
 
 from xtdrone_control.autopilot.autopilot import RotorLayout
 from xtdrone_control.autopilot.state import MAX_ROTORS
-from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
-from xtdrone_sim.package_files import CONFIG, MODELS
-from xtdrone_sim.physics.battery import BatteryModel
+from xtdrone_sim.descriptions import ModelError, find, folders, read_description
+from xtdrone_sim.package_files import MODELS
 from xtdrone_sim.vehicles.mounts import (
     CameraMount,
     GimbalMount,
@@ -29,20 +27,6 @@ from xtdrone_sim.vehicles.mounts import (
 )
 from xtdrone_sim.vehicles.urdf import Description, Joint, Link, UrdfError, read_urdf
 from xtdrone_sim.vehicles.visual import Box, Collision, Visual
-
-__all__ = [
-    "CONFIG",
-    "MODEL",
-    "CameraMount",
-    "GimbalMount",
-    "ModelError",
-    "VehicleModel",
-    "available",
-    "load_vehicle",
-    "read_description",
-]
-
-VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with vehicles of one's own, colons between them
 
 MODEL = np.dtype(
     [
@@ -117,8 +101,25 @@ _ROTOR_FIELDS = (
 )
 
 
-class ModelError(ValueError):
-    """A vehicle or world description that cannot be used."""
+@dataclass(frozen=True)
+class BatteryModel:
+    """A vehicle's battery and what draws on it.
+
+    Attributes:
+        cells: whether charge and voltage follow from the currents; otherwise the battery drains by SIM_BAT_DRAIN.
+        capacity: Ah.
+        resistance: ohm, of the whole battery.
+        motor_power: W s^3/rad^3; power of a motor over the cube of its speed.
+        idle_power: W, of a turning motor besides.
+        avionics_power: W, always.
+    """
+
+    cells: bool = False
+    capacity: float = 5.0
+    resistance: float = 0.015
+    motor_power: float = 1.5e-7
+    idle_power: float = 3.0
+    avionics_power: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -157,89 +158,6 @@ class VehicleModel:
         return RotorLayout(frd, self.record["rotor_direction"][:count] * self.record["moment_constant"])
 
 
-def _folders(kind: str) -> list[Path]:
-    """Return where descriptions of a kind (vehicles, worlds) are looked for, in this order.
-
-    Raises:
-        ModelError: the environment names a folder that is not there.
-    """
-    own = os.environ.get(VEHICLES_VARIABLE, "") if kind == "vehicles" else ""
-    folders = [Path(part).expanduser() for part in own.split(":") if part]
-    for folder in folders:
-        if not folder.is_dir():
-            raise ModelError(f"environment variable {VEHICLES_VARIABLE}: {str(folder)!r} is no folder")
-    return [*folders, CONFIG / kind]
-
-
-def available(kind: str) -> list[str]:
-    """Return the names of all descriptions of a kind (vehicles, worlds)."""
-    return sorted({path.stem for folder in _folders(kind) for path in folder.glob("*.yaml")})
-
-
-def _find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
-    """Return the file of a description: ``name`` itself if it is a path.
-
-    Args:
-        kind: vehicles, worlds.
-        name: of the description.
-        above: files that extend it in turn, which it cannot be: one's own ``iris.yaml`` extends the package's ``iris``.
-
-    Raises:
-        ModelError: no such description.
-    """
-    if name.endswith((".yaml", ".yml")):
-        return Path(name)
-    paths = [path for folder in _folders(kind) if (path := folder / f"{name}.yaml").is_file()]
-    for path in paths:
-        if path not in above:
-            return path
-    if paths:
-        raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it leads back to {paths[-1]}")
-    raise ModelError(f"{kind}: {name!r} is not known; there are {', '.join(available(kind))}")
-
-
-def read_description(kind: str, name: str) -> dict[str, Any]:
-    """Return the YAML of a description of a kind (vehicles, worlds): ``<name>.yaml``, or the file ``name``.
-
-    ``extends: NAME`` in it takes everything from another description (a file's name: from its own folder) and says only
-    what differs.
-
-    Raises:
-        ModelError: no such description, not a YAML mapping, or one that extends itself.
-    """
-    return _read(kind, _find(kind, name), ())
-
-
-def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    try:
-        description = load_yaml(read_text(path))
-    except OSError as error:
-        names = ", ".join(available(kind))
-        raise ModelError(f"{kind}: {path}: {error.strerror or error}; by name there are {names}") from error
-    except ContentError as error:
-        raise ModelError(f"{path}: not a YAML file: {error}") from error
-    if not isinstance(description, dict):
-        raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")
-    base = description.pop("extends", None)
-    if base is None:
-        return description
-    above = (*above, path)
-    below = _find(kind, str(base), above)
-    below = below if below.is_absolute() else path.parent / below
-    if below in above:
-        raise ModelError(f"{path}: extends: {base!r} is not allowed, it leads back to {below}")
-    return _merged(_read(kind, below, above), description)
-
-
-def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Return ``base`` with the values of ``changes``; mappings are merged in turn."""
-    merged = dict(base)
-    for key, value in changes.items():
-        both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if both else value
-    return merged
-
-
 def load_vehicle(name: str) -> VehicleModel:
     """Return the vehicle type ``name``.
 
@@ -252,7 +170,7 @@ def load_vehicle(name: str) -> VehicleModel:
     description = read_description("vehicles", name)
     record = np.zeros(1, MODEL)[0]
     try:
-        urdf = _description(description, _find("vehicles", name).parent)
+        urdf = _description(description, find("vehicles", name).parent)
         _fill_body(record, description, urdf)
         _fill_rotors(record, description)
         _fill_sensors(record, description["sensors"])
@@ -285,12 +203,12 @@ def _description(description: dict[str, Any], folder: Path) -> Description:
         size = description.get("collision_box") or (1.0, 1.0, 1.0)  # what is not allowed is refused with the body
         box = Box((float(size[0]), float(size[1]), float(size[2])))
         return Description("vehicle", (Link("base_link", (Visual(box),), (Collision(box),)),))
-    folders = [folder, *_folders("vehicles")[:-1], MODELS]
-    for place in folders:
+    places = [folder, *folders("vehicles")[:-1], MODELS]
+    for place in places:
         path = place / str(name)
         if path.is_file():
             return read_urdf(path)
-    raise ModelError(f"urdf: {str(name)!r} is not there; looked for in {', '.join(map(str, folders))}")
+    raise ModelError(f"urdf: {str(name)!r} is not there; looked for in {', '.join(map(str, places))}")
 
 
 def _battery(description: dict[str, Any]) -> BatteryModel:

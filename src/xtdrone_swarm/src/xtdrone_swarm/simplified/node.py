@@ -37,6 +37,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.communication.arguments import ArgumentError, check_multirotor, parse_count
 from xtdrone_control.communication.core import HOVER_SPEED
 from xtdrone_control.fleet import parse_fleet, spawn_grid
+from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_coordination.patterns import origin_columns
@@ -54,7 +55,6 @@ RATE = 30  # Hz: local position, and turns of XTDrone's commands
 
 SETPOINT_TIMEOUT = 1.0  # s
 
-_GRAVITY = 9.80665  # m/s^2, for those who ask; nothing falls here
 _STATE_PERIOD_US = 1_000_000
 _EXTENDED_PERIOD_US = 200_000
 
@@ -144,7 +144,7 @@ class SimplifiedScene:
         patience: nothing needs care meanwhile.
     """
 
-    gravity = _GRAVITY
+    gravity = GRAVITY
     need_time = False
     descriptors: Sequence[int] = ()
     patience = math.inf

@@ -6,21 +6,41 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from xtdrone_coordination.leader import Leader
+from xtdrone_swarm.flight_record import Record
+from xtdrone_swarm.swarm_vehicles import Vehicles
 from xtdrone_swarm.view.camera import Array
 from xtdrone_swarm.view.film import FPS, FilmError, film
 from xtdrone_swarm.view.scene import Frame, SwarmView
 from xtdrone_swarm.view.window import Window
 
-if TYPE_CHECKING:
-    from xtdrone_swarm.swarm import Swarm
 
-EachTurn = Callable[["Swarm"], object]
+class Swarm(Protocol):
+    """The parts of :class:`xtdrone_swarm.Swarm` that its pictures need."""
+
+    vehicles: Vehicles
+    leader: Leader
+    record: Record | None
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+
+    @property
+    def true_positions(self) -> Array:
+        """Positions of all vehicles, shape (N, 3), m ENU."""
+
+    def step(self) -> object:
+        """Fly one turn."""
+
+
+EachTurn = Callable[[Any], object]
 
 _BUDGET = 0.03  # s of wall time that turns may take between two pictures, or as long as the last picture took
 _GREATEST_BUDGET = 0.2  # s; the mouse is served in between

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation import constrain
 
-GRAVITY = 9.80665
 _RESIDUAL_TAU = 1.0  # s
 _NOISE_TAU = 2.0  # s, in which the noise is learnt
 _FIRST_NOISE = 5.0  # m^2/s^4

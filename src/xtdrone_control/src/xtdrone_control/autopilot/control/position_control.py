@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation import constrain, from_axes, yaw_of
-
-GRAVITY = 9.80665
 
 
 @kernel

@@ -9,9 +9,8 @@ from xtdrone_control.autopilot.state import (
     TAKEOFF_READY,
     TAKEOFF_SPOOLUP,
 )
+from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
-
-GRAVITY = 9.80665
 
 
 @kernel

@@ -20,10 +20,10 @@ import math
 from xtdrone_control.autopilot.estimator.aiding import fuse_sources, note_imu, update_status
 from xtdrone_control.autopilot.estimator.fusion import BA, BG, BM, POS, THETA, VEL, YAW_UNKNOWN_STD, set_yaw_variance
 from xtdrone_control.autopilot.state import N_STATES
+from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation import assign_unit, constrain, exponential, from_euler, multiply, rotate
 
-GRAVITY = 9.80665  # m/s^2
 COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whole IMU samples
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
 _LONGEST_ALIGNMENT = 500  # IMU samples after which it goes on without a magnetometer

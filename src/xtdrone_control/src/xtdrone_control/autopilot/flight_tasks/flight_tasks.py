@@ -26,10 +26,10 @@ from xtdrone_control.autopilot.state import (
     TASK_STICKS,
     TASK_TRAJECTORY,
 )
+from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation import constrain, wrap_pi, yaw_of
 
-GRAVITY = 9.80665
 _NAN = math.nan
 _NO_LEG, _BEHIND, _AHEAD, _OFF = 0, 1, 2, 3  # leg_state: on the way, goal is behind, start is ahead, off the leg
 _LEAD = 5.0  # m, least distance ahead on the leg to which a turn is steered (L1 guidance)

@@ -14,6 +14,7 @@ import numpy as np
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy.geo import GRAVITY
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
@@ -41,7 +42,7 @@ _FIX_3D = 3  # GPS_FIX_TYPE
 
 _DISARMED_PWM, _LEAST_PWM = 900, 1000
 _FRAME_LOCAL_NED, _ESTIMATOR_AUTOPILOT = 1, 8
-_GRAVITY_UNITS = 1000.0 / 9.80665
+_GRAVITY_UNITS = 1000.0 / GRAVITY
 # where the diagonal of a 6 x 6 matrix lies in its upper triangle by rows
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 

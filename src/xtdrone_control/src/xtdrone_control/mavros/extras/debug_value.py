@@ -8,7 +8,7 @@ from typing import Any
 from mavros_msgs.msg import DebugValue
 
 from xtdrone_control.mavros.link.packing import FieldError
-from xtdrone_control.mavros.link.relay import In, Out, Relay, text
+from xtdrone_control.mavros.relay import In, Out, Relay, text
 from xtdrone_control.mavros.uas import Uas
 
 _NONE = -1  # index or array_id of what has none

@@ -16,8 +16,8 @@ from tf2_msgs.msg import TFMessage
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.params import Params
 from xtdrone_control.mavros.link.packing import FLOAT32_MAX, whole
-from xtdrone_control.mavros.link.relay import In
 from xtdrone_control.mavros.plugin import Feed, Plugin
+from xtdrone_control.mavros.relay import In
 from xtdrone_control.mavros.uas import Uas
 
 _CENTIMETRES = 100.0  # in a metre

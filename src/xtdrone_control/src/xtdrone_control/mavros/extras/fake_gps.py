@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.link.packing import whole
-from xtdrone_control.mavros.link.relay import In, limited
 from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.relay import In, limited
 from xtdrone_control.mavros.uas import Uas
 
 _GPS_EPOCH = 315_964_800 - 18  # s of Unix time at the beginning of GPS time, with the leap seconds since then

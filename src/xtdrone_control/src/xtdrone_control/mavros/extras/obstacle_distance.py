@@ -10,8 +10,8 @@ from sensor_msgs.msg import LaserScan
 
 from xtdrone_control.mavros.lib.mav_frames import mav_frame
 from xtdrone_control.mavros.link.packing import whole
-from xtdrone_control.mavros.link.relay import In
 from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.relay import In
 from xtdrone_control.mavros.uas import Uas
 
 _BINS = 72  # of an OBSTACLE_DISTANCE

@@ -7,9 +7,9 @@ from typing import Any
 from mavros_msgs.msg import OpticalFlowRad
 from sensor_msgs.msg import Range, Temperature
 
-from xtdrone_control.mavros.link.relay import In, Relay
-from xtdrone_control.mavros.plugin import Feed
 from xtdrone_control.mavros.extras.relayed import FLOW_GYRO, turned_flow
+from xtdrone_control.mavros.plugin import Feed
+from xtdrone_control.mavros.relay import In, Relay
 from xtdrone_control.mavros.uas import Uas
 
 

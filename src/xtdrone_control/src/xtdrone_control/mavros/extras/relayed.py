@@ -39,8 +39,8 @@ from std_msgs.msg import UInt8
 
 from xtdrone_control import frames
 from xtdrone_control.mavros.link.packing import FieldError, whole
-from xtdrone_control.mavros.link.relay import In, Out, Relay, relay, text, wrapped
 from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.relay import In, Out, Relay, relay, text, wrapped
 from xtdrone_control.mavros.uas import Uas
 
 Fields = Mapping[str, Any]

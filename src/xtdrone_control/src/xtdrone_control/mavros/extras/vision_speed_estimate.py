@@ -8,8 +8,8 @@ from typing import Any
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped, Vector3Stamped
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.link.relay import In
 from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.relay import In
 from xtdrone_control.mavros.uas import Uas
 
 _NO_COVARIANCE = [0.0] * 36

@@ -2,34 +2,37 @@
 
 from __future__ import annotations
 
-from xtdrone_control.mavros.plugin import Plugin
-from xtdrone_control.mavros.plugins.actuator_control import ActuatorControlPlugin
-from xtdrone_control.mavros.plugins.altitude import AltitudePlugin
 from xtdrone_control.mavros.extras.cam_imu_sync import CamImuSyncPlugin
 from xtdrone_control.mavros.extras.camera import CameraPlugin
-from xtdrone_control.mavros.plugins.command import CommandPlugin
 from xtdrone_control.mavros.extras.debug_value import DebugValuePlugin
-from xtdrone_control.mavros.plugins.diagnostics import DiagnosticsPlugin
 from xtdrone_control.mavros.extras.distance_sensor import DistanceSensorPlugin
 from xtdrone_control.mavros.extras.esc_status import EscStatusPlugin
 from xtdrone_control.mavros.extras.fake_gps import FakeGpsPlugin
-from xtdrone_control.mavros.plugins.ftp import FtpPlugin
-from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
 from xtdrone_control.mavros.extras.gps_rtk import GpsRtkPlugin
-from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
-from xtdrone_control.mavros.plugins.imu import ImuPlugin
 from xtdrone_control.mavros.extras.landing_target import LandingTargetPlugin
-from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
 from xtdrone_control.mavros.extras.log_transfer import LogTransferPlugin
-from xtdrone_control.mavros.plugins.manual_control import ManualControlPlugin
-from xtdrone_control.mavros.plugins.mavlink_bridge import MavlinkBridge
 from xtdrone_control.mavros.extras.mocap_pose_estimate import MocapPlugin
 from xtdrone_control.mavros.extras.mount_control import MountControlPlugin
 from xtdrone_control.mavros.extras.obstacle_distance import ObstacleDistancePlugin
 from xtdrone_control.mavros.extras.odom import OdometryPlugin
-from xtdrone_control.mavros.plugins.param import ParamPlugin
-from xtdrone_control.mavros.extras.relayed import PASSED_ON
 from xtdrone_control.mavros.extras.px4flow import Px4FlowPlugin
+from xtdrone_control.mavros.extras.relayed import PASSED_ON
+from xtdrone_control.mavros.extras.trajectory import TrajectoryPlugin
+from xtdrone_control.mavros.extras.vision_pose_estimate import VisionPosePlugin
+from xtdrone_control.mavros.extras.vision_speed_estimate import VisionSpeedPlugin
+from xtdrone_control.mavros.plugin import Plugin
+from xtdrone_control.mavros.plugins.actuator_control import ActuatorControlPlugin
+from xtdrone_control.mavros.plugins.altitude import AltitudePlugin
+from xtdrone_control.mavros.plugins.command import CommandPlugin
+from xtdrone_control.mavros.plugins.diagnostics import DiagnosticsPlugin
+from xtdrone_control.mavros.plugins.ftp import FtpPlugin
+from xtdrone_control.mavros.plugins.global_position import GlobalPositionPlugin
+from xtdrone_control.mavros.plugins.home_position import HomePositionPlugin
+from xtdrone_control.mavros.plugins.imu import ImuPlugin
+from xtdrone_control.mavros.plugins.local_position import LocalPositionPlugin
+from xtdrone_control.mavros.plugins.manual_control import ManualControlPlugin
+from xtdrone_control.mavros.plugins.mavlink_bridge import MavlinkBridge
+from xtdrone_control.mavros.plugins.param import ParamPlugin
 from xtdrone_control.mavros.plugins.rc_io import RcIoPlugin
 from xtdrone_control.mavros.plugins.setpoint_accel import SetpointAccelPlugin
 from xtdrone_control.mavros.plugins.setpoint_attitude import SetpointAttitudePlugin
@@ -40,10 +43,7 @@ from xtdrone_control.mavros.plugins.setpoint_velocity import SetpointVelocityPlu
 from xtdrone_control.mavros.plugins.shared_origin import SharedOriginPlugin
 from xtdrone_control.mavros.plugins.sys_status import SysStatusPlugin
 from xtdrone_control.mavros.plugins.sys_time import SysTimePlugin
-from xtdrone_control.mavros.extras.trajectory import TrajectoryPlugin
 from xtdrone_control.mavros.plugins.vfr_hud import VfrHudPlugin
-from xtdrone_control.mavros.extras.vision_pose_estimate import VisionPosePlugin
-from xtdrone_control.mavros.extras.vision_speed_estimate import VisionSpeedPlugin
 from xtdrone_control.mavros.plugins.waypoint import GeofencePlugin, RallypointPlugin, WaypointPlugin
 
 PLUGINS: tuple[type[Plugin], ...] = (

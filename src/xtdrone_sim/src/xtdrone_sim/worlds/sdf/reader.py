@@ -9,8 +9,8 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.autopilot.autopilot import Datum
 from xtdrone_control.bounded_file import read_bytes
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.vehicles.visual import Collision, Visual
 from xtdrone_sim.worlds.sdf.poses import pose_of, read_pose
 from xtdrone_sim.worlds.sdf.shapes import is_ground, read_collision, read_visual

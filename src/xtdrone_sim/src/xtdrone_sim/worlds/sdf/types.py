@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from xtdrone_control.autopilot.autopilot import Datum
-from xtdrone_sim.vehicles.vehicle_model import ModelError
+from xtdrone_control.geodesy.datum import Datum
+from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.vehicles.visual import Collision, Pose, Vector, Visual
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from xtdrone_control.autopilot.autopilot import Datum
 from xtdrone_control.bounded_file import read_bytes
+from xtdrone_control.geodesy.datum import Datum
+from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.package_files import CONFIG, PACKAGE
-from xtdrone_sim.vehicles.vehicle_model import ModelError, available, read_description
 from xtdrone_sim.worlds.sdf.reader import parse_world
 from xtdrone_sim.worlds.sdf.tree import LARGEST, Element
 from xtdrone_sim.worlds.sdf.types import SdfError, SdfWorld

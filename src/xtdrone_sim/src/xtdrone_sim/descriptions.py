@@ -1,0 +1,99 @@
+"""YAML descriptions of vehicles and worlds: their folders, their names, and how one extends another."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
+from xtdrone_sim.package_files import CONFIG
+
+VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with vehicles of one's own, colons between them
+
+
+class ModelError(ValueError):
+    """A vehicle or world description that cannot be used."""
+
+
+def folders(kind: str) -> list[Path]:
+    """Return where descriptions of a kind (vehicles, worlds) are looked for, in this order.
+
+    Raises:
+        ModelError: the environment names a folder that is not there.
+    """
+    own = os.environ.get(VEHICLES_VARIABLE, "") if kind == "vehicles" else ""
+    folders = [Path(part).expanduser() for part in own.split(":") if part]
+    for folder in folders:
+        if not folder.is_dir():
+            raise ModelError(f"environment variable {VEHICLES_VARIABLE}: {str(folder)!r} is no folder")
+    return [*folders, CONFIG / kind]
+
+
+def available(kind: str) -> list[str]:
+    """Return the names of all descriptions of a kind (vehicles, worlds)."""
+    return sorted({path.stem for folder in folders(kind) for path in folder.glob("*.yaml")})
+
+
+def find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
+    """Return the file of a description: ``name`` itself if it is a path.
+
+    Args:
+        kind: vehicles, worlds.
+        name: of the description.
+        above: files that extend it in turn, which it cannot be: one's own ``iris.yaml`` extends the package's ``iris``.
+
+    Raises:
+        ModelError: no such description.
+    """
+    if name.endswith((".yaml", ".yml")):
+        return Path(name)
+    paths = [path for folder in folders(kind) if (path := folder / f"{name}.yaml").is_file()]
+    for path in paths:
+        if path not in above:
+            return path
+    if paths:
+        raise ModelError(f"{above[-1]}: extends: {name!r} is not allowed, it leads back to {paths[-1]}")
+    raise ModelError(f"{kind}: {name!r} is not known; there are {', '.join(available(kind))}")
+
+
+def read_description(kind: str, name: str) -> dict[str, Any]:
+    """Return the YAML of a description of a kind (vehicles, worlds): ``<name>.yaml``, or the file ``name``.
+
+    ``extends: NAME`` in it takes everything from another description (a file's name: from its own folder) and says only
+    what differs.
+
+    Raises:
+        ModelError: no such description, not a YAML mapping, or one that extends itself.
+    """
+    return _read(kind, find(kind, name), ())
+
+
+def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+    try:
+        description = load_yaml(read_text(path))
+    except OSError as error:
+        names = ", ".join(available(kind))
+        raise ModelError(f"{kind}: {path}: {error.strerror or error}; by name there are {names}") from error
+    except ContentError as error:
+        raise ModelError(f"{path}: not a YAML file: {error}") from error
+    if not isinstance(description, dict):
+        raise ModelError(f"{path}: a mapping is needed, got {type(description).__name__}")
+    base = description.pop("extends", None)
+    if base is None:
+        return description
+    above = (*above, path)
+    below = find(kind, str(base), above)
+    below = below if below.is_absolute() else path.parent / below
+    if below in above:
+        raise ModelError(f"{path}: extends: {base!r} is not allowed, it leads back to {below}")
+    return _merged(_read(kind, below, above), description)
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with the values of ``changes``; mappings are merged in turn."""
+    merged = dict(base)
+    for key, value in changes.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
