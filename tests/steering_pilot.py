@@ -1,4 +1,4 @@
-"""A lockstep participant for tests: flies iris_0 by one kind of MAVROS's set-points after the other.
+"""A lockstep participant for tests: flies iris_0 by one kind of MAVROS's setpoints after the other.
 
 It tells on ``/pilot/flight`` (String, JSON) where each leg has led: the true place (m, ENU) at its begin and its end,
 and at last how the services answered.

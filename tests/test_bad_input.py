@@ -1,6 +1,6 @@
 """Bad input as users would give it, to the running system: clear words, and nothing falls out of the sky.
 
-One system of two vehicles serves all tests of this file, which run in the order in which they stand: before take-off,
+One system of two vehicles serves all tests of this file, which run in the order in which they stand: before takeoff,
 in flight, and at last its nodes are killed one after the other.
 """
 
@@ -469,7 +469,7 @@ def _broken_topics() -> dict[str, tuple[Any, str, str]]:
     }  # fmt: skip
 
 
-def test_set_points_that_are_no_numbers_are_refused_on_every_topic(
+def test_setpoints_that_are_no_numbers_are_refused_on_every_topic(
     stack: Stack, flying: list[tuple[float, float, float]]
 ) -> None:
     sizes = {name: len(program.output) for name, program in stack.programs.items()}
@@ -482,7 +482,7 @@ def test_set_points_that_are_no_numbers_are_refused_on_every_topic(
 
 
 @pytest.mark.parametrize("port", [OFFBOARD_PORT, GCS_PORT], ids=["offboard", "ground-station"])
-def test_set_points_that_are_no_numbers_are_refused_over_mavlink(
+def test_setpoints_that_are_no_numbers_are_refused_over_mavlink(
     stack: Stack, flying: list[tuple[float, float, float]], port: int
 ) -> None:
     size, told = (len(stack.programs[name].output) for name in ("simulator", "mavros"))
@@ -497,7 +497,7 @@ def test_set_points_that_are_no_numbers_are_refused_over_mavlink(
         station.link.mav.set_attitude_target_send(0, 1, 1, 0, [1, 0, 0, 0], 0, 0, 0, value)
         station.link.mav.set_position_target_global_int_send(0, 1, 1, 6, POSITION, 0, 0, value, *(0,) * 8)
     send(0, 1, 1, 77, POSITION, *(0,) * 11)  # no such frame
-    stack.log_has("simulator", "set-point cannot be flown", "set-point rejected: attitude has norm", since=size)
+    stack.log_has("simulator", "setpoint cannot be flown", "setpoint rejected: attitude has norm", since=size)
     stack.log_has("mavros", "iris_0: FCU: SET_POSITION_TARGET_LOCAL_NED coordinate frame 77 unsupported", since=told)
     check_undisturbed(stack, flying)
     station.close()
@@ -582,7 +582,7 @@ def test_arming_again_in_the_air_saves_a_vehicle(stack: Stack, flying: list[tupl
     station.close()
 
 
-def test_a_set_point_stream_that_stops_ends_in_a_soft_landing(
+def test_a_setpoint_stream_that_stops_ends_in_a_soft_landing(
     stack: Stack, flying: list[tuple[float, float, float]]
 ) -> None:
     stack.programs["communication_1"].kill()

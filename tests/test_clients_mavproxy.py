@@ -23,7 +23,7 @@ MISSION = """QGC WPL 110
 1\t0\t3\t16\t1\t0\t0\t0\t47.397900\t8.545594\t8\t1
 2\t0\t3\t16\t1\t0\t0\t0\t47.397900\t8.545750\t8\t1
 3\t0\t3\t21\t0\t0\t0\t0\t47.397800\t8.545750\t0\t1
-"""  # from the take-off on: what MAVProxy calls waypoint 0 is PX4's first
+"""  # from the takeoff on: what MAVProxy calls waypoint 0 is PX4's first
 
 
 class Prompt:

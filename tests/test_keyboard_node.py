@@ -345,7 +345,7 @@ def test_what_cannot_be_run_says_why(
 
 @pytest.mark.timeout(3 * START_LIMIT)
 def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_path: Path) -> None:
-    """XTDrone's documented take-off, a single press, hover, landing, take-off by mode; while paused too."""
+    """XTDrone's documented takeoff, a single press, hover, landing, takeoff by mode; while paused too."""
     stack = Stack(graph, tmp_path, "iris:2")
     both = range(2)
     poses = [graph.hear(f"/iris_{i}/mavros/local_position/pose", PoseStamped) for i in both]

@@ -25,7 +25,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 PORT = 11311
 WALL_LIMIT = 180.0  # s; longest that anything may take, on a machine that is busy otherwise
 FLIGHT = ("n:=3", "patterns:=triangle", "speed:=0")
-LENGTH = 14.0  # s of simulated time: take-off, and 6 s in formation
+LENGTH = 14.0  # s of simulated time: takeoff, and 6 s in formation
 POOR = {"delay": 0.005, "jitter": 0.003, "loss": 0.005}
 CUT_TIME = 10.0  # s of simulated time, in formation
 SILENCE = 4.0  # s of wall time until a host that says nothing counts as gone
@@ -163,7 +163,7 @@ def test_mavros_on_another_host_flies_on_when_datagrams_get_lost(tmp_path: Path)
         launch.end(WALL_LIMIT)
         layer.end(WALL_LIMIT)
     phases = [line for line in pilot.output.splitlines() if line.startswith("pilot: ")]
-    assert [phase.split()[1] for phase in phases] == ["connect", "take-off", "hover", "land", "landed"], phases
+    assert [phase.split()[1] for phase in phases] == ["connect", "takeoff", "hover", "land", "landed"], phases
     assert counters["lost_udp"] > 0
     reports = [
         line for line in (launch.output + layer.output).splitlines() if "datagrams" in line and "UDP port" in line
@@ -330,7 +330,7 @@ class Pilot:
     def fly(self) -> Iterator[None]:
         """Advance once a turn."""
         yield from self._until("connect", lambda s, _: s is not None and s.connected)
-        yield from self._until("take-off", lambda s, h: s.armed and h > HEIGHT, "AUTO.TAKEOFF", "ARM")
+        yield from self._until("takeoff", lambda s, h: s.armed and h > HEIGHT, "AUTO.TAKEOFF", "ARM")
         yield from self._until("hover", lambda s, _: s.mode == "AUTO.LOITER")
         yield from self._until("land", lambda s, _: not s.armed, "AUTO.LAND")
         print("pilot: landed", flush=True)

@@ -113,7 +113,7 @@ def test_vehicles_fly_on_a_mavros_that_takes_no_part(stack: Stack) -> None:
     stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0")
     launch = str(REPOSITORY / "launch/real_uav.launch")
     stack.start("real_uav", ["roslaunch", launch, "number:=1", "fcu_url:=udp://:24541@127.0.0.1:34581"])
-    for i in range(2):  # set-points come by wall time: a busy machine must not end OFFBOARD
+    for i in range(2):  # setpoints come by wall time: a busy machine must not end OFFBOARD
         stack.wait_state(i, sim=300.0)
         answer = graph.call(
             f"/iris_{i}/mavros/param/set", ParamSet, param_id="COM_OF_LOSS_T", value=ParamValue(real=60.0)

@@ -192,7 +192,7 @@ def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: P
         stack.wait_state(1, mode="OFFBOARD", armed=True)
         stack.programs["communication"].kill()
         stack.wait_state(1, mode="POSCTL", armed=True)
-        assert "iris_1: no set-point for 1 s: POSCTL" in stack.programs["simulator"].output
+        assert "iris_1: no setpoint for 1 s: POSCTL" in stack.programs["simulator"].output
         stack.pass_time(5.0)
         before = place(stack, 1)
         stack.pass_time(5.0)
@@ -206,7 +206,7 @@ def test_a_vehicle_whose_communication_node_dies_holds(graph: Graph, tmp_path: P
 
 @pytest.fixture(scope="module")
 def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    # Tests say set-points once: their pace is the wall clock's.
+    # Tests say setpoints once: their pace is the wall clock's.
     stack = start(graph, tmp_path_factory.mktemp("simplified"), 3, "_speed:=10", "_setpoint_timeout:=0")
     try:
         for index in range(3):
@@ -255,7 +255,7 @@ def test_topics_are_mavros_ones(stack: Stack) -> None:
     assert truth.last.pose.pose in [message.pose[2] for message in states.messages]
 
 
-def test_services_take_off_and_land(stack: Stack) -> None:
+def test_services_takeoff_and_land(stack: Stack) -> None:
     assert stack.graph.call("/iris_0/mavros/cmd/takeoff", CommandTOL).success
     assert stack.graph.call("/iris_0/mavros/cmd/arming", CommandBool, value=True).success
     stack.wait_state(0, mode="AUTO.LOITER", armed=True)
@@ -273,7 +273,7 @@ def test_commands_of_free_riders_are_flown(stack: Stack) -> None:
     stack.wait_landed(1)
 
 
-def test_set_points_go_before_commands_and_what_is_not_flown_is_named(stack: Stack) -> None:
+def test_setpoints_go_before_commands_and_what_is_not_flown_is_named(stack: Stack) -> None:
     target = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_OFFSET_NED, type_mask=0b100111111000)
     topic = "/iris_2/mavros/setpoint_raw/local"
     stack.graph.say(topic, target)
@@ -285,9 +285,9 @@ def test_set_points_go_before_commands_and_what_is_not_flown_is_named(stack: Sta
     target.type_mask = 0b100111111000
     stack.graph.say(topic, target)
     stack.graph.call("/iris_2/mavros/set_mode", SetMode, custom_mode="OFFBOARD")
-    stack.command(2, "AUTO.LAND")  # of nobody's concern: the vehicle has set-points
+    stack.command(2, "AUTO.LAND")  # of nobody's concern: the vehicle has setpoints
     stack.graph.call("/iris_2/mavros/cmd/arming", CommandBool, value=True)
-    stack.wait(lambda: math.dist(place(stack, 2), (5.0, 6.0, 7.0)) < 0.2, "iris_2 is at its set-point")
+    stack.wait(lambda: math.dist(place(stack, 2), (5.0, 6.0, 7.0)) < 0.2, "iris_2 is at its setpoint")
     stack.wait_state(2, mode="OFFBOARD", armed=True)
     q = pose_of(stack, 2).last.pose.orientation
     assert 2.0 * math.atan2(q.z, q.w) == pytest.approx(1.0, abs=0.02)

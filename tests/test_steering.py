@@ -1,4 +1,4 @@
-"""A vehicle in the real simulator flies by every kind of MAVROS's set-points; steering_pilot.py asks for them."""
+"""A vehicle in the real simulator flies by every kind of MAVROS's setpoints; steering_pilot.py asks for them."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class Flight:
         self.autopilot.place(0, x, y, z, yaw)
 
     def hover(self) -> None:
-        """Position set-point of the OFFBOARD stream."""
+        """Position setpoint of the OFFBOARD stream."""
         nan = (math.nan,) * 3
         self.commander.offboard_trajectory((1.0, 2.0, -3.0), nan, nan, 0.0, math.nan)
 

@@ -103,7 +103,7 @@ def test_mode_by_base_mode_alone(flight, base_mode, mode):
     ],
 )
 def test_modes_not_for_arming(flight, mode):
-    """What a real PX4 refused without a pilot, set-points and mission; it told why by events alone."""
+    """What a real PX4 refused without a pilot, setpoints and mission; it told why by events alone."""
     assert flight.commander.request(mode) is Result.ACCEPTED
     flight.run(0.1)
     flight.texts()
@@ -138,7 +138,7 @@ def test_arming_twice_is_accepted(flight):
 def test_arming_again_in_the_air_asks_for_no_checks_for_five_seconds(flight):
     fly_offboard(flight)
     flight.commander.arm_disarm(False, force=True)
-    flight.run(1.5)  # the set-points are too old for OFFBOARD
+    flight.run(1.5)  # the setpoints are too old for OFFBOARD
     assert flight.commander.arm_disarm(True) is Result.ACCEPTED
     flight.commander.arm_disarm(False, force=True)
     flight.run(5.1)
@@ -251,7 +251,7 @@ def test_offboard_needs_a_stream_in_flight(flight):
     assert flight.setpoint["task"] == TASK_TRAJECTORY
 
 
-def test_offboard_writes_set_points(flight):
+def test_offboard_writes_setpoints(flight):
     fly_offboard(flight)
     s = flight.setpoint
     assert s["position"].tolist() == [1.0, 2.0, -3.0]
@@ -267,7 +267,7 @@ def test_offboard_writes_set_points(flight):
     assert s["rates"].tolist() == [0.1, 0.2, 0.3]
 
 
-def test_set_points_wait_for_offboard(flight):
+def test_setpoints_wait_for_offboard(flight):
     flight.hover()
     assert flight.setpoint["task"] == TASK_IDLE
     assert flight.setpoint["position"].tolist() == [0.0, 0.0, 0.0]
@@ -282,7 +282,7 @@ def test_set_points_wait_for_offboard(flight):
         lambda c: c.manual_control(0.0, math.nan, 0.0, 0.0),
     ],
 )
-def test_bad_set_points_neither_act_nor_feed_the_watchdog(flight, give):
+def test_bad_setpoints_neither_act_nor_feed_the_watchdog(flight, give):
     fly_offboard(flight)
     before = str(flight.setpoint)
 
@@ -318,7 +318,7 @@ def test_offboard_comes_back_with_its_stream(flight):
     fly_offboard(flight)
     flight.run(1.2)
     flight.run(0.1, flight.hover)
-    assert flight.commander.failsafe, "one set-point is no stream"
+    assert flight.commander.failsafe, "one setpoint is no stream"
     flight.run(0.1, flight.hover)
     assert flight.commander.mode is modes.OFFBOARD
     assert flight.setpoint["position"].tolist() == [1.0, 2.0, -3.0]

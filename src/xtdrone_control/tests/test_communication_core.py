@@ -74,7 +74,7 @@ def test_encoding_table(core: MultirotorCore, kind: str, body: bool, expected: S
     )
     assert got.yaw == pytest.approx(expected.yaw)
     assert got.yaw_rate == expected.yaw_rate
-    assert core.tick(1e6) is got, "the last input stays the set-point"
+    assert core.tick(1e6) is got, "the last input stays the setpoint"
 
 
 @pytest.mark.parametrize(
@@ -271,7 +271,7 @@ def test_arm_is_sent_again_after_the_vehicle_disarmed_itself(core: MultirotorCor
     assert core.on_command("ARM", 10.0) is not None
 
 
-def test_take_off_that_has_become_loiter_still_holds(core: MultirotorCore) -> None:
+def test_takeoff_that_has_become_loiter_still_holds(core: MultirotorCore) -> None:
     accepted(core, "AUTO.TAKEOFF", 0.0)
     core.on_state("AUTO.TAKEOFF", True)
     core.on_state("AUTO.LOITER", True)

@@ -1,4 +1,4 @@
-"""AUTO.FOLLOW_TARGET: the estimate of the target, the set-point beside it, the door to the reports."""
+"""AUTO.FOLLOW_TARGET: the estimate of the target, the setpoint beside it, the door to the reports."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_repeated_position_counts_after_a_second_and_a_second_report_of_a_mome
 
 
 class Following(Flight):
-    """A vehicle that is where its set-point is, 10 m over home, and a target."""
+    """A vehicle that is where its setpoint is, 10 m over home, and a target."""
 
     def __init__(self, **parameters: float) -> None:
         super().__init__(**parameters)
@@ -94,7 +94,7 @@ class Following(Flight):
         self.commander.navigator.follow_target.report(place, velocity)
 
     def step(self) -> np.ndarray:
-        """Let the flight task run once; return position, velocity and acceleration of its set-point, (3, 3)."""
+        """Let the flight task run once; return position, velocity and acceleration of its setpoint, (3, 3)."""
         for name in ("task_position", "task_velocity", "task_acceleration"):
             self.control[name] = NAN
         self.control["armed_time"] += DT
@@ -102,7 +102,7 @@ class Following(Flight):
         return np.array([self.control[f"task_{name}"] for name in ("position", "velocity", "acceleration")])
 
     def fly(self, seconds: float) -> np.ndarray:
-        """Be where the set-point is for ``seconds``; return the set-points, (n, 3, 3)."""
+        """Be where the setpoint is for ``seconds``; return the setpoints, (n, 3, 3)."""
         rows = []
         for _ in range(round(seconds * 10)):
             for _ in range(5):
@@ -166,8 +166,8 @@ reports = st.lists(
 
 @settings(max_examples=10, deadline=None)
 @given(reports, st.floats(1.0, 30.0), st.floats(-180.0, 180.0), st.floats(0.0, 20.0))
-def test_the_set_point_has_no_steps(found, distance, angle, speed):
-    """However the reports jump: the set-point moves on by what its own velocity says, and round the target not faster
+def test_the_setpoint_has_no_steps(found, distance, angle, speed):
+    """However the reports jump: the setpoint moves on by what its own velocity says, and round the target not faster
     than allowed.
     """
     flight = Following(FLW_TGT_DST=distance, FLW_TGT_FA=angle, FLW_TGT_MAX_VEL=speed, FLW_TGT_HT=10.0)

@@ -1,4 +1,4 @@
-"""The gimbal's set-point, who may give it, its MAVLink, and MAVROS's mount_control."""
+"""The gimbal's setpoint, who may give it, its MAVLink, and MAVROS's mount_control."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def approx(*values):
     return pytest.approx(values, abs=1e-6)
 
 
-# the set-point
+# the setpoint
 
 
 def test_yaw_follows_the_vehicle_unless_it_is_locked(flight, gimbal):

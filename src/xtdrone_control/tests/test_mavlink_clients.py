@@ -197,7 +197,7 @@ def frames_of(kind, system=_SYSTEM):
     messages = {
         "command": mavlink.MAVLink_command_long_message(system, 1, 512, 0, 32, 0, 0, 0, 0, 0, 0),
         "refused command": mavlink.MAVLink_command_long_message(system, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0),
-        "set-point": mavlink.MAVLink_set_position_target_local_ned_message(
+        "setpoint": mavlink.MAVLink_set_position_target_local_ned_message(
             0, system, 1, 1, 0b110111000111, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0
         ),
         "parameter": mavlink.MAVLink_param_set_message(system, 1, b"MPC_XY_P", 0.9, 9),
@@ -251,7 +251,7 @@ _STEPS = 200
 _FLOOD = 40  # frames a step: 10,000 a second
 
 
-@pytest.mark.parametrize("kind", ["command", "refused command", "set-point", "parameter", "mission item", "file",
+@pytest.mark.parametrize("kind", ["command", "refused command", "setpoint", "parameter", "mission item", "file",
                                   "heartbeat", "garbage"])  # fmt: skip
 @pytest.mark.parametrize(("link", "own", "count"), [
     ("offboard", "offboard_remote_port", 1), ("offboard", "", 1), ("payload", "payload_remote_port", 1),

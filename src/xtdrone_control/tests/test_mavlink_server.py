@@ -566,7 +566,7 @@ def test_commands_for_other_components_are_ignored(world):
     assert not world.commander.armed
 
 
-def test_set_points_for_all_systems_are_taken_commands_are_not_but_for_questions_who_is_there(world):
+def test_setpoints_for_all_systems_are_taken_commands_are_not_but_for_questions_who_is_there(world):
     assert not world.ask(mavlink.MAVLink_command_long_message(0, 0, 400, 0, 1, 0, 0, 0, 0, 0, 0))
     assert not world.commander.armed
     answers = world.ask(mavlink.MAVLink_command_long_message(0, 0, 520, 0, 1, 0, 0, 0, 0, 0, 0))
@@ -575,10 +575,10 @@ def test_set_points_for_all_systems_are_taken_commands_are_not_but_for_questions
     everywhere.target_system = 0
     world.ask(everywhere)
     assert world.command(176, 1, 6)[0] == 0
-    assert world.command(400, 1)[0] == 0, "OFFBOARD can be armed by the set-point's grace"
+    assert world.command(400, 1)[0] == 0, "OFFBOARD can be armed by the setpoint's grace"
 
 
-# set-points
+# setpoints
 
 
 def test_position_target(world):
@@ -626,7 +626,7 @@ def test_position_frames(world, frame, position, yaw):
         local_target(frame=8, x=1.0, mask=_ALL_BUT_POSITION),
     ],
 )
-def test_bad_set_points_are_rejected_with_a_text(world, message):
+def test_bad_setpoints_are_rejected_with_a_text(world, message):
     world.fly_offboard()
     world.texts()
     before = str(world.setpoint)
@@ -637,7 +637,7 @@ def test_bad_set_points_are_rejected_with_a_text(world, message):
     world.run(1.1, 100_000)
     world.ask(message)
     world.commander.update()
-    assert world.commander.system_status == 5, "a rejected set-point does not feed the watchdog"
+    assert world.commander.system_status == 5, "a rejected setpoint does not feed the watchdog"
 
 
 def test_global_target(world):
@@ -887,7 +887,7 @@ def test_a_held_home_position_comes_after_the_commands_of_the_tick(world):
 
 
 def test_a_free_clients_setpoint_counts_for_the_offboard_command_that_follows_it(world):
-    """MAVSDK's ``offboard.start()``: one set-point, then the command."""
+    """MAVSDK's ``offboard.start()``: one setpoint, then the command."""
     vehicle = world.fleet[0]
     station = Client(0, vehicle.offboard_local_port)
     world.ask(heartbeat())

@@ -1,4 +1,4 @@
-"""Set-point messages: masks, frames and what is refused, against PX4 v1.14's rules written down a second time."""
+"""Setpoint messages: masks, frames and what is refused, against PX4 v1.14's rules written down a second time."""
 
 from __future__ import annotations
 

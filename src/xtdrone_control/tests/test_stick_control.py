@@ -1,4 +1,4 @@
-"""Manual flight's kernels, the hover thrust estimate and the take-off ramp against closed forms."""
+"""Manual flight's kernels, the hover thrust estimate and the takeoff ramp against closed forms."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GRAVITY = 9.80665
 
 @pytest.fixture
 def parts():
-    """A control record in the air after the spool-up, set-point, estimate and parameters."""
+    """A control record in the air after the spool-up, setpoint, estimate and parameters."""
     control, setpoint = np.zeros(1, CONTROL), np.zeros(1, SETPOINT)
     estimate, params = np.zeros(1, ESTIMATOR), np.zeros(1, PARAMS)
     estimate["q"][:, 0] = 1.0
@@ -132,7 +132,7 @@ def test_hover_thrust_stays_in_its_range(parts):
     assert c["hover_estimate"] == pytest.approx(p["mpc_thr_hover"] + p["hte_thr_range"])
 
 
-def test_take_off_goes_through_its_stages(parts):
+def test_takeoff_goes_through_its_stages(parts):
     c, _, _, p = parts
     c["landed"] = 1
     seen = []

@@ -234,7 +234,7 @@ class World:
         match action:
             case control.SetMode(mode=mode):
                 if mode == "OFFBOARD" and body.no_offboard:
-                    self.control.on_result(action, False, "no set-points")
+                    self.control.on_result(action, False, "no setpoints")
                     return
                 body.mode = mode
             case control.Arm():

@@ -328,7 +328,7 @@ def test_a_refused_second_look_loses_the_vehicle_but_not_the_candidate() -> None
     world.bodies[finder].no_offboard = True
     end = _finished(world)
     (lost,) = world.named("lost_vehicle")
-    assert (lost["vehicle"], lost["reason"]) == (finder, "does not go to OFFBOARD: no set-points")
+    assert (lost["vehicle"], lost["reason"]) == (finder, "does not go to OFFBOARD: no setpoints")
     assert end["outcome"] == "found"
     assert end["vehicle"] != finder
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Flies the formation demo: take-off, the patterns in turn, landing. Topics: see xtdrone_interaction.director.
+"""Flies the formation demo: takeoff, the patterns in turn, landing. Topics: see xtdrone_interaction.director.
 
 Parameters:
     /xtdrone/fleet (as ``iris:9``): the vehicles; the first leads.

@@ -164,7 +164,7 @@ def make_bag(
         places = np.vstack([np.zeros(3), GRID])
         offsets, time = GRID, 1.0
         maker.event(time, "start", vehicles=NAMES)
-        maker.event(time, "phase", phase="take-off")
+        maker.event(time, "phase", phase="takeoff")
         for _ in range(round(4.0 / STEP)):
             time += STEP
             places = places + np.array([0.0, 0.0, 7.0 * STEP / 4.0])

@@ -147,7 +147,7 @@ def check(flight: Flight, end: float) -> None:
         assert vehicle.texts[0] == (pytest.approx(0.0), 4, "Low")
         battery = vehicle.series["battery"]
         np.testing.assert_allclose(battery.value[:, 0], 16.0 - 0.1 * battery.time, atol=1e-5)
-        assert vehicle.series["set-point"].value[0].tolist() == [VELOCITY_ALONE, 0.0, 0.0, 0.0, 1.0, 2.0, 0.5]
+        assert vehicle.series["setpoint"].value[0].tolist() == [VELOCITY_ALONE, 0.0, 0.0, 0.0, 1.0, 2.0, 0.5]
         assert len(vehicle.series["imu"]) > (end - 0.5) * RATE
 
 

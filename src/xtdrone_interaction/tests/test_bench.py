@@ -244,7 +244,7 @@ def _event(event: str, time: float, wall: float, **values: Any) -> dict[str, Any
 
 FORMATION = [
     _event("start", 0.0, 1003.0, vehicles=["iris_0", "iris_1"]),
-    _event("phase", 0.1, 1003.1, phase="take-off"),
+    _event("phase", 0.1, 1003.1, phase="takeoff"),
     _event("armed", 2.0, 1004.0),
     _event("phase", 30.0, 1008.0, phase="pattern cube", pattern="cube"),
     _event("phase", 60.0, 1020.0, phase="land"),
@@ -484,7 +484,7 @@ def _marked(mark: str, word: str) -> list[str]:
 # ---- free-running
 
 
-TURNS = {"commands": 1.0, "set-points": 1.0, "poses": 1.0, "swarm": 0.9}
+TURNS = {"commands": 1.0, "setpoints": 1.0, "poses": 1.0, "swarm": 0.9}
 
 
 def _search(exact: float, works: Callable[[float, int], bool], breaks: float = math.inf) -> list[speed_search.Trial]:

@@ -48,7 +48,7 @@ def flight(
     """
     events: list[dict[str, object]] = [
         {"event": "start", "time": 0.0, "wall": 0.0, "vehicles": list(NAMES)},
-        {"event": "phase", "time": 1.0, "phase": "take-off"},
+        {"event": "phase", "time": 1.0, "phase": "takeoff"},
     ]
     times = np.arange(0.0, start + WINDOW * len(patterns) + 1.0, step)
     leader = np.stack([0.1 * times, np.zeros_like(times), np.full_like(times, 8.0)], axis=1)

@@ -79,7 +79,7 @@ def test_whole_flight() -> None:
     fleet.fly()
     phases = [e["phase"] for e in fleet.events if e["event"] == "phase"]
     assert phases == [
-        "connect", "take-off", "offboard", "pattern origin", "climb", "pattern cube", "move", "pattern pyramid",
+        "connect", "takeoff", "offboard", "pattern origin", "climb", "pattern cube", "move", "pattern pyramid",
         "move", "pattern triangle", "pattern origin", "descend", "land",
     ]  # fmt: skip
     assert fleet.mission.step == fleet.mission.steps == len(phases)

@@ -146,7 +146,7 @@ def test_a_cut_record_is_reported_as_far_as_it_goes(flight_bag: Path) -> None:
     assert [name for name, _ in figures(cut(25.0))] == ["formations.png", "distances.png"]
     assert [name for name, _ in figures(cut(9.0))] == ["distances.png"]
     early = replace(whole, events=[{**event, "time": event["time"] + 90.0} for event in whole.events])
-    with pytest.raises(RecordError, match=r"it is cut, the positions end at 5\d\.\d s, before the take-off at 91\.0 s"):
+    with pytest.raises(RecordError, match=r"it is cut, the positions end at 5\d\.\d s, before the takeoff at 91\.0 s"):
         reports.make_report(early)
 
 
@@ -167,7 +167,7 @@ def crossing(simulator: str) -> dict[str, Any]:
     places[:, 1, 0] = times
     offsets = np.array([[40.0, 2.0, 0.0], *(places[-1, 2:] - places[-1, 0])])
     events = [
-        {"event": "phase", "time": 0.0, "phase": "take-off"},
+        {"event": "phase", "time": 0.0, "phase": "takeoff"},
         {"event": "phase", "time": 1.0, "phase": "pattern row", "pattern": "row"},
         {"event": "assigned", "time": 1.0, "pattern": "row", "offsets": offsets.tolist()},
         {"event": "done", "time": 40.0},

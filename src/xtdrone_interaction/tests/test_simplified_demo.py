@@ -262,7 +262,7 @@ def test_ctrl_c_ends_it_with_130(tmp_path: Path) -> None:
     )  # fmt: skip
     assert flight.stdout is not None
     for line in flight.stdout:
-        if "take-off" in line:
+        if "takeoff" in line:
             break
     flight.send_signal(signal.SIGINT)
     output, _ = flight.communicate(timeout=PATIENCE)

@@ -36,7 +36,7 @@ def test_a_whole_flight_gives_a_good_report(record: FlightRecord, tmp_path: Path
     assert outcome_of(record) == ("done", "")
     phases = [e["phase"] for e in record.phases]
     assert phases == [
-        "connect", "take-off", "offboard", "pattern origin", "climb", "pattern T", "move", "pattern diamond",
+        "connect", "takeoff", "offboard", "pattern origin", "climb", "pattern T", "move", "pattern diamond",
         "pattern origin", "descend", "land",
     ]  # fmt: skip
     track = record.track
@@ -120,7 +120,7 @@ def test_turn_by_turn(record: FlightRecord) -> None:
     turns = flight.turns()
     for _ in range(100):
         next(turns)
-    assert flight.mission.phase == "take-off"
+    assert flight.mission.phase == "takeoff"
     part = flight.record().track
     np.testing.assert_array_equal(part.position, record.track.position[: len(part.time)])
 

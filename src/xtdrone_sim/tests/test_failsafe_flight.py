@@ -283,7 +283,7 @@ def test_a_motor_that_stops_is_found_by_its_current(sortie):
 
 @pytest.mark.parametrize(("breaker", "action"), [(121212, "warn"), (0, "terminate")])
 def test_the_attitude_limit(sortie, breaker, action):
-    """Told to bank beyond FD_FAIL_R by attitude set-points."""
+    """Told to bank beyond FD_FAIL_R by attitude setpoints."""
     flight = sortie(CBRK_FLIGHTTERM=breaker, FD_FAIL_R=20, COM_LKDOWN_TKO=0.0)
     flight.hover_offboard()
     half = math.radians(30.0) / 2
@@ -303,7 +303,7 @@ def test_the_attitude_limit(sortie, breaker, action):
     assert flight.commander.request(modes.AUTO_LOITER) == 1
 
 
-def test_the_attitude_limit_at_take_off_disarms(sortie):
+def test_the_attitude_limit_at_takeoff_disarms(sortie):
     flight = Sortie(FD_FAIL_R=1, FD_FAIL_R_TTRI=0.02)
     flight.run(2.0)
     roll = math.radians(3.0) / 2

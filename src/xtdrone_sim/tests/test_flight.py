@@ -206,7 +206,7 @@ def test_orbit(flying, radius, speed, behaviour):
 def test_follows_a_target(flying):
     """8 m behind a target that goes east at 2 m/s, 8 m over home, facing it; beside where it was lost, when it is.
 
-    The set-point has no error behind a constant velocity, so what is left is the estimate's, 0.15 m as below.
+    The setpoint has no error behind a constant velocity, so what is left is the estimate's, 0.15 m as below.
     """
     flying.setpoint = None
     start = flying.estimate()

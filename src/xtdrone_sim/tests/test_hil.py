@@ -91,7 +91,7 @@ def patience():
 
 @pytest.fixture(scope="module")
 def flight():
-    """One PX4's flight: three seconds on the ground, then a take-off."""
+    """One PX4's flight: three seconds on the ground, then a takeoff."""
     with world() as made:
         px4 = made.start(script={TAKE_OFF_US: take_off}, keep=2000)
         states = []
@@ -230,7 +230,7 @@ def test_one_that_dies_stops_its_motors_and_the_other_flies_on():
 
 
 def test_a_disarmed_ones_silence_does_not_stop_the_world(monkeypatch):
-    """PX4 sends no controls while it is disarmed in OFFBOARD without set-points."""
+    """PX4 sends no controls while it is disarmed in OFFBOARD without setpoints."""
     monkeypatch.setattr(hil_module, "DISARMED_LIMIT", 0.2)
 
     def be_silent(px4: StandIn) -> None:

@@ -27,13 +27,13 @@ def test_both_refuse_what_makes_no_sense(vehicles: Vehicles) -> None:
             vehicles.command(index, "ARM")
         with pytest.raises(IndexError, match=f"vehicle {index} is not there; 0 to 1"):
             vehicles.steer_one(index, VELOCITY, (0.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match="kind of set-point: 7"):
+    with pytest.raises(ValueError, match="kind of setpoint: 7"):
         vehicles.steer(7, still, ~all_of_them)
     with pytest.raises(ValueError, match=r"shapes \(3, 3\) and \(2,\) are not allowed"):
         vehicles.steer(VELOCITY, np.zeros((3, 3)), all_of_them)
-    with pytest.raises(ValueError, match=r"set-point of iris_1: .*finite numbers are needed"):
+    with pytest.raises(ValueError, match=r"setpoint of iris_1: .*finite numbers are needed"):
         vehicles.steer(VELOCITY, np.array([[0.0, 0.0, 0.0], [0.0, math.nan, 0.0]]), all_of_them)
-    with pytest.raises(ValueError, match=r"set-point of iris_0: .*finite numbers are needed"):
+    with pytest.raises(ValueError, match=r"setpoint of iris_0: .*finite numbers are needed"):
         vehicles.steer_one(0, VELOCITY, (0.0, 0.0, 0.0), math.inf)
     with pytest.raises(ValueError, match="time: 3 us is not allowed, a multiple of 4000 us"):
         vehicles.advance(3)

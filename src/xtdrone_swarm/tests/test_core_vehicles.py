@@ -52,7 +52,7 @@ def take_off(vehicles: CoreVehicles) -> None:
     command_all(vehicles, "OFFBOARD")
 
 
-def test_a_flight_from_take_off_to_landing(vehicles: CoreVehicles) -> None:
+def test_a_flight_from_takeoff_to_landing(vehicles: CoreVehicles) -> None:
     assert vehicles.names == ("iris_0", "iris_1")
     assert np.isnan(vehicles.position).all()  # no estimate yet
     np.testing.assert_allclose(vehicles.true_position[1] - vehicles.true_position[0], [0.0, 3.0, 0.0], atol=1e-6)
@@ -107,7 +107,7 @@ def test_refusals_say_why(vehicles: CoreVehicles) -> None:
     assert vehicles.command(0, "DISARM") == "iris_0: disarming denied: Not landed"
     assert vehicles.command(0, "POSCTL").startswith("iris_0: POSCTL is not available now: ")
     assert vehicles.mode[0] == "OFFBOARD"
-    with pytest.raises(ValueError, match="kind of set-point: 7 is not allowed"):
+    with pytest.raises(ValueError, match="kind of setpoint: 7 is not allowed"):
         vehicles.steer_one(0, 7, (0.0, 0.0, 0.0))
 
 

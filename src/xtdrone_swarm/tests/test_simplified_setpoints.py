@@ -1,4 +1,4 @@
-"""What MAVROS's set-points ask of simplified vehicles."""
+"""What MAVROS's setpoints ask of simplified vehicles."""
 
 from __future__ import annotations
 

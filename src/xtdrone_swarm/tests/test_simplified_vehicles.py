@@ -174,7 +174,7 @@ def test_hover_and_dead_zone_are_those_of_the_communication_node():
     assert captured > 100
 
 
-def test_take_off_hold_and_landing():
+def test_takeoff_hold_and_landing():
     vehicles = SimplifiedVehicles(2)
     assert vehicles.mode == ["AUTO.LOITER"] * 2
     assert vehicles.command(0, "AUTO.TAKEOFF") == vehicles.command(0, "ARM") == ""
@@ -221,7 +221,7 @@ def test_disarms_when_it_has_not_taken_off_and_stays_on_the_ground():
     assert vehicles.position[0].tolist() == [0.0, 3.0, 0.0]
 
 
-def test_offboard_without_a_set_point_holds():
+def test_offboard_without_a_setpoint_holds():
     vehicles = flown(Model())
     vehicles.steer_one(0, VELOCITY, (2.0, 0.0, 0.0))
     fly(vehicles, 3.0)
@@ -268,7 +268,7 @@ def test_bad_names_and_files(tmp_path):
         load_model("zeppelin")
 
 
-def test_bad_places_and_set_points():
+def test_bad_places_and_setpoints():
     for places in ([[0.0, 0.0]], [[0.0, 0.0, math.nan]], [[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]] * 2):
         with pytest.raises(ValueError, match="places"):
             SimplifiedVehicles(1, places=places)

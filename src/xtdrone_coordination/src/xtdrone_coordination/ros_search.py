@@ -11,7 +11,7 @@ topic or service                    type                           meaning
 /T/mavros/mission/reached           mavros_msgs/WaypointReached    in
 /xtdrone/T/objects                  xtdrone_msgs/ObjectsOnGround   in: what its camera shows
 /xtdrone/T/camera_ok                std_msgs/Bool                  in: whether its pictures are new ones
-/xtdrone/T/cmd_pose_enu             geometry_msgs/Pose             out: set-points of a second look
+/xtdrone/T/cmd_pose_enu             geometry_msgs/Pose             out: setpoints of a second look
 /xtdrone/T/follow                   std_msgs/Int32                 out: the track to follow, -1 for none
 /T/mavros/mount_control/command     mavros_msgs/MountControl       out: the camera down, for a look and after it
 /T/mavros/set_mode, cmd/arming      SetMode, CommandBool           called

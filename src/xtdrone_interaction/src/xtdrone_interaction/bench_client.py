@@ -45,10 +45,10 @@ _POSITION_ONLY = (
     | PositionTarget.IGNORE_AFX | PositionTarget.IGNORE_AFY | PositionTarget.IGNORE_AFZ
     | PositionTarget.IGNORE_YAW | PositionTarget.IGNORE_YAW_RATE
 )  # fmt: skip
-_STREAM_TIME = 1.0  # s of set-points before OFFBOARD is asked for
+_STREAM_TIME = 1.0  # s of setpoints before OFFBOARD is asked for
 _REPEAT = 1.0  # s until a refused request is made again; as long as PX4 holds for an estimator that aligns, or longer
-_NEAR = 0.3  # m from the set-point that count as there
-_LOST = 1.0  # m from the set-point at which a vehicle is no longer held
+_NEAR = 0.3  # m from the setpoint that count as there
+_LOST = 1.0  # m from the setpoint at which a vehicle is no longer held
 _CALM_TIME = 2.0  # s between the last vehicle's arrival and the measurement
 _LEAST_ELAPSED = 2.0  # s of wall time that are measured at least: CPU times have a resolution of 10 ms
 _LIMIT = 60.0  # s of simulated time for each step of the way there
@@ -110,7 +110,7 @@ class _Vehicle:
         self.connected, self.armed, self.mode = message.connected, message.armed, message.mode
 
     def publish(self, now: rospy.Time) -> None:
-        """Publish the set-point, if the position is known."""
+        """Publish the setpoint, if the position is known."""
         if self.position is None:
             return
         target = self._target
@@ -121,7 +121,7 @@ class _Vehicle:
         self._output.publish(target)
 
     def distance(self) -> float:
-        """Return the distance from the set-point, m; infinite before the position is known."""
+        """Return the distance from the setpoint, m; infinite before the position is known."""
         if self.position is None:
             return math.inf
         goal = self._target.position

@@ -20,11 +20,11 @@ _Key = tuple[str, str]
 
 ROLES = {
     "commands": r"/xtdrone/\w+_\d+/cmd_(vel|accel)_enu",
-    "set-points": r"/\w+_\d+/mavros/setpoint_raw/local",
+    "setpoints": r"/\w+_\d+/mavros/setpoint_raw/local",
     "poses": r"/\w+_\d+/mavros/local_position/pose",
     "swarm": r"/xtdrone/swarm",
 }
-"""Topics by what is counted. Followers publish commands, communication nodes set-points, once a turn; the MAVROS layer
+"""Topics by what is counted. Followers publish commands, communication nodes setpoints, once a turn; the MAVROS layer
 each pose that comes, and the swarm's message once in a turn in which poses have come."""
 
 

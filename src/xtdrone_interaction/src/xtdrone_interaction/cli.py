@@ -37,7 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_formation(demos.add_parser(
         "formation",
         help="UAVs take off, fly through formation patterns and land",
-        description="Fly the formation demo: take-off, origin, each pattern in turn with the leader moving between, "
+        description="Fly the formation demo: takeoff, origin, each pattern in turn with the leader moving between, "
         "origin, landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures and logs.",
     ))  # fmt: skip
     simplified = demos.add_parser(

@@ -36,10 +36,10 @@ _LEADER_GAIN = 1.0  # 1/s
 _ARRIVED = 0.1  # m
 _TAKEOFF_HEIGHT = 1.0  # m; AUTO.TAKEOFF ends in AUTO.LOITER well above it
 _SAME_SLOT = 1e-3  # m; offsets travel as 32-bit floats
-_HOVER_TIME = 0.5  # s of set-points before OFFBOARD is asked for
+_HOVER_TIME = 0.5  # s of setpoints before OFFBOARD is asked for
 COMMAND_LIMIT = 5.0  # s without a command of a follower that has commanded its vehicle before
 PATTERN_LIMIT = 5.0  # s without a pattern of a leader that repeats it each second
-_LIMITS = {"connect": 60.0, "arm": 40.0, "take-off": 40.0, "offboard": 15.0, "pattern": 10.0, "land": 90.0}  # s
+_LIMITS = {"connect": 60.0, "arm": 40.0, "takeoff": 40.0, "offboard": 15.0, "pattern": 10.0, "land": 90.0}  # s
 
 
 class MissionError(RuntimeError):
@@ -107,7 +107,7 @@ class View:
 
 
 class FormationMission:
-    """Take-off, the patterns in turn, landing.
+    """Takeoff, the patterns in turn, landing.
 
     Attributes:
         phase: the phase now flown.
@@ -212,7 +212,7 @@ class FormationMission:
         self._ground = float(view.position[:, 2].min())
 
     def _take_off(self) -> Ticks:
-        self._begin("take-off", vehicles=list(self.view.names))
+        self._begin("takeoff", vehicles=list(self.view.names))
         view = self.view
         taking_off = ("AUTO.TAKEOFF", "AUTO.LOITER")
         yield from self._until(
@@ -224,8 +224,8 @@ class FormationMission:
         yield from self._until("arm", _LIMITS["arm"], lambda i: view.armed[i], self._arm)
         self.commands.event("armed")
         yield from self._until(
-            "reach the take-off height",
-            _LIMITS["take-off"],
+            "reach the takeoff height",
+            _LIMITS["takeoff"],
             lambda i: view.mode[i] == "AUTO.LOITER" and view.position[i, 2] > self._ground + _TAKEOFF_HEIGHT,
             in_flight=True,
         )
@@ -239,7 +239,7 @@ class FormationMission:
     def _offboard(self) -> Ticks:
         self._begin("offboard")
         for i in range(len(self.view.names)):
-            self.commands.vehicle(i, "HOVER")  # a set-point to hold must stream before OFFBOARD is accepted
+            self.commands.vehicle(i, "HOVER")  # a setpoint to hold must stream before OFFBOARD is accepted
         yield from self._wait(_HOVER_TIME)
         mode = self.view.mode
         yield from self._until(

@@ -290,7 +290,7 @@ def read_events(path: Path) -> list[dict[str, Any]]:
 
 
 def starts_of(events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return those that name a formation flight's vehicles: start, which a late recorder misses, and take-off."""
+    """Return those that name a formation flight's vehicles: start, which a late recorder misses, and takeoff."""
     return [event for event in events if "vehicles" in event and event.get("event") != SEARCH_START]
 
 
@@ -303,7 +303,7 @@ def _read(reader: AnyReader, path: Path, events: list[dict[str, Any]]) -> Flight
             "(search.world, region.yaml, plans); './xtdrone analyse' draws what was flown"
         )
     if not starts:
-        raise RecordError(f"bag: no take-off on {EVENTS_TOPIC}; this is no record of a formation flight")
+        raise RecordError(f"bag: no takeoff on {EVENTS_TOPIC}; this is no record of a formation flight")
     names = tuple(starts[-1]["vehicles"])
     topics = {odometry_topic(name): ODOMETRY for name in names}
     topics |= {pose_topic(name): _POSE for name in names}

@@ -107,18 +107,18 @@ def assignment_distances(before: Array, after: Array) -> tuple[float, float]:
 
 
 def flight_part(record: FlightRecord, track: Track) -> Track:
-    """Return the part of ``track`` from the beginning of take-off on.
+    """Return the part of ``track`` from the beginning of takeoff on.
 
     Raises:
         RecordError: there is none.
     """
-    starts = [p["time"] for p in record.phases if p["phase"] == "take-off"]
+    starts = [p["time"] for p in record.phases if p["phase"] == "takeoff"]
     if not starts:
-        raise RecordError("flight record: there was no take-off")
+        raise RecordError("flight record: there was no takeoff")
     part = track.between(starts[0], np.inf)
     if not len(part.time):
         raise RecordError(
-            f"flight record: it is cut, the positions end at {track.time[-1]:.1f} s, before the take-off at "
+            f"flight record: it is cut, the positions end at {track.time[-1]:.1f} s, before the takeoff at "
             f"{starts[0]:.1f} s"
         )
     return part

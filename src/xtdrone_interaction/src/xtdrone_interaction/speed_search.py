@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 LEAST_TURNS = 0.95
 """Share of the turns made in lockstep that a role's nodes must make."""
-TURNS = ("commands", "set-points", "poses")
+TURNS = ("commands", "setpoints", "poses")
 """Roles that must make them. Not ``swarm``: its messages say how fresh the positions are that followers work with. When
 the MAVROS layer's turns come late, one message takes the place of two; no turn is missed by that."""
 LEAST_SPEED = 0.95

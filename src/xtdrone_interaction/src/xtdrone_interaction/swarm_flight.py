@@ -40,7 +40,7 @@ def fly_formation(
     on_event: EventListener | None = None,
     on_turn: Callable[[], None] | None = None,
 ) -> FlightRecord:
-    """Fly the formation mission: take-off, origin, each pattern with the leader moving between, origin, landing.
+    """Fly the formation mission: takeoff, origin, each pattern with the leader moving between, origin, landing.
 
     A flight that fails is landed and recorded too: its last event is then ``failed``, not ``done``.
 

@@ -63,7 +63,7 @@ def _take_off(simulation: Simulation) -> None:
 
 
 def _steer(simulation: Simulation) -> None:
-    """Give every vehicle the next velocity set-point of a circle at 1 m/s."""
+    """Give every vehicle the next velocity setpoint of a circle at 1 m/s."""
     phase = simulation.time_us * 1e-6
     velocity = (math.cos(phase), math.sin(phase), 0.0)
     for commander in simulation.commanders:

@@ -86,7 +86,7 @@ class Simulation:
 
     @property
     def autopilot(self) -> Autopilot:
-        """The autopilots' records; their own estimates and set-points only where they are ours."""
+        """The autopilots' records; their own estimates and setpoints only where they are ours."""
         return self.autopilots.autopilot
 
     @property

@@ -2,7 +2,7 @@
 
 So the very classes that a script has tried on simple vehicles fly in full physics, without ROS. What lies between them
 and the autopilots in the ROS stack is here too, as function calls: the communication node's rules
-(``xtdrone_control.communication.core``) and its stream of set-points at 30 Hz, the turn from ENU to NED that MAVROS
+(``xtdrone_control.communication.core``) and its stream of setpoints at 30 Hz, the turn from ENU to NED that MAVROS
 makes, and PX4's reading of SET_POSITION_TARGET_LOCAL_NED. A command acts in the turn in which it is given; through
 topics it takes two or three turns more.
 """
@@ -28,7 +28,7 @@ from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.simulation import Simulation
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
 
-STREAM_RATE = 30  # Hz, of the set-points
+STREAM_RATE = 30  # Hz, of the setpoints
 _TO_ENU = np.array([1.0, 1.0, -1.0])
 
 _KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)
@@ -176,7 +176,7 @@ class CoreVehicles:
         return f"{name}: {request.command} is not available now" + (f": {reason}" if reason else "")
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:
-        """Set the set-points of some vehicles; see ``Vehicles``.
+        """Set the setpoints of some vehicles; see ``Vehicles``.
 
         Raises:
             ValueError: an unknown kind, another size, or a vector that is not finite, whose vehicle is named.
@@ -184,7 +184,7 @@ class CoreVehicles:
         _check_kind(kind)
         if vectors.shape != self.position.shape or given.shape != self.yaw.shape:
             raise ValueError(
-                f"set-points: shapes {vectors.shape} and {given.shape} are not allowed, "
+                f"setpoints: shapes {vectors.shape} and {given.shape} are not allowed, "
                 f"{self.position.shape} and {self.yaw.shape}"
             )
         for i in np.flatnonzero(given).tolist():
@@ -192,7 +192,7 @@ class CoreVehicles:
             self.steer_one(i, kind, (x, y, z))
 
     def steer_one(self, index: int, kind: int, vector: tuple[float, float, float], yaw_rate: float = 0.0) -> None:
-        """Set one vehicle's set-point, ENU, with a yaw rate in rad/s; a POSITION keeps the present heading.
+        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s; a POSITION keeps the present heading.
 
         Raises:
             IndexError: there is no such vehicle.
@@ -202,7 +202,7 @@ class CoreVehicles:
         _check_kind(kind)
         if not all(map(math.isfinite, (*vector, yaw_rate))):
             raise ValueError(
-                f"set-point of {self.names[index]}: {tuple(vector)}, yaw rate {yaw_rate}: finite numbers are needed"
+                f"setpoint of {self.names[index]}: {tuple(vector)}, yaw rate {yaw_rate}: finite numbers are needed"
             )
         core = self._cores[index]
         if kind == VELOCITY:
@@ -222,7 +222,7 @@ class CoreVehicles:
     # time
 
     def advance(self, time_us: int) -> None:
-        """Move on to ``time_us``, a multiple of ``step_us``; set-points go out at each 30 Hz turn on the way.
+        """Move on to ``time_us``, a multiple of ``step_us``; setpoints go out at each 30 Hz turn on the way.
 
         Raises:
             ValueError: it is no such multiple, or lies behind.
@@ -239,7 +239,7 @@ class CoreVehicles:
             self._look()
 
     def _send(self) -> None:
-        """Tell every autopilot its set-point, as the stream of mavros/setpoint_raw/local does."""
+        """Tell every autopilot its setpoint, as the stream of mavros/setpoint_raw/local does."""
         for i, (core, commander) in enumerate(zip(self._cores, self.simulation.commanders, strict=True)):
             setpoint = core.tick(self._now)
             known = self._targets[i]
@@ -270,7 +270,7 @@ class _Log:
 
 
 def _target(setpoint: Setpoint) -> SimpleNamespace:
-    """Return a set-point with the fields of SET_POSITION_TARGET_LOCAL_NED, in NED or, in a body frame, FRD."""
+    """Return a setpoint with the fields of SET_POSITION_TARGET_LOCAL_NED, in NED or, in a body frame, FRD."""
     local = setpoint.frame == FRAME_LOCAL_NED
     turn = frames.enu_to_ned if local else frames.flu_to_frd
     x, y, z = turn(*setpoint.position)
@@ -287,7 +287,7 @@ def _target(setpoint: Setpoint) -> SimpleNamespace:
 
 def _check_kind(kind: int) -> None:
     if kind not in _KINDS:
-        raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
+        raise ValueError(f"kind of setpoint: {kind!r} is not allowed, one of {_KINDS}")
 
 
 def _checked_places(

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 HOLD, VELOCITY, ACCELERATION, POSITION = 0, 1, 2, 3
-"""Kinds of a set-point: stay where it is now; m/s ENU; m/s^2 ENU; m ENU."""
+"""Kinds of a setpoint: stay where it is now; m/s ENU; m/s^2 ENU; m ENU."""
 
 
 class Vehicles(Protocol):
@@ -48,7 +48,7 @@ class Vehicles(Protocol):
         """
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:
-        """Set the set-points of some vehicles, which act in OFFBOARD from now on until the next; heading is kept.
+        """Set the setpoints of some vehicles, which act in OFFBOARD from now on until the next; heading is kept.
 
         Args:
             kind: VELOCITY or ACCELERATION (POSITION where the vehicles take it).
@@ -57,7 +57,7 @@ class Vehicles(Protocol):
         """
 
     def steer_one(self, index: int, kind: int, vector: tuple[float, float, float], yaw_rate: float = 0.0) -> None:
-        """Set one vehicle's set-point, ENU, with a yaw rate in rad/s."""
+        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s."""
 
     def advance(self, time_us: int) -> None:
         """Move on to ``time_us``, a multiple of ``step_us``."""

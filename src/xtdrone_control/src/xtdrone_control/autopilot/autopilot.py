@@ -60,7 +60,7 @@ TASK_STEPS = 5  # steps between two runs of the flight task: 50 Hz
 POSITION_STEPS = 3  # of position control: 83 Hz, as PX4's estimator tells a position
 _MIXER_PERIOD_US = 20_000
 _NO_THRUST = 100.0  # m/s^2 downwards: no thrust at all
-_TILT_SLEW = 0.2  # rad/s, of the tilt limit after take-off
+_TILT_SLEW = 0.2  # rad/s, of the tilt limit after takeoff
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def _stop(c, p):
 
 @kernel
 def _hold_on_ground(c, e):
-    """Armed on the ground: motors idle, the attitude set-point is the present attitude."""
+    """Armed on the ground: motors idle, the attitude setpoint is the present attitude."""
     _no_thrust(c)
     for i in range(4):
         c.sp_q[i] = e.q[i]
@@ -115,7 +115,7 @@ def _ask_for_ground(c):
 
 @kernel
 def _control_position(c, e, p, dt):
-    """Position and velocity loops: the task's set-point to an attitude and a thrust."""
+    """Position and velocity loops: the task's setpoint to an attitude and a thrust."""
     flying = c.takeoff_state == TAKEOFF_FLIGHT
     if not flying:
         c.hover_thrust = p.mpc_thr_hover

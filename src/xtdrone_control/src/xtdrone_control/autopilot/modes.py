@@ -49,7 +49,7 @@ class Mode:
 
     @property
     def needs_position(self) -> bool:
-        """Whether it flies by the horizontal estimate, OFFBOARD by most set-points."""
+        """Whether it flies by the horizontal estimate, OFFBOARD by most setpoints."""
         return not self.needs.isdisjoint(("position", "place", "offboard"))
 
     @property

@@ -1,8 +1,8 @@
 """The autopilot's data: one record a vehicle, as numpy structured arrays that numba kernels read and write.
 
 Frames: ``local`` is NED with its origin at the estimator's origin, ``body`` is FRD. Quaternions are (w, x, y, z) and
-turn body vectors into local ones. SI units, radians, seconds; times are simulated microseconds. A NaN in a set-point
-means "not controlled", PX4's contract for trajectory set-points.
+turn body vectors into local ones. SI units, radians, seconds; times are simulated microseconds. A NaN in a setpoint
+means "not controlled", PX4's contract for trajectory setpoints.
 
 Who writes what: the simulator's sensor models (or a driver) write ``SENSORS``; the estimator kernel writes
 ``ESTIMATOR``; commander, navigator and the MAVLink receiver write ``SETPOINT``; the control kernels write ``CONTROL``;
@@ -18,7 +18,7 @@ MAX_ROTORS = 8
 # What the cascade follows (SETPOINT.task). Commander and navigator choose it from the flight mode.
 TASK_IDLE = 0  # motors off (disarmed) or idling on the ground (armed)
 TASK_TRAJECTORY = 1  # trajectory_* as given: OFFBOARD position, velocity, acceleration
-TASK_GOTO = 2  # smoothed flight to goal_position: take-off, loiter, return, mission
+TASK_GOTO = 2  # smoothed flight to goal_position: takeoff, loiter, return, mission
 TASK_LAND = 3  # keep goal_position's xy, descend with PX4's land speeds
 TASK_DESCEND = 4  # level attitude, descend at land speed: no horizontal estimate
 TASK_STICKS = 5  # POSCTL: velocity from sticks, position hold when they are centred
@@ -33,7 +33,7 @@ TASK_FOLLOW = 12  # AUTO.FOLLOW_TARGET: a place beside the target, seen from its
 # SETPOINT.orbit_yaw: MAVLink ORBIT_YAW_BEHAVIOUR
 ORBIT_TO_CENTRE, ORBIT_INITIAL_HEADING, ORBIT_UNCONTROLLED, ORBIT_ALONG_CIRCLE = 0, 1, 2, 3
 
-# Take-off state machine (CONTROL.takeoff_state), after PX4's mc_pos_control/Takeoff.
+# Takeoff state machine (CONTROL.takeoff_state), after PX4's mc_pos_control/Takeoff.
 TAKEOFF_DISARMED = 0
 TAKEOFF_SPOOLUP = 1
 TAKEOFF_READY = 2
@@ -275,7 +275,7 @@ SETPOINT = np.dtype(
         ("goal_position", "f8", 3),  # m, local
         ("goal_yaw", "f8"),  # rad; NaN keeps the heading
         ("cruise_speed", "f8"),  # m/s horizontal; NaN = MPC_XY_CRUISE
-        ("climb_speed", "f8"),  # m/s upwards; NaN = MPC_Z_V_AUTO_UP (take-off: MPC_TKO_SPEED)
+        ("climb_speed", "f8"),  # m/s upwards; NaN = MPC_Z_V_AUTO_UP (takeoff: MPC_TKO_SPEED)
         ("descend_speed", "f8"),  # m/s downwards; NaN = MPC_Z_V_AUTO_DN
         # by stick, each -1..1; body-heading frame: x forward, y right, z up (throttle, 0 = middle), yaw clockwise.
         # TASK_STICKS takes them past dead zone and expo, TASK_ALTITUDE z and yaw, TASK_MANUAL and TASK_ACRO none
@@ -308,9 +308,9 @@ CONTROL = np.dtype(
         ("takeoff_state", "i4"),
         ("tick", "i8"),  # steps since the start, which the slower loops count
         ("armed_time", "f8"),  # s since arming
-        ("ramp_progress", "f8"),  # 0..1, how far the take-off has ramped up
-        ("ramp_speed", "f8"),  # m/s, upward speed limit while the take-off ramps up
-        ("want_takeoff", "i4"),  # the set-point asks to leave the ground
+        ("ramp_progress", "f8"),  # 0..1, how far the takeoff has ramped up
+        ("ramp_speed", "f8"),  # m/s, upward speed limit while the takeoff ramps up
+        ("want_takeoff", "i4"),  # the setpoint asks to leave the ground
         ("tilt_limit", "f8"),  # rad, moves slowly between MPC_TILTMAX_LND and MPC_TILTMAX_AIR
         ("throttle_min", "f8"),  # 0..1, least thrust by stick, moves slowly to MPC_MANTHR_MIN in the air
         ("throttle_max", "f8"),  # 0..1, largest thrust by stick, rises slowly after arming
@@ -348,7 +348,7 @@ CONTROL = np.dtype(
         ("unsmoothed_climb", "f8"),  # m/s downwards, wanted before smoothing
         ("braking", "i4"),  # far beyond the speed limits: stop with 1 g first
         ("turn_speed", "f8"),  # m/s, horizontal speed with which a turn was entered
-        ("goal_from_ground", "i4"),  # the goal was set on the ground: a take-off
+        ("goal_from_ground", "i4"),  # the goal was set on the ground: a takeoff
         ("leg_start", "f8", 3),  # m, local: the leg that is flown, and its goal and what comes then
         ("leg_goal", "f8", 3),
         ("leg_onward", "f8", 3),

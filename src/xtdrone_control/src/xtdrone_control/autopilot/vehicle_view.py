@@ -22,7 +22,7 @@ class VehicleView:
 
     Attributes:
         sensors, estimator, setpoint, control, failures: the vehicle's elements of the record arrays.
-        setpoint_fields: set-point field to an array over it, for what is written often.
+        setpoint_fields: setpoint field to an array over it, for what is written often.
     """
 
     def __init__(self, autopilot: Autopilot, index: int) -> None:

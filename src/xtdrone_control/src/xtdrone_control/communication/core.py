@@ -1,6 +1,6 @@
-"""What the multirotor communication node decides, without ROS: inputs in, one set-point and service requests out.
+"""What the multirotor communication node decides, without ROS: inputs in, one setpoint and service requests out.
 
-The rules are XTDrone's: the last input is the set-point until the next one; a velocity or acceleration inside the dead
+The rules are XTDrone's: the last input is the setpoint until the next one; a velocity or acceleration inside the dead
 zone means HOVER, which freezes the pose of that moment; a command that is none of ours goes to set_mode as it is.
 """
 
@@ -93,9 +93,9 @@ class Request:
 
 
 class MultirotorCore:
-    """Set-point and commands of one multirotor.
+    """Setpoint and commands of one multirotor.
 
-    OFFBOARD needs a stream of set-points before it can be entered, so there is always one. Before any input it holds
+    OFFBOARD needs a stream of setpoints before it can be entered, so there is always one. Before any input it holds
     the vehicle where it is: the present pose, followed until OFFBOARD is entered and frozen from then on; velocity
     zero as long as no pose is known.
 
@@ -141,7 +141,7 @@ class MultirotorCore:
         self.mission = ""
         self._pose: tuple[Vector, float] | None = None  # position ENU m, yaw rad
         self._idle = True  # no input and no HOVER yet: the hold follows the vehicle
-        self._moving_since: float | None = None  # time of the last velocity or acceleration, while it is the set-point
+        self._moving_since: float | None = None  # time of the last velocity or acceleration, while it is the setpoint
         self._mode: str | None = None
         self._armed: bool | None = None
         self._request: Request | None = None  # the last command that asked for a service
@@ -241,7 +241,7 @@ class MultirotorCore:
             self._set(acceleration_setpoint(acceleration, yaw_rate, body=body), moving_since=now)
 
     def tick(self, now: float) -> Setpoint:
-        """Return the set-point to publish at ``now`` (s, ROS time)."""
+        """Return the setpoint to publish at ``now`` (s, ROS time)."""
         if self._moving_since is not None and 0.0 < self._cmd_timeout < now - self._moving_since:
             self._log.warning(f"{self.name}: no velocity or acceleration for {self._cmd_timeout} s: HOVER")
             self._hover()

@@ -1,4 +1,4 @@
-"""The communication node of multirotors: XTDrone's command topics in, MAVROS's set-points and services out.
+"""The communication node of multirotors: XTDrone's command topics in, MAVROS's setpoints and services out.
 
 For each vehicle ``T`` (as ``iris_0``):
 
@@ -55,7 +55,7 @@ class _Services:
     """Calls MAVROS's services of one vehicle.
 
     In lockstep a call is waited for: the simulator waits, so the outcome falls into the same tick each time. In real
-    time a slow answer would interrupt the set-point stream and end OFFBOARD, so the call goes on beside it. Either way
+    time a slow answer would interrupt the setpoint stream and end OFFBOARD, so the call goes on beside it. Either way
     a thread of its own makes the call, since rospy waits for an answer without a limit. Meanwhile the simulator is told
     that time is needed: a PX4 answers only then, and a MAVROS that takes no part in the lockstep cannot say so.
     """
@@ -151,7 +151,7 @@ class MultirotorCommunication:
                 lockstep.Subscriber(topic, message, partial(callback, topic, body))
 
     def step(self) -> None:
-        """Publish the set-point and take the outcome of service calls; 30 Hz."""
+        """Publish the setpoint and take the outcome of service calls; 30 Hz."""
         now = rospy.Time.now()
         seconds = now.to_sec()
         for request, accepted, reason in self._services.finished():
@@ -195,7 +195,7 @@ class MultirotorCommunication:
 
 
 def fill(message: PositionTarget, setpoint: Setpoint) -> None:
-    """Write a set-point into a message; the header stays."""
+    """Write a setpoint into a message; the header stays."""
     message.coordinate_frame = setpoint.frame
     message.type_mask = setpoint.type_mask
     for target, (x, y, z) in (

@@ -1,4 +1,4 @@
-"""Set-points of the communication layer as mavros_msgs/PositionTarget carries them; no ROS here.
+"""Setpoints of the communication layer as mavros_msgs/PositionTarget carries them; no ROS here.
 
 Frames are MAVROS's: the *number* in ``coordinate_frame`` is MAVLink's (1 LOCAL_NED, 8 BODY_NED, 9 BODY_OFFSET_NED),
 the *values* are ENU for frame 1 and FLU for frames 8 and 9; MAVROS turns them into NED and FRD.

@@ -55,10 +55,10 @@ class Receiver:
     """Acts on the messages of one vehicle. Nothing that comes in raises.
 
     In a tick of the lockstep, commands and requests come when some participant's service call makes them, and
-    set-points and home positions when the MAVROS layer has its turn: which is first, the scheduler decides. Therefore
+    setpoints and home positions when the MAVROS layer has its turn: which is first, the scheduler decides. Therefore
     the latter can be held until all are done; commands and requests, whose answers are waited for, then always come
     first. Clients outside the lockstep are not held: what one of them sends acts in the order of sending, so that a
-    set-point counts for the command to go to OFFBOARD that follows it. An origin (SET_GPS_GLOBAL_ORIGIN) is not held,
+    setpoint counts for the command to go to OFFBOARD that follows it. An origin (SET_GPS_GLOBAL_ORIGIN) is not held,
     for it is answered at once with the origin that holds.
     """
 
@@ -148,7 +148,7 @@ class Receiver:
                     service.send_part(link, now_us)
 
     def hold(self) -> None:
-        """Queue set-points and home positions of participants from now on until ``release``."""
+        """Queue setpoints and home positions of participants from now on until ``release``."""
         self._vehicle.hold()
 
     def release(self) -> None:

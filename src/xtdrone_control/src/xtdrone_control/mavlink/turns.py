@@ -29,7 +29,7 @@ OWN_SAVINGS = 8.0
 _BYTES_A_CREDIT = 128
 _FOR_OTHERS = 16
 
-_CLIENT_DATAGRAMS = 256  # in a client's queue: a transfer in one go, or a tick's set-points many times over
+_CLIENT_DATAGRAMS = 256  # in a client's queue: a transfer in one go, or a tick's setpoints many times over
 _CLIENT_BYTES = 1 << 16
 _STRANGER_DATAGRAMS = 64  # what a client may send in one go before the first of it is acted on
 _STRANGERS = 16  # on one port

@@ -46,7 +46,7 @@ LEFT_OUT: dict[str, tuple[LeftOut, ...]] = {
     "mavros": (  # the node itself
         LeftOut("a ground station has ports of its own, docs/ground-stations.md", published=("/mavlink/gcs_ip",)),
         LeftOut(
-            "fixed axes are turned without asking tf; set-points listen by their tf/listen",
+            "fixed axes are turned without asking tf; setpoints listen by their tf/listen",
             published=("/tf_static",),
             subscribed=("/tf", "/tf_static"),
         ),

@@ -235,7 +235,7 @@ class Uas:
         header.stamp.secs, header.stamp.nsecs = divmod(self.now_ns, _NS)
 
     def boot_ms(self, header: Any = None) -> int:
-        """Return a header's stamp (or now) as the milliseconds that set-points carry, as MAVROS does (32 bit)."""
+        """Return a header's stamp (or now) as the milliseconds that setpoints carry, as MAVROS does (32 bit)."""
         ns = self.ros.now_ns() if header is None else header.stamp.to_nsec()
         return ns // 1_000_000 & 0xFFFFFFFF
 

@@ -56,12 +56,12 @@ MISSION, OFFBOARD, LOITER, RTL, LAND = "AUTO.MISSION", "OFFBOARD", "AUTO.LOITER"
 _GRACE = 2.5  # s; mavros/state follows the 1 Hz heartbeat
 _ASK_AGAIN = 2.0  # s between requests that were not obeyed
 _MOST_TRIES = 8
-_OFFBOARD_DELAY = 0.3  # s in which the first set-point gets through before the mode is asked for
+_OFFBOARD_DELAY = 0.3  # s in which the first setpoint gets through before the mode is asked for
 _CLEAR = 6.0  # m; nobody changes his height nearer than this to one that is in between
 _NEAREST_CIRCLE, _WIDEST_CIRCLE = 3.0, 25.0  # m, radius of a second look
 _FASTEST_TURN = 0.35  # rad/s around a candidate
 _WALK = 1.5  # m/s that somebody may move while nobody sees him
-_LEAD = 4.0  # m that a set-point goes ahead of its vehicle at most
+_LEAD = 4.0  # m that a setpoint goes ahead of its vehicle at most
 _FALLEN = 0.3  # part of the height of takeoff or second look below which a vehicle no longer flies
 _STEPS = ("waiting", "taking off", "searching", "second look", "following", "returning", "finished")
 _BUSY = (State.WAITING, State.STARTING, State.SEARCHING, State.LOOKING, State.REJOINING, State.FOLLOWING)
@@ -83,7 +83,7 @@ class MissionSettings:
         look_height: of the second look, m over the ground, 3 to 50; lower than any path by at least 1 m.
         look_step: how much higher each further vehicle looks, m, 0 to 5.
         look_pitch: of the camera at a second look, deg, -90 to -5; the radius of its circle follows from it.
-        look_speed: set-points move so fast, m/s, 0.5 to 10.
+        look_speed: setpoints move so fast, m/s, 0.5 to 10.
         look_arc: least way on the circle before somebody is confirmed, deg, 0 to 360.
         look_time: after so long without a decision a candidate is rejected, s, 5 to 600.
         look_apart: second looks are at least so far apart, m, 5 to 500.
@@ -194,7 +194,7 @@ class Push:
 
 @dataclass(frozen=True)
 class GoTo:
-    """Set-point: m, map; yaw in rad from east."""
+    """Setpoint: m, map; yaw in rad from east."""
 
     vehicle: str
     position: Place
@@ -789,7 +789,7 @@ class SearchMission:
             self._return(vehicle, "its part is searched")
 
     def _go(self, vehicle: Vehicle, target: Place, yaw: float, dt: float) -> None:
-        """Move the set-point towards a place, not faster than a look is flown, and not through others' heights."""
+        """Move the setpoint towards a place, not faster than a look is flown, and not through others' heights."""
         assert vehicle.position is not None
         here = vehicle.setpoint or vehicle.position
         if not self._clear(vehicle, target[2]):

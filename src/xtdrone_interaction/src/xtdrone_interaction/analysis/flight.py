@@ -63,11 +63,11 @@ _NUMBERS: dict[str, tuple[str, tuple[tuple[str, ...], ...]]] = {
         (_under("pose.pose.position") + _under("pose.pose.orientation", _QUATERNION) + _under("twist.twist.linear"),),
     ),
     "mavros/local_position/velocity_local": ("velocity", (_under("twist.linear"),)),
-    "mavros/setpoint_raw/local": ("set-point", (("type_mask", *_under("position"), *_under("velocity")),)),
+    "mavros/setpoint_raw/local": ("setpoint", (("type_mask", *_under("position"), *_under("velocity")),)),
     "mavros/setpoint_raw/target_local": ("target", (("type_mask", *_under("position"), *_under("velocity")),)),
-    "mavros/setpoint_position/local": ("position set-point", (_under("pose.position"),)),
-    "mavros/setpoint_velocity/cmd_vel": ("velocity set-point", (_under("twist.linear"),)),
-    "mavros/setpoint_velocity/cmd_vel_unstamped": ("velocity set-point", (_under("linear"),)),
+    "mavros/setpoint_position/local": ("position setpoint", (_under("pose.position"),)),
+    "mavros/setpoint_velocity/cmd_vel": ("velocity setpoint", (_under("twist.linear"),)),
+    "mavros/setpoint_velocity/cmd_vel_unstamped": ("velocity setpoint", (_under("linear"),)),
     "mavros/battery": ("battery", (("voltage", "percentage", "current"),)),
     "mavros/imu/data_raw": ("raw imu", (_under("angular_velocity") + _under("linear_acceleration"),)),
     "mavros/imu/data": ("imu", (_under("angular_velocity") + _under("linear_acceleration"),)),
@@ -119,8 +119,8 @@ class Vehicle:
 
     Attributes:
         name: last part of its namespace.
-        series: by what it is: "pose" (x, y, z m, quaternion x, y, z, w), "velocity" (m/s), "set-point" and "target"
-            (type mask, position, velocity), "position set-point", "velocity set-point"; XTDrone's "command" and "body
+        series: by what it is: "pose" (x, y, z m, quaternion x, y, z, w), "velocity" (m/s), "setpoint" and "target"
+            (type mask, position, velocity), "position setpoint", "velocity setpoint"; XTDrone's "command" and "body
             command" (m/s), "acceleration command" and "body acceleration command" (m/s2), "avoidance" (m/s or m/s2);
             "battery" (V, share, A that flow into it), "global" (degrees, m), "imu" (rad/s and m/s2, front, left, up).
         thinned: those of which not every message was kept.

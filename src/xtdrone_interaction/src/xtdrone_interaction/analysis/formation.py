@@ -45,8 +45,8 @@ def formation_record(flight: Flight) -> FlightRecord | None:
         end = float(track.time[-1])
         events = [event for event in events if event["time"] < end - _LEAST_WINDOW]
         events.append({"event": END, "time": end})
-    if not any(event.get("phase") == "take-off" for event in events):
-        events.insert(0, {"event": "phase", "phase": "take-off", "time": events[0]["time"]})
+    if not any(event.get("phase") == "takeoff" for event in events):
+        events.insert(0, {"event": "phase", "phase": "takeoff", "time": events[0]["time"]})
     return FlightRecord(names, truth, estimate, flight.patterns, flight.topologies, events, flight.collisions)
 
 
@@ -68,7 +68,7 @@ def _made_up(patterns: list[Any], names: tuple[str, ...], track: Track) -> list[
     start, end = float(track.time[0]), float(track.time[-1])
     events: list[dict[str, Any]] = [
         {"event": "start", "time": start, "vehicles": list(names)},
-        {"event": "phase", "phase": "take-off", "time": start},
+        {"event": "phase", "phase": "takeoff", "time": start},
     ]
     for number, change in enumerate(patterns, 1):
         if start <= change.time < end:

@@ -1,4 +1,4 @@
-"""Pictures of the flight in a recording: places, velocities, modes, topology, avoidance, set-points, batteries."""
+"""Pictures of the flight in a recording: places, velocities, modes, topology, avoidance, setpoints, batteries."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from xtdrone_interaction.plots import figures
 from xtdrone_interaction.record import FlightRecord
 from xtdrone_interaction.report import DISTANCE_LIMIT
 
-_RESPONSES = 4  # vehicles whose set-points are drawn beside what they did
+_RESPONSES = 4  # vehicles whose setpoints are drawn beside what they did
 _MOST_MODES = 14  # in the legend
 # PositionTarget: bits of the type mask that say that a position or velocity is none
 _NO_POSITION, _NO_VELOCITY = 0b000_111, 0b111_000
@@ -69,7 +69,7 @@ def pictures(flight: Flight, record: FlightRecord | None) -> Iterator[Picture]:
         yield Picture("activity", "Commands, avoidance and topology", activity(flight, marks))
     followed = [vehicle for vehicle in placed if _wanted(vehicle)][:_RESPONSES]
     for vehicle in followed:
-        yield Picture(f"set-points_{vehicle.name}", f"Set-points and response of {vehicle.name}",
+        yield Picture(f"setpoints_{vehicle.name}", f"Setpoints and response of {vehicle.name}",
                       response(flight, vehicle))  # fmt: skip
     spectra = [(vehicle.name, made) for vehicle in flight.vehicles if (made := _imu_spectra(vehicle))]
     if spectra:
@@ -244,14 +244,14 @@ def _draw_links(panel: plt.Axes, flight: Flight) -> None:
 
 
 def _wanted(vehicle: Vehicle) -> bool:
-    names = ("set-point", "target", "position set-point", "velocity set-point", "command")
+    names = ("setpoint", "target", "position setpoint", "velocity setpoint", "command")
     return any(len(vehicle.series.get(name, ())) > 1 for name in names)
 
 
-def _set_points(vehicle: Vehicle) -> tuple[Series | None, Series | None]:
+def _setpoints(vehicle: Vehicle) -> tuple[Series | None, Series | None]:
     """Return the wanted places and velocities, with gaps (NaN) where there was none."""
-    place, velocity = vehicle.series.get("position set-point"), vehicle.series.get("velocity set-point")
-    raw = vehicle.series.get("set-point") or vehicle.series.get("target")
+    place, velocity = vehicle.series.get("position setpoint"), vehicle.series.get("velocity setpoint")
+    raw = vehicle.series.get("setpoint") or vehicle.series.get("target")
     if raw is not None:
         mask = raw.value[:, 0].astype(np.int64)
         wanted = np.where((mask & _NO_POSITION == _NO_POSITION)[:, None], np.nan, raw.value[:, 1:4])
@@ -263,7 +263,7 @@ def _set_points(vehicle: Vehicle) -> tuple[Series | None, Series | None]:
 
 def response(flight: Flight, vehicle: Vehicle) -> Figure:
     """Draw what a vehicle was told beside what it did."""
-    place, velocity = _set_points(vehicle)
+    place, velocity = _setpoints(vehicle)
     rows: list[tuple[str, Series, Series | None]] = []
     known, speed = vehicle.position, vehicle.series.get("velocity")
     if known is not None and place is not None and np.isfinite(place.value).any():
@@ -276,11 +276,11 @@ def response(flight: Flight, vehicle: Vehicle) -> Figure:
     for panel, (name, did, told) in zip(axes, rows, strict=True):
         line(panel, did.time, did.value[:, 0], color="tab:blue", lw=1.1, label="response")
         if told is not None:
-            panel.plot(*_thin_gaps(told), color="tab:orange", lw=1.0, label="set-point", zorder=3)
+            panel.plot(*_thin_gaps(told), color="tab:orange", lw=1.0, label="setpoint", zorder=3)
         panel.set_ylabel(name)
     axes[0].legend(loc="upper right", ncol=2, fontsize=8)
     axes[-1].set_xlabel(flight.time_name)
-    figure.suptitle(f"Set-points and response of {vehicle.name}")
+    figure.suptitle(f"Setpoints and response of {vehicle.name}")
     return figure
 
 

@@ -1,4 +1,4 @@
-"""How well a response follows its set-point, and the frequency content of signals."""
+"""How well a response follows its setpoint, and the frequency content of signals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Tracking:
         name: of the quantity with its unit.
         rms: of the error.
         greatest: error.
-        delay: of the response behind the set-point, s; None where nothing moves, and where it does not follow.
+        delay: of the response behind the setpoint, s; None where nothing moves, and where it does not follow.
     """
 
     name: str
@@ -50,11 +50,11 @@ def uniform(series: Series, start: float, end: float) -> tuple[Array, float] | N
 
 
 def tracking(name: str, wanted: Series, actual: Series, start: float, end: float, turn: float = 0.0) -> Tracking | None:
-    """Compare a response with its set-point while there is one.
+    """Compare a response with its setpoint while there is one.
 
     Args:
         name: for the result.
-        wanted: set-point, (t, 1); NaN where there is none.
+        wanted: setpoint, (t, 1); NaN where there is none.
         actual: response, (t, 1).
         start, end: s; what is compared.
         turn: of a full turn in the quantity's unit, where it is an angle.
@@ -64,7 +64,7 @@ def tracking(name: str, wanted: Series, actual: Series, start: float, end: float
         return None
     values, step = made
     grid = actual.time[(actual.time >= start) & (actual.time <= end)][0] + step * np.arange(len(values))
-    # a set-point holds until the next; stamps are rounded
+    # a setpoint holds until the next; stamps are rounded
     last = np.searchsorted(wanted.time, grid + 0.05 * step, "right") - 1
     told = np.where(last >= 0, wanted.value[np.maximum(last, 0), 0], np.nan)
     did = values[:, 0]
@@ -98,7 +98,7 @@ def spectrum(series: Series, start: float, end: float) -> tuple[Array, Array] | 
         return None
     values, step = made
     values = np.nan_to_num(values)
-    # the median, so that take-off and touch-down do not hide what is there all the time
+    # the median, so that takeoff and touch-down do not hide what is there all the time
     frequency, density = signal.welch(
         values, 1.0 / step, nperseg=min(_SEGMENT, len(values)), axis=0, average="median", detrend="linear"
     )

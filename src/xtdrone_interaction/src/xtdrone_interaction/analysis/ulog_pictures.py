@@ -1,4 +1,4 @@
-"""The plots that PX4's users know, of a flight log: set-points and response, sensors, spectra, estimator, batteries."""
+"""The plots that PX4's users know, of a flight log: setpoints and response, sensors, spectra, estimator, batteries."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Pair(NamedTuple):
     Attributes:
         name: with its unit.
         actual: response, (t, 1).
-        wanted: set-point, (t, 1).
+        wanted: setpoint, (t, 1).
         turn: of a full turn, for angles.
     """
 
@@ -40,7 +40,7 @@ class Pair(NamedTuple):
 
 
 def pairs(log: FlightLog) -> dict[str, list[Pair]]:
-    """Return all responses with their set-points, by what they are."""
+    """Return all responses with their setpoints, by what they are."""
     found: dict[str, list[Pair]] = {"Position": [], "Velocity": [], "Attitude": [], "Rates": []}
     place, told = log.series("vehicle_local_position", *_AXES), log.series("vehicle_local_position_setpoint", *_AXES)
     moving = log.series("vehicle_local_position", "vx", "vy", "vz")
@@ -71,7 +71,7 @@ def _rates(log: FlightLog) -> Series | None:
 
 
 def trackings(log: FlightLog) -> list[tuple[str, Tracking]]:
-    """Return how all responses follow their set-points, from the first arming to the last disarming."""
+    """Return how all responses follow their setpoints, from the first arming to the last disarming."""
     rows = []
     for what, group in pairs(log).items():
         for pair in group:
@@ -89,7 +89,7 @@ def pictures(log: FlightLog) -> Iterator[Picture]:
         yield Picture("track", "Track from above", track(log, place))
     yield from _altitude(log)
     for what, group in pairs(log).items():
-        yield Picture(what.lower(), f"{what}: set-point and response", responses(log, what, group))
+        yield Picture(what.lower(), f"{what}: setpoint and response", responses(log, what, group))
     yield from _sensors(log)
     yield from _spectra(log)
     yield from _health(log)
@@ -104,7 +104,7 @@ def track(log: FlightLog, place: Series) -> Figure:
     wanted = log.series("vehicle_local_position_setpoint", *_AXES)
     if wanted is not None and np.isfinite(wanted.value[:, :2]).any():
         step = max(1, len(wanted) // 8000)
-        panel.plot(wanted.value[::step, 1], wanted.value[::step, 0], color="tab:orange", lw=1.0, label="set-point")
+        panel.plot(wanted.value[::step, 1], wanted.value[::step, 0], color="tab:orange", lw=1.0, label="setpoint")
     step = max(1, len(place) // 8000)
     panel.plot(place.value[::step, 1], place.value[::step, 0], color="tab:blue", lw=1.1, label="estimate")
     panel.plot(place.value[0, 1], place.value[0, 0], marker="o", ms=6, mfc="white", mec="tab:blue", ls="")
@@ -117,16 +117,16 @@ def track(log: FlightLog, place: Series) -> Figure:
 
 
 def responses(log: FlightLog, what: str, group: Sequence[Pair]) -> Figure:
-    """Draw responses and set-points one above the other."""
+    """Draw responses and setpoints one above the other."""
     figure, axes = panels(len(group), 2.2, 0.8)
     for panel, pair in zip(axes, group, strict=True):
         line(panel, pair.actual.time, pair.actual.value[:, 0], color="tab:blue", lw=1.0, label="response")
         if pair.wanted is not None and np.isfinite(pair.wanted.value).any():
             step = max(1, len(pair.wanted) // 20000)
             panel.plot(pair.wanted.time[::step], pair.wanted.value[::step, 0], color="tab:orange", lw=0.9,
-                       label="set-point", zorder=3)  # fmt: skip
+                       label="setpoint", zorder=3)  # fmt: skip
         panel.set_ylabel(pair.name)
-    return _finished(log, figure, axes, f"{what}: set-point and response")
+    return _finished(log, figure, axes, f"{what}: setpoint and response")
 
 
 def _altitude(log: FlightLog) -> Iterator[Picture]:
@@ -205,7 +205,7 @@ def _spectra(log: FlightLog) -> Iterator[Picture]:
         shown.append(("rates [(°/s)²/Hz]", Series(rates.time, np.degrees(rates.value)), ("roll", "pitch", "yaw")))
     if wanted is not None:
         degrees = Series(wanted.time, np.degrees(wanted.value))
-        shown.append(("rate set-points [(°/s)²/Hz]", degrees, ("roll", "pitch", "yaw")))
+        shown.append(("rate setpoints [(°/s)²/Hz]", degrees, ("roll", "pitch", "yaw")))
     if acceleration is not None:
         shown.append(("acceleration [(m/s²)²/Hz]", acceleration, _AXES))
     made = [(name, found, names) for name, series, names in shown if (found := spectrum(series, start, end))]

@@ -112,5 +112,5 @@ def _tracking(log: FlightLog, figures: dict[str, Any]) -> Table:
         )
         for item in figures["tracking"]
     ]
-    title = f"Set-point and response {log.flown_words}"
+    title = f"Setpoint and response {log.flown_words}"
     return Table(title, ("quantity", "error, RMS", "greatest", "delay (ms)"), rows)

@@ -37,7 +37,7 @@ class _Panel:
         column: name in ``reference.COLUMNS``, or speed for the horizontal speed.
         label: of the axis.
         factor: the column is multiplied by it.
-        setpoint: column of the set-point, "" for none.
+        setpoint: column of the setpoint, "" for none.
     """
 
     column: str
@@ -60,9 +60,9 @@ class _Picture:
 _DEGREES = 180.0 / np.pi
 _PICTURES = {
     "takeoff": _Picture(
-        "takeoff", 20.0, "Take-off to 5 m",
+        "takeoff", 20.0, "Takeoff to 5 m",
         (_Panel("z", "height, m", -1.0), _Panel("vz", "climb rate, m/s", -1.0, "sp_vz"),
-         _Panel("thrust_sp", "thrust set-point")),
+         _Panel("thrust_sp", "thrust setpoint")),
     ),
     "position_step": _Picture(
         "offb_pos_step", 8.0, "OFFBOARD: position step of 5 m",
@@ -80,12 +80,12 @@ _PICTURES = {
          _Panel("roll", "roll, deg", _DEGREES)),
     ),
     "offboard_loss": _Picture(
-        "offboard_loss", 22.0, "Loss of the set-points, hold, landing",
+        "offboard_loss", 22.0, "Loss of the setpoints, hold, landing",
         (_Panel("x", "x, m"), _Panel("z", "height, m", -1.0), _Panel("vz", "sink rate, m/s", 1.0, "sp_vz"),
-         _Panel("thrust_sp", "thrust set-point")),
+         _Panel("thrust_sp", "thrust setpoint")),
     ),
     "mission": _Picture(
-        "mission", 46.0, "Mission: take-off and a square of 20 m at 10 m",
+        "mission", 46.0, "Mission: takeoff and a square of 20 m at 10 m",
         (_Panel("speed", "speed, m/s"), _Panel("z", "height, m", -1.0), _Panel("yaw", "heading, deg", _DEGREES)), True,
     ),
     "rtl": _Picture(
@@ -139,7 +139,7 @@ def _draw_panel(axis: Axes, panel: _Panel, parts: list[tuple[Track, float]]) -> 
         time = track["t"] - start
         if panel.setpoint:
             axis.plot(time, panel.factor * _values(track, panel.setpoint), color=colour, linewidth=0.8, linestyle=":",
-                      label=f"{name}: set-point")  # fmt: skip
+                      label=f"{name}: setpoint")  # fmt: skip
         axis.plot(time, panel.factor * _values(track, panel.column), color=colour, linewidth=1.4, label=name)
     axis.set_ylabel(panel.label)
     axis.set_xlim(-1.0, max(track["t"][-1] - start for track, start in parts))

@@ -309,7 +309,7 @@ class Pilot:
         self._mode = mode
 
     def note_setpoints_stopped(self) -> None:
-        """Note that set-points are sent no more, and send none."""
+        """Note that setpoints are sent no more, and send none."""
         self.setpoint = None
         self._note("setpoints", "stopped")
 

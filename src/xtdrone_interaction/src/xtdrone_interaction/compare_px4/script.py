@@ -88,7 +88,7 @@ class _Script:
         pilot.run(10.0)
 
     def _enter_offboard(self, phase: str) -> None:
-        """Send set-points for 2 s, then ask for OFFBOARD; nothing if it is flown already."""
+        """Send setpoints for 2 s, then ask for OFFBOARD; nothing if it is flown already."""
         pilot = self._pilot
         if phase:
             pilot.begin(phase)

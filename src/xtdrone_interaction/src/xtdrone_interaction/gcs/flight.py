@@ -1,6 +1,6 @@
 """What a ground station says to have a vehicle arm, take off, fly somewhere, hold, return and land: exchanges.
 
-PX4 and ArduPilot are spoken to as QGroundControl does: PX4 takes the take-off's altitude over sea level and is armed
+PX4 and ArduPilot are spoken to as QGroundControl does: PX4 takes the takeoff's altitude over sea level and is armed
 after it; ArduPilot takes it over home, in GUIDED and armed. Other autopilots are taken for one like PX4.
 """
 

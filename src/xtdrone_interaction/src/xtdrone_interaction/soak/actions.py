@@ -325,7 +325,7 @@ def _speaks(node: Node) -> bool:
 
 
 def mission(content: dict[str, Any]) -> Plan:
-    """Return the mission that the script describes: take-off, its places in turn and again, a landing.
+    """Return the mission that the script describes: takeoff, its places in turn and again, a landing.
 
     Args:
         content: places (east, north of the map's origin, m), height (m over home), rounds.

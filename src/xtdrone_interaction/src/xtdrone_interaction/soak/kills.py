@@ -41,7 +41,7 @@ NODES = (
     "rosout",
 )
 SIGNALS = ("KILL", "STOP")
-PHASES = {"starting": "", "taking off": "take-off", "flying": "pattern cube", "landing": "land"}
+PHASES = {"starting": "", "taking off": "takeoff", "flying": "pattern cube", "landing": "land"}
 """Names, and the director's for them."""
 HANG_LIMIT = 6.0  # s of wall time
 
@@ -131,7 +131,7 @@ def _strike(demo: subprocess.Popen[bytes], out: Path, node: str, number: signal.
             for event in (read_events(out / "events.jsonl") if (out / "events.jsonl").is_file() else ())
         )
         if pid and reached:
-            time.sleep(_SETTLE if phase in ("take-off", "pattern cube", "") else 0.1)
+            time.sleep(_SETTLE if phase in ("takeoff", "pattern cube", "") else 0.1)
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, number)
                 return True

@@ -221,7 +221,7 @@ def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) 
 
 
 def _mission(swarm: Swarm, patterns: Sequence[str]) -> FlightRecord:
-    """Fly the demo's whole mission, take-off to landing."""
+    """Fly the demo's whole mission, takeoff to landing."""
     from xtdrone_interaction.swarm_flight import fly_formation
 
     record = fly_formation(swarm, patterns)

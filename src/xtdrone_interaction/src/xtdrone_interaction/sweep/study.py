@@ -71,7 +71,7 @@ class Study:
     Attributes:
         name: short, also of the results' folder.
         engine: ``simplified`` or ``core``.
-        flight: ``airborne`` (begins in the air: patterns only) or ``mission`` (take-off to landing, as the demo).
+        flight: ``airborne`` (begins in the air: patterns only) or ``mission`` (takeoff to landing, as the demo).
         constants: parameters that all runs share, by name.
         axes: varied parameters.
         combine: how axes make points: ``grid``, ``zip``, ``random`` or ``latin``.

@@ -7,7 +7,7 @@ How long an answer is waited for:
 
 - A PX4 that has answered is waited for: armed, up to ``hang_limit``, for its motors depend on it; disarmed, up to
   ``DISARMED_LIMIT``, for PX4 sends no controls while it has nothing to control, as disarmed in OFFBOARD without
-  set-points. One whose connection closes is not waited for.
+  setpoints. One whose connection closes is not waited for.
 - One that has not answered yet, because it boots, or has not in time, is given one step of real time. It is waited for
   again once its answers, late or not, are to ``RELOCK_STEPS`` steps one after another.
 - One that says that it runs without lockstep is never waited for.

@@ -204,7 +204,7 @@ class FullSimulation:
         self._simulation.step()
 
     def tick(self, idle: Idle) -> None:
-        """Publish where links are, and run one barrier; set-points from participants act after it."""
+        """Publish where links are, and run one barrier; setpoints from participants act after it."""
         self._topics.publish()
         self._mavlink.hold_setpoints()
         self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)

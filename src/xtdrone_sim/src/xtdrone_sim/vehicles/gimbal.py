@@ -147,7 +147,7 @@ class Gimbals:
         self.any = bool(self._fitted)
 
     def step(self, steps: int, plant: NDArray[np.void], commanders: Sequence[Commander], dt: float) -> None:
-        """Advance by one step; now and then exchange set-points and attitudes with the autopilots.
+        """Advance by one step; now and then exchange setpoints and attitudes with the autopilots.
 
         Args:
             steps: number of this step.

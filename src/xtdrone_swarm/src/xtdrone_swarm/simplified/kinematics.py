@@ -23,11 +23,11 @@ VEHICLE = np.dtype(
         ("flown", "i8"),  # has left the ground since it was armed
         ("home", "f8", 3),  # m, where it was armed
         ("place", "f8", 3),  # m, to hold or to go to in the modes that do so
-        ("kind", "i8"),  # of the set-point, of vehicles.py
+        ("kind", "i8"),  # of the setpoint, of vehicles.py
         ("setpoint", "f8", 3),  # m, m/s or m/s^2
         ("sp_yaw", "f8"),  # rad; NaN: sp_yaw_rate counts
         ("sp_yaw_rate", "f8"),  # rad/s
-        ("hovering", "i8"),  # the set-point is a captured place, so that further zero velocities change nothing
+        ("hovering", "i8"),  # the setpoint is a captured place, so that further zero velocities change nothing
         ("wanted", "f8", 3),  # m/s or m/s^2: what the pilot asks for in this step
         ("wanted_kind", "i8"),  # VELOCITY or ACCELERATION
     ],
@@ -105,7 +105,7 @@ def wrap(angle):
 
 @kernel
 def turn(v, m, dt):
-    """Turn by the set-point's yaw rate, or towards its heading."""
+    """Turn by the setpoint's yaw rate, or towards its heading."""
     rate = v.sp_yaw_rate
     if not math.isnan(v.sp_yaw):
         rate = m.yaw_gain * wrap(v.sp_yaw - v.yaw)
@@ -180,7 +180,7 @@ def advance(vehicles, model, delayed, first, steps, dt, position, velocity, yaw)
 
 @kernel
 def capture(v):
-    """Make the present place the set-point: HOVER."""
+    """Make the present place the setpoint: HOVER."""
     v.kind = POSITION
     v.hovering = 1
     w, z = math.cos(0.5 * v.yaw), math.sin(0.5 * v.yaw)
@@ -192,7 +192,7 @@ def capture(v):
 
 @kernel
 def set_one(v, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
-    """Set one vehicle's set-point; a velocity or acceleration in the dead zone means HOVER.
+    """Set one vehicle's setpoint; a velocity or acceleration in the dead zone means HOVER.
 
     Args:
         v: ``VEHICLE`` record.
@@ -216,13 +216,13 @@ def set_one(v, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
 
 @kernel
 def set_at(vehicles, index, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
-    """Set the set-point of vehicle ``index``, see :func:`set_one`."""
+    """Set the setpoint of vehicle ``index``, see :func:`set_one`."""
     set_one(vehicles[index], kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate)
 
 
 @kernel
 def set_many(vehicles, kind, vectors, given, dead_zone, dead_yaw_rate):
-    """Set the set-points of the vehicles that are ``given``, see :func:`set_one`; return the first bad row, or -1."""
+    """Set the setpoints of the vehicles that are ``given``, see :func:`set_one`; return the first bad row, or -1."""
     for i in range(len(vehicles)):
         if not given[i]:
             continue

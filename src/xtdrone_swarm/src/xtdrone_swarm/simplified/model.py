@@ -5,7 +5,7 @@ the limits of speed, acts after a delay, and the velocity follows it with a lag 
 
     v' = (c(t - delay) - v) / time_constant,  |v'| <= acceleration
 
-horizontally as a vector and vertically for itself. A position set-point is a velocity set-point proportional to the
+horizontally as a vector and vertically for itself. A position setpoint is a velocity setpoint proportional to the
 distance, as in PX4's position controller. Both orders are computed exactly from base step to base step.
 """
 
@@ -58,7 +58,7 @@ class Model:
         acceleration_vertical: likewise, up and down.
         delay: s from a horizontal command to its effect, 0 to 10, taken to the nearest base step.
         delay_vertical: likewise.
-        position_gain: horizontal velocity per distance to a position set-point, 1/s, above 0.
+        position_gain: horizontal velocity per distance to a position setpoint, 1/s, above 0.
         position_gain_vertical: likewise.
         yaw_rate: largest, rad/s, above 0.
         yaw_gain: yaw rate per heading error, 1/s, above 0.

@@ -2,7 +2,7 @@
 
 One process stands for simulator, autopilots and MAVROS layer: /clock, the lockstep, /simulator/* and /gazebo/* as the
 full simulator has them (``xtdrone_sim.runtime.simulator_node``), and the topics and services of ``topics.py``. With
-communication nodes it takes their set-points, without them XTDrone's commands themselves.
+communication nodes it takes their setpoints, without them XTDrone's commands themselves.
 
 Parameters, besides those of every simulator (``simulator_node.NodeSettings``: ~speed, ~paused, ~until,
 ~participants, ~digest, ...):
@@ -14,7 +14,7 @@ Parameters, besides those of every simulator (``simulator_node.NodeSettings``: ~
     ~view: a live window (``visualize.py``, in a process of its own that ends with this one); by default where there is
         a display.
     ~hover_speed (m/s, 0.001), ~cmd_timeout (s, 0): of XTDrone's commands, see multirotor_communication.py.
-    ~setpoint_timeout (s, 1 as PX4's COM_OF_LOSS_T): a vehicle whose set-points stop goes from OFFBOARD to POSCTL, which
+    ~setpoint_timeout (s, 1 as PX4's COM_OF_LOSS_T): a vehicle whose setpoints stop goes from OFFBOARD to POSCTL, which
         holds; 0: it keeps the last one for ever.
 
 Nothing here is random. The node sets /xtdrone/fleet.
@@ -72,7 +72,7 @@ class Settings(NodeSettings):
         view: open a live window.
         hover_speed: of XTDrone's commands, m/s.
         cmd_timeout: likewise, s.
-        setpoint_timeout: s without a set-point after which OFFBOARD is left; 0: never.
+        setpoint_timeout: s without a setpoint after which OFFBOARD is left; 0: never.
     """
 
     kind: str
@@ -298,7 +298,7 @@ def main() -> int:
 
     def make() -> tuple[Settings, SimplifiedScene]:
         settings = Settings.from_parameters(kind, count)
-        # The dead zone is that of XTDrone's commands: whoever sends set-points has his own.
+        # The dead zone is that of XTDrone's commands: whoever sends setpoints has his own.
         vehicles = SimplifiedVehicles(
             count,
             kind=kind,

@@ -1,8 +1,8 @@
 """What a simplified vehicle's autopilot does: PX4's modes as far as a formation flight and a user's commands need them.
 
-OFFBOARD follows the set-point; AUTO.LOITER and POSCTL hold a place; AUTO.TAKEOFF climbs to 2.5 m above the place of
+OFFBOARD follows the setpoint; AUTO.LOITER and POSCTL hold a place; AUTO.TAKEOFF climbs to 2.5 m above the place of
 arming and goes over into AUTO.LOITER; AUTO.LAND sinks; AUTO.RTL climbs, flies home and lands. On the ground a vehicle
-is disarmed 3 s after a landing, and 10 s after arming when it has not taken off. A set-point holds until the
+is disarmed 3 s after a landing, and 10 s after arming when it has not taken off. A setpoint holds until the
 next; topics.py looks after streams that stop. Numbers in brackets are PX4's parameters.
 """
 

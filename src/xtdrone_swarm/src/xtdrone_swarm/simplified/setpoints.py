@@ -1,4 +1,4 @@
-"""From MAVROS's set-points to those of the simplified vehicles. Values are ENU or FLU, as MAVROS has them."""
+"""From MAVROS's setpoints to those of the simplified vehicles. Values are ENU or FLU, as MAVROS has them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _KINDS = (
 
 
 class SetpointError(ValueError):
-    """A set-point that the simplified vehicles cannot fly; the message says which part of it."""
+    """A setpoint that the simplified vehicles cannot fly; the message says which part of it."""
 
 
 class Wanted(NamedTuple):
@@ -51,7 +51,7 @@ class Wanted(NamedTuple):
 
 
 def wanted(setpoint: Setpoint, here: Vector, heading: float) -> Wanted:
-    """Return what a set-point asks of a vehicle.
+    """Return what a setpoint asks of a vehicle.
 
     LOCAL_NED is ENU. The vectors of BODY_NED and BODY_OFFSET_NED are FLU, turned by the heading; a position, and with
     it the yaw, of BODY_OFFSET_NED counts from the vehicle, and BODY_NED has none. A yaw goes before a yaw rate; without

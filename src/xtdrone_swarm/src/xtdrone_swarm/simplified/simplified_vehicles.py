@@ -24,7 +24,7 @@ _SUCCESSORS = {"AUTO.TAKEOFF": "AUTO.LOITER"}  # modes entered by themselves whe
 class SimplifiedVehicles:
     """Vehicles of first or second order, any number. See ``vehicles.Vehicles`` for the attributes.
 
-    What lies between commands and set-points in the ROS stack is here too, as ``MultirotorCore`` has it: HOVER and the
+    What lies between commands and setpoints in the ROS stack is here too, as ``MultirotorCore`` has it: HOVER and the
     dead zone, which freeze the place of that moment. The arrays are the same objects for ever; they change with time.
 
     Attributes:
@@ -168,24 +168,24 @@ class SimplifiedVehicles:
         if mode == pilot.OFFBOARD and vehicle.kind == HOLD:
             vehicle.setpoint[:] = vehicle.position
 
-    # set-points
+    # setpoints
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:
-        """Set the set-points of some vehicles; see ``Vehicles``. HOLD captures their present places.
+        """Set the setpoints of some vehicles; see ``Vehicles``. HOLD captures their present places.
 
         Raises:
             ValueError: an unknown kind, another size, or a vector that is not finite, whose vehicle is named.
         """
         if kind not in _KINDS:
-            raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
+            raise ValueError(f"kind of setpoint: {kind!r} is not allowed, one of {_KINDS}")
         if vectors.shape != self.position.shape or given.shape != self.yaw.shape:
             raise ValueError(
-                f"set-points: shapes {vectors.shape} and {given.shape} are not allowed, "
+                f"setpoints: shapes {vectors.shape} and {given.shape} are not allowed, "
                 f"{self.position.shape} and {self.yaw.shape}"
             )
         bad = set_many(self._vehicles, kind, vectors, given, self._dead_zone, HOVER_YAW_RATE)
         if bad >= 0:
-            raise ValueError(f"set-point of {self.names[bad]}: {vectors[bad].tolist()}, finite numbers are needed")
+            raise ValueError(f"setpoint of {self.names[bad]}: {vectors[bad].tolist()}, finite numbers are needed")
 
     def steer_one(
         self,
@@ -196,7 +196,7 @@ class SimplifiedVehicles:
         *,
         yaw: float = math.nan,
     ) -> None:
-        """Set one vehicle's set-point, ENU, with a yaw rate in rad/s, or a heading in rad if one is given.
+        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s, or a heading in rad if one is given.
 
         Raises:
             IndexError: there is no such vehicle.
@@ -205,11 +205,11 @@ class SimplifiedVehicles:
         if not 0 <= index < len(self.names):
             raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
         if kind not in _KINDS:
-            raise ValueError(f"kind of set-point: {kind!r} is not allowed, one of {_KINDS}")
+            raise ValueError(f"kind of setpoint: {kind!r} is not allowed, one of {_KINDS}")
         x, y, z = (float(value) for value in vector)
         if not all(map(math.isfinite, (x, y, z, yaw_rate))) or math.isinf(yaw):
             raise ValueError(
-                f"set-point of {self.names[index]}: {(x, y, z)}, yaw rate {yaw_rate}: finite numbers are needed"
+                f"setpoint of {self.names[index]}: {(x, y, z)}, yaw rate {yaw_rate}: finite numbers are needed"
             )
         set_at(self._vehicles, index, kind, x, y, z, float(yaw), float(yaw_rate), self._dead_zone, HOVER_YAW_RATE)
 

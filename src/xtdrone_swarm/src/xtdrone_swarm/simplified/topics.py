@@ -17,7 +17,7 @@ services
 /T/mavros/cmd/takeoff, cmd/land           CommandTOL                  AUTO.TAKEOFF, AUTO.LAND; the place is not used
 ========================================  ==========================  ================================================
 
-XTDrone's commands are carried out as long as no set-point has come over ``setpoint_raw/local`` for that vehicle: it has
+XTDrone's commands are carried out as long as no setpoint has come over ``setpoint_raw/local`` for that vehicle: it has
 no communication node then. Where they have come and stop, the vehicle leaves OFFBOARD for POSCTL, which holds, as PX4
 does (COM_OF_LOSS_T, COM_OBL_RC_ACT). What is sent in a tick acts from that tick's time on.
 """
@@ -75,7 +75,7 @@ class SteeredVehicles(Vehicles, Protocol):
         *,
         yaw: float = math.nan,
     ) -> None:
-        """Set one vehicle's set-point, ENU, with a yaw rate in rad/s, or a heading in rad if one is given."""
+        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s, or a heading in rad if one is given."""
 
 
 class VehicleTopics:
@@ -101,7 +101,7 @@ class VehicleTopics:
             seconds: returns the simulated time.
             hover_speed: see ``MultirotorCore``.
             cmd_timeout: see ``MultirotorCore``.
-            setpoint_timeout: s without a set-point after which OFFBOARD is left; 0: never.
+            setpoint_timeout: s without a setpoint after which OFFBOARD is left; 0: never.
 
         Raises:
             ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
@@ -148,9 +148,9 @@ class VehicleTopics:
     def restart(self) -> None:
         """Know of no input and nothing said: as at the start."""
         self._core.restart()
-        self._commanded = True  # by XTDrone's commands, not by set-points
-        self._target_at = -math.inf  # s, when the last set-point came
-        self._flown: Setpoint | None = None  # the set-point that the vehicle has from the core
+        self._commanded = True  # by XTDrone's commands, not by setpoints
+        self._target_at = -math.inf  # s, when the last setpoint came
+        self._flown: Setpoint | None = None  # the setpoint that the vehicle has from the core
         self._said: tuple[str, bool] | None = None
         self._looked = -1.0  # s, of simulated time
 
@@ -208,12 +208,12 @@ class VehicleTopics:
             return _ON_GROUND
         return {"AUTO.TAKEOFF": _TAKEOFF, "AUTO.LAND": _LANDING}.get(mode, _IN_AIR)
 
-    # set-points
+    # setpoints
 
     def _on_target(self, target: PositionTarget) -> None:
         if self._commanded:
             self._commanded = False
-            rospy.logdebug("simulator: %s is flown by set-points now", self.name)
+            rospy.logdebug("simulator: %s is flown by setpoints now", self.name)
         self._target_at = self._seconds()
         p, v, a = target.position, target.velocity, target.acceleration_or_force
         setpoint = Setpoint(
@@ -231,17 +231,17 @@ class VehicleTopics:
         try:
             kind, vector, yaw_rate, yaw = wanted(setpoint, self._here, self._heading)
         except SetpointError as error:
-            text = f"simulator: /{self.name}/mavros/setpoint_raw/local: {error}; the set-point is ignored"
+            text = f"simulator: /{self.name}/mavros/setpoint_raw/local: {error}; the setpoint is ignored"
             rospy.logwarn_throttle_identical(_WARNING_PERIOD, text)
             return
         self._vehicles.steer_one(self._index, kind, vector, yaw_rate, yaw=yaw)
 
     def _miss_targets(self) -> None:
-        """Leave OFFBOARD when set-points have stopped: a vehicle must not fly on for ever as the last one said."""
+        """Leave OFFBOARD when setpoints have stopped: a vehicle must not fly on for ever as the last one said."""
         silence = self._seconds() - self._target_at
         if not 0.0 < self._setpoint_timeout < silence or self._vehicles.mode[self._index] != "OFFBOARD":
             return
-        rospy.logwarn("simulator: %s: no set-point for %g s: POSCTL", self.name, self._setpoint_timeout)
+        rospy.logwarn("simulator: %s: no setpoint for %g s: POSCTL", self.name, self._setpoint_timeout)
         self._vehicles.command(self._index, "POSCTL")
 
     # XTDrone's commands
@@ -257,7 +257,7 @@ class VehicleTopics:
         return now
 
     def act(self) -> None:
-        """Carry out what XTDrone's commands ask for, or look after set-points; 30 Hz, after what came in a tick."""
+        """Carry out what XTDrone's commands ask for, or look after setpoints; 30 Hz, after what came in a tick."""
         if not self._commanded:
             self._miss_targets()
             return

@@ -1,6 +1,6 @@
 """Arming, flight modes, failsafes and home of one vehicle, as PX4 v1.14's commander.
 
-All times are simulated. ``update`` is called at about 10 Hz; commands and set-points act at once. What the operator is
+All times are simulated. ``update`` is called at about 10 Hz; commands and setpoints act at once. What the operator is
 told waits in ``texts`` and ``events`` until a link takes it.
 """
 
@@ -518,7 +518,7 @@ class Commander(FlightCommands):
     def offboard_trajectory(
         self, position: Vector, velocity: Vector, acceleration: Vector, yaw: float, yaw_rate: float
     ) -> None:
-        """Take a trajectory set-point of the OFFBOARD stream: local NED, NaN is not controlled.
+        """Take a trajectory setpoint of the OFFBOARD stream: local NED, NaN is not controlled.
 
         It feeds the stream's watchdog in every mode and is flown in OFFBOARD.
 
@@ -529,7 +529,7 @@ class Commander(FlightCommands):
         self._follow_offboard()
 
     def offboard_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
-        """Take an attitude set-point of the OFFBOARD stream.
+        """Take an attitude setpoint of the OFFBOARD stream.
 
         Raises:
             SetpointError: see ``OffboardInput.set_attitude``.
@@ -538,7 +538,7 @@ class Commander(FlightCommands):
         self._follow_offboard()
 
     def offboard_rates(self, rates: Sequence[float], thrust: float) -> None:
-        """Take a body-rate set-point of the OFFBOARD stream.
+        """Take a body-rate setpoint of the OFFBOARD stream.
 
         Raises:
             SetpointError: see ``OffboardInput.set_rates``.
@@ -548,7 +548,7 @@ class Commander(FlightCommands):
 
     @property
     def offboard_incomplete(self) -> bool:
-        """Whether the last set-point leaves an axis without control, and the vehicle stops and waits instead."""
+        """Whether the last setpoint leaves an axis without control, and the vehicle stops and waits instead."""
         return self._offboard.incomplete
 
     def _follow_offboard(self) -> None:

@@ -78,7 +78,7 @@ class Flags(NamedTuple):
         place_invalid: no horizontal estimate at all.
         home_missing: no home position.
         mission_missing: no mission that can be flown.
-        offboard_lost: no set-points that OFFBOARD could follow.
+        offboard_lost: no setpoints that OFFBOARD could follow.
         manual_lost: no pilot's sticks.
         gcs_lost: no ground station.
         geofence: a geofence is breached.
@@ -86,7 +86,7 @@ class Flags(NamedTuple):
         battery_unhealthy: no battery is seen.
         attitude_failure: roll or pitch beyond its limit for too long.
         motor_failure: a motor does not turn.
-        flight_time_exceeded: COM_FLT_TIME_MAX has passed since take-off.
+        flight_time_exceeded: COM_FLT_TIME_MAX has passed since takeoff.
     """
 
     attitude_invalid: bool = False

@@ -157,7 +157,7 @@ class Health:
     def _offboard_lost(self, limit: float, place_invalid: bool) -> bool:
         """Return whether OFFBOARD has nothing to follow.
 
-        A stream that has failed in flight counts again when two set-points have come in time, and not on the ground,
+        A stream that has failed in flight counts again when two setpoints have come in time, and not on the ground,
         where a failsafe has put the vehicle.
         """
         if not self._offboard.fresh(limit) or (self._offboard.needs_position and place_invalid):

@@ -1,4 +1,4 @@
-"""What comes from outside to steer by: the OFFBOARD set-point stream, and the shape of sticks."""
+"""What comes from outside to steer by: the OFFBOARD setpoint stream, and the shape of sticks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NEVER_US = -(1 << 60)
 
 
 class SetpointError(ValueError):
-    """A set-point that cannot be flown; it is not stored and does not count for the stream's watchdog."""
+    """A setpoint that cannot be flown; it is not stored and does not count for the stream's watchdog."""
 
 
 def _finite(value: float) -> float:
@@ -37,14 +37,14 @@ def _collective(thrust: float) -> float:
 
 
 class OffboardInput:
-    """The last set-point of the OFFBOARD stream and the watchdog over the stream.
+    """The last setpoint of the OFFBOARD stream and the watchdog over the stream.
 
     Attributes:
-        incomplete: the last set-point leaves an axis without control, and the vehicle stops and waits instead.
+        incomplete: the last setpoint leaves an axis without control, and the vehicle stops and waits instead.
     """
 
     def __init__(self, view: VehicleView) -> None:
-        """Start without a set-point."""
+        """Start without a setpoint."""
         self._view = view
         self._last_us = _NEVER_US
         self._previous_us = _NEVER_US
@@ -54,15 +54,15 @@ class OffboardInput:
 
     @property
     def needs_position(self) -> bool:
-        """Whether the last set-point is flown by the horizontal estimate."""
+        """Whether the last setpoint is flown by the horizontal estimate."""
         return self._task == TASK_TRAJECTORY
 
     def fresh(self, limit: float) -> bool:
-        """Return whether a set-point came within the last ``limit`` seconds."""
+        """Return whether a setpoint came within the last ``limit`` seconds."""
         return self._view.time_us - self._last_us <= limit * 1e6
 
     def steady(self, limit: float) -> bool:
-        """Return whether the last two set-points came within ``limit`` seconds of each other, and of now."""
+        """Return whether the last two setpoints came within ``limit`` seconds of each other, and of now."""
         return self.fresh(limit) and self._last_us - self._previous_us <= limit * 1e6
 
     def set_trajectory(
@@ -73,7 +73,7 @@ class OffboardInput:
         yaw: float,
         yaw_rate: float,
     ) -> None:
-        """Store a trajectory set-point; what is not finite is not controlled.
+        """Store a trajectory setpoint; what is not finite is not controlled.
 
         One that cannot be flown, since an axis is left without control, lets the vehicle stop and wait, as in PX4.
 
@@ -106,7 +106,7 @@ class OffboardInput:
         self.incomplete = incomplete
 
     def set_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
-        """Store an attitude set-point.
+        """Store an attitude setpoint.
 
         Args:
             attitude: quaternion (w, x, y, z), body to local; it is normalised.
@@ -123,7 +123,7 @@ class OffboardInput:
         self._store(TASK_ATTITUDE, attitude_q=[c / norm for c in attitude], rates=rates, thrust=_collective(thrust))
 
     def set_rates(self, rates: Sequence[float], thrust: float) -> None:
-        """Store a set-point of body rates (rad/s, FRD; what is not finite is not controlled) and collective thrust.
+        """Store a setpoint of body rates (rad/s, FRD; what is not finite is not controlled) and collective thrust.
 
         Thrust is cut to 0..1, and none when it is not finite.
         """
@@ -137,7 +137,7 @@ class OffboardInput:
         self._last_us = self._view.time_us
 
     def write(self) -> None:
-        """Let the cascade follow the last set-point."""
+        """Let the cascade follow the last setpoint."""
         fields = self._view.setpoint_fields
         for name, value in self._fields.items():
             fields[name][:] = value

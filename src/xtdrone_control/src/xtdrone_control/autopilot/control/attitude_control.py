@@ -1,4 +1,4 @@
-"""Attitude control of one vehicle: attitude set-point to body rate set-points.
+"""Attitude control of one vehicle: attitude setpoint to body rate setpoints.
 
 D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich 2013, with the yaw weight
 of PX4's mc_att_control: tilt is corrected first, heading with less authority.

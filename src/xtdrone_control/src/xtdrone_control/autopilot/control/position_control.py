@@ -1,4 +1,4 @@
-"""Position and velocity control of one vehicle: set-points in the local frame to a thrust vector and an attitude.
+"""Position and velocity control of one vehicle: setpoints in the local frame to a thrust vector and an attitude.
 
 The cascade of PX4 v1.14's mc_pos_control/PositionControl: P on position, PID on velocity to a wanted acceleration,
 acceleration to a thrust vector under tilt and thrust limits, thrust vector and yaw to an attitude.
@@ -33,7 +33,7 @@ def _limit_horizontal(first_x, first_y, second_x, second_y, limit):
 
 @kernel
 def start_loops(c):
-    """Take over the task's set-point; the loops turn it into what is told as set-point and into thrust."""
+    """Take over the task's setpoint; the loops turn it into what is told as setpoint and into thrust."""
     for i in range(3):
         c.sp_position[i] = c.task_position[i]
         c.sp_velocity[i] = c.task_velocity[i]
@@ -65,7 +65,7 @@ def position_loop(c, e, p, speed_up, speed_down):
     if not math.isnan(fz):
         vz = fz if math.isnan(vz) else fz + vz
     if not math.isnan(vz):
-        # at the start of a take-off the upper limit lies below the lower one, and holds
+        # at the start of a takeoff the upper limit lies below the lower one, and holds
         c.sp_velocity[2] = -speed_up if vz < -speed_up else min(vz, max(speed_down, -speed_up))
 
 

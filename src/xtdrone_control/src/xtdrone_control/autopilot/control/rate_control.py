@@ -1,4 +1,4 @@
-"""Rate control of one vehicle: body rate set-points to normalised torques (PX4 lib/rate_control)."""
+"""Rate control of one vehicle: body rate setpoints to normalised torques (PX4 lib/rate_control)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Take-off of one vehicle: spool-up, ramp of the upward speed limit, flight (PX4 mc_pos_control/Takeoff)."""
+"""Takeoff of one vehicle: spool-up, ramp of the upward speed limit, flight (PX4 mc_pos_control/Takeoff)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def update_takeoff(c, armed, p, wants, skip):
         c: ``CONTROL`` record.
         armed: whether motors run.
         p: ``PARAMS`` record.
-        wants: the set-point asks the vehicle to leave the ground.
+        wants: the setpoint asks the vehicle to leave the ground.
         skip: nothing controls the climb rate, so nothing is ramped up: the pilot's thrust lifts the vehicle.
     """
     if not armed:

@@ -21,7 +21,7 @@ MODES = {
     modes.ACRO: ("acro", "acro"),
     modes.OFFBOARD: ("offboard", "offboard"),
     modes.STABILIZED: ("stab", "stabilized"),
-    modes.AUTO_TAKEOFF: ("takeoff", "take-off"),
+    modes.AUTO_TAKEOFF: ("takeoff", "takeoff"),
     modes.AUTO_LAND: ("land", "land"),
     modes.AUTO_FOLLOW_TARGET: ("follow_target", "follow me"),
     modes.AUTO_PRECLAND: ("precland", "precision landing"),

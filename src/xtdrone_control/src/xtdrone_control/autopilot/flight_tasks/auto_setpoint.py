@@ -57,7 +57,7 @@ class Course:
         home: None until the first valid position.
         goal: m, local NED.
         landing: the vehicle is on its way to the ground.
-        taking_off: it climbs to where a take-off ends.
+        taking_off: it climbs to where a takeoff ends.
     """
 
     def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:

@@ -1,7 +1,7 @@
 """Keeps the smoothed path where the vehicle is when the estimator resets its state, as PX4's flight tasks do.
 
 What the vehicle holds or follows by itself (``CONTROL.smooth_*``) jumps with the estimate, so that nothing is to be
-caught up with. Goals and OFFBOARD set-points stay as they were given: they are places, and the vehicle flies there on
+caught up with. Goals and OFFBOARD setpoints stay as they were given: they are places, and the vehicle flies there on
 its smoothed path.
 """
 

@@ -1,4 +1,4 @@
-"""From what the flight mode wants (``SETPOINT``) to the trajectory set-points that the position controller follows.
+"""From what the flight mode wants (``SETPOINT``) to the trajectory setpoints that the position controller follows.
 
 One function a task, after PX4 v1.14's flight tasks: OFFBOARD trajectories pass as they are, goals are approached on a
 jerk-limited path along the leg between two places, landing follows PX4's speed profile, sticks command accelerations,
@@ -33,8 +33,8 @@ from xtdrone_control.rotation import constrain, wrap_pi, yaw_of
 _NAN = math.nan
 _NO_LEG, _BEHIND, _AHEAD, _OFF = 0, 1, 2, 3  # leg_state: on the way, goal is behind, start is ahead, off the leg
 _LEAD = 5.0  # m, least distance ahead on the leg to which a turn is steered (L1 guidance)
-_WAIT_SPEED = 0.7  # m/s downwards, from which the smoothing of the height starts at take-off, as in PX4
-_TAKEOFF_CLIMB = 0.3  # m/s of wanted climb that begins a take-off
+_WAIT_SPEED = 0.7  # m/s downwards, from which the smoothing of the height starts at takeoff, as in PX4
+_TAKEOFF_CLIMB = 0.3  # m/s of wanted climb that begins a takeoff
 _TAKEOFF_STICK = 0.3  # of the throttle stick, likewise
 _YAW_TAU = 0.2  # s, filter of the yaw rate that belongs to a moving heading
 _BRAKE_TAU = 0.8  # s, in which braking by a centred stick grows
@@ -49,7 +49,7 @@ def _or_default(value, default):
 
 @kernel
 def clear_task(c):
-    """Mark every axis of the trajectory set-point as not controlled."""
+    """Mark every axis of the trajectory setpoint as not controlled."""
     for i in range(3):
         c.task_position[i] = _NAN
         c.task_velocity[i] = _NAN
@@ -254,7 +254,7 @@ def _wanted_horizontal(c, p, radius, cruise):
 
 @kernel
 def _vertical_limits(c, s, e, p):
-    """Return the largest speed and acceleration of the height's path, m/s and m/s^2; a take-off begins slowly."""
+    """Return the largest speed and acceleration of the height's path, m/s and m/s^2; a takeoff begins slowly."""
     if c.unsmoothed_climb >= 0.0:
         return _or_default(s.descend_speed, p.mpc_z_v_auto_dn), p.mpc_acc_down_max
     speed, accel = _or_default(s.climb_speed, p.mpc_z_v_auto_up), p.mpc_acc_up_max
@@ -289,7 +289,7 @@ def _lag_stretch(c, e, p):
 
 @kernel
 def _smooth(c, s, e, p, wanted, dt):
-    """Move the smoothed path on, plan it towards ``wanted`` (tuple, m/s) and make it the set-point."""
+    """Move the smoothed path on, plan it towards ``wanted`` (tuple, m/s) and make it the setpoint."""
     speed_z, accel_z = _vertical_limits(c, s, e, p)
     accel_xy, jerk = p.mpc_acc_hor, p.mpc_jerk_auto
     c.speed_down = max(p.mpc_z_vel_max_dn, 1.2 * p.mpc_z_v_auto_dn)  # room for corrections of the height
@@ -328,7 +328,7 @@ def _goal_radius(s, p):
 
 @kernel
 def _wait_on_ground(c, e):
-    """Before the take-off ramps up the path stays at the vehicle."""
+    """Before the takeoff ramps up the path stays at the vehicle."""
     for i in range(3):
         _start_smoothing(c, i, e.position[i], _WAIT_SPEED if i == 2 else 0.0, 0.0)
 
@@ -628,7 +628,7 @@ def _begin_task(c, s, e):
 
 @kernel
 def generate_setpoint(c, s, e, p, dt):
-    """Fill the trajectory set-point of ``c`` for the present task, ``dt`` s after the last call."""
+    """Fill the trajectory setpoint of ``c`` for the present task, ``dt`` s after the last call."""
     if s.task_changed and c.last_task != s.task:
         if not (_auto(c.last_task) and _auto(s.task)):
             _begin_task(c, s, e)

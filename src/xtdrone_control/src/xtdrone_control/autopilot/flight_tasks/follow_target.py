@@ -1,7 +1,7 @@
 """The AUTO.FOLLOW_TARGET mode: a target that reports where it is (MAVLink FOLLOW_TARGET) is followed.
 
 The estimate of the target's motion is PX4 v1.14's TargetEstimator, a filter with fixed gains (alpha, beta, gamma) over
-reported positions and velocities. ``follow_task`` makes the set-point of it.
+reported positions and velocities. ``follow_task`` makes the setpoint of it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The set-point of a vehicle that follows a target (PX4 v1.14's FlightTaskAutoFollowTarget), for ``flight_tasks``.
+"""The setpoint of a vehicle that follows a target (PX4 v1.14's FlightTaskAutoFollowTarget), for ``flight_tasks``.
 
 ``SETPOINT.target_*`` has the estimate of the target's motion, see ``follow_target``. It goes through a second-order
 filter; the vehicle's place is FLW_TGT_DST from the filtered target, at the angle FLW_TGT_FA clockwise from its course,
@@ -23,7 +23,7 @@ _HEIGHT_WINDOW = 3.0  # m from the wanted height, within which the vehicle moves
 _LEAST_HEIGHT = 1.0  # m over the ground, below which it only climbs
 _ASCENT = 0.5  # m/s, at which it does
 _FACING_DISTANCE = 1.0  # m from the target, from which the vehicle turns to it
-_TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s of wanted climb that begin a take-off
+_TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s of wanted climb that begin a takeoff
 OVER_GROUND, OVER_TARGET = 1, 2  # FLW_TGT_ALT_M
 
 # the angle round the target as the one axis of a smoothed path, as ``trajectory`` wants it
@@ -103,7 +103,7 @@ def _wanted_height(c, s, e, p):
 
 @kernel
 def _go_beside(c, e, distance):
-    """Fill the horizontal set-point: the place on the circle round the target, and how it moves."""
+    """Fill the horizontal setpoint: the place on the circle round the target, and how it moves."""
     x, y = math.cos(c.angle_position[0]), math.sin(c.angle_position[0])
     along, faster = c.angle_velocity[0] * distance, c.angle_acceleration[0] * distance
     inwards = along * along / distance
@@ -139,7 +139,7 @@ def follow_task(c, s, e, p, dt):
     """Keep distance, height and angle to the target and face it; stop while no target is known.
 
     Away from the wanted height the vehicle stops horizontally and climbs or sinks first. (PX4 does not let it stop but
-    leaves the last velocity in the set-point.)
+    leaves the last velocity in the setpoint.)
     """
     if math.isnan(s.target_position[0]):
         for i in range(3):

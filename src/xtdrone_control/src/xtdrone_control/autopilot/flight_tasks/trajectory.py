@@ -1,4 +1,4 @@
-"""Jerk-limited smoothing of a velocity set-point, and the speeds from which a stop or a turn is still possible.
+"""Jerk-limited smoothing of a velocity setpoint, and the speeds from which a stop or a turn is still possible.
 
 The profile of PX4's motion_planning library: in each axis the acceleration rises, stays and falls again, so that the
 wanted velocity is reached in the least time under limits of acceleration and jerk; axes that would be faster wait for

@@ -1,4 +1,4 @@
-"""The topics of one vehicle that are published at changes: status, modes, home, set-points of the AUTO modes."""
+"""The topics of one vehicle that are published at changes: status, modes, home, setpoints of the AUTO modes."""
 
 from __future__ import annotations
 
@@ -264,7 +264,7 @@ class StatusTopics:
         r["update_count"] = self._home_count
         self._emit("home_position", now_us)
 
-    # set-points of the AUTO modes
+    # setpoints of the AUTO modes
 
     def _present_goal(self) -> tuple[Any, ...]:
         c = self._commander

@@ -48,7 +48,7 @@ _FLOWN = plan.POSITION_COMMANDS | {
 }
 _VTOL = (plan.VTOL_TAKEOFF, plan.VTOL_LAND, plan.VTOL_TRANSITION)
 _TAKEOFFS = (plan.TAKEOFF, plan.VTOL_TAKEOFF)
-# items before a take-off that do not make it late: all that are flown but those with a place, and the odd ones out
+# items before a takeoff that do not make it late: all that are flown but those with a place, and the odd ones out
 _BEFORE_TAKEOFF = _FLOWN - plan.POSITION_COMMANDS - {plan.RETURN, plan.CONDITION_GATE, plan.SET_ACTUATOR}
 _EPSILON = 1e-6
 _LEAST_GATE_DISTANCE = 0.05  # m

@@ -29,7 +29,7 @@ _LARGEST_ID = 255
 
 
 class GimbalManager:
-    """The set-point of one vehicle's gimbal.
+    """The setpoint of one vehicle's gimbal.
 
     Attributes:
         primary, secondary: who may steer it by the protocol's second version. Missions and DO_MOUNT_CONTROL, which
@@ -49,7 +49,7 @@ class GimbalManager:
 
     @property
     def angles(self) -> Vector:
-        """The set-point as it is now; NaN while nothing has been told."""
+        """The setpoint as it is now; NaN while nothing has been told."""
         if self._place is not None:
             return self._towards(self._place)
         roll, pitch, yaw = self._turned()
@@ -74,7 +74,7 @@ class GimbalManager:
     # what it is told
 
     def look(self, angles: Vector, flags: int = 0, rates: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Take a set-point.
+        """Take a setpoint.
 
         Args:
             angles: roll, pitch, yaw, rad; yaw from north with YAW_LOCK. Not finite: as it is now.

@@ -36,7 +36,7 @@ class Navigator:
     """The AUTO modes of one vehicle.
 
     Attributes:
-        takeoff_altitude: m AMSL that a take-off was asked for; NaN for MIS_TAKEOFF_ALT over home.
+        takeoff_altitude: m AMSL that a takeoff was asked for; NaN for MIS_TAKEOFF_ALT over home.
         takeoff_yaw: rad, NaN keeps the heading.
         mission: what flies the mission.
         payload: camera, gimbal and actuators that a mission commands.
@@ -89,7 +89,7 @@ class Navigator:
 
     @property
     def taking_off(self) -> bool:
-        """Whether the vehicle climbs to where a take-off ends."""
+        """Whether the vehicle climbs to where a takeoff ends."""
         return self._course.taking_off
 
     @property
@@ -139,7 +139,7 @@ class Navigator:
         """Go on to the mode's next phase when the present one is done; call at 10 Hz.
 
         Returns:
-            The mode to go on with, when the present one has come to its end: a take-off that has reached its height
+            The mode to go on with, when the present one has come to its end: a takeoff that has reached its height
             goes on in AUTO.LOITER, as does a mission that is done.
         """
         self.payload.update()

@@ -37,7 +37,7 @@ class Shot:
 
 
 class Payload:
-    """Camera trigger, gimbal set-point and actuators of one vehicle.
+    """Camera trigger, gimbal setpoint and actuators of one vehicle.
 
     Attributes:
         gimbal_manager: where the gimbal is told to look, and who may say so.
@@ -69,7 +69,7 @@ class Payload:
 
     @property
     def gimbal(self) -> Vector:
-        """Roll, pitch, yaw set-point of now, rad; pitch positive up, yaw from the heading. NaN: not controlled."""
+        """Roll, pitch, yaw setpoint of now, rad; pitch positive up, yaw from the heading. NaN: not controlled."""
         return self.gimbal_manager.angles
 
     def obey(self, command: int, params: Sequence[float]) -> bool:

@@ -17,7 +17,7 @@ _DEVICES = (0, GIMBAL_DEVICE)  # 0: all
 
 
 class GimbalService(Service):
-    """Takes set-points of whoever has primary control, and tells what the gimbal is."""
+    """Takes setpoints of whoever has primary control, and tells what the gimbal is."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "GIMBAL_MANAGER_SET_ATTITUDE": "_set_attitude",
@@ -31,7 +31,7 @@ class GimbalService(Service):
         vehicle.on_request[mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION] = self._tell_device
 
     def _manager(self, link: Link, m: Any) -> GimbalManager | None:
-        """Return the gimbal's manager if a set-point of this sender counts."""
+        """Return the gimbal's manager if a setpoint of this sender counts."""
         manager = self._payload.gimbal_manager
         if self._payload.gimbal_attitude is None or m.gimbal_device_id not in _DEVICES:
             return None

@@ -14,7 +14,7 @@ _UNUSED = 0x7FFF  # INT16_MAX: no such axis
 
 
 class ManualService(Service):
-    """Hands sticks and radio channels to the commander, in the turn of set-points."""
+    """Hands sticks and radio channels to the commander, in the turn of setpoints."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "MANUAL_CONTROL": "_manual_control",

@@ -1,4 +1,4 @@
-"""Set-point messages of OFFBOARD."""
+"""Setpoint messages of OFFBOARD."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TEXT_INTERVAL_US = 1_000_000
 
 
 class SetpointService(Service):
-    """Hands set-points to the commander."""
+    """Hands setpoints to the commander."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "SET_POSITION_TARGET_LOCAL_NED": "_local_target",
@@ -50,12 +50,12 @@ class SetpointService(Service):
         try:
             take(self.vehicle.commander, m)
             if self.vehicle.commander.offboard_incomplete:
-                text = "set-point cannot be flown: an axis has no finite value, the vehicle stops and waits"
-                link.warn("set-point that cannot be flown", text, self.vehicle.now_us)
+                text = "setpoint cannot be flown: an axis has no finite value, the vehicle stops and waits"
+                link.warn("setpoint that cannot be flown", text, self.vehicle.now_us)
         except SetpointError as error:
             if isinstance(error, setpoints.RefusedSetpointError):
                 self._tell(str(error))
-            link.warn("set-point", f"set-point rejected: {error}", self.vehicle.now_us)
+            link.warn("setpoint", f"setpoint rejected: {error}", self.vehicle.now_us)
 
     def _tell(self, text: str) -> None:
         """Tell the operator, at most once a second."""

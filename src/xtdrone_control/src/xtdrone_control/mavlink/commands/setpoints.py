@@ -1,8 +1,8 @@
-"""From MAVLink's set-point messages to the commander's set-points, as PX4 v1.14's ``mavlink_receiver.cpp`` has it.
+"""From MAVLink's setpoint messages to the commander's setpoints, as PX4 v1.14's ``mavlink_receiver.cpp`` has it.
 
-A field that its message's mask ignores, and one that is NaN, is not controlled. Every set-point that says something
+A field that its message's mask ignores, and one that is NaN, is not controlled. Every setpoint that says something
 keeps OFFBOARD alive, also one that cannot be flown; what PX4 refuses does not. A force, which it does not
-fly, it refuses; those above (take-off, land, loiter, idle) it does not look at, nor do we.
+fly, it refuses; those above (takeoff, land, loiter, idle) it does not look at, nor do we.
 
 Taken beyond PX4: BODY_OFFSET_NED, in which XTDrone's ``cmd_pose_flu`` asks for an offset from the vehicle; PX4 v1.14
 takes LOCAL_NED and BODY_NED alone. SET_ACTUATOR_CONTROL_TARGET is not taken: PX4 refuses it in lockstep with a
@@ -34,7 +34,7 @@ _GLOBAL, _RELATIVE, _TERRAIN = 5, 6, 11
 
 
 class RefusedSetpointError(SetpointError):
-    """A set-point that PX4 refuses aloud; its text goes to the operator."""
+    """A setpoint that PX4 refuses aloud; its text goes to the operator."""
 
 
 def _used(mask: int, bit: int, value: float) -> float:

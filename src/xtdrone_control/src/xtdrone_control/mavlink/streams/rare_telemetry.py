@@ -315,7 +315,7 @@ class Reports(Telemetry):
         return round(lat * 1e7), round(lon * 1e7), float(e["origin_alt"]) - position[2]
 
     def position_target_global_int(self) -> Values | None:
-        """The place that an automatic mode flies to, with the set-points on the way there."""
+        """The place that an automatic mode flies to, with the setpoints on the way there."""
         goal = self._goal()
         if goal is None:
             return None
@@ -406,7 +406,7 @@ class Reports(Telemetry):
         )
 
     def open_drone_id_system(self) -> Values | None:
-        """Remote identification: the take-off place stands for the operator's."""
+        """Remote identification: the takeoff place stands for the operator's."""
         home = self._commander.home
         if home is None or self.sensors["gps_fix"] < 3:
             return None

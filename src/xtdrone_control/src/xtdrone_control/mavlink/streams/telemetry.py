@@ -399,7 +399,7 @@ class Telemetry:
         return (self.time_ms, *c["sp_q"].tolist(), *c["sp_rates"].tolist(), float(c["sp_thrust"]), 0)
 
     def position_target_local_ned(self) -> Values:
-        """Trajectory set-point that the position controller follows; what is not controlled is masked and NaN."""
+        """Trajectory setpoint that the position controller follows; what is not controlled is masked and NaN."""
         c = self._control
         values = [*c["sp_position"].tolist(), *c["sp_velocity"].tolist(), *c["sp_acceleration"].tolist()]
         turn = [float(c["sp_yaw"]), float(c["sp_yaw_rate"])]

@@ -1,4 +1,4 @@
-"""The ``mav_frame`` setting of set-point plugins."""
+"""The ``mav_frame`` setting of setpoint plugins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MAVLink's set-point messages from ENU and FLU, shared by the set-point plugins."""
+"""MAVLink's setpoint messages from ENU and FLU, shared by the setpoint plugins."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xtdrone_control.mavros.uas import Uas
 # Frames whose vectors ROS gives in FLU and MAVLink takes in FRD; all others are ENU and NED.
 BODY_FRAMES = frozenset({mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED})
 
-# type_mask of MAVROS's set-point plugins: what is ignored
+# type_mask of MAVROS's setpoint plugins: what is ignored
 ONLY_POSITION_YAW = 1 << 11 | 7 << 6 | 7 << 3
 ONLY_VELOCITY_YAW_RATE = 1 << 10 | 7 << 6 | 7 << 0
 ONLY_ACCELERATION = 3 << 10 | 7 << 3 | 7 << 0
@@ -38,7 +38,7 @@ def position_target(
     yaw: float = 0.0,
     yaw_rate: float = 0.0,
 ) -> Any:
-    """Return the MAVLink set-point, converted as MAVROS does.
+    """Return the MAVLink setpoint, converted as MAVROS does.
 
     Args:
         uas: whose autopilot it is for.

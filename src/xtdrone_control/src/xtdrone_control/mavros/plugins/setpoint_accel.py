@@ -1,4 +1,4 @@
-"""Acceleration set-points as vectors."""
+"""Acceleration setpoints as vectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Attitude or body-rate set-points with a thrust from another topic."""
+"""Attitude or body-rate setpoints with a thrust from another topic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Position set-points as poses, local and on Earth."""
+"""Position setpoints as poses, local and on Earth."""
 
 from __future__ import annotations
 

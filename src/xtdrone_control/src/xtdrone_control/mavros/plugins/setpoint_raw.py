@@ -1,4 +1,4 @@
-"""Set-points with MAVLink's own masks and frames, and the autopilot's current targets."""
+"""Setpoints with MAVLink's own masks and frames, and the autopilot's current targets."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class SetpointRawPlugin(Plugin):
         """Return whether a target's frame is allowed and what it does not mask out is finite; otherwise warn."""
         if target.coordinate_frame in allowed:
             return self.uas.finite(topic, _used_fields(target, place))
-        text = "%s: coordinate_frame %d is not allowed, %s are; the set-point is not forwarded"
+        text = "%s: coordinate_frame %d is not allowed, %s are; the setpoint is not forwarded"
         self.uas.warn(topic, text, topic, target.coordinate_frame, allowed)
         return False
 

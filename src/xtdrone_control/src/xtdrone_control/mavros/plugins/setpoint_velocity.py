@@ -1,4 +1,4 @@
-"""Velocity set-points as twists."""
+"""Velocity setpoints as twists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mavcmd``: send the vehicle a command: any, home, take-off, landing, camera trigger."""
+"""``mavcmd``: send the vehicle a command: any, home, takeoff, landing, camera trigger."""
 
 from __future__ import annotations
 
