@@ -585,9 +585,12 @@ def test_arming_again_in_the_air_saves_a_vehicle(stack: Stack, flying: list[tupl
 def test_a_setpoint_stream_that_stops_ends_in_a_soft_landing(
     stack: Stack, flying: list[tuple[float, float, float]]
 ) -> None:
+    states = stack.graph.hear("/iris_1/mavros/state", State)
+    count = len(states.messages)
     stack.programs["communication_1"].kill()
     stack.log_has("simulator", "communication_1")
-    stack.wait_state(1, mode="POSCTL")
+    # The failsafe's mode may last less than half a wall second, so every message counts and not only the latest.
+    stack.wait(lambda: any(state.mode == "POSCTL" for state in states.since(count)), "iris_1 was in POSCTL", sim=INF)
     stack.log_has("mavros", "iris_1: FCU: Failsafe activated", "Failsafe: position control: No offboard signal")
     stack.wait_landed(1)
     assert stack.settled(1, (flying[1][0], flying[1][1], 0.1), 1.0)
