@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 from conftest import REPOSITORY
 
 DOCUMENTS = sorted(
@@ -73,3 +75,14 @@ def test_documents_name_commands_and_launch_files_that_there_are() -> None:
         if not (REPOSITORY / name).is_file()
     ]
     assert wrong == []
+
+
+def test_the_site_lists_every_page() -> None:
+    def files(entry: Any) -> list[str]:
+        if isinstance(entry, str):
+            return [entry]
+        return [name for value in (entry.values() if isinstance(entry, dict) else entry) for name in files(value)]
+
+    configuration = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text())
+    pages = {str(page.relative_to(REPOSITORY / "docs")) for page in (REPOSITORY / "docs").rglob("*.md")}
+    assert set(files(configuration["nav"])) == pages
