@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_control import rotation
+from xtdrone_control import rotation_kernels as rotation
 from xtdrone_control.autopilot.control import attitude_control, control_allocator, position_control
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import CONTROL, ESTIMATOR, MAX_ROTORS

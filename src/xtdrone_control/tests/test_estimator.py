@@ -11,7 +11,7 @@ from xtdrone_control.autopilot.estimator import ekf
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import ESTIMATOR, N_STATES, SENSORS
 from xtdrone_control.geodesy import geo
-from xtdrone_control.rotation import from_euler, integrate, rotate_inverse
+from xtdrone_control.rotation_kernels import from_euler, integrate, rotate_inverse
 
 DT = 0.004
 DATUM = (47.397742, 8.545594, 488.0)

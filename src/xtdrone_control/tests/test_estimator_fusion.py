@@ -10,7 +10,7 @@ import pytest
 from xtdrone_control.autopilot.estimator import fusion as fusion
 from xtdrone_control.autopilot.parameters.parameters import PARAMS, Parameters
 from xtdrone_control.autopilot.state import ESTIMATOR, N_STATES, SENSORS
-from xtdrone_control.rotation import from_euler, integrate, rotate, rotate_inverse
+from xtdrone_control.rotation_kernels import from_euler, integrate, rotate, rotate_inverse
 
 ATTITUDES = [(0.0, 0.0, 0.0), (0.3, -0.2, 1.1), (-0.6, 0.4, -2.5), (0.1, 1.0, 3.0)]
 STEP = 1e-6

@@ -14,7 +14,7 @@ import pytest
 
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.rotation import rotate, yaw_of
+from xtdrone_control.rotation_kernels import rotate, yaw_of
 from xtdrone_sim.simulation import Simulation
 
 UNSET = (math.nan, math.nan, math.nan)

@@ -10,7 +10,7 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_control.rotation import rotate
+from xtdrone_control.rotation_kernels import rotate
 from xtdrone_sim.simulation import Simulation
 
 SAMPLE_US = 20_000

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from . import frames
+from xtdrone_control import frames, rotation
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -43,29 +43,17 @@ def camera_link_pose(position: Vector, attitude: Quaternion, mount: Quaternion, 
     heading = frames.quaternion_from_rpy(0.0, 0.0, frames.yaw_from_quaternion(body))
     x, y, z, w = mount
     place = (position[0] + shift[0], position[1] + shift[1], position[2] + shift[2])
-    return CameraPose(place, _to_xyzw(_product(heading, (w, x, -y, -z))))
+    return CameraPose(place, _to_xyzw(rotation.multiply(heading, (w, x, -y, -z))))
 
 
 def optical_pose(link: CameraPose) -> CameraPose:
     """Return the pose of the optical frame (x right, y down, z ahead) of a camera's link."""
-    return CameraPose(link.position, _to_xyzw(_product(_to_wxyz(link.orientation), _LINK_FROM_OPTICAL)))
+    return CameraPose(link.position, _to_xyzw(rotation.multiply(_to_wxyz(link.orientation), _LINK_FROM_OPTICAL)))
 
 
 def mount_orientation(roll: float, pitch: float, yaw: float) -> Quaternion:
     """Return the gimbal's orientation of its angles, rad; pitch negative looks down, yaw from the heading."""
     return _to_xyzw(frames.quaternion_from_rpy(roll, pitch, yaw))
-
-
-def _product(a: frames.Quaternion, b: frames.Quaternion) -> frames.Quaternion:
-    """Return the turn b, then a; both (w, x, y, z)."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
 
 
 def _to_wxyz(q: Quaternion) -> frames.Quaternion:

@@ -11,10 +11,10 @@ Nothing here uses numpy: on three floats plain Python is ten times faster.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import asin, atan2, copysign, cos, degrees, fmod, hypot, pi, radians, sin, sqrt
+from math import atan2, cos, degrees, fmod, hypot, pi, radians, sin, sqrt
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+from xtdrone_control import rotation
+from xtdrone_control.rotation import Quaternion, Vector
 
 _HALF_SQRT = sqrt(0.5)
 _WGS84_A = 6378137.0  # m, equatorial radius
@@ -102,49 +102,17 @@ def attitude_enu_to_ned(w: float, x: float, y: float, z: float) -> Quaternion:
 
 def rotate(q: Quaternion, v: Vector) -> Vector:
     """Return the body vector ``v`` in the local frame, for the unit attitude ``q``."""
-    w, x, y, z = q
-    vx, vy, vz = v
-    tx = 2.0 * (y * vz - z * vy)
-    ty = 2.0 * (z * vx - x * vz)
-    tz = 2.0 * (x * vy - y * vx)
-    return (
-        vx + w * tx + y * tz - z * ty,
-        vy + w * ty + z * tx - x * tz,
-        vz + w * tz + x * ty - y * tx,
-    )
+    return rotation.rotate(q, *v)
 
 
 def rotate_inverse(q: Quaternion, v: Vector) -> Vector:
     """Return the local vector ``v`` in the body frame, for the unit attitude ``q``."""
-    return rotate((q[0], -q[1], -q[2], -q[3]), v)
+    return rotation.rotate_inverse(q, *v)
 
 
-def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Return the attitude of the angles roll, pitch, yaw, turned in the order yaw, pitch, roll about body axes."""
-    cr, sr = cos(0.5 * roll), sin(0.5 * roll)
-    cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
-    cy, sy = cos(0.5 * yaw), sin(0.5 * yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
-def rpy_from_quaternion(q: Quaternion) -> Vector:
-    """Return roll, pitch, yaw of a unit attitude; pitch in [-pi/2, pi/2], the others in [-pi, pi]."""
-    w, x, y, z = q
-    sin_pitch = 2.0 * (w * y - z * x)
-    pitch = asin(sin_pitch) if abs(sin_pitch) < 1.0 else copysign(0.5 * pi, sin_pitch)
-    roll = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return roll, pitch, yaw_from_quaternion(q)
-
-
-def yaw_from_quaternion(q: Quaternion) -> float:
-    """Return the yaw of a unit attitude, in [-pi, pi]."""
-    w, x, y, z = q
-    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+quaternion_from_rpy = rotation.from_euler
+rpy_from_quaternion = rotation.to_euler
+yaw_from_quaternion = rotation.yaw_of
 
 
 def geodetic_to_ecef(latitude: float, longitude: float, altitude: float) -> Vector:

@@ -1,33 +1,35 @@
-"""Scalar quaternion and angle kernels; quaternions are (w, x, y, z) and turn body vectors into local ones."""
+"""Rotations by unit quaternions (w, x, y, z) that turn body vectors into the local frame; scalars and tuples.
+
+Plain functions of floats: ``rotation_kernels`` compiles the same source for the inner loops. For arrays use
+scipy.spatial.transform.Rotation, whose quaternions are (x, y, z, w).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from xtdrone_control.kernel import kernel
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 
-@kernel
-def wrap_pi(angle):
+def wrap_pi(angle: float) -> float:
     """Return ``angle`` (rad) wrapped to [-pi, pi)."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
-@kernel
-def constrain(value, low, high):
-    """Return ``value`` held between ``low`` and ``high``."""
+def constrain(value: float, low: float, high: float) -> float:
+    """Return ``value`` limited to [``low``, ``high``]."""
     return min(max(value, low), high)
 
 
-@kernel
-def yaw_of(q):
-    """Return the heading of ``q`` in radians."""
+def yaw_of(q: Sequence[float]) -> float:
+    """Return the yaw of a unit quaternion, rad, in [-pi, pi]."""
     return math.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
 
 
-@kernel
-def multiply(a, b):
-    """Return the product ``a b`` as a tuple."""
+def multiply(a: Sequence[float], b: Sequence[float]) -> Quaternion:
+    """Return the product ``a b``: rotation ``b`` followed by ``a``."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -36,15 +38,8 @@ def multiply(a, b):
     )
 
 
-@kernel
-def conjugate_multiply(a, b):
-    """Return ``conj(a) b`` as a tuple: the turn from a to b, seen in a."""
-    return multiply((a[0], -a[1], -a[2], -a[3]), b)
-
-
-@kernel
-def rotate(q, x, y, z):
-    """Return the body vector (x, y, z) turned into the local frame, as a tuple."""
+def rotate(q: Sequence[float], x: float, y: float, z: float) -> Vector:
+    """Return the body vector (x, y, z) in the local frame."""
     tx = 2.0 * (q[2] * z - q[3] * y)
     ty = 2.0 * (q[3] * x - q[1] * z)
     tz = 2.0 * (q[1] * y - q[2] * x)
@@ -55,15 +50,13 @@ def rotate(q, x, y, z):
     )
 
 
-@kernel
-def rotate_inverse(q, x, y, z):
-    """Return the local vector (x, y, z) turned into the body frame, as a tuple."""
+def rotate_inverse(q: Sequence[float], x: float, y: float, z: float) -> Vector:
+    """Return the local vector (x, y, z) in the body frame."""
     return rotate((q[0], -q[1], -q[2], -q[3]), x, y, z)
 
 
-@kernel
-def exponential(x, y, z):
-    """Return the quaternion of the rotation vector (x, y, z) in radians, as a tuple."""
+def exponential(x: float, y: float, z: float) -> Quaternion:
+    """Return the quaternion of the rotation vector (x, y, z), rad."""
     angle = math.sqrt(x * x + y * y + z * z)
     half = 0.5 * angle
     # sin(half)/angle, by its series where the quotient loses digits
@@ -71,26 +64,8 @@ def exponential(x, y, z):
     return math.cos(half), x * scale, y * scale, z * scale
 
 
-@kernel
-def integrate(q, x, y, z):
-    """Turn the record field ``q`` in place by the body rotation vector (x, y, z) in radians, and normalise it."""
-    assign_unit(q, multiply(q, exponential(x, y, z)))
-
-
-@kernel
-def assign_unit(q, value):
-    """Write the quaternion ``value`` (tuple), made of length 1, into the record field ``q``."""
-    w, i, j, k = value
-    norm = 1.0 / math.sqrt(w * w + i * i + j * j + k * k)
-    q[0] = w * norm
-    q[1] = i * norm
-    q[2] = j * norm
-    q[3] = k * norm
-
-
-@kernel
-def from_euler(roll, pitch, yaw):
-    """Return the quaternion of the z-y-x Euler angles (rad) as a tuple."""
+def from_euler(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Return the quaternion of the z-y-x Euler angles, rad: yaw, then pitch, then roll about body axes."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
     cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
     cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
@@ -102,9 +77,16 @@ def from_euler(roll, pitch, yaw):
     )
 
 
-@kernel
-def from_axes(x, y, z):
-    """Return the quaternion whose body axes are the local unit vectors ``x``, ``y``, ``z`` (tuples), as a tuple."""
+def to_euler(q: Sequence[float]) -> Vector:
+    """Return roll, pitch and yaw of a unit quaternion, rad; pitch in [-pi/2, pi/2], the others in [-pi, pi]."""
+    w, x, y, z = q
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    return roll, pitch, yaw_of(q)
+
+
+def from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
+    """Return the quaternion whose body axes are the local unit vectors ``x``, ``y``, ``z``."""
     trace = x[0] + y[1] + z[2]
     if trace > 0.0:
         s = math.sqrt(trace + 1.0)

@@ -19,7 +19,8 @@ import numpy as np
 from xtdrone_control import frames
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.commander import Result
-from xtdrone_control.communication.core import HOVER_SPEED, OWN_COMMANDS, PX4_MODES, MultirotorCore, Request
+from xtdrone_control.autopilot.modes import PX4_MODES
+from xtdrone_control.communication.core import HOVER_SPEED, OWN_COMMANDS, MultirotorCore, Request
 from xtdrone_control.communication.setpoint import FRAME_LOCAL_NED, Setpoint
 from xtdrone_control.fleet import MAX_VEHICLES, FleetError, parse_fleet
 from xtdrone_control.lockstep.protocol import Schedule

@@ -34,7 +34,7 @@ from xtdrone_control.autopilot.flight_tasks.stick_control import stick_attitude,
 from xtdrone_control.autopilot.parameters.parameters import PARAMS
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import rotate
+from xtdrone_control.rotation_kernels import rotate
 
 from .logger.folder import LogFolder
 from .state import (

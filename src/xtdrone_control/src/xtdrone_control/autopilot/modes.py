@@ -141,3 +141,11 @@ def from_number(number: int) -> Mode | None:
 def number_of(mode: Mode) -> int:
     """Return PX4's navigation_mode_t of ``mode`` for an event's argument."""
     return _NUMBERS.get(mode.state, UNKNOWN_NUMBER)
+
+
+PX4_MODES = {mode.name: mode.custom_mode for mode in SUPPORTED} | {
+    "RATTITUDE": 8 << 16,
+    "AUTO.READY": MAIN_AUTO << 16 | 1 << 24,
+    "AUTO.RTGS": MAIN_AUTO << 16 | 7 << 24,
+}
+"""Custom mode of every PX4 mode that MAVROS names; the last three are accepted by name only."""

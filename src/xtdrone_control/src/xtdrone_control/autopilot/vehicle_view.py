@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from xtdrone_control import rotation
 from xtdrone_control.geodesy import geo
 
 from .state import SETPOINT
@@ -82,8 +82,7 @@ class VehicleView:
     @property
     def yaw(self) -> float:
         """Estimated heading, rad, from north to east, -pi..pi."""
-        w, x, y, z = self.estimator["q"].tolist()
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return rotation.yaw_of(self.estimator["q"].tolist())
 
     @property
     def origin(self) -> Vector:

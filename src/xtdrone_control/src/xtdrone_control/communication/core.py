@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.communication.setpoint import (
     LARGEST,
     Setpoint,
@@ -19,26 +20,6 @@ from xtdrone_control.communication.setpoint import (
     velocity_setpoint,
     yaw_of,
 )
-
-PX4_MODES = (
-    "MANUAL",
-    "ACRO",
-    "ALTCTL",
-    "POSCTL",
-    "OFFBOARD",
-    "STABILIZED",
-    "RATTITUDE",
-    "AUTO.MISSION",
-    "AUTO.LOITER",
-    "AUTO.RTL",
-    "AUTO.LAND",
-    "AUTO.RTGS",
-    "AUTO.READY",
-    "AUTO.TAKEOFF",
-    "AUTO.FOLLOW_TARGET",
-    "AUTO.PRECLAND",
-)
-"""Names that MAVROS knows for PX4's modes."""
 
 OWN_COMMANDS = ("ARM", "DISARM", "HOVER")
 

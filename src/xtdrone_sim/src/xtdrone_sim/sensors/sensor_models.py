@@ -15,7 +15,7 @@ import numpy as np
 
 from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.geodesy import geo
-from xtdrone_control.rotation import multiply, rotate_inverse
+from xtdrone_control.rotation_kernels import multiply, rotate_inverse
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.sensors.failure_injection import Failing

@@ -24,7 +24,7 @@ from std_msgs.msg import Header
 from xtdrone_msgs.msg import SceneState
 
 from xtdrone_control import lockstep
-from xtdrone_control.rotation import conjugate_multiply, rotate_inverse
+from xtdrone_control.rotation_kernels import conjugate_multiply, rotate_inverse
 from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.link_poses import LINK, Links

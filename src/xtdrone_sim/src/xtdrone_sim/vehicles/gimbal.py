@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.rotation import conjugate_multiply, constrain, multiply, wrap_pi, yaw_of
+from xtdrone_control.rotation_kernels import conjugate_multiply, constrain, multiply, wrap_pi, yaw_of
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 

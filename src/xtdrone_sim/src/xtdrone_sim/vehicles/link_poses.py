@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.rotation import exponential, multiply, rotate
+from xtdrone_control.rotation_kernels import exponential, multiply, rotate
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.vehicles.mounts import GimbalMount
 from xtdrone_sim.vehicles.poses import compose

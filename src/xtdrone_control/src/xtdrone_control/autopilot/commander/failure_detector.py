@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from xtdrone_control import rotation
 from xtdrone_control.autopilot.vehicle_view import VehicleView
 
 Get = Callable[[str], float]
@@ -86,8 +87,7 @@ class FailureDetector:
             self.roll = self._roll.update(False, now_us, 0.0)
             self.pitch = self._pitch.update(False, now_us, 0.0)
             return
-        roll = abs(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
-        pitch = abs(math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))))
+        roll, pitch, _ = map(abs, rotation.to_euler((w, x, y, z)))
         limits = math.radians(get("FD_FAIL_R")), math.radians(get("FD_FAIL_P"))
         self.roll = self._roll.update(0.0 < limits[0] < roll, now_us, get("FD_FAIL_R_TTRI") * 1e6)
         self.pitch = self._pitch.update(0.0 < limits[1] < pitch, now_us, get("FD_FAIL_P_TTRI") * 1e6)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import conjugate_multiply, constrain, multiply, rotate, rotate_inverse
+from xtdrone_control.rotation_kernels import conjugate_multiply, constrain, multiply, rotate, rotate_inverse
 
 
 @kernel

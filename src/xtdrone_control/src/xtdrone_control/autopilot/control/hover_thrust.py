@@ -10,7 +10,7 @@ import math
 
 from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import constrain
+from xtdrone_control.rotation_kernels import constrain
 
 _RESIDUAL_TAU = 1.0  # s
 _NOISE_TAU = 2.0  # s, in which the noise is learnt

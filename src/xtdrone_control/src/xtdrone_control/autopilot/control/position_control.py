@@ -10,7 +10,7 @@ import math
 
 from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import constrain, from_axes, yaw_of
+from xtdrone_control.rotation_kernels import constrain, from_axes, yaw_of
 
 
 @kernel

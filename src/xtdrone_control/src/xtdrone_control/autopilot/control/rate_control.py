@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import constrain
+from xtdrone_control.rotation_kernels import constrain
 
 
 @kernel

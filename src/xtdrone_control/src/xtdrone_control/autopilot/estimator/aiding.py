@@ -39,7 +39,7 @@ from xtdrone_control.autopilot.state import (
 )
 from xtdrone_control.geodesy import geo
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import constrain, multiply, rotate, wrap_pi, yaw_of
+from xtdrone_control.rotation_kernels import constrain, multiply, rotate, wrap_pi, yaw_of
 
 _STATUS_PERIOD_US = 40_000
 _AIDING_US = 1_000_000  # without aiding for longer it is dead reckoning (PX4: no_aid_timeout_max)

@@ -22,7 +22,7 @@ from xtdrone_control.autopilot.estimator.fusion import BA, BG, BM, POS, THETA, V
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import assign_unit, constrain, exponential, from_euler, multiply, rotate
+from xtdrone_control.rotation_kernels import assign_unit, constrain, exponential, from_euler, multiply, rotate
 
 COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whole IMU samples
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude

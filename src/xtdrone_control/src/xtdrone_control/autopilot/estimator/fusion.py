@@ -12,7 +12,7 @@ import math
 
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import integrate, multiply, rotate, wrap_pi
+from xtdrone_control.rotation_kernels import integrate, multiply, rotate, wrap_pi
 
 THETA, VEL, POS, BG, BA, BM = 0, 3, 6, 9, 12, 15
 YAW_UNKNOWN_STD = 1.0  # rad, before the magnetometer has been fused

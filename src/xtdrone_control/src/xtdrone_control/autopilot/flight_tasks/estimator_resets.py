@@ -8,7 +8,7 @@ its smoothed path.
 from __future__ import annotations
 
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import wrap_pi
+from xtdrone_control.rotation_kernels import wrap_pi
 
 
 @kernel

@@ -28,7 +28,7 @@ from xtdrone_control.autopilot.state import (
 )
 from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import constrain, wrap_pi, yaw_of
+from xtdrone_control.rotation_kernels import constrain, wrap_pi, yaw_of
 
 _NAN = math.nan
 _NO_LEG, _BEHIND, _AHEAD, _OFF = 0, 1, 2, 3  # leg_state: on the way, goal is behind, start is ahead, off the leg

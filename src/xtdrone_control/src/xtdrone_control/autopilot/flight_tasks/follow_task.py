@@ -12,7 +12,7 @@ from collections import namedtuple
 
 from xtdrone_control.autopilot.flight_tasks.trajectory import follow, plan_axis, stopping_speed
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import wrap_pi
+from xtdrone_control.rotation_kernels import wrap_pi
 
 _NAN = math.nan
 _FREQUENCY, _DAMPING = 1.0, 0.7071  # rad/s and share, of the filter over the target's motion

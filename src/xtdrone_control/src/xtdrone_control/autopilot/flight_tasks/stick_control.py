@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import constrain, multiply, wrap_pi, yaw_of
+from xtdrone_control.rotation_kernels import constrain, multiply, wrap_pi, yaw_of
 
 _LEAST_THRUST_SLEW = 0.05  # 1/s
 _LARGEST_THRUST_SLEW = 0.5  # 1/s, after the spool-up

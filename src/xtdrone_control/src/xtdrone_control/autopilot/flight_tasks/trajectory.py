@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from xtdrone_control.kernel import kernel
-from xtdrone_control.rotation import constrain
+from xtdrone_control.rotation_kernels import constrain
 
 _EPSILON = 1.1920929e-07  # PX4's FLT_EPSILON
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from xtdrone_control import rotation
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.commander.inputs import SetpointError
 from xtdrone_control.autopilot.vehicle_view import Vector
@@ -58,17 +59,6 @@ def _turned(vector: Vector, yaw: float) -> Vector:
     return cos * x - sin * y, sin * x + cos * y, z
 
 
-def _rotated(vector: Vector, q: tuple[float, float, float, float]) -> Vector:
-    """Return a body vector (FRD) in the local frame; ``q`` is (w, x, y, z), body to local."""
-    w, a, b, c = q
-    x, y, z = vector
-    return (
-        (1.0 - 2.0 * (b * b + c * c)) * x + 2.0 * (a * b - w * c) * y + 2.0 * (a * c + w * b) * z,
-        2.0 * (a * b + w * c) * x + (1.0 - 2.0 * (a * a + c * c)) * y + 2.0 * (b * c - w * a) * z,
-        2.0 * (a * c - w * b) * x + 2.0 * (b * c + w * a) * y + (1.0 - 2.0 * (a * a + b * b)) * z,
-    )
-
-
 def _is_set(vector: Vector) -> bool:
     return not all(map(math.isnan, vector))
 
@@ -108,7 +98,7 @@ def local_target(commander: Commander, m: Any) -> None:
         q0, q1, q2, q3 = commander.view.estimator["q"].tolist()
         position = _UNSET
         velocity = _turned(_whole_vector(mask, _VELOCITY, m.vx, m.vy, m.vz), commander.view.yaw)
-        acceleration = _rotated(_whole_vector(mask, _ACCELERATION, m.afx, m.afy, m.afz), (q0, q1, q2, q3))
+        acceleration = rotation.rotate((q0, q1, q2, q3), *_whole_vector(mask, _ACCELERATION, m.afx, m.afy, m.afz))
     elif frame == _BODY_OFFSET_NED:
         heading = commander.view.yaw
         x, y, z = _turned(_vector(mask, _POSITION, m.x, m.y, m.z), heading)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from xtdrone_control import rotation
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.geodesy import geo
@@ -121,12 +122,7 @@ class Telemetry:
     def _angles(self) -> tuple[float, float, float]:
         """Return roll, pitch and yaw in radians."""
         if self._euler is None:
-            w, x, y, z = self.q
-            self._euler = (
-                math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
-                math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            )
+            self._euler = rotation.to_euler(self.q)
         return self._euler
 
     def _heading(self) -> float:
