@@ -54,6 +54,6 @@ def test_participants_of_a_simulator_that_fails_end_with_an_error(stack: Stack) 
     assert "RuntimeError: the plant" in simulator.output
     for participant in (python, cpp):
         assert participant.end() == 1
-        assert "has ended by a failure: the simulation has failed: RuntimeError: the plant\\nhas burst" in (
+        assert "has ended with an error: the simulation has failed: RuntimeError: the plant\\nhas burst" in (
             participant.output
         ), participant.output

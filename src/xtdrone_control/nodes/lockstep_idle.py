@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A participant that does nothing, to measure what the barrier costs: ``lockstep_idle.py NAME RATE``."""
+"""An idle participant, for measuring the cost of the barrier: ``lockstep_idle.py NAME RATE``."""
 
 import sys
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ from xtdrone_control.communication.arguments import ArgumentError, run_program
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Take part under the name and at the rate (Hz) that the two arguments give."""
+    """Take part under the name and at the rate (Hz) given by the two arguments."""
     if len(arguments) != 2:
-        raise ArgumentError(f"two arguments are needed, a name and a rate in Hz, {len(arguments)} were given")
+        raise ArgumentError(f"expected two arguments, a name and a rate in Hz, got {len(arguments)}")
     name, rate = arguments
     try:
         lockstep.init_node(name, rate=float(rate))

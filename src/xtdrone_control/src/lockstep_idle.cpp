@@ -1,4 +1,4 @@
-/// A participant that does nothing, to measure what the barrier costs: `lockstep_idle NAME RATE`.
+/// An idle participant, for measuring the cost of the barrier: `lockstep_idle NAME RATE`.
 
 #include <ros/init.h>
 
@@ -16,7 +16,7 @@ int main(int argc, char** argv) {
   char* end = nullptr;
   const double rate = arguments.size() == 3 ? std::strtod(arguments[2].c_str(), &end) : 0.0;
   if (end == nullptr || end == arguments[2].c_str() || *end != '\0') {
-    std::cerr << "two arguments are needed, a name and a rate in Hz\nusage: lockstep_idle NAME RATE" << std::endl;
+    std::cerr << "expected two arguments: a name and a rate in Hz\nusage: lockstep_idle NAME RATE" << std::endl;
     return 2;
   }
   try {
@@ -26,7 +26,7 @@ int main(int argc, char** argv) {
   } catch (const lockstep::InitError& error) {
     std::cerr << error.what() << std::endl;
     return 1;
-  } catch (const std::exception& error) {  // the name or the rate is none
+  } catch (const std::exception& error) {  // the name or the rate is invalid
     std::cerr << error.what() << "\nusage: lockstep_idle NAME RATE" << std::endl;
     return 2;
   }

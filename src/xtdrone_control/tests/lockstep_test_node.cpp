@@ -1,4 +1,4 @@
-/// Nodes in C++ for test_lockstep_cpp.py: `lockstep_test_node ROLE NAME ...`. What they see goes to $TRANSCRIPT.
+/// C++ nodes for test_lockstep_cpp.py: `lockstep_test_node ROLE NAME ...`. They write to the file $TRANSCRIPT.
 
 #include <geometry_msgs/PointStamped.h>
 #include <ros/time.h>
@@ -39,7 +39,7 @@ String text(const std::string& data) {
   return message;
 }
 
-/// Publishes a checksum of all it has received, on two topics, and writes down what comes when.
+/// Publish a checksum of all received messages on two topics, and record the messages with their times.
 void participant(const std::string& name, unsigned seed, const std::vector<std::string>& peers) {
   std::minstd_rand lazy(seed);
   std::uint64_t hash = 14695981039346656037u;  // FNV-1a
@@ -76,7 +76,7 @@ void participant(const std::string& name, unsigned seed, const std::vector<std::
   });
 }
 
-/// A node without a simulator: hears itself, a latched message too, in its own thread.
+/// Receive own messages, a latched one too, in the node's own thread without a simulator.
 void alone() {
   const auto main = std::this_thread::get_id();
   const auto publisher = lockstep::advertise<String>("/loop", 10, true);
@@ -95,7 +95,7 @@ void alone() {
   std::cout << (heard ? "alone is well" : "heard nothing") << std::endl;
 }
 
-/// Latches one message, and publishes no more.
+/// Latch a single message.
 void latcher() {
   const auto publisher = lockstep::advertise<String>("/foreign", 10, true);
   publisher.publish(text("first"));
@@ -104,7 +104,7 @@ void latcher() {
   lockstep::spin();
 }
 
-/// Publishes each turn more than a socket holds, and notes the length of what comes from another such node.
+/// Publish messages larger than socket buffers, and record the lengths of those of another such node.
 void heavy(const std::string& name) {
   const auto publisher = lockstep::advertise<String>("/from_" + name, 10);
   lockstep::subscribe<String>(name == "a" ? "/from_b" : "/from_a", 10, [](const String& message) {
@@ -122,7 +122,7 @@ void heavy(const std::string& name) {
   });
 }
 
-/// Publishes more than a socket holds, to whom it may concern; notes how many listen.
+/// Publish messages larger than socket buffers; record the number of subscribers.
 void flood() {
   const auto publisher = lockstep::advertise<String>("/flood", 5);
   lockstep::start();
@@ -136,7 +136,7 @@ void flood() {
   });
 }
 
-/// Subscribes to a topic, leaves it, and comes back, while another node publishes; does so with a topic of its own too.
+/// Subscribe, unregister and subscribe again while another node publishes; do the same with a published topic.
 void churner() {
   lockstep::Subscriber subscriber;
   lockstep::Publisher<String> publisher;
@@ -159,7 +159,7 @@ void churner() {
   lockstep::spin();
 }
 
-/// Publishes messages with a header.
+/// Publish messages with a header.
 void stamper() {
   const auto publisher = lockstep::advertise<geometry_msgs::PointStamped>("/stamps", 10);
   lockstep::start();
@@ -171,7 +171,7 @@ void stamper() {
   });
 }
 
-/// Publishes the time on a topic and on a latched one.
+/// Publish the time on a topic and on a latched one.
 void sender(const std::string& name) {
   const auto passing = lockstep::advertise<String>("/passing", 10);
   const auto held = lockstep::advertise<String>("/held", 10, true);
@@ -183,7 +183,7 @@ void sender(const std::string& name) {
   });
 }
 
-/// Notes what the senders say, and when the time goes back.
+/// Record messages and resets of time.
 void reader() {
   for (const std::string source : {"passing", "held"}) {
     lockstep::subscribe<String>("/" + source, 10, [source](const String& message) {
@@ -195,7 +195,7 @@ void reader() {
   lockstep::spin();
 }
 
-/// Sleeps ten seconds at a time, and notes when it awakes and when the time goes back; its first reset hook fails.
+/// Sleep ten seconds at a time, and record wake-ups and resets of time; the first reset hook fails.
 void sleeper() {
   lockstep::addResetHook([] { throw std::runtime_error("as asked"); });
   lockstep::addResetHook([] { transcript << now() << " reset" << std::endl; });

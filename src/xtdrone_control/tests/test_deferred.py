@@ -1,4 +1,4 @@
-"""Work beside a node's turns: results come at their simulated time, whenever they are done."""
+"""Background work: results are available at their simulation time, whenever the work is completed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def gate():
     event.set()
 
 
-def test_results_come_when_they_are_due_and_in_order(gate):
+def test_results_are_available_when_due_and_in_order(gate):
     deferred = Deferred(workers=2)
     deferred.put("late", 300, lambda: "done long before")
     deferred.put("b", 200, lambda x: gate.wait(10.0) and x, 2)
@@ -30,7 +30,7 @@ def test_results_come_when_they_are_due_and_in_order(gate):
     deferred.close()
 
 
-def test_without_lockstep_nobody_waits(gate):
+def test_without_lockstep_nothing_waits(gate):
     deferred = Deferred(wait=False)
     deferred.put("a", 0, gate.wait, 10.0)
     assert deferred.ready(10) == []
@@ -40,7 +40,7 @@ def test_without_lockstep_nobody_waits(gate):
     deferred.close()
 
 
-def test_what_was_forgotten_never_comes(gate):
+def test_discarded_work_yields_no_result(gate):
     deferred = Deferred()
     deferred.put("a", 0, gate.wait, 10.0)
     deferred.put("b", 0, lambda: 1)
@@ -51,7 +51,7 @@ def test_what_was_forgotten_never_comes(gate):
     deferred.close()
 
 
-def test_an_exception_comes_out_where_the_result_would():
+def test_exception_is_raised_in_place_of_the_result():
     deferred = Deferred()
     deferred.put("a", 10, lambda: 1 // 0)
     assert deferred.ready(9) == []

@@ -1,6 +1,6 @@
-"""The lockstep of C++ nodes, among themselves and with Python ones; this test plays the simulator.
+"""The lockstep of C++ nodes, among themselves and with Python nodes; this test plays the simulator.
 
-Called as a program this file is one of the Python nodes; the C++ ones are lockstep_test_node.cpp, which catkin builds.
+Run as a program, this file is one of the Python nodes; the C++ nodes are in lockstep_test_node.cpp, built by catkin.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ END_US = 1_000_000
 
 
 def participant(name: str, rate: float, seed: int, peers: list[str]) -> None:
-    """The same as the C++ node's role of this name."""
+    """Play the same role as the C++ node of this name."""
     lockstep.init_node(name, rate=rate)
     lazy = random.Random(seed)
     checksum = 14695981039346656037  # FNV-1a
@@ -81,7 +81,7 @@ def participant(name: str, rate: float, seed: int, peers: list[str]) -> None:
 
 
 def stamper(name: str) -> None:
-    """The same as the C++ node's role of this name."""
+    """Play the same role as the C++ node of this name."""
     lockstep.init_node(name, rate=50.0)
     publisher = lockstep.Publisher("/stamps", PointStamped)
     lockstep.start()
@@ -89,7 +89,7 @@ def stamper(name: str) -> None:
 
 
 def sender(name: str, rate: str) -> None:
-    """The same as the C++ node's role of this name."""
+    """Play the same role as the C++ node of this name."""
     lockstep.init_node(name, rate=float(rate))
     publishers = [lockstep.Publisher("/passing", String), lockstep.Publisher("/held", String, latch=True)]
     lockstep.start()
@@ -102,7 +102,7 @@ def sender(name: str, rate: str) -> None:
 
 
 def reader(name: str, rate: str) -> None:
-    """The same as the C++ node's role of this name."""
+    """Play the same role as the C++ node of this name."""
     lockstep.init_node(name, rate=float(rate))
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -117,7 +117,7 @@ def reader(name: str, rate: str) -> None:
 
 
 def talker(name: str) -> None:
-    """A node that knows nothing of the lockstep: latches one message."""
+    """Latch one message; a node outside the lockstep."""
     rospy.init_node(name)
     publisher = rospy.Publisher("/foreign", String, latch=True, queue_size=1)
     publisher.publish("hello")
@@ -125,7 +125,7 @@ def talker(name: str) -> None:
 
 
 def listener(name: str) -> None:
-    """A node that knows nothing of the lockstep: listens."""
+    """Subscribe; a node outside the lockstep."""
     rospy.init_node(name)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
     _words = rospy.Subscriber("/foreign", String, lambda message: print(message.data, file=out))
@@ -134,7 +134,7 @@ def listener(name: str) -> None:
 
 
 def clock(name: str) -> None:
-    """Publishes times that are wrong, as fast as it can."""
+    """Publish wrong times as fast as possible."""
     rospy.init_node(name, disable_rostime=True)
     publisher = rospy.Publisher("/clock", Clock, queue_size=10)
     while not rospy.is_shutdown():
@@ -144,7 +144,7 @@ def clock(name: str) -> None:
 
 
 def rewinder(name: str) -> None:
-    """Publishes the time from 100 s on, and from 50 s on when it gets SIGUSR1."""
+    """Publish the time from 100 s, and from 50 s after SIGUSR1."""
     rospy.init_node(name, disable_rostime=True)
     publisher = rospy.Publisher("/clock", Clock, queue_size=10)
     now = 100_000  # ms
@@ -165,14 +165,14 @@ def rewinder(name: str) -> None:
 
 @dataclass
 class Node:
-    """One node of a graph: its language, and whether it is slow now and then (a seed) or not (0)."""
+    """One node of a graph: its language, and a seed for random delays (0 for none)."""
 
     cpp: bool
     seed: int = 0
 
 
 class MixedGraph(Graph):
-    """Starts C++ nodes too."""
+    """A graph that can start C++ nodes too."""
 
     def start_cpp(self, role: str, name: str, *arguments: str) -> subprocess.Popen:
         command = [str(NODE), role, name, *arguments]
@@ -191,7 +191,7 @@ class MixedGraph(Graph):
         assert server.wait_for(list(nodes), timeout=PATIENCE), server.missing(list(nodes))
 
     def ended(self, name: str, status: int = 0) -> str:
-        """Waits for a node's end with an exit status and returns what it has said."""
+        """Wait for a node to end with an exit status and return its output."""
         assert self.processes[name].wait(PATIENCE) == status, self.output(name)
         return self.output(name)
 
@@ -212,7 +212,7 @@ def server(graph: MixedGraph) -> Iterator[LockstepServer]:
 
 
 def expected_receptions(receiver: str, end_us: int) -> list[tuple[int, str, int, str]]:
-    """What a receiver must note: (time, topic's source, time of sending, publisher), from the rule alone."""
+    """Return the receptions required by the rule: (time, topic's source, time of sending, publisher)."""
     times = {name: due_times(rate, end_us) for name, rate in RATES.items()}
     receptions = []
     for previous, now in zip(times[receiver], times[receiver][1:], strict=False):
@@ -222,7 +222,7 @@ def expected_receptions(receiver: str, end_us: int) -> list[tuple[int, str, int,
     return receptions
 
 
-def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_in_either_language(tmp_path: Path) -> None:
+def test_message_is_dispatched_in_the_first_turn_after_its_tick_in_either_language(tmp_path: Path) -> None:
     graphs = [
         {"a": Node(cpp=True), "b": Node(cpp=True), "c": Node(cpp=True)},
         {"a": Node(cpp=True, seed=3), "b": Node(cpp=False), "c": Node(cpp=True)},
@@ -257,9 +257,7 @@ def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_in_either_l
     assert transcripts[2] == transcripts[0]
 
 
-def test_a_killed_one_is_dropped_the_flight_goes_on_and_it_may_come_back(
-    graph: MixedGraph, server: LockstepServer
-) -> None:
+def test_killed_node_is_dropped_and_may_rejoin(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_participants(server, {"a": Node(cpp=True), "b": Node(cpp=True), "c": Node(cpp=False)})
     now = run(server, 400_000)
     graph.processes["b"].kill()
@@ -279,12 +277,12 @@ def test_a_killed_one_is_dropped_the_flight_goes_on_and_it_may_come_back(
         last = due_times(RATES[name], now)[-1]
         assert int(seen[-1][0]) == last
         from_b = [int(sent) for _, source, sent, _, _ in seen if source == "b"]
-        # What it sent in its last turn before it was killed was counted only if it had time to say so.
+        # Messages of its last turn before the kill were counted only if it had sent its DONE.
         assert [t for t in from_b if t < 700_000] in (before, before[:-1])
         assert [t for t in from_b if t >= 700_000] == [t for t in turns if 700_000 <= t < last]
 
 
-def test_a_second_one_of_a_name_is_refused_and_the_first_lives_on(graph: MixedGraph, server: LockstepServer) -> None:
+def test_second_node_of_a_name_is_refused_and_the_first_lives_on(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("participant", "a", "50", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     first = graph.processes["a"]
@@ -303,8 +301,8 @@ def test_a_second_one_of_a_name_is_refused_and_the_first_lives_on(graph: MixedGr
     assert first.poll() is None
 
 
-def test_another_version_is_refused_with_the_reason(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("xtdrone_control.lockstep.frames.VERSION", 99)
+def test_other_protocol_version_is_refused_with_the_reason(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("xtdrone_control.lockstep.server.frames.VERSION", 99)
     server = LockstepServer()
     graph.set_param("/lockstep/uri", server.uri)
     process = graph.start_cpp("participant", "a", "50", "0")
@@ -313,23 +311,23 @@ def test_another_version_is_refused_with_the_reason(graph: MixedGraph, monkeypat
         server.poll(0.05)
     server.close()
     assert process.wait(PATIENCE) == 1
-    assert "/a speaks lockstep version 2, this is 99" in graph.output("a")
+    assert "/a uses lockstep version 2, the simulator 99" in graph.output("a")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_node_that_waits_for_its_turn(
+def test_signal_ends_a_node_waiting_for_its_turn(
     graph: MixedGraph, server: LockstepServer, number: signal.Signals
 ) -> None:
     process = graph.start_cpp("participant", "a", "50", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     run(server, 100_000)
     process.send_signal(number)
-    assert process.wait(PATIENCE) == 0  # its turn would never come
+    assert process.wait(PATIENCE) == 0  # there is no further tick
     server.poll(PATIENCE)
     assert not server.participants
 
 
-def test_the_clock_topic_cannot_turn_the_time(graph: MixedGraph, server: LockstepServer) -> None:
+def test_clock_topic_does_not_change_the_time(graph: MixedGraph, server: LockstepServer) -> None:
     graph.set_param("/use_sim_time", True)
     graph.start("clock", "clock")
     wait_until(lambda: "/clock" in [topic for topic, _ in graph.master.getPublishedTopics("/t", "")[2]], "it publishes")
@@ -344,7 +342,7 @@ def test_the_clock_topic_cannot_turn_the_time(graph: MixedGraph, server: Lockste
     assert sorted(set(times)) == due_times(50.0, 600_000)[1:]
 
 
-def test_a_foreign_latched_message_comes_once(graph: MixedGraph, server: LockstepServer) -> None:
+def test_foreign_latched_message_arrives_once(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start("talker", "talker")
     graph.start_cpp("participant", "a", "50", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
@@ -360,7 +358,7 @@ def test_a_foreign_latched_message_comes_once(graph: MixedGraph, server: Lockste
     assert sum("foreign hello" in line for line in graph.transcript("a")) == 1
 
 
-def test_a_latched_message_of_its_own_comes_once_to_everybody(graph: MixedGraph, server: LockstepServer) -> None:
+def test_latched_message_arrives_once_at_every_subscriber(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("latcher", "latcher")
     assert server.wait_for(["/latcher"], timeout=PATIENCE)
     run(server, 100_000)
@@ -387,7 +385,7 @@ def test_a_latched_message_of_its_own_comes_once_to_everybody(graph: MixedGraph,
 
 
 @pytest.mark.parametrize("other", ["cpp", "python"])
-def test_messages_longer_than_a_socket_holds_come_in_the_next_turn(
+def test_messages_larger_than_socket_buffers_arrive_in_the_next_turn(
     graph: MixedGraph, server: LockstepServer, other: str
 ) -> None:
     graph.start_cpp("heavy", "a")
@@ -403,7 +401,7 @@ def test_messages_longer_than_a_socket_holds_come_in_the_next_turn(
         ]
 
 
-def test_a_stopped_listener_stops_nothing_and_costs_no_memory(graph: MixedGraph, server: LockstepServer) -> None:
+def test_stopped_outside_subscriber_blocks_nothing(graph: MixedGraph, server: LockstepServer) -> None:
     rider = graph.start("listener", "rider")
     graph.start_cpp("flood", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
@@ -424,7 +422,7 @@ def test_a_stopped_listener_stops_nothing_and_costs_no_memory(graph: MixedGraph,
     assert kilobytes[-1] - kilobytes[0] < 30_000, "200 messages of 500 kB are 100 MB"
 
 
-def test_topics_may_come_and_go(graph: MixedGraph, server: LockstepServer) -> None:
+def test_topics_may_be_added_and_removed(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("participant", "a", "50", "0", "churner")
     graph.start_cpp("churner", "churner")
     assert server.wait_for(["/a", "/churner"], timeout=PATIENCE)
@@ -437,13 +435,13 @@ def test_topics_may_come_and_go(graph: MixedGraph, server: LockstepServer) -> No
     assert [line for line in lines if line[1] == "connections"] == [
         [str(turn), "connections", "1"] for turn in range(3, 20, 4)
     ]
-    # It leaves in turn k + 3, after the message of turn k + 2. Whether it has that of turn k + 1 depends on whether the
-    # publisher had noticed the end of the connection before by then: only if so the world was held for the new one.
+    # It unregisters in turn k + 3, after the message of turn k + 2. It receives that of turn k + 1 only if the
+    # publisher had noticed the end of the previous connection by then: the simulation then waited for the new one.
     times = due_times(50.0, now)
     for turn in range(0, 20, 4):
         sent = [int(line[1]) for line in lines if line[0] == str(turn)]
         assert sent in (times[turn + 1 : turn + 3], times[turn : turn + 3], times[turn + 2 : turn + 3])
-    # Its own topic exists from turn k to k + 3, and it publishes in k + 1 and k + 2.
+    # Its own topic exists from turn k to k + 3 and has messages in k + 1 and k + 2.
     heard = [line.split() for line in graph.transcript("a") if " churner " in line]
     sent = [int(line[2]) for line in heard]
     assert set(sent) <= {times[turn + i] for turn in range(0, 20, 4) for i in (1, 2)}
@@ -451,7 +449,7 @@ def test_topics_may_come_and_go(graph: MixedGraph, server: LockstepServer) -> No
     assert all(int(line[0]) == int(line[2]) + 20_000 for line in heard)
 
 
-def test_time_that_goes_back_is_told_first(graph: MixedGraph, server: LockstepServer) -> None:
+def test_reset_hook_runs_before_callbacks(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_participants(server, {"a": Node(cpp=True), "b": Node(cpp=False)})
     run(server, 300_000)
     server.reset_time(0)
@@ -462,13 +460,11 @@ def test_time_that_goes_back_is_told_first(graph: MixedGraph, server: LockstepSe
     reset = lines.index(["0", "reset"])
     assert [line for line in lines if line[1] == "reset"] == [["0", "reset"]]
     assert {int(line[0]) for line in lines[:reset]} == set(due_times(50.0, 300_000)[1:])
-    # What was under way at the reset does not come: the first turn after it has nothing.
+    # Messages on their way at the reset are void: the first turn after it has none.
     assert {int(line[0]) for line in lines[reset + 1 :]} == set(due_times(50.0, 200_000)[1:])
 
 
-def test_time_that_goes_back_is_noticed_by_a_node_that_was_there_already(
-    graph: MixedGraph, server: LockstepServer
-) -> None:
+def test_reset_is_noticed_by_an_earlier_node(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("reader", "a", "50")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     server.tick(20_000)
@@ -480,9 +476,7 @@ def test_time_that_goes_back_is_noticed_by_a_node_that_was_there_already(
     assert graph.transcript("a") == ["20000 reset"]
 
 
-def test_time_that_goes_back_ends_a_sleep_and_a_hook_that_fails_ends_nothing(
-    graph: MixedGraph, server: LockstepServer
-) -> None:
+def test_reset_ends_a_sleep_and_a_failing_hook_ends_nothing(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("sleeper", "a", "50")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     run(server, 300_000)
@@ -493,11 +487,11 @@ def test_time_that_goes_back_ends_a_sleep_and_a_hook_that_fails_ends_nothing(
     assert graph.transcript("a") == ["0 reset", "0 awake"]
 
 
-def test_a_clock_that_goes_back_is_noticed_without_lockstep(graph: MixedGraph) -> None:
+def test_clock_jump_back_is_noticed_without_lockstep(graph: MixedGraph) -> None:
     graph.set_param("/use_sim_time", True)
     clock = graph.start("rewinder", "clock")
     graph.start_cpp("sleeper", "a", "50")
-    # It begins at 0, before the first time has come.
+    # Time starts at 0, before the first /clock message.
     wait_until(lambda: graph.transcript_path("a").exists() and graph.transcript("a"), "it has the time")
     clock.send_signal(signal.SIGUSR1)
     wait_until(lambda: len(graph.transcript("a")) == 3, "it notices")
@@ -509,7 +503,7 @@ def test_a_clock_that_goes_back_is_noticed_without_lockstep(graph: MixedGraph) -
     assert 50_000_000 < int(back) <= int(awake) < 60_000_000
 
 
-def test_a_node_that_was_dropped_says_so(graph: MixedGraph) -> None:
+def test_dropped_node_reports_it(graph: MixedGraph) -> None:
     server = LockstepServer(hang_limit=1.0)
     graph.set_param("/lockstep/uri", server.uri)
     process = graph.start_cpp("participant", "a", "50", "0", "a")
@@ -525,10 +519,8 @@ def test_a_node_that_was_dropped_says_so(graph: MixedGraph) -> None:
     assert "is gone" not in said
 
 
-def test_what_was_under_way_when_time_went_back_is_void_unless_it_is_latched(
-    graph: MixedGraph, server: LockstepServer
-) -> None:
-    # By the names the C++ sender comes first.
+def test_reset_voids_pending_messages_unless_latched(graph: MixedGraph, server: LockstepServer) -> None:
+    # The C++ sender is first by name.
     senders, readers = {"s_cpp": 50.0, "s_py": 50.0}, {"r_cpp": 20.0, "r_py": 20.0}
     for role, nodes in (("reader", readers), ("sender", senders)):
         for name, rate in nodes.items():
@@ -558,7 +550,7 @@ def test_what_was_under_way_when_time_went_back_is_void_unless_it_is_latched(
     assert graph.transcript("r_py") == expected
 
 
-def test_a_machine_that_is_gone_is_noticed_within_seconds(graph: MixedGraph, server: LockstepServer) -> None:
+def test_unreachable_machine_is_detected_within_seconds(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("participant", "a", "50", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     ports = [int(end.rpartition(":")[2]) for end in (server.participants["/a"].address, server.uri)]
@@ -566,7 +558,7 @@ def test_a_machine_that_is_gone_is_noticed_within_seconds(graph: MixedGraph, ser
 
     def keepalive_runs() -> bool:
         timers[:] = keepalive_timers(*ports)
-        return bool(timers)  # while something it has sent is under way the kernel shows another timer
+        return bool(timers)  # while sent data is unacknowledged the kernel shows another timer
 
     wait_until(keepalive_runs, "the node's keep-alive timer runs")
     assert len(timers) == 1
@@ -574,11 +566,11 @@ def test_a_machine_that_is_gone_is_noticed_within_seconds(graph: MixedGraph, ser
 
 
 def keepalive_timers(local: int, remote: int) -> list[float]:
-    """Returns when the kernel will ask whether the other end of a TCP connection is there, s; empty if it will not.
+    """Return the times in seconds until the kernel probes the other end of a TCP connection; empty if it does not.
 
     Args:
-        local: Port on this side.
-        remote: Port on the other side.
+        local: Local port.
+        remote: Remote port.
     """
     ends = [f"{local:04X}", f"{remote:04X}"]
     rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
@@ -586,9 +578,9 @@ def keepalive_timers(local: int, remote: int) -> list[float]:
     return [int(left, 16) / os.sysconf("SC_CLK_TCK") for kind, left in timers if kind == "02"]
 
 
-def test_what_it_publishes_is_condensed_as_the_protocol_says(graph: MixedGraph) -> None:
-    told: list[tuple[str, int, dict[str, list[int]]]] = []
-    server = LockstepServer(on_digest=lambda name, time_us, topics: told.append((name, time_us, dict(topics))))
+def test_digests_follow_the_protocol(graph: MixedGraph) -> None:
+    digests: list[tuple[str, int, dict[str, list[int]]]] = []
+    server = LockstepServer(on_digest=lambda name, time_us, topics: digests.append((name, time_us, dict(topics))))
     graph.set_param("/lockstep/uri", server.uri)
     graph.start_cpp("stamper", "stamper")
     graph.start("stamper", "py_stamper")
@@ -610,14 +602,14 @@ def test_what_it_publishes_is_condensed_as_the_protocol_says(graph: MixedGraph) 
     heard = [line.split(maxsplit=2)[2] for line in graph.transcript("a") if line.split()[1] == "a"]
     for text in heard:
         words.add(int(text.split()[0]), serialised(String(text)))
-    assert [time_us for name, time_us, _ in told if name == "/stamper"] == [0, 1_000_000, times[-1]]
-    assert told_last(told, "/stamper") == {"/stamps": stamps.state()}
-    assert told_last(told, "/py_stamper") == {"/stamps": stamps.state()}
-    # Nobody has heard what it said last.
-    last = told_last(told, "/a")
+    assert [time_us for name, time_us, _ in digests if name == "/stamper"] == [0, 1_000_000, times[-1]]
+    assert last_digests(digests, "/stamper") == {"/stamps": stamps.state()}
+    assert last_digests(digests, "/py_stamper") == {"/stamps": stamps.state()}
+    # Its last messages had no receiver.
+    last = last_digests(digests, "/a")
     assert last["/from_a"] == last["/shared"]
     assert last["/from_a"][0] == words.messages + 1
-    second = next(topics for name, time_us, topics in told if name == "/a" and time_us == 1_000_000)
+    second = next(topics for name, time_us, topics in digests if name == "/a" and time_us == 1_000_000)
     early = Digest()
     for text in heard[: times.index(1_000_000) + 1]:
         early.add(int(text.split()[0]), serialised(String(text)))
@@ -632,11 +624,11 @@ def serialised(message: object) -> bytes:
     return buffer.getvalue()
 
 
-def told_last(told: list[tuple[str, int, dict[str, list[int]]]], name: str) -> dict[str, list[int]]:
-    return [topics for who, _, topics in told if who == name][-1]
+def last_digests(digests: list[tuple[str, int, dict[str, list[int]]]], name: str) -> dict[str, list[int]]:
+    return [topics for sender, _, topics in digests if sender == name][-1]
 
 
-def test_without_a_simulator_it_is_an_ordinary_node(graph: MixedGraph) -> None:
+def test_without_a_simulator_the_node_is_an_ordinary_node(graph: MixedGraph) -> None:
     graph.start_cpp("alone", "alone")
     assert "alone is well" in graph.ended("alone")
 
@@ -648,7 +640,7 @@ def test_the_private_parameter_opts_out(graph: MixedGraph, server: LockstepServe
     assert not server.participants
 
 
-def test_a_node_that_starts_first_waits_for_the_simulator(graph: MixedGraph) -> None:
+def test_node_started_first_waits_for_the_simulator(graph: MixedGraph) -> None:
     graph.set_param("/lockstep/wait", True)
     graph.start_cpp("participant", "a", "50", "0", "a")
 
@@ -664,7 +656,7 @@ def test_a_node_that_starts_first_waits_for_the_simulator(graph: MixedGraph) -> 
     server.close()
 
 
-def test_without_a_master_it_says_so(graph: MixedGraph) -> None:
+def test_missing_master_is_reported(graph: MixedGraph) -> None:
     graph.processes["master"].kill()
     graph.processes["master"].wait()
     assert graph.start_cpp("alone", "alone").wait(PATIENCE) == 1
@@ -672,7 +664,7 @@ def test_without_a_master_it_says_so(graph: MixedGraph) -> None:
 
 
 @pytest.mark.parametrize("program", ["lockstep_idle", "lockstep_idle.py"])
-def test_an_idle_participant_takes_every_turn(graph: MixedGraph, server: LockstepServer, program: str) -> None:
+def test_idle_participant_takes_every_turn(graph: MixedGraph, server: LockstepServer, program: str) -> None:
     path = Path(str(NODE)).with_name(program)
     graph.processes["idle"] = graph._popen("idle", [str(path), "idle_1", "125"])
     assert server.wait_for(["/idle_1"], timeout=PATIENCE)
@@ -685,7 +677,7 @@ def test_an_idle_participant_takes_every_turn(graph: MixedGraph, server: Lockste
 
 @pytest.mark.parametrize("program", ["lockstep_idle", "lockstep_idle.py"])
 @pytest.mark.parametrize("arguments", [["idle"], ["idle", "fast"], ["idle", "1000"]])
-def test_an_idle_participant_needs_a_name_and_a_rate(graph: MixedGraph, program: str, arguments: list[str]) -> None:
+def test_idle_participant_requires_a_name_and_a_rate(graph: MixedGraph, program: str, arguments: list[str]) -> None:
     command = [str(Path(str(NODE)).with_name(program)), *arguments]
     done = subprocess.run(command, env=graph.env, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2

@@ -1,8 +1,8 @@
-"""What clients send to the lockstep's server may be anything; it ends the client that sent it and nothing else.
+"""Random input to the lockstep server: invalid data closes the connection of its sender and nothing else.
 
-The real server on real sockets, two well-behaved participants and a simulator's own topics, and clients that send
-valid, changed, cut and misplaced frames, before they join, with a name reserved, and as participants. All in one
-thread, so that a seed plays the same again.
+The test runs the real server on real sockets with two correct participants, the simulator's own topics, and clients
+that send valid, modified, truncated and misplaced frames before they join, with a reserved name, and as participants.
+Everything runs in one thread, so that a seed reproduces its run.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from xtdrone_control.lockstep.protocol import (
 from xtdrone_control.lockstep.server import LockstepServer
 
 FRAMES = int(os.environ.get("LOCKSTEP_FUZZ_FRAMES", "24000"))
-"""How many frames the clients send in all; for a million give pytest --timeout=0."""
+"""Total number of frames to send; for a million use pytest --timeout=0."""
 SEEDS = 3
 CLIENTS = 6
-PATIENCE = 8  # looks at the sockets in one tick, after which clients that still hold it go
+PATIENCE = 8  # polls of one tick after which clients that still hold it are closed
 LONGEST_LINE = 2500
 PORTS = (18570, 34580)
 GOOD = ("/good_0", "/good_1")
@@ -52,13 +52,13 @@ BAD: tuple[Any, ...] = (
 
 
 class Good:
-    """A participant that does all as it should, and checks all that it is told."""
+    """A correct participant that checks everything it receives."""
 
     def __init__(self, world: World, name: str, topics: dict[str, list[list[str]]]) -> None:
         self.world = world
         self.name = name
         self.count = 0  # messages sent over each of its connections
-        self.told = 0  # the same by the end of the last tick
+        self.reported = 0  # the same by the end of the last tick
         self.channels: dict[int, tuple[str, str]] = {}
         self.known: dict[int, int] = {}
         self.tick = 0
@@ -97,7 +97,7 @@ class Good:
         self.known |= tick.channels
         for channel, (topic, publisher) in self.channels.items():
             if (topic, publisher) == ("/t", GOOD[0]):
-                assert self.known.get(channel, 0) == self.world.good[0].told
+                assert self.known.get(channel, 0) == self.world.good[0].reported
         assert tick.datagrams == {14540: tick.tick}
         self.count += self.world.random.randint(0, 2)
         counts = dict.fromkeys(range(2), self.count) if self.name == GOOD[0] else {}
@@ -135,12 +135,12 @@ class Simulator:
 
 
 class Client:
-    """One that sends anything."""
+    """A client that sends random frames."""
 
     def __init__(self, world: World) -> None:
         self.random = world.random
         self.sock = socket.create_connection(world.address)
-        self.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # leaves no port behind
+        self.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # no TIME_WAIT
         self.sock.setblocking(False)
         self.reader = FrameReader()
         self.tick = Barrier(0, 0, {}, {})
@@ -172,7 +172,7 @@ class Client:
                 self.tick = unpack_barrier(payload)
 
     def opening(self) -> list[bytes]:
-        """Return the way in, mostly the right one, sometimes with what should come later."""
+        """Return the frames for joining, usually correct, sometimes with frames allowed only later."""
         way = self.random.random()
         introduction = {"version": VERSION, "name": self.name, "pid": os.getpid(), "host": ""}
         frames = []
@@ -193,7 +193,7 @@ class Client:
         }
 
     def frame(self) -> bytes:
-        """Return a frame that a participant may send, or something near one."""
+        """Return a frame that a participant may send, or a similar one."""
         choice = self.random.random()
         if choice < 0.25:
             return self.done()
@@ -207,7 +207,7 @@ class Client:
             state = [self.random.randrange(100) for _ in range(3)]
             return self.changed(Kind.DIGEST, {"time_us": self.tick.time_us, "topics": {"/t": state}}, 0.05)
         if choice < 0.853:
-            return self.changed(Kind.LEAVE, {"reason": "it has crashed: \x1b[1m\nno", "failed": True}, 0.3)
+            return self.changed(Kind.LEAVE, {"reason": "it crashed: \x1b[1m\nno", "failed": True}, 0.3)
         if choice < 0.99:
             return self.done()
         if choice < 0.993:
@@ -236,7 +236,7 @@ class Client:
         return struct.pack("<IB", length & 0xFFFFFFFF, kind) + self.random.randbytes(size)
 
     def changed(self, kind: Kind, content: dict[str, Any], chance: float) -> bytes:
-        """Return a frame with a JSON object, by chance with one of its values replaced, gone or doubled."""
+        """Return a frame with a JSON object, at random with a value replaced, removed or duplicated."""
         if self.random.random() < chance:
             content = copy.deepcopy(content)
             self.change(content)
@@ -271,7 +271,7 @@ class Client:
 
 
 class World:
-    """The server and all around it."""
+    """The server, the simulator and all clients."""
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
@@ -303,9 +303,9 @@ class World:
         json.dumps([time_us, topics], allow_nan=False)
 
     def idle(self, _: float) -> None:
-        """Stand for the wait within a tick."""
+        """Play the clients while the barrier waits."""
         waiting = [participant for participant in self.server.participants.values() if participant.waiting]
-        assert self.server._awaited == len(waiting)
+        assert self.server._barrier.awaited == len(waiting)
         self.looks += 1
         if self.looks > PATIENCE:
             holding = {participant.address for participant in waiting if participant.name not in GOOD}
@@ -338,11 +338,11 @@ class World:
         assert set(GOOD) <= set(self.server.participants)
         assert all(one.tick == self.good[0].tick for one in self.good)
         for one in self.good:
-            one.told = one.count
+            one.reported = one.count
         self.now += BASE_STEP_US
 
     def settle(self) -> int:
-        """Let all but the good go, and return how much the server remembers."""
+        """Close all but the correct clients and return the size of the server's tables."""
         for client in list(self.hostile):
             self.end(client)
         self.server.poll(0.0)
@@ -351,7 +351,7 @@ class World:
         self.looks = PATIENCE
         self.server.tick(self.now, {14540: self.good[0].tick + 1}, self.idle)
         for one in self.good:
-            one.told = one.count
+            one.reported = one.count
         self.now += BASE_STEP_US
         return weight(vars(self.server))
 
@@ -362,7 +362,7 @@ def address(sock: socket.socket) -> str:
 
 
 def weight(value: object) -> int:
-    """Return how many entries all tables in something have, its participants' included."""
+    """Return the number of entries of all tables in a value, including those of its attributes."""
     if isinstance(value, dict):
         return len(value) + sum(weight(one) for one in value.values())
     if isinstance(value, list | tuple | set | frozenset):
@@ -373,7 +373,7 @@ def weight(value: object) -> int:
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))
-def test_nothing_that_clients_send_harms_another(seed: int) -> None:
+def test_no_client_can_harm_another(seed: int) -> None:
     world = World(seed)
     remembered = None
     while world.sent < FRAMES // SEEDS:

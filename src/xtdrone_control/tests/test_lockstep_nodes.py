@@ -1,6 +1,6 @@
-"""The lockstep with a real ROS master and real nodes, each a process; this test plays the simulator.
+"""The lockstep with a real ROS master and real nodes, one process each; this test plays the simulator.
 
-Called as a program this file is one of those nodes.
+Run as a program, this file is one of these nodes.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ pytestmark = pytest.mark.skipif(
 
 RATES = {"/a": 50.0, "/b": 30.0, "/c": 20.0}
 END_US = 1_500_000
-PATIENCE = 120.0  # s of wall time for what should take none: a starved machine starts a node in half a minute
+PATIENCE = 120.0  # s of wall time; a starved machine takes half a minute to start a node
 
 
 # ---- the nodes ----
 
 
 def participant(name: str, seed: int, peers: list[str]) -> None:
-    """Publishes a digest of all it has received, on two topics, and writes down what comes when.
+    """Publish a checksum of all received messages on two topics, and record the messages with their times.
 
-    One topic is its own, the other is everybody's.
+    One topic is its own, the other is shared by all nodes.
     """
     lockstep.init_node(name, rate=RATES["/" + name])
     lazy = random.Random(seed)
@@ -82,7 +82,7 @@ def participant(name: str, seed: int, peers: list[str]) -> None:
 
 
 def alone(name: str) -> None:
-    """A node without a simulator: three turns of wall time."""
+    """Run three turns of wall time without a simulator."""
     lockstep.init_node(name, rate=50.0)
     main, seen = threading.get_ident(), []
     publisher = lockstep.Publisher("/loop", String, latch=True)
@@ -103,7 +103,7 @@ def alone(name: str) -> None:
 
 
 def on_clock(name: str) -> None:
-    """A node without the lockstep in simulated time, which goes on as fast as messages do: ten turns."""
+    """Run ten turns of simulated time without lockstep; time advances with each message."""
     lockstep.init_node(name, rate=50.0)
     served: list[tuple[object, float]] = []
 
@@ -138,7 +138,7 @@ def on_clock(name: str) -> None:
 
 
 def talker(name: str) -> None:
-    """A node that knows nothing of the lockstep: latches one message."""
+    """Latch one message; a node outside the lockstep."""
     rospy.init_node(name)
     publisher = rospy.Publisher("/foreign", String, latch=True, queue_size=1)
     publisher.publish("hello")
@@ -146,14 +146,14 @@ def talker(name: str) -> None:
 
 
 def listener(name: str) -> None:
-    """A node that knows nothing of the lockstep: listens."""
+    """Subscribe; a node outside the lockstep."""
     rospy.init_node(name)
     _subscriber = rospy.Subscriber("/flood", String, lambda message: None)
     rospy.spin()
 
 
 def flood(name: str) -> None:
-    """Publishes more than a socket holds."""
+    """Publish messages larger than socket buffers."""
     lockstep.init_node(name, rate=50.0)
     publisher = lockstep.Publisher("/flood", String, queue_size=5)
     lockstep.start()
@@ -168,7 +168,7 @@ def flood(name: str) -> None:
 
 
 def heavy(name: str) -> None:
-    """Publishes each turn more than a socket holds, and notes the length of what comes from another such node."""
+    """Publish messages larger than socket buffers, and record the lengths of those of another such node."""
     lockstep.init_node(name, rate=50.0)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -189,7 +189,7 @@ def heavy(name: str) -> None:
 
 
 def churner(name: str) -> None:
-    """Subscribes to a topic, leaves it, and comes back, while another node publishes; notes how many publishers."""
+    """Subscribe, unregister and subscribe again while another node publishes; record the number of publishers."""
     lockstep.init_node(name, rate=50.0)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
     current: list[lockstep.Subscriber] = []
@@ -207,7 +207,7 @@ def churner(name: str) -> None:
 
 
 def sleeper(name: str) -> None:
-    """Hears itself, takes its own second subscription back in the first one's callback, and sleeps for a second."""
+    """Receive own messages, unregister a second subscriber in the first one's callback, and sleep for a second."""
     lockstep.init_node(name, rate=50.0)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
     late: list[lockstep.Subscriber] = []
@@ -228,7 +228,7 @@ def sleeper(name: str) -> None:
 
 
 def mixer(name: str) -> None:
-    """Takes part, and hears the same node by a plain rospy subscriber too, as a tf listener would."""
+    """Take part, and subscribe to the same node with a plain rospy subscriber too, as a tf listener would."""
     lockstep.init_node(name, rate=50.0)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
     _plain = rospy.Subscriber("/from_a", String, lambda message: print("plain", file=out))
@@ -238,7 +238,7 @@ def mixer(name: str) -> None:
 
 
 def crasher(name: str) -> None:
-    """Ends by an exception in its third turn."""
+    """Raise an exception in the third turn."""
     lockstep.init_node(name, rate=50.0)
     lockstep.start()
     rate = lockstep.Rate()
@@ -248,7 +248,7 @@ def crasher(name: str) -> None:
 
 
 def stamper(name: str) -> None:
-    """Publishes a latched message with a header each fifth turn."""
+    """Publish a latched message with a header in each fifth turn."""
     lockstep.init_node(name, rate=50.0)
     publisher = lockstep.Publisher("/stamped", PointStamped, latch=True)
     lockstep.start()
@@ -257,7 +257,7 @@ def stamper(name: str) -> None:
 
 
 def reader_of_stamps(name: str) -> None:
-    """Notes the sequence numbers."""
+    """Record sequence numbers."""
     lockstep.init_node(name, rate=50.0)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
     _subscriber = lockstep.Subscriber("/stamped", PointStamped, lambda message: print(message.header.seq, file=out))
@@ -266,14 +266,14 @@ def reader_of_stamps(name: str) -> None:
 
 
 def late_rider(name: str) -> None:
-    """A node that knows nothing of the lockstep: says when it has got the latched message."""
+    """Report the latched message; a node outside the lockstep."""
     rospy.init_node(name)
     rospy.wait_for_message("/stamped", PointStamped)
     print("got it", flush=True)
 
 
 def thinker(name: str) -> None:
-    """Stands at what is a breakpoint to everybody else: waits, in its turn, for the end of its standard input."""
+    """Wait, within a turn, for the end of standard input, like a node at a breakpoint."""
     lockstep.init_node(name, rate=50.0)
     lockstep.start()
     print("stands", flush=True)
@@ -282,7 +282,7 @@ def thinker(name: str) -> None:
 
 
 def parent(name: str) -> None:
-    """Has a child that holds all its connections and does nothing."""
+    """Start an idle child process that holds all connections open."""
     lockstep.init_node(name, rate=50.0)
     lockstep.start()
     lockstep.Rate().sleep()
@@ -294,7 +294,7 @@ def parent(name: str) -> None:
 
 
 def traveller(name: str) -> None:
-    """Notes when the time has gone back."""
+    """Record resets of time."""
     lockstep.init_node(name, rate=50.0)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
     lockstep.add_reset_hook(lambda: print("back", rospy.Time.now().to_nsec() // 1000, file=out))
@@ -303,7 +303,7 @@ def traveller(name: str) -> None:
 
 
 def simulator(name: str) -> None:
-    """A simulator that publishes itself: a message before each tick, which that tick must deliver."""
+    """Play a simulator that publishes a message before each tick, to be delivered in that tick."""
     rospy.init_node(name)
     server = LockstepServer(hang_limit=PATIENCE, connect_limit=PATIENCE)
     publisher = lockstep.Publisher("/from_simulator", String)
@@ -319,7 +319,7 @@ def simulator(name: str) -> None:
 
 
 def hearing_simulator(name: str, end_us: str, back_us: str) -> None:
-    """A simulator that subscribes itself: notes what is dispatched after each tick; time goes back once if told so."""
+    """Play a simulator that subscribes: record the messages dispatched after each tick; optionally reset time once."""
     rospy.init_node(name)
     server = LockstepServer(hang_limit=PATIENCE, connect_limit=PATIENCE)
     link = lockstep.host()
@@ -350,7 +350,7 @@ def hearing_simulator(name: str, end_us: str, back_us: str) -> None:
 
 
 def announcer(name: str) -> None:
-    """A simulator that publishes what nobody counts, until it is told to end."""
+    """Play a simulator that publishes uncounted messages, until a signal ends it."""
     rospy.init_node(name)
     server = LockstepServer(hang_limit=PATIENCE, connect_limit=PATIENCE)
     publisher = lockstep.UncountedPublisher("/foreign", String)
@@ -369,7 +369,7 @@ def announcer(name: str) -> None:
 
 
 def pinger(name: str, port: int, simulator_port: int) -> None:
-    """Answers every datagram at once, and publishes nothing."""
+    """Answer every datagram at once; publish nothing."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.bind(("127.0.0.1", port))
     got: list[bytes] = []
@@ -392,7 +392,7 @@ def pinger(name: str, port: int, simulator_port: int) -> None:
 
 
 def patient(name: str) -> None:
-    """Publishes once a listener of a certain name is there."""
+    """Publish once a subscriber of a certain name is connected."""
     lockstep.init_node(name, rate=50.0)
     publisher = lockstep.Publisher("/news", String)
     assert not publisher.wait_for_subscriber("recorder", 0.0)
@@ -402,7 +402,7 @@ def patient(name: str) -> None:
 
 
 def recorder(name: str) -> None:
-    """A plain node that ends with the first message that it hears."""
+    """End with the first message received; a node outside the lockstep."""
     rospy.init_node(name)
     print(rospy.wait_for_message("/news", String, PATIENCE).data)
 
@@ -411,7 +411,7 @@ def recorder(name: str) -> None:
 
 
 class Graph:
-    """A master of its own and the processes that a test starts."""
+    """A separate ROS master and the processes started by a test."""
 
     def __init__(self, folder: Path) -> None:
         with socket.socket() as sock:
@@ -491,7 +491,7 @@ def server(graph: Graph) -> Iterator[LockstepServer]:
 
 
 def run(server: LockstepServer, end_us: int, start_us: int = -1, until: Callable[[], bool] = lambda: False) -> int:
-    """Runs barriers while the time is below `end_us`; returns the time of the next."""
+    """Run barriers while the time is below ``end_us``; return the time of the next."""
     now = 0 if start_us < 0 else start_us
     while now is not None and now < end_us and not until():
         server.tick(now)
@@ -500,7 +500,7 @@ def run(server: LockstepServer, end_us: int, start_us: int = -1, until: Callable
 
 
 def start_three(graph: Graph, server: LockstepServer, lazy: str = "", seed: int = 0) -> None:
-    # Backwards, so that the order of joining is not the order of names.
+    # In reverse, so that the order of joining differs from the order of names.
     for name in reversed(RATES):
         others = [peer[1:] for peer in RATES]
         graph.start("participant", name[1:], str(seed if name == lazy else 0), *others)
@@ -515,7 +515,7 @@ def due_times(rate: float, end_us: int) -> list[int]:
 
 
 def expected_receptions(receiver: str, end_us: int) -> list[tuple[int, str, int, str]]:
-    """What a receiver must note: (time, topic's source, time of sending, publisher), from the rule alone."""
+    """Return the receptions required by the rule: (time, topic's source, time of sending, publisher)."""
     turns = due_times(RATES[receiver], end_us)
     receptions = []
     for previous, now in itertools.pairwise(turns):
@@ -530,7 +530,7 @@ def expected_receptions(receiver: str, end_us: int) -> list[tuple[int, str, int,
     return receptions
 
 
-def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_whatever_the_speed(tmp_path: Path) -> None:
+def test_message_is_dispatched_in_the_first_turn_after_its_tick_at_any_speed(tmp_path: Path) -> None:
     transcripts = []
     for number, (lazy, seed) in enumerate([("", 0), ("/b", 5)]):
         folder = tmp_path / str(number)
@@ -558,7 +558,7 @@ def test_each_message_is_dispatched_in_the_first_turn_after_its_tick_whatever_th
     assert transcripts[1] == transcripts[0]
 
 
-def test_killing_one_lets_the_others_go_on_and_it_may_come_back(graph: Graph, server: LockstepServer) -> None:
+def test_others_continue_after_a_kill_and_the_node_may_rejoin(graph: Graph, server: LockstepServer) -> None:
     start_three(graph, server)
     now = run(server, 400_000)
     graph.processes["b"].kill()
@@ -577,12 +577,12 @@ def test_killing_one_lets_the_others_go_on_and_it_may_come_back(graph: Graph, se
     from_b = [int(sent) for _, source, sent, _, _ in seen if source == "b"]
     turns = due_times(RATES["/b"], now)
     before = [turn for turn in turns if turn < 400_000]
-    # What it sent in its last turn before it was killed was counted only if it had time to say so.
+    # Messages of its last turn before the kill were counted only if it had sent its DONE.
     assert {t for t in from_b if t < 800_000} in (set(before), set(before[:-1]))
     assert {t for t in from_b if t >= 800_000} == {t for t in turns if 800_000 <= t < last}
 
 
-def test_a_taken_name_is_refused_before_ros_ends_the_one_that_has_it(graph: Graph, server: LockstepServer) -> None:
+def test_taken_name_is_refused_before_ros_shuts_down_its_owner(graph: Graph, server: LockstepServer) -> None:
     graph.start("participant", "a", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     now = run(server, 100_000)
@@ -597,7 +597,7 @@ def test_a_taken_name_is_refused_before_ros_ends_the_one_that_has_it(graph: Grap
     assert first.poll() is None
 
 
-def test_a_crash_is_told(graph: Graph) -> None:
+def test_crash_is_reported(graph: Graph) -> None:
     lines: list[tuple[int, str]] = []
     server = LockstepServer(log=lambda level, text: lines.append((level, text)))
     graph.set_param("/lockstep/uri", server.uri)
@@ -607,11 +607,11 @@ def test_a_crash_is_told(graph: Graph) -> None:
     assert node.wait(PATIENCE) == 1
     assert not server.participants
     crash = "ZeroDivisionError: integer division or modulo by zero"
-    assert (logging.WARNING, f"participant /a leaves: it has crashed: {crash}") in lines
+    assert (logging.WARNING, f"participant /a leaves: it crashed: {crash}") in lines
     server.close()
 
 
-def test_a_breakpoint_holds_the_world_and_nobody_is_dropped(graph: Graph) -> None:
+def test_breakpoint_holds_the_simulation_and_drops_no_participant(graph: Graph) -> None:
     server = LockstepServer(hang_limit=2.5)
     graph.set_param("/lockstep/uri", server.uri)
     node = graph.start("thinker", "a", stdin=subprocess.PIPE)
@@ -619,7 +619,7 @@ def test_a_breakpoint_holds_the_world_and_nobody_is_dropped(graph: Graph) -> Non
     barrier = threading.Thread(target=server.tick, args=(0,), daemon=True)
     barrier.start()
     wait_until(lambda: "stands" in graph.output("a"), "the node has its turn")
-    barrier.join(4.0)  # much longer than the hang limit, in which the node's keep-alives must come
+    barrier.join(4.0)  # much longer than the hang limit, which the node's keep-alives must extend
     assert barrier.is_alive()
     assert list(server.participants) == ["/a"]
     node.stdin.close()
@@ -630,7 +630,7 @@ def test_a_breakpoint_holds_the_world_and_nobody_is_dropped(graph: Graph) -> Non
     server.close()
 
 
-def test_a_dead_node_is_dropped_though_its_child_holds_the_connection(graph: Graph) -> None:
+def test_dead_node_is_dropped_while_its_child_holds_the_connection(graph: Graph) -> None:
     server = LockstepServer(hang_limit=60.0)
     graph.set_param("/lockstep/uri", server.uri)
     node = graph.start("parent", "a")
@@ -647,7 +647,7 @@ def test_a_dead_node_is_dropped_though_its_child_holds_the_connection(graph: Gra
     server.close()
 
 
-def test_time_may_go_back(graph: Graph, server: LockstepServer) -> None:
+def test_reset_of_time(graph: Graph, server: LockstepServer) -> None:
     graph.start("traveller", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     run(server, 100_000)
@@ -659,10 +659,10 @@ def test_time_may_go_back(graph: Graph, server: LockstepServer) -> None:
     assert graph.transcript("a") == [*first, "back 0", *first[:3]]
 
 
-def test_time_may_go_back_to_the_very_time_of_the_last_turn(graph: Graph, server: LockstepServer) -> None:
+def test_reset_to_the_time_of_the_last_turn(graph: Graph, server: LockstepServer) -> None:
     graph.start("traveller", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
-    server.reset_time(0)  # before its first turn: nothing that it would have to take back
+    server.reset_time(0)  # before its first turn: has no effect
     for _ in range(3):
         run(server, 20_000)
         server.reset_time(0)
@@ -671,7 +671,7 @@ def test_time_may_go_back_to_the_very_time_of_the_last_turn(graph: Graph, server
     assert graph.transcript("a") == ["turn 0", "back 0", "turn 0", "back 0", "turn 0"]
 
 
-def test_a_callback_may_unregister_another_subscriber_and_sleep_ends_when_time_goes_back(
+def test_callback_may_unregister_another_subscriber_and_reset_ends_a_sleep(
     graph: Graph, server: LockstepServer
 ) -> None:
     graph.start("sleeper", "a")
@@ -684,7 +684,7 @@ def test_a_callback_may_unregister_another_subscriber_and_sleep_ends_when_time_g
     assert graph.transcript("a") == ["heard", "slept until 0"]
 
 
-def test_a_free_rider_that_comes_late_to_a_latched_topic_changes_nothing(graph: Graph, server: LockstepServer) -> None:
+def test_late_outside_subscriber_to_a_latched_topic_changes_nothing(graph: Graph, server: LockstepServer) -> None:
     graph.start("stamper", "a")
     graph.start("reader_of_stamps", "b")
     assert server.wait_for(["/a", "/b"], timeout=PATIENCE)
@@ -697,7 +697,7 @@ def test_a_free_rider_that_comes_late_to_a_latched_topic_changes_nothing(graph: 
     assert graph.transcript("b") == ["1", "2", "3", "4"]
 
 
-def test_a_participant_may_have_plain_subscribers_too(graph: Graph, server: LockstepServer) -> None:
+def test_participant_may_have_plain_subscribers_too(graph: Graph, server: LockstepServer) -> None:
     graph.start("participant", "a", "0")
     graph.start("mixer", "b")
     assert server.wait_for(["/a", "/b"], timeout=PATIENCE)
@@ -708,7 +708,7 @@ def test_a_participant_may_have_plain_subscribers_too(graph: Graph, server: Lock
     assert "waiting for messages" not in graph.output("b")
 
 
-def test_a_foreign_latched_message_comes_with_the_next_turn(graph: Graph, server: LockstepServer) -> None:
+def test_foreign_latched_message_is_dispatched_in_the_next_turn(graph: Graph, server: LockstepServer) -> None:
     graph.start("talker", "talker")
     graph.start("participant", "a", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
@@ -725,17 +725,17 @@ def test_a_foreign_latched_message_comes_with_the_next_turn(graph: Graph, server
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_node_that_waits_for_its_turn(graph: Graph, server: LockstepServer, number: int) -> None:
+def test_signal_ends_a_node_waiting_for_its_turn(graph: Graph, server: LockstepServer, number: int) -> None:
     graph.start("participant", "a", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     run(server, 100_000)
     graph.processes["a"].send_signal(number)
-    graph.processes["a"].wait(PATIENCE)  # its turn would never come
+    graph.processes["a"].wait(PATIENCE)  # there is no further tick
     server.poll(PATIENCE)
     assert not server.participants
 
 
-def test_a_stopped_listener_does_not_stop_the_world(graph: Graph, server: LockstepServer) -> None:
+def test_stopped_outside_subscriber_does_not_stop_the_simulation(graph: Graph, server: LockstepServer) -> None:
     rider = graph.start("listener", "rider")
     graph.start("flood", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
@@ -754,7 +754,7 @@ def test_a_stopped_listener_does_not_stop_the_world(graph: Graph, server: Lockst
     rider.send_signal(signal.SIGCONT)
 
 
-def test_messages_longer_than_a_socket_holds_come_in_the_next_turn(graph: Graph, server: LockstepServer) -> None:
+def test_messages_larger_than_socket_buffers_arrive_in_the_next_turn(graph: Graph, server: LockstepServer) -> None:
     for name in "ab":
         graph.start("heavy", name)
     assert server.wait_for(["/a", "/b"], timeout=PATIENCE)
@@ -770,7 +770,7 @@ def test_messages_longer_than_a_socket_holds_come_in_the_next_turn(graph: Graph,
         ]
 
 
-def test_a_subscriber_may_leave_and_come_back(graph: Graph, server: LockstepServer) -> None:
+def test_subscriber_may_unregister_and_subscribe_again(graph: Graph, server: LockstepServer) -> None:
     graph.start("participant", "a", "0")
     graph.start("churner", "churner")
     assert server.wait_for(["/a", "/churner"], timeout=PATIENCE)
@@ -783,15 +783,15 @@ def test_a_subscriber_may_leave_and_come_back(graph: Graph, server: LockstepServ
     assert [line for line in lines if line[1] == "connections"] == [
         [str(turn), "connections", "1"] for turn in range(3, 20, 4)
     ]
-    # It leaves in turn k + 3, after the message of turn k + 2. Whether it has that of turn k + 1 depends on whether the
-    # publisher had noticed the end of the connection before by then: only if so the world was held for the new one.
+    # It unregisters in turn k + 3, after the message of turn k + 2. It receives that of turn k + 1 only if the
+    # publisher had noticed the end of the previous connection by then: the simulation then waited for the new one.
     times = due_times(50.0, now)
     for turn in range(0, 20, 4):
         sent = [int(line[1]) for line in lines if line[0] == str(turn)]
         assert sent in (times[turn + 1 : turn + 3], times[turn : turn + 3], times[turn + 2 : turn + 3])
 
 
-def test_what_the_simulator_publishes_before_a_tick_is_dispatched_in_it(graph: Graph) -> None:
+def test_simulator_messages_before_a_tick_are_dispatched_in_it(graph: Graph) -> None:
     process = graph.start("simulator", "simulator")
     graph.set_param("/lockstep/wait", True)
     graph.start("participant", "a", "0", "simulator")
@@ -811,7 +811,7 @@ def start_hearing(graph: Graph, end_us: int, back_us: int = 0, lazy: str = "") -
 
 
 def sent_to_simulator(times: list[int]) -> list[tuple[int, str, int, str]]:
-    """What a simulator that hears all three must note: (time, topic's source, time of sending, publisher)."""
+    """Return the receptions required of a simulator: (time, topic's source, time of sending, publisher)."""
     heard = []
     for now in times:
         senders = [source[1:] for source in RATES if now in due_times(RATES[source], now + 1)]
@@ -825,7 +825,7 @@ def all_ticks(end_us: int) -> list[int]:
 
 
 @pytest.mark.parametrize("lazy", ["", "/b"])
-def test_the_simulator_hears_in_each_tick_what_was_sent_in_it(graph: Graph, lazy: str) -> None:
+def test_simulator_receives_in_each_tick_the_messages_sent_in_it(graph: Graph, lazy: str) -> None:
     process = start_hearing(graph, 600_000, lazy=lazy)
     assert process.wait(PATIENCE) == 0, graph.output("simulator")
     lines = [line.split() for line in graph.transcript("simulator")]
@@ -833,7 +833,7 @@ def test_the_simulator_hears_in_each_tick_what_was_sent_in_it(graph: Graph, lazy
     assert seen == sent_to_simulator(all_ticks(600_000))
 
 
-def test_the_simulator_hears_the_same_when_time_has_gone_back(graph: Graph) -> None:
+def test_simulator_receives_the_same_after_a_reset(graph: Graph) -> None:
     process = start_hearing(graph, 400_000, back_us=300_000)
     assert process.wait(PATIENCE) == 0, graph.output("simulator")
     lines = [line.split() for line in graph.transcript("simulator")]
@@ -843,7 +843,7 @@ def test_the_simulator_hears_the_same_when_time_has_gone_back(graph: Graph) -> N
         assert seen == sent_to_simulator(all_ticks(end))
 
 
-def test_the_simulator_hears_on_when_a_participant_dies_and_hears_free_riders(graph: Graph) -> None:
+def test_simulator_receives_after_a_death_and_from_outside_publishers(graph: Graph) -> None:
     process = start_hearing(graph, 10**12)
 
     def heard(what: str) -> bool:
@@ -865,7 +865,7 @@ def test_the_simulator_hears_on_when_a_participant_dies_and_hears_free_riders(gr
     process.kill()
 
 
-def test_nobody_waits_for_what_is_not_counted(graph: Graph) -> None:
+def test_uncounted_messages_are_not_waited_for(graph: Graph) -> None:
     process = graph.start("announcer", "announcer")
     graph.set_param("/lockstep/wait", True)
     graph.start("participant", "a", "0", "a")
@@ -893,7 +893,7 @@ def test_datagrams_are_waited_for(graph: Graph, server: LockstepServer) -> None:
         assert server.wait_for(["/pinger"], timeout=PATIENCE)
         sent = 0
         for index, number in enumerate([2, 0, 3, 1]):
-            # The count promises what is sent only after the tick has begun: the node has to wait for it.
+            # The counted datagrams are sent after the tick has begun: the node has to wait for them.
             late = threading.Timer(0.05, lambda n=number: [sock.sendto(b"x", ("127.0.0.1", port)) for _ in range(n)])
             late.start()
             sent += number
@@ -907,31 +907,31 @@ def test_datagrams_are_waited_for(graph: Graph, server: LockstepServer) -> None:
     assert "calls 2 5 6" in graph.output("pinger")
 
 
-def test_without_a_simulator_it_is_an_ordinary_node(graph: Graph) -> None:
+def test_without_a_simulator_the_node_is_an_ordinary_node(graph: Graph) -> None:
     assert graph.start("alone", "alone").wait(PATIENCE) == 0, graph.output("alone")
     assert "alone is well" in graph.output("alone")
 
 
-def test_without_the_lockstep_turns_go_by_simulated_time(graph: Graph) -> None:
+def test_without_lockstep_turns_follow_simulated_time(graph: Graph) -> None:
     graph.set_param("/use_sim_time", True)
     assert graph.start("on_clock", "on_clock").wait(PATIENCE) == 0, graph.output("on_clock")
     assert "on the clock" in graph.output("on_clock")
 
 
 @pytest.mark.parametrize("wall", [True, False])
-def test_a_wall_clock_that_is_set_right_is_no_reset(monkeypatch: pytest.MonkeyPatch, wall: bool) -> None:
-    from xtdrone_control.lockstep import client
+def test_corrected_wall_clock_is_not_a_reset(monkeypatch: pytest.MonkeyPatch, wall: bool) -> None:
+    from xtdrone_control.lockstep.client import api
 
     times = iter([rospy.Time(10), rospy.Time(5)])
     resets: list[str] = []
-    monkeypatch.setattr(client.rospy.Time, "now", staticmethod(lambda: next(times)))
-    monkeypatch.setattr(client.rospy.rostime, "is_wallclock", lambda: wall)
-    monkeypatch.setattr(client._node, "reset_hooks", [lambda: resets.append("reset")])
-    client.Rate._sleep_free(SimpleNamespace(sleep=lambda: None))
+    monkeypatch.setattr(api.rospy.Time, "now", staticmethod(lambda: next(times)))
+    monkeypatch.setattr(api.rospy.rostime, "is_wallclock", lambda: wall)
+    monkeypatch.setattr(api.this_node, "reset_hooks", [lambda: resets.append("reset")])
+    api.Rate._sleep_free(SimpleNamespace(sleep=lambda: None))
     assert resets == ([] if wall else ["reset"])
 
 
-def test_a_publisher_waits_for_the_listener_that_it_is_told(graph: Graph) -> None:
+def test_publisher_waits_for_a_named_subscriber(graph: Graph) -> None:
     graph.start("patient", "patient")
     wait_until(lambda: "waits" in graph.output("patient"), "the publisher waits")
     other = graph.start("recorder", "other")  # this one is not waited for
@@ -947,7 +947,7 @@ def test_the_private_parameter_opts_out(graph: Graph, server: LockstepServer) ->
     assert not server.participants
 
 
-def test_a_node_that_starts_first_waits_for_the_simulator(graph: Graph) -> None:
+def test_node_started_first_waits_for_the_simulator(graph: Graph) -> None:
     graph.set_param("/lockstep/wait", True)
     graph.start("participant", "a", "0", "a")
 

@@ -1,9 +1,9 @@
-"""The law of the bulk-synchronous step, under any scheduler: a message that is sent in tick k is dispatched in the
-receiver's first turn after k, none earlier, none later, whoever dies, joins or is slow.
+"""The rule of the lockstep under random scheduling: a message of tick k is dispatched in the receiver's next turn.
 
-The server is the real one, on real sockets. The participants are played here, one small action at a time: which of them
-acts next, how its bytes are cut, when a connection is made and when a message arrives is drawn at random. All in one
-thread, so that a drawn seed plays the same again.
+It is never dispatched earlier or later, whichever participants die, join or are slow. The test runs the real server on
+real sockets and plays the participants, one small action at a time. It chooses at random which of them acts next, how
+its bytes are split, and when connections are made and messages arrive. Everything runs in one thread, so that a seed
+reproduces its run.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from xtdrone_control.lockstep.protocol import (
 from xtdrone_control.lockstep.server import LockstepServer
 
 RATES = (20.0, 30.0, 50.0, 125.0, 250.0)
-MOST_ACTIONS = 20_000  # in one barrier; more is taken for a deadlock
+MOST_ACTIONS = 20_000  # in one barrier; more are considered a deadlock
 
 Message = tuple[str, int, int]
 """Publisher, the tick in which it was published, running number."""
@@ -37,7 +37,7 @@ Message = tuple[str, int, int]
 
 @dataclass
 class Connection:
-    """One topic connection: ``wire`` has been sent and has not arrived, ``inbox`` has arrived."""
+    """One topic connection: ``wire`` holds messages on their way, ``inbox`` those that have arrived."""
 
     publisher: Member
     subscriber: Member
@@ -45,7 +45,7 @@ class Connection:
     port: int
     sent: int = 0
     announced: bool = False
-    told: bool = False  # that it is lost
+    reported: bool = False  # as lost
     wire: deque[Message] = field(default_factory=deque)
     inbox: deque[Message] = field(default_factory=deque)
     arrived: int = 0
@@ -54,7 +54,7 @@ class Connection:
 
 
 class Member:
-    """A participant: publishes on a topic of its own name, subscribes to some others'."""
+    """A participant that publishes on a topic of its own name and subscribes to some of the others'."""
 
     def __init__(self, world: World, name: str, rate: float, subscribes: list[str]) -> None:
         self.world = world
@@ -74,11 +74,11 @@ class Member:
         self.outlets: list[Connection] = []
         self.changed: dict[int, int] = {}
         self.published: list[Message] = []
-        self.finished: set[int] = set()  # ticks whose DONE has left whole
+        self.finished: set[int] = set()  # ticks whose DONE has been sent completely
         self.turns: list[int] = []
         self.script: Iterator[None] | None = None
 
-    # what it does
+    # its actions
 
     def start(self) -> None:
         host, port = self.world.server.uri.removeprefix("tcp://").split(":")
@@ -105,7 +105,7 @@ class Member:
             self.sock.close()
 
     def actions(self) -> list:
-        """What it could do now."""
+        """Return the possible actions."""
         if self.dead or self.sock is None:
             return []
         found = [self.receive] if select.select([self.sock], [], [], 0.0)[0] else []
@@ -180,7 +180,7 @@ class Member:
         message = (self.name, self.tick, len(self.published))
         self.published.append(message)
         for connection in self.outlets:
-            if connection.told:
+            if connection.reported:
                 continue
             connection.wire.append(message)
             connection.sent += 1
@@ -189,14 +189,14 @@ class Member:
 
 
 class Host(Member):
-    """The simulator itself, which hears others: after each barrier it dispatches what was sent in that tick."""
+    """The simulator as a subscriber: after each barrier it dispatches the messages sent in that tick."""
 
     def __init__(self, world: World, name: str, subscribes: list[str]) -> None:
         super().__init__(world, name, 0.0, subscribes)
         self.declaration: dict | None = {"publications": [], "subscriptions": [[topic, "t"] for topic in subscribes]}
         self.counts: dict[int, int] = {}
 
-    # what the server calls
+    # called by the server
 
     def collect(self) -> tuple:
         declaration, self.declaration = self.declaration, None
@@ -209,7 +209,7 @@ class Host(Member):
         self.peers(news)
         self.counts.update(counts)
 
-    # what the simulator does
+    # called by the simulator
 
     def hear(self, tick: int) -> None:
         self.tick = tick
@@ -226,7 +226,7 @@ class Host(Member):
 
 
 class World:
-    """The server, the members and the adversary who decides what happens next."""
+    """The server, the members and an adversarial scheduler."""
 
     def __init__(self, seed: int, count: int, deaths: int, late: int) -> None:
         self.random = random.Random(seed)
@@ -245,8 +245,8 @@ class World:
         self.deaths = deaths
         self.connections: list[Connection] = []
         self.busy = 0
-        self.haste = self.random.choice([0.0, 0.003, 0.05])  # 0: connections are made only when all else stands still
-        self.flying = False  # before that nobody dies or comes late: the start waits for all by name
+        self.haste = self.random.choice([0.0, 0.003, 0.05])  # 0: connections are made only when nothing else can happen
+        self.flying = False  # before that no member dies or joins late, as the start waits for all of them by name
         for member in self.members:
             if member not in self.waiting:
                 member.start()
@@ -277,14 +277,14 @@ class World:
         publisher.send(pack_object(Kind.PEER, {"made": made, "lost": []}))
 
     def lose(self, connection: Connection) -> None:
-        connection.told = True
+        connection.reported = True
         connection.publisher.send(pack_object(Kind.PEER, {"made": [], "lost": [connection.number]}))
         connection.publisher.changed.pop(connection.number, None)
 
     def act(self) -> None:
-        """Let one thing happen."""
+        """Perform one action."""
         choices: list = []
-        slow: list = []  # connections, which take long beside messages
+        slow: list = []  # making connections, which takes long compared with messages
         for member in self.members:
             choices += member.actions()
         for publisher, subscriber in self.possible_connections():
@@ -297,7 +297,7 @@ class World:
             if (
                 connection.announced
                 and connection.subscriber.dead
-                and not connection.told
+                and not connection.reported
                 and not connection.publisher.dead
             ):
                 choices.append(lambda c=connection: self.lose(c))
@@ -320,9 +320,9 @@ class World:
         connection.arrived += 1
 
     def idle(self, _: float) -> None:
-        """Stand for the wait in a barrier."""
+        """Perform actions while the barrier waits."""
         self.busy += 1
-        assert self.busy < MOST_ACTIONS, f"deadlock; the server says: {self.warnings[-3:]}"
+        assert self.busy < MOST_ACTIONS, f"deadlock; warnings: {self.warnings[-3:]}"
         self.act()
 
     def run(self, ticks: int) -> None:
@@ -344,14 +344,14 @@ class World:
 
 
 def law(connection: Connection) -> None:
-    """Check what one connection has dispatched against what was published over it."""
+    """Compare the messages dispatched from a connection with those published over it."""
     reader, writer = connection.subscriber, connection.publisher
     got = [message for _, message in connection.dispatched]
     first = got[0][2] if got else len(writer.published)
     assert got == writer.published[first : first + len(got)], "in order, none lost, none twice"
     for tick, message in connection.dispatched:
         previous = max((turn for turn in reader.turns if turn < tick), default=0)  # in the first: all that came before
-        if isinstance(reader, Host):  # its turn comes at the end of a tick, after all others'
+        if isinstance(reader, Host):  # its turn is at the end of a tick, after all others'
             assert previous < message[1] <= tick, f"{message} was heard in tick {tick}, the turn before was {previous}"
             continue
         assert previous <= message[1] < tick, f"{message} was dispatched in tick {tick}, the turn before was {previous}"
@@ -372,13 +372,13 @@ def law(connection: Connection) -> None:
 
 
 @pytest.mark.parametrize("seed", range(45))
-def test_every_message_is_dispatched_in_the_first_turn_after_its_tick(seed: int):
+def test_message_is_dispatched_in_the_first_turn_after_its_tick(seed: int):
     sizes = random.Random(-1 - seed)
     deaths = sizes.randint(0, 3)
     world = World(seed, count=sizes.randint(3, 6), deaths=deaths, late=sizes.randint(1, 2))
     world.run(ticks=15)
     for publisher, subscriber in world.possible_connections():
-        world.connections.append(Connection(publisher, subscriber, 0, 0))  # never made: the law holds all the same
+        world.connections.append(Connection(publisher, subscriber, 0, 0))  # never made: the rule holds nevertheless
     for connection in world.connections:
         law(connection)
     assert all(member.turns for member in world.members if not member.dead and member not in world.waiting) or deaths

@@ -1,4 +1,4 @@
-"""The participant's own reading of topic connections, over socket pairs; no ROS master."""
+"""Reading of topic connections in the participant's own thread, over socket pairs; no ROS master."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ import pytest
 
 pytest.importorskip("rospy", reason="needs rospy")
 
-from xtdrone_control.lockstep.reader import Feed, Inbox, Reader
+from xtdrone_control.lockstep.transport.inbox import Feed, Inbox
+from xtdrone_control.lockstep.transport.reader import Reader
 
 
 def framed(*messages: bytes) -> bytes:
@@ -23,7 +24,7 @@ def framed(*messages: bytes) -> bytes:
 
 
 class Connection(SimpleNamespace):
-    """What a feed needs of rospy's transport."""
+    """The part of rospy's transport used by a feed."""
 
     def __init__(self, sock: socket.socket, head: bytes = b"") -> None:
         buffer = BytesIO()
@@ -72,7 +73,7 @@ def reader() -> Reader:
     return reader
 
 
-def test_whatever_the_pieces_the_messages_are_the_same(line: Line) -> None:
+def test_messages_are_the_same_for_any_fragmentation(line: Line) -> None:
     messages = [b"", b"a", b"x" * 5000, b"yz", b"", b"z" * 70_000]
     data = framed(*messages)
     for size in (1, 3, 4096, len(data)):
@@ -81,7 +82,7 @@ def test_whatever_the_pieces_the_messages_are_the_same(line: Line) -> None:
             line.sender.sendall(data[start : start + size])
             while line.feed.pull():
                 pass
-        if size == 1:  # the rest in one go
+        if size == 1:  # the rest at once
             line.sender.sendall(data[200:])
             while line.feed.pull():
                 pass
@@ -90,7 +91,7 @@ def test_whatever_the_pieces_the_messages_are_the_same(line: Line) -> None:
     assert line.connection.stat_bytes == 4 * len(data)
 
 
-def test_what_came_with_the_header_comes_first() -> None:
+def test_data_received_with_the_header_comes_first() -> None:
     line = Line(head=framed(b"first", b"second")[:-3])
     assert list(line.inbox.messages) == [b"first"]
     line.sender.sendall(b"ond" + framed(b"third"))
@@ -99,7 +100,7 @@ def test_what_came_with_the_header_comes_first() -> None:
     line.close()
 
 
-def test_fetch_reads_no_more_than_it_must(line: Line) -> None:
+def test_fetch_reads_only_the_messages_due(line: Line) -> None:
     line.sender.sendall(framed(b"1"))
     assert line.inbox.fetch()
     assert not line.inbox.messages
@@ -109,7 +110,7 @@ def test_fetch_reads_no_more_than_it_must(line: Line) -> None:
     assert not line.inbox.closed
 
 
-def test_what_was_sent_before_the_publisher_ended_is_read(line: Line) -> None:
+def test_messages_sent_before_the_publisher_ended_are_read(line: Line) -> None:
     line.sender.sendall(framed(b"1", b"2"))
     line.sender.close()
     assert line.expect(3).inbox.fetch() is False
@@ -118,7 +119,7 @@ def test_what_was_sent_before_the_publisher_ended_is_read(line: Line) -> None:
     assert line.connection.closed == 1
 
 
-def test_closing_in_another_thread_keeps_what_has_come(line: Line) -> None:
+def test_close_in_another_thread_keeps_received_messages(line: Line) -> None:
     line.sender.sendall(framed(b"1", b"2"))
     thread = threading.Thread(target=lambda: line.connection.close())
     thread.start()
@@ -129,7 +130,7 @@ def test_closing_in_another_thread_keeps_what_has_come(line: Line) -> None:
     assert not line.expect(3).inbox.fetch()
 
 
-def test_of_a_foreign_publisher_the_newest_are_kept() -> None:
+def test_newest_messages_of_a_foreign_publisher_are_kept() -> None:
     line = Line(counted=False)
     line.inbox.most_kept = 3
     line.sender.sendall(framed(b"1", b"2", b"3", b"4", b"5"))
@@ -141,7 +142,7 @@ def test_of_a_foreign_publisher_the_newest_are_kept() -> None:
     line.close()
 
 
-def test_a_foreign_connection_is_read_while_waiting_and_a_counted_one_is_not(reader: Reader) -> None:
+def test_foreign_connection_is_read_while_waiting_and_a_counted_one_is_not(reader: Reader) -> None:
     foreign, counted = Line(counted=False), Line()
     for line in (foreign, counted):
         reader.hand_over(line.feed)
@@ -156,7 +157,7 @@ def test_a_foreign_connection_is_read_while_waiting_and_a_counted_one_is_not(rea
     foreign.sender.sendall(framed(b"2"))
     reader.wait(0.0)
     assert list(foreign.inbox.messages) == [b"1"]
-    # The end of either is noticed at once.
+    # A close is noticed at once on either.
     for line in (foreign, counted):
         line.sender.close()
     while not (foreign.inbox.closed and counted.inbox.closed):
@@ -165,7 +166,7 @@ def test_a_foreign_connection_is_read_while_waiting_and_a_counted_one_is_not(rea
     assert list(counted.inbox.messages) == [b"1"]
 
 
-def test_waiting_ends_when_the_last_counted_message_is_there(reader: Reader) -> None:
+def test_wait_ends_with_the_last_counted_message(reader: Reader) -> None:
     here, late, ended, unconnected = Line(), Line(), Line(), Line()
     for line in (here, late, ended):
         reader.hand_over(line.feed)
@@ -210,7 +211,7 @@ def test_watched_descriptors_are_served_while_waiting_for_messages(reader: Reade
     line.close()
 
 
-def test_a_connection_closed_before_it_was_taken_over_is_left_out(reader: Reader) -> None:
+def test_connection_closed_before_the_handover_is_ignored(reader: Reader) -> None:
     line = Line()
     line.sender.sendall(framed(b"1"))
     reader.hand_over(line.feed)

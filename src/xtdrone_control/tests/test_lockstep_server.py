@@ -1,4 +1,4 @@
-"""The lockstep's protocol and server, with participants played over real sockets; no ROS."""
+"""The lockstep protocol and server, with simulated participants over real sockets; no ROS."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from xtdrone_control.lockstep import frames, participant, protocol
-from xtdrone_control.lockstep import server as server_module
-from xtdrone_control.lockstep.frames import Declaration
+from xtdrone_control.lockstep import protocol
 from xtdrone_control.lockstep.protocol import FrameReader, Kind, ProtocolError, Schedule
-from xtdrone_control.lockstep.server import STOPPED, LockstepServer
-from xtdrone_control.lockstep.wanted import Topics
+from xtdrone_control.lockstep.server import LockstepServer, connections, frames, participant
+from xtdrone_control.lockstep.server.barrier import STOPPED
+from xtdrone_control.lockstep.server.frames import Declaration
+from xtdrone_control.lockstep.server.matching import TopicTable
 
 STEP = protocol.BASE_STEP_US
 PATIENCE = 120.0  # s of wall time; only a broken run takes so long
@@ -110,7 +110,7 @@ def joined(server: LockstepServer, *players: FakeParticipant) -> None:
 
 
 def answered(server: LockstepServer, *players: FakeParticipant) -> None:
-    """Serve until each of the players has an answer to read."""
+    """Poll the server until each player has an answer to read."""
     end = time.monotonic() + PATIENCE
     for player in players:
         while not select.select([player.sock], [], [], 0.0)[0]:
@@ -119,7 +119,7 @@ def answered(server: LockstepServer, *players: FakeParticipant) -> None:
 
 
 class Running:
-    """One barrier in a thread of its own, so that the test can play the participants."""
+    """One barrier in a separate thread, so that the test can play the participants."""
 
     def __init__(self, server: LockstepServer, now_us: int, **options) -> None:
         self.thread = threading.Thread(target=server.tick, args=(now_us,), kwargs=options, daemon=True)
@@ -136,7 +136,7 @@ class Running:
 # ---- protocol ----
 
 
-def test_barrier_frames_survive_any_cutting():
+def test_barrier_frames_are_read_from_any_fragments():
     random.seed(7)
     barriers = [
         protocol.Barrier(
@@ -159,28 +159,28 @@ def test_barrier_frames_survive_any_cutting():
     assert [protocol.unpack_barrier(payload) for _, payload in frames] == barriers
 
 
-def test_layout_is_as_documented():
+def test_frame_layout_matches_the_documentation():
     frame = protocol.pack_barrier(Kind.TICK, 3, 12000, {5: 6}, {14540: 9})
     assert frame == struct.pack("<IBQqIIIQIQ", 1 + 24 + 24, 7, 3, 12000, 1, 1, 5, 6, 14540, 9)
 
 
 @pytest.mark.parametrize("data", [b"\0\0\0\0\1", b"\xff\xff\xff\xff\1", b"\1\0\0\0\x63"])
-def test_bad_length_is_an_error(data):
+def test_invalid_length_raises(data):
     reader = FrameReader()
     reader.feed(data)
     with pytest.raises(ProtocolError, match="allowed"):
         list(reader.frames())
 
 
-def test_a_reader_looks_at_the_head_before_the_payload_has_come():
+def test_reader_checks_the_header_before_the_payload_arrives():
     reader = FrameReader(frames.BEFORE_JOIN)
     reader.feed(struct.pack("<IB", frames.LONGEST_RESERVE + 1, Kind.RESERVE))
     with pytest.raises(ProtocolError, match=f"allowed are 1 to {frames.LONGEST_RESERVE}"):
         list(reader.frames())
 
 
-def test_long_barrier_frames_leave_nothing_behind():
-    """Their length is the sender's choice: what is kept for each length would fill the memory."""
+def test_long_barrier_frames_do_not_leak_memory():
+    """The sender chooses their length, so a cache per length would fill the memory."""
     whole = [protocol.pack_barrier(Kind.DONE, 1, 0, {i: i for i in range(n)}, {})[5:] for n in (40_000, 40_001, 40_002)]
     protocol.unpack_barrier(whole[0])
     tracemalloc.start()
@@ -200,7 +200,7 @@ def test_long_barrier_frames_leave_nothing_behind():
         ("x" * 300, "x" * 197 + "..."),
     ],
 )
-def test_a_peers_text_is_one_printable_line(text, shown):
+def test_text_of_a_peer_becomes_one_printable_line(text, shown):
     assert protocol.printable(text) == shown
     assert protocol.printable("\n" * 1000, 40) == "\\n" * 18 + "\\..."
 
@@ -210,34 +210,34 @@ def test_a_peers_text_is_one_printable_line(text, shown):
     [
         (frames.join, {"rate": 10**400}, "/a: rate 1000"),
         (frames.join, {"rate": True}, "/a: rate True: must be above 0"),
-        (frames.join, {"udp_ports": [math.inf]}, "JOIN: UDP port inf: must be a whole number from 1 to 65535"),
+        (frames.join, {"udp_ports": [math.inf]}, "JOIN: UDP port inf: must be an integer from 1 to 65535"),
         (frames.join, {"pid": 10**400}, "JOIN: pid 1000"),
         (frames.join, {"name": "/a\n[WARN]"}, r"name '/a\\n\[WARN\]': must be a resolved ROS name"),
-        (frames.join, {"name": "/" + "a" * 256}, "of at most 256 letters"),
+        (frames.join, {"name": "/" + "a" * 256}, "of at most 256 characters"),
         (frames.join, {"publications": [["/x\x1b", "T"]]}, r"JOIN: publications: topic '/x\\x1b': must be a"),
         (frames.join, {"publications": [["/x", "T\n"]]}, r"JOIN: publications: type 'T\\n': must be a ROS type"),
-        (frames.join, {"subscriptions": {"/x": "T"}}, "JOIN: subscriptions a table of 1: must be a list"),
-        (frames.peers, {"made": [[1, "/x", "/b", 1000, "abc"]]}, "PEER: count 'abc': must be a whole number"),
-        (frames.peers, {"made": [[1, "/x", "/b", 1000, -5]]}, "PEER: count -5: must be a whole number from 0 to"),
+        (frames.join, {"subscriptions": {"/x": "T"}}, "JOIN: subscriptions an object of 1: must be a list"),
+        (frames.peers, {"made": [[1, "/x", "/b", 1000, "abc"]]}, "PEER: count 'abc': must be an integer"),
+        (frames.peers, {"made": [[1, "/x", "/b", 1000, -5]]}, "PEER: count -5: must be an integer from 0 to"),
         (frames.peers, {"made": [[1, [], "/b", 1000, 0]]}, "PEER: topic a list of 0: must be a resolved ROS name"),
-        (frames.peers, {"lost": [[]]}, "PEER: number a list of 0: must be a whole number"),
-        (frames.digest, {"time_us": math.inf, "topics": {}}, "DIGEST: time_us inf: must be a whole number"),
+        (frames.peers, {"lost": [[]]}, "PEER: number a list of 0: must be an integer"),
+        (frames.digest, {"time_us": math.inf, "topics": {}}, "DIGEST: time_us inf: must be an integer"),
         (frames.digest, {"time_us": 0, "topics": {"/x": [1, 2, 1 << 32]}}, "DIGEST: number 4294967296: must be"),
-        (frames.leave, {"reason": 5}, "LEAVE: reason 5, failed False: must be a text, true or false"),
+        (frames.leave, {"reason": 5}, "LEAVE: reason 5, failed False: must be a string and a boolean"),
     ],
 )
-def test_what_is_wrong_with_a_frame_is_named(read, content, text):
+def test_error_names_the_invalid_field(read, content, text):
     whole = {"version": protocol.VERSION, "name": "/a", "rate": 30, **content} if read is frames.join else content
     with pytest.raises(ProtocolError, match=text):
         read(protocol.pack_object(Kind.JOIN, whole)[5:])
 
 
-def test_a_foreign_subscribers_name_is_no_fault_of_the_publishers():
+def test_invalid_name_of_a_foreign_subscriber_is_accepted():
     content = {"made": [[1, "/x", "a stranger\n", 1000, 0]], "lost": []}
     assert frames.peers(protocol.pack_object(Kind.PEER, content)[5:]).made == [frames.Made(1, "/x", "", 1000, 0)]
 
 
-def test_bad_payloads_are_errors():
+def test_invalid_payloads_raise():
     whole = protocol.pack_barrier(Kind.TICK, 3, 12000, {5: 6}, {})[5:]
     for payload in (whole[:-1], whole + b"\0", b""):
         with pytest.raises(ProtocolError):
@@ -250,7 +250,7 @@ def test_bad_payloads_are_errors():
 # ---- due times ----
 
 
-def test_due_times_have_the_property_that_defines_them():
+def test_due_times_satisfy_their_definition():
     random.seed(11)
     rates = [250.0, 30.0, 0.1, 29.97, 1 / 3, 249.999, 100.0, 7.0] + [random.uniform(0.01, 250.0) for _ in range(60)]
     for rate in rates:
@@ -264,12 +264,12 @@ def test_due_times_have_the_property_that_defines_them():
             assert wanted <= due < wanted + STEP
             assert due > previous
             previous = due
-            # The next after any time up to just before it is it, and after it comes the next index.
+            # It is the next due time after any earlier time, and is followed by that of the next index.
             assert schedule.after_us(due - 1) == due
             assert schedule.after_us(due) == schedule.due_us(index + 1)
 
 
-def test_thirty_hertz_is_thirty_in_every_second():
+def test_thirty_hertz_means_thirty_turns_per_second():
     schedule = Schedule(30.0)
     times, now = [], -1
     while (now := schedule.after_us(now)) < 10_000_000:
@@ -279,7 +279,7 @@ def test_thirty_hertz_is_thirty_in_every_second():
 
 
 @pytest.mark.parametrize("rate", [0, -1.0, 250.1, float("nan"), float("inf"), "30", None])
-def test_rate_out_of_range_is_refused(rate):
+def test_rate_out_of_range_raises(rate):
     with pytest.raises(ValueError, match="must be above 0 and at most 250 Hz"):
         Schedule(rate)
 
@@ -290,11 +290,11 @@ _DECLARED = st.dictionaries(st.sampled_from(["/x", "/y", "/z"]), st.sampled_from
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), _DECLARED, _DECLARED), max_size=12))
-def test_the_connections_that_there_must_be_are_those_of_common_topics(declared):
-    topics, now = Topics(), {}
+def test_required_connections_are_those_of_common_topics(declared):
+    topics, now = TopicTable(), {}
     for name, publications, subscriptions in declared:
         if name in now and not publications and not subscriptions:
-            topics.withdraw(name)
+            topics.remove(name)
             del now[name]
             continue
         topics.declare(name, Declaration(publications, subscriptions))
@@ -309,28 +309,28 @@ def test_the_connections_that_there_must_be_are_those_of_common_topics(declared)
         assert set(topics.pairs(name)) == wanted
 
 
-def test_long_news_comes_in_several_frames_each_connection_before_its_loss(monkeypatch):
-    monkeypatch.setattr(participant, "NEWS_A_FRAME", 2)
-    one = participant.Participant(None, ("the simulator", 0), 0.0)
-    one.made = [[number, "/x", "/a", 1000] for number in range(5)]
-    one.lost, one.counted, one.reset, one.void = [4], [7], True, [[0, 1], [1, 1], [2, 1]]
-    news = one.take_news()
-    assert [len(content["made"]) for content in news] == [2, 2, 1, 0, 0]
-    assert [content["lost"] for content in news] == [[], [], [], [4], []]
-    assert [content.get("void") for content in news] == [None, None, None, [[0, 1], [1, 1]], [[2, 1]]]
-    assert [content.get("reset") for content in news] == [None] * 4 + [True]
-    assert one.take_news() == []
+def test_long_news_is_split_with_each_connection_before_its_loss(monkeypatch):
+    monkeypatch.setattr(participant, "MOST_NEWS_PER_FRAME", 2)
+    news = participant.News()
+    news.made = [[number, "/x", "/a", 1000] for number in range(5)]
+    news.lost, news.counted, news.reset, news.void = [4], [7], True, [[0, 1], [1, 1], [2, 1]]
+    peers = news.take_peers()
+    assert [len(content["made"]) for content in peers] == [2, 2, 1, 0, 0]
+    assert [content["lost"] for content in peers] == [[], [], [], [4], []]
+    assert [content.get("void") for content in peers] == [None, None, None, [[0, 1], [1, 1]], [[2, 1]]]
+    assert [content.get("reset") for content in peers] == [None] * 4 + [True]
+    assert news.take_peers() == []
 
 
 # ---- joining ----
 
 
-def test_start_tells_who_is_missing(server):
-    told = []
-    assert not server.wait_for(["/a", "b"], timeout=0.0, progress=told.append)
-    assert told == ["2 of 2 participants have not joined: /a, /b"]
-    assert not server.wait_for(1, timeout=0.0, progress=told.append)
-    assert told[-1] == "0 of 1 participants have joined"
+def test_start_reports_missing_participants(server):
+    reported = []
+    assert not server.wait_for(["/a", "b"], timeout=0.0, progress=reported.append)
+    assert reported == ["2 of 2 participants have not joined: /a, /b"]
+    assert not server.wait_for(1, timeout=0.0, progress=reported.append)
+    assert reported[-1] == "0 of 1 participants have joined"
     _a = FakeParticipant(server, "/a")
     assert server.wait_for(1, timeout=PATIENCE)
     assert server.missing(["a"]) == ""
@@ -339,14 +339,14 @@ def test_start_tells_who_is_missing(server):
 def test_start_waits_for_connections_between_declared_topics(server):
     a = FakeParticipant(server, "/a", publications=[["/x", "T"], ["/y", "T"]])
     b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
-    told = []
+    reported = []
     while len(server.participants) < 2:
         server.poll(PATIENCE)
-    assert not server.wait_for(2, timeout=0.0, progress=told.append)
-    assert told[-1] == "1 connections are not made: /x from /a to /b"
+    assert not server.wait_for(2, timeout=0.0, progress=reported.append)
+    assert reported[-1] == "1 connections are not made: /x from /a to /b"
     a.expect(Kind.WELCOME)
     a.made(1, "/x", "/b")
-    assert server.wait_for(2, timeout=PATIENCE, progress=told.append)
+    assert server.wait_for(2, timeout=PATIENCE, progress=reported.append)
     with Running(server, 0):
         b.expect(Kind.WELCOME)
         b.done(b.tick())
@@ -355,7 +355,7 @@ def test_start_waits_for_connections_between_declared_topics(server):
     assert a.peers == [{"made": [], "lost": [], "counted": [1], "uncounted": []}]
 
 
-def test_a_connection_that_is_never_made_is_given_up_with_a_warning(log):
+def test_connection_never_made_is_given_up_with_a_warning(log):
     server = LockstepServer(connect_limit=0.2, log=log)
     _a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     _b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
@@ -364,7 +364,7 @@ def test_a_connection_that_is_never_made_is_given_up_with_a_warning(log):
     server.close()
 
 
-def test_types_that_differ_are_named_and_not_waited_for(server, log):
+def test_type_mismatch_is_reported_and_not_waited_for(server, log):
     _a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     _b = FakeParticipant(server, "/b", subscriptions=[["/x", "U"]])
     assert server.wait_for(2, timeout=PATIENCE)
@@ -381,7 +381,7 @@ def test_types_that_differ_are_named_and_not_waited_for(server, log):
         ({"name": "/a"}, "taken", "the name /a is taken by a participant connected from 127.0.0.1"),
     ],
 )
-def test_refusals_say_why(server, change, code, text):
+def test_refusal_gives_the_reason(server, change, code, text):
     a = FakeParticipant(server, "/a")
     joined(server, a)
     content = {"name": "/b", "rate": 30.0, **change}
@@ -404,23 +404,23 @@ def test_refusals_say_why(server, change, code, text):
         protocol.ALIVE_FRAME[:4] + b"\x63",
     ],
 )
-def test_garbage_ends_only_its_own_connection(server, log, garbage):
+def test_garbage_closes_only_its_own_connection(server, log, garbage):
     a = FakeParticipant(server, "/a")
     joined(server, a)
     host, port = server.uri.removeprefix("tcp://").split(":")
     with socket.create_connection((host, int(port))) as sock:
         sock.sendall(garbage)
         end = time.monotonic() + PATIENCE
-        while "no lockstep frame" not in log.warnings() and time.monotonic() < end:
+        while "invalid lockstep frame" not in log.warnings() and time.monotonic() < end:
             server.poll(0.1)
-    assert "no lockstep frame" in log.warnings()
+    assert "invalid lockstep frame" in log.warnings()
     with Running(server, 0):
         a.done(a.tick())
     assert list(server.participants) == ["/a"]
 
 
 class Stranger(FakeParticipant):
-    """Connects and says only what the test has it say."""
+    """A client that sends only what the test tells it to."""
 
     def __init__(self, server: LockstepServer) -> None:
         host, port = server.uri.removeprefix("tcp://").split(":")
@@ -454,22 +454,22 @@ def poll_until(server: LockstepServer, condition: Callable[[], bool]) -> None:
     [
         protocol.pack_barrier(Kind.DONE, 0, 0, {}, {14580: 1000}),
         protocol.ALIVE_FRAME,
-        protocol.pack_object(Kind.LEAVE, {"reason": "it has crashed", "failed": True}),
+        protocol.pack_object(Kind.LEAVE, {"reason": "it crashed", "failed": True}),
         protocol.pack_object(Kind.RESERVE, {"name": "/a" * 5000}),
     ],
 )
-def test_before_joining_only_small_reserves_and_joins_are_taken(server, log, frame):
+def test_only_small_reserve_and_join_frames_are_accepted_before_joining(server, log, frame):
     server.open_datagram_ports([14580])
     stranger = Stranger(server)
     stranger.sock.sendall(frame)
     poll_until(server, stranger.is_closed)
     assert server.datagrams_expected == {}
-    assert "no lockstep frame" in log.warnings()
+    assert "invalid lockstep frame" in log.warnings()
 
 
-def test_a_name_is_not_kept_for_a_stranger_but_for_a_living_process(server, monkeypatch, log):
-    monkeypatch.setattr(server_module, "RESERVATION_LIMIT", 0.0)
-    monkeypatch.setattr(server_module, "LOOK_PERIOD", 0.0)
+def test_reservation_expires_unless_its_process_lives(server, monkeypatch, log):
+    monkeypatch.setattr(connections, "RESERVATION_LIMIT", 0.0)
+    monkeypatch.setattr(connections, "CHECK_PERIOD", 0.0)
     process = subprocess.Popen(["sleep", "60"])
     stranger, starting = Reserving(server, "/a"), Reserving(server, "/b", **own(process.pid))
     poll_until(server, stranger.is_closed)
@@ -480,40 +480,40 @@ def test_a_name_is_not_kept_for_a_stranger_but_for_a_living_process(server, monk
     late = FakeParticipant(server, "/b")
     server.poll(1.0)
     assert late.expect(Kind.REFUSED)["code"] == "taken"
-    process.kill()  # a child of it may hold the connection
+    process.kill()  # a child process may hold the connection
     process.wait()
     poll_until(server, starting.is_closed)
     joined(server, FakeParticipant(server, "/b"))
 
 
-def test_those_who_do_not_join_are_closed_in_time_or_for_newer_ones(server, monkeypatch):
-    monkeypatch.setattr(server_module, "MOST_NEWCOMERS", 5)
+def test_newcomers_are_closed_after_a_time_limit_or_for_newer_ones(server, monkeypatch):
+    monkeypatch.setattr(connections, "MOST_NEWCOMERS", 5)
     strangers = [Stranger(server) for _ in range(8)]
     poll_until(server, lambda: sum(one.is_closed() for one in strangers) >= 3)
     assert [one.is_closed() for one in strangers] == [True] * 3 + [False] * 5
     a = FakeParticipant(server, "/a")
     joined(server, a)
-    monkeypatch.setattr(server_module, "GREETING_LIMIT", 0.0)
-    monkeypatch.setattr(server_module, "LOOK_PERIOD", 0.0)
+    monkeypatch.setattr(connections, "GREETING_LIMIT", 0.0)
+    monkeypatch.setattr(connections, "CHECK_PERIOD", 0.0)
     poll_until(server, lambda: all(one.is_closed() for one in strangers))
     assert list(server.participants) == ["/a"]
 
 
-def test_an_address_has_so_many_connections(server, monkeypatch):
-    monkeypatch.setattr(server_module, "MOST_OF_AN_ADDRESS", 2)
+def test_connections_per_address_are_limited(server, monkeypatch):
+    monkeypatch.setattr(connections, "MOST_PER_ADDRESS", 2)
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
     c = FakeParticipant(server, "/c")
     server.poll(1.0)
     refusal = c.expect(Kind.REFUSED)
-    assert (refusal["code"], "at most 2 of one address" in refusal["reason"]) == ("full", True)
+    assert (refusal["code"], "the limit is 2 per address" in refusal["reason"]) == ("full", True)
     a.sock.close()
     poll_until(server, lambda: "/a" not in server.participants)
     joined(server, FakeParticipant(server, "/c"))
 
 
-def test_unfinished_frames_have_so_many_bytes_together_and_the_longest_goes(server, monkeypatch):
-    monkeypatch.setattr(server_module, "MOST_UNFINISHED", 300_000)
+def test_incomplete_frames_are_limited_in_total_and_the_longest_is_closed(server, monkeypatch):
+    monkeypatch.setattr(connections, "MOST_UNFINISHED", 300_000)
     sizes = (120_000, 150_000, 100_000)
     strangers = [Stranger(server) for _ in sizes]
     for stranger, size in zip(strangers, sizes, strict=True):
@@ -523,23 +523,23 @@ def test_unfinished_frames_have_so_many_bytes_together_and_the_longest_goes(serv
     assert not strangers[2].is_closed(), "the shortest"
 
 
-def test_joins_wait_while_participants_are_served(server, monkeypatch):
-    """A crowd of newcomers gets so much of a poll and no more; a participant's frames come first."""
+def test_participants_are_served_before_newcomers(server, monkeypatch):
+    """Newcomers get a limited part of a poll; frames of participants come first."""
     a = FakeParticipant(server, "/a")
     joined(server, a)
-    monkeypatch.setattr(server_module, "GREETING_BUDGET", 0.0)
+    monkeypatch.setattr(connections, "GREETING_BUDGET", 0.0)
     crowd = [FakeParticipant(server, f"/n{i}", publications=[["/x", "T"]]) for i in range(20)]
     with Running(server, 0):
         a.done(a.tick())
     assert list(server.participants) == ["/a"]
-    monkeypatch.setattr(server_module, "GREETING_BUDGET", 5.0)
+    monkeypatch.setattr(connections, "GREETING_BUDGET", 5.0)
     joined(server, *crowd)
 
 
-def test_a_flood_of_one_participant_is_taken_in_parts(server):
+def test_many_frames_of_one_participant_are_handled_in_parts(server):
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
-    count = 3 * server_module.FRAMES_A_POLL
+    count = 3 * connections.FRAMES_PER_POLL
     alive = protocol.NEEDS_TIME_FRAME * (count - 1) + protocol.ALIVE_FRAME
     a.sock.sendall(alive)
     poll_until(server, lambda: server.needs_time)
@@ -554,13 +554,13 @@ def test_a_flood_of_one_participant_is_taken_in_parts(server):
         a.done(a.tick())
 
 
-def test_what_a_participant_does_not_read_is_kept_up_to_a_limit(server, monkeypatch, log):
-    monkeypatch.setattr(server_module, "MOST_UNSENT", 1 << 16)
+def test_unread_data_of_a_participant_is_limited(server, monkeypatch, log):
+    monkeypatch.setattr(connections, "MOST_UNSENT", 1 << 16)
     a = FakeParticipant(server, "/a", rate=250.0)
     b = FakeParticipant(server, "/b", rate=250.0)
     joined(server, a, b)
     a.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    server.participants["/a"].sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    server.participants["/a"].connection.sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     number = tick = 0
     while "/a" in server.participants:
         made = [[number + i, "/x", "/a", 1000, 0] for i in range(2000)]
@@ -569,14 +569,14 @@ def test_what_a_participant_does_not_read_is_kept_up_to_a_limit(server, monkeypa
         with Running(server, STEP * tick):
             tick += 1
             b.done(b.tick())
-            try:  # it says that it is done and has read nothing
+            try:  # it sends DONE without reading
                 a.sock.sendall(protocol.pack_barrier(Kind.DONE, tick, 0, {}, {}))
             except OSError:
                 break
-    assert "/a does not read what it is sent" in log.warnings()
+    assert "/a does not read: " in log.warnings()
 
 
-def test_what_strangers_do_is_warned_of_once_in_a_while(server, log):
+def test_warnings_about_newcomers_are_rate_limited(server, log):
     strangers = [Stranger(server) for _ in range(10)]
     for stranger in strangers:
         stranger.sock.sendall(b"GET / HTTP/1.1\r\n\r\n")
@@ -587,10 +587,10 @@ def test_what_strangers_do_is_warned_of_once_in_a_while(server, log):
 def test_reasons_are_logged_as_one_printable_line(server, log):
     a = FakeParticipant(server, "/a")
     joined(server, a)
-    crash = "it has crashed: KeyError: 'x'\n[WARN] [1.0]: simulator: participant /b is gone\x1b[2J"
+    crash = "it crashed: KeyError: 'x'\n[WARN] [1.0]: simulator: participant /b is gone\x1b[2J"
     a.send_object(Kind.LEAVE, {"reason": crash, "failed": True})
     server.poll(1.0)
-    line = "participant /a leaves: it has crashed: KeyError: 'x'\\n[WARN] [1.0]: simulator: participant /b is gone"
+    line = "participant /a leaves: it crashed: KeyError: 'x'\\n[WARN] [1.0]: simulator: participant /b is gone"
     assert log.warnings() == line + "\\x1b[2J"
 
 
@@ -598,14 +598,14 @@ def test_reasons_are_logged_as_one_printable_line(server, log):
     ("failure", "reason"),
     [("", "the simulation has ended"), ("RuntimeError: a\nb", "the simulation has failed: RuntimeError: a\\nb")],
 )
-def test_participants_hear_whether_the_simulator_has_failed(server, failure, reason):
+def test_leave_reports_whether_the_simulator_has_failed(server, failure, reason):
     a = FakeParticipant(server, "/a")
     joined(server, a)
     server.close(failure)
     assert a.expect(Kind.LEAVE) == {"reason": reason, "failed": bool(failure)}
 
 
-def test_a_participant_may_count_no_datagram_twice(server, log):
+def test_decreasing_datagram_count_is_rejected(server, log):
     server.open_datagram_ports([14580])
     a = FakeParticipant(server, "/a")
     joined(server, a)
@@ -620,7 +620,7 @@ def test_a_participant_may_count_no_datagram_twice(server, log):
 # ---- barrier ----
 
 
-def test_each_is_called_at_its_own_rate(server):
+def test_each_participant_is_due_at_its_own_rate(server):
     rates = {"/slow": 10.0, "/usual": 30.0, "/fast": 250.0}
     players = {name: FakeParticipant(server, name, rate) for name, rate in rates.items()}
     joined(server, *players.values())
@@ -650,7 +650,7 @@ def test_without_participants_nothing_is_due(server):
     server.tick(0)
 
 
-def test_counts_of_one_tick_come_with_the_next_and_only_when_changed(server):
+def test_counts_are_sent_with_the_next_tick_and_only_if_changed(server):
     a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
     a.made(7, "/x", "/b", count=1)
@@ -675,7 +675,7 @@ def test_counts_of_one_tick_come_with_the_next_and_only_when_changed(server):
     assert (second.tick, second.time_us) == (first.tick + 1, 36000)
 
 
-def test_joining_late_holds_the_world_until_connected(log):
+def test_late_join_holds_the_simulation_until_connected(log):
     server = LockstepServer(connect_limit=PATIENCE, log=log)
     a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     joined(server, a)
@@ -697,7 +697,7 @@ def test_joining_late_holds_the_world_until_connected(log):
     server.close()
 
 
-def test_a_closed_connection_is_dropped_at_once_and_the_others_go_on(server, log):
+def test_closed_connection_is_dropped_at_once_and_the_others_continue(server, log):
     a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
     a.made(1, "/x", "/b")
@@ -715,7 +715,7 @@ def test_a_closed_connection_is_dropped_at_once_and_the_others_go_on(server, log
     joined(server, FakeParticipant(server, "/a"))
 
 
-def test_taking_leave_is_no_warning(server, log):
+def test_leave_causes_no_warning(server, log):
     a = FakeParticipant(server, "/a")
     joined(server, a)
     a.send_object(Kind.LEAVE, {"reason": "shut down"})
@@ -724,8 +724,8 @@ def test_taking_leave_is_no_warning(server, log):
     assert log.warnings() == ""
 
 
-def test_a_silent_participant_is_dropped_after_the_hang_limit(log):
-    server = LockstepServer(hang_limit=1.5, log=log)  # a starved machine answers for /a within it
+def test_silent_participant_is_dropped_after_the_hang_limit(log):
+    server = LockstepServer(hang_limit=1.5, log=log)  # enough for /a even on a starved machine
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
     with Running(server, 0):
@@ -737,7 +737,7 @@ def test_a_silent_participant_is_dropped_after_the_hang_limit(log):
     server.close()
 
 
-def test_silence_while_the_simulator_itself_was_stopped_is_held_against_no_participant():
+def test_silence_while_the_simulator_was_stopped_is_excused():
     script = f"""
 import sys
 sys.path.insert(0, {os.path.dirname(__file__)!r})
@@ -765,7 +765,7 @@ print(*server.participants, flush=True)
     process.stdout.close()
 
 
-def test_keep_alives_hold_off_the_hang_limit_but_not_the_busy_limit(log):
+def test_keep_alives_postpone_the_hang_limit_but_not_the_busy_limit(log):
     server = LockstepServer(hang_limit=1.0, busy_limit=1.5, log=log)
     a = FakeParticipant(server, "/a")
     joined(server, a)
@@ -784,11 +784,11 @@ def test_keep_alives_hold_off_the_hang_limit_but_not_the_busy_limit(log):
 
 
 def own(pid: int) -> dict:
-    """How a participant names a process of this machine."""
+    """Return the JOIN fields that identify a process on this machine."""
     return {"pid": pid, "host": protocol.process_namespace()}
 
 
-def test_who_waits_for_time_to_go_on_says_so_while_the_barrier_waits(server):
+def test_need_for_time_is_reported_while_the_barrier_waits(server):
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b")
     joined(server, a, b)
     assert not server.needs_time
@@ -809,7 +809,7 @@ def test_who_waits_for_time_to_go_on_says_so_while_the_barrier_waits(server):
     assert not server.needs_time
 
 
-def test_a_dead_process_is_noticed_though_another_holds_its_connection(log):
+def test_dead_process_is_detected_while_another_holds_its_connection(log):
     server = LockstepServer(hang_limit=60.0, log=log)
     process = subprocess.Popen(["sleep", "60"])
     a, b = FakeParticipant(server, "/a"), FakeParticipant(server, "/b", **own(process.pid))
@@ -824,21 +824,21 @@ def test_a_dead_process_is_noticed_though_another_holds_its_connection(log):
     server.close()
 
 
-def test_a_zombie_counts_as_dead(log):
+def test_zombie_process_is_dropped(log):
     server = LockstepServer(hang_limit=60.0, log=log)
     process = subprocess.Popen(["sleep", "60"])
     b = FakeParticipant(server, "/b", **own(process.pid))
     joined(server, b)
     with Running(server, 0):
         b.tick()
-        process.kill()  # and nobody asks for its status
+        process.kill()  # without reading its exit status
     assert not server.participants
     process.wait()
     server.close()
 
 
-def test_a_process_that_a_debugger_has_stopped_does_not_hang(log):
-    """A debugger such as gdb stops every thread, the one that sends keep-alives too."""
+def test_process_stopped_by_a_debugger_is_not_dropped(log):
+    """A debugger such as gdb stops all threads, including the one that sends keep-alives."""
     server = LockstepServer(hang_limit=0.2, log=log)
     traced = "import ctypes, os, signal; ctypes.CDLL(None).ptrace(0, 0, 0, 0); os.kill(os.getpid(), signal.SIGSTOP)"
     process = subprocess.Popen([sys.executable, "-c", traced])  # 0: PTRACE_TRACEME, this process is the debugger
@@ -857,7 +857,7 @@ def test_a_process_that_a_debugger_has_stopped_does_not_hang(log):
     server.close()
 
 
-def test_a_process_of_another_machine_is_not_looked_for(log):
+def test_process_on_another_machine_is_not_checked(log):
     server = LockstepServer(hang_limit=0.3, log=log)
     b = FakeParticipant(server, "/b", pid=1, host="another boot, another namespace")
     joined(server, b)
@@ -868,7 +868,7 @@ def test_a_process_of_another_machine_is_not_looked_for(log):
 
 
 class Reserving(Stranger):
-    """Reserves its name first."""
+    """A client that reserves its name first."""
 
     def __init__(self, server: LockstepServer, name: str, **content) -> None:
         super().__init__(server)
@@ -876,7 +876,7 @@ class Reserving(Stranger):
         self.send_object(Kind.RESERVE, {"version": protocol.VERSION, "name": name, **content})
 
 
-def test_a_reserved_name_is_taken_until_its_owner_joins_or_goes(server, log):
+def test_reserved_name_is_taken_until_its_owner_joins_or_disconnects(server, log):
     first, second = Reserving(server, "/a"), Reserving(server, "/a")
     answered(server, first, second)
     first.expect(Kind.WELCOME)
@@ -900,7 +900,7 @@ def test_a_reserved_name_is_taken_until_its_owner_joins_or_goes(server, log):
     joined(server, FakeParticipant(server, "/a"))
 
 
-def test_digests_are_asked_for_and_passed_on(log):
+def test_digests_are_requested_and_passed_on(log):
     got = []
     server = LockstepServer(log=log, on_digest=lambda *content: got.append(content))
     a = FakeParticipant(server, "/a")
@@ -913,7 +913,7 @@ def test_digests_are_asked_for_and_passed_on(log):
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**60), st.binary(max_size=50)), max_size=20))
-def test_a_digest_is_the_checksum_of_all_in_one_piece(messages):
+def test_digest_is_the_checksum_of_the_concatenation(messages):
     digest, whole = protocol.Digest(), b""
     for time_us, message in messages:
         digest.add(time_us, message)
@@ -928,7 +928,7 @@ def test_datagrams_are_counted_both_ways(server):
     joined(server, a, b)
     with Running(server, 0, datagrams={14540: 2, 9: 9}):
         first = a.tick()
-        a.done(first, datagrams={14580: 5, 14999: 7})  # the last is no port of the simulator's
+        a.done(first, datagrams={14580: 5, 14999: 7})  # the last is not a port of the simulator
         b.done(b.tick(), datagrams={14580: 1, 14581: 4})
     assert first.datagrams == {14540: 2}
     assert server.datagrams_expected == {14580: 6, 14581: 4}
@@ -938,7 +938,7 @@ def test_datagrams_are_counted_both_ways(server):
         b.sock.close()
     assert second.datagrams == {14541: 1}
     assert server.datagrams_expected == {14580: 8, 14581: 4}
-    # One that comes later was not there to receive what was sent before.
+    # A later participant cannot have received earlier datagrams.
     c = FakeParticipant(server, "/c", udp_ports=[14540])
     with Running(server, 68000, datagrams={14540: 3, 14541: 1}):
         c.expect(Kind.WELCOME)
@@ -964,7 +964,7 @@ def test_idle_is_called_while_waiting(server):
     assert all(0.0 <= timeout <= 0.1 for timeout in calls)
 
 
-def test_a_topic_declared_later_is_waited_for(server):
+def test_connection_of_a_topic_declared_later_is_waited_for(server):
     a = FakeParticipant(server, "/a")
     b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
     joined(server, a, b)
@@ -978,7 +978,7 @@ def test_a_topic_declared_later_is_waited_for(server):
 
 
 class Link:
-    """A host whose news the test writes."""
+    """A host link with changes written by the test."""
 
     def __init__(self) -> None:
         self.name = "/simulator"
@@ -986,13 +986,13 @@ class Link:
             ({"publications": [["/models", "T"]]}, [], [], {}),
             (None, [[1, "/models", "/a", 1000, 0]], [], {}),
         ]
-        self.told: list[tuple[int, bool]] = []
+        self.reported: list[tuple[int, bool]] = []
 
     def collect(self):
         return self.news.pop(0) if self.news else (None, [], [], {})
 
     def counted(self, number, value):
-        self.told.append((number, value))
+        self.reported.append((number, value))
 
 
 def test_the_simulators_own_messages_are_counted(server):
@@ -1000,7 +1000,7 @@ def test_the_simulators_own_messages_are_counted(server):
     server.attach_host(link)
     a = FakeParticipant(server, "/a", subscriptions=[["/models", "T"]])
     joined(server, a)
-    assert link.told == [(1, True)]
+    assert link.reported == [(1, True)]
     link.news.append((None, [], [], {1: 12}))
     with Running(server, 0):
         tick = a.tick()
@@ -1010,6 +1010,6 @@ def test_the_simulators_own_messages_are_counted(server):
         server.attach_host(link)
 
 
-def test_a_port_in_use_is_an_error(server):
+def test_port_in_use_raises(server):
     with pytest.raises(OSError, match="in use"):
         LockstepServer(port=int(server.uri.rsplit(":", 1)[1]))

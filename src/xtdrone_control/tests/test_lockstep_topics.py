@@ -1,9 +1,10 @@
-"""Which connections a participant's subscriber keeps, over real sockets; no ROS master."""
+"""The connections that a participant's subscriber accepts, over real sockets; no ROS master."""
 
 from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,15 +15,16 @@ from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSSub
 from std_msgs.msg import String
 
-from xtdrone_control.lockstep.reader import Reader
-from xtdrone_control.lockstep.topics import BufferingSubscriber
+from xtdrone_control.lockstep.client.node import Node
+from xtdrone_control.lockstep.transport.reader import Reader
+from xtdrone_control.lockstep.transport.subscriber import BufferingSubscriber
 
 URI = "http://publisher:1"
 
 
 @pytest.fixture
 def subscriber(monkeypatch: pytest.MonkeyPatch) -> Iterator[BufferingSubscriber]:
-    # rospy would ask the master, and keep the address of that which is not there for all tests to come.
+    # rospy would query the master, and cache the address of the missing one for all later tests.
     monkeypatch.setattr(SubscriberStatisticsLogger, "is_enabled", lambda: False)
     reader = Reader()
     reader.activate()
@@ -32,27 +34,27 @@ def subscriber(monkeypatch: pytest.MonkeyPatch) -> Iterator[BufferingSubscriber]
 
 
 def connection(uri: str = URI) -> TCPROSTransport:
-    """One that rospy is about to make."""
+    """Return a connection that rospy is about to make."""
     made = TCPROSTransport(TCPROSSub("/topic", String), "/topic")
     made.set_endpoint_id(uri)
     return made
 
 
 def finish(made: TCPROSTransport) -> socket.socket:
-    """Have a connection's handshake end, and return the publisher's socket."""
+    """Finish a connection's handshake and return the publisher's socket."""
     publisher, made.socket = socket.socketpair()
     made.callerid_pub, made.local_endpoint = "/publisher", ("127.0.0.1", 5)
     made.receive_loop(None)
     return publisher
 
 
-def test_a_second_connection_to_a_publisher_is_refused_while_the_first_is_made(subscriber: BufferingSubscriber) -> None:
+def test_second_connection_is_refused_while_the_first_is_being_made(subscriber: BufferingSubscriber) -> None:
     assert subscriber.add_connection(connection())
     assert not subscriber.add_connection(connection())
     assert subscriber.add_connection(connection("http://other:1"))
 
 
-def test_a_second_connection_that_comes_late_does_not_cost_the_first_its_messages(
+def test_late_second_connection_does_not_lose_messages_of_the_first(
     subscriber: BufferingSubscriber,
 ) -> None:
     first = connection()
@@ -68,10 +70,32 @@ def test_a_second_connection_that_comes_late_does_not_cost_the_first_its_message
     publisher.close()
 
 
-def test_a_publisher_that_has_closed_its_connection_gets_another(subscriber: BufferingSubscriber) -> None:
+def test_closed_connection_is_replaced(subscriber: BufferingSubscriber) -> None:
     first = connection()
     assert subscriber.add_connection(first)
     finish(first).close()
     second = connection()
     assert subscriber.add_connection(second)
     assert subscriber.connections == [second]
+
+
+class Subscription(SimpleNamespace):
+    """A subscriber as its node sees it."""
+
+    __hash__ = object.__hash__
+
+
+def test_a_topic_is_declared_until_its_last_subscriber_is_removed() -> None:
+    node = Node()
+    changes: list[list[list[str]]] = []
+    node.counter = SimpleNamespace(topics_changed=lambda: changes.append(node.declaration()["subscriptions"]))
+    first, second = (Subscription(resolved_name="/x", type="T", impl=object()) for _ in range(2))
+    node.add_subscriber(first)
+    node.add_subscriber(second)
+    assert changes == [[["/x", "T"]]]
+    assert node.remove_subscriber(first)
+    assert not node.remove_subscriber(first)
+    assert node.ends == {"/x": first.impl}
+    assert node.remove_subscriber(second)
+    assert node.ends == {}
+    assert node.declaration()["subscriptions"] == []

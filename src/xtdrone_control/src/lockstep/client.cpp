@@ -24,20 +24,20 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using Seconds = std::chrono::duration<double>;
 
-/// Wall seconds that a participant waits for a message that was counted while its publisher's connection is open.
+/// Wall seconds to wait for a counted message while its publisher's connection is open.
 constexpr double WAIT_LIMIT = 60.0;
-/// Wall seconds after which it says that it waits.
+/// Wall seconds after which such a wait is logged.
 constexpr double WAIT_REPORT = 5.0;
-/// Wall seconds for the simulator to answer at its address.
+/// Wall seconds for the simulator to answer.
 constexpr int CONNECT_LIMIT = 10;
 constexpr std::chrono::seconds ALIVE_PERIOD{1};
-/// Milliseconds without an answer from the other machine's kernel after which the connection ends.
+/// Milliseconds without an answer from the other machine's kernel after which the connection breaks.
 constexpr int UNANSWERED_MS = 15'000;
-/// Seconds of silence before that kernel is asked whether it is there, seconds between questions, and how many.
+/// Seconds of silence before the first keep-alive probe to that kernel, seconds between probes, and their number.
 constexpr int KEEP_IDLE = 3;
 constexpr int KEEP_INTERVAL = 3;
 constexpr int KEEP_COUNT = 4;
-/// Longest single wait in wall seconds: roscpp says nothing when another node has it shut down.
+/// Longest single wait in wall seconds, as roscpp sends no notification when another node shuts it down.
 constexpr double SLICE = 0.2;
 
 std::system_error systemError(const std::string& what) { return {errno, std::generic_category(), what}; }
@@ -45,11 +45,10 @@ std::system_error systemError(const std::string& what) { return {errno, std::gen
 void setTimeouts(int socket, int seconds) {
   const timeval limit{seconds, 0};
   setsockopt(socket, SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
-  setsockopt(socket, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);  // for connect too
+  setsockopt(socket, SOL_SOCKET, SO_SNDTIMEO, &limit, sizeof limit);  // also limits connect()
 }
 
-/// Sets the connection's TCP options, as `tune` in protocol.py: nothing waits to be sent, and a machine that is gone is
-/// noticed.
+/// Set the TCP options, as `tune` in protocol.py does: send without delay and detect an unreachable machine.
 void tune(int socket) {
   const int on = 1;
   setsockopt(socket, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
@@ -60,7 +59,7 @@ void tune(int socket) {
   setsockopt(socket, IPPROTO_TCP, TCP_USER_TIMEOUT, &UNANSWERED_MS, sizeof UNANSWERED_MS);
 }
 
-/// Splits tcp://host:port, where the host may be an IPv6 address in brackets.
+/// Split tcp://host:port, where the host may be an IPv6 address in brackets.
 std::pair<std::string, std::string> splitUri(const std::string& uri) {
   static const std::string scheme = "tcp://";
   const std::size_t colon = uri.rfind(':');
@@ -184,7 +183,7 @@ void Client::declare() {
 
 void Client::withdraw(detail::Outlet& outlet) {
   auto lost = nlohmann::json::array();
-  for (const std::uint32_t gone : outlet.takeGone()) {
+  for (const std::uint32_t gone : outlet.takeClosed()) {
     lost.push_back(gone);
   }
   for (const detail::Link& link : outlet.links()) {
@@ -221,36 +220,36 @@ void Client::close() {
 }
 
 void Client::fail(const std::string& why) {
-  // A connection may break while the word why is there already, unread.
-  if (const auto word = findLastWord()) {
-    takeLastWord(*word);
+  // A frame with the reason may have arrived before the connection broke.
+  if (const auto word = findFarewell()) {
+    endByFrame(*word);
     return;
   }
   failure_ = "is gone: " + (why.empty() ? "unknown reason" : why);
   close();
 }
 
-void Client::takeLastWord(const Frame& frame) {
+void Client::endByFrame(const Frame& frame) {
   std::string reason;
   bool failed = false;
   try {
     const auto content = unpackObject(frame.payload);
     failed = content.value("failed", false);
     reason = printable(content.value("reason", ""));
-  } catch (const std::exception& error) {  // the protocol's and the JSON library's
+  } catch (const std::exception& error) {  // of the protocol or of the JSON library
     reason = error.what();
   }
   if (frame.kind != Kind::LEAVE) {
     failure_ = "has dropped this node: " + reason;
   } else if (failed) {
-    failure_ = "has ended by a failure: " + reason;
+    failure_ = "has ended with an error: " + reason;
   } else {
     farewell_ = reason;
   }
   close();
 }
 
-std::optional<Frame> Client::findLastWord() {
+std::optional<Frame> Client::findFarewell() {
   try {
     std::array<char, 1 << 16> data;
     for (ssize_t size; socket_ >= 0 && (size = recv(socket_, data.data(), data.size(), MSG_DONTWAIT)) > 0;) {
@@ -261,13 +260,13 @@ std::optional<Frame> Client::findLastWord() {
         return frame;
       }
     }
-  } catch (const ProtocolError&) {  // what is there says nothing
+  } catch (const ProtocolError&) {  // the rest is not a valid frame
   }
   return std::nullopt;
 }
 
 void Client::keepAlive() {
-  // Signals are for the main thread, so that they end its waits.
+  // Leave signals to the main thread, so that they end its waits.
   sigset_t all;
   sigfillset(&all);
   pthread_sigmask(SIG_BLOCK, &all, nullptr);
@@ -275,7 +274,7 @@ void Client::keepAlive() {
   std::unique_lock<std::mutex> lock(send_mutex_);
   while (!ended_.wait_for(lock, ALIVE_PERIOD, [this] { return has_ended_; })) {
     lock.unlock();
-    // If the simulator is gone, the main thread finds out.
+    // The main thread notices when the simulator is gone.
     send(frame);
     lock.lock();
   }
@@ -290,16 +289,16 @@ std::optional<bool> Client::awaitTick() {
         if (frame->kind == Kind::TICK) {
           const std::int64_t before = now_.time_us;
           now_ = unpackBarrier(frame->payload);
-          return std::exchange(set_back_, false) || now_.time_us < before;
+          return std::exchange(was_reset_, false) || now_.time_us < before;
         }
         if (frame->kind == Kind::PEER) {
-          takePeers(unpackObject(frame->payload));
+          updatePeers(unpackObject(frame->payload));
         } else if (frame->kind == Kind::REFUSED || frame->kind == Kind::LEAVE) {
-          takeLastWord(*frame);
+          endByFrame(*frame);
           return std::nullopt;
         }
       }
-    } catch (const std::exception& error) {  // the protocol's and the JSON library's
+    } catch (const std::exception& error) {  // of the protocol or of the JSON library
       fail(error.what());
       return std::nullopt;
     }
@@ -330,14 +329,14 @@ bool Client::awaitMessages() {
       reported = true;
       std::set<std::string> names;
       for (const Channel& channel : missing) {
-        names.insert(channel.inlet->topic() + " of " + channel.inbox->publisher);
+        names.insert(channel.inlet->topic() + " from " + channel.inbox->publisher);
         channel.inlet->closeUnconnected();
       }
       std::string text;
       for (const std::string& name : names) {
         text += (text.empty() ? "" : ", ") + name;
       }
-      ROS_WARN("waiting for messages that were sent: %s", text.c_str());
+      ROS_WARN("waiting for messages that have been sent: %s", text.c_str());
     }
     if (!wait(std::min(SLICE, WAIT_LIMIT - waited))) {
       return false;
@@ -346,7 +345,7 @@ bool Client::awaitMessages() {
   topics_.eager = false;
   for (const Channel& channel : missing) {
     const auto short_of = channel.inlet->giveUp(*channel.inbox);
-    ROS_WARN("%llu messages on %s from %s did not arrive within %g s: going on without",
+    ROS_WARN("%llu messages on %s from %s did not arrive within %g s; continuing without them",
              static_cast<unsigned long long>(short_of), channel.inlet->topic().c_str(),
              channel.inbox->publisher.c_str(), WAIT_LIMIT);
   }
@@ -392,8 +391,8 @@ void Client::done() {
   }
   announce();
   std::string frames;
-  if (const std::int64_t period = now_.time_us / DIGEST_PERIOD_US; period != digested_) {
-    digested_ = period;
+  if (const std::int64_t period = now_.time_us / DIGEST_PERIOD_US; period != digest_period_) {
+    digest_period_ = period;
     frames = digestFrame();
   }
   errno = 0;
@@ -406,8 +405,8 @@ std::string Client::doneFrame() {
   Barrier done{now_.tick, now_.time_us, {}};
   for (const auto& outlet : topics_.outlets) {
     for (detail::Link& link : outlet->links()) {
-      if (link.number != 0 && link.count != link.told) {
-        link.told = link.count;
+      if (link.number != 0 && link.count != link.reported) {
+        link.reported = link.count;
         done.channels.emplace_back(link.number, link.count);
       }
     }
@@ -435,25 +434,25 @@ void Client::announce() {
   auto lost = nlohmann::json::array();
   for (const auto& outlet : topics_.outlets) {
     outlet->update();
-    for (const std::uint32_t number : outlet->takeGone()) {
+    for (const std::uint32_t number : outlet->takeClosed()) {
       lost.push_back(number);
     }
     for (detail::Link& link : outlet->links()) {
       if (link.number == 0) {
-        link.number = ++numbers_;
-        link.told = link.count;
+        link.number = ++last_number_;
+        link.reported = link.count;
         const int port = link.link->isIntraprocess() ? 0 : remotePort(link.link->getTransportInfo());
         made.push_back({link.number, outlet->topic(), link.link->getDestinationCallerID(), port, link.count});
       }
     }
   }
   if (!made.empty() || !lost.empty()) {
-    // If the simulator is gone, the wait for the next tick finds out.
+    // The wait for the next tick notices when the simulator is gone.
     send(packObject(Kind::PEER, {{"made", made}, {"lost", lost}}));
   }
 }
 
-void Client::takePeers(const nlohmann::json& content) {
+void Client::updatePeers(const nlohmann::json& content) {
   for (const auto& peer : content.at("made")) {
     const auto id = peer.at(0).get<std::uint32_t>();
     const auto publisher = peer.at(2).get<std::string>();
@@ -475,8 +474,8 @@ void Client::takePeers(const nlohmann::json& content) {
       void_.emplace_back(pair.at(0).get<std::uint32_t>(), pair.at(1).get<std::uint64_t>());
     }
   }
-  // The next tick may have the time of the last one, or a later one.
-  set_back_ = set_back_ || content.value("reset", false);
+  // Remembered, as the next tick may have the same time as the last, or a later one.
+  was_reset_ = was_reset_ || content.value("reset", false);
 }
 
 void Client::setParticipant(std::uint32_t number, bool value) {

@@ -19,7 +19,7 @@
 
 namespace xtdrone_control::lockstep {
 
-/// The server does not take this node.
+/// The server refuses this node.
 class RefusedError : public std::runtime_error {
  public:
   RefusedError(std::string code, const std::string& reason) : std::runtime_error(reason), code_(std::move(code)) {}
@@ -29,23 +29,23 @@ class RefusedError : public std::runtime_error {
   std::string code_;
 };
 
-/// What the node has declared, and what its threads share.
+/// The declared topics and the state shared between threads.
 struct Topics {
   Waker waker;
-  /// Whether the main thread wants to be woken by each message.
+  /// Whether each message wakes the main thread.
   std::atomic<bool> eager{false};
   std::vector<std::shared_ptr<detail::Outlet>> outlets;
   std::vector<std::shared_ptr<detail::Inlet>> inlets;
 
-  /// The topics as JOIN and DECLARE carry them.
+  /// Return the topics as in JOIN and DECLARE.
   nlohmann::json declaration() const;
   std::shared_ptr<detail::Inlet> inlet(const std::string& topic) const;
 };
 
-/// All of it in the main thread, but for the keep-alive.
+/// The node's participation in a simulator's lockstep; used in the main thread, except for the keep-alive.
 class Client {
  public:
-  /// @param ending  Says whether the node is to end; the waker is woken when that changes.
+  /// @param ending  Returns whether the node is shutting down; the waker is woken when that changes.
   Client(std::string uri, Topics& topics, std::function<bool()> ending);
   ~Client();
   Client(const Client&) = delete;
@@ -54,32 +54,32 @@ class Client {
   const std::string& uri() const { return uri_; }
   std::int64_t time() const { return now_.time_us; }
   bool digests() const { return digests_; }
-  /// What the simulator did, as "is gone: why", when it has ended the connection or failed; else empty.
+  /// Return the simulator's failure as a predicate ("is gone: why"), empty if there was none.
   const std::string& failure() const { return failure_; }
-  /// What the simulator said when it ended in an orderly way; empty otherwise.
+  /// Return the simulator's reason for a normal end, empty if it has not ended.
   const std::string& farewell() const { return farewell_; }
 
-  /// Connects and reserves the name for the node that is to join over this connection.
+  /// Connect and reserve the name for the node that is to join over this connection.
   ///
   /// @throws std::system_error, ProtocolError, RefusedError
   void reserve(const std::string& name);
-  /// Joins, over a new connection if there is none.
+  /// Join, connecting first if necessary.
   ///
   /// @throws std::system_error, ProtocolError, RefusedError
   void join(const std::string& name, double rate);
-  /// Tells the server of the topics that there are now.
+  /// Send the topics declared by now.
   void declare();
-  /// Tells the server that a topic's connections are about to end.
+  /// Report that a topic's connections are about to close.
   void withdraw(detail::Outlet& outlet);
 
-  /// Waits for the next tick; returns whether time was set back since the last one, or nothing if the node is to end or
-  /// the simulator is gone.
+  /// Wait for the next tick; return whether time was reset since the last one, or nullopt if the node is shutting down
+  /// or the simulator is gone.
   std::optional<bool> awaitTick();
-  /// Waits for the messages that the tick promises; returns false if the node is to end or the simulator is gone.
+  /// Wait for the messages due in this turn; return false if the node is shutting down or the simulator is gone.
   bool awaitMessages();
-  /// Ends the turn.
+  /// End the turn.
   void done();
-  /// Takes leave and closes the connection.
+  /// Send LEAVE and close the connection.
   void leave();
 
  private:
@@ -92,17 +92,17 @@ class Client {
   void connect();
   void close();
   void fail(const std::string& why);
-  void takeLastWord(const Frame& frame);
-  /// Returns the REFUSED or LEAVE that lies behind what has been handled so far.
-  std::optional<Frame> findLastWord();
-  /// Waits until something comes, handles it, and returns false if the node is to end or the simulator is gone.
+  void endByFrame(const Frame& frame);
+  /// Return a REFUSED or LEAVE among the frames that have not been handled.
+  std::optional<Frame> findFarewell();
+  /// Wait for data and handle it; return false if the node is shutting down or the simulator is gone.
   bool wait(double seconds);
   std::size_t receive();
   bool send(const std::string& data);
   void keepAlive();
 
   void announce();
-  void takePeers(const nlohmann::json& content);
+  void updatePeers(const nlohmann::json& content);
   void setParticipant(std::uint32_t number, bool value);
   std::vector<Channel> lacking();
   void discardVoid();
@@ -120,14 +120,14 @@ class Client {
   std::string farewell_;
   FrameReader reader_;
   Barrier now_;
-  bool set_back_ = false;
-  std::uint32_t numbers_ = 0;
+  bool was_reset_ = false;
+  std::uint32_t last_number_ = 0;
   std::map<std::uint32_t, Channel> channels_;
   std::vector<std::uint32_t> awaited_;
   std::vector<std::uint32_t> lost_;
-  /// Up to which message of a channel all that is not dispatched yet is of before time went back.
+  /// Channels with the number of messages sent before the last reset of time.
   std::vector<std::pair<std::uint32_t, std::uint64_t>> void_;
-  std::int64_t digested_ = -1;
+  std::int64_t digest_period_ = -1;
 
   std::mutex send_mutex_;
   std::condition_variable ended_;

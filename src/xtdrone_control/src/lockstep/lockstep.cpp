@@ -24,18 +24,18 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using Seconds = std::chrono::duration<double>;
 
-/// Wall seconds for the simulator to answer at its address.
+/// Wall seconds for the simulator to answer.
 constexpr double CONNECT_LIMIT = 10.0;
-/// Wall seconds for a participant that has the node's name to go.
+/// Wall seconds for a participant with the node's name to end.
 constexpr double NAME_LIMIT = 3.0;
-/// Wall seconds between two looks for something that the master and the simulator tell nobody of.
+/// Wall seconds between checks of state for which master and simulator send no notification.
 constexpr double ASK_PERIOD = 0.2;
 
 const std::string URI_PARAM = "/lockstep/uri";
 const std::string WAIT_PARAM = "/lockstep/wait";
 const std::string PRIVATE_PARAM = "~lockstep";
 
-/// What this process has declared; there is one node in a process.
+/// The state of this process's node.
 struct Node {
   double rate = 0.0;
   bool initialised = false;
@@ -44,16 +44,16 @@ struct Node {
   Topics topics;
   std::vector<std::shared_ptr<detail::Entry>> entries;
   std::vector<std::function<void()>> reset_hooks;
-  /// How often simulated time has gone back.
+  /// Number of resets of simulation time.
   unsigned resets = 0;
-  /// The time of the last turn, where there is no lockstep.
+  /// Time of the last turn without lockstep.
   ros::Time last;
   std::unique_ptr<Client> reservation;
   std::unique_ptr<Client> client;
   int exit_status = 0;
 };
 
-/// Never destroyed: roscpp's threads may use it until the process is no more.
+/// Never destroyed, as roscpp's threads may use it until the process ends.
 Node& node() {
   static auto* const the_node = new Node;
   return *the_node;
@@ -62,7 +62,7 @@ Node& node() {
 volatile std::sig_atomic_t signalled = 0;
 const Waker* signal_waker = nullptr;
 
-/// In a participant the main thread takes leave of the simulator first, and then shuts roscpp down.
+/// In a participant the main thread first sends LEAVE to the simulator and then shuts roscpp down.
 void onSignal(int) {
   signalled = 1;
   if (signal_waker != nullptr) {
@@ -74,7 +74,7 @@ void onSignal(int) {
 
 bool ending() { return signalled != 0 || !ros::ok(); }
 
-/// Ends the participant: farewell first, then roscpp's own shut-down, which closes the topics.
+/// End the participant: send LEAVE, then shut roscpp down, which closes the topics.
 void end() {
   if (const auto client = std::move(node().client)) {
     if (!client->failure().empty()) {
@@ -94,7 +94,7 @@ std::string number(double value) {
   return text.str();
 }
 
-/// Whether a parameter counts as true, as in Python.
+/// Return whether a parameter is true by the rules of Python.
 bool truth(const std::string& name, bool otherwise) {
   XmlRpc::XmlRpcValue value;
   if (!ros::param::get(name, value)) {
@@ -120,7 +120,7 @@ std::string uriParameter() {
   return uri;
 }
 
-/// Waits so many seconds of wall time, or until a signal.
+/// Wait for `seconds` of wall time, or until a signal.
 void pause(double seconds) {
   const Waker& waker = node().topics.waker;
   const auto until = Clock::now() + Seconds(seconds);
@@ -132,8 +132,8 @@ void pause(double seconds) {
   }
 }
 
-/// Reserves the node's name with a running simulator. It must come before the node registers with the master, which
-/// would end the node that has this name now.
+/// Reserve the node's name with a running simulator. This must happen before the node registers with the master, which
+/// would shut down another node of that name.
 std::unique_ptr<Client> reserveName() {
   const std::string uri = uriParameter();
   if (uri.empty() || !truth(PRIVATE_PARAM, true)) {
@@ -146,20 +146,20 @@ std::unique_ptr<Client> reserveName() {
       client->reserve(ros::this_node::getName());
       return client;
     } catch (const RefusedError& error) {
-      // The one that has it may be on its way out.
+      // The participant that has the name may be about to end.
       if (error.code() != "taken" || Seconds(Clock::now() - began).count() > NAME_LIMIT) {
         throw InitError("cannot join the simulator at " + uri + " (" + URI_PARAM + "): " + error.what());
       }
     } catch (const std::exception&) {
-      return nullptr;  // start() finds out, and has patience
+      return nullptr;  // start() retries, and reports the error if it persists
     }
     pause(ASK_PERIOD);
   }
 }
 
-/// Starts roscpp without its subscription to /clock, which would bring the time late and in another thread.
+/// Start roscpp without its subscription to /clock, which would deliver the time late and in another thread.
 void startWithoutClock() {
-  // roscpp asks for this parameter once, here. It has no other switch; the map behind the reference is not constant.
+  // roscpp reads this parameter once, here, and has no other switch; the map behind the reference is not const.
   auto& remappings = const_cast<ros::M_string&>(ros::names::getRemappings());
   const ros::M_string before = remappings;
   remappings["/use_sim_time"] = "/lockstep/no_such_parameter";
@@ -168,8 +168,8 @@ void startWithoutClock() {
   ros::Time::setNow(ros::Time(0, 0));
 }
 
-/// Joins with patience for a simulator that is starting and for a name that is just left; nullptr if the node is to
-/// end.
+/// Join, waiting for a simulator that is starting and for a participant of the same name that is ending; return nullptr
+/// if the node is shutting down.
 std::unique_ptr<Client> joinSimulator() {
   const std::string name = ros::this_node::getName();
   if (auto client = std::move(node().reservation)) {
@@ -177,8 +177,7 @@ std::unique_ptr<Client> joinSimulator() {
       client->join(name, node().rate);
       return client;
     } catch (const std::exception& error) {
-      ROS_DEBUG("the simulator at %s took the name but not the node: %s; trying again", client->uri().c_str(),
-                error.what());
+      ROS_DEBUG("the simulator at %s reserved the name but refused the node: %s", client->uri().c_str(), error.what());
     }
   }
   auto asked = Clock::now();
@@ -215,7 +214,7 @@ std::unique_ptr<Client> joinSimulator() {
   return nullptr;
 }
 
-/// Runs the callbacks: subscriptions as declared, within one by publisher's name, then as sent.
+/// Run the callbacks: subscribers in order of declaration, each by publisher's name, then in order of sending.
 void dispatch() {
   std::map<const detail::Inlet*, std::vector<detail::Message>> ready;
   const auto entries = node().entries;
@@ -228,10 +227,10 @@ void dispatch() {
   }
 }
 
-/// Tells the node that simulated time has gone back.
+/// Run the reset hooks.
 void reset() {
   ++node().resets;
-  const auto hooks = node().reset_hooks;  // one of them may add another
+  const auto hooks = node().reset_hooks;  // a copy, as a hook may add another
   for (const auto& hook : hooks) {
     try {
       hook();
@@ -241,10 +240,10 @@ void reset() {
   }
 }
 
-/// Begins a turn without lockstep.
+/// Begin a turn without lockstep.
 void enterFreeTurn() {
   const ros::Time now = ros::Time::now();
-  // Wall time that is set back is no reset.
+  // A corrected wall clock is not a reset.
   if (ros::Time::isSimTime() && now < node().last) {
     reset();
   }
@@ -252,7 +251,7 @@ void enterFreeTurn() {
   dispatch();
 }
 
-/// Waits for the next turn and begins it; returns false if there is none.
+/// Wait for the next turn and begin it; return false if there is none.
 bool enterTurn() {
   Client& client = *node().client;
   const auto gone_back = client.awaitTick();
@@ -309,7 +308,7 @@ void init(int& argc, char** argv, const std::string& name, double rate, std::uin
   if (self.taking_part) {
     self.reservation = reserveName();
     startWithoutClock();
-    std::atexit(end);  // for a main function that ends without having been told to
+    std::atexit(end);  // for a main function that returns without a shutdown
   } else {
     ros::start();
   }
@@ -368,7 +367,7 @@ bool Rate::sleep() {
     if (!ros::ok()) {
       return false;
     }
-    throw std::logic_error("lockstep::Rate::sleep() needs lockstep::start() first");
+    throw std::logic_error("call lockstep::start() before lockstep::Rate::sleep()");
   }
   if (ending()) {
     end();
@@ -408,7 +407,7 @@ std::shared_ptr<Outlet> declareOutlet(const ros::AdvertiseOptions& options) {
   for (const auto& outlet : outlets) {
     if (outlet->topic() == options.topic) {
       if (outlet->type() != options.datatype) {
-        throw std::invalid_argument(options.topic + " is advertised here as " + outlet->type() + ", not " +
+        throw std::invalid_argument(options.topic + " is advertised in this process as " + outlet->type() + ", not " +
                                     options.datatype);
       }
       return outlet;
@@ -456,7 +455,8 @@ std::shared_ptr<Inlet> findInlet(const std::string& topic, const std::type_info&
   Topics& topics = node().topics;
   if (const auto inlet = topics.inlet(topic)) {
     if (inlet->message() != type) {
-      throw std::invalid_argument(topic + " is subscribed to here as " + inlet->type() + ", not " + datatype);
+      throw std::invalid_argument(topic + " is subscribed to in this process as " + inlet->type() + ", not " +
+                                  datatype);
     }
     return inlet;
   }

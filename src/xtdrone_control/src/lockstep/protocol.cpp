@@ -12,7 +12,7 @@ constexpr std::size_t HEAD_SIZE = 5;
 constexpr std::size_t BARRIER_SIZE = 24;
 constexpr std::size_t PAIR_SIZE = 12;
 
-/// Appends an integer, little-endian.
+/// Append an integer, little-endian.
 template <class Integer>
 void put(std::string& out, Integer value) {
   const auto bits = static_cast<std::make_unsigned_t<Integer>>(value);
@@ -21,7 +21,7 @@ void put(std::string& out, Integer value) {
   }
 }
 
-/// Reads a little-endian integer.
+/// Decode a little-endian integer.
 template <class Integer>
 Integer get(const std::string& in, std::size_t offset) {
   std::make_unsigned_t<Integer> bits = 0;

@@ -31,17 +31,17 @@ enum class Kind : std::uint8_t {
   DIGEST = 11,
 };
 
-/// The peer does not speak this protocol.
+/// The peer violates the protocol.
 class ProtocolError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// Content of a TICK or a DONE; a participant in C++ exchanges no datagrams with the simulator.
+/// Content of a TICK or DONE; C++ participants exchange no datagrams with the simulator.
 struct Barrier {
   std::uint64_t tick = 0;
   std::int64_t time_us = 0;
-  /// Channel id and cumulative number of messages, those that changed.
+  /// Channel ids with cumulative numbers of messages; only channels whose count changed.
   std::vector<std::pair<std::uint32_t, std::uint64_t>> channels;
 };
 
@@ -51,24 +51,24 @@ struct Frame {
 };
 
 std::string packBarrier(Kind kind, const Barrier& barrier);
-/// A text in it that is no UTF-8, as a foreign node may give, is mended.
+/// Invalid UTF-8, as foreign nodes may supply in names, is replaced.
 std::string packObject(Kind kind, const nlohmann::json& content);
 std::string packEmpty(Kind kind);
 
-/// @throws ProtocolError  The length does not fit the number of pairs.
+/// @throws ProtocolError  The length does not match the number of pairs.
 Barrier unpackBarrier(const std::string& payload);
-/// @throws ProtocolError  It is no JSON object.
+/// @throws ProtocolError  The payload is not a JSON object.
 nlohmann::json unpackObject(const std::string& payload);
 
-/// Returns a peer's text as one line for a log: control characters are escaped, what is longer than `most` is cut off.
+/// Return a peer's text as one line for a log: control characters are escaped, text beyond `most` is truncated.
 std::string printable(const std::string& text, std::size_t most = 500);
 
-/// Cuts a stream of bytes into frames.
+/// Splits a byte stream into frames.
 class FrameReader {
  public:
   void feed(const char* data, std::size_t size) { buffer_.append(data, size); }
 
-  /// Returns and removes the next complete frame.
+  /// Remove and return the next complete frame.
   ///
   /// @throws ProtocolError  A length is 0 or above MAX_FRAME.
   std::optional<Frame> next();
@@ -78,10 +78,10 @@ class FrameReader {
   std::size_t read_ = 0;
 };
 
-/// What has been published on one topic, condensed.
+/// Running checksum of the messages published on one topic.
 class Digest {
  public:
-  /// Adds one serialised message, without its length prefix, published at a simulation time.
+  /// Add one serialised message, without its length prefix, published at a simulation time.
   void add(std::int64_t time_us, const std::uint8_t* data, std::uint32_t size);
 
   std::uint64_t messages() const { return messages_; }
@@ -94,7 +94,7 @@ class Digest {
   boost::crc_32_type crc_;
 };
 
-/// A text that is the same in two processes exactly if a pid of one names the same process in the other.
+/// Return an identifier shared by all processes that see the same process ids.
 std::string processNamespace();
 
 }  // namespace xtdrone_control::lockstep

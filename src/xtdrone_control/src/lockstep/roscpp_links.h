@@ -1,9 +1,9 @@
-/// The topic connections that roscpp keeps to itself.
+/// Access to the topic connections that roscpp keeps private.
 ///
-/// A participant must know each of them: which TCP port it has, which messages went over it, when it is closed; and
-/// what it has published must be under way when its turn ends. roscpp has no calls for this. C++ lets an explicit
-/// instantiation name private members, so these few can be read from here without a changed roscpp; with another one
-/// this does not compile instead of going wrong.
+/// A participant needs the TCP port of each connection, the messages sent over it and the time at which it is closed;
+/// and its messages must be in the kernel when its turn ends. roscpp offers no functions for this. In C++ an explicit
+/// template instantiation may name private members, so that these can be accessed without changing roscpp; with an
+/// incompatible version of roscpp this does not compile.
 #pragma once
 
 #include <ros/connection.h>
@@ -51,7 +51,7 @@ XTDRONE_EXPOSE(Writing, &ros::TransportSubscriberLink::writing_message_);
 
 }  // namespace exposed
 
-/// Returns roscpp's subscription to a topic, nullptr if there is none.
+/// Return roscpp's subscription to a topic, nullptr if there is none.
 inline ros::SubscriptionPtr findSubscription(const std::string& topic) {
   ros::TopicManager& manager = *ros::TopicManager::instance();
   boost::mutex::scoped_lock lock(manager.*member(exposed::SubscriptionsMutex()));
@@ -63,7 +63,7 @@ inline ros::SubscriptionPtr findSubscription(const std::string& topic) {
   return nullptr;
 }
 
-/// Returns the connections to a topic's publishers in other processes.
+/// Return the connections to a topic's publishers in other processes.
 inline std::vector<ros::TransportPublisherLinkPtr> linksOf(ros::Subscription& subscription) {
   std::vector<ros::TransportPublisherLinkPtr> links;
   boost::mutex::scoped_lock lock(subscription.*member(exposed::PublisherLinksMutex()));
@@ -75,16 +75,16 @@ inline std::vector<ros::TransportPublisherLinkPtr> linksOf(ros::Subscription& su
   return links;
 }
 
-/// Returns the connections to a topic's subscribers.
+/// Return the connections to a topic's subscribers.
 inline ros::V_SubscriberLink linksOf(ros::Publication& publication) {
   boost::mutex::scoped_lock lock(publication.*member(exposed::SubscriberLinksMutex()));
   return publication.*member(exposed::SubscriberLinks());
 }
 
-/// Sends a message over a connection, in the calling thread and without blocking, so that it is under way when this
-/// returns; what the kernel does not take now, roscpp's own thread sends.
+/// Send a message over a connection in the calling thread, without blocking; bytes that the kernel does not accept are
+/// sent by roscpp's own thread.
 ///
-/// @return False if messages wait to be sent.
+/// @return False if messages are waiting to be sent.
 inline bool sendNow(ros::SubscriberLink& link, const ros::SerializedMessage& message) {
   auto* transport = dynamic_cast<ros::TransportSubscriberLink*>(&link);
   if (transport == nullptr) {
@@ -99,12 +99,12 @@ inline bool sendNow(ros::SubscriberLink& link, const ros::SerializedMessage& mes
   }
   std::size_t sent = 0;
   if (idle) {
-    // Nobody else writes now: the outbox is empty, and only this thread fills it.
+    // There is no other writer now: the outbox is empty, and only this thread fills it.
     const ros::ConnectionPtr connection = transport->getConnection();
     const auto taken =
         connection->getTransport()->write(message.buf.get(), static_cast<std::uint32_t>(message.num_bytes));
     if (taken < 0 || static_cast<std::size_t>(taken) == message.num_bytes) {
-      return true;  // closed, or done
+      return true;  // closed, or completely sent
     }
     sent = static_cast<std::size_t>(taken);
   }
@@ -118,8 +118,8 @@ inline bool sendNow(ros::SubscriberLink& link, const ros::SerializedMessage& mes
   return false;
 }
 
-/// Discards the oldest messages that wait to be sent, down to `most`; returns how many. The rest of one that is half
-/// sent is not among them.
+/// Discard the oldest messages waiting to be sent beyond `most`, and return their number. The rest of a partially sent
+/// message is not among them.
 inline std::size_t boundOutbox(ros::SubscriberLink& link, std::size_t most) {
   auto* transport = dynamic_cast<ros::TransportSubscriberLink*>(&link);
   if (transport == nullptr) {
@@ -134,19 +134,18 @@ inline std::size_t boundOutbox(ros::SubscriberLink& link, std::size_t most) {
   return dropped;
 }
 
-/// Returns this process's TCP port of a connection, -1 if there is none.
+/// Return the local TCP port of a connection, -1 if there is none.
 ///
-/// @param info  The transport's description of itself: "TCPROS connection on port 45678 to [10.0.0.2:37001 on socket
-/// 9]".
+/// @param info  The transport's description: "TCPROS connection on port 45678 to [10.0.0.2:37001 on socket 9]".
 inline int localPort(const std::string& info) {
   static const std::string phrase = "on port ";
   const std::size_t at = info.find(phrase);
   return at == std::string::npos ? -1 : std::atoi(info.c_str() + at + phrase.size());
 }
 
-/// Returns the other side's TCP port of a connection, -1 if there is none.
+/// Return the remote TCP port of a connection, -1 if there is none.
 inline int remotePort(const std::string& info) {
-  // The address may be one of IPv6, full of colons.
+  // The address may be an IPv6 address, which contains colons.
   const std::size_t end = info.rfind(" on socket ");
   const std::size_t colon = end == std::string::npos ? end : info.rfind(':', end);
   return colon == std::string::npos ? -1 : std::atoi(info.c_str() + colon + 1);

@@ -19,9 +19,9 @@ Waker::Waker() : descriptor_(eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
 }
 
 void Waker::wake() const noexcept {
-  const int before = errno;  // a signal handler must leave it as it was
+  const int before = errno;  // must be preserved in signal handlers
   const std::uint64_t one = 1;
-  // It fails only when it is full of wake-ups already.
+  // Fails only if the counter is at its maximum, i.e. with a wake-up pending.
   [[maybe_unused]] const ssize_t written = write(descriptor_, &one, sizeof one);
   errno = before;
 }
@@ -34,14 +34,14 @@ void Waker::clear() const noexcept {
 namespace detail {
 namespace {
 
-/// Messages kept for a stalled subscriber that is no participant, when the publisher names no queue size.
+/// Messages kept for a stalled subscriber that is not a participant, if the publisher sets no queue size.
 constexpr std::size_t STALLED_QUEUE = 100;
-/// Messages kept of a publisher that is no participant, when the subscriber names no queue size.
+/// Messages kept from a publisher that is not a participant, if the subscriber sets no queue size.
 constexpr std::size_t FOREIGN_QUEUE = 1000;
-/// Bytes of the length before a serialised message.
+/// Bytes of the length prefix of a serialised message.
 constexpr std::uint32_t PREFIX = 4;
 
-/// Runs roscpp's callbacks where they come up, in the thread that has read the message.
+/// Runs roscpp's callbacks at once, in the thread that has read the message.
 class DirectQueue : public ros::CallbackQueueInterface {
  public:
   void addCallback(const ros::CallbackInterfacePtr& callback, std::uint64_t) override { callback->call(); }
@@ -49,7 +49,7 @@ class DirectQueue : public ros::CallbackQueueInterface {
 };
 
 DirectQueue& directQueue() {
-  static auto* const queue = new DirectQueue;  // roscpp's threads use it until the process is no more
+  static auto* const queue = new DirectQueue;  // never destroyed, as roscpp's threads use it until the process ends
   return *queue;
 }
 
@@ -80,17 +80,17 @@ void Outlet::openPlain(ros::AdvertiseOptions options) {
 
 void Outlet::openCounted(ros::AdvertiseOptions options) {
   if (ros::TopicManager::instance()->lookupPublication(topic_)) {
-    throw std::invalid_argument(topic_ + " is advertised by a ros::Publisher here; use lockstep::advertise for both");
+    throw std::invalid_argument(topic_ + " has a ros::Publisher in this process; use lockstep::advertise");
   }
-  options.queue_size = 0;  // roscpp would drop what participants wait for; settle() bounds the others
+  options.queue_size = 0;  // no limit: roscpp would drop messages to participants; send() limits the others
   callbacks_ = boost::make_shared<ros::SubscriberCallbacks>(ignore, ignore, ros::VoidConstPtr(), &notifier_);
   if (latch_) {
-    // Makes the connection's header say that the topic is latched. The message itself is sent in update(): here it
-    // would be in another thread, and the count could be wrong.
+    // Marks the topic as latched in the connection's header. The message itself is sent in update(): here, in another
+    // thread, the count could be wrong.
     callbacks_->push_latched_message_ = [](const ros::SubscriberLinkPtr&) {};
   }
   if (!ros::TopicManager::instance()->advertise(options, callbacks_)) {
-    throw InitError(topic_ + " cannot be advertised; is the master running?");
+    throw InitError(topic_ + ": cannot advertise; is the master running?");
   }
   publication_ = ros::TopicManager::instance()->lookupPublication(topic_);
 }
@@ -108,10 +108,10 @@ void Outlet::publish(const ros::SerializedMessage& message, std::optional<std::i
   if (!publication_ || publication_->isDropped()) {
     return;
   }
-  // From 1 as in rospy, not from 0: then a node's messages are the same in either language.
+  // From 1 as in rospy, so that a node's messages are the same in either language.
   const std::uint32_t sequence = publication_->incrementSequence() + 1;
   if (has_header_) {
-    // It is the first field of the header, and the header that of the message.
+    // The sequence number is the first field of the header, and the header the first field of the message.
     for (std::size_t i = 0; i < sizeof sequence; ++i) {
       message.buf[PREFIX + i] = static_cast<std::uint8_t>(sequence >> (8 * i));
     }
@@ -155,7 +155,7 @@ void Outlet::update() {
     if (std::any_of(links_.begin(), links_.end(), [&](const Link& known) { return known.link == link; })) {
       continue;
     }
-    // Its count begins here: it gets what is published from now on.
+    // Its count starts here: it receives the messages published from now on.
     Link added;
     added.link = link;
     if (latch_ && last_.buf) {
@@ -168,7 +168,7 @@ void Outlet::update() {
       return false;
     }
     if (known.number != 0) {
-      gone_.push_back(known.number);
+      closed_links_.push_back(known.number);
     }
     return true;
   });
@@ -185,7 +185,7 @@ std::uint64_t Inbox::lacking() const {
   return *target > there ? *target - there : 0;
 }
 
-std::uint64_t Inbox::hereOfFirst(std::uint64_t count) const {
+std::uint64_t Inbox::pendingOfFirst(std::uint64_t count) const {
   const std::uint64_t gone = given_up + taken + dropped;
   return count > gone ? std::min<std::uint64_t>(messages.size(), count - gone) : 0;
 }
@@ -203,7 +203,7 @@ void Inlet::open(ros::SubscribeOptions& options) {
   options.callback_queue = &directQueue();
   options.transport_hints.tcpNoDelay();
   if (!ros::TopicManager::instance()->subscribe(options)) {
-    throw InitError(topic_ + " cannot be subscribed to; is the master running?");
+    throw InitError(topic_ + ": cannot subscribe; is the master running?");
   }
   helper_ = options.helper;
   auto subscription = findSubscription(topic_);
@@ -272,8 +272,8 @@ std::shared_ptr<Inbox> Inlet::inboxOf(const Key& key) {
 std::shared_ptr<Inbox> Inlet::bind(const boost::shared_ptr<ros::M_string>& header) {
   const std::string publisher = valueOf(*header, "callerid");
   if (publisher == ros::this_node::getName()) {
-    // A node hears itself within the process, without a port. (To look at the links is not allowed here: roscpp holds
-    // their mutex while it makes such a connection, and then sends the latched message over it.)
+    // A connection of a node to itself stays in the process and has no port. The links must not be inspected here:
+    // roscpp holds their mutex while it makes such a connection and sends the latched message over it.
     const auto inbox = inboxOf({publisher, 0});
     connect(inbox, header, nullptr);
     return inbox;
@@ -283,7 +283,7 @@ std::shared_ptr<Inbox> Inlet::bind(const boost::shared_ptr<ros::M_string>& heade
   if (found != by_header_.end()) {
     return found->second;
   }
-  // It was closed just now, while this message was read.
+  // The connection was closed while this message was read.
   const auto inbox = inboxOf({publisher, -1});
   connect(inbox, header, nullptr);
   inbox->closed = true;
@@ -312,7 +312,7 @@ void Inlet::findConnections() {
     const ros::ConnectionPtr connection = link->getConnection();
     const std::string publisher = link->getCallerID();
     if (!connection || publisher.empty()) {
-      continue;  // its header has not come yet
+      continue;  // its header has not arrived yet
     }
     const boost::shared_ptr<ros::M_string> header = connection->getHeader().getValues();
     if (by_header_.count(header.get()) == 0) {
@@ -356,7 +356,7 @@ void Inlet::discard(Inbox& inbox, std::uint64_t count) {
   if (inbox.latched) {
     return;
   }
-  const auto void_messages = static_cast<std::ptrdiff_t>(inbox.hereOfFirst(count));
+  const auto void_messages = static_cast<std::ptrdiff_t>(inbox.pendingOfFirst(count));
   inbox.messages.erase(inbox.messages.begin(), inbox.messages.begin() + void_messages);
   inbox.taken += static_cast<std::uint64_t>(void_messages);
 }
@@ -398,7 +398,7 @@ void Inlet::takeFrom(Inbox& inbox, std::vector<Message>& taken) const {
   std::uint64_t ready = inbox.messages.size();
   std::uint64_t surplus = 0;
   if (inbox.target) {
-    ready = inbox.hereOfFirst(*inbox.target);
+    ready = inbox.pendingOfFirst(*inbox.target);
   } else if (ready > most_foreign_) {
     surplus = ready - most_foreign_;
   }
@@ -440,7 +440,7 @@ void Entry::dispatch(const std::vector<Message>& messages) {
 }
 
 void Entry::invoke(const Message& message) {
-  const auto callback = callback_;  // it may end its own subscription
+  const auto callback = callback_;  // a copy, as the callback may end its own subscription
   if (!callback) {
     return;
   }

@@ -1,4 +1,4 @@
-/// Both ends of a topic, with what the lockstep needs: counted connections, and messages that wait for their tick.
+/// Both ends of a topic, with counted connections and with messages that are kept until their tick.
 #pragma once
 
 #include <ros/advertise_options.h>
@@ -26,7 +26,7 @@
 
 namespace xtdrone_control::lockstep {
 
-/// Ends a wait of the main thread from any other thread, or from a signal handler.
+/// Ends a wait of the main thread; usable in any thread and in signal handlers.
 class Waker {
  public:
   Waker();
@@ -38,7 +38,7 @@ class Waker {
   int descriptor_;
 };
 
-/// Something of roscpp's has changed; the main thread has a look.
+/// Records that the connections of roscpp have changed and wakes the main thread.
 class Notifier : public ros::CallbackQueueInterface {
  public:
   explicit Notifier(const Waker& waker) : waker_(waker) {}
@@ -48,7 +48,7 @@ class Notifier : public ros::CallbackQueueInterface {
     waker_.wake();
   }
   void removeByID(std::uint64_t) override {}
-  /// Says whether something has changed since the last call.
+  /// Return whether there was a change since the last call.
   bool take() { return changed_.exchange(false); }
 
  private:
@@ -61,16 +61,16 @@ namespace detail {
 /// The sending end of one topic connection.
 struct Link {
   ros::SubscriberLinkPtr link;
-  /// The channel's number in this process, from 1; 0 until it was announced.
+  /// Number of the channel in this process, from 1; 0 until it is announced.
   std::uint32_t number = 0;
-  /// Messages handed over since the connection was made, and what the server knows of it.
+  /// Messages sent or queued since the connection was made, and the count last reported to the server.
   std::uint64_t count = 0;
-  std::uint64_t told = 0;
-  /// Whether the subscriber is a participant, of whose messages none is dropped.
+  std::uint64_t reported = 0;
+  /// Whether the subscriber is a participant; its messages are never dropped.
   bool participant = false;
 };
 
-/// A topic's sending end; all of it in the main thread.
+/// A topic's sending end; used in the main thread only.
 class Outlet {
  public:
   Outlet(const ros::AdvertiseOptions& options, const Waker& waker);
@@ -81,22 +81,22 @@ class Outlet {
   const std::optional<Digest>& digest() const { return digest_; }
   const ros::Publisher* plain() const { return plain_ ? &*plain_ : nullptr; }
 
-  /// Advertises as an ordinary publisher.
+  /// Advertise with a plain publisher.
   void openPlain(ros::AdvertiseOptions options);
-  /// Advertises as one whose messages are counted.
+  /// Advertise with counted messages.
   void openCounted(ros::AdvertiseOptions options);
   void close();
 
-  /// Hands a message to every connection; `digested_us` is the simulation time if there is to be a checksum.
+  /// Send a message over all connections; `digested_us` is the simulation time if a digest is requested.
   void publish(const ros::SerializedMessage& message, std::optional<std::int64_t> digested_us);
   std::uint32_t countSubscribers() const;
-  /// Looks at what connections there are now, if something has changed.
+  /// Update the list of connections if it has changed.
   void update();
-  /// Returns the numbers of the connections that are gone, once.
-  std::vector<std::uint32_t> takeGone() { return std::exchange(gone_, {}); }
+  /// Remove and return the numbers of the closed connections.
+  std::vector<std::uint32_t> takeClosed() { return std::exchange(closed_links_, {}); }
 
  private:
-  /// Drops what a stalled subscriber that is no participant does not take.
+  /// Send a message; for a stalled subscriber that is not a participant, drop the oldest ones.
   void send(Link& link, const ros::SerializedMessage& message) const;
 
   std::string topic_;
@@ -109,43 +109,43 @@ class Outlet {
   ros::SubscriberCallbacksPtr callbacks_;
   std::optional<ros::Publisher> plain_;
   std::vector<Link> links_;
-  std::vector<std::uint32_t> gone_;
+  std::vector<std::uint32_t> closed_links_;
   ros::SerializedMessage last_;
   std::optional<Digest> digest_;
 };
 
-/// The messages of one connection, in the order of sending. Guarded by the inlets' mutex, but for `closed`.
+/// The messages of one connection, in order of sending. Guarded by the inlet's mutex, except for `closed`.
 struct Inbox {
   std::string publisher;
   std::deque<Message> messages;
-  /// Since the connection was made: received; of these discarded as a foreign publisher's queue was full; and
-  /// dispatched, or discarded as time went back.
+  /// Numbers of messages since the connection was made: received, discarded because a foreign publisher's queue was
+  /// full, and dispatched or discarded because of a reset.
   std::uint64_t received = 0;
   std::uint64_t dropped = 0;
   std::uint64_t taken = 0;
-  /// How many may be dispatched by now; none if the publisher is no participant.
+  /// Number of messages to be dispatched by now; nullopt if the publisher is not a participant ("foreign").
   std::optional<std::uint64_t> target;
-  /// Messages that were counted by the publisher and never came.
+  /// Number of messages counted by the publisher that did not arrive.
   std::uint64_t given_up = 0;
-  /// No more will come; set in any thread.
+  /// Whether the connection is closed; set in any thread.
   std::atomic<bool> closed{false};
-  /// The server has said that the channel is no more.
+  /// Whether the server has reported the channel as closed.
   bool lost = false;
   bool latched = false;
   Message latch;
-  /// Tells the connection; its address identifies it as long as it is kept.
+  /// Header of the connection; its address identifies the connection and stays valid while it is held here.
   boost::shared_ptr<ros::M_string> header;
 
-  /// How many messages that must be here have not come yet.
+  /// Return the number of messages due by now that have not arrived.
   std::uint64_t lacking() const;
-  /// How many messages that are here are among the first `count` of the connection.
-  std::uint64_t hereOfFirst(std::uint64_t count) const;
+  /// Return how many of the pending messages are among the first `count` of the connection.
+  std::uint64_t pendingOfFirst(std::uint64_t count) const;
 };
 
-/// A topic's receiving end. Messages come in in roscpp's thread, everything else is the main thread's.
+/// A topic's receiving end. Messages arrive in roscpp's thread; everything else runs in the main thread.
 class Inlet {
  public:
-  /// `waker` is woken by each message while `eager` is set, and always when a connection ends.
+  /// @param waker  Woken by each message while `eager` is set, and whenever a connection closes.
   Inlet(std::string topic, const std::type_info& message, std::string type, const Waker& waker,
         const std::atomic<bool>& eager);
 
@@ -159,25 +159,25 @@ class Inlet {
   void setQueueSize(std::size_t size);
   std::uint32_t countPublishers() const;
 
-  /// Takes a message in; called in any thread.
+  /// Store a message; called in any thread.
   void receive(const boost::shared_ptr<ros::M_string>& header, const Message& message);
-  /// Takes a publisher for a participant from now on; returns the inbox of its connection, which may have to come yet.
+  /// Treat a publisher as a participant from now on; return the inbox of its connection, which may not be made yet.
   std::shared_ptr<Inbox> count(const std::string& publisher, int port);
-  /// Says how many messages over a channel must be here before the turn begins; returns whether they are.
+  /// Set the number of messages due on a channel before the turn begins; return whether they have arrived.
   bool expect(Inbox& inbox, std::uint64_t target);
-  /// How many messages that must be here have not come yet over a connection that is open.
+  /// Return the number of messages due by now that have not arrived, 0 if the connection is closed.
   std::uint64_t lacking(const Inbox& inbox);
-  /// No longer waits for what is lacking; returns how much that was.
+  /// Stop waiting for lacking messages; return their number.
   std::uint64_t giveUp(Inbox& inbox);
-  /// Drops what is not dispatched yet of the first `count` messages, unless they are latched: those hold on.
+  /// Discard the pending ones of the first `count` messages, unless they are latched and thus remain valid.
   void discard(Inbox& inbox, std::uint64_t count);
   void setLost(Inbox& inbox);
-  /// Finds the connections of inboxes that have none yet; where there is none, nothing will come.
+  /// Find the connections of inboxes that have none yet; close the inboxes for which there is none.
   void closeUnconnected();
 
-  /// Removes and returns the messages whose tick it is: by publisher's name, then in the order of sending.
+  /// Remove and return the messages to dispatch now, by publisher's name, then in order of sending.
   std::vector<Message> take();
-  /// The latched messages dispatched so far, for a subscriber that comes later.
+  /// Return the latched messages dispatched so far, for another subscriber.
   std::vector<Message> latches();
 
  private:
@@ -203,7 +203,7 @@ class Inlet {
   ros::SubscriptionPtr subscription_;
   std::map<Key, std::shared_ptr<Inbox>> inboxes_;
   std::unordered_map<const ros::M_string*, std::shared_ptr<Inbox>> by_header_;
-  /// What came before `subscription_` was known.
+  /// Messages received before `subscription_` was set.
   std::vector<std::pair<boost::shared_ptr<ros::M_string>, Message>> early_;
 };
 
@@ -213,7 +213,7 @@ class Entry {
   Entry(std::shared_ptr<Inlet> inlet, std::function<void(const void*)> callback);
 
   const std::shared_ptr<Inlet>& inlet() const { return inlet_; }
-  /// Runs the callback with each message.
+  /// Run the callback with each message.
   void dispatch(const std::vector<Message>& messages);
   void end() { callback_ = nullptr; }
 

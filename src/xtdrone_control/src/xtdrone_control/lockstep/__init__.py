@@ -1,8 +1,11 @@
 """Strict lockstep between the simulator and ROS nodes.
 
-A node uses this package in rospy's place: `init_node`, `Publisher`, `Subscriber`, `start`, `Rate`, `spin`. The
-simulator's side is `xtdrone_control.lockstep.server.LockstepServer`, which imports no rospy; therefore the names below
-are loaded only when they are used.
+A node uses this package in place of rospy: ``init_node``, ``Publisher``, ``Subscriber``, ``start``, ``Rate``, ``spin``.
+The simulator uses ``xtdrone_control.lockstep.server.LockstepServer``, which is free of rospy; therefore the names below
+are loaded on first use.
+
+``client`` is the node's side, ``server`` the simulator's, ``protocol`` the frames between them, and ``transport`` the
+topic connections of rospy.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .client import (
+    from .client.api import (
         Host,
         Publisher,
         Rate,
@@ -20,9 +23,11 @@ if TYPE_CHECKING:
         datagrams_sent,
         declare_udp,
         exit_status,
+        future_name,
         host,
         init_node,
         is_active,
+        needs_time,
         sleep,
         spin,
         start,
@@ -38,6 +43,7 @@ __all__ = [
     "datagrams_sent",
     "declare_udp",
     "exit_status",
+    "future_name",
     "host",
     "init_node",
     "is_active",
@@ -49,9 +55,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Loads the node's side, and rospy with it, at first use."""
+    """Load the node's side, and rospy with it, on first use."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import client
+    from .client import api
 
-    return getattr(client, name)
+    return getattr(api, name)

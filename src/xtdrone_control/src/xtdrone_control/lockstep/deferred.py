@@ -1,9 +1,8 @@
-"""Work that goes on beside a node's turns and whose results count from a fixed simulated time on.
+"""Background work whose results become available at a fixed simulation time.
 
-A node that takes part in the lockstep hands long work (drawing a picture, running a network) to a thread or process,
-says when in simulated time it is due, and goes on with its turns: flight goes on meanwhile. At the turn at or after the
-due time the node takes the result, and only then waits for it if it is not there yet. So a slow machine runs slower,
-never differently.
+A node in lockstep submits long work (rendering an image, running a network) to a thread or process together with the
+simulation time at which it is due, and continues with its turns. In the first turn at or after that time the node
+collects the result, and waits for it only then if necessary. A slow machine thus runs slower but never differently.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 
 
 class Done(NamedTuple):
-    """Work that is done: the key it was given, and what its function returned."""
+    """Completed work: its key and the return value of its function."""
 
     key: Any
     result: Any
@@ -28,19 +27,19 @@ class _Work(NamedTuple):
 
 
 class Deferred:
-    """Work under way, for the node's own thread."""
+    """Submitted work; used in the node's own thread only."""
 
     def __init__(self, workers: int = 1, *, executor: Executor | None = None, wait: bool = True) -> None:
-        """Start with none.
+        """Create the workers.
 
         Args:
-            workers: threads, at least 1; what they run should release Python's lock for most of its time.
-            executor: what runs the work in place of these threads (a ProcessPoolExecutor, say); closed with this.
-            wait: True to wait for what is due: a node in lockstep. False to leave it until it is done: a node on a
-                real vehicle, whose turns must go on.
+            workers: Number of threads, at least 1; their work should release Python's global lock most of the time.
+            executor: Executor to use instead of these threads (a ProcessPoolExecutor, say); closed with this object.
+            wait: Whether ``ready`` waits for work that is due, as a node in lockstep must. A node on a real vehicle,
+                whose turns must not be delayed, leaves it until it is complete.
 
         Raises:
-            ValueError: the number of workers is not positive.
+            ValueError: The number of workers is not positive.
         """
         self._executor = executor or ThreadPoolExecutor(workers, thread_name_prefix="deferred")
         self._wait = wait
@@ -48,29 +47,29 @@ class Deferred:
         self._number = 0
 
     def __len__(self) -> int:
-        """Return how much has been put and not been taken."""
+        """Return the number of submitted items that have not been collected."""
         return len(self._work)
 
     def put(self, key: Any, due_us: int, function: Callable[..., Any], *arguments: Any) -> None:
-        """Begin work.
+        """Submit work.
 
         Args:
-            key: what the result is known by; nothing is done with it.
-            due_us: simulated time from which on the result counts, microseconds.
-            function: called with ``arguments`` by a worker.
-            arguments: no other thread may change them meanwhile.
+            key: Identifies the result; not interpreted.
+            due_us: Simulation time in microseconds from which the result is available.
+            function: Called with ``arguments`` by a worker.
+            arguments: Must not be changed until the work is complete.
         """
         self._number += 1
         self._work.append(_Work(due_us, self._number, key, self._executor.submit(function, *arguments)))
 
     def ready(self, now_us: int) -> list[Done]:
-        """Return what is due, and forget it: by due time, then in the order in which it was put.
+        """Remove and return the results that are due, by due time, then in order of submission.
 
         Args:
-            now_us: simulated time, microseconds.
+            now_us: Simulation time in microseconds.
 
         Raises:
-            Exception: what a function raised.
+            Exception: An exception raised by a function.
         """
         taken = []
         for work in sorted(self._work, key=lambda work: work[:2]):
@@ -83,12 +82,12 @@ class Deferred:
         return taken
 
     def clear(self) -> None:
-        """Forget everything, as when the time is set back; what a worker has begun it ends."""
+        """Discard all work, as after a reset of simulation time; work that has been started runs to its end."""
         for work in self._work:
             work.future.cancel()
         self._work.clear()
 
     def close(self) -> None:
-        """Forget everything and end the workers."""
+        """Discard all work and end the workers."""
         self.clear()
         self._executor.shutdown(cancel_futures=True)

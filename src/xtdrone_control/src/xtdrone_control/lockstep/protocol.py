@@ -1,4 +1,4 @@
-"""Frames between the simulator (server) and its participants (clients), and the times at which these are due.
+"""The frames exchanged by the simulator (server) and its participants (clients), and the schedule of their turns.
 
 A frame is ``u32 length`` (of what follows), ``u8 type``, payload; everything little-endian. Hot frames are packed:
 
@@ -7,37 +7,36 @@ frame      direction           payload
 =========  ==================  =========================================================================
 TICK       server to client    u64 tick, i64 time_us, u32 n, u32 m, n + m pairs (u32 id, u64 count)
 DONE       client to server    the same; time_us repeats that of the TICK
-ALIVE      client to server    empty; or u8 1: the node waits for what comes only when time goes on
+ALIVE      client to server    empty; or u8 1: the node is waiting for an event that needs time to advance
 =========  ==================  =========================================================================
 
-The first n pairs are channels: a *channel* is one topic connection from one publisher to one subscriber, its count the
-number of messages sent over it since it was made. In DONE the ids are the publisher's own numbers, in TICK they are the
-server's. The other m pairs are UDP ports and the number of datagrams sent to them. Only what changed is sent.
+The first n pairs are channels: a *channel* is one topic connection from one publisher to one subscriber; its count is
+the number of messages sent over it since it was made. In DONE the ids are assigned by the publisher, in TICK by the
+server. The other m pairs are UDP ports and the number of datagrams sent to them. Only counts that changed are sent.
 
-All others carry a JSON object:
+All other frames carry a JSON object:
 
 =========  ==================  =========================================================================
 RESERVE    client to server    version, name, pid, host; answered like JOIN, which must follow on this connection
 JOIN       client to server    version, name, rate (Hz), pid, host, publications [[topic, type]], subscriptions
                                [[topic, type]], udp_ports [port]
-WELCOME    server to client    version, base_step_us, digest (bool: DIGEST is wanted)
+WELCOME    server to client    version, base_step_us, digest (bool: DIGEST is requested)
 REFUSED    server to client    code, reason; the server closes the connection
 PEER       client to server    made [[id, topic, subscriber, subscriber's TCP port, count]], lost [id]
-PEER       server to client    made [[id, topic, publisher, subscriber's TCP port]], lost [id]; and of the client's
-                               own connections those whose subscriber is (counted [id]) or is no longer (uncounted
-                               [id]) a participant; and, when simulation time was set back, reset (true) and up to
-                               which message of a channel all that is not dispatched yet is of before (void [[id,
-                               count]])
-DECLARE    client to server    publications, subscriptions (as JOIN: all that there are now)
+PEER       server to client    made [[id, topic, publisher, subscriber's TCP port]], lost [id]; the
+                               client's own connections whose subscriber has become (counted [id]) or is no longer
+                               (uncounted [id]) a participant; after a reset of simulation time, reset (true) and
+                               void [[id, count]]: the first count messages of a channel predate the reset
+DECLARE    client to server    publications, subscriptions (as in JOIN: the complete current lists)
 DIGEST     client to server    time_us, topics {topic: [messages, bytes, crc]}; see `Digest`
 LEAVE      client to server    reason, failed (bool)
-LEAVE      server to client    reason, failed (bool): the simulation has ended, in an orderly way or by a failure
+LEAVE      server to client    reason, failed (bool): the simulation has ended, normally or because of a failure
 =========  ==================  =========================================================================
 
-``host`` says in which machine and process namespace ``pid`` means something (see `process_namespace`), so that the
-server can tell a process that is gone from one that is silent; empty if unknown.
+``host`` identifies the machine and process namespace in which ``pid`` is valid (see :func:`process_namespace`), so that
+the server can distinguish a dead process from a silent one; empty if unknown.
 
-`frames` has the types and ranges of what clients send, and the longest frame of each type.
+:mod:`.server.frames` defines the types and ranges of the fields that clients send, and the longest frame of each type.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ from typing import Any, NamedTuple
 VERSION = 2
 BASE_STEP_US = 4000
 MAX_FRAME = 1 << 24
-"""Longest frame in bytes; anything above is taken for garbage."""
+"""Longest frame in bytes; longer ones are rejected."""
 
 _HEAD = struct.Struct("<IB")
 _BARRIER = struct.Struct("<QqII")
@@ -68,11 +67,11 @@ class ProtocolError(Exception):
 
 
 def printable(text: str, most: int = 200) -> str:
-    """Returns a peer's text as one line for a log or a message: what cannot be printed is escaped, the rest cut off.
+    """Return a peer's text as one line for a log: unprintable characters are escaped, long text is truncated.
 
     Args:
-        text: Any text; line feeds, terminal codes and lone surrogates may be in it.
-        most: Longest result in characters.
+        text: Any text; may contain line feeds, terminal control codes and lone surrogates.
+        most: Maximum length of the result in characters.
     """
     letters = (letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text[:most])
     line = "".join(letters)
@@ -80,14 +79,14 @@ def printable(text: str, most: int = 200) -> str:
 
 
 def shown(value: object, most: int = 60) -> str:
-    """Returns a value that came as JSON in at most about `most` printable characters, for an error's text."""
+    """Return a value received as JSON in about ``most`` printable characters or fewer, for an error message."""
     if isinstance(value, list | dict):
-        return f"a {'list' if isinstance(value, list) else 'table'} of {len(value)}"
+        return f"{'a list' if isinstance(value, list) else 'an object'} of {len(value)}"
     return f"'{printable(value, most)}'" if isinstance(value, str) else printable(repr(value), most)
 
 
 class Kind(enum.IntEnum):
-    """Types of frames."""
+    """Frame types."""
 
     JOIN = 1
     WELCOME = 2
@@ -108,8 +107,8 @@ class Barrier(NamedTuple):
     Attributes:
         tick: Number of the tick, from 1.
         time_us: Simulation time in microseconds.
-        channels: Channel id to cumulative number of messages, those that changed.
-        datagrams: UDP port to cumulative number of datagrams, those that changed.
+        channels: Cumulative number of messages by channel id; only channels whose count changed.
+        datagrams: Cumulative number of datagrams by UDP port; only ports whose count changed.
     """
 
     tick: int
@@ -120,7 +119,7 @@ class Barrier(NamedTuple):
 
 _PAIR = struct.Struct("<IQ")
 _RUNS = [struct.Struct("<" + "IQ" * count) for count in range(65)]
-"""Packs so many pairs at once. Longer runs are packed in pieces: a format for each length that comes would be kept."""
+"""Struct formats by number of pairs. Longer runs are packed in pieces, as a format per length would fill the memory."""
 
 
 def _pack_pairs(pairs: Mapping[int, int]) -> bytes:
@@ -135,14 +134,14 @@ def _pack_pairs(pairs: Mapping[int, int]) -> bytes:
 def pack_barrier(
     kind: Kind, tick: int, time_us: int, channels: Mapping[int, int], datagrams: Mapping[int, int]
 ) -> bytes:
-    """Returns a whole TICK or DONE frame.
+    """Return a complete TICK or DONE frame.
 
     Args:
-        kind: `Kind.TICK` or `Kind.DONE`.
+        kind: ``Kind.TICK`` or ``Kind.DONE``.
         tick: Number of the tick.
         time_us: Simulation time in microseconds.
-        channels: Channel id to cumulative number of messages.
-        datagrams: UDP port to cumulative number of datagrams.
+        channels: Cumulative number of messages by channel id.
+        datagrams: Cumulative number of datagrams by UDP port.
     """
     count = len(channels) + len(datagrams)
     head = _BARRIER_FRAME.pack(1 + _BARRIER.size + 12 * count, kind, tick, time_us, len(channels), len(datagrams))
@@ -153,10 +152,10 @@ def pack_barrier(
 
 
 def unpack_barrier(payload: bytes) -> Barrier:
-    """Reads a TICK's or DONE's payload.
+    """Decode the payload of a TICK or DONE frame.
 
     Raises:
-        ProtocolError: The length does not fit the number of pairs.
+        ProtocolError: The length does not match the number of pairs.
     """
     try:
         tick, time_us, channel_count, port_count = _BARRIER.unpack_from(payload)
@@ -173,16 +172,16 @@ def unpack_barrier(payload: bytes) -> Barrier:
 
 
 def pack_object(kind: Kind, content: Mapping[str, Any]) -> bytes:
-    """Returns a whole frame that carries a JSON object."""
+    """Return a complete frame that carries a JSON object."""
     payload = json.dumps(content, separators=(",", ":")).encode()
     return _HEAD.pack(1 + len(payload), kind) + payload
 
 
 def unpack_object(payload: bytes) -> dict[str, Any]:
-    """Reads the JSON object of a frame.
+    """Decode the JSON object of a frame.
 
     Raises:
-        ProtocolError: It is no JSON object.
+        ProtocolError: The payload is not a JSON object.
     """
     try:
         content = json.loads(payload)
@@ -199,35 +198,34 @@ NEEDS_TIME_FRAME = _HEAD.pack(2, Kind.ALIVE) + NEEDS_TIME
 
 
 ANY_FRAME: Mapping[int, int] = dict.fromkeys(Kind, MAX_FRAME)
-"""Greatest lengths of frames by type, without the length field, where nothing else is known of them."""
+"""Default maximum frame lengths by type, in bytes without the length field."""
 
 
 class FrameReader:
-    """Cuts a stream of bytes into frames.
+    """Splits a byte stream into frames.
 
     Attributes:
-        longest: The types that may come, each with its greatest length in bytes, without the length field. It is looked
-            at when a frame's head is there, before its payload.
+        longest: Accepted frame types with their maximum lengths in bytes, without the length field. It is checked as
+            soon as a frame's header has arrived, before its payload.
     """
 
     def __init__(self, longest: Mapping[int, int] = ANY_FRAME) -> None:
-        """Starts with nothing read."""
         self.longest = longest
         self._buffer = bytearray()
 
     def __len__(self) -> int:
-        """Returns how many bytes have been received and not yet been cut into frames."""
+        """Return the number of bytes received that do not form a complete frame yet."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> None:
-        """Takes what was received."""
+        """Append received bytes."""
         self._buffer += data
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
-        """Yields (type, payload) of each complete frame and removes it.
+        """Yield (type, payload) of each complete frame and remove it.
 
         Raises:
-            ProtocolError: A length is 0 or above what `longest` allows, or the type is not allowed.
+            ProtocolError: A length is 0 or exceeds ``longest``, or the type is not accepted.
         """
         while len(self._buffer) >= _HEAD.size:
             length, kind = _HEAD.unpack_from(self._buffer)
@@ -247,7 +245,7 @@ class FrameReader:
         return f"frame of type {kind}, allowed are {names}"
 
     def has_frame(self) -> bool:
-        """Says whether `frames` has something to yield, or to complain about."""
+        """Return whether ``frames`` would yield a frame or raise an error."""
         if len(self._buffer) < _HEAD.size:
             return False
         length, _ = _HEAD.unpack_from(self._buffer)
@@ -255,47 +253,46 @@ class FrameReader:
 
 
 class Digest:
-    """What has been published on one topic, condensed: two flights are the same if all digests are, at all times.
+    """Running checksum of the messages published on one topic; two flights are equal if all their digests are.
 
-    For each message, in order, goes into the checksum: i64 time_us and u32 length, little-endian, then the serialised
-    message without its length prefix. ``time_us`` is the simulation time at which it was published. The checksum is
-    zlib's CRC-32 of all this in one piece.
+    Each message contributes, in order: i64 time_us and u32 length, little-endian, then the serialised message without
+    its length prefix. ``time_us`` is the simulation time of publication. The checksum is zlib's CRC-32 of the
+    concatenation.
 
     Attributes:
-        messages: How many.
-        bytes: Their total length.
+        messages: Number of messages.
+        bytes: Their total length in bytes.
         crc: The checksum.
     """
 
     __slots__ = ("bytes", "crc", "messages")
 
     def __init__(self) -> None:
-        """Starts with nothing published."""
         self.messages = 0
         self.bytes = 0
         self.crc = 0
 
     def add(self, time_us: int, message: bytes | memoryview) -> None:
-        """Adds one serialised message, published at `time_us`."""
+        """Add one serialised message published at ``time_us``."""
         size = len(message)
         self.messages += 1
         self.bytes += size
         self.crc = zlib.crc32(message, zlib.crc32(_DIGEST_HEAD.pack(time_us, size), self.crc))
 
     def state(self) -> list[int]:
-        """Returns messages, bytes and crc, as the frame carries them."""
+        """Return messages, bytes and crc in the order of the DIGEST frame."""
         return [self.messages, self.bytes, self.crc]
 
 
 DIGEST_PERIOD_US = 1_000_000
-"""A participant sends DIGEST, with all its topics, before the DONE of the first turn in each such period of simulation
-time, and once more before it leaves."""
+"""Simulation time between digests in microseconds. A participant sends DIGEST, with all its topics, before the DONE of
+its first turn in each period, and once more before it leaves."""
 
 
 def process_namespace() -> str:
-    """Returns a text that is the same in two processes exactly if a pid of one names the same process in the other.
+    """Return an identifier shared by all processes that see the same process ids; empty where unknown.
 
-    Empty where the system does not say (other than Linux).
+    It combines the kernel's boot id with the pid namespace and is available on Linux only.
     """
     try:
         with open("/proc/sys/kernel/random/boot_id", encoding="ascii") as file:
@@ -305,7 +302,7 @@ def process_namespace() -> str:
 
 
 def same_machine(first: str, second: str) -> bool:
-    """Says whether two IP addresses, the ends of one connection, are of one machine."""
+    """Return whether the IP addresses of a connection's two ends belong to the same machine."""
     return first == second or (first.startswith("127.") and second.startswith("127."))
 
 
@@ -314,9 +311,9 @@ _KEEPALIVE = ((socket.TCP_KEEPIDLE, 3), (socket.TCP_KEEPINTVL, 3), (socket.TCP_K
 
 
 def tune(sock: socket.socket) -> None:
-    """Sets a lockstep connection's TCP options: nothing waits to be sent, and a machine that is gone is noticed.
+    """Set the TCP options of a lockstep connection: send without delay and detect an unreachable machine.
 
-    A machine's kernel answers even if the process hangs; without an answer for 15 s the connection ends.
+    A machine's kernel answers even while the process hangs; after 15 s without an answer the connection breaks.
     """
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -326,20 +323,20 @@ def tune(sock: socket.socket) -> None:
 
 
 class Schedule:
-    """The times at which a participant with a given rate is due: the first base step at or after k / rate seconds.
+    """The times at which a participant is due: the first base step at or after k / rate seconds, k = 0, 1, 2, ...
 
-    The rate is taken as a fraction and all is done in integers, so that no rounding accumulates.
+    The rate is converted to a fraction and all computation is in integers, so that rounding errors do not accumulate.
     """
 
     def __init__(self, rate: float, base_step_us: int = BASE_STEP_US) -> None:
-        """Makes the grid.
+        """Compute the grid of turns.
 
         Args:
-            rate: In Hz, above 0 and at most one per base step.
+            rate: Turns per second of simulation time in Hz, above 0 and at most one per base step.
             base_step_us: The simulator's step in microseconds.
 
         Raises:
-            ValueError: The rate is outside its range.
+            ValueError: The rate is out of range.
         """
         fastest = 1_000_000 / base_step_us
         if isinstance(rate, bool) or not (isinstance(rate, int | float) and 0.0 < rate <= fastest):
@@ -350,10 +347,10 @@ class Schedule:
         self._numerator, self._denominator = steps.numerator, steps.denominator
 
     def due_us(self, index: int) -> int:
-        """Returns the time of the index-th turn in microseconds."""
+        """Return the time of turn ``index`` in microseconds."""
         return -(-index * self._numerator // self._denominator) * self._base_step_us
 
     def after_us(self, now_us: int) -> int:
-        """Returns the earliest due time later than `now_us`, in microseconds."""
+        """Return the earliest due time later than ``now_us``, in microseconds."""
         index = (now_us // self._base_step_us) * self._denominator // self._numerator + 1
         return self.due_us(index)

@@ -18,7 +18,6 @@ from xtdrone_msgs.msg import ObjectsOnGround
 from xtdrone_control import lockstep
 from xtdrone_control.checks import check_range
 from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
-from xtdrone_control.lockstep.names import future_name
 from xtdrone_interaction.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import FOR_MARKERS
@@ -92,7 +91,7 @@ def main(arguments: Sequence[str]) -> None:
     """
     check_no_arguments(arguments)
     fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
-    private = future_name(NAME)
+    private = lockstep.future_name(NAME)
     of_view = FOR_MARKERS.get(str(rospy.get_param(f"{private}/view", "")), {})
     try:
         rate = check_range("~rate", rospy.get_param(f"{private}/rate", _RATE), 0.1, 50.0, "Hz")

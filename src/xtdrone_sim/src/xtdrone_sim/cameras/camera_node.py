@@ -35,7 +35,6 @@ from xtdrone_control import lockstep
 from xtdrone_control.checks import check_choice, check_range
 from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.lockstep.deferred import Deferred
-from xtdrone_control.lockstep.names import future_name
 from xtdrone_sim.cameras.camera_worker import DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import ActorState, SceneAt, View
@@ -252,7 +251,7 @@ def private_parameters(arguments: Sequence[str]) -> dict[str, Any]:
     Args:
         arguments: the command line, with ``_rate:=2`` and the like.
     """
-    name = future_name(_NAME)
+    name = lockstep.future_name(_NAME)
     found = rosgraph.Master(name).getParam("/")
     for part in name.strip("/").split("/"):
         found = found.get(part, {}) if isinstance(found, Mapping) else {}

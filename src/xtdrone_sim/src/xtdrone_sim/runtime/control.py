@@ -45,7 +45,10 @@ class Participant(Protocol):
 
     waiting: bool
     asked: float
-    heard: float
+
+    @property
+    def heard(self) -> float:
+        """Monotonic wall time in seconds at which data was last received from it."""
 
 
 class Barrier(Protocol):

@@ -21,7 +21,6 @@ from gazebo_msgs.msg import ModelStates
 from rosgraph_msgs.msg import Clock
 
 from xtdrone_control import kernel, lockstep
-from xtdrone_control.lockstep.names import future_name
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.log_output import survive_full_disk
 from xtdrone_sim.runtime.backend import Scene
@@ -540,7 +539,7 @@ def run_node(make: Callable[[], tuple[NodeSettings, Scene]], arguments: Sequence
         advice = "start one (roscore, roslaunch) or set ROS_MASTER_URI"
         print(f"simulator: no ROS master answers at {rosgraph.get_master_uri()}; {advice}", file=sys.stderr)
         return 1
-    name = future_name("simulator", list(arguments))
+    name = lockstep.future_name("simulator", list(arguments))
     # Before the name is registered: the master would shut down the node that has it now.
     reason = obstacle(name)
     if reason:

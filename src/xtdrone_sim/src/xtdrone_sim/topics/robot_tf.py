@@ -14,7 +14,6 @@ from tf2_msgs.msg import TFMessage
 from xtdrone_control import lockstep
 from xtdrone_control.checks import check_range
 from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
-from xtdrone_control.lockstep.names import future_name
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.topics.robot_frames import Frame, RobotFrames
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
@@ -87,7 +86,7 @@ def main(arguments: Sequence[str]) -> None:
     fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
     try:
         types = {vehicle.type: load_vehicle(vehicle.type) for vehicle in fleet}
-        rate = check_range("~rate", rospy.get_param(f"{future_name('robot_tf')}/rate", _RATE), 1.0, 50.0, "Hz")
+        rate = check_range("~rate", rospy.get_param(f"{lockstep.future_name('robot_tf')}/rate", _RATE), 1.0, 50.0, "Hz")
     except (ModelError, ValueError) as error:
         raise ArgumentError(str(error)) from error
     lockstep.init_node("robot_tf", rate=rate)

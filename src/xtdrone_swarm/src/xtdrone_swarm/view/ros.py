@@ -42,7 +42,6 @@ from xtdrone_control.communication.arguments import (
     parse_count,
     run_program,
 )
-from xtdrone_control.lockstep.names import future_name
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_swarm.view.camera import Array
 from xtdrone_swarm.view.film import FPS, FilmError, check_film, film
@@ -311,7 +310,7 @@ def _turns(flight: Flight) -> Iterator[Frame]:
 def _own_parameter(name: str, default: Any) -> Any:
     """Return a private parameter before the node is made, from the command line or the master."""
     given = load_command_line_node_params(sys.argv)
-    return given[name] if name in given else rospy.get_param(f"{future_name('visualize')}/{name}", default)
+    return given[name] if name in given else rospy.get_param(f"{lockstep.future_name('visualize')}/{name}", default)
 
 
 def _trails() -> float:

@@ -1,7 +1,6 @@
-"""The topic connections that the participants' declarations need, and which of them are not made yet.
+"""Topic connections required by the participants' declarations, and those not made yet.
 
-By topic and by name, so that what one participant declares costs as much as it has to do with, however many others
-there are.
+Indexed by topic and by name, so that the cost of a declaration does not grow with the number of unrelated participants.
 """
 
 from __future__ import annotations
@@ -14,28 +13,27 @@ from .participant import Pair
 _NOTHING = Declaration({}, {})
 
 
-class Topics:
-    """What every participant publishes and subscribes to."""
+class TopicTable:
+    """The topics that each participant publishes and subscribes to."""
 
     def __init__(self) -> None:
-        """Starts with nothing declared."""
         self._declared: dict[str, Declaration] = {}
-        self._publishers: dict[str, dict[str, str]] = {}  # topic to names to types
+        self._publishers: dict[str, dict[str, str]] = {}  # type by name, by topic
         self._subscribers: dict[str, dict[str, str]] = {}
-        self._clashes: dict[str, set[Pair]] = {}  # by name, those that have been told
+        self._clashes: dict[str, set[Pair]] = {}  # reported type mismatches by name
 
     def declare(self, name: str, declaration: Declaration) -> None:
-        """Notes all topics of a participant, in place of those that it had before."""
-        self._forget_topics(name)
+        """Replace all topics of a participant."""
+        self._remove_topics(name)
         self._declared[name] = declaration
         for topic, kind in declaration.publications.items():
             self._publishers.setdefault(topic, {})[name] = kind
         for topic, kind in declaration.subscriptions.items():
             self._subscribers.setdefault(topic, {})[name] = kind
 
-    def withdraw(self, name: str) -> None:
-        """Forgets a participant."""
-        self._forget_topics(name)
+    def remove(self, name: str) -> None:
+        """Remove a participant."""
+        self._remove_topics(name)
         self._declared.pop(name, None)
         for pair in self._clashes.pop(name, ()):
             for other in pair[1:]:
@@ -45,17 +43,18 @@ class Topics:
                         del self._clashes[other]
 
     def publishes(self, name: str, topic: str) -> bool:
-        """Says whether a participant declares that it publishes a topic."""
+        """Return whether a participant declares ``topic`` as published."""
         return topic in self._declared.get(name, _NOTHING).publications
 
     def subscribes(self, name: str, topic: str) -> bool:
-        """Says whether a participant declares that it subscribes to a topic."""
+        """Return whether a participant declares ``topic`` as subscribed to."""
         return topic in self._declared.get(name, _NOTHING).subscriptions
 
     def pairs(self, name: str) -> Iterator[tuple[Pair, str, str]]:
-        """Yields the connections that a participant's topics have in common with all others', and with each other.
+        """Yield the connections between a participant's topics and those of all participants, itself included.
 
-        Each comes with the publisher's and the subscriber's type; one of a participant with itself comes twice.
+        Each is yielded with the publisher's and the subscriber's type; a connection of the participant to itself is
+        yielded twice.
         """
         declared = self._declared.get(name, _NOTHING)
         for topic, sent in declared.publications.items():
@@ -66,16 +65,16 @@ class Topics:
                 yield (topic, publisher, name), sent, read
 
     def is_new_clash(self, pair: Pair) -> bool:
-        """Says whether types that differ have not been asked about before, while both participants have been there."""
+        """Record a type mismatch; return whether it is the first one of this pair while both participants are there."""
         _, publisher, subscriber = pair
-        told = self._clashes.setdefault(publisher, set())
-        if pair in told:
+        reported = self._clashes.setdefault(publisher, set())
+        if pair in reported:
             return False
-        told.add(pair)
+        reported.add(pair)
         self._clashes.setdefault(subscriber, set()).add(pair)
         return True
 
-    def _forget_topics(self, name: str) -> None:
+    def _remove_topics(self, name: str) -> None:
         before = self._declared.get(name, _NOTHING)
         for table, topics in ((self._publishers, before.publications), (self._subscribers, before.subscriptions)):
             for topic in topics:
@@ -84,37 +83,36 @@ class Topics:
                     del table[topic]
 
 
-class Missing:
-    """Connections that should exist and do not, each with the wall time at which the world no longer waits for it."""
+class MissingConnections:
+    """Required connections that are not made yet, each with the wall time until which the simulation waits for it."""
 
     def __init__(self) -> None:
-        """Starts with none."""
-        self._limits: dict[Pair, float] = {}
+        self._deadlines: dict[Pair, float] = {}
         self._of: dict[str, dict[Pair, None]] = {}
 
     def __len__(self) -> int:
-        """Returns how many there are."""
-        return len(self._limits)
+        """Return the number of missing connections."""
+        return len(self._deadlines)
 
     def __iter__(self) -> Iterator[Pair]:
-        """Yields them in the order in which they became missing."""
-        return iter(self._limits)
+        """Yield them in the order in which they were added."""
+        return iter(self._deadlines)
 
     def of(self, name: str) -> list[Pair]:
-        """Returns those of which a participant is one end."""
+        """Return the missing connections from or to a participant."""
         return list(self._of.get(name, ()))
 
-    def add(self, pair: Pair, limit: float) -> None:
-        """Adds one, with a monotonic time in s; one that is missing already keeps its limit."""
-        if pair in self._limits:
+    def add(self, pair: Pair, deadline: float) -> None:
+        """Add a connection with its deadline in monotonic seconds; one already missing keeps its deadline."""
+        if pair in self._deadlines:
             return
-        self._limits[pair] = limit
+        self._deadlines[pair] = deadline
         for name in pair[1:]:
             self._of.setdefault(name, {})[pair] = None
 
     def discard(self, pair: Pair) -> None:
-        """Removes one, if it is there."""
-        if self._limits.pop(pair, None) is None:
+        """Remove a connection if it is missing."""
+        if self._deadlines.pop(pair, None) is None:
             return
         for name in set(pair[1:]):
             del self._of[name][pair]
@@ -122,13 +120,13 @@ class Missing:
                 del self._of[name]
 
     def postpone(self, seconds: float) -> None:
-        """Moves every limit by some seconds."""
-        for pair in self._limits:
-            self._limits[pair] += seconds
+        """Move all deadlines."""
+        for pair in self._deadlines:
+            self._deadlines[pair] += seconds
 
     def expire(self, now: float) -> list[Pair]:
-        """Removes and returns those whose limit has passed at `now`."""
-        over = [pair for pair, limit in self._limits.items() if now >= limit]
-        for pair in over:
+        """Remove and return the connections whose deadline has passed at ``now``."""
+        expired = [pair for pair, deadline in self._deadlines.items() if now >= deadline]
+        for pair in expired:
             self.discard(pair)
-        return over
+        return expired

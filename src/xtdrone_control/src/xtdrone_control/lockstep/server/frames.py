@@ -1,7 +1,7 @@
-"""What participants say, checked: each function makes a typed record of a frame's payload, or raises ProtocolError.
+"""Validation of the frames that clients send: each function decodes a payload into a typed record.
 
-All types and ranges of what comes from a participant are checked here, so that the server may rely on them: a name is
-one line of letters, a count fits its field in a frame, and every table has a greatest size.
+All types and ranges are checked here, so that the rest of the server may rely on them: a name is a resolved ROS name, a
+count fits its field, and every table is bounded. Invalid payloads raise ``ProtocolError``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from .protocol import (
+from ..protocol import (
     ALIVE_FRAME,
     BASE_STEP_US,
     MAX_FRAME,
@@ -28,14 +28,14 @@ from .protocol import (
 )
 
 LONGEST_RESERVE = 1 << 12
-"""Bytes; the client's RESERVE has some 200."""
+"""Bytes; a RESERVE usually has about 200."""
 LONGEST_JOIN = 1 << 24
-"""Bytes; the MAVROS layer's for 1000 vehicles has some 7 million with 95000 topics, with all plugins 11 million."""
+"""Bytes; the MAVROS layer of 1000 vehicles sends 7 million for 95000 topics, with all plugins 11 million."""
 LONGEST_LEAVE = 1 << 16
 MOST_TOPICS = 1 << 18
-"""Of a participant, publications and subscriptions together."""
+"""Publications and subscriptions of a participant."""
 MOST_CHANNELS = 1 << 17
-"""Of a participant as publisher: 250 vehicles that all hear of each other's pose have 62500."""
+"""Connections of a participant as publisher; 250 vehicles that exchange their poses need 62500."""
 MOST_PORTS = 4096
 """UDP ports of a participant."""
 LONGEST_NAME = 256
@@ -50,7 +50,7 @@ _NAME = re.compile(r"(?:/[A-Za-z0-9_]+)+")
 _TYPE = re.compile(r"\*|[A-Za-z]\w*(?:/\w+)?", re.ASCII)
 
 BEFORE_JOIN: dict[int, int] = {Kind.RESERVE: LONGEST_RESERVE, Kind.JOIN: LONGEST_JOIN}
-"""The frames that may come before JOIN and their greatest lengths, see `protocol.FrameReader`."""
+"""Frame types accepted before JOIN, with their maximum lengths (see ``protocol.FrameReader``)."""
 AFTER_JOIN: dict[int, int] = {
     Kind.DONE: len(ALIVE_FRAME) + 24 + 12 * (MOST_CHANNELS + MOST_PORTS),
     Kind.ALIVE: len(NEEDS_TIME_FRAME) - 4,
@@ -59,29 +59,28 @@ AFTER_JOIN: dict[int, int] = {
     Kind.DIGEST: LONGEST_JOIN,
     Kind.LEAVE: LONGEST_LEAVE,
 }
-"""The same of a participant."""
+"""Frame types accepted from a participant."""
 
 
 class RefusalError(ProtocolError):
-    """A RESERVE or JOIN that is well-formed and cannot be granted.
+    """A well-formed RESERVE or JOIN that the server rejects.
 
     Attributes:
-        code: As REFUSED carries it.
+        code: Code of the REFUSED frame.
     """
 
     def __init__(self, code: str, reason: str) -> None:
-        """Keeps both."""
         super().__init__(reason)
         self.code = code
 
 
 class Reservation(NamedTuple):
-    """Content of a RESERVE, and the beginning of a JOIN.
+    """Content of a RESERVE, and part of a JOIN.
 
     Attributes:
         name: Resolved ROS name.
-        pid: Number of the process, 0 if unknown.
-        host: Where that number means something, see `protocol.process_namespace`; empty if unknown.
+        pid: Process id, 0 if unknown.
+        host: Namespace of the process id (see ``protocol.process_namespace``); empty if unknown.
     """
 
     name: str
@@ -90,7 +89,7 @@ class Reservation(NamedTuple):
 
 
 class Declaration(NamedTuple):
-    """All topics of a participant, each with its type; "*" for any type."""
+    """All topics of a participant with their types; "*" for any type."""
 
     publications: dict[str, str]
     subscriptions: dict[str, str]
@@ -100,11 +99,11 @@ class Join(NamedTuple):
     """Content of a JOIN.
 
     Attributes:
-        node: Who asks.
-        rate: In Hz.
-        schedule: The times of its turns.
+        node: Name and process of the node.
+        rate: Turns per second of simulation time in Hz.
+        schedule: Times of its turns.
         udp_ports: Local ports on which it receives the simulator's datagrams.
-        topics: What it publishes and subscribes to.
+        topics: Its publications and subscriptions.
     """
 
     node: Reservation
@@ -115,12 +114,12 @@ class Join(NamedTuple):
 
 
 class Made(NamedTuple):
-    """A topic connection that a publisher has got.
+    """A topic connection reported by its publisher.
 
     Attributes:
-        number: The publisher's own.
-        topic: Resolved name.
-        subscriber: Resolved name of the node at the other end; empty if it goes by something that is no ROS name.
+        number: Number assigned by the publisher.
+        topic: Resolved topic name.
+        subscriber: Resolved name of the subscribing node; empty if its name is not a valid ROS name.
         port: The subscriber's TCP port, 0 within one process.
         sent: Messages sent over it so far.
     """
@@ -133,46 +132,46 @@ class Made(NamedTuple):
 
 
 class Peers(NamedTuple):
-    """Content of a PEER: connections made, and the numbers of those lost."""
+    """Content of a PEER: connections made, and the numbers of connections lost."""
 
     made: list[Made]
     lost: list[int]
 
 
 class DigestReport(NamedTuple):
-    """Content of a DIGEST: a simulation time in microseconds, and topic to messages, bytes and checksum."""
+    """Content of a DIGEST: simulation time in microseconds; messages, bytes and checksum by topic."""
 
     time_us: int
     topics: dict[str, list[int]]
 
 
 class Leave(NamedTuple):
-    """Content of a LEAVE; the reason is printable."""
+    """Content of a LEAVE; the reason is one printable line."""
 
     reason: str
     failed: bool
 
 
 def reservation(payload: bytes) -> Reservation:
-    """Reads a RESERVE.
+    """Decode a RESERVE payload.
 
     Raises:
-        RefusalError: Another protocol version, or a name that is none.
-        ProtocolError: It is malformed.
+        RefusalError: The protocol version differs, or the name is not a valid ROS name.
+        ProtocolError: The payload is malformed.
     """
     return _reservation(_Fields("RESERVE", unpack_object(payload)))
 
 
 def join(payload: bytes, base_step_us: int = BASE_STEP_US) -> Join:
-    """Reads a JOIN.
+    """Decode a JOIN payload.
 
     Args:
-        payload: The frame's.
+        payload: Payload of the frame.
         base_step_us: The simulator's step in microseconds.
 
     Raises:
-        RefusalError: Another protocol version, a name that is none, or a rate outside its range.
-        ProtocolError: It is malformed.
+        RefusalError: The protocol version differs, the name is not a valid ROS name, or the rate is out of range.
+        ProtocolError: The payload is malformed.
     """
     fields = _Fields("JOIN", unpack_object(payload))
     node = _reservation(fields)
@@ -182,72 +181,72 @@ def join(payload: bytes, base_step_us: int = BASE_STEP_US) -> Join:
     except ValueError as error:
         raise RefusalError("rate", f"{node.name}: {error}") from error
     ports = fields.items("udp_ports", MOST_PORTS)
-    checked = dict.fromkeys(_whole("JOIN: UDP port", port, 1, _HIGHEST_PORT) for port in ports)
+    checked = dict.fromkeys(_integer("JOIN: UDP port", port, 1, _HIGHEST_PORT) for port in ports)
     return Join(node, float(rate), schedule, tuple(checked), _declaration(fields))
 
 
 def declaration(payload: bytes) -> Declaration:
-    """Reads a DECLARE.
+    """Decode a DECLARE payload.
 
     Raises:
-        ProtocolError: It is malformed.
+        ProtocolError: The payload is malformed.
     """
     return _declaration(_Fields("DECLARE", unpack_object(payload)))
 
 
 def peers(payload: bytes) -> Peers:
-    """Reads a PEER.
+    """Decode a PEER payload.
 
     Raises:
-        ProtocolError: It is malformed.
+        ProtocolError: The payload is malformed.
     """
     fields = _Fields("PEER", unpack_object(payload))
     made = [_made(entry) for entry in fields.items("made", MOST_CHANNELS)]
-    lost = [_whole("PEER: number", number, 0, _U32) for number in fields.items("lost", MOST_CHANNELS)]
+    lost = [_integer("PEER: number", number, 0, _U32) for number in fields.items("lost", MOST_CHANNELS)]
     return Peers(made, lost)
 
 
 def digest(payload: bytes) -> DigestReport:
-    """Reads a DIGEST.
+    """Decode a DIGEST payload.
 
     Raises:
-        ProtocolError: It is malformed.
+        ProtocolError: The payload is malformed.
     """
     fields = _Fields("DIGEST", unpack_object(payload))
     topics = fields.get("topics")
     if not isinstance(topics, dict) or len(topics) > MOST_TOPICS:
-        raise ProtocolError(f"DIGEST: topics {shown(topics)}: must be a table of at most {MOST_TOPICS}")
-    time_us = _whole("DIGEST: time_us", fields.get("time_us"), 0, _I64)
+        raise ProtocolError(f"DIGEST: topics {shown(topics)}: must be an object of at most {MOST_TOPICS}")
+    time_us = _integer("DIGEST: time_us", fields.get("time_us"), 0, _I64)
     return DigestReport(time_us, {_name("DIGEST: topic", topic): _state(state) for topic, state in topics.items()})
 
 
 def leave(payload: bytes) -> Leave:
-    """Reads a LEAVE.
+    """Decode a LEAVE payload.
 
     Raises:
-        ProtocolError: It is malformed.
+        ProtocolError: The payload is malformed.
     """
     fields = _Fields("LEAVE", unpack_object(payload))
     reason, failed = fields.get("reason", ""), fields.get("failed", False)
     if not isinstance(reason, str) or not isinstance(failed, bool):
-        raise ProtocolError(f"LEAVE: reason {shown(reason)}, failed {shown(failed)}: must be a text, true or false")
+        raise ProtocolError(f"LEAVE: reason {shown(reason)}, failed {shown(failed)}: must be a string and a boolean")
     return Leave(printable(reason, LONGEST_REASON), failed)
 
 
 def done(payload: bytes) -> Barrier:
-    """Reads a DONE.
+    """Decode a DONE payload.
 
     Raises:
-        ProtocolError: The length does not fit the number of pairs.
+        ProtocolError: The length does not match the number of pairs.
     """
     return unpack_barrier(payload)
 
 
 def needs_time(payload: bytes) -> bool:
-    """Reads an ALIVE: whether the node waits for what comes only when time goes on.
+    """Decode an ALIVE payload; return whether the node is waiting for an event that needs time to advance.
 
     Raises:
-        ProtocolError: It is malformed.
+        ProtocolError: The payload is malformed.
     """
     if payload not in (b"", NEEDS_TIME):
         raise ProtocolError(f"ALIVE: {payload!r}: must be empty or {NEEDS_TIME!r}")
@@ -255,10 +254,9 @@ def needs_time(payload: bytes) -> bool:
 
 
 class _Fields:
-    """A JSON object of a frame, asked for by key."""
+    """The JSON object of a frame, accessed by key."""
 
     def __init__(self, frame: str, content: Mapping[str, Any]) -> None:
-        """Keeps the content and the frame's name, for errors."""
         self.frame = frame
         self._content = content
 
@@ -266,10 +264,10 @@ class _Fields:
         return self._content.get(key, default)
 
     def items(self, key: str, most: int) -> list[Any]:
-        """Returns a list, empty if there is none.
+        """Return the list at ``key``, empty if absent.
 
         Raises:
-            ProtocolError: It is none, or longer than `most`.
+            ProtocolError: The value is not a list, or longer than ``most``.
         """
         value = self._content.get(key, [])
         if not isinstance(value, list) or len(value) > most:
@@ -280,15 +278,17 @@ class _Fields:
 def _reservation(fields: _Fields) -> Reservation:
     name, version = fields.get("name"), fields.get("version")
     if version != VERSION or isinstance(version, bool):
-        who = printable(name, LONGEST_NAME) if isinstance(name, str) else shown(name)
-        raise RefusalError("version", f"{who} speaks lockstep version {shown(version)}, this is {VERSION}")
+        node = printable(name, LONGEST_NAME) if isinstance(name, str) else shown(name)
+        raise RefusalError("version", f"{node} uses lockstep version {shown(version)}, the simulator {VERSION}")
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not _NAME.fullmatch(name):
-        allowed = f"must be a resolved ROS name, as /follower_1, of at most {LONGEST_NAME} letters"
+        allowed = f"must be a resolved ROS name, as /follower_1, of at most {LONGEST_NAME} characters"
         raise RefusalError("name", f"name {shown(name)}: {allowed}")
     host = fields.get("host", "")
     if not isinstance(host, str) or len(host) > LONGEST_NAME:
-        raise ProtocolError(f"{fields.frame}: host {shown(host)}: must be a text of at most {LONGEST_NAME} letters")
-    return Reservation(name, _whole(f"{fields.frame}: pid", fields.get("pid", 0), 0, _HIGHEST_PID), host)
+        raise ProtocolError(
+            f"{fields.frame}: host {shown(host)}: must be a string of at most {LONGEST_NAME} characters"
+        )
+    return Reservation(name, _integer(f"{fields.frame}: pid", fields.get("pid", 0), 0, _HIGHEST_PID), host)
 
 
 def _declaration(fields: _Fields) -> Declaration:
@@ -314,22 +314,22 @@ def _topics(fields: _Fields, key: str) -> dict[str, str]:
 def _made(entry: object) -> Made:
     number, topic, subscriber, port, count = _row("PEER: made", entry, 5, "[id, topic, subscriber, port, count]")
     if not isinstance(subscriber, str):
-        raise ProtocolError(f"PEER: subscriber {shown(subscriber)}: must be a text")
-    # A foreign subscriber names itself as it likes, which the publisher cannot help.
+        raise ProtocolError(f"PEER: subscriber {shown(subscriber)}: must be a string")
+    # A foreign subscriber may use any name; that is not the publisher's fault.
     known = len(subscriber) <= LONGEST_NAME and _NAME.fullmatch(subscriber)
     return Made(
-        _whole("PEER: number", number, 0, _U32),
+        _integer("PEER: number", number, 0, _U32),
         _name("PEER", topic),
         subscriber if known else "",
-        _whole("PEER: TCP port", port, 0, _HIGHEST_PORT),
-        _whole("PEER: count", count, 0, _U64),
+        _integer("PEER: TCP port", port, 0, _HIGHEST_PORT),
+        _integer("PEER: count", count, 0, _U64),
     )
 
 
 def _state(state: object) -> list[int]:
     limits = (_U64, _U64, _U32)
     row = _row("DIGEST", state, len(limits), "[messages, bytes, crc]")
-    return [_whole("DIGEST: number", value, 0, most) for value, most in zip(row, limits, strict=True)]
+    return [_integer("DIGEST: number", value, 0, most) for value, most in zip(row, limits, strict=True)]
 
 
 def _row(what: str, entry: object, length: int, columns: str) -> list[Any]:
@@ -340,12 +340,12 @@ def _row(what: str, entry: object, length: int, columns: str) -> list[Any]:
 
 def _name(what: str, value: object) -> str:
     if not isinstance(value, str) or len(value) > LONGEST_NAME or not _NAME.fullmatch(value):
-        allowed = f"must be a resolved ROS name, as /iris_0/cmd, of at most {LONGEST_NAME} letters"
+        allowed = f"must be a resolved ROS name, as /iris_0/cmd, of at most {LONGEST_NAME} characters"
         raise ProtocolError(f"{what}: topic {shown(value)}: {allowed}")
     return value
 
 
-def _whole(what: str, value: object, low: int, high: int) -> int:
+def _integer(what: str, value: object, low: int, high: int) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ProtocolError(f"{what} {shown(value)}: must be a whole number from {low} to {high}")
+        raise ProtocolError(f"{what} {shown(value)}: must be an integer from {low} to {high}")
     return value

@@ -1,0 +1,74 @@
+"""The server's counts of UDP datagrams in both directions between the simulator and participants."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from ..protocol import ProtocolError
+from .participant import Participant
+
+
+class DatagramCounts:
+    """Cumulative numbers of datagrams by UDP port.
+
+    Attributes:
+        sent: Datagrams sent by the simulator, by the participants' port.
+        expected: Datagrams that participants report having sent, by the simulator's port.
+    """
+
+    def __init__(self) -> None:
+        self.sent: dict[int, int] = {}
+        self.expected: dict[int, int] = {}
+        self._ports: frozenset[int] = frozenset()
+        self._remote_ports: set[int] = set()
+
+    def open_ports(self, ports: Collection[int]) -> None:
+        """Set the UDP ports on which the simulator receives datagrams; counts of all other ports are ignored."""
+        self._ports = frozenset(ports)
+
+    def add_participant(self, participant: Participant, udp_ports: tuple[int, ...]) -> None:
+        """Start counting for a participant that joins.
+
+        Args:
+            participant: The participant.
+            udp_ports: Local ports on which it receives; ignored unless the simulator has opened ports.
+        """
+        participant.udp_ports = udp_ports if self._ports else ()
+        # Datagrams sent before it joined cannot have reached it.
+        participant.datagrams_base = {port: self.sent.get(port, 0) for port in participant.udp_ports}
+
+    def news_for(self, participant: Participant) -> dict[int, int]:
+        """Return the counts of a participant's ports that changed since its last TICK."""
+        news = {}
+        for port in participant.udp_ports:
+            reported = participant.datagrams_reported.get(port, 0)
+            # The simulator may have discarded the count of a port that it no longer uses.
+            count = max(reported, self.sent.get(port, 0) - participant.datagrams_base.get(port, 0))
+            if count != reported:
+                participant.datagrams_reported[port] = count
+                news[port] = count
+        return news
+
+    def count(self, participant: Participant, counts: Mapping[int, int]) -> None:
+        """Add the datagrams that a participant reports.
+
+        Args:
+            participant: The sender.
+            counts: Cumulative numbers by the simulator's port.
+
+        Raises:
+            ProtocolError: A count has decreased.
+        """
+        for port, count in counts.items():
+            if port not in self._ports:
+                continue
+            before = participant.datagrams_sent.get(port, 0)
+            if count < before:
+                raise ProtocolError(f"DONE: {count} datagrams to port {port}, after {before} before")
+            participant.datagrams_sent[port] = count
+            (self._remote_ports.add if participant.remote else self._remote_ports.discard)(port)
+            self.expected[port] = self.expected.get(port, 0) + count - before
+
+    def is_sender_remote(self, port: int) -> bool:
+        """Return whether the last participant to send to one of the simulator's ports runs on another machine."""
+        return port in self._remote_ports
