@@ -1,6 +1,14 @@
-"""What all tests share: draws of Hypothesis that depend on nothing but the test."""
+"""Shared by all tests: the top-level packages in child processes, and repeatable draws of Hypothesis."""
 
 from __future__ import annotations
+
+import os
+from pathlib import Path
+
+# Programs that tests start import benchmarks and validation, as those that ./xtdrone starts do.
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    filter(None, [os.environ.get("PYTHONPATH"), str(Path(__file__).resolve().parent)])
+)
 
 try:
     import hypothesis
@@ -8,7 +16,7 @@ try:
 except ImportError:
     pass
 else:
-    # No wall time decides, and the same examples are drawn in each run.
+    # No deadlines by wall time, and the same examples in each run.
     hypothesis.settings.register_profile(
         "repeatable",
         deadline=None,

@@ -29,6 +29,8 @@ unset xtdrone_nounset
 
 export VIRTUAL_ENV="$xtdrone_root/.venv"
 export PATH="$VIRTUAL_ENV/bin:$PATH"
+# The packages beside src/, benchmarks and validation, are not built.
+export PYTHONPATH="${PYTHONPATH:+$PYTHONPATH:}$xtdrone_root"
 
 # Compiled kernels are kept in the user's cache; where they cannot be, every start would take minutes.
 xtdrone_cache="${XDG_CACHE_HOME:-${HOME:-$(echo ~)}/.cache}"

@@ -206,6 +206,22 @@ prepare_kernels() {
   fi
 }
 
+# ---- completion
+
+# Writes the bash completion that the shell of './xtdrone shell' reads.
+write_completion() {
+  local stamp="$state_dir/completed" want
+  want="$(cd "$root" && find src benchmarks validation scripts/commands.txt -name '*.py' -o -name commands.txt |
+    LC_ALL=C sort | xargs -d '\n' sha256sum | sha256sum)"
+  [[ ! -f $stamp || $(<"$stamp") != "$want" ]] || return 0
+  # shellcheck disable=SC2016
+  if bash -c 'source "$1/scripts/env.bash" && exec python -m xtdrone_interaction completion bash' _ "$root" \
+    >"$state_dir/completion.bash.part" 2>"$state_dir/logs/completion.log"; then
+    mv "$state_dir/completion.bash.part" "$state_dir/completion.bash"
+    printf '%s' "$want" >"$stamp"
+  fi
+}
+
 # ---- all of it
 
 # set_up COMMAND: what this command needs.
@@ -223,6 +239,7 @@ set_up() {
   [[ $1 != test ]] || install_python requirements-dev
   build_workspace
   prepare_kernels
+  [[ $1 != shell ]] || write_completion
   hand_over "$state_dir"
   exec 9>&-
 }

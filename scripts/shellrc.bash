@@ -4,3 +4,6 @@
 # shellcheck disable=SC1091
 source "$(dirname "${BASH_SOURCE[0]}")/env.bash"
 PS1="(xtdrone) ${PS1:-\\w\\$ }"
+# shellcheck disable=SC1091
+[[ ! -f "$(dirname "${BASH_SOURCE[0]}")/../.setup/completion.bash" ]] ||
+  source "$(dirname "${BASH_SOURCE[0]}")/../.setup/completion.bash"

@@ -243,11 +243,11 @@ def test_no_frame_is_no_film_even_where_an_older_one_is(bag: Path, tmp_path: Pat
 
 
 def test_the_benchmark_films_vehicles_that_circle(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "xtdrone_interaction.rviz.benchmark", "--vehicles", "2", "--width", "320",
+    command = [sys.executable, "-m", "benchmarks.programs.rviz", "--vehicles", "2", "--width", "320",
                "--height", "180", "--rough", "--seconds", "0.5", "--json", tmp_path / "row.json"]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
     assert done.returncode == 0, done.stderr
-    row = json.loads((tmp_path / "row.json").read_text(encoding="utf-8"))
+    (row,) = json.loads((tmp_path / "row.json").read_text(encoding="utf-8"))
     assert row["frames"] > 0
     assert row["frames_per_second"] == pytest.approx(row["frames"] / row["elapsed"])
     assert {"rviz_offscreen", "ffmpeg", "robot_tf", "swarm_markers"} <= row["cpu_per_frame"].keys()

@@ -15,20 +15,22 @@ from conftest import WALL_LIMIT, wait_for_ports
 
 pytest.importorskip("rospy")
 
-from xtdrone_interaction import replay_check
-from xtdrone_interaction.replay import compare, read_digests
+from validation.replay import check as replay_check
+from validation.replay.digests import compare, read_digests
 
 LIMIT = 1200.0  # s of wall time; a starved machine takes twenty times as long as a quiet one
 
 FLY_SEEDS = """
+import argparse
 import sys
 from dataclasses import replace
 from rich.console import Console
-from xtdrone_interaction import replay_check
+from validation.replay import check as replay_check
 from xtdrone_interaction.scripted_launch import StopRequest
 
-arguments = replay_check._parser().parse_args(["--short", "--until", "2", "--out", sys.argv[1]])
-settings = replay_check.replay_settings(arguments)
+parser = argparse.ArgumentParser()
+replay_check.add_arguments(parser)
+settings = replay_check.replay_settings(parser.parse_args(["--short", "--until", "2", "--out", sys.argv[1]]))
 with StopRequest() as stop:
     for seed in (0, 1):
         replay_check.fly(
@@ -50,7 +52,7 @@ def run(*command: str) -> str:
 def test_the_short_check_finds_every_flight_the_same(tmp_path: Path) -> None:
     wait_for_ports("iris:3")
     folder = tmp_path / "replay"
-    output = run("-m", "xtdrone_interaction.cli", "replay-check", "--short", "--until", "11", "--out", str(folder))
+    output = run("-m", "validation", "replay-check", "--short", "--until", "11", "--out", str(folder))
     assert output.count("the same to the last bit") == len(replay_check.SHORT)
     digests = [json.loads(line) for line in (folder / "as-fast-as-it-goes/digest.jsonl").read_text().splitlines()]
     topics = {topic for row in digests for topic in row["topics"]}

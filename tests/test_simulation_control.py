@@ -131,7 +131,7 @@ def flight(stack: Stack, count: int) -> dict[str, Any]:
 
 def sim(stack: Stack, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run ``xtdrone sim``."""
-    command = [sys.executable, "-m", "xtdrone_interaction.sim_cli", *arguments]
+    command = [sys.executable, "-m", "xtdrone_interaction", "sim", *arguments]
     surroundings = {**os.environ, **stack.graph.environment, **environment}
     return subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=WALL_LIMIT, check=False)
 
@@ -485,7 +485,7 @@ def test_the_end_leaves_no_caller_waiting(stack: Stack) -> None:
     resume(stack)
     assert stack.graph.call("/simulator/set_speed", SetSpeed, speed=0.05).success
     waiting = subprocess.Popen(
-        [sys.executable, "-m", "xtdrone_interaction.sim_cli", "step", "--for", "1000"],
+        [sys.executable, "-m", "xtdrone_interaction", "sim", "step", "--for", "1000"],
         env={**os.environ, **stack.graph.environment},
         stderr=subprocess.PIPE,
         text=True,

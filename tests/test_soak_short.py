@@ -16,9 +16,9 @@ from conftest import poll
 
 pytest.importorskip("rospy")
 
+from validation.soak import script
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction.options import OptionError, check_vehicle_ports
-from xtdrone_interaction.soak import script
 
 SEED, COUNT = 1, 3
 LIMIT = 900.0  # s of wall time, on a machine that is busy otherwise
@@ -39,7 +39,7 @@ def _ports_free() -> bool:
 def _start(out: Path, *arguments: str) -> subprocess.Popen[str]:
     poll(_ports_free, "the vehicles' ports are free", START_LIMIT)
     return subprocess.Popen(
-        [sys.executable, "-m", "xtdrone_interaction", "soak", "--n", str(COUNT), "--seed", str(SEED), *arguments,
+        [sys.executable, "-m", "validation", "soak", "--n", str(COUNT), "--seed", str(SEED), *arguments,
          "--out", str(out)],
         env={**os.environ, _MARK: str(out)}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip

@@ -3,7 +3,7 @@
 
 import sys
 
-from xtdrone_interaction.recording import main
+from xtdrone_interaction.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(["record", *sys.argv[1:]]))

@@ -16,7 +16,7 @@ from pathlib import Path
 import fake_roslaunch
 import pytest
 
-from xtdrone_interaction import cli, options, search_cli
+from xtdrone_interaction import cli, formation_cli, options, search_cli
 
 DEMO = ["demo", "formation"]
 PATIENCE = 120.0  # s of wall time; bounds a broken test
@@ -105,7 +105,7 @@ def test_a_demo_takes_the_first_instance_whose_ports_are_free(
 ) -> None:
     monkeypatch.setattr(options, "_taken", lambda number, kind: number in (24542, 19110))  # of instances 0 and 1
     flown: list[int] = []
-    monkeypatch.setattr(cli, "run_demo", lambda settings, console: flown.append(settings.instance) or 0)
+    monkeypatch.setattr(formation_cli, "run_demo", lambda settings, console: flown.append(settings.instance) or 0)
     monkeypatch.setattr(search_cli, "run_search", lambda settings, console: flown.append(settings.instance) or 0)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
         other.bind("\0xtdrone-instance-2")  # another command is about to start

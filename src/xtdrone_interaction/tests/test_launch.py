@@ -154,10 +154,10 @@ def test_a_signal_ends_all_of_it(launch_file: Path, number: int) -> None:
 def test_what_cannot_be_launched_is_refused_before_anything_starts(
     tmp_path: Path, arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from xtdrone_interaction import launch_cli
+    from xtdrone_interaction import cli
 
     try:
-        status = launch_cli.main([*arguments, "--out", str(tmp_path / "out")])
+        status = cli.main(["launch", *arguments, "--out", str(tmp_path / "out")])
     except SystemExit as error:  # argparse
         status = int(error.code or 0)
     assert status == 2
@@ -165,12 +165,12 @@ def test_what_cannot_be_launched_is_refused_before_anything_starts(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("command", ["launch", "demo"])
+@pytest.mark.parametrize("command", ["launch", "demo formation"])
 def test_a_library_that_memory_is_too_short_for_is_told_in_one_line(tmp_path: Path, command: str) -> None:
     (tmp_path / "numpy.py").write_text("raise ImportError('lib.so: failed to map segment from shared object')")
     path = os.pathsep.join([str(tmp_path), *sys.path])
     run = subprocess.run(
-        [sys.executable, "-m", "xtdrone_interaction", command],
+        [sys.executable, "-m", "xtdrone_interaction", *command.split()],
         env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True,
     )  # fmt: skip
     assert run.returncode == 1
@@ -179,12 +179,12 @@ def test_a_library_that_memory_is_too_short_for_is_told_in_one_line(tmp_path: Pa
 
 
 def test_a_missing_program_is_named_before_anything_starts(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    from xtdrone_interaction import launch_cli
+    from xtdrone_interaction import cli
 
     for package, words in (("rosbag", "package 'rosbag' has no program 'no_such'"), ("no_pkg", "no package 'no_pkg'")):
         file = tmp_path / "bad.launch"
         file.write_text(f'<launch><node pkg="{package}" type="no_such" name="a"/></launch>')
-        assert launch_cli.main([str(file), "--out", str(tmp_path / "out")]) == 2
+        assert cli.main(["launch", str(file), "--out", str(tmp_path / "out")]) == 2
         assert words in capfd.readouterr().err
 
 

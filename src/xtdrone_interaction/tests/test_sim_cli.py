@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from xtdrone_interaction import sim_cli
+from xtdrone_interaction import cli, sim_cli
 
 
 class _WebPage(BaseHTTPRequestHandler):
@@ -38,7 +38,7 @@ def web_server():
 
 
 def test_a_web_server_is_no_ros_master(web_server, capsys):
-    assert sim_cli.main(["status", "--master", web_server]) == 1
+    assert cli.main(["sim", "status", "--master", web_server]) == 1
     assert f"what answers at {web_server} is no ROS master" in capsys.readouterr().err
 
 
@@ -55,7 +55,7 @@ def test_a_web_server_is_no_ros_master(web_server, capsys):
 )
 def test_times_that_ros_cannot_hold_are_refused(option, value, end, capsys):
     with pytest.raises(SystemExit) as ended:
-        sim_cli.main(["step", option, value])
+        cli.main(["sim", "step", option, value])
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert f"{value!r} is not allowed; a number of seconds above 0 and below {end}" in said
@@ -109,5 +109,5 @@ def test_ctrl_c_leaves_a_step_under_way_and_says_so(monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sim_cli, "call", interrupted)
-    assert sim_cli.main(["step", "--for", "100", "--master", "11311"]) == 130
+    assert cli.main(["sim", "step", "--for", "100", "--master", "11311"]) == 130
     assert "the step goes on; './xtdrone sim pause' ends it" in capsys.readouterr().err

@@ -13,7 +13,6 @@ from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import CommandError, Leader
 from xtdrone_coordination.patterns import PatternError, Patterns
 from xtdrone_swarm import Model, NetworkOptions, Swarm
-from xtdrone_swarm.benchmark import measure
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles
 from xtdrone_swarm.swarm import MOST_VEHICLES
 
@@ -235,12 +234,6 @@ def test_a_poor_network_does_not_flood_the_log(caplog):
             logged.setdefault(text, []).append(float(time))
     assert max(map(len, logged.values())) == 3  # in 25 s
     assert all(np.diff(times).min(initial=10.0) >= 10.0 for times in logged.values())
-
-
-def test_the_benchmark_measures():
-    figures = measure(9, 0.05, repeats=1)
-    assert figures["vehicles"] == 9
-    assert figures["real_time_factor"] * figures["microseconds_per_vehicle_turn"] == pytest.approx(1e6 / 270.0)
 
 
 def test_the_example_is_a_follower_for_all():

@@ -32,7 +32,6 @@ from xtdrone_swarm.view import (
     palette,
 )
 from xtdrone_swarm.view import flight as flight_module
-from xtdrone_swarm.view.benchmark import measure
 from xtdrone_swarm.view.camera import FollowingBox
 from xtdrone_swarm.view.flight import _flying, _Player, _recorded
 from xtdrone_swarm.view.room import grid_step
@@ -724,11 +723,3 @@ def test_a_frame_that_does_not_fit_is_refused(frame, words):
 def test_a_view_that_cannot_be_is_refused(count, options, words):
     with pytest.raises(ValueError, match=words):
         make_view(count, **options)
-
-
-def test_the_benchmark_draws():
-    figures = measure(20, 0.01)
-    assert figures["vehicles"] == 20
-    assert figures["pictures_per_second"] > 0.0
-    with pytest.raises(ValueError, match="1 vehicles"):
-        measure(1, 1.0)

@@ -1,7 +1,7 @@
-"""The same flight in the simplified simulator and in full physics: what the approximation is worth.
+"""Comparison of the same flight in the simplified simulator and in full physics: accuracy of the approximation.
 
-Compared are the followers' places relative to the leader, slot by slot, from the command of each pattern on. Where the
-two flights gave a slot to different vehicles, those who fly to the same slot are compared.
+The positions of the followers relative to the leader are compared slot by slot, from the command of each pattern on. If
+the two flights assigned a slot to different vehicles, the vehicles of the same slot are compared.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from xtdrone_interaction.record import FlightRecord, RecordError, Track, Window
 from xtdrone_interaction.report import measure
 
 SIMPLIFIED, FULL = "simplified", "full physics"
-_STEP = 0.02  # s, of the times at which places are compared
+_STEP = 0.02  # s, interval between compared positions
 _SAME_SLOT = 1e-3  # m; offsets travel as 32-bit floats
 _LEAD_IN = 1.0  # s shown before the command
-_MAX_LEGEND = 18  # vehicles; more are not named one by one
+_MAX_LEGEND = 18  # vehicles; larger fleets have no individual legend
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Difference:
 
     Attributes:
         pattern: name.
-        duration: s from the command over which both were compared, the shorter window of the two.
-        rms: root of the mean squared distance between the two simulators' places relative to the leader, over
-            followers and time, m.
+        duration: length of the comparison from the command on, s; the shorter window of the two.
+        rms: root mean square over followers and time of the distance between the positions in the two simulators,
+            relative to the leader, m.
         greatest: the greatest such distance, m.
-        reassigned: followers that fly to another slot than in the other simulator.
+        reassigned: number of followers with another slot than in the other simulator.
         settling_time: s, simplified and full; None: never.
         overshoot: m, likewise.
         steady_error: m, mean over the followers, likewise.
@@ -60,12 +60,12 @@ class Difference:
 
 @dataclass(frozen=True)
 class _Pair:
-    """One reconfiguration's places on common times, in the order of the simplified flight's followers.
+    """Positions in one reconfiguration at common times, in the order of the followers of the simplified flight.
 
     Attributes:
         time: s since the command, shape (t,).
         simplified, full: relative to the leader, shape (t, n - 1, 3), m.
-        follower: which follower of the full flight flies to each slot, shape (n - 1,), from 0.
+        follower: index of the follower of the full flight by slot, shape (n - 1,), from 0.
     """
 
     time: Array
@@ -75,10 +75,10 @@ class _Pair:
 
 
 def compare(simplified: FlightRecord, full: FlightRecord) -> list[Difference]:
-    """Return the differences, one a reconfiguration that both flights flew.
+    """Return the differences, one per reconfiguration of both flights.
 
     Raises:
-        RecordError: the flights have not the same vehicles, or not the same patterns in the same order.
+        RecordError: the flights have different vehicles or patterns.
     """
     windows = _common_windows(simplified, full)
     figures = measure(simplified, simplified.track), measure(full, full.track)
@@ -103,25 +103,25 @@ def compare(simplified: FlightRecord, full: FlightRecord) -> list[Difference]:
 
 
 def with_assignments_of(record: FlightRecord, base: type[Leader]) -> type[Leader]:
-    """Return a leader's class that gives out the slots as a recorded flight did, in all else as ``base``.
+    """Return a leader class with the assignments of a recorded flight, otherwise equal to ``base``.
 
-    From a symmetric formation many assignments are about equally short, and then noise decides. With the same
-    assignments two flights differ by what moves the vehicles alone.
+    From a symmetric formation many assignments have about the same length, and noise decides between them. With equal
+    assignments, two flights differ only by the motion of the vehicles.
     """
     given = [np.asarray(change.value) for change in record.patterns]
 
     class SameAssignments(base):  # type: ignore[misc,valid-type]
-        """Gives out slots by number of the choice."""
+        """A leader that returns recorded assignments in their order."""
 
         _choices = 0
 
         def restart(self) -> None:
-            """Begin with the first choice again."""
+            """Restart with the first assignment."""
             super().restart()
             self._choices = 0
 
         def assignment(self, current: Array, target: Array) -> Assignment:
-            """Return the recorded assignment; after the last of them, or of other slots, one's own."""
+            """Return the recorded assignment; that of the base class after the last one, or for other slots."""
             number, self._choices = self._choices, self._choices + 1
             if number >= len(given):
                 return cast(Assignment, super().assignment(current, target))
@@ -139,7 +139,7 @@ def as_data(differences: list[Difference], full: str) -> dict[str, Any]:
 
     Args:
         differences: of :func:`compare`.
-        full: what the full flight was, in words.
+        full: description of the full flight.
     """
     return {
         "with": full,
@@ -150,16 +150,16 @@ def as_data(differences: list[Difference], full: str) -> dict[str, Any]:
 
 
 def overall(differences: list[Difference]) -> float:
-    """Return the RMS difference over all reconfigurations, each by its duration, m."""
+    """Return the RMS difference over all reconfigurations, weighted by duration, m."""
     weights = np.array([d.duration for d in differences])
     return float(np.sqrt(np.average([d.rms**2 for d in differences], weights=weights)))
 
 
 def check_comparable(full: FlightRecord, count: int, patterns: list[str]) -> None:
-    """Check that a flight can be compared with one of ``count`` vehicles through ``patterns``, as far as both went.
+    """Check that a flight can be compared with one of ``count`` vehicles through ``patterns``, up to the shorter end.
 
     Raises:
-        RecordError: it has other vehicles, or flew other patterns, or none.
+        RecordError: it has other vehicles, other patterns, or no pattern.
     """
     if len(full.names) != count:
         raise RecordError(f"comparison: {count} vehicles cannot be compared with {len(full.names)} vehicles")
@@ -190,13 +190,13 @@ def _pair(track: Track, window: Window, full_track: Track, full_window: Window, 
 
 
 def same_slots(offsets: Array, others: Array) -> NDArray[np.int64]:
-    """Return for each follower which one of the other flight has its slot, shape (n - 1,).
+    """Return the index of the follower of the other flight with the same slot, shape (n - 1,).
 
     Args:
         offsets, others: assigned slots of both flights, shape (n - 1, 3), m.
 
     Raises:
-        RecordError: they are not the same slots.
+        RecordError: the slots differ.
     """
     if np.allclose(offsets, others, atol=_SAME_SLOT):
         return np.arange(len(offsets))
@@ -208,7 +208,7 @@ def same_slots(offsets: Array, others: Array) -> NDArray[np.int64]:
 
 
 def _at(track: Track, times: Array) -> Array:
-    """Return the places at some times, shape (t, n, 3)."""
+    """Return the positions at given times, shape (t, n, 3)."""
     after = np.clip(np.searchsorted(track.time, times), 1, len(track.time) - 1)
     before = after - 1
     span = np.maximum(track.time[after] - track.time[before], 1e-9)
@@ -217,7 +217,7 @@ def _at(track: Track, times: Array) -> Array:
 
 
 def print_comparison(differences: list[Difference], console: Console) -> None:
-    """Print the table, and whether slots were given out differently."""
+    """Print the table, and the number of followers with different slots."""
     table = Table(
         title="Simplified against full physics (relative to the leader)",
         title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False,
@@ -247,7 +247,7 @@ def print_comparison(differences: list[Difference], console: Console) -> None:
 
 
 def save_pictures(simplified: FlightRecord, full: FlightRecord, folder: str | Path) -> list[Path]:
-    """Draw both responses to each pattern over each other into ``folder``; return the paths.
+    """Draw both responses to each pattern in one figure, saved in ``folder``; return the paths.
 
     Raises:
         RecordError: see :func:`compare`.

@@ -1,7 +1,7 @@
-"""``xtdrone launch``: runs a launch file, says when it is ready, and names what dies.
+"""``./xtdrone launch``: run a launch file; report when it is ready and which nodes die.
 
-Exit status: 0 when everything has ended as it should, 1 when a node has died or the launch has failed, 2 for a value
-that is not allowed, 128 + n when stopped by signal n.
+Exit status: 0 after a clean end, 1 when a node has died or the launch has failed, 2 for a value that is not allowed,
+128 + n when stopped by signal n.
 """
 
 from __future__ import annotations
@@ -32,35 +32,39 @@ from xtdrone_interaction.launched import (
 from xtdrone_interaction.options import OptionError, checked
 from xtdrone_interaction.screen import PatientConsole
 
-_START_LIMIT = 60.0  # wall s for which nothing may move before it is ready
+_START_LIMIT = 60.0  # s of wall time without progress before it is ready
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="xtdrone launch",
-        description="Run a launch file with a ROS master of its own until it ends or Ctrl-C: says when all takes part, "
-        "names each node that dies and where its log is. Status 0 only if everything ended as it should.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "Run a launch file with a ROS master of its own until it ends or Ctrl-C is pressed. Reports when all nodes "
+        "take part, and each node that dies with the path of its log. Exit status 0 only after a clean end."
     )
     add = parser.add_argument
     add("file", metavar="FILE", help="a launch file, or the name of one of launch/")
-    add("arguments", nargs="*", metavar="NAME:=VALUE", help="its arguments; unknown ones are refused")
+    add("arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the launch file; unknown ones are rejected")
     add("--out", "--log-dir", type=Path, metavar="FOLDER", dest="out",
-        help="where logs go, a new folder (default: runs/<time>)")  # fmt: skip
+        help="new folder for the logs (default: runs/<time>)")  # fmt: skip
     add("--instance", type=checked(options.instance), metavar="N",
-        help="of the simulations on this machine: moves the UDP ports, and --port, by N x "
+        help="number of this simulation on this machine: moves the UDP ports, and --port, by N x "
         f"{INSTANCE_STEP} (default: 0)")  # fmt: skip
     master = parser.add_mutually_exclusive_group()
     master.add_argument("--port", type=checked(options.port), metavar="PORT",
                         help="TCP port of its own ROS master (default: a free one)")  # fmt: skip
     master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
-    return parser
+
+
+def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line in which options may stand between the arguments of the launch file."""
+    return parser.parse_intermixed_args(list(words))
 
 
 def _prepare(words: argparse.Namespace) -> tuple[LaunchFile, Launch]:
-    """Return what is run, after all checks that need no master.
+    """Return the launch file and how it is run, after all checks that need no master.
 
     Raises:
-        OptionError, FleetError: a value that is not allowed.
+        OptionError, FleetError: a value is not allowed.
     """
     path = launch_file.find(words.file)
     arguments = launch_file.split_arguments(words.arguments)
@@ -80,14 +84,14 @@ def _prepare(words: argparse.Namespace) -> tuple[LaunchFile, Launch]:
     return file, Launch(str(path), arguments, out, number, True, instance)
 
 
-def run(file: LaunchFile, launch: Launch, console: Console) -> int:
-    """Run it to its end and return the exit status."""
+def _run(file: LaunchFile, launch: Launch, console: Console) -> int:
+    """Run a launch file to its end and return the exit status."""
     deaths = Deaths(launch.log)
 
     def go() -> int:
         vehicles = [vehicle.name for vehicle in file.vehicles]
         with watching(launch, console, deaths, {}, vehicles) as watch:
-            _Course(file, launch, watch).run()
+            _Monitor(file, launch, watch).run()
         if deaths.failure is not None or any(death.matters and death.died for death in deaths.all()):
             console.print("[red]Error:[/red] not everything has ended as it should", highlight=False)
             print_trouble(launch, console)
@@ -97,8 +101,8 @@ def run(file: LaunchFile, launch: Launch, console: Console) -> int:
     return run_launch(launch, console, go)
 
 
-class _Course:
-    """What is said while it runs."""
+class _Monitor:
+    """Messages on the terminal while a launch runs."""
 
     def __init__(self, file: LaunchFile, launch: Launch, watch: Watch) -> None:
         self._file = file
@@ -107,7 +111,7 @@ class _Course:
         self._ready = False
 
     def run(self) -> None:
-        """Watch until it has ended.
+        """Watch the launch until it has ended.
 
         Raises:
             DemoError: it does not start.
@@ -171,19 +175,14 @@ def _speed_words(speed: Any, *, paused: bool) -> str:
     return f"{text}, paused" if paused else text
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run ``xtdrone launch`` with the arguments after "launch"; return the exit status."""
-    words = _parser().parse_intermixed_args(list(argv))
+def run(arguments: argparse.Namespace) -> int:
+    """Run a launch file and return the exit status."""
     try:
-        file, launch = _prepare(words)
-        return run(file, launch, PatientConsole())
+        file, launch = _prepare(arguments)
+        return _run(file, launch, PatientConsole())
     except (OptionError, FleetError) as error:
         print(f"xtdrone launch: {error}", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"xtdrone launch: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
         return 1
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

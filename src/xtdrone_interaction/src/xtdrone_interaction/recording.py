@@ -154,12 +154,11 @@ def _answers(master: str) -> bool:
     return True
 
 
-def main(argv: Sequence[str]) -> int:
-    """Become rosbag, or return an exit status."""
-    parser = argparse.ArgumentParser(
-        prog="xtdrone record",
-        description="Record a running flight with rosbag, until Ctrl-C. Profiles: light, full (all but pictures), "
-        "cameras, or a YAML file of your own.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "Record a running flight with rosbag, until Ctrl-C. Profiles: light, full (all but pictures), "
+        "cameras, or a YAML file of your own."
     )
     add = parser.add_argument
     add("profile", help="light, full, cameras, or FILE.yaml")
@@ -169,7 +168,18 @@ def main(argv: Sequence[str]) -> int:
     add("--master", metavar="PORT|URI", type=sim_cli.master_uri,
         help="the flight's ROS master (default: ROS_MASTER_URI; without a simulator there, the newest flight of "
         "./xtdrone demo)")  # fmt: skip
-    arguments, ros = parser.parse_known_args(argv)
+
+
+def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line; words that are not known are kept in ``ros``, for a node's remappings."""
+    arguments, ros = parser.parse_known_args(words)
+    arguments.ros = ros
+    return arguments
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Become rosbag, or return an exit status."""
+    ros = arguments.ros
     try:
         odd = [argument for argument in ros if ":=" not in argument]
         if odd:
@@ -203,7 +213,3 @@ def main(argv: Sequence[str]) -> int:
         print(f"xtdrone: {origin}, ROS master {environment['ROS_MASTER_URI']}", file=sys.stderr)
     print(end="", flush=True)
     os.execve(program, [program, *rosbag_arguments(profile, str(out), arguments.duration, ros)], environment)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,19 +1,44 @@
-"""Where commands write that must go on when nobody reads any more."""
+"""Output of commands on the terminal: a console that survives its reader, and errors as one line."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 
 from rich.console import Console
 
 
 class PatientConsole(Console):
-    """A console that falls silent when its reader has gone (``| head``), where rich's own ends the program."""
+    """A console that becomes silent when its reader has gone (``| head``), where rich's own ends the program."""
 
     def on_broken_pipe(self) -> None:
-        """Say nothing more, and let what is running run."""
+        """Stop printing, and let the command continue."""
         self.quiet = True
         sink = os.open(os.devnull, os.O_WRONLY)
         os.dup2(sink, sys.stdout.fileno())
         os.close(sink)
+
+
+def run_reported(action: Callable[[], int]) -> int:
+    """Run a demo or a report; print an error on one line.
+
+    Returns:
+        Its exit status; 2 for a value that is not allowed, 1 for another error.
+    """
+    from xtdrone_control.fleet import FleetError
+    from xtdrone_coordination.patterns import PatternError
+    from xtdrone_interaction.launched import DemoError
+    from xtdrone_interaction.options import OptionError
+
+    try:
+        return action()
+    except (OptionError, PatternError, FleetError) as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    except DemoError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1

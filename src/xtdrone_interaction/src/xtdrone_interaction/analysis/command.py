@@ -27,18 +27,17 @@ from xtdrone_interaction.options import OptionError
 _PRINTED_ROWS = 40  # of a table on the terminal
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="xtdrone analyse",
-        description="Write report and pictures of a recorded flight: report.html, which needs no other file, the "
-        "pictures as PNG, and report.json. No ROS is needed.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "Write report and pictures of a recorded flight: report.html, which needs no other file, the "
+        "pictures as PNG, and report.json. No ROS is needed."
     )
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="ROS 1 bag or ULog, also one that a crash cut off, or "
         "ROS 2 bag; or the bags of a recording that was split")  # fmt: skip
     add("--part", type=int, metavar="N", help="of a bag in which time was set back (default: the longest)")
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")
-    return parser
 
 
 def output_folder(wanted: Path | None, file: Path, ending: str) -> Path:
@@ -139,9 +138,8 @@ def print_page(page: Page, console: Console) -> None:
         console.print(f"[yellow]Note:[/yellow] {escape(note)}", highlight=False, soft_wrap=True)
 
 
-def main(argv: Sequence[str]) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    arguments = _parser().parse_args(argv)
     try:
         for file in arguments.files:
             if not file.exists():

@@ -242,12 +242,11 @@ def names_of(files: Sequence[Path], names: str | None) -> list[str]:
     return [f"{number}: {path.name}" for number, path in enumerate(paths, 1)]
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run the command and return its exit status."""
-    parser = argparse.ArgumentParser(
-        prog="xtdrone compare",
-        description="Draw runs on the same axes and say how far they are from the first: report.html, pictures, "
-        "report.json. Runs are bags, ULogs, flight.npz, or tables (.csv: time, x, y, z in s and m ENU, vehicle).",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "Draw runs on the same axes and say how far they are from the first: report.html, pictures, "
+        "report.json. Runs are bags, ULogs, flight.npz, or tables (.csv: time, x, y, z in s and m ENU, vehicle)."
     )
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="two or more runs; the first is what the others are "
@@ -258,7 +257,10 @@ def main(argv: Sequence[str]) -> int:
     add("--vehicle", metavar="NAME", help="compare this vehicle alone; in a run with a single one, that one")
     add("--from-place", action="store_true", help="count places from where each vehicle was at time 0")
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: comparison, beside the first run)")
-    arguments = parser.parse_args(argv)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
     try:
         if not 2 <= len(arguments.files) <= _MOST_RUNS:
             raise OptionError(f"compare: {len(arguments.files)} runs are not allowed; 2 to {_MOST_RUNS}")

@@ -349,18 +349,16 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="xtdrone convert",
-        description="Convert a bag, also one that a crash cut off: "
-        + "; ".join(f"{k}: {v}" for k, v in FORMATS.items()),
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = "Convert a bag, also one that a crash cut off: " + "; ".join(
+        f"{k}: {v}" for k, v in FORMATS.items()
     )
     add = parser.add_argument
     add("file", type=Path, help="ROS 1 bag, or ROS 2 bag")
     add("--to", choices=FORMATS, required=True, help="what it becomes")
     add("--topics", nargs="+", metavar="TOPIC", help="only these; * and ? stand for anything (default: all)")
     add("--out", type=Path, metavar="PATH", help="file or folder that does not exist yet (default: beside the bag)")
-    return parser
 
 
 def convert(file: Path, form: str, out: Path | None, topics: Sequence[str] | None) -> Iterator[str]:
@@ -397,9 +395,8 @@ def convert(file: Path, form: str, out: Path | None, topics: Sequence[str] | Non
     yield from (f"Note: {note}" for note in [*source.notes, *losses.notes()])
 
 
-def main(argv: Sequence[str]) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    arguments = _parser().parse_args(argv)
     console = Console()
     try:
         for text in convert(arguments.file, arguments.to, arguments.out, arguments.topics):

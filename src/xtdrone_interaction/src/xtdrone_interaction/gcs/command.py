@@ -11,6 +11,8 @@ import os
 import sys
 from collections.abc import Sequence
 
+from xtdrone_interaction import cli
+
 from . import flight_command, list_command, log_command, parameter_command, plan_command, status_command
 from .arguments import Runner, UsageError, common
 from .peers import GcsError
@@ -33,17 +35,21 @@ class _Commands:
         return _Commands(self._commands.add_parser(name, help=text, description=text), self._vehicles)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="xtdrone gcs", description="A ground station, over MAVLink.")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the commands."""
+    parser.description = "A ground station, over MAVLink."
     commands = _Commands(parser, common())
     for module in (status_command, flight_command, plan_command, list_command, parameter_command, log_command):
         module.add_to(commands)
-    return parser
 
 
 def main(argv: Sequence[str]) -> int:
     """Run ``xtdrone gcs`` with the arguments after "gcs"; return the exit status."""
-    arguments = _parser().parse_args(list(argv))
+    return cli.main(["gcs", *argv])
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run a command and return the exit status."""
     try:
         status = int(arguments.run(arguments))
         print(end="", flush=True)

@@ -70,11 +70,11 @@ def _positive(name: str) -> Any:
     return checked(lambda text: options.positive(name, text))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="xtdrone record-view",
-        description="Film a flight as rviz shows it, without a screen: a recorded one, one that a demo flies first, or "
-        "the one that is running. Options of the demo go after --.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "Film a flight as rviz shows it, without a screen: a recorded one, one that a demo flies first, or "
+        "the one that is running. Options of the demo go after --."
     )
     add = parser.add_argument
     add("view", metavar="VIEW", help=f"{', '.join(SHIPPED)} (made for the vehicles that fly), or an .rviz file")
@@ -93,11 +93,19 @@ def _parser() -> argparse.ArgumentParser:
         help="of a bag: simulated time of the last frame")  # fmt: skip
     add("--frames", type=Path, metavar="FOLDER", help="write each frame as PNG file too, into a new folder")
     add("--master", default="", metavar="PORT|URI", help="of the running flight (default: it is looked for)")
-    return parser
+
+
+def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line; the words after ``--`` are kept in ``demo_options``."""
+    own = list(words)
+    cut = own.index("--") if "--" in own else len(own)
+    arguments = parser.parse_args(own[:cut])
+    arguments.demo_options = own[cut + 1 :]
+    return arguments
 
 
 def film_settings(argv: Sequence[str]) -> FilmSettings:
-    """Return what is to be filmed, after all checks that need no ROS.
+    """Return the settings of a command line; see :func:`settings_of`.
 
     Args:
         argv: options, and after ``--`` those of the demo.
@@ -106,9 +114,18 @@ def film_settings(argv: Sequence[str]) -> FilmSettings:
         OptionError: a value that is not allowed.
         SystemExit: argparse's.
     """
-    own = list(argv)
-    cut = own.index("--") if "--" in own else len(own)
-    arguments, demo_options = _parser().parse_args(own[:cut]), own[cut + 1 :]
+    parser = argparse.ArgumentParser(prog="xtdrone record-view")
+    add_arguments(parser)
+    return settings_of(parse(parser, argv))
+
+
+def settings_of(arguments: argparse.Namespace) -> FilmSettings:
+    """Return what is to be filmed, after all checks that need no ROS.
+
+    Raises:
+        OptionError: a value that is not allowed.
+    """
+    demo_options = arguments.demo_options
     view = arguments.view
     name = Path(view).stem if view.endswith(".rviz") and not Path(view).is_file() else view
     if name not in SHIPPED:

@@ -11,6 +11,7 @@ signal n (what there is of the film is kept).
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import subprocess
@@ -27,18 +28,21 @@ from rich.console import Console
 from xtdrone_interaction import options, sim_cli
 from xtdrone_interaction.launched import DemoError, Interrupted, signals_raise, signals_wait
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.rviz.film_options import FilmSettings, film_settings
+from xtdrone_interaction.rviz.film_options import FilmSettings, add_arguments, film_settings, parse, settings_of
 from xtdrone_interaction.rviz.stage import DRAWER, Stage, StageError, check_tools, node_environment
 
 _REPORT_PERIOD = 5.0  # wall s between two lines of progress
 _SLICE = 0.1  # wall s
 
 
-def main(argv: Sequence[str]) -> int:
+__all__ = ["add_arguments", "film_settings", "parse", "run"]  # all but run are defined beside the film's settings
+
+
+def run(arguments: argparse.Namespace) -> int:
     """Film and return the exit status."""
     console = Console()
     try:
-        settings = film_settings(argv)
+        settings = settings_of(arguments)
         with signals_raise():
             return _film(settings, console)
     except OptionError as error:

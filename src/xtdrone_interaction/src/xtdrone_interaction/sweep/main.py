@@ -20,8 +20,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_interaction import options
-from xtdrone_interaction.bench_machine import machine_facts
+from xtdrone_interaction import cli, options
+from xtdrone_interaction.machine import machine_facts
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.scripted_launch import Stopped, StopRequest
@@ -38,11 +38,11 @@ _REASONS = 3  # for which runs have failed
 _FACTS = ("python", "packages", "commit", "changed_since_commit")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="xtdrone sweep",
-        description="Fly a study: many simplified (or core, full-physics) flights over parameters and seeds. What has "
-        "finished is kept whatever happens; the same command goes on where it stopped. See docs/sweeps.md.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "Fly a study: many simplified (or core, full-physics) flights over parameters and seeds. What has "
+        "finished is kept whatever happens; the same command goes on where it stopped. See docs/sweeps.md."
     )
     add = parser.add_argument
     add("study", type=Path, metavar="STUDY.yaml", help="what is flown")
@@ -59,12 +59,15 @@ def _parser() -> argparse.ArgumentParser:
     add("--metric", metavar="NAME", help="figure that the picture shows (default: settling_time)")
     add("--x", metavar="PARAMETER", help="parameter along the picture's axis (default: chosen)")
     add("--by", metavar="PARAMETER", help="second parameter of the picture (default: chosen)")
-    return parser
 
 
 def main(argv: Sequence[str]) -> int:
+    """Run the command with the arguments after "sweep"; return its exit status."""
+    return cli.main(["sweep", *argv])
+
+
+def run(arguments: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    arguments = _parser().parse_args(argv)
     console = PatientConsole()
     try:
         study = read_study(arguments.study)

@@ -1,0 +1,1 @@
+"""Benchmarks of the simulator and of the stack above it; nothing under ``src/`` depends on them."""

@@ -1,0 +1,311 @@
+"""``./xtdrone bench``: measure speed, memory and start-up on this machine.
+
+The parts are those of :data:`benchmarks.measurements.MEASUREMENTS`. The command prints tables and writes JSON with the
+facts of the machine; the JSON is rewritten after each measurement, so that an interruption loses nothing. Exit status:
+0, 1 when a measurement failed, 2 for a value that is not allowed, 128 + n when stopped by signal n.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from benchmarks.measurements import MEASUREMENTS
+from benchmarks.report import print_results, short_result
+from benchmarks.runner import TYPE, Bench, Case, Length
+from benchmarks.search import SEARCHERS
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_coordination.patterns import PatternError
+from xtdrone_interaction import options
+from xtdrone_interaction.machine import machine_facts
+from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.scripted_launch import LaunchError, Stopped, StopRequest
+
+SCHEMA = 1  # of the JSON file
+_FLOWN = ("stack", "formation", "free")
+_MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
+_MAX_REPEATS = 20
+
+FULL = Length(
+    core_seconds=3.0,
+    sweep_seconds=20.0,
+    barrier_seconds=2.0,
+    barrier_ticks=200,
+    window=20.0,
+    patterns=("cube", "pyramid", "triangle"),
+    free_window=5.0,
+    search_window=30.0,
+)
+QUICK = Length(
+    core_seconds=1.0,
+    sweep_seconds=3.0,
+    barrier_seconds=0.5,
+    barrier_ticks=50,
+    window=5.0,
+    patterns=("cube",),
+    free_window=2.0,
+    search_window=10.0,
+)
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """Selected measurements.
+
+    Attributes:
+        vehicles: numbers of vehicles (barrier: participants; sweep: workers; detector, renderer: width in pixels;
+            analyse: size of the bag in MB; search: pictures per second of each camera) by part.
+        modes: of the formation: ``per_uav``, ``shared``.
+        repeat: number of repetitions of each measurement.
+        length: of the measurements.
+        json: file of the results, absolute.
+    """
+
+    vehicles: dict[str, tuple[int, ...]]
+    modes: tuple[str, ...]
+    repeat: int
+    length: Length
+    json: Path
+
+    @property
+    def logs(self) -> Path:
+        """Folder of logs and events beside the results."""
+        return self.json.with_name(f"{self.json.stem}-logs")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.description = (
+        "Measure speed, memory and start-up on this machine. Run nothing else on the machine at the same time."
+    )
+    parts = ", ".join(MEASUREMENTS)
+    numbers = " ".join(f"{m.name}={','.join(map(str, m.numbers))}" for m in MEASUREMENTS.values())
+    own = ", ".join(m.name for m in MEASUREMENTS.values() if not m.counts_vehicles)
+    add = parser.add_argument
+    add("--only", metavar="PARTS", help=f"parts to measure, separated by commas, of {parts} (default: all)")
+    add("--vehicles", nargs="+", metavar="[PART=]NUMBERS",
+        help="numbers of vehicles (barrier: participants; sweep: workers; detector, renderer: width in pixels; "
+        "analyse: size of the bag in MB; search: pictures per second of each camera), separated by commas, for one "
+        f"part (as core=1,100) or for all parts but {own} (as 9); default: {numbers}")  # fmt: skip
+    add("--processes", choices=list(_MODES), default="both",
+        help="formation with one process per vehicle and role, with one per role, or both (default)")  # fmt: skip
+    add("--repeat", default="1", metavar="TIMES",
+        help="repeat each measurement; the tables show medians (default: 1)")  # fmt: skip
+    add("--quick", action="store_true", help="short measurements: rough figures in a few minutes")
+    add("--json", type=Path, metavar="FILE", help="file of the results (default: runs/bench-<time>.json)")
+
+
+def bench_settings(arguments: argparse.Namespace) -> BenchSettings:
+    """Return the settings after checking them.
+
+    Raises:
+        OptionError, PatternError: a value is not allowed.
+    """
+    vehicles = chosen_vehicles(chosen_parts(arguments.only), arguments.vehicles or [])
+    length = QUICK if arguments.quick else FULL
+    for count in {*vehicles.get("formation", ()), *vehicles.get("free", ())}:
+        options.swarm_patterns(count, list(length.patterns))
+    flown = max((count for part in _FLOWN for count in vehicles.get(part, ())), default=0)
+    if "search" in vehicles:
+        flown = max(flown, SEARCHERS)
+    if flown:
+        options.check_vehicle_ports(parse_fleet(f"{TYPE}:{flown}"))
+    repeat = _whole_number("repeat", arguments.repeat, 1, _MAX_REPEATS)
+    return BenchSettings(vehicles, _MODES[arguments.processes], repeat, length, _result_file(arguments.json))
+
+
+def chosen_parts(text: str | None) -> list[str]:
+    """Return the parts to measure, in their usual order.
+
+    Raises:
+        OptionError: a part is unknown.
+    """
+    if text is None:
+        return list(MEASUREMENTS)
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in MEASUREMENTS:
+            raise OptionError(f"only: part {name!r} is unknown; there are: {', '.join(MEASUREMENTS)}")
+    return [part for part in MEASUREMENTS if part in names]
+
+
+def chosen_vehicles(parts: Sequence[str], texts: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return the numbers of vehicles by part.
+
+    Args:
+        parts: to measure.
+        texts: ``9``, ``1,9`` (all parts that count vehicles or participants) or ``core=1,9``; later ones take
+            precedence.
+
+    Raises:
+        OptionError: a number is not allowed, or applies to no selected part.
+    """
+    chosen = {part: MEASUREMENTS[part].numbers for part in parts}
+    for text in texts:
+        name, equals, numbers = text.rpartition("=")
+        if equals and name not in chosen:
+            raise OptionError(f"vehicles: part {name!r} in {text!r} is not measured; measured are: {', '.join(chosen)}")
+        meant = [name] if equals else [part for part in parts if MEASUREMENTS[part].counts_vehicles]
+        if not meant:
+            given = " and ".join(f"{MEASUREMENTS[part].counted} are given as {part}={text}" for part in parts)
+            raise OptionError(f"vehicles: {text!r} is for no part that is measured; {given}")
+        for part in meant:
+            thing, limits = f"{MEASUREMENTS[part].counted} of {part}", MEASUREMENTS[part].limits
+            counts = [_whole_number(thing, number, *limits) for number in numbers.split(",")]
+            chosen[part] = tuple(dict.fromkeys(counts))
+    for part in chosen:
+        _check_multiples(part, chosen[part])
+    return chosen
+
+
+def _check_multiples(part: str, counts: Sequence[int]) -> None:
+    measurement = MEASUREMENTS[part]
+    for count in counts:
+        if count % measurement.multiple_of:
+            allowed = f"multiples of {measurement.multiple_of}"
+            raise OptionError(f"{measurement.counted} of {part}: {count} is not allowed; {allowed}")
+
+
+def _whole_number(thing: str, text: str, least: int, most: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if not least <= value <= most:
+        raise OptionError(f"{thing}: {text!r} is not allowed; {least} to {most}")
+    return value
+
+
+def _result_file(wanted: Path | None) -> Path:
+    """Return the absolute path of the results, after making its folder."""
+    path = (wanted or Path("runs") / f"bench-{time.strftime('%Y%m%d-%H%M%S')}.json").resolve()
+    if any(c.isspace() for c in str(path)):
+        raise OptionError(f"json: {str(path)!r} has a space in it, which roslaunch cannot pass on; choose --json")
+    if path.is_dir():
+        raise OptionError(f"json: {str(path)!r} is a folder; a file is needed")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("a").close()
+    except OSError as error:
+        raise OptionError(f"json: {str(path)!r} cannot be written: {error.strerror}") from error
+    return path
+
+
+def plan(settings: BenchSettings) -> Iterator[tuple[Case, int]]:
+    """Yield each case with its title for the terminal, and the number of the repetition, in the order measured."""
+    for part, counts in settings.vehicles.items():
+        for count in counts:
+            for case in MEASUREMENTS[part].cases(part, count, settings.modes):
+                for number in range(1, settings.repeat + 1):
+                    ending = f", {number} of {settings.repeat}" if settings.repeat > 1 else ""
+                    yield replace(case, title=f"{part}, {case.title}{ending}"), number
+
+
+def new_results(settings: BenchSettings) -> dict[str, Any]:
+    """Return the results without any rows."""
+    length = settings.length
+    return {
+        "schema": SCHEMA,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "finished": None,
+        "options": {
+            "vehicles": {part: list(counts) for part, counts in settings.vehicles.items()},
+            "type": TYPE,
+            "repeat": settings.repeat,
+            **asdict(length),
+        },
+        "machine": machine_facts(options.repository()),
+        **{part: [] for part in settings.vehicles},
+    }
+
+
+def run_bench(settings: BenchSettings, console: Console) -> int:
+    """Measure, print, write, and return the exit status."""
+    results = new_results(settings)
+    _print_machine(results["machine"], console)
+    status = 0
+    try:
+        with StopRequest() as stop:
+            _measure_all(settings, results, stop, console)
+        results["finished"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    except Stopped as stopped:
+        console.print(f"stopped by {stopped}; nothing is left running", highlight=False)
+        status = 128 + stopped.number
+    _write(results, settings.json)
+    print_results(results, console)
+    console.print(f"Results: {settings.json}", highlight=False, soft_wrap=True)
+    failed = any("error" in row for part in settings.vehicles for row in results[part])
+    return status or int(failed)
+
+
+def _measure_all(settings: BenchSettings, results: dict[str, Any], stop: StopRequest, console: Console) -> None:
+    """Make all measurements; a failed one leaves a row with ``error`` and the next one follows.
+
+    Raises:
+        Stopped: a signal was received.
+    """
+    cases = list(plan(settings))
+    for number, (case, repetition) in enumerate(cases, 1):
+        stop.check()
+        head = f"\\[{number}/{len(cases)}] {case.title}"
+        row = case.known | {"repeat": repetition}
+        with _progress(console, head) as progress:
+            bench = Bench(settings.logs, stop, progress, settings.length)
+            try:
+                row |= MEASUREMENTS[case.part].command(bench, case)
+            except (LaunchError, OptionError) as error:  # OptionError: a port has been taken in the meantime
+                row["error"] = str(error)
+        console.print(f"{head}: {short_result(case.part, row)}", highlight=False, soft_wrap=True)
+        results[case.part].append(row)
+        _write(results, settings.json)
+
+
+@contextmanager
+def _progress(console: Console, head: str) -> Iterator[Callable[[str], None]]:
+    """Show the progress of a measurement: in place on a terminal, else only its start."""
+    if not console.is_terminal:
+        console.print(f"{head} ...", highlight=False, soft_wrap=True)
+        yield lambda text: None
+        return
+    with console.status(head) as status:
+        yield lambda text: status.update(f"{head}: {text}")
+
+
+def _print_machine(machine: dict[str, Any], console: Console) -> None:
+    console.print(
+        f"{machine['cpu'] or 'unknown processor'}, {machine['cores']} cores, "
+        f"{machine['memory_bytes'] / 2**30:.0f} GiB, {machine['system'] or 'unknown system'}, "
+        f"Linux {machine['kernel']}, Python {machine['python']}, load {machine['load_before'][0]:.1f}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _write(results: dict[str, Any], path: Path) -> None:
+    """Replace the file atomically, so that it is complete at any time."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark and return its exit status."""
+    try:
+        settings = bench_settings(arguments)
+    except (OptionError, PatternError) as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    try:
+        return run_bench(settings, Console())
+    except OSError as error:
+        print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1

@@ -1,0 +1,386 @@
+"""The table of all measurements of ``./xtdrone bench``: command, default numbers, limits, and columns.
+
+A measurement's command gets a case (a number of vehicles, a picture size, ...) and returns a row of figures: a
+:class:`~benchmarks.runner.Program`, a :class:`~benchmarks.runner.Flight`, or a function. A new measurement is one more
+entry of :data:`MEASUREMENTS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from benchmarks.fields import DRAWING_PROGRAMS, Field, flight_time, frame_cpu, goal, input_size, median, share, spread
+from benchmarks.flights import (
+    formation_arguments,
+    formation_figures,
+    formation_probe,
+    probe_figures,
+    stack_arguments,
+    stack_figures,
+)
+from benchmarks.free_running import measure_free
+from benchmarks.runner import Bench, Case, Flight, Program, Row
+from benchmarks.search import SEARCHERS, search_arguments, search_figures
+from xtdrone_control.fleet import MAX_VEHICLES
+
+_FILMS = ((1280, 720, True), (1280, 720, False), (640, 360, True))  # width and height in pixels, antialiasing
+_BACKENDS = ("egl", "tiny")
+_PARTICIPANTS = ("python", "cpp")
+_NO_PARTICIPANTS = "none"
+
+Cases = Callable[[str, int, Sequence[str]], Iterator[Case]]
+"""Yields the cases of a part (its name) for a number and for the modes of the formation."""
+
+
+# ---- cases
+
+
+def _vehicles(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    yield Case(part, _title(count), {"vehicles": count}, str(count))
+
+
+def _title(count: int) -> str:
+    return f"{count} {'vehicle' if count == 1 else 'vehicles'}"
+
+
+def _workers(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    yield Case(part, f"{count} workers", {"workers": count}, str(count))
+
+
+def _widths(part: str, width: int, modes: Sequence[str]) -> Iterator[Case]:
+    yield Case(part, f"{width} px wide", {"width": width}, str(width))
+
+
+def _pictures(part: str, width: int, modes: Sequence[str]) -> Iterator[Case]:
+    for height in (width * 9 // 16, width * 3 // 4):
+        for backend in _BACKENDS:
+            known = {"width": width, "height": height, "backend": backend}
+            yield Case(part, f"{width} x {height} px, {backend}", known, f"{width}x{height}-{backend}")
+
+
+def _films(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    for width, height, smooth in _FILMS:
+        known = {"vehicles": count, "width": width, "height": height, "antialiasing": smooth}
+        suffix = f"{count}-{width}x{height}{'' if smooth else '-rough'}"
+        yield Case(part, _film_label(known), known, suffix)
+
+
+def _bags(part: str, megabytes: int, modes: Sequence[str]) -> Iterator[Case]:
+    yield Case(part, f"bag of {megabytes} MB", {"megabytes": megabytes}, str(megabytes))
+
+
+def _participants(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    for kind in _PARTICIPANTS if count else (_NO_PARTICIPANTS,):
+        title = f"{count} participants" + (f", {kind}" if count else "")
+        yield Case(part, title, {"participants": count, "kind": kind}, f"{count}-{kind}")
+
+
+def _formations(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    for mode in modes:
+        title = f"{_title(count)}, processes {mode.replace('_', ' ')}"
+        yield Case(part, title, {"vehicles": count, "mode": mode}, f"{count}-{mode}")
+
+
+def _rates(part: str, rate: int, modes: Sequence[str]) -> Iterator[Case]:
+    yield Case(part, f"{rate} Hz", {"vehicles": SEARCHERS, "camera_rate": rate}, str(rate))
+
+
+# ---- labels and summaries
+
+
+def _vehicle_label(row: Row) -> str:
+    return str(row["vehicles"])
+
+
+def _film_label(row: Row) -> str:
+    size = f"{row['width']} x {row['height']} px"
+    return f"{row['vehicles']} vehicles, {size}{'' if row['antialiasing'] else ', rough'}"
+
+
+def _formation_label(row: Row) -> str:
+    return f"{row['vehicles']} {row['mode'].replace('_', '-')}"
+
+
+def _participant_label(row: Row) -> str:
+    return f"{row['participants']} {row['kind']}"
+
+
+def _first(heading: str, label: Callable[[Row], str]) -> Field:
+    return heading, lambda rows: label(rows[0])
+
+
+def _speed_summary(row: Row) -> str:
+    return f"{row['real_time_factor']:.2f} x real time"
+
+
+def _picture_summary(row: Row) -> str:
+    return f"{row['milliseconds']:.1f} ms a picture"
+
+
+def _free_summary(row: Row) -> str:
+    exact, free = row["exact_real_time_factor"], row["free_real_time_factor"]
+    return f"{exact:.2f} x real time, free-running {free:.2f} x"
+
+
+def _analysis_summary(row: Row) -> str:
+    return f"{row['megabytes_per_second']:.0f} MB/s, {row['memory_bytes'] * 1e-6:.0f} MB of memory"
+
+
+_VEHICLES = _first("vehicles", _vehicle_label)
+
+# ---- the table
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One part of the benchmark.
+
+    Attributes:
+        name: of the part.
+        title: of its table.
+        command: measures a case.
+        numbers: measured by default.
+        limits: lowest and highest number that is allowed.
+        fields: columns of its table after the first one.
+        summary: main figures of a row, for the line that follows a measurement.
+        counted: the thing that is counted; vehicles and participants are given for all parts at once.
+        multiple_of: divisor of every number.
+        cases: the cases of a number.
+        label: name of a row's case.
+        first: first column, which names the case.
+    """
+
+    name: str
+    title: str
+    command: Callable[[Bench, Case], Row]
+    numbers: tuple[int, ...]
+    limits: tuple[int, int]
+    fields: tuple[Field, ...]
+    summary: Callable[[Row], str] = _speed_summary
+    cases: Cases = _vehicles
+    label: Callable[[Row], str] = _vehicle_label
+    first: Field = _VEHICLES
+    counted: str = "vehicles"
+    multiple_of: int = 1
+
+    @property
+    def counts_vehicles(self) -> bool:
+        """Whether a number without the name of a part applies to this part."""
+        return self.counted in ("vehicles", "participants")
+
+
+_CORE_SECONDS = {"seconds": "core_seconds"}
+_SPEED: Field = ("real-time\nfactor", spread("real_time_factor", " x"))
+_PROCESSES: tuple[Field, ...] = (
+    ("start-up\ns", median("startup_seconds", ".1f")),
+    ("memory\nMB", median("memory_bytes", ".0f", 1e-6)),
+    ("processes", median("processes", ".0f")),
+)
+
+
+def _goal(keys: Sequence[str], goals: dict[tuple[object, ...], float], form: str = "{:g} x") -> Field:
+    return "to\nreach", goal(goals, keys, form)
+
+
+_TABLE = (
+    Measurement(
+        name="core",
+        title="Core: physics, sensors, autopilots; no ROS",
+        command=Program("core", _CORE_SECONDS),
+        numbers=(1, 9, 30, 100),
+        limits=(1, MAX_VEHICLES),
+        fields=(
+            _SPEED,
+            _goal(["vehicles"], {(9,): 30.0, (100,): 6.0}),
+            ("vehicle-steps/s", median("vehicle_steps_per_second", ".0f")),
+            ("us/vehicle-step", median("microseconds_per_vehicle_step", ".2f")),
+        ),
+    ),
+    Measurement(
+        name="simplified",
+        title="Simplified simulator: vehicles, consensus, avoidance; no ROS, one core",
+        command=Program("simplified", _CORE_SECONDS),
+        numbers=(9, 100, 1000),
+        limits=(2, 10_000),
+        fields=(
+            _SPEED,
+            _goal(["vehicles"], {(9,): 1000.0, (1000,): 1.0}),
+            ("us/vehicle-turn", median("microseconds_per_vehicle_turn", ".2f")),
+        ),
+    ),
+    Measurement(
+        name="drawing",
+        title="Drawing of the simplified simulator, off-screen",
+        command=Program("drawing", _CORE_SECONDS),
+        numbers=(9, 100, 1000),
+        limits=(2, 10_000),
+        fields=(("pictures/s", spread("pictures_per_second")), _goal(["vehicles"], {(100,): 15.0}, "{:g}")),
+        summary=lambda row: f"{row['pictures_per_second']:.1f} pictures a second",
+    ),
+    Measurement(
+        name="sweep",
+        title="Sweep: flights of nine simplified vehicles through three patterns",
+        command=Program("sweep", {"seconds": "sweep_seconds"}),
+        numbers=(2,),
+        limits=(2, 64),
+        fields=(
+            ("runs/s", spread("runs_per_second")),
+            ("with one\nworker", spread("one_worker")),
+            ("speed-up", spread("speed_up", " x")),
+            _goal(["workers"], {(2,): 1.7}),
+        ),
+        summary=lambda row: f"{row['runs_per_second']:.1f} runs a second, {row['speed_up']:.2f} x those of one worker",
+        cases=_workers,
+        label=lambda row: f"{row['workers']} workers",
+        first=_first("workers", lambda row: str(row["workers"])),
+        counted="workers",
+    ),
+    Measurement(
+        name="detector",
+        title="Detector of people on one core, by the width of its input",
+        command=Program("detector", _CORE_SECONDS),
+        numbers=(320, 416, 640),
+        limits=(32, 2048),
+        fields=(("ms/picture", spread("milliseconds")),),
+        summary=_picture_summary,
+        cases=_widths,
+        label=lambda row: f"{row['width']} px wide",
+        first=("input\npx", input_size),
+        counted="widths",
+        multiple_of=32,
+    ),
+    Measurement(
+        name="renderer",
+        title="Pictures of the world outdoor, one process",
+        command=Program("renderer", _CORE_SECONDS),
+        numbers=(320, 640),
+        limits=(16, 4096),
+        fields=(
+            ("CPU\nms/picture", spread("milliseconds")),
+            ("wall\nms/picture", spread("wall_milliseconds")),
+        ),
+        summary=_picture_summary,
+        cases=_pictures,
+        label=lambda row: f"{row['width']} x {row['height']} px, {row['backend']}",
+        first=_first("picture", lambda row: f"{row['width']} x {row['height']} px, {row['backend']}"),
+        counted="widths",
+    ),
+    Measurement(
+        name="rviz",
+        title="Films of rviz without a screen, the formation's view; CPU ms per frame",
+        command=Program("rviz", _CORE_SECONDS),
+        numbers=(9, 30),
+        limits=(1, MAX_VEHICLES),
+        fields=(
+            ("frames/s", spread("frames_per_second")),
+            *((name, frame_cpu(name)) for name in DRAWING_PROGRAMS),
+            ("others", frame_cpu()),
+        ),
+        summary=lambda row: f"{row['frames_per_second']:.1f} frames a second",
+        cases=_films,
+        label=_film_label,
+        first=_first("film", _film_label),
+    ),
+    Measurement(
+        name="analyse",
+        title="Analysis of a bag of poses, velocities and states, not packed",
+        command=Program("analysis"),
+        numbers=(1000,),
+        limits=(1, 20_000),
+        fields=(
+            ("reading\nMB/s", spread("megabytes_per_second")),
+            _goal(["megabytes"], {(1000,): 100.0}, "{:g}"),
+            ("CPU\ns", spread("cpu_seconds")),
+            ("messages", median("messages", ".0f")),
+            ("memory\nMB", median("memory_bytes", ".0f", 1e-6)),
+            ("report\ns", median("report_seconds", ".1f")),
+        ),
+        summary=_analysis_summary,
+        cases=_bags,
+        label=lambda row: f"{row['megabytes']} MB",
+        first=_first("bag", lambda row: f"{row['megabytes']} MB"),
+        counted="megabytes",
+    ),
+    Measurement(
+        name="barrier",
+        title="Barrier of the lockstep, participants that do nothing: us per tick",
+        command=Program("barrier", {"seconds": "barrier_seconds", "ticks": "barrier_ticks"}),
+        numbers=(0, 1, 9, 20, 60),
+        limits=(0, MAX_VEHICLES),
+        fields=(
+            ("median", median("median_us", ".1f")),
+            ("mean", median("mean_us", ".1f")),
+            ("p99", median("p99_us", ".1f")),
+            ("server\nCPU", median("server_cpu_us", ".1f")),
+            ("participants'\nCPU", median("participants_cpu_us", ".1f")),
+            ("ticks", median("ticks", ".0f")),
+        ),
+        summary=lambda row: f"{row['median_us']:.0f} us per tick",
+        cases=_participants,
+        label=_participant_label,
+        first=_first("participants", lambda row: _participant_label(row) if row["participants"] else "0"),
+        counted="participants",
+    ),
+    Measurement(
+        name="stack",
+        title="Stack: simulator, MAVROS layer, one client",
+        command=Flight("bench.launch", stack_arguments, stack_figures),
+        numbers=(1, 9, 30),
+        limits=(1, MAX_VEHICLES),
+        fields=(
+            _SPEED,
+            _goal(["vehicles"], {(9,): 10.0}),
+            ("messages/s", median("messages_per_second", ".0f")),
+            *_PROCESSES,
+        ),
+    ),
+    Measurement(
+        name="formation",
+        title="Formation flight",
+        command=Flight("formation.launch", formation_arguments, formation_figures, formation_probe, probe_figures),
+        numbers=(9, 30),
+        limits=(2, MAX_VEHICLES),
+        fields=(
+            _SPEED,
+            _goal(["vehicles", "mode"], {(9, "per_uav"): 3.0, (30, "per_uav"): 1.0}),
+            ("simulated\ns", flight_time),
+            *_PROCESSES,
+        ),
+        cases=_formations,
+        label=_formation_label,
+        first=_first("vehicles", _formation_label),
+    ),
+    Measurement(
+        name="search",
+        title="Search with six cameras, film and bag; shares of its CPU time",
+        command=Flight("bench_search.launch", search_arguments, lambda events, began: search_figures(events)),
+        numbers=(2, 5),
+        limits=(1, 10),
+        fields=(
+            _SPEED,
+            _goal(["camera_rate"], {(2,): 1.0}),
+            *((name, share(name)) for name in ("cameras", "yolo", "simulator", "mavros", "others")),
+        ),
+        cases=_rates,
+        label=lambda row: f"{row['camera_rate']} Hz",
+        first=_first("rate", lambda row: f"{row['camera_rate']} Hz"),
+        counted="rates",
+    ),
+    Measurement(
+        name="free",
+        title="Formation in lockstep, and free-running",
+        command=measure_free,
+        numbers=(9, 30),
+        limits=(2, MAX_VEHICLES),
+        fields=(
+            ("in lockstep", spread("exact_real_time_factor", " x")),
+            ("free-running", spread("free_real_time_factor", " x")),
+            ("share", spread("exact_share")),
+            _goal(["vehicles"], {(9,): 0.7}, "{:.2f}"),
+        ),
+        summary=_free_summary,
+    ),
+)
+MEASUREMENTS: dict[str, Measurement] = {measurement.name: measurement for measurement in _TABLE}
+"""All measurements by name, in the order in which they are made."""

@@ -1,0 +1,107 @@
+"""Benchmark of the renderer: milliseconds per picture of the world ``outdoor`` with people, by size and backend.
+
+``python -m benchmarks.programs.renderer --width 320 640`` prints a table; ``--json FILE`` writes it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from benchmarks.programs.program import Column, Row, run
+from xtdrone_control.checks import check_range
+from xtdrone_control.pinhole import Pinhole
+from xtdrone_sim.cameras.drawn_scene import ActorState, DrawnScene, SceneAt, View
+from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Renderer, RendererError
+from xtdrone_sim.vehicles.poses import from_rpy
+from xtdrone_sim.vehicles.visual import Pose
+from xtdrone_sim.worlds.sdf import load_world_file
+
+_HEIGHT = 20.0  # m, of the camera
+_PITCH = math.radians(50.0)  # downwards
+_FIELD = 2.0  # rad
+_VIEWS = 8  # positions of the camera
+
+
+def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, Any]:
+    """Measure the time per picture of a camera above the people of a world.
+
+    Args:
+        width, height: pixels.
+        backend: of ``BACKENDS``.
+        seconds: minimum wall time of the measurement, above 0.
+
+    Returns:
+        width, height, backend, milliseconds (processor time, median), wall_milliseconds (median), pictures.
+
+    Raises:
+        RendererError: there is no such renderer here.
+        ValueError: a size or the backend is not allowed.
+    """
+    world = load_world_file("outdoor")
+    with Renderer(backend) as renderer:
+        scene = DrawnScene(renderer, world)
+        view = View("camera", Pinhole.of_view(width, height, _FIELD), 0.05, 500.0)
+        x, y, _ = world.actors[0].pose.position
+        turned = [from_rpy(0.0, _PITCH, 2.0 * math.pi * k / _VIEWS) for k in range(_VIEWS)]
+        places = [
+            SceneAt(
+                {"camera": Pose((x - 10.0 * math.cos(a), y - 10.0 * math.sin(a), _HEIGHT), turned[k])},
+                {actor.name: ActorState(actor.pose, k / _VIEWS) for actor in world.actors},
+            )
+            for k, a in enumerate(2.0 * math.pi * k / _VIEWS for k in range(_VIEWS))
+        ]
+        scene.draw(places[0], view)
+        used: list[float] = []
+        waited: list[float] = []
+        while sum(waited) < seconds or len(used) < _VIEWS:
+            cpu, wall = time.process_time(), time.perf_counter()
+            scene.draw(places[len(used) % _VIEWS], view)
+            used.append(time.process_time() - cpu)
+            waited.append(time.perf_counter() - wall)
+        name = renderer.backend
+    return {
+        "width": width,
+        "height": height,
+        "backend": name,
+        "milliseconds": 1e3 * statistics.median(used),
+        "wall_milliseconds": 1e3 * statistics.median(waited),
+        "pictures": len(used),
+    }
+
+
+COLUMNS = (
+    Column("size", "{width} x {height}"),
+    Column("backend", "{backend}"),
+    Column("CPU ms", "{milliseconds:.1f}"),
+    Column("wall ms", "{wall_milliseconds:.1f}"),
+)
+
+
+def main() -> int:
+    """Measure the picture sizes and backends of the command line and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--width", type=int, nargs="+", default=[320, 640], help="px")
+    parser.add_argument("--height", type=int, nargs="+", help="px, one for each width (default: three quarters of it)")
+    parser.add_argument("--backend", choices=BACKENDS, nargs="+", default=["egl", "tiny"])
+    parser.add_argument("--seconds", type=float, default=3.0, help="minimum time of one measurement, s")
+    return run(parser, _cases, COLUMNS, (RendererError,))
+
+
+def _cases(arguments: argparse.Namespace) -> Iterator[Row]:
+    heights = arguments.height or [width * 3 // 4 for width in arguments.width]
+    if len(heights) != len(arguments.width):
+        raise ValueError(f"--height: {len(heights)} numbers for {len(arguments.width)} widths")
+    check_range("--seconds", arguments.seconds, 0.001, unit="s")
+    for width, height in zip(arguments.width, heights, strict=True):
+        for backend in arguments.backend:
+            yield measure(width, height, backend, arguments.seconds)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

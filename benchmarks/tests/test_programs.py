@@ -1,0 +1,132 @@
+"""The benchmark programs, on the smallest cases."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.programs import analysis, detector, drawing, program, simplified
+from xtdrone_interaction.analysis.flight import read_flight
+from xtdrone_interaction.options import repository
+
+sys.path.append(str(repository() / "src" / "xtdrone_perception" / "tests"))
+from tiny_networks import write_darknet
+
+
+def test_a_picture_of_640_by_360_fits_into_each_input():
+    assert [detector.input_height(width) for width in (320, 416, 640)] == [192, 256, 384]
+
+
+def test_the_detector_is_measured_at_the_size_asked_for(tmp_path: Path):
+    write_darknet(tmp_path, width=640, height=384, anchors=[(8, 12)], classes=1,
+                  weights=np.zeros((6, 3)), biases=np.zeros(6))  # fmt: skip
+    (tmp_path / "tiny.names").write_text("human\n")
+    settings = tmp_path / "tiny.yaml"
+    settings.write_text("weights: tiny.weights\nconfig: tiny.cfg\nnames: tiny.names\n")
+    found = detector.measure(str(settings), 320, 0.01)
+    assert (found["width"], found["height"]) == (320, 192)
+    assert found["milliseconds"] > 0.0
+    assert found["pictures"] >= 1
+
+
+def test_the_bag_of_the_analysis_holds_nine_vehicles_at_even_steps(tmp_path: Path) -> None:
+    (tmp_path / "made.bag").write_bytes(b"".join(analysis.chunks(2_000_000)))
+    flight = read_flight(tmp_path / "made.bag")
+    assert len(flight.vehicles) == 9
+    assert flight.notes == ["the recorder did not end it: there is no index; it was read by its records"]
+    place = flight.vehicles[8].position
+    assert place is not None
+    assert (place.value == [1.0, 2.0, 3.0]).all()
+    assert abs(place.time[1:] - place.time[:-1] - 0.02).max() < 1e-6
+    assert len(place) * 27 == sum(topic.count for topic in flight.topics)
+
+
+def test_the_analysis_is_measured(tmp_path: Path) -> None:
+    row = analysis.measure(1, tmp_path)
+    assert row["megabytes_per_second"] > 0
+    assert row["messages"] >= 27 * 200
+    assert not list(tmp_path.glob("*.bag"))
+
+
+def test_the_simplified_simulator_is_measured():
+    figures = simplified.measure(9, 0.05, repeats=1)
+    assert figures["vehicles"] == 9
+    assert figures["real_time_factor"] * figures["microseconds_per_vehicle_turn"] == pytest.approx(1e6 / 270.0)
+
+
+def test_the_drawing_is_measured():
+    figures = drawing.measure(20, 0.01)
+    assert figures["vehicles"] == 20
+    assert figures["pictures_per_second"] > 0.0
+    with pytest.raises(ValueError, match="1 vehicles"):
+        drawing.measure(1, 1.0)
+
+
+class _OutOfFuelError(Exception):
+    """A measurement failed."""
+
+
+def _cases(arguments: argparse.Namespace) -> Iterator[program.Row]:
+    if arguments.count < 0:
+        raise ValueError("count: at least 0")
+    for number in range(arguments.count):
+        if number == 3:
+            raise _OutOfFuelError("out of fuel")
+        yield {"number": number, "half": number / 2}
+
+
+@pytest.mark.parametrize(("count", "status"), [(2, 0), (4, 1), (-1, 2)])
+def test_a_program_prints_a_table_and_writes_its_rows(
+    count: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "rows.json"
+    monkeypatch.setattr(sys, "argv", ["program", "--count", str(count), "--json", str(file)])
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--count", type=int)
+    columns = (program.Column("number", "{number}"), program.Column("half", "{half:.1f}x"))
+    try:
+        ended = program.run(parser, _cases, columns, (_OutOfFuelError,))
+    except SystemExit as error:
+        ended = error.code
+    said = capsys.readouterr()
+    assert ended == status
+    assert file.exists() == (status == 0)
+    if status == 0:
+        assert json.loads(file.read_text()) == [{"number": 0, "half": 0.0}, {"number": 1, "half": 0.5}]
+        assert [line.split() for line in said.out.splitlines()] == [["number", "half"], ["0", "0.0x"], ["1", "0.5x"]]
+    assert ("ERROR: out of fuel" in said.err) == (status == 1)
+    assert ("count: at least 0" in said.err) == (status == 2)
+
+
+@pytest.mark.parametrize("name", ["offboard_client", "speed_probe", "search_probe"])
+def test_one_launch_file_starts_each_node(name: str) -> None:
+    node = repository() / "benchmarks" / "nodes" / f"{name}.py"
+    assert node.stat().st_mode & 0o111
+    launches = [file.read_text() for file in (repository() / "launch").glob("bench*.launch")]
+    assert sum(f"benchmarks/nodes/{name}.py" in text for text in launches) == 1
+
+
+def test_a_program_is_run_by_its_path(tmp_path: Path) -> None:
+    runner = repository() / "src" / "xtdrone_interaction" / "nodes" / "run_file.py"
+    program = tmp_path / "program"
+    program.write_text("#!/bin/sh\necho ran $1\nexit 3\n")
+    program.chmod(0o755)
+    ran = subprocess.run([sys.executable, runner, program, "__name:=n"], capture_output=True, text=True)
+    assert (ran.returncode, ran.stdout) == (3, "ran __name:=n\n")
+    failed = subprocess.run([sys.executable, runner, tmp_path / "none"], capture_output=True, text=True)
+    assert failed.returncode == 1
+    assert "No such file or directory" in failed.stderr
+
+
+def test_no_package_imports_benchmarks_or_validation() -> None:
+    imports = re.compile(r"^\s*(?:from|import) (?:benchmarks|validation)\b", re.MULTILINE)
+    sources = [file for file in (repository() / "src").rglob("*.py") if imports.search(file.read_text())]
+    assert sources == []

@@ -1,0 +1,1 @@
+"""Checks of the simulator against recorded flights, against itself, and over hours."""

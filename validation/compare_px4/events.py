@@ -1,0 +1,151 @@
+"""Acks, texts, modes, landed states and mission items of a flight, set against the reference's: order and time.
+
+Times count from the flight's last command, or from the event before where the vehicle had to fly there. The reference's
+heartbeats and landed states came once a second: what they show happened in the second before.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from validation.compare_px4.metrics import SHARE
+from validation.compare_px4.reference import Event, Flight
+
+LIMIT = 0.2  # s
+_SECOND = 1.0  # s, between the reference's heartbeats
+_TOGETHER = 0.12  # s: events this close have no order
+_PHASES = {
+    "takeoff": ("takeoff",),
+    "position_step": ("offb_pos",),
+    "velocity_step": (),
+    "yaw_step": (),
+    "offboard_loss": ("offboard_loss", "land"),
+    "mission": ("mission",),
+    "rtl": ("goto_away", "rtl"),
+}
+_FLOWN = ("reached", "current")
+_FLOWN_TEXTS = (
+    "Takeoff detected",
+    "Landing detected",
+    "Mission finished",
+    "RTL: return",
+    "RTL: descend",
+    "RTL: land at",
+)
+_LATE_TEXT = "Landing detected"  # its order counts; its time does not, the recorded estimator sank on the ground
+_MAIN = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED"}
+_SUB = {2: "AUTO.TAKEOFF", 3: "AUTO.LOITER", 4: "AUTO.MISSION", 5: "AUTO.RTL", 6: "AUTO.LAND"}
+_LANDED = {"1": "on ground", "2": "in air", "3": "taking off", "4": "landing"}
+
+
+@dataclass(frozen=True)
+class Match:
+    """One compared event.
+
+    Attributes:
+        flight: name of the flight.
+        what: the event.
+        reference: s since the event before it, None when the reference has no such event.
+        ours: the same of ours.
+        allowed: largest difference, s.
+        uncertain: by how many seconds earlier than seen the reference's may have been.
+        reason: what is said instead of a judgement; "" when it is judged.
+    """
+
+    flight: str
+    what: str
+    reference: float | None
+    ours: float | None
+    allowed: float
+    uncertain: float = 0.0
+    reason: str = ""
+
+    @property
+    def difference(self) -> float:
+        """How far ours is from the reference, s; infinite when one of them is missing."""
+        if self.reference is None or self.ours is None:
+            return float("inf")
+        late, early = self.ours - self.reference, self.reference - self.uncertain - self.ours
+        return late if late > 0.0 else -early if early > 0.0 else 0.0
+
+    @property
+    def within(self) -> bool:
+        """Whether the difference is within the tolerance."""
+        return bool(self.reason) or abs(self.difference) <= self.allowed
+
+
+def label(event: Event) -> str:
+    """Return the event in words, without figures that depend on the place."""
+    value = event.value
+    if event.kind == "ack":
+        command, result = value.split()
+        name = mavlink.enums["MAV_CMD"][int(command)].name.removeprefix("MAV_CMD_")
+        return f"ack {name}: {mavlink.enums['MAV_RESULT'][int(result)].name.removeprefix('MAV_RESULT_')}"
+    if event.kind == "mode":
+        base, custom, status = (int(part) for part in value.split())
+        main, sub = custom >> 16 & 255, custom >> 24
+        mode = _SUB.get(sub, f"AUTO.{sub}") if main == 4 else _MAIN.get(main, str(main))
+        return f"mode {mode}, base_mode {base}, system_status {status}"
+    if event.kind == "landed_state":
+        return f"landed state: {_LANDED.get(value, value)}"
+    if event.kind == "text":
+        return "text " + re.sub(r"\d+ m \(", "# m (", value.split(" ", 1)[1])
+    return f"mission item {value} {'reached' if event.kind == 'reached' else 'current'}"
+
+
+def compare(reference: Flight, ours: Flight, flight: str) -> list[Match]:
+    """Return the compared events of ``flight`` (a name of ``script.FLIGHTS``), in the reference's order."""
+    found = []
+    for phase in _PHASES[flight]:
+        found += _compare_phase(flight, _of(reference, phase), _of(ours, phase))
+    return found
+
+
+def _of(flight: Flight, phase: str) -> list[Event]:
+    kinds = ("phase", "ack", "text", "mode", "landed_state", "reached", "setpoints")
+    found = [event for event in flight.events if event.phase == phase and event.kind in kinds]
+    return [event for event in found if not _passing(event, found)]
+
+
+def _passing(event: Event, events: list[Event]) -> bool:
+    """Return whether a mode or landed state changed within a second, so that reports at 1 Hz may miss it."""
+    return event.kind in ("mode", "landed_state") and any(
+        other.kind == event.kind and event.time < other.time < event.time + _SECOND - _TOGETHER for other in events
+    )
+
+
+def _compare_phase(flight: str, theirs: list[Event], ours: list[Event]) -> list[Match]:
+    """Match each event of the reference with our first equal one that is not matched yet."""
+    matches: list[Match] = []
+    left = list(ours)
+    anchor = (theirs[0].time, ours[0].time if ours else theirs[0].time)
+    last = anchor[1]
+    for event in theirs:
+        if event.kind in ("phase", "setpoints"):
+            anchor = (event.time, next((e.time for e in left if e.kind == event.kind), anchor[1]))
+            continue
+        what = label(event)
+        mine = next((e for e in left if e.kind == event.kind and label(e) == what), None)
+        since = event.time - anchor[0]
+        flown = event.kind == "reached" or any(text in what for text in _FLOWN_TEXTS)
+        late = event.kind in ("mode", "landed_state")
+        allowed = max(LIMIT, SHARE * since) if flown or (late and since > 3.0) else LIMIT
+        if mine is None:
+            matches.append(Match(flight, what, since, None, allowed))
+            continue
+        left.remove(mine)
+        if mine.time < last - _TOGETHER:
+            what += " (out of order)"
+            allowed = -1.0
+        last = max(last, mine.time)
+        reason = "told" if _LATE_TEXT in what and allowed > 0.0 else ""
+        matches.append(Match(flight, what, since, mine.time - anchor[1], allowed, _SECOND if late else 0.0, reason))
+        if event.kind == "ack" or flown:
+            anchor = (event.time, mine.time)
+    for event in left:
+        if event.kind not in ("phase", "setpoints"):
+            matches.append(Match(flight, label(event), None, event.time - anchor[1], LIMIT))
+    return matches
