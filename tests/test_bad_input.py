@@ -186,14 +186,14 @@ def refused_directors(graph: Graph, tmp_path_factory: pytest.TempPathFactory) ->
     ("name", "words"),
     [
         ("unknown", "pattern 'cubee' is unknown for 2 vehicles; there are: origin, "),
-        ("empty", "patterns: 'cube,,' is not allowed; names with commas between"),
+        ("empty", "patterns: 'cube,,' is not allowed, names with commas between"),
         ("device", "cloud /dev/zero: it is no regular file"),
         ("size", "size.yaml: size 2 x 3, but 2 vehicles need 1 x 3"),
         ("number", "number.yaml: rows must be three numbers each"),
         ("broken", "broken.yaml is not YAML: line 2, column 1: "),
         ("mapping", "mapping.yaml: rows must be three numbers each"),
         ("no file", "pattern file 5: No such file or directory"),
-        ("clearance", "clearance: 'high' is not a finite number"),
+        ("clearance", "clearance: 'high' is not allowed, at least 0 m"),
         ("out", "out: /proc/none: No such file or directory"),
     ],
 )

@@ -182,7 +182,7 @@ def test_nothing_is_left(film: Path) -> None:
         (["formation", "--out", "nowhere/film.mp4"], "nowhere is no folder"),
         (["formation", "--size", "1280"], "size: '1280' is not allowed; WIDTHxHEIGHT"),
         (["formation", "--fps", "60"], "60 frames a simulated second are not allowed; 1 to 50"),
-        (["formation", "--faster", "0"], "faster: '0' is not allowed; a number above 0"),
+        (["formation", "--faster", "0"], "--faster: '0' is not allowed, above 0"),
         (["formation", "--from", "9", "--to", "3"], "from, to: 9 s is not before 3 s"),
         (["formation", "--", "--n", "3"], "'--n': options of a demo are for --demo only"),
     ],

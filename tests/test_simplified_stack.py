@@ -28,7 +28,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Empty, Trigger
 
-from xtdrone_swarm.simplified.node import Settings, main
+from xtdrone_swarm.simplified.node import main, read_settings
 from xtdrone_swarm.swarm import Swarm
 
 FLIGHT_LIMIT = 300.0  # s of wall time
@@ -163,7 +163,7 @@ def test_bad_parameters_are_named(graph: Graph, name: str, value: Any, word: str
     rospy.set_param(f"~{name}", value)
     try:
         with pytest.raises(ValueError, match=word):
-            Settings.from_parameters("iris", 3)
+            read_settings("iris", 3)
     finally:
         rospy.delete_param(f"~{name}")
 

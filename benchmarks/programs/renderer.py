@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from benchmarks.programs.program import Column, Row, run
-from xtdrone_control.checks import check_range
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import ActorState, DrawnScene, SceneAt, View
 from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Renderer, RendererError
 from xtdrone_sim.vehicles.poses import from_rpy

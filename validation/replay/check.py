@@ -26,9 +26,10 @@ from rich.table import Table
 
 from validation.replay.digests import Comparison, DigestError, Digests, compare, read_digests
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
-from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.options import OptionError, patterns_setting, seed_setting, vehicles_setting
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.record import read_events
 from xtdrone_interaction.screen import PatientConsole
@@ -93,24 +94,26 @@ SHORT = (
 
 
 @dataclass(frozen=True)
-class ReplaySettings:
+class ReplaySettings(Settings):
     """Flights to fly.
 
     Attributes:
-        n: number of vehicles.
-        patterns: flown in turn.
-        until: end of each flight, simulated s; 0 for the whole flight.
-        seed: of all noise.
         circumstances: each compared with the reference.
         folder: of logs and digests, absolute.
     """
 
-    n: int
-    patterns: tuple[str, ...]
-    until: float
-    seed: int
-    circumstances: tuple[Circumstance, ...]
-    folder: Path
+    n: int = vehicles_setting(text="number of vehicles (with --short: 3)")
+    patterns: tuple[str, ...] = patterns_setting()
+    until: float = setting(
+        0.0,
+        low=0.0,
+        unit="s",
+        metavar="S",
+        text="simulated time at which each flight ends, 0 for whole flights (with --short: 12)",
+    )
+    seed: int = seed_setting()
+    circumstances: tuple[Circumstance, ...] = FULL
+    folder: Path = Path()
 
 
 @dataclass(frozen=True)
@@ -142,10 +145,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="three vehicles, twelve simulated seconds, three conditions: about a minute",
     )
-    add("--n", metavar="N", help="number of vehicles (default: 9; short: 3)")
-    add("--patterns", metavar="NAMES", help="patterns to fly (default: cube,pyramid,triangle; short: origin)")
-    add("--until", metavar="S", help="end each flight at this simulated time (default: whole flights; short: 12)")
-    add("--seed", default="0", help="seed of all noise (default: 0)")
+    ReplaySettings.add_arguments(parser, ("n", "patterns", "until", "seed"))
     add("--out", type=Path, metavar="FOLDER", help="new folder for logs and digests (default: runs/replay-<time>)")
 
 
@@ -155,14 +155,14 @@ def replay_settings(arguments: argparse.Namespace) -> ReplaySettings:
     Raises:
         OptionError, PatternError: a value is not allowed.
     """
-    short = arguments.short
-    n = options.vehicle_count(arguments.n or ("3" if short else "9"))
-    patterns = options.split_patterns(arguments.patterns or ("origin" if short else "cube,pyramid,triangle"))
-    options.swarm_patterns(n, patterns)
-    options.check_vehicle_ports(parse_fleet(f"{TYPE}:{n}"))
-    until = options.positive("until", arguments.until) if arguments.until else (12.0 if short else 0.0)
+    short = {"n": 3, "patterns": ("origin",), "until": 12.0, "circumstances": SHORT} if arguments.short else {}
+    settings = ReplaySettings.from_arguments(
+        arguments, **{name: value for name, value in short.items() if not hasattr(arguments, name)}
+    )
+    options.swarm_patterns(settings.n, settings.patterns)
+    options.check_vehicle_ports(parse_fleet(f"{TYPE}:{settings.n}"))
     folder = options.new_folder(arguments.out or Path("runs") / f"replay-{time.strftime('%Y%m%d-%H%M%S')}")
-    return ReplaySettings(n, tuple(patterns), until, options.seed(arguments.seed), SHORT if short else FULL, folder)
+    return replace(settings, folder=folder)
 
 
 def run_check(settings: ReplaySettings, console: Console) -> int:

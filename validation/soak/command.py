@@ -7,10 +7,10 @@ value that is not allowed; 128 + n when stopped by signal n, with a report of th
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +22,28 @@ from validation.soak.runner import Runner
 from validation.soak.script import Episode
 from validation.soak.stack import SoakError, Stack
 from xtdrone_control.fleet import FleetError, parse_fleet
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 from xtdrone_interaction.machine import machine_facts
-from xtdrone_interaction.options import OptionError, checked
+from xtdrone_interaction.options import OptionError, seed_setting, speed_setting, vehicles_setting
 from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.scripted_launch import LaunchError, Stopped, StopRequest
 from xtdrone_interaction.sim_cli import SimError
 
-_MOST_HOURS = 1000.0
 _JUDGE_LIMIT = 1800.0  # s of wall time to judge the remaining files at the end
 _JUDGE_LIMIT_STOPPED = 60.0
 _LINE_PERIOD = 10.0  # s of wall time between two lines of progress
 _TICKER_PERIOD = 0.5  # and on a terminal
+
+
+@dataclass(frozen=True)
+class SoakSettings(Settings):
+    """Length and size of the simulation."""
+
+    hours: float = setting(8.0, above=0.0, high=1000.0, metavar="H", text="simulated hours")
+    seed: int = seed_setting("seed of the script and of all noise")
+    n: int = vehicles_setting(text="number of vehicles (with --short: 3)")
+    speed: float = speed_setting()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,26 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--hours", type=checked(_hours), default=8.0, metavar="H",
-                        help="simulated hours (default: %(default)g)")  # fmt: skip
+    SoakSettings.add_arguments(length, ("hours",))
     length.add_argument("--short", action="store_true",
                         help="every kind of event once, in two minutes; growth and speed are not judged")  # fmt: skip
-    add("--seed", type=checked(options.seed), default=0, metavar="S", help="seed of the script and of all noise")
-    add("--n", type=checked(options.vehicle_count), metavar="N", help="number of vehicles (default: 9; 3 with --short)")
-    add("--speed", type=checked(options.speed), default=0.0, metavar="FACTOR",
-        help="target real-time factor, or 'unlimited' (default: unlimited)")  # fmt: skip
+    SoakSettings.add_arguments(parser, ("seed", "n", "speed"))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     add("--script", action="store_true", help="print the script and run nothing")
-
-
-def _hours(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value <= _MOST_HOURS:
-        raise OptionError(f"hours: {text!r} is not allowed; a number above 0, at most {_MOST_HOURS:g}")
-    return value
 
 
 class _Progress:
@@ -112,14 +108,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the soak and return its exit status."""
     console = PatientConsole()
     try:
-        count = arguments.n or (3 if arguments.short else 9)
-        episodes = list(_script(arguments, count))
+        settings = SoakSettings.from_arguments(arguments)
+        if arguments.short and not hasattr(arguments, "n"):
+            settings = replace(settings, n=3)
+        episodes = list(_script(settings, short=arguments.short))
         if arguments.script:
             _print_script(episodes, console)
             return 0
-        options.check_vehicle_ports(parse_fleet(f"iris:{count}"))
+        options.check_vehicle_ports(parse_fleet(f"iris:{settings.n}"))
         folder = options.results_folder(arguments.out, recorded=True)
-        return _soak(arguments, count, episodes, folder, console)
+        return _soak(settings, episodes, folder, console, short=arguments.short)
     except (OptionError, FleetError) as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
@@ -131,10 +129,10 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
 
 
-def _script(arguments: argparse.Namespace, count: int) -> Iterable[Episode]:
-    if arguments.short:
-        return script.generate_short(arguments.seed, count)
-    return script.generate(arguments.seed, count, arguments.hours)
+def _script(settings: SoakSettings, *, short: bool) -> Iterable[Episode]:
+    if short:
+        return script.generate_short(settings.seed, settings.n)
+    return script.generate(settings.seed, settings.n, settings.hours)
 
 
 def _print_script(episodes: Sequence[Episode], console: Console) -> None:
@@ -148,26 +146,24 @@ def _print_script(episodes: Sequence[Episode], console: Console) -> None:
         begin += episode.length
 
 
-def _soak(
-    arguments: argparse.Namespace, count: int, episodes: Sequence[Episode], folder: Path, console: Console
-) -> int:
+def _soak(settings: SoakSettings, episodes: Sequence[Episode], folder: Path, console: Console, *, short: bool) -> int:
     """Run, and write a report in any case."""
     folder.mkdir(parents=True, exist_ok=True)
     hours = sum(episode.length for episode in episodes) / 3600.0
     console.print(f"Results: {folder}", highlight=False, soft_wrap=True)
-    settings = {
-        "n": count, "seed": arguments.seed, "hours": hours, "short": arguments.short, "speed": arguments.speed,
+    facts = {
+        "n": settings.n, "seed": settings.seed, "hours": hours, "short": short, "speed": settings.speed,
         "begun": time.strftime("%Y-%m-%d %H:%M:%S"), "machine": machine_facts(options.repository()),
     }  # fmt: skip
     progress = _Progress(console, hours)
     with StopRequest() as stop:
-        stack = Stack(folder, count, arguments.seed, arguments.speed, options.free_port(), stop)
+        stack = Stack(folder, settings.n, settings.seed, settings.speed, options.free_port(), stop)
         runner: Runner | None = None
         end = ""
         try:
             stack.wait_until_up()
             _join_graph()
-            runner = Runner(stack, count, arguments.speed, progress)
+            runner = Runner(stack, settings.n, settings.speed, progress)
             runner.run(episodes)
         except Stopped as stopped:
             end = f"stopped by {stopped}"
@@ -178,7 +174,7 @@ def _soak(
         if runner is None:
             stack.close()
             raise SoakError(end)
-        outcome = _conclude(runner, settings, end, stopped=bool(number), judge_growth=not arguments.short)
+        outcome = _conclude(runner, facts, end, stopped=bool(number), judge_growth=not short)
         verdict = report.judge(outcome)
         report.write(outcome, verdict, folder)
         report.show(outcome, verdict, folder, console)

@@ -51,7 +51,7 @@ _END_LIMIT = 420.0  # s of wall time until the flight has ended
 _SETTLE = 1.0  # s of wall time in a phase before the signal
 _WORDS = 6  # last lines of the demo's output
 _SETTINGS = DemoSettings(
-    n=2, type="iris", patterns=["cube"], pattern_file="", processes="per_uav", follower=options.DEFAULT_FOLLOWER,
+    n=2, type="iris", patterns=("cube",), pattern_file="", processes="per_uav", follower=options.DEFAULT_FOLLOWER,
     follower_class="", control="vel", avoidance="own", clearance=3.0, world="empty", seed=0, speed=0.0, out=Path(),
     master_port=0, headless=True, logs=False,
 )  # fmt: skip

@@ -380,11 +380,11 @@ def test_findings_travel_as_json():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--hours", "0"], "hours: '0' is not allowed; a number above 0, at most 1000"),
-        (["--hours", "nan"], "hours: 'nan' is not allowed"),
-        (["--n", "1"], "number of vehicles: '1' is not allowed"),
-        (["--seed", "-1"], "seed: '-1' is not allowed"),
-        (["--speed", "fast"], "speed: 'fast' is not allowed"),
+        (["--hours", "0"], "--hours: '0' is not allowed, above 0 and at most 1000"),
+        (["--hours", "nan"], "--hours: 'nan' is not allowed"),
+        (["--n", "1"], "--n: '1' is not allowed"),
+        (["--seed", "-1"], "--seed: '-1' is not allowed"),
+        (["--speed", "fast"], "--speed: 'fast' is not allowed"),
         (["--hours", "1", "--short"], "not allowed with argument"),
     ],
 )

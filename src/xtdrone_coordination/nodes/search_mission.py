@@ -18,7 +18,7 @@ Topics: see ``xtdrone_coordination.ros_search``.
 
 import sys
 
-from xtdrone_control.communication.arguments import run_program
+from xtdrone_control.program import run_program
 from xtdrone_coordination.ros_search import run
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_formation import Swarm
 
-from xtdrone_control.communication.arguments import ArgumentError
+from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower, StarFollower
 from xtdrone_coordination.leader import Leader

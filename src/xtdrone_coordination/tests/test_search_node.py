@@ -21,8 +21,8 @@ import yaml
 from search_world import REGION, World, person
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import ArgumentError
 from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.search import mission as control
 from xtdrone_coordination.search.region import region_data
 

@@ -22,11 +22,11 @@ REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [3
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--n", "0"], "number of vehicles: '0' is not allowed; a whole number from 1 to 12"),
-        (["--n", "two"], "number of vehicles: 'two' is not allowed"),
-        (["--height", "3"], "height: '3' is not allowed; 6 to 25 m"),
-        (["--camera-rate", "nan"], "camera rate: 'nan' is not allowed; 0.5 to 10 Hz"),
-        (["--persons", "-1"], "persons: '-1' is not allowed"),
+        (["--n", "0"], "--n: '0' is not allowed, a whole number from 1 to 12"),
+        (["--n", "two"], "--n: 'two' is not allowed"),
+        (["--height", "3"], "--height: '3' is not allowed, 6 to 25 m"),
+        (["--camera-rate", "nan"], "--camera-rate: 'nan' is not allowed, 0.5 to 10 Hz"),
+        (["--persons", "-1"], "--persons: '-1' is not allowed"),
         (["--world", "nowhere"], "worlds: 'nowhere' is not known; there are empty, outdoor"),
         (["--height", "20"], "height: 20 m: with the gimbal at -60 deg a person of 1.7 m"),
         (["--n", "12"], "height: 12 vehicles that are at least 0.5 m above each other"),

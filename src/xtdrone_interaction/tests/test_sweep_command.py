@@ -268,14 +268,17 @@ def test_no_runs_leave_no_folder_and_no_word_of_results(
         assert "There are no results; " in text
         assert "Results:" not in text
         assert not out.parent.exists()
-    assert main([file, "--out", str(out), "--workers", "0"]) == 2
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main([file, "--out", str(out), "--workers", "0"])
     assert not out.parent.exists()
 
 
 def test_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = str(write_study(tmp_path))
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main([file, "--out", str(tmp_path / "out"), "--workers", "0"])
+    assert "--workers: '0' is not allowed, a whole number from 1 to 1024" in capsys.readouterr().err
     for arguments, message in (
-        (["--workers", "0"], "workers: '0' is not allowed; 1 to 1024"),
         (["--metric", "beauty", "--x", "n"], "x: 'n' is not varied in this study; there are: class.share, seed"),
         (["--out", file], "is a file; a folder is needed"),
     ):

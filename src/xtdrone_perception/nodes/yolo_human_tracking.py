@@ -1,16 +1,13 @@
 #!/usr/bin/env python3
-"""Follows a person whom the detection node has found: ``yolo_human_tracking.py typhoon_h480 0``.
+"""Follow a person detected by ``yolo.py``: ``yolo_human_tracking.py typhoon_h480 0``.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet). It
 needs ``yolo.py`` and the communication node; topics are listed in ``xtdrone_perception.human_tracking``.
 
 Parameters:
-    ~wait (default false): false to follow whoever is found first, true to follow only whom /xtdrone/T/follow names.
-    ~offboard (default: as ~wait): command OFFBOARD when following begins; else the user does, as in XTDrone.
-    ~gimbal (default true): point the gimbal at the person.
-    ~height (m, 2 to 200, default 15), ~distance (m, 0 to 200, default 10): from the person; the other fields of
-        ``xtdrone_perception.following.FollowSettings`` likewise: gains, limits, what is done after a loss.
-    /xtdrone/fleet (as ``typhoon_h480:6``): which vehicles there are; without it ids are not checked against a count.
+    those of ``xtdrone_perception.human_tracking.TrackingOptions`` and ``xtdrone_perception.following.FollowSettings``,
+    see docs/settings.md.
+    /xtdrone/fleet (as ``typhoon_h480:6``): all vehicles; without it the upper limit of the ids is unknown.
 """
 
 from __future__ import annotations
@@ -21,7 +18,7 @@ from collections.abc import Sequence
 import rospy
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import run_program, served_vehicles
+from xtdrone_control.program import run_program, served_vehicles
 from xtdrone_perception.human_tracking import RATE, HumanTracking, read_options
 
 USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"

@@ -127,10 +127,11 @@ def test_errors_are_as_large_as_the_covariance_says(pitch, x, y):
     [
         ({"ground": math.nan}, "ground: nan"),
         ({"farthest": 0.0}, "farthest: 0.0"),
-        ({"person": Person(height=-1.0)}, "person height: -1.0"),
-        ({"noise": Noise(pixel=0.0)}, "noise pixel: 0.0"),
+        ({"person": {"height": -1.0}}, "height: -1.0"),
+        ({"noise": {"pixel": 0.0}}, "pixel: 0.0"),
     ],
 )
 def test_values_that_are_not_allowed(arguments, message):
+    kinds = {"person": Person, "noise": Noise}
     with pytest.raises(ValueError, match=message):
-        Geolocator(**arguments)
+        Geolocator(**{name: kinds[name](**value) if name in kinds else value for name, value in arguments.items()})

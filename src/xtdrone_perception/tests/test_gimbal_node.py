@@ -124,9 +124,9 @@ def test_true_poses_and_other_angles_by_parameters(stack):
 
 def test_what_cannot_be_run_is_said(stack):
     wrong = [
-        ("pitch", -200.0, "parameter ~pitch: -200.0 is not allowed, -180 to 180 deg"),
-        ("source", "eyes", "parameter ~source: 'eyes' is not allowed, vehicle or gazebo"),
-        ("camera_offset", [1.0], "parameter ~camera_offset: [1.0] is not allowed, three numbers in m"),
+        ("pitch", -200.0, "/pitch: -200.0 is not allowed, -180 to 180 deg"),
+        ("source", "eyes", "/source: 'eyes' is not allowed, vehicle or gazebo"),
+        ("camera_offset", [1.0], "/camera_offset: [1.0] is not allowed, 3 numbers, -10 to 10 m"),
     ]
     stack.master.deleteParam("/test", "/lockstep/uri")
     for name, value, _ in wrong:

@@ -133,7 +133,7 @@ def test_a_wrong_parameter_is_said(stack):
     stack.set("/tracker/height", 1.0)
     process = stack.start("tracker", sys.executable, str(NODE), "typhoon_h480", "0", "__name:=tracker")
     assert process.wait(PATIENCE) == 2, stack.outputs()
-    assert "parameter ~height: 1.0 is not allowed, 2 to 200" in stack.output("tracker")
+    assert "/tracker/height: 1.0 is not allowed, 2 to 200 m" in stack.output("tracker")
 
 
 if __name__ == "__main__":

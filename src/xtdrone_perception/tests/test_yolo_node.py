@@ -235,7 +235,7 @@ def test_what_cannot_be_run_is_said(stack, network):
     stack.master.deleteParam("/test", "/lockstep/uri")
     wrong = [
         (["typhoon_h480", "0"], "detector", "/nowhere/none.yaml", "/nowhere/none.yaml: No such file"),
-        (["typhoon_h480", "0"], "latency", -1.0, "parameter ~latency: -1.0 is not allowed, 0 to 10 s"),
+        (["typhoon_h480", "0"], "latency", -1.0, "/latency: -1.0 is not allowed, 0 to 10 s"),
         (["typhoon_h480", "0"], "noise", {"pixels": 1.0}, "noise: {'pixels': 1.0} is not allowed"),
     ]
     for number, (arguments, name, value, _) in enumerate(wrong):

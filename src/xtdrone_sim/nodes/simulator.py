@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Simulator node of all vehicles; parameters: see ``xtdrone_sim.runtime.full_simulation.Settings``."""
+"""Simulator node of all vehicles; parameters: see ``xtdrone_sim.runtime.full_simulation.FullSettings``."""
 
 import signal
 import sys

@@ -140,8 +140,8 @@ def test_all_files_are_there(scene: SdfWorld) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"persons": -1}, "persons: -1 is not allowed, 0 to 100"),
-        ({"split": "validation"}, "split: 'validation' is not allowed, all or train or test"),
+        ({"persons": -1}, "persons: -1 is not allowed, a whole number from 0 to 100"),
+        ({"split": "validation"}, "split: 'validation' is not allowed, all, train or test"),
         ({"light": "night"}, "light: 'night' is not allowed"),
         ({"objects": 9.0}, "objects: 9.0 is not allowed, 0 to 3"),
         ({"region": (0.0, 0.0, 5.0, 50.0)}, "region: its side along x: 5.0 is not allowed, 10 to 2000 m"),

@@ -1,4 +1,4 @@
-/// Command lines and parameters, with the checks and messages of xtdrone_control.communication.arguments.
+/// Command lines and parameters, with the checks and messages of xtdrone_control.program.
 #pragma once
 
 #include <cstddef>

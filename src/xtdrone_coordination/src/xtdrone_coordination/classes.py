@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TypeVar
 
-from xtdrone_control.communication.arguments import ArgumentError
+from xtdrone_control.program import ArgumentError
 
 _Base = TypeVar("_Base")
 

@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike
 from std_msgs.msg import Float32MultiArray, Float64MultiArray, Int32MultiArray
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import (
+from xtdrone_control.program import (
     ArgumentError,
     check_multirotor,
     fleet_of,

@@ -11,8 +11,8 @@ from geometry_msgs.msg import PoseStamped, Twist
 from std_msgs.msg import Float32MultiArray, Int32MultiArray, MultiArrayDimension, String
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import ArgumentError, run_program
 from xtdrone_control.communication.setpoint import yaw_of
+from xtdrone_control.program import ArgumentError, run_program
 from xtdrone_coordination.follower import RATE, check_number
 from xtdrone_coordination.leader import CommandError, Leader, LeaderOptions
 from xtdrone_coordination.patterns import Patterns, absolute_name

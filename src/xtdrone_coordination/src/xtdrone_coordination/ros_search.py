@@ -44,9 +44,9 @@ from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
 from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
-from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
 
 from .search import mission as control
 from .search.evidence import Sighting

@@ -24,6 +24,7 @@ import json
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -34,6 +35,7 @@ from mavros_msgs.msg import State
 from std_msgs.msg import Float32MultiArray, String
 
 from xtdrone_control import lockstep
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.events_file import EventsFile
 from xtdrone_interaction.geometry import (
     ESTIMATE,
@@ -52,6 +54,19 @@ RATE = 30.0  # Hz
 _PROGRESS_TICKS = 6  # 5 Hz of simulated time
 _REPEATED = 2.0  # s between two messages of a leader that repeats its pattern
 _LAST_TICKS = 15  # so long the director stays after the flight, so that the recorder gets the last events
+RECORDER_LIMIT = 30.0  # s of wall time
+
+
+@dataclass(frozen=True)
+class DirectorSettings(Settings):
+    """Private parameters of the node, besides ``~patterns``."""
+
+    pattern_file: str = setting("", text="YAML file with your own patterns, empty for none")
+    clearance: float = setting(3.0, low=0.0, unit="m", text="minimum height of any slot above the ground")
+    out: str = setting("", text="folder for events.jsonl, empty for none")
+    recorder: str = setting(
+        "", text=f"node that records the flight; time starts when it has subscribed, or after {RECORDER_LIMIT:g} s"
+    )
 
 
 class FormationDirector:

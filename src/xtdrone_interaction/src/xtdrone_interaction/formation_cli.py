@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
-from xtdrone_control.communication.arguments import ArgumentError
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction import options
 from xtdrone_interaction.formation_demo import DemoSettings, run_demo
 from xtdrone_interaction.launched import master_port
-from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
+from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_interaction.screen import PatientConsole, run_reported
 
 
@@ -24,45 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "landing. Leaves runs/<time>/ with flight.bag, report.json, events.jsonl, pictures and logs."
     )
     add = parser.add_argument
-    add(
-        "--n",
-        type=checked(options.vehicle_count),
-        default=9,
-        metavar="N",
-        help="number of vehicles (default: %(default)s)",
-    )
-    add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
-    add("--patterns", type=checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
-        help=options.PATTERNS_HELP)  # fmt: skip
+    DemoSettings.add_arguments(parser, ("n", "type", "patterns"))
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with your own patterns")
-    add("--speed", type=checked(options.speed), default=0.0, metavar="FACTOR",
-        help="target real-time factor, or 'unlimited' (default: unlimited)")  # fmt: skip
-    add(
-        "--seed",
-        type=checked(options.seed),
-        default=0,
-        metavar="SEED",
-        help="seed of all noise (default: %(default)s)",
-    )
+    DemoSettings.add_arguments(parser, ("speed", "seed"))
     add("--processes", choices=["per-uav", "shared"], default="per-uav",
         help="one process per vehicle and role, as in the paper, or one per role (default: %(default)s)")  # fmt: skip
     add("--follower", default=DEFAULT_FOLLOWER, metavar="PROGRAM",
         help="follower program of xtdrone_coordination, or FILE.py[:CLASS] with your own follower class "
         "(default: %(default)s)")  # fmt: skip
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
-    add("--control", choices=["vel", "accel"], default="vel", help="what followers command (default: %(default)s)")
-    add("--avoidance", choices=["own", "python", "cpp"], default="own",
-        help="where the avoidance is computed: in every follower, or in one node for all (Python, C++) "
-        "(default: %(default)s)")  # fmt: skip
-    add("--clearance", type=checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
-        help="minimum height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
-    add("--world", default="empty", metavar="WORLD", help="name of the world (default: %(default)s)")
-    add("--headless", action="store_true", help="no live display: print a line of progress every few seconds")
-    add(
-        "--logs",
-        action="store_true",
-        help="write the vehicles' flight logs (PX4's ULog) to logs/ in the results",
-    )
+    DemoSettings.add_arguments(parser, ("control", "avoidance", "clearance", "world", "headless", "logs"))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
     options.add_instance(parser)
@@ -79,37 +51,29 @@ def demo_settings(arguments: argparse.Namespace) -> DemoSettings:
     Raises:
         OptionError, PatternError, FleetError: a value is not allowed.
     """
-    config = options.repository() / "src" / "xtdrone_sim" / "config"
-    options.one_of_files("vehicle type", arguments.type, config / "vehicles")
-    options.one_of_files("world", arguments.world, config / "worlds")
-    fleet = f"{arguments.type}:{arguments.n}"
-    parse_fleet(fleet)
-    pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
-    options.swarm_patterns(arguments.n, arguments.patterns, pattern_file or None)
     follower, follower_class = options.follower_program(arguments.follower)
-    leader_class = options.leader_class(arguments.leader)
-    _check_class(follower_class, Follower, "follower")
-    _check_class(leader_class, Leader, "leader")
-    return DemoSettings(
-        n=arguments.n,
-        type=arguments.type,
-        patterns=arguments.patterns,
-        pattern_file=pattern_file,
+    settings = DemoSettings.from_arguments(
+        arguments,
+        pattern_file=str(arguments.pattern_file.resolve()) if arguments.pattern_file else "",
         processes=arguments.processes.replace("-", "_"),
         follower=follower,
         follower_class=follower_class,
-        control=arguments.control,
-        avoidance=arguments.avoidance,
-        clearance=arguments.clearance,
-        world=arguments.world,
-        seed=arguments.seed,
-        speed=arguments.speed,
+        leader_class=options.leader_class(arguments.leader),
+    )
+    config = options.repository() / "src" / "xtdrone_sim" / "config"
+    options.one_of_files("vehicle type", settings.type, config / "vehicles")
+    options.one_of_files("world", settings.world, config / "worlds")
+    fleet = f"{settings.type}:{settings.n}"
+    parse_fleet(fleet)
+    options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
+    _check_class(settings.follower_class, Follower, "follower")
+    _check_class(settings.leader_class, Leader, "leader")
+    machine = MachineSettings.from_arguments(arguments)
+    return replace(
+        settings,
         out=options.results_folder(arguments.out, recorded=True),
-        master_port=master_port(arguments.master_port, use_running=arguments.use_master),
-        headless=arguments.headless,
-        logs=arguments.logs,
-        leader_class=leader_class,
-        instance=options.take_instance(fleet, arguments.instance),
+        master_port=master_port(machine.master_port, use_running=arguments.use_master),
+        instance=options.take_instance(fleet, machine.instance),
     )
 
 

@@ -13,10 +13,19 @@ from typing import Any
 
 from rich.console import Console
 
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display
 from xtdrone_interaction.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launched import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.options import (
+    DEFAULT_FOLLOWER,
+    clearance_setting,
+    patterns_setting,
+    seed_setting,
+    speed_setting,
+    vehicles_setting,
+)
 from xtdrone_interaction.record import RecordError, read_record
 from xtdrone_interaction.report import make_report, print_report, write_report
 
@@ -24,55 +33,51 @@ _START_LIMIT = 60.0  # s until the first progress, and _START_LIMIT_VEHICLE more
 _START_LIMIT_VEHICLE = 2.0
 
 
-@dataclass(frozen=True)
-class DemoSettings:
-    """What is flown, and how.
+@dataclass(frozen=True, kw_only=True)
+class DemoSettings(Settings):
+    """Settings of a formation flight.
 
     Attributes:
-        n: number of vehicles.
-        type: vehicle type.
-        patterns: flown in turn.
-        pattern_file: YAML with patterns of the user's own, or empty.
-        processes: ``per_uav`` or ``shared``.
+        pattern_file: YAML file with the user's patterns, or empty.
         follower: program of xtdrone_coordination.
-        follower_class: the user's own follower class, ``/absolute/file.py`` or ``/absolute/file.py:Class``, or empty.
-        control: ``vel`` or ``accel``.
-        avoidance: ``own``: every follower computes its own; ``python`` or ``cpp``: one node for all.
-        clearance: least height of any slot above the ground, m.
-        world: name.
-        seed: of sensor noise and biases.
-        speed: target real-time factor, 0 for unlimited.
+        follower_class: the user's follower class, ``/absolute/file.py`` or ``/absolute/file.py:Class``, or empty.
+        leader_class: the user's leader class, as ``follower_class``, or empty.
         out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
-        headless: plain lines instead of the live display.
-        logs: write the vehicles' flight logs into ``out / "logs"``.
+        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
         simulator: ``full`` or ``simplified``.
-        model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty: the type's.
-        leader_class: the user's own leader class, as ``follower_class``, or empty.
-        window: a live window beside the flight.
-        instance: of the simulations on this machine.
+        model: of simplified vehicles: ``first-order``, ``second-order``, a YAML file; empty for the type's.
+        window: open a live window.
+        instance: number of the simulation on this machine.
     """
 
-    n: int
-    type: str
-    patterns: list[str]
-    pattern_file: str
-    processes: str
-    follower: str
-    follower_class: str
-    control: str
-    avoidance: str
-    clearance: float
-    world: str
-    seed: int
-    speed: float
-    out: Path
-    master_port: int
-    headless: bool
-    logs: bool
+    n: int = vehicles_setting()
+    type: str = setting("iris", metavar="TYPE", text="vehicle type")
+    patterns: tuple[str, ...] = patterns_setting()
+    pattern_file: str = ""
+    processes: str = setting(
+        "per_uav",
+        choices=("per_uav", "shared"),
+        text="one process per vehicle and role, as in the paper, or one per role",
+    )
+    follower: str = DEFAULT_FOLLOWER
+    follower_class: str = ""
+    leader_class: str = ""
+    control: str = setting("vel", choices=("vel", "accel"), text="what followers command")
+    avoidance: str = setting(
+        "own",
+        choices=("own", "python", "cpp"),
+        text="where the avoidance is computed: in every follower, or in one node for all (Python, C++)",
+    )
+    clearance: float = clearance_setting()
+    world: str = setting("empty", metavar="WORLD", text="name of the world")
+    seed: int = seed_setting()
+    speed: float = speed_setting()
+    out: Path = Path()
+    master_port: int = 0
+    headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
+    logs: bool = setting(False, text="write the vehicles' flight logs (PX4's ULog) to logs/ in the results")
     simulator: str = "full"
     model: str = ""
-    leader_class: str = ""
     window: bool = False
     instance: int = 0
 

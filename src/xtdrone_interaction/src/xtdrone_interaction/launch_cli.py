@@ -9,12 +9,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from xtdrone_control.fleet import INSTANCE_STEP, FleetError, instance_port
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import launch_file, options
 from xtdrone_interaction.deaths import Deaths
 from xtdrone_interaction.launch_file import LaunchFile
@@ -29,10 +31,31 @@ from xtdrone_interaction.launched import (
     run_launch,
     watching,
 )
-from xtdrone_interaction.options import OptionError, checked
+from xtdrone_interaction.options import OptionError, parse_instance
 from xtdrone_interaction.screen import PatientConsole
 
 _START_LIMIT = 60.0  # s of wall time without progress before it is ready
+
+
+@dataclass(frozen=True)
+class LaunchSettings(Settings):
+    """Ports of a launched simulation on this machine."""
+
+    instance: int | None = setting(
+        None,
+        parse=parse_instance,
+        metavar="N",
+        text="number of this simulation on this machine: moves the UDP ports, and --port, by N x "
+        f"{INSTANCE_STEP} (default: 0)",
+    )
+    master_port: int | None = setting(
+        None,
+        low=1024,
+        high=65535,
+        option="--port",
+        metavar="PORT",
+        text="TCP port of its own ROS master (default: a free one)",
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,12 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the launch file; unknown ones are rejected")
     add("--out", "--log-dir", type=Path, metavar="FOLDER", dest="out",
         help="new folder for the logs (default: runs/<time>)")  # fmt: skip
-    add("--instance", type=checked(options.instance), metavar="N",
-        help="number of this simulation on this machine: moves the UDP ports, and --port, by N x "
-        f"{INSTANCE_STEP} (default: 0)")  # fmt: skip
+    LaunchSettings.add_arguments(parser, ("instance",))
     master = parser.add_mutually_exclusive_group()
-    master.add_argument("--port", type=checked(options.port), metavar="PORT",
-                        help="TCP port of its own ROS master (default: a free one)")  # fmt: skip
+    LaunchSettings.add_arguments(master, ("master_port",))
     master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
 
 
@@ -68,17 +88,20 @@ def _prepare(words: argparse.Namespace) -> tuple[LaunchFile, Launch]:
     """
     path = launch_file.find(words.file)
     arguments = launch_file.split_arguments(words.arguments)
-    if words.instance is not None:
-        if arguments.get("instance", str(words.instance)) != str(words.instance):
-            raise OptionError(f"instance: --instance {words.instance} and instance:={arguments['instance']} contradict")
-        arguments["instance"] = str(words.instance)
+    settings = LaunchSettings.from_arguments(words)
+    if settings.instance is not None:
+        if arguments.get("instance", str(settings.instance)) != str(settings.instance):
+            raise OptionError(
+                f"instance: --instance {settings.instance} and instance:={arguments['instance']} contradict"
+            )
+        arguments["instance"] = str(settings.instance)
     launch_file.check_arguments(path, arguments)
     file = launch_file.load(path, arguments)
     vehicles = file.vehicles
     instance = vehicles[0].instance if vehicles else 0
     if file.has_mavlink:
         options.take_instance(file.fleet, instance)
-    port = instance_port(words.port, instance) if words.port else None
+    port = instance_port(settings.master_port, instance) if settings.master_port else None
     number = master_port(port, use_running=words.use_master)
     out = options.results_folder(words.out)
     return file, Launch(str(path), arguments, out, number, True, instance)

@@ -1,4 +1,4 @@
-"""What a user may ask for, and the messages where it is not possible. No ROS here."""
+"""Options that several commands share, and checks of files, folders and ports. This module does not import ROS."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import math
 import shutil
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from xtdrone_control.fleet import (
     check_instance,
     parse_fleet,
 )
+from xtdrone_control.settings import Settings, setting
 from xtdrone_control.speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns, absolute_name
 from xtdrone_interaction.geometry import ORIGIN
@@ -32,6 +34,14 @@ DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N
 _LONGEST_NAME = 90  # bytes of an abstract socket's name, with room for what comes before
 _BAG_ROOM = 1 << 30  # bytes; rosbag record stops where less is free
+
+
+PATTERNS_HELP = (
+    "patterns to fly, with commas between: those of XTDrone for this number, and for every number origin, cube, "
+    "pyramid, triangle, grid, circle, sphere, text:WORDS[:font=FILE] (letters, to be read from the south), cloud:FILE "
+    "(points of a .ply, .npy, .xyz or .csv); each may end in :spacing=METRES, the least distance of two vehicles "
+    "(default: cube,pyramid,triangle)"
+)
 
 
 class OptionError(ValueError):
@@ -43,133 +53,99 @@ def repository() -> Path:
     return Path(__file__).resolve().parents[4]
 
 
-def vehicle_count(text: str) -> int:
-    """Return the number of vehicles of a formation.
-
-    Raises:
-        OptionError: it is no whole number from 2 to MAX_VEHICLES.
-    """
-    try:
-        count = int(text)
-    except ValueError:
-        count = 0
-    if not 2 <= count <= MAX_VEHICLES:
-        raise OptionError(f"number of vehicles: {text!r} is not allowed; 2 to {MAX_VEHICLES} make a formation")
-    return count
-
-
-def swarm_count(text: str) -> int:
-    """Return the number of vehicles of a swarm without ROS, which MAVLink's ids do not bound.
-
-    Raises:
-        OptionError: it is no whole number of at least 2.
-    """
-    try:
-        count = int(text)
-    except ValueError:
-        count = 0
-    if not 2 <= count <= MAX_SWARM:
-        raise OptionError(f"number of vehicles: {text!r} is not allowed; 2 to {MAX_SWARM} make a swarm")
-    return count
-
-
-def speed(text: str) -> float:
-    """Return the target real-time factor, 0 for ``unlimited``.
-
-    Raises:
-        OptionError: it is neither ``unlimited`` nor a finite number of at least LEAST_SPEED.
-    """
+def _parse_speed(text: object) -> float:
     if text == "unlimited":
         return 0.0
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = float(text) if isinstance(text, (str, int, float)) else math.nan
     if not (math.isfinite(value) and value >= LEAST_SPEED):
-        raise OptionError(
-            f"speed: {text!r} is not allowed; a real-time factor of at least {LEAST_SPEED}, or 'unlimited'"
-        )
+        raise ValueError
     return value
 
 
-def positive(name: str, text: str) -> float:
-    """Return a finite number above 0.
+def _parse_patterns(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise ValueError("names with commas between, as cube,sphere,text:XTD")
+    return [absolute_name(name) for name in names]
+
+
+def parse_instance(text: object) -> int:
+    """Parse the number of a simulation on this machine.
 
     Raises:
-        OptionError: it is not.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
-        raise OptionError(f"{name}: {text!r} is not allowed; a number above 0")
-    return value
-
-
-def seed(text: str) -> int:
-    """Return a seed.
-
-    Raises:
-        OptionError: it is no whole number from 0 to 2^31 - 1, the range of a ROS parameter.
-    """
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value < 2**31:
-        raise OptionError(f"seed: {text!r} is not allowed; a whole number from 0 to {2**31 - 1}")
-    return value
-
-
-def port(text: str) -> int:
-    """Return a TCP port.
-
-    Raises:
-        OptionError: it is no whole number from 1024 to 65535.
-    """
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if not 1024 <= value <= 65535:
-        raise OptionError(f"port: {text!r} is not allowed; 1024 to 65535")
-    return value
-
-
-def instance(text: str) -> int:
-    """Return the number of a simulation on this machine.
-
-    Raises:
-        OptionError: there is no such instance.
+        ValueError: not allowed; the text states what is.
     """
     try:
         return check_instance(text)
     except FleetError as error:
-        raise OptionError(str(error)) from error
+        raise ValueError(f"a whole number from 0 to {MAX_INSTANCE}") from error
+
+
+def seed_setting(text: str = "seed of all noise") -> Any:
+    """Declare a seed, within the range of a ROS parameter."""
+    return setting(0, low=0, high=2**31 - 1, metavar="SEED", text=text)
+
+
+def speed_setting(text: str = "target speed (default: unlimited)") -> Any:
+    """Declare a target real-time factor; 0 for ``unlimited``."""
+    return setting(
+        0.0,
+        parse=_parse_speed,
+        allowed=f"a real-time factor of at least {LEAST_SPEED}, or 'unlimited'",
+        metavar="FACTOR",
+        text=text,
+    )
+
+
+def patterns_setting() -> Any:
+    """Declare the patterns to fly; files in their names are absolute."""
+    default = ("cube", "pyramid", "triangle")
+    return setting(default, parse=_parse_patterns, metavar="NAMES", text=PATTERNS_HELP)
+
+
+def clearance_setting() -> Any:
+    """Declare the minimum height of the slots."""
+    return setting(3.0, above=0.0, unit="m", metavar="M", text="minimum height of any slot above the ground")
+
+
+def vehicles_setting(default: int = 9, low: int = 2, high: int = MAX_VEHICLES, text: str = "number of vehicles") -> Any:
+    """Declare a number of vehicles."""
+    return setting(default, low=low, high=high, metavar="N", text=text)
+
+
+@dataclass(frozen=True)
+class MachineSettings(Settings):
+    """Ports of a flight on this machine."""
+
+    master_port: int | None = setting(
+        None,
+        low=1024,
+        high=65535,
+        metavar="PORT",
+        text="TCP port of the flight's own ROS master (default: a free one)",
+    )
+    instance: int | None = setting(
+        None,
+        parse=parse_instance,
+        metavar="N",
+        text=f"number of this simulation on this machine, which moves the UDP ports by N x {INSTANCE_STEP} (default: "
+        "the first one with free ports)",
+    )
 
 
 def split_patterns(text: str) -> list[str]:
-    """Return the names in a comma-separated list, files in them (clouds, fonts) with their whole paths.
+    """Return the names in a comma-separated list, files in them (clouds, fonts) with their absolute paths.
 
     Raises:
-        OptionError: there is none, or an empty one.
+        OptionError: the list or a name is empty.
     """
-    names = [name.strip() for name in text.split(",")]
-    if not all(names):
-        raise OptionError(f"patterns: {text!r} is not allowed; names with commas between, as cube,sphere,text:XTD")
-    return [absolute_name(name) for name in names]
+    try:
+        return _parse_patterns(text)
+    except ValueError as error:
+        raise OptionError(f"patterns: {text!r} is not allowed, {error}") from error
 
 
-PATTERNS_HELP = (
-    "patterns to fly, with commas between: those of XTDrone for this number, and for every number origin, cube, "
-    "pyramid, triangle, grid, circle, sphere, text:WORDS[:font=FILE] (letters, to be read from the south), cloud:FILE "
-    "(points of a .ply, .npy, .xyz or .csv); each may end in :spacing=METRES, the least distance of two vehicles "
-    "(default: cube,pyramid,triangle)"
-)
-
-
-def swarm_patterns(count: int, names: list[str], file: str | None = None) -> dict[str, NDArray[np.float64]]:
+def swarm_patterns(count: int, names: Sequence[str], file: str | None = None) -> dict[str, NDArray[np.float64]]:
     """Return the slots of ``names`` and of origin for ``count`` vehicles, shape (count - 1, 3), m from the leader.
 
     Raises:
@@ -238,7 +214,7 @@ def _check_room(folder: Path) -> None:
 
 
 def checked(check: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return ``check`` with its message as argparse wants it."""
+    """Return ``check`` with its errors as argparse expects them."""
 
     def convert(text: str) -> Any:
         try:
@@ -250,18 +226,15 @@ def checked(check: Callable[[str], Any]) -> Callable[[str], Any]:
 
 
 def add_master(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say which ROS master is used."""
+    """Add the options that select the ROS master."""
     master = parser.add_mutually_exclusive_group()
-    master.add_argument("--master-port", type=checked(port), metavar="PORT",
-                        help="TCP port of the flight's own ROS master (default: a free one)")  # fmt: skip
+    MachineSettings.add_arguments(master, ("master_port",))
     master.add_argument("--use-master", action="store_true", help="use the running master of ROS_MASTER_URI")
 
 
 def add_instance(parser: argparse.ArgumentParser) -> None:
-    """Add the option that says which of the simulations on this machine it is."""
-    parser.add_argument("--instance", type=checked(instance), metavar="N",
-                        help="of the simulations on this machine, which moves the UDP ports by N x "
-                        f"{INSTANCE_STEP} (default: the first whose ports are free)")  # fmt: skip
+    """Add the option that selects the instance of the simulation on this machine."""
+    MachineSettings.add_arguments(parser, ("instance",))
 
 
 def follower_program(text: str) -> tuple[str, str]:

@@ -21,10 +21,11 @@ from xtdrone_control.bounded_file import load_yaml, read_text
 from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
+from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.search.plans import Datum, SearchOptions, VehiclePlan, plan_search, write_plans
 from xtdrone_coordination.search.region import parse_region, read_region, region_data
 from xtdrone_interaction.geometry import natural_order
-from xtdrone_interaction.options import OptionError, repository
+from xtdrone_interaction.options import OptionError, repository, seed_setting, speed_setting, vehicles_setting
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people, scenery
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
@@ -36,56 +37,56 @@ _MARGIN = 5.0  # m of scenery around the region's bounds
 _EDGE = 3.0  # m that people keep from the region's edge
 
 
-@dataclass(frozen=True)
-class SearchSettings:
-    """What is flown, and how.
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings(Settings):
+    """Settings of a cooperative search.
 
     Attributes:
-        n: number of vehicles.
-        type: vehicle type.
         region: YAML file with the region, or empty for the shipped one.
-        plans: folder with the user's own .plan files, or empty: they are made for the region.
-        world: name or file, or empty: one is made from the seed.
-        persons: how many stand or walk in the world that is made.
-        walking: whether they walk.
-        height: of the lowest vehicle while it searches, m.
-        on_find: what the others do after a find: ``hold``, ``return`` or ``continue``.
-        follow_time: for how long a found person is followed, s.
-        time_limit: simulated time after which all return, s.
-        camera_rate: pictures of each camera, Hz.
-        film: make views.mp4.
-        seed: of world, sensor noise and biases.
-        speed: target real-time factor, 0 for unlimited.
+        plans: folder with the user's .plan files, or empty to generate them for the region.
+        world: name or file, or empty to generate one from the seed.
         out: folder of the results.
-        master_port: TCP port of the flight's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
-        headless: plain lines instead of the live display.
-        logs: write the vehicles' flight logs into ``out / "logs"``.
-        instance: of the simulations on this machine.
+        master_port: TCP port of the flight's own ROS master; 0 for the running one of ROS_MASTER_URI.
+        instance: number of the simulation on this machine.
     """
 
-    n: int
-    type: str
-    region: str
-    plans: str
-    world: str
-    persons: int
-    walking: bool
-    height: float
-    on_find: str
-    follow_time: float
-    time_limit: float
-    camera_rate: float
-    film: bool
-    seed: int
-    speed: float
-    out: Path
-    master_port: int
-    headless: bool
-    logs: bool
+    # The height steps of 12 vehicles stay within the heights for which the detector was trained, 6 to 25 m.
+    n: int = vehicles_setting(6, low=1, high=12)
+    type: str = setting("typhoon_h480", metavar="TYPE", text="vehicle type")
+    region: str = ""
+    plans: str = ""
+    world: str = ""
+    persons: int = setting(1, low=0, high=20, metavar="K", text="persons in the region")
+    walking: bool = setting(True, option="--standing", text="standing persons (default: walking)")
+    height: float = setting(
+        12.0,
+        low=6.0,
+        high=25.0,
+        unit="m",
+        metavar="M",
+        text="height of the lowest vehicle; the others are staggered above it",
+    )
+    on_find: str = setting(
+        "hold", choices=("hold", "return", "continue"), text="behaviour of the other vehicles after a find"
+    )
+    follow_time: float = setting(
+        60.0, low=0.0, high=3600.0, unit="s", metavar="S", text="time for which a found person is followed"
+    )
+    time_limit: float = setting(
+        900.0, low=30.0, high=7200.0, unit="s", metavar="S", text="simulated time after which all vehicles return"
+    )
+    camera_rate: float = setting(2.0, low=0.5, high=10.0, unit="Hz", metavar="HZ", text="picture rate of each camera")
+    film: bool = setting(True, text="no views.mp4")
+    seed: int = seed_setting("seed of the world, of the person's position, and of all noise")
+    speed: float = speed_setting()
+    out: Path = Path()
+    master_port: int = 0
+    headless: bool = setting(False, text="no live display: print a line of progress every few seconds")
+    logs: bool = setting(False, text="write the vehicles' flight logs (PX4's ULog)")
     instance: int = 0
 
     def stored(self) -> dict[str, Any]:
-        """Return what the report keeps of it."""
+        """Return the settings that the report keeps."""
         unstored = ("out", "master_port", "headless", "instance")
         return {key: value for key, value in asdict(self).items() if key not in unstored}
 

@@ -6,6 +6,7 @@ import argparse
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
@@ -18,7 +19,7 @@ from xtdrone_interaction.compare_simulators import check_comparable
 from xtdrone_interaction.formation_demo import DemoSettings
 from xtdrone_interaction.geometry import ORIGIN
 from xtdrone_interaction.launched import master_port
-from xtdrone_interaction.options import DEFAULT_FOLLOWER, OptionError, checked
+from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError, checked
 from xtdrone_interaction.record import FlightRecord, read_record
 from xtdrone_interaction.screen import PatientConsole, run_reported
 from xtdrone_interaction.simplified_demo import (
@@ -48,24 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--without-ros", action="store_true",
         help="fly in one process, without a ROS master: thousands of vehicles, as fast as the machine can")  # fmt: skip
-    add("--n", type=checked(options.swarm_count), default=9, metavar="N",
-        help="number of vehicles (default: %(default)s)")  # fmt: skip
-    add("--type", default="iris", metavar="TYPE", help="vehicle type (default: %(default)s)")
-    add("--patterns", type=checked(options.split_patterns), default=["cube", "pyramid", "triangle"], metavar="NAMES",
-        help=options.PATTERNS_HELP)  # fmt: skip
+    SwarmSettings.add_arguments(parser, ("n", "kind", "patterns"))
     add("--pattern-file", type=Path, metavar="FILE", help="YAML file with your own patterns")
-    add("--model", default="", metavar="MODEL",
-        help="first-order, second-order, or a YAML file with its parameters (default: that of the type)")  # fmt: skip
-    add("--speed", type=checked(options.speed), metavar="FACTOR",
-        help="target real-time factor, or 'unlimited' (default: 10 with a window, else unlimited)")  # fmt: skip
-    add("--seed", type=checked(options.seed), default=0, metavar="SEED",
-        help="seed of the network and, in full physics, of all noise (default: %(default)s)")  # fmt: skip
+    SwarmSettings.add_arguments(parser, ("model", "speed", "seed"))
     add("--follower", default=DEFAULT_FOLLOWER, metavar="FILE.py:CLASS",
         help="your own follower class (default: the shipped one)")  # fmt: skip
     add("--leader", metavar="FILE.py:CLASS", help="your own leader class (default: the shipped one)")
-    add("--control", choices=["vel", "accel"], default="vel", help="what followers command (default: %(default)s)")
-    add("--clearance", type=checked(lambda text: options.positive("clearance", text)), default=3.0, metavar="M",
-        help="minimum height of any slot above the ground, m (default: %(default)s)")  # fmt: skip
+    SwarmSettings.add_arguments(parser, ("control", "clearance"))
     add("--film", metavar="FILE", help=".mp4, .gif or .png, or none "
         "(default: flight.mp4 in the results folder if there is no window)")  # fmt: skip
     add("--compare", action=argparse.BooleanOptionalAction, default=None,
@@ -77,11 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         network.add_argument(f"--{name}", type=checked(_number(name)), metavar=unit, help=meaning)
     add("--processes", choices=["per-uav", "shared"], default="per-uav",
         help="on ROS: a process per vehicle and role, or one per role (default: %(default)s)")  # fmt: skip
-    add(
-        "--headless",
-        action="store_true",
-        help="no window, no live display: print a line of progress every few seconds",
-    )
+    SwarmSettings.add_arguments(parser, ("headless",))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
 
@@ -128,36 +114,31 @@ def swarm_settings(arguments: argparse.Namespace) -> tuple[SwarmSettings, FilmSe
     from xtdrone_swarm.simplified.model import load_model
     from xtdrone_swarm.view import can_open
 
-    count = arguments.n
-    config = options.repository() / "src" / "xtdrone_sim" / "config"
-    options.one_of_files("vehicle type", arguments.type, config / "vehicles")
-    model = str(Path(arguments.model).resolve()) if arguments.model.endswith((".yaml", ".yml")) else arguments.model
-    load_model(arguments.type, model or None)
-    pattern_file = str(arguments.pattern_file.resolve()) if arguments.pattern_file else ""
-    options.swarm_patterns(count, arguments.patterns, pattern_file or None)
     leader = options.leader_class(arguments.leader)
-    window = not arguments.headless and can_open()
-    out = options.results_folder(arguments.out)
-    settings = SwarmSettings(
-        n=count,
-        kind=arguments.type,
-        patterns=arguments.patterns,
-        pattern_file=pattern_file,
+    settings = SwarmSettings.from_arguments(
+        arguments,
+        pattern_file=str(arguments.pattern_file.resolve()) if arguments.pattern_file else "",
         follower=_follower(arguments.follower),
         leader=load_class(leader, Leader, "leader") if leader else Leader,
-        control=arguments.control,
-        clearance=arguments.clearance,
-        seed=arguments.seed,
-        speed=_speed(arguments.speed, window=window),
-        out=out,
-        headless=arguments.headless,
-        model=model,
         network=_network(arguments),
-        compare=_compare(arguments),
         compare_with=arguments.compare_with,
-        recorded=_recorded(arguments),
     )
-    return settings, FilmSettings(_film(arguments.film, out, window=window), window)
+    config = options.repository() / "src" / "xtdrone_sim" / "config"
+    options.one_of_files("vehicle type", settings.kind, config / "vehicles")
+    if settings.model.endswith((".yaml", ".yml")):
+        settings = replace(settings, model=str(Path(settings.model).resolve()))
+    load_model(settings.kind, settings.model or None)
+    options.swarm_patterns(settings.n, settings.patterns, settings.pattern_file or None)
+    window = not settings.headless and can_open()
+    if not hasattr(arguments, "speed") and window:
+        settings = replace(settings, speed=WINDOW_SPEED)
+    settings = replace(
+        settings,
+        compare=_compare(arguments, settings.n),
+        recorded=_recorded(arguments.compare_with, settings),
+        out=options.results_folder(arguments.out),
+    )
+    return settings, FilmSettings(_film(arguments.film, settings.out, window=window), window)
 
 
 def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: FilmSettings) -> DemoSettings:
@@ -190,7 +171,9 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
         seed=settings.seed,
         speed=settings.speed,
         out=settings.out,
-        master_port=master_port(arguments.master_port, use_running=arguments.use_master),
+        master_port=master_port(
+            MachineSettings.from_arguments(arguments).master_port, use_running=arguments.use_master
+        ),
         headless=settings.headless,
         logs=False,
         simulator="simplified",
@@ -205,43 +188,35 @@ def _follower(text: str) -> type[Follower]:
     return load_class(file, Follower, "follower") if file else Follower
 
 
-def _speed(wanted: float | None, *, window: bool) -> float:
-    if wanted is not None:
-        return wanted
-    return WINDOW_SPEED if window else 0.0
-
-
 def _network(arguments: argparse.Namespace) -> NetworkOptions | None:
     given = {name: getattr(arguments, name) for name in _NETWORK if getattr(arguments, name) is not None}
     return NetworkOptions(**given) if given else None
 
 
-def _compare(arguments: argparse.Namespace) -> bool:
+def _compare(arguments: argparse.Namespace, count: int) -> bool:
     if arguments.compare_with is not None:
         if arguments.compare is False:
             raise OptionError("comparison: --no-compare and --compare-with contradict each other")
         return False
-    if arguments.compare and arguments.n > MAX_VEHICLES:
+    if arguments.compare and count > MAX_VEHICLES:
         raise OptionError(
-            f"comparison: {arguments.n} vehicles are not allowed in full physics, {MAX_VEHICLES} at most; "
-            "leave out --compare"
+            f"comparison: {count} vehicles are not allowed in full physics, {MAX_VEHICLES} at most; leave out --compare"
         )
-    return bool(arguments.n <= MOST_COMPARED if arguments.compare is None else arguments.compare)
+    return bool(count <= MOST_COMPARED if arguments.compare is None else arguments.compare)
 
 
-def _recorded(arguments: argparse.Namespace) -> FlightRecord | None:
+def _recorded(file: Path | None, settings: SwarmSettings) -> FlightRecord | None:
     """Return the recorded flight to compare with, None without one.
 
     Raises:
         OptionError: the file does not exist, or the flight has other vehicles or patterns.
     """
-    file = arguments.compare_with
     if file is None:
         return None
     if not file.is_file():
         raise OptionError(f"comparison: {file} does not exist; flight.bag of a formation flight is needed")
     record = read_record(file)
-    check_comparable(record, arguments.n, [ORIGIN, *arguments.patterns, ORIGIN])
+    check_comparable(record, settings.n, [ORIGIN, *settings.patterns, ORIGIN])
     return record
 
 

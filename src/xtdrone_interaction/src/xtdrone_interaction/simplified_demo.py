@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
+from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.compare_simulators import (
@@ -29,6 +30,14 @@ from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.formation_demo import DemoSettings, show_event
 from xtdrone_interaction.formation_demo import run_demo as run_ros_demo
 from xtdrone_interaction.launched import DemoError, Interrupted, escape, signals_raise
+from xtdrone_interaction.options import (
+    MAX_SWARM,
+    clearance_setting,
+    patterns_setting,
+    seed_setting,
+    speed_setting,
+    vehicles_setting,
+)
 from xtdrone_interaction.record import FlightRecord, RecordError, read_record, save_record
 from xtdrone_interaction.report import make_report, print_report, write_report
 from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of
@@ -62,47 +71,43 @@ class FilmSettings:
     window: bool
 
 
-@dataclass(frozen=True)
-class SwarmSettings:
-    """A flight in one process.
+@dataclass(frozen=True, kw_only=True)
+class SwarmSettings(Settings):
+    """Settings of a formation flight in one process.
 
     Attributes:
-        n: number of vehicles.
-        kind: vehicle type.
-        patterns: flown in turn.
-        pattern_file: YAML with patterns of the user's own, or empty.
-        follower: the followers' class.
-        leader: the leader's class.
-        control: ``vel`` or ``accel``.
-        clearance: least height of any slot above the ground, m.
-        seed: of the network's and, in full physics, of all sensor noise.
-        speed: target real-time factor, 0 for unlimited.
+        pattern_file: YAML file with the user's patterns, or empty.
+        follower: class of the followers.
+        leader: class of the leader.
         out: folder of the results.
-        headless: plain lines instead of the live display.
-        model: ``first-order``, ``second-order``, a YAML file, or empty: the type's.
-        network: what the followers hear of each other; None: everything.
-        compare: fly the same in full physics too.
-        compare_with: the record of the same flight in the full simulator, to compare with; None: none.
-        recorded: what it holds.
+        model: ``first-order``, ``second-order``, a YAML file, or empty for the type's.
+        network: communication between the vehicles; None for an ideal network.
+        compare: fly the flight in full physics too.
+        compare_with: the record of the same flight in the full simulator, to compare with; None for none.
+        recorded: its content.
     """
 
-    n: int
-    kind: str
-    patterns: list[str]
-    pattern_file: str
-    follower: type[Follower]
-    leader: type[Leader]
-    control: str
-    clearance: float
-    seed: int
-    speed: float
-    out: Path
-    headless: bool
-    model: str
-    network: NetworkOptions | None
-    compare: bool
-    compare_with: Path | None
-    recorded: FlightRecord | None
+    n: int = vehicles_setting(high=MAX_SWARM)
+    kind: str = setting("iris", option="--type", metavar="TYPE", text="vehicle type")
+    patterns: tuple[str, ...] = patterns_setting()
+    pattern_file: str = ""
+    follower: type[Follower] = Follower
+    leader: type[Leader] = Leader
+    control: str = setting("vel", choices=("vel", "accel"), text="what followers command")
+    clearance: float = clearance_setting()
+    seed: int = seed_setting("seed of the network and, in full physics, of all noise")
+    speed: float = speed_setting("target speed (default: 10 with a window, else unlimited)")
+    out: Path = Path()
+    headless: bool = setting(False, text="no window, no live display: print a line of progress every few seconds")
+    model: str = setting(
+        "",
+        metavar="MODEL",
+        text="first-order, second-order, or a YAML file with its parameters (default: that of the type)",
+    )
+    network: NetworkOptions | None = None
+    compare: bool = False
+    compare_with: Path | None = None
+    recorded: FlightRecord | None = None
 
     def stored(self) -> dict[str, Any]:
         """Return what the report keeps of them."""

@@ -18,7 +18,7 @@ import rospkg
 from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
-from xtdrone_control.checks import check_choice, check_range
+from xtdrone_control.settings import SettingError, Settings, setting
 
 from .layouts import LAYOUTS, LayoutError, check_layout, decode, find_layout
 
@@ -52,56 +52,52 @@ class Detection:
     ymax: float
 
 
+def _check_multiple(size: int) -> None:
+    if size % STRIDE:
+        raise ValueError(f"a multiple of {STRIDE} px")
+
+
 @dataclass(frozen=True)
-class DetectorSettings:
-    """Which network, and how it is run.
+class DetectorSettings(Settings):
+    """A network and its use.
 
     Attributes:
         weights: ``.weights`` (darknet) or ``.onnx``.
-        config: darknet's ``.cfg``; empty for ONNX.
-        names: file with the classes' names, a line each, in the network's order.
-        layout: of the outputs, one of ``layouts.LAYOUTS``, or ``auto``: told from the outputs' shapes.
-        width, height: of the network's input, pixels, multiples of 32 up to 2048; 0: what the file says.
-        confidence: least probability, 0.01 to 1.
-        nms: two boxes of a class whose intersection over union is greater are one object, 0 to 1.
-        letterbox: True to fit the picture in with grey edges, False to stretch it.
-        threads: of OpenCV, 1 to 64, in the whole process.
+        config: darknet's ``.cfg``; None for ONNX.
+        names: file with the names of the classes, one per line, in the network's order.
     """
 
     weights: Path
     config: Path | None = None
     names: Path | None = None
-    layout: str = "auto"
-    width: int = 0
-    height: int = 0
-    confidence: float = 0.5
-    nms: float = 0.45
-    letterbox: bool = True
-    threads: int = 1
+    layout: str = setting(
+        "auto", choices=("auto", *LAYOUTS), text="layout of the outputs; auto derives it from their shapes"
+    )
+    width: int = setting(
+        0, low=0, high=2048, unit="px", check=_check_multiple, text="width of the network's input, 0 for the file's"
+    )
+    height: int = setting(
+        0, low=0, high=2048, unit="px", check=_check_multiple, text="height of the network's input, 0 for the file's"
+    )
+    confidence: float = setting(0.5, low=0.01, high=1.0, text="lowest probability of a detection")
+    nms: float = setting(
+        0.45, low=0.0, high=1.0, text="intersection over union above which two boxes of a class are one object"
+    )
+    letterbox: bool = setting(True, text="fit the picture in with grey edges instead of stretching it")
+    threads: int = setting(1, low=1, high=64, text="OpenCV threads of the process")
 
     def __post_init__(self) -> None:
-        """Checks all but the files.
+        """Check everything but the files.
 
         Raises:
             DetectorError: a value is not allowed.
         """
         try:
-            check_choice("layout", self.layout, ("auto", *LAYOUTS))
-            check_range("confidence", self.confidence, 0.01, 1.0)
-            check_range("nms", self.nms, 0.0, 1.0)
-            check_range("threads", self.threads, 1, 64)
-            for name in ("width", "height"):
-                check_range(name, getattr(self, name), 0, 2048, "px")
-                if getattr(self, name) % STRIDE:
-                    raise DetectorError(f"{name}: {getattr(self, name)} is not allowed, a multiple of {STRIDE} px")
-        except DetectorError:
-            raise
-        except ValueError as error:
+            super().__post_init__()
+        except SettingError as error:
             raise DetectorError(str(error)) from error
         if bool(self.width) != bool(self.height):
             raise DetectorError("width and height: give both or neither")
-        if not isinstance(self.letterbox, bool):
-            raise DetectorError(f"letterbox: {self.letterbox!r} is not allowed, true or false")
 
 
 def settings_file(name: str) -> Path:

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from xtdrone_control.checks import check_range
 from xtdrone_control.frames import wrap_pi
+from xtdrone_control.settings import Settings, setting
 
 Vector = tuple[float, float, float]
 
@@ -25,70 +25,34 @@ ANY = 0
 _PAUSE = 1.0  # s of HOVER before the search begins, in which the vehicle comes to a stop
 _NEAR = 0.5  # m; nearer than this the direction to the person is not told from the vehicle's own heading
 _MIDDLE = 0.85  # m above its foot, where the camera points
-_LIMITS = {
-    "height": (2.0, 200.0),
-    "distance": (0.0, 200.0),
-    "kp_xy": (0.01, 5.0),
-    "kp_z": (0.01, 5.0),
-    "kp_yaw": (0.01, 5.0),
-    "max_speed": (0.1, 20.0),
-    "max_climb": (0.1, 10.0),
-    "max_yaw_rate": (0.05, 3.0),
-    "predict": (0.1, 30.0),
-    "search": (0.0, 600.0),
-    "rise": (0.0, 100.0),
-    "rise_speed": (0.05, 5.0),
-    "sweep": (0.0, 3.0),
-    "sweep_period": (1.0, 60.0),
-    "reach_speed": (0.1, 20.0),
-    "reach": (0.1, 50.0),
-}
 
 
 @dataclass(frozen=True)
-class FollowSettings:
-    """How a person is followed; ``LIMITS`` of each are checked.
+class FollowSettings(Settings):
+    """Distances, gains and limits for following a person, and the search after a loss."""
 
-    Attributes:
-        height: over the person's foot, m, 2 to 200.
-        distance: horizontal, m, 0 to 200.
-        kp_xy, kp_z: speed by error, 1/s, 0.01 to 5.
-        kp_yaw: yaw rate by error, 1/s, 0.01 to 5.
-        max_speed, max_climb: m/s, 0.1 to 20 and 10.
-        max_yaw_rate: rad/s, 0.05 to 3.
-        predict: how long a person that is not seen is followed, s, 0.1 to 30.
-        search: how long it is searched for after that, s, 0 to 600.
-        rise, rise_speed: how far and how fast the vehicle rises meanwhile, m, m/s.
-        sweep, sweep_period: how far to each side the gimbal turns meanwhile, rad, and in how long back and forth, s.
-        reach, reach_speed: a new track is the same person if it is no farther from where that was expected than
-            ``reach`` m and ``reach_speed`` m/s since it was seen.
-    """
-
-    height: float = 15.0
-    distance: float = 10.0
-    kp_xy: float = 0.5
-    kp_z: float = 1.0
-    kp_yaw: float = 1.0
-    max_speed: float = 5.0
-    max_climb: float = 2.0
-    max_yaw_rate: float = 0.8
-    predict: float = 2.0
-    search: float = 60.0
-    rise: float = 10.0
-    rise_speed: float = 0.5
-    sweep: float = 0.6
-    sweep_period: float = 8.0
-    reach: float = 3.0
-    reach_speed: float = 2.0
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ValueError: one is not allowed.
-        """
-        for entry in fields(self):
-            check_range(entry.name, getattr(self, entry.name), *_LIMITS[entry.name])
+    height: float = setting(15.0, low=2.0, high=200.0, unit="m", text="height above the person's feet")
+    distance: float = setting(10.0, low=0.0, high=200.0, unit="m", text="horizontal distance to the person")
+    kp_xy: float = setting(0.5, low=0.01, high=5.0, unit="1/s", text="horizontal speed per position error")
+    kp_z: float = setting(1.0, low=0.01, high=5.0, unit="1/s", text="vertical speed per height error")
+    kp_yaw: float = setting(1.0, low=0.01, high=5.0, unit="1/s", text="yaw rate per heading error")
+    max_speed: float = setting(5.0, low=0.1, high=20.0, unit="m/s", text="highest horizontal speed")
+    max_climb: float = setting(2.0, low=0.1, high=10.0, unit="m/s", text="highest vertical speed")
+    max_yaw_rate: float = setting(0.8, low=0.05, high=3.0, unit="rad/s", text="highest yaw rate")
+    predict: float = setting(
+        2.0, low=0.1, high=30.0, unit="s", text="time for which an unseen person is still followed"
+    )
+    search: float = setting(60.0, low=0.0, high=600.0, unit="s", text="duration of the search after that")
+    rise: float = setting(10.0, low=0.0, high=100.0, unit="m", text="climb during the search")
+    rise_speed: float = setting(0.5, low=0.05, high=5.0, unit="m/s", text="climb rate during the search")
+    sweep: float = setting(0.6, low=0.0, high=3.0, unit="rad", text="gimbal yaw to each side during the search")
+    sweep_period: float = setting(8.0, low=1.0, high=60.0, unit="s", text="period of the gimbal sweep")
+    reach: float = setting(
+        3.0, low=0.1, high=50.0, unit="m", text="a new track this close to the predicted position is the same person"
+    )
+    reach_speed: float = setting(
+        2.0, low=0.1, high=20.0, unit="m/s", text="growth of ``reach`` with the time since the last sighting"
+    )
 
 
 class Seen(NamedTuple):

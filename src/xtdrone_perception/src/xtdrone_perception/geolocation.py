@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.checks import check_range
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.settings import Settings, check_range, setting
 
 Array = NDArray[np.float64]
 Ground = Callable[[float, float], float]
@@ -32,33 +32,25 @@ _POSE_DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])  # m, rad
 
 
 @dataclass(frozen=True)
-class Person:
-    """The cylinder that people are, standard deviations with ``_noise``; m."""
+class Person(Settings):
+    """Vertical cylinder that models a person; standard deviations end in ``_noise``."""
 
-    height: float = 1.7
-    height_noise: float = 0.15
-    radius: float = 0.3
-    radius_noise: float = 0.1
+    height: float = setting(1.7, low=0.1, high=10.0, unit="m", text="height of the cylinder")
+    height_noise: float = setting(0.15, low=1e-3, high=10.0, unit="m", text="standard deviation of ``height``")
+    radius: float = setting(0.3, low=0.01, high=10.0, unit="m", text="radius of the cylinder")
+    radius_noise: float = setting(0.1, low=1e-3, high=10.0, unit="m", text="standard deviation of ``radius``")
 
 
 @dataclass(frozen=True)
-class Noise:
-    """What is uncertain in a picture and its pose, standard deviations.
+class Noise(Settings):
+    """Standard deviations of a picture and its pose."""
 
-    Attributes:
-        pixel: of each side of a box, px.
-        tilt: of the camera's attitude about horizontal axes, rad.
-        heading: about the vertical axis, rad.
-        horizontal, vertical: of the camera's position, m.
-        ground: of the ground's height, m.
-    """
-
-    pixel: float = 1.5
-    tilt: float = 0.01
-    heading: float = 0.03
-    horizontal: float = 0.4
-    vertical: float = 0.4
-    ground: float = 0.1
+    pixel: float = setting(1.5, low=1e-3, high=100.0, unit="px", text="each side of a box")
+    tilt: float = setting(0.01, low=0.0, high=100.0, unit="rad", text="camera attitude about horizontal axes")
+    heading: float = setting(0.03, low=0.0, high=100.0, unit="rad", text="camera attitude about the vertical axis")
+    horizontal: float = setting(0.4, low=0.0, high=100.0, unit="m", text="horizontal camera position, each axis")
+    vertical: float = setting(0.4, low=0.0, high=100.0, unit="m", text="vertical camera position")
+    ground: float = setting(0.1, low=0.0, high=100.0, unit="m", text="height of the ground")
 
 
 @dataclass(frozen=True)
@@ -136,10 +128,6 @@ class Geolocator:
         self._ground: Ground = ground if callable(ground) else _flat(check_range("ground", ground, -1e4, 1e4, "m"))
         self._farthest = check_range("farthest", farthest, 1.0, 10_000.0, "m")
         self._least_dip = check_range("least_dip", least_dip, 0.001, 1.5, "rad")
-        for name, low in (("height", 0.1), ("height_noise", 1e-3), ("radius", 0.01), ("radius_noise", 1e-3)):
-            check_range(f"person {name}", getattr(self.person, name), low, 10.0, "m")
-        for name in ("pixel", "tilt", "heading", "horizontal", "vertical", "ground"):
-            check_range(f"noise {name}", getattr(self.noise, name), 1e-3 if name == "pixel" else 0.0, 100.0)
 
     def point(self, view: View, pixel: tuple[float, float]) -> Array | None:
         """Return where the ray of a pixel meets the ground, (3,) m map.

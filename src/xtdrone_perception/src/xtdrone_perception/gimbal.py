@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import rospy
 from gazebo_msgs.msg import LinkStates
@@ -27,60 +27,42 @@ from mavros_msgs.msg import MountControl
 
 from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import camera_link_pose
-from xtdrone_control.checks import check_choice, check_range
-from xtdrone_control.communication.arguments import ArgumentError
+from xtdrone_control.settings import Settings, setting
 
 RATE = 30.0  # Hz
-PITCH = -60.0  # degrees
 OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
-LINK = "cgo3_camera_link"
 _LARGEST_ANGLE = 180.0
-_SOURCES = ("vehicle", "gazebo")
 
 Angles = tuple[float, float, float]
 
 
-class Options(NamedTuple):
-    """What all vehicles of a node have in common.
+@dataclass(frozen=True)
+class GimbalOptions(Settings):
+    """Private parameters of the node, for all its vehicles."""
 
-    Attributes:
-        angles: roll, pitch, yaw at the start, degrees.
-        source: ``vehicle``: the camera's pose from what the vehicle tells of itself; ``gazebo``: the true one.
-        offset: of the camera from base_link, m, FLU.
-        link: the camera's link, for ``gazebo``.
-    """
+    roll: float = setting(0.0, low=-180.0, high=180.0, unit="deg", text="roll at the start")
+    pitch: float = setting(-60.0, low=-180.0, high=180.0, unit="deg", text="pitch at the start, negative down")
+    yaw: float = setting(0.0, low=-180.0, high=180.0, unit="deg", text="yaw at the start")
+    source: str = setting(
+        "vehicle",
+        choices=("vehicle", "gazebo"),
+        text="camera pose: from position and gimbal orientation as the vehicle reports them, or the true one",
+    )
+    camera_offset: tuple[float, float, float] = setting(
+        OFFSET, low=-10.0, high=10.0, unit="m", text="camera position relative to base_link, FLU, for source vehicle"
+    )
+    link: str = setting("cgo3_camera_link", text="name of the camera's link, for source gazebo")
 
-    angles: Angles
-    source: str
-    offset: Angles
-    link: str
-
-
-def read_options() -> Options:
-    """Return the options of the private parameters.
-
-    Raises:
-        ArgumentError: one is not allowed.
-    """
-    try:
-        roll, pitch, yaw = (
-            check_range(name, rospy.get_param(f"~{name}", default), -_LARGEST_ANGLE, _LARGEST_ANGLE, "deg")
-            for name, default in (("roll", 0.0), ("pitch", PITCH), ("yaw", 0.0))
-        )
-        offset = rospy.get_param("~camera_offset", list(OFFSET))
-        if not isinstance(offset, list) or len(offset) != len(OFFSET):
-            raise ValueError(f"camera_offset: {offset!r} is not allowed, three numbers in m")
-        x, y, z = (check_range("camera_offset", value, -10.0, 10.0, "m") for value in offset)
-        source = check_choice("source", str(rospy.get_param("~source", _SOURCES[0])), _SOURCES)
-    except ValueError as error:
-        raise ArgumentError(f"parameter ~{error}") from error
-    return Options((roll, pitch, yaw), source, (x, y, z), str(rospy.get_param("~link", LINK)))
+    @property
+    def angles(self) -> Angles:
+        """Roll, pitch and yaw at the start, deg."""
+        return self.roll, self.pitch, self.yaw
 
 
 class GimbalControl:
     """The gimbal of one vehicle."""
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: GimbalOptions) -> None:
         """Declare the topics of vehicle ``name``."""
         self._name = name
         self._options = options
@@ -149,7 +131,9 @@ class GimbalControl:
         p, q, m = self._pose.pose.position, self._pose.pose.orientation, self._mount
         if not all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w, m.x, m.y, m.z, m.w))):
             return None
-        found = camera_link_pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w), (m.x, m.y, m.z, m.w), self._options.offset)
+        found = camera_link_pose(
+            (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), (m.x, m.y, m.z, m.w), self._options.camera_offset
+        )
         message = PoseStamped(pose=Pose(Point(*found.position), Quaternion(*found.orientation)))
         message.header.stamp = self._pose.header.stamp
         message.header.frame_id = "map"
@@ -159,7 +143,7 @@ class GimbalControl:
 class GimbalNode:
     """The gimbals of one or many vehicles in one process."""
 
-    def __init__(self, kind: str, ids: Sequence[int], options: Options) -> None:
+    def __init__(self, kind: str, ids: Sequence[int], options: GimbalOptions) -> None:
         """Declare the topics.
 
         Args:

@@ -18,8 +18,7 @@ topic                                  type                        meaning
 from __future__ import annotations
 
 import math
-from dataclasses import fields
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import rospy
 from geometry_msgs.msg import PoseStamped, Twist
@@ -28,7 +27,7 @@ from std_msgs.msg import Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import ArgumentError
+from xtdrone_control.settings import Settings, setting
 
 from .following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen, heading_of
 
@@ -37,47 +36,41 @@ _MOUNT_PERIOD = 0.2  # s between commands to the gimbal, each of which is a comm
 _MOUNT_CHANGE = math.radians(0.5)
 
 
-class Options(NamedTuple):
-    """What all vehicles of a node have in common.
+@dataclass(frozen=True)
+class TrackingOptions(Settings):
+    """Private parameters of the node, for all its vehicles.
 
     Attributes:
-        wait: True to follow only whom ``/xtdrone/T/follow`` names, False to follow whoever is found first.
-        offboard: whether to command OFFBOARD at the beginning.
-        gimbal: whether to point the gimbal.
-        settings: how to follow.
+        following: distances, gains and limits.
     """
 
-    wait: bool
-    offboard: bool
-    gimbal: bool
-    settings: FollowSettings
+    wait: bool = setting(
+        False, text="follow only the track named on /xtdrone/T/follow instead of the first person detected"
+    )
+    offboard: bool | None = setting(None, text="command OFFBOARD when following begins; as ``wait`` by default")
+    gimbal: bool = setting(True, text="point the gimbal at the person")
+    following: FollowSettings = field(default_factory=FollowSettings)
+
+    @property
+    def commands_offboard(self) -> bool:
+        """Whether to command OFFBOARD when following begins."""
+        return self.wait if self.offboard is None else self.offboard
 
 
-def read_options() -> Options:
-    """Return the options of the private parameters.
+def read_options() -> TrackingOptions:
+    """Read the private parameters.
 
     Raises:
-        ArgumentError: one is not allowed.
+        SettingError: a parameter is not allowed.
     """
-    wait = _flag("wait", False)
-    values = {f.name: rospy.get_param(f"~{f.name}") for f in fields(FollowSettings) if rospy.has_param(f"~{f.name}")}
-    try:
-        return Options(wait, _flag("offboard", wait), _flag("gimbal", True), FollowSettings(**values))
-    except ValueError as error:
-        raise ArgumentError(f"parameter ~{error}") from error
-
-
-def _flag(name: str, default: bool) -> bool:
-    value = rospy.get_param(f"~{name}", default)
-    if not isinstance(value, bool):
-        raise ArgumentError(f"parameter ~{name}: {value!r} is not allowed, true or false")
-    return value
+    following = FollowSettings.from_parameters(rospy.get_param)
+    return TrackingOptions.from_parameters(rospy.get_param, following=following)
 
 
 class HumanTracking:
     """Topics of one vehicle that follows."""
 
-    def __init__(self, vehicle: str, options: Options) -> None:
+    def __init__(self, vehicle: str, options: TrackingOptions) -> None:
         """Declare the topics.
 
         Args:
@@ -97,7 +90,7 @@ class HumanTracking:
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
-        self._following = Following(self._options.settings)
+        self._following = Following(self._options.following)
         if not self._options.wait:
             self._following.follow(ANY)
         self._pose: tuple[tuple[float, float, float], float] | None = None
@@ -156,7 +149,7 @@ class HumanTracking:
         if command.velocity is not None:
             if not self._begun and self._following.state == FOLLOWING:
                 self._begun = True
-                if self._options.offboard:
+                if self._options.commands_offboard:
                     self._command.publish(String("OFFBOARD"))
             twist = Twist()
             twist.linear.x, twist.linear.y, twist.linear.z = command.velocity

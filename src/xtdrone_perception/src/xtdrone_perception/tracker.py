@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from xtdrone_control.checks import check_range
+from xtdrone_control.settings import SettingError, Settings, setting
 
 from .geolocation import GroundPoint
 
@@ -27,43 +27,33 @@ _PLACE = np.eye(2, 4)  # of the state x, y, vx, vy
 
 
 @dataclass(frozen=True)
-class TrackerSettings:
-    """How tracks begin, go on and end.
+class TrackerSettings(Settings):
+    """Beginning, association and end of tracks."""
 
-    Attributes:
-        acceleration: how a thing changes its velocity, m/s^2 per square root of Hz, 0.01 to 100.
-        speed: standard deviation of a new track's velocity on each axis, m/s, 0.01 to 100.
-        gate: finds and tracks whose squared distance in units of its covariance is greater are not the same thing;
-            1 to 100. 13.8 keeps 99.9 % of what is.
-        birth: least probability of a find that begins a track, 0 to 1.
-        confirm_hits, confirm_of: a track is confirmed when so many of so many pictures show it, 1 to 50.
-        misses: a track is over after so many pictures one after the other that should show it and do not, 1 to 1000.
-        widest: and when its place is less certain than this, m, 0.1 to 1000.
-    """
-
-    acceleration: float = 0.7
-    speed: float = 1.5
-    gate: float = 13.8
-    birth: float = 0.5
-    confirm_hits: int = 3
-    confirm_of: int = 5
-    misses: int = 8
-    widest: float = 15.0
+    acceleration: float = setting(
+        0.7, low=0.01, high=100.0, unit="m/s^2/sqrt(Hz)", text="spectral density of a target's acceleration"
+    )
+    speed: float = setting(
+        1.5, low=0.01, high=100.0, unit="m/s", text="standard deviation of a new track's velocity on each axis"
+    )
+    gate: float = setting(
+        13.8,
+        low=1.0,
+        high=100.0,
+        text="highest squared Mahalanobis distance between a track and its detection; 13.8 keeps 99.9 %",
+    )
+    birth: float = setting(0.5, low=0.0, high=1.0, text="lowest probability of a detection that begins a track")
+    confirm_hits: int = setting(3, low=1, high=50, text="detections in ``confirm_of`` pictures that confirm a track")
+    confirm_of: int = setting(5, low=1, high=50, text="pictures in which ``confirm_hits`` are counted")
+    misses: int = setting(8, low=1, high=1000, text="consecutive expected detections missed that end a track")
+    widest: float = setting(
+        15.0, low=0.1, high=1000.0, unit="m", text="position uncertainty that ends a track, standard deviation"
+    )
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ValueError: one is not allowed.
-        """
-        check_range("acceleration", self.acceleration, 0.01, 100.0, "m/s^2")
-        check_range("speed", self.speed, 0.01, 100.0, "m/s")
-        check_range("gate", self.gate, 1.0, 100.0)
-        check_range("birth", self.birth, 0.0, 1.0)
-        check_range("confirm_of", self.confirm_of, 1, 50)
-        check_range("confirm_hits", self.confirm_hits, 1, self.confirm_of)
-        check_range("misses", self.misses, 1, 1000)
-        check_range("widest", self.widest, 0.1, 1000.0, "m")
+        super().__post_init__()
+        if self.confirm_hits > self.confirm_of:
+            raise SettingError("confirm_hits", self.confirm_hits, f"at most confirm_of, {self.confirm_of}")
 
 
 @dataclass(frozen=True)

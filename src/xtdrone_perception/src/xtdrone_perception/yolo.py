@@ -26,8 +26,8 @@ from __future__ import annotations
 import queue
 import zlib
 from collections.abc import Sequence
-from dataclasses import fields
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -42,10 +42,10 @@ from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
 
 from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import CameraPose, camera_link_pose, optical_pose
-from xtdrone_control.checks import check_range
-from xtdrone_control.communication.arguments import ArgumentError
 from xtdrone_control.lockstep.deferred import Deferred
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.program import ArgumentError
+from xtdrone_control.settings import Settings, setting
 
 from .detector import Detection, Detector, DetectorError, DetectorSettings, load_settings, settings_file
 from .geolocation import Geolocator, Noise, Person, View
@@ -54,35 +54,37 @@ from .tracker import Find, Track, Tracker, TrackerSettings
 from .watch import CameraWatch
 
 RATE = 50.0  # Hz; the gimbal's orientation has no stamp, so it is as exact as the node's turns
-LATENCY = 0.1  # s
-CAMERA = "cgo3_camera"
 CAMERA_OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
-PERSONS = ("human", "person")  # classes that are put on the ground
 MARGIN = 8.0  # px; what should be nearer to the picture's edge may well be outside
-_MOST_WORKERS = 16
 _COLOUR = (255, 60, 60)
 
-_Kind = TypeVar("_Kind")
 
-
-class Options(NamedTuple):
-    """What all vehicles of a node have in common.
+@dataclass(frozen=True)
+class EyeOptions(Settings):
+    """Private parameters of the node, for all its vehicles.
 
     Attributes:
-        latency: s of simulated time from a picture's work to its results.
-        camera: its topics' name below the vehicle's.
-        offset: of the camera from base_link, m, FLU.
-        persons: names of the classes that are put on the ground.
-        locator: of places.
-        tracker: how tracks begin and end.
+        locator: computes positions on the ground.
+        tracker: beginning and end of tracks.
     """
 
-    latency: float
-    camera: str
-    offset: tuple[float, float, float]
-    persons: tuple[str, ...]
     locator: Geolocator
     tracker: TrackerSettings
+    latency: float = setting(0.1, low=0.0, high=10.0, unit="s", text="simulated time from a picture to its results")
+    workers: int = setting(1, low=1, high=16, text="pictures of different vehicles processed at a time")
+    camera: str = setting("cgo3_camera", text="name of the camera's topics below the vehicle's namespace")
+    camera_offset: tuple[float, float, float] = setting(
+        CAMERA_OFFSET, unit="m", text="camera position relative to base_link, FLU"
+    )
+    persons: tuple[str, ...] = setting(("human", "person"), text="classes that are located on the ground")
+
+
+@dataclass(frozen=True)
+class GroundOptions(Settings):
+    """Private parameters of the ground and the range of detection."""
+
+    ground: float = setting(0.0, low=-1e4, high=1e4, unit="m", text="height of the ground in the map frame")
+    farthest: float = setting(200.0, low=1.0, high=1e4, unit="m", text="highest distance of a located person")
 
 
 class Picture(NamedTuple):
@@ -92,47 +94,22 @@ class Picture(NamedTuple):
     rgb: NDArray[np.uint8]
 
 
-def read_options() -> Options:
-    """Return the options of the private parameters.
+def read_options() -> EyeOptions:
+    """Read the private parameters of all but the network.
 
     Raises:
-        ArgumentError: one is not allowed.
+        SettingError: a parameter is not allowed.
     """
-    try:
-        offset = tuple(float(value) for value in rospy.get_param("~camera_offset", list(CAMERA_OFFSET)))
-        if len(offset) != 3 or not np.isfinite(offset).all():
-            raise ValueError(f"camera_offset: {offset!r} is not allowed, three numbers in m")
-        persons = rospy.get_param("~persons", list(PERSONS))
-        if not isinstance(persons, list) or not all(isinstance(name, str) for name in persons):
-            raise ValueError(f"persons: {persons!r} is not allowed, a list of names")
-        return Options(
-            check_range("latency", rospy.get_param("~latency", LATENCY), 0.0, 10.0, "s"),
-            str(rospy.get_param("~camera", CAMERA)),
-            (offset[0], offset[1], offset[2]),
-            tuple(persons),
-            Geolocator(
-                check_range("ground", rospy.get_param("~ground", 0.0), -1e4, 1e4, "m"),
-                _group(Person, "person"),
-                _group(Noise, "noise"),
-                farthest=rospy.get_param("~farthest", 200.0),
-            ),
-            _group(TrackerSettings, "tracker"),
-        )
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"parameter ~{error}") from error
-
-
-def _group(kind: type[_Kind], name: str) -> _Kind:
-    """Return a dataclass of the private parameters below a name.
-
-    Raises:
-        ValueError: one is unknown or not allowed.
-    """
-    values = rospy.get_param(f"~{name}", {})
-    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(values, dict) or not set(values) <= known:
-        raise ValueError(f"{name}: {values!r} is not allowed, a mapping with {', '.join(sorted(known))}")
-    return kind(**values)
+    get = rospy.get_param
+    place = GroundOptions.from_parameters(get)
+    locator = Geolocator(
+        place.ground,
+        Person.from_mapping(get("~person", {}), rospy.resolve_name("~person")),
+        Noise.from_mapping(get("~noise", {}), rospy.resolve_name("~noise")),
+        farthest=place.farthest,
+    )
+    tracker = TrackerSettings.from_mapping(get("~tracker", {}), rospy.resolve_name("~tracker"))
+    return EyeOptions.from_parameters(get, locator=locator, tracker=tracker)
 
 
 def read_detector() -> DetectorSettings:
@@ -179,7 +156,7 @@ class Detectors:
 class VehicleEyes:
     """Topics, tracks and the camera's state of one vehicle."""
 
-    def __init__(self, kind: str, index: int, options: Options) -> None:
+    def __init__(self, kind: str, index: int, options: EyeOptions) -> None:
         """Declare the topics.
 
         Args:
@@ -333,14 +310,14 @@ class VehicleEyes:
         px, py, pz, qx, qy, qz, qw = pose.tolist()
         mx, my, mz, mw = mount.tolist()
         return optical_pose(
-            camera_link_pose((px, py, pz), (qx, qy, qz, qw), (mx, my, mz, mw), self._options.offset),
+            camera_link_pose((px, py, pz), (qx, qy, qz, qw), (mx, my, mz, mw), self._options.camera_offset),
         )
 
 
 class YoloNode:
     """Detection of one or many vehicles in one process."""
 
-    def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: Options) -> None:
+    def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: EyeOptions) -> None:
         """Read the networks and declare the topics.
 
         Args:
@@ -350,15 +327,14 @@ class YoloNode:
             options: of all vehicles.
 
         Raises:
-            ArgumentError: the network cannot be used, or ``~workers`` is not allowed.
+            ArgumentError: the network cannot be used.
         """
         try:
-            workers = int(check_range("workers", rospy.get_param("~workers", 1), 1, _MOST_WORKERS))
-            self._detectors = Detectors(detector, workers)
-        except ValueError as error:
-            raise ArgumentError(f"parameter ~{error}") from error
+            self._detectors = Detectors(detector, options.workers)
+        except DetectorError as error:
+            raise ArgumentError(f"parameter ~detector: {error}") from error
         self._latency_us = round(options.latency * 1e6)
-        self._work = Deferred(workers, wait=lockstep.is_active())
+        self._work = Deferred(options.workers, wait=lockstep.is_active())
         self._vehicles = [VehicleEyes(kind, index, options) for index in ids]
         lockstep.add_reset_hook(self._work.clear)
 
@@ -424,7 +400,7 @@ def object_message(track: Track) -> ObjectOnGround:
     )
 
 
-def in_view(view: View, place: NDArray[np.float64], options: Options) -> bool:
+def in_view(view: View, place: NDArray[np.float64], options: EyeOptions) -> bool:
     """Return whether a picture should show a person who stands at a place (2,), m."""
     foot = options.locator.foot(place)
     middle = foot + np.array([0.0, 0.0, 0.5 * options.locator.person.height])

@@ -20,6 +20,7 @@ from xtdrone_control.communication.setpoint import (
     velocity_setpoint,
     yaw_of,
 )
+from xtdrone_control.settings import Settings, setting
 
 OWN_COMMANDS = ("ARM", "DISARM", "HOVER")
 
@@ -40,6 +41,27 @@ _POSE_FIELDS = (
     "orientation.z",
     "orientation.w",
 )
+
+
+@dataclass(frozen=True)
+class CommandSettings(Settings):
+    """Interpretation of velocity and acceleration commands."""
+
+    hover_speed: float = setting(
+        HOVER_SPEED,
+        low=0.0,
+        high=LARGEST,
+        unit="m/s",
+        text="a velocity (or acceleration, m/s^2) command not above this on any axis, with a yaw rate up to "
+        f"{HOVER_YAW_RATE:g} rad/s, means HOVER",
+    )
+    cmd_timeout: float = setting(
+        0.0,
+        low=0.0,
+        high=LARGEST,
+        unit="s",
+        text="a velocity or acceleration command older than this turns into HOVER, 0 for never",
+    )
 
 
 class Log(Protocol):
@@ -95,24 +117,19 @@ class MultirotorCore:
         Args:
             name: the vehicle, as ``iris_0``, for messages.
             log: where messages go.
-            hover_speed: m/s (m/s^2 for accelerations); an input that is not above it on any axis, and turns no faster
-                than 0.005 rad/s, means HOVER. XTDrone's 0.02 swallows the first two presses of its keyboard and
-                freezes a formation up to 2 cm per axis and layer of the topology away from its slots; 0 leaves only
-                the exact zero as HOVER.
-            cmd_timeout: s; a velocity or acceleration that is not renewed for this long turns into HOVER; 0 keeps it
-                for ever, as XTDrone does.
+            hover_speed: m/s (m/s^2 for accelerations), see :class:`CommandSettings`. XTDrone's 0.02 swallows the first
+                two presses of its keyboard and freezes a formation up to 2 cm per axis and layer of the topology away
+                from its slots; with 0 only exactly zero means HOVER.
+            cmd_timeout: s, see :class:`CommandSettings`.
 
         Raises:
-            ValueError: ``hover_speed`` or ``cmd_timeout`` is negative or not finite.
+            SettingError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
         """
-        if not 0.0 <= cmd_timeout <= LARGEST:
-            raise ValueError(f"cmd_timeout: {cmd_timeout} s is not allowed, 0 (never) or more")
-        if not 0.0 <= hover_speed <= LARGEST:
-            raise ValueError(f"hover_speed: {hover_speed} m/s is not allowed, 0 or more")
+        settings = CommandSettings(hover_speed=hover_speed, cmd_timeout=cmd_timeout)
         self.name = name
         self._log = log
-        self._hover_speed = hover_speed
-        self._cmd_timeout = cmd_timeout
+        self._hover_speed = settings.hover_speed
+        self._cmd_timeout = settings.cmd_timeout
         self.restart()
 
     def restart(self) -> None:

@@ -19,8 +19,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
-from xtdrone_control.checks import check_range
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.settings import check_range
 
 PERSON = 1.7  # m, the height that a person counts with
 _MOST_DIRECTIONS = 12

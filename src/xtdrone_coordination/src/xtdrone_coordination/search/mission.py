@@ -40,8 +40,8 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator.plan import Items
-from xtdrone_control.checks import check_choice, check_range
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.settings import check_choice, check_range
 
 from .coverage import Point, Waypoint, length
 from .covered import Covered, shows

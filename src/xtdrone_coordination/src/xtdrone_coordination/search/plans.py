@@ -20,11 +20,11 @@ from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
-from xtdrone_control.checks import check_range
 from xtdrone_control.fleet import FleetError, parse_fleet, spawn_grid
 from xtdrone_control.geodesy import geo
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
+from xtdrone_control.settings import check_range
 
 from .coverage import CoverageOptions, Footprint, Point, Waypoint, cover, footprint, length, turns
 from .region import RegionError, divide, read_region

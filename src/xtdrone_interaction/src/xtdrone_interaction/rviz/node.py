@@ -1,9 +1,10 @@
-"""The node that publishes a swarm's markers; see ``nodes/swarm_markers.py``."""
+"""ROS node that publishes the markers of a swarm; see ``nodes/swarm_markers.py``."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -16,8 +17,8 @@ from visualization_msgs.msg import MarkerArray
 from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
-from xtdrone_control.checks import check_range
-from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.program import check_no_arguments, needed_fleet
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import FOR_MARKERS
@@ -26,11 +27,24 @@ NAME = "swarm_markers"
 TOPIC = "/xtdrone/markers"
 SEARCH_EVENTS = "/xtdrone/search/event"
 CAMERA = "cgo3_camera"  # of the vehicles that search
-_RATE = 30.0  # Hz
+
+
+@dataclass(frozen=True)
+class MarkerSettings(Settings):
+    """Private parameters of the node."""
+
+    rate: float = setting(30.0, low=0.1, high=50.0, unit="Hz", text="publishing rate in simulated time")
+    trail: float = setting(TRAIL, low=0.0, high=60.0, unit="s", text="length of the trails")
+    scale: float = setting(
+        1.0, low=0.1, high=50.0, text="scale of letters and line widths; letters are 0.4 m high at 1, legible from 15 m"
+    )
+    spot: float = setting(
+        0.0, low=0.0, high=50.0, unit="m", text="diameter of a sphere around each vehicle for distant views, 0 for none"
+    )
 
 
 class MarkersNode:
-    """Topics of the markers."""
+    """Subscribes to the swarm and publishes its markers."""
 
     def __init__(self, markers: SwarmMarkers) -> None:
         """Advertise and subscribe."""
@@ -49,7 +63,7 @@ class MarkersNode:
         lockstep.add_reset_hook(markers.restart)
 
     def step(self) -> None:
-        """Publish all markers if somebody listens."""
+        """Publish all markers if there are subscribers."""
         if self._publisher.get_num_connections():
             self._publisher.publish(self._markers.array(rospy.get_time()))
 
@@ -87,20 +101,19 @@ def main(arguments: Sequence[str]) -> None:
     """Serve the fleet until shutdown.
 
     Raises:
-        ArgumentError: an argument, no fleet, or a parameter that is not allowed.
+        ArgumentError: invalid arguments or fleet.
+        SettingError: a parameter is not allowed.
     """
     check_no_arguments(arguments)
     fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
-    private = lockstep.future_name(NAME)
-    of_view = FOR_MARKERS.get(str(rospy.get_param(f"{private}/view", "")), {})
-    try:
-        rate = check_range("~rate", rospy.get_param(f"{private}/rate", _RATE), 0.1, 50.0, "Hz")
-        trail = check_range("~trail", rospy.get_param(f"{private}/trail", TRAIL), 0.0, 60.0, "s")
-        scale = check_range("~scale", rospy.get_param(f"{private}/scale", of_view.get("scale", 1.0)), 0.1, 50.0)
-        spot = check_range("~spot", rospy.get_param(f"{private}/spot", of_view.get("spot", 0.0)), 0.0, 50.0, "m")
-    except ValueError as error:
-        raise ArgumentError(str(error)) from error
-    lockstep.init_node(NAME, rate=rate)
-    node = MarkersNode(SwarmMarkers([vehicle.name for vehicle in fleet], trail, scale, spot))
+    private = f"{lockstep.future_name(NAME)}/"
+    of_view = FOR_MARKERS.get(str(rospy.get_param(f"{private}view", "")), {})
+
+    def get(name: str, default: Any) -> Any:
+        return rospy.get_param(name, of_view.get(name.removeprefix(private), default))
+
+    settings = MarkerSettings.from_parameters(get, private)
+    lockstep.init_node(NAME, rate=settings.rate)
+    node = MarkersNode(SwarmMarkers([vehicle.name for vehicle in fleet], settings.trail, settings.scale, settings.spot))
     lockstep.start()
     lockstep.spin(node.step)

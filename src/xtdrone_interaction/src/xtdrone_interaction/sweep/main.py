@@ -12,6 +12,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pyarrow.parquet as pq
 from rich.console import Console
 from rich.markup import escape
 
+from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import cli, options
 from xtdrone_interaction.machine import machine_facts
@@ -31,11 +33,26 @@ from xtdrone_interaction.sweep.run import FIGURES
 from xtdrone_interaction.sweep.store import Store
 from xtdrone_interaction.sweep.study import Study, read_study
 
-_MOST_WORKERS = 1024
 _SHOWN = 10  # runs of a dry run, and differences of studies
 _PICTURE = "picture.png"
 _REASONS = 3  # for which runs have failed
 _FACTS = ("python", "packages", "commit", "changed_since_commit")
+
+
+@dataclass(frozen=True)
+class WorkerSettings(Settings):
+    """Processes of a sweep on this machine."""
+
+    workers: int | None = setting(
+        None, low=1, high=1024, metavar="N", text="worker processes on this machine (default: one per core)"
+    )
+    dashboard: int | None = setting(
+        None,
+        low=1024,
+        high=65535,
+        metavar="PORT",
+        text="show Dask's own page on this TCP port of 127.0.0.1 (needs bokeh)",
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,11 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("study", type=Path, metavar="STUDY.yaml", help="what is flown")
     add("--out", type=Path, metavar="FOLDER", help="folder of the results (default: runs/sweeps/<name of the study>)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", metavar="N", help="worker processes on this machine (default: one a core)")
+    WorkerSettings.add_arguments(where, ("workers",))
     where.add_argument(
         "--scheduler", metavar="ADDRESS", help="fly on a Dask cluster: its scheduler, as tcp://host:8786"
     )
-    add("--dashboard", metavar="PORT", help="show Dask's own page on this TCP port of 127.0.0.1 (needs bokeh)")
+    WorkerSettings.add_arguments(parser, ("dashboard",))
     add("--dry-run", action="store_true", help="say what would be flown, and fly nothing")
     add("--draw", action="store_true", help="fly nothing: write results and picture of what is there")
     add("--retry-failed", action="store_true", help="fly again what is in the results with an error")
@@ -281,23 +298,12 @@ def _client(arguments: argparse.Namespace) -> AbstractContextManager[Any]:
 
     if arguments.scheduler:
         return remote_client(arguments.scheduler)
+    settings = WorkerSettings.from_arguments(arguments)
     dashboard = None
-    if arguments.dashboard:
-        dashboard = f"127.0.0.1:{options.port(arguments.dashboard)}"
+    if settings.dashboard:
+        dashboard = f"127.0.0.1:{settings.dashboard}"
         _check_bokeh()
-    return local_client(_worker_count(arguments.workers), dashboard)
-
-
-def _worker_count(text: str | None) -> int:
-    if text is None:
-        return len(os.sched_getaffinity(0))
-    try:
-        count = int(text)
-    except ValueError:
-        count = 0
-    if not 1 <= count <= _MOST_WORKERS:
-        raise OptionError(f"workers: {text!r} is not allowed; 1 to {_MOST_WORKERS}")
-    return count
+    return local_client(settings.workers or len(os.sched_getaffinity(0)), dashboard)
 
 
 def _check_bokeh() -> None:

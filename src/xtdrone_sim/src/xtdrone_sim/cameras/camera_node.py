@@ -32,9 +32,9 @@ from std_srvs.srv import SetBool, SetBoolResponse
 from xtdrone_msgs.msg import SceneState
 
 from xtdrone_control import lockstep
-from xtdrone_control.checks import check_choice, check_range
-from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, fleet_of
 from xtdrone_control.lockstep.deferred import Deferred
+from xtdrone_control.program import ArgumentError, check_no_arguments, fleet_of
+from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.cameras.camera_worker import DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras import MOST_TURNS, Camera, Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import ActorState, SceneAt, View
@@ -43,39 +43,33 @@ from xtdrone_sim.vehicles.visual import Pose
 
 USAGE = "cameras.py"
 MOST_LATENCY = 10.0  # s
+LEAST_RATE = 0.1  # Hz
 
 _NAME = "cameras"
 
 
+def _check_rate(rate: float) -> None:
+    if 0.0 < rate < LEAST_RATE:
+        raise ValueError
+
+
 @dataclass(frozen=True)
-class Settings:
-    """What the node is told.
+class CameraSettings(Settings):
+    """Private parameters of the node that determine when pictures are taken and how they are drawn."""
 
-    Attributes:
-        rate: pictures a second of every camera (``~rate``), Hz, 0.1 to 50; 0: what each vehicle's file says.
-        latency: simulated time from exposure to publishing (``~latency``), s, 0 to 10.
-        backend: of the renderer (``~backend``).
-    """
-
-    rate: float = 0.0
-    latency: float = 0.1
-    backend: str = "auto"
-
-    @staticmethod
-    def read(parameters: Mapping[str, Any]) -> Settings:
-        """Return the settings that private parameters say.
-
-        Raises:
-            ValueError: one is not allowed; the text names it.
-        """
-        rate = parameters.get("rate", 0.0)
-        if isinstance(rate, bool) or rate != 0:
-            check_range("~rate", rate, 0.1, MOST_TURNS, "Hz")
-        return Settings(
-            rate=float(rate),
-            latency=check_range("~latency", parameters.get("latency", 0.1), 0.0, MOST_LATENCY, "s"),
-            backend=check_choice("~backend", str(parameters.get("backend", "auto")), BACKENDS),
-        )
+    rate: float = setting(
+        0.0,
+        low=0.0,
+        high=MOST_TURNS,
+        unit="Hz",
+        check=_check_rate,
+        allowed=f"0, or {LEAST_RATE:g} to {MOST_TURNS:g} Hz",
+        text="pictures per second of each camera, 0 for the rate in its vehicle's file",
+    )
+    latency: float = setting(
+        0.1, low=0.0, high=MOST_LATENCY, unit="s", text="simulated time from exposure to publication"
+    )
+    backend: str = setting("auto", choices=BACKENDS, text="OpenGL implementation of the renderer")
 
     def rates(self, cameras: Sequence[Camera]) -> list[float]:
         """Return each camera's rate, Hz."""
@@ -110,7 +104,7 @@ class CameraNode:
             lockstep) the one before was still being drawn.
     """
 
-    def __init__(self, cameras: Sequence[Camera], settings: Settings, turns: float) -> None:
+    def __init__(self, cameras: Sequence[Camera], settings: CameraSettings, turns: float) -> None:
         """Declare topics and services.
 
         Args:
@@ -275,7 +269,7 @@ def main(arguments: Sequence[str]) -> None:
     text = str(parameters.get("fleet") or rospy.get_param("/xtdrone/fleet", "typhoon_h480"))
     fleet = fleet_of(text) or ()
     try:
-        settings = Settings.read(parameters)
+        settings = CameraSettings.from_parameters(lambda name, default: parameters.get(name[1:], default))
         cameras = cameras_of(fleet)
         turns = turn_rate(settings.rates(cameras))
     except ValueError as error:

@@ -14,12 +14,13 @@ from gazebo_msgs.msg import ModelStates
 from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.settings import setting
 from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.hil import Hil
 from xtdrone_sim.runtime.backend import Idle
 from xtdrone_sim.runtime.mailbox import Mailbox
-from xtdrone_sim.runtime.simulator_node import NodeSettings, choice, close_all, flag, integer, log, run_node
+from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.gazebo_messages import model_states
 from xtdrone_sim.topics.link_topics import SceneTopics
@@ -27,58 +28,45 @@ from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.sdf import world_file
 
 
-@dataclass(frozen=True)
-class Settings(NodeSettings):
-    """What the node's parameters ask, besides those of every simulator.
+@dataclass(frozen=True, kw_only=True)
+class FullSettings(NodeSettings):
+    """Parameters of the full simulator.
 
     Attributes:
-        fleet: vehicles (``/xtdrone/fleet`` or ``~fleet``), on the ports of instance ``/xtdrone/instance``.
-        rows: spawn grid (``~rows``).
-        autopilot: "builtin" is ours; "hil" has PX4s connect to the vehicles' simulator links (``~autopilot``).
-        world: name or file (``~world``); its absolute path is set as ``/xtdrone/world`` for who draws it.
-        seed: of the sensor noise (``~seed``).
-        shared_datum: one local frame for all (``~shared_datum``); for PX4s its origin is set as
-            ``/xtdrone/shared_origin``, from which the MAVROS layer sends it.
-        params: folder in which changed parameters outlive the simulator, empty for none (``~params``).
-        log_dir: folder for the vehicles' ULogs; empty for none (``~log_dir``).
+        fleet: vehicles (``~fleet`` or ``/xtdrone/fleet``), on the ports of instance ``/xtdrone/instance``.
     """
 
     fleet: tuple[Vehicle, ...]
-    rows: int
-    autopilot: str
-    world: str
-    seed: int
-    shared_datum: bool
-    params: str
-    log_dir: str
+    rows: int = setting(3, low=1, text="vehicles side by side on the spawn grid")
+    autopilot: str = setting(
+        "builtin",
+        choices=("builtin", "hil"),
+        text="builtin for our autopilot, hil for PX4 instances that connect to the simulator links of the vehicles",
+    )
+    world: str = setting("empty", text="name or file of the world; its absolute path is set as /xtdrone/world")
+    seed: int = setting(0, low=0, text="seed of the sensor noise")
+    shared_datum: bool = setting(
+        True, text="one local frame for all vehicles; PX4 instances receive it as /xtdrone/shared_origin"
+    )
+    params: str = setting("", text="folder that keeps changed vehicle parameters, empty for none")
+    log_dir: str = setting("", text="folder for ULogs of the vehicles, empty for none")
 
-    @classmethod
-    def from_parameters(cls) -> Settings:
-        """Read the node's parameters.
 
-        Raises:
-            ValueError: one that is not allowed.
-        """
-        return cls(
-            **cls.common_parameters(),
-            fleet=parse_fleet(
-                str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1"))),
-                check_instance(rospy.get_param("/xtdrone/instance", 0)),
-            ),
-            rows=integer("~rows", 3, 1),
-            autopilot=choice("~autopilot", ("builtin", "hil")),
-            world=str(rospy.get_param("~world", "empty")),
-            seed=integer("~seed", 0, 0),
-            shared_datum=flag("~shared_datum", True),
-            params=str(rospy.get_param("~params", "")),
-            log_dir=str(rospy.get_param("~log_dir", "")),
-        )
+def read_settings() -> FullSettings:
+    """Read the node's parameters.
+
+    Raises:
+        ValueError: a parameter is not allowed.
+    """
+    fleet = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))
+    instance = check_instance(rospy.get_param("/xtdrone/instance", 0))
+    return FullSettings.from_parameters(rospy.get_param, fleet=parse_fleet(fleet, instance))
 
 
 class FullSimulation:
     """Physics, autopilots and the MAVLink server of all vehicles; see ``scene.Scene``."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: FullSettings) -> None:
         """Place the fleet on the ground and bind its ports.
 
         Raises:
@@ -106,7 +94,7 @@ class FullSimulation:
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
         )
 
-    def _factory(self, settings: Settings) -> AutopilotFactory:
+    def _factory(self, settings: FullSettings) -> AutopilotFactory:
         """Return what makes the autopilots that the settings ask for."""
         factories: dict[str, AutopilotFactory] = {
             "builtin": partial(
@@ -124,7 +112,7 @@ class FullSimulation:
         }
         return factories[settings.autopilot]
 
-    def _origin_for_px4s(self, settings: Settings) -> dict[str, float]:
+    def _origin_for_px4s(self, settings: FullSettings) -> dict[str, float]:
         """Return where PX4s' local frames are to begin, empty if they need not be told."""
         if settings.autopilot != "hil" or not settings.shared_datum:
             return {}
@@ -238,8 +226,8 @@ class FullSimulation:
         close_all(self._mavlink.close, self._simulation.close)
 
 
-def _make() -> tuple[Settings, FullSimulation]:
-    settings = Settings.from_parameters()
+def _make() -> tuple[FullSettings, FullSimulation]:
+    settings = read_settings()
     return settings, FullSimulation(settings)
 
 

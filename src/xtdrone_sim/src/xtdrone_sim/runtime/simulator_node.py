@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import rosgraph
 import rosgraph.names
@@ -23,6 +22,7 @@ from rosgraph_msgs.msg import Clock
 from xtdrone_control import kernel, lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.log_output import survive_full_disk
+from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.runtime.backend import Scene
 from xtdrone_sim.runtime.control import Control, Reset
 from xtdrone_sim.runtime.digests import DigestFile
@@ -41,116 +41,21 @@ _LEAST_HANG_LIMIT = 2.0  # s; participants send a keep-alive each second
 _CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
 
 
-@dataclass(frozen=True)
-class NodeSettings:
-    """What the parameters of every simulator's node ask.
-
-    Attributes:
-        speed: target real-time factor, 0 for unlimited (``~speed``).
-        paused: start paused (``~paused``).
-        until: simulated seconds after which the node ends, 0 for never (``~until``).
-        lockstep: offer it; without, nothing is waited for and nodes run on /clock (``~lockstep``).
-        participants: lockstep participants to wait for before time starts, how many or their names
-            (``~participants``: a number, a list of names, or a text with names and commas between).
-        start_limit: wall seconds to wait for them (``~start_limit``).
-        hang_limit: wall seconds of silence after which a participant is dropped, 0 for never, else at least 2
-            (``~hang_limit``).
-        busy_limit: wall seconds that a living participant may take for one turn, 0 for any time (``~busy_limit``).
-        host: address on which lockstep and MAVLink listen; "0.0.0.0" for every network (``~host``).
-        lockstep_port: the lockstep's TCP port, 0 for any free one (``~lockstep_port``).
-        states_rate: /gazebo/model_states and ground_truth/odom, Hz of simulated time (``~model_states_rate``).
-        digest: file for digests of all that is published, see ``digests``; empty for none (``~digest``).
-        digest_topics: digests of topics too, which are then published even if nobody listens; else only of the truth
-            (``~digest_topics``).
-    """
-
-    speed: float
-    paused: bool
-    until: float
-    lockstep: bool
-    participants: int | tuple[str, ...]
-    start_limit: float
-    hang_limit: float
-    busy_limit: float
-    host: str
-    lockstep_port: int
-    states_rate: float
-    digest: str
-    digest_topics: bool
-
-    @staticmethod
-    def common_parameters() -> dict[str, Any]:
-        """Read the parameters that every simulator has, by the names of the attributes.
-
-        Raises:
-            ValueError: one that is not allowed.
-        """
-        return {
-            "speed": number("~speed", 1.0, 0.0, 1e6),
-            "paused": flag("~paused", False),
-            "until": number("~until", 0.0, 0.0, 1e9),
-            "lockstep": flag("~lockstep", True),
-            "participants": _participants("~participants"),
-            "start_limit": number("~start_limit", 120.0, 0.0, 1e6),
-            "hang_limit": _hang_limit("~hang_limit"),
-            "busy_limit": number("~busy_limit", 0.0, 0.0, 1e6),
-            "host": str(rospy.get_param("~host", "127.0.0.1")),
-            "lockstep_port": integer("~lockstep_port", 0, 0, 65535),
-            "states_rate": number("~model_states_rate", 50.0, 0.1, 250.0),
-            "digest": str(rospy.get_param("~digest", "")),
-            "digest_topics": flag("~digest_topics", True),
-        }
+def _check_hang_limit(limit: float) -> None:
+    if 0.0 < limit < _LEAST_HANG_LIMIT:
+        raise ValueError
 
 
-def number(name: str, default: float, low: float, high: float) -> float:
-    """Return a number within limits, or the default if the parameter is not set.
-
-    Raises:
-        ValueError: it is not allowed.
-    """
-    value = rospy.get_param(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, {low} to {high}")
-    return float(value)
-
-
-def integer(name: str, default: int, low: int, high: int | None = None) -> int:
-    """Return a whole number within limits, or the default if the parameter is not set.
-
-    Raises:
-        ValueError: it is not allowed.
-    """
-    value = rospy.get_param(name, default)
-    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
-        limits = f"from {low}" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, a whole number {limits}")
-    return value
-
-
-def _hang_limit(name: str) -> float:
-    value = number(name, 60.0, 0.0, 1e6)
-    if 0.0 < value < _LEAST_HANG_LIMIT:
-        raise ValueError(
-            f"{rospy.resolve_name(name)}: {value:g} s is not allowed, 0 (never), or at least {_LEAST_HANG_LIMIT:g} s: "
-            "participants give a sign of life once a second"
-        )
-    return value
-
-
-def _participants(name: str) -> int | tuple[str, ...]:
-    value: Any = rospy.get_param(name, 0)
-    if isinstance(value, str) and not value.strip().isdecimal():
-        value = [part.strip() for part in value.split(",")]
-    if isinstance(value, list) and all(_is_node_name(part) for part in value):
-        return tuple(rosgraph.names.make_global_ns(part).rstrip("/") for part in value)
-    if isinstance(value, str):
-        value = int(value)
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(
-            f"{rospy.resolve_name(name)}: {value!r} is not allowed, how many (from 0), or their node names with commas "
-            "between, as /mavros,/leader"
-        )
-    return value
+def _parse_participants(given: object) -> int | tuple[str, ...]:
+    if isinstance(given, str) and not given.strip().isdecimal():
+        given = [part.strip() for part in given.split(",")]
+    if isinstance(given, list) and all(_is_node_name(part) for part in given):
+        return tuple(rosgraph.names.make_global_ns(part).rstrip("/") for part in given)
+    if isinstance(given, str):
+        given = int(given)
+    if isinstance(given, bool) or not isinstance(given, int) or given < 0:
+        raise ValueError
+    return given
 
 
 def _is_node_name(text: object) -> bool:
@@ -159,28 +64,51 @@ def _is_node_name(text: object) -> bool:
     return bool(text.strip("/")) and rosgraph.names.is_legal_name(text)
 
 
-def flag(name: str, default: bool) -> bool:
-    """Return true or false, or the default if the parameter is not set.
+@dataclass(frozen=True, kw_only=True)
+class NodeSettings(Settings):
+    """Private parameters of both simulator nodes."""
 
-    Raises:
-        ValueError: it is not allowed.
-    """
-    value = rospy.get_param(name, default)
-    if not isinstance(value, bool):
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, true or false")
-    return value
-
-
-def choice(name: str, allowed: tuple[str, ...]) -> str:
-    """Return one of ``allowed``, the first if the parameter is not set.
-
-    Raises:
-        ValueError: it is none of them.
-    """
-    value = rospy.get_param(name, allowed[0])
-    if value not in allowed:
-        raise ValueError(f"{rospy.resolve_name(name)}: {value!r} is not allowed, {' or '.join(allowed)}")
-    return str(value)
+    speed: float = setting(1.0, low=0.0, high=1e6, text="target real-time factor, 0 for unlimited")
+    paused: bool = setting(False, text="start paused")
+    until: float = setting(0.0, low=0.0, high=1e9, unit="s", text="simulated time at which the node ends, 0 for never")
+    lockstep: bool = setting(
+        True, text="offer the lockstep; without it the simulator waits for no node and nodes run on /clock"
+    )
+    participants: int | tuple[str, ...] = setting(
+        0,
+        parse=_parse_participants,
+        allowed="a number from 0, or node names separated by commas, as /mavros,/leader",
+        text="lockstep participants that time waits for at the start",
+    )
+    start_limit: float = setting(120.0, low=0.0, high=1e6, unit="s", text="longest wall time to wait for participants")
+    hang_limit: float = setting(
+        60.0,
+        low=0.0,
+        high=1e6,
+        unit="s",
+        check=_check_hang_limit,
+        allowed=f"0 (never), or {_LEAST_HANG_LIMIT:g} to 1000000 s; participants send a keep-alive every second",
+        text="wall time without a message after which a participant is dropped",
+    )
+    busy_limit: float = setting(
+        0.0, low=0.0, high=1e6, unit="s", text="longest wall time of one turn of a participant, 0 for unlimited"
+    )
+    host: str = setting(
+        "127.0.0.1", text="address on which lockstep and MAVLink listen; 0.0.0.0 for every network interface"
+    )
+    lockstep_port: int = setting(0, low=0, high=65535, text="TCP port of the lockstep, 0 for a free one")
+    states_rate: float = setting(
+        50.0,
+        low=0.1,
+        high=250.0,
+        unit="Hz",
+        ros="model_states_rate",
+        text="rate of /gazebo/model_states and ground_truth/odom in simulated time",
+    )
+    digest: str = setting("", text="file for digests of everything published, empty for none")
+    digest_topics: bool = setting(
+        True, text="digest topics too, which are then published without subscribers; otherwise only the ground truth"
+    )
 
 
 def _digest_file(settings: NodeSettings, host: lockstep.Host) -> DigestFile | None:
@@ -202,7 +130,7 @@ class SimulatorNode:
         """Set everything up; time stands at 0.
 
         Args:
-            settings: what the node's parameters ask.
+            settings: the node's parameters.
             scene: what is run; it is closed at the end.
             stop: says when to end.
 

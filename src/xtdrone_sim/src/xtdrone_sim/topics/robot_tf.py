@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import rospy
@@ -12,13 +13,19 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
-from xtdrone_control.checks import check_range
-from xtdrone_control.communication.arguments import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
+from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.topics.robot_frames import Frame, RobotFrames
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 
-_RATE = 30.0  # Hz
+
+@dataclass(frozen=True)
+class TfSettings(Settings):
+    """Private parameters of the node."""
+
+    rate: float = setting(30.0, low=1.0, high=50.0, unit="Hz", text="publishing rate in simulated time")
+    frame_id: str = setting("map", text="frame of the vehicles' positions")
 
 
 def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
@@ -80,16 +87,17 @@ def main(arguments: Sequence[str]) -> None:
     """Serve the fleet until shutdown.
 
     Raises:
-        ArgumentError: an argument, no fleet, or a parameter that is not allowed.
+        ArgumentError: invalid arguments, fleet or parameters.
     """
     check_no_arguments(arguments)
     fleet = needed_fleet(rospy.get_param("/xtdrone/fleet", None))
     try:
         types = {vehicle.type: load_vehicle(vehicle.type) for vehicle in fleet}
-        rate = check_range("~rate", rospy.get_param(f"{lockstep.future_name('robot_tf')}/rate", _RATE), 1.0, 50.0, "Hz")
+        settings = TfSettings.from_parameters(rospy.get_param, f"{lockstep.future_name('robot_tf')}/", names=("rate",))
     except (ModelError, ValueError) as error:
         raise ArgumentError(str(error)) from error
-    lockstep.init_node("robot_tf", rate=rate)
-    node = RobotTf({vehicle.name: types[vehicle.type] for vehicle in fleet}, str(rospy.get_param("~frame_id", "map")))
+    lockstep.init_node("robot_tf", rate=settings.rate)
+    settings = TfSettings.from_parameters(rospy.get_param)
+    node = RobotTf({vehicle.name: types[vehicle.type] for vehicle in fleet}, settings.frame_id)
     lockstep.start()
     lockstep.spin(node.step)

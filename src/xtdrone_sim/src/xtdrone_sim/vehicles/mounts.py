@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from xtdrone_control.checks import check_range
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.settings import check_range
 from xtdrone_sim.vehicles.poses import multiply
 from xtdrone_sim.vehicles.urdf import FIXED, Description, Joint, UrdfError
 from xtdrone_sim.vehicles.visual import Vector

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from xtdrone_control.checks import check_range
+from xtdrone_control.settings import check_range
 from xtdrone_sim.vehicles.visual import Pose, Vector
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import rospkg
 
-from xtdrone_control.checks import check_choice
+from xtdrone_control.settings import check_choice
 from xtdrone_sim.vehicles.visual import Mesh, Visual
 
 SPLITS = ("train", "test")

@@ -4,18 +4,13 @@ One process stands for simulator, autopilots and MAVROS layer: /clock, the locks
 full simulator has them (``xtdrone_sim.runtime.simulator_node``), and the topics and services of ``topics.py``. With
 communication nodes it takes their setpoints, without them XTDrone's commands themselves.
 
-Parameters, besides those of every simulator (``simulator_node.NodeSettings``: ~speed, ~paused, ~until,
-~participants, ~digest, ...):
-    ~model: first-order, second-order, or a YAML file with the values of ``model.Model``; empty: the type's own.
-    ~order: 1 or 2, in place of the model's.
-    ~rows: vehicles side by side along x on the spawn grid, 3 m apart; 0: as many as make it the pattern ``origin``.
-    ~places: [[x, y, z], ...], m ENU, a place for every vehicle in place of the grid.
-    ~airborne (false): start armed, in OFFBOARD, ~altitude (10 m) above these places.
-    ~view: a live window (``visualize.py``, in a process of its own that ends with this one); by default where there is
-        a display.
-    ~hover_speed (m/s, 0.001), ~cmd_timeout (s, 0): of XTDrone's commands, see multirotor_communication.py.
-    ~setpoint_timeout (s, 1 as PX4's COM_OF_LOSS_T): a vehicle whose setpoints stop goes from OFFBOARD to POSCTL, which
-        holds; 0: it keeps the last one for ever.
+Parameters: those of :class:`SimplifiedSettings`, and
+    ~model: first-order, second-order, or a YAML file with the values of ``model.Model``; empty for the vehicle type's.
+    ~order: 1 or 2, replaces the model's.
+    ~rows: vehicles side by side along x on the spawn grid, 3 m apart; 0 for the grid of the pattern ``origin``.
+    ~places: [[x, y, z], ...], m ENU, initial positions of all vehicles instead of the grid.
+    ~altitude (10 m): height above these positions with ~airborne.
+    ~view: open a live window (``visualize.py``, in a process that ends with this one); default: if there is a display.
 
 Nothing here is random. The node sets /xtdrone/fleet.
 """
@@ -34,16 +29,17 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import ArgumentError, check_multirotor, parse_count
-from xtdrone_control.communication.core import HOVER_SPEED
+from xtdrone_control.communication.core import CommandSettings
 from xtdrone_control.fleet import parse_fleet, spawn_grid
 from xtdrone_control.geodesy.geo import GRAVITY
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.program import ArgumentError, check_multirotor, parse_count
+from xtdrone_control.settings import SettingError, Settings, setting
 from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.runtime.backend import Idle
 from xtdrone_sim.runtime.mailbox import Mailbox
-from xtdrone_sim.runtime.simulator_node import NodeSettings, flag, integer, number, run_node
+from xtdrone_sim.runtime.simulator_node import NodeSettings, run_node
 from xtdrone_swarm.simplified.model import Model, load_model
 from xtdrone_swarm.simplified.simplified_vehicles import SimplifiedVehicles
 from xtdrone_swarm.simplified.topics import SteeredVehicles, SwarmTopic, VehicleTopics
@@ -59,69 +55,88 @@ _STATE_PERIOD_US = 1_000_000
 _EXTENDED_PERIOD_US = 200_000
 
 
-@dataclass(frozen=True)
-class Settings(NodeSettings):
-    """What arguments and parameters ask, besides what every simulator is asked; see the module.
+@dataclass(frozen=True, kw_only=True)
+class SimplifiedSettings(CommandSettings, NodeSettings):
+    """Arguments and parameters of the simplified simulator.
 
     Attributes:
         kind: vehicle type.
-        count: how many.
-        model: what they are.
-        places: shape (count, 3), m ENU.
-        airborne: start flying.
-        view: open a live window.
-        hover_speed: of XTDrone's commands, m/s.
-        cmd_timeout: likewise, s.
-        setpoint_timeout: s without a setpoint after which OFFBOARD is left; 0: never.
+        count: number of vehicles.
+        model: of every vehicle.
+        places: initial positions, shape (count, 3), m ENU.
+        view: whether to open a live window.
     """
 
     kind: str
     count: int
     model: Model
     places: Array
-    airborne: bool
     view: bool
-    hover_speed: float
-    cmd_timeout: float
-    setpoint_timeout: float
-
-    @classmethod
-    def from_parameters(cls, kind: str, count: int) -> Settings:
-        """Read the node's parameters.
-
-        Raises:
-            ValueError: one that is not allowed.
-        """
-        airborne = flag("~airborne", False)
-        places = _places(kind, count)
-        if airborne:
-            places[:, 2] += number("~altitude", 10.0, 0.1, 1e4)
-        return cls(
-            **cls.common_parameters(),
-            kind=kind,
-            count=count,
-            model=_model(kind),
-            places=places,
-            airborne=airborne,
-            view=wanted(flag("~view", False) if rospy.has_param("~view") else None),
-            hover_speed=number("~hover_speed", HOVER_SPEED, 0.0, 1e6),
-            cmd_timeout=number("~cmd_timeout", 0.0, 0.0, 1e6),
-            setpoint_timeout=number("~setpoint_timeout", SETPOINT_TIMEOUT, 0.0, 1e6),
-        )
+    airborne: bool = setting(False, text="start armed, in OFFBOARD, at ~altitude above the initial positions")
+    setpoint_timeout: float = setting(
+        SETPOINT_TIMEOUT,
+        low=0.0,
+        high=1e6,
+        unit="s",
+        text="time without a setpoint after which a vehicle leaves OFFBOARD for POSCTL, as COM_OF_LOSS_T; 0 for never",
+    )
 
 
-def _model(kind: str) -> Model:
-    model = load_model(kind, str(rospy.get_param("~model", "")) or None)
-    order = integer("~order", 0, 0, 2)
-    return replace(model, order=order) if order else model
+@dataclass(frozen=True)
+class _Start(Settings):
+    """Parameters that determine the vehicles at the start."""
+
+    model: str = setting("", text="first-order, second-order or a YAML file; empty for the vehicle type's")
+    order: int = setting(0, low=0, high=2, text="order of the model, 0 for the model's own")
+    rows: int = setting(0, low=0, text="vehicles side by side on the spawn grid, 0 for the grid of pattern origin")
+    altitude: float = setting(10.0, low=0.1, high=1e4, unit="m", text="height of airborne vehicles at the start")
 
 
-def _places(kind: str, count: int) -> Array:
-    """Return where the vehicles start, shape (count, 3), m ENU."""
+def read_settings(kind: str, count: int) -> SimplifiedSettings:
+    """Read the node's parameters.
+
+    Args:
+        kind: vehicle type.
+        count: number of vehicles.
+
+    Raises:
+        ValueError: a parameter is not allowed.
+    """
+    start = _Start.from_parameters(rospy.get_param)
+    settings = SimplifiedSettings.from_parameters(
+        rospy.get_param,
+        kind=kind,
+        count=count,
+        model=_model(kind, start),
+        places=_places(kind, count, start.rows),
+        view=wanted(_view()),
+    )
+    if settings.airborne:
+        settings.places[:, 2] += start.altitude
+    return settings
+
+
+def _view() -> bool | None:
+    name = "~view"
+    if not rospy.has_param(name):
+        return None
+    view = rospy.get_param(name)
+    if not isinstance(view, bool):
+        raise SettingError(rospy.resolve_name(name), view, "true or false")
+    return view
+
+
+def _model(kind: str, start: _Start) -> Model:
+    model = load_model(kind, start.model or None)
+    return replace(model, order=start.order) if start.order else model
+
+
+def _places(kind: str, count: int, rows: int) -> Array:
+    """Return the initial positions, shape (count, 3), m ENU."""
     given = rospy.get_param("~places", [])
     if not given:
         fleet = parse_fleet(f"{kind}:{count}")
-        return np.array(spawn_grid(fleet, integer("~rows", 0, 0) or origin_columns(count)))
+        return np.array(spawn_grid(fleet, rows or origin_columns(count)))
     try:
         places = np.array(given, dtype=float)
     except (TypeError, ValueError):
@@ -296,8 +311,8 @@ def main() -> int:
 
     windows = contextlib.ExitStack()
 
-    def make() -> tuple[Settings, SimplifiedScene]:
-        settings = Settings.from_parameters(kind, count)
+    def make() -> tuple[SimplifiedSettings, SimplifiedScene]:
+        settings = read_settings(kind, count)
         # The dead zone is that of XTDrone's commands: whoever sends setpoints has his own.
         vehicles = SimplifiedVehicles(
             count,

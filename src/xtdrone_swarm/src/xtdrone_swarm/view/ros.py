@@ -35,13 +35,14 @@ from rospy.client import load_command_line_node_params
 from std_msgs.msg import Float32MultiArray, Int32MultiArray
 
 from xtdrone_control import lockstep
-from xtdrone_control.communication.arguments import (
+from xtdrone_control.program import (
     ArgumentError,
     check_multirotor,
     fleet_of,
     parse_count,
     run_program,
 )
+from xtdrone_control.settings import check_range
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_swarm.view.camera import Array
 from xtdrone_swarm.view.film import FPS, FilmError, check_film, film
@@ -314,10 +315,7 @@ def _own_parameter(name: str, default: Any) -> Any:
 
 
 def _trails() -> float:
-    trails = _own_parameter("trails", TRAILS)
-    if isinstance(trails, bool) or not isinstance(trails, int | float) or not 0.0 <= trails < np.inf:
-        raise ArgumentError(f"~trails: {trails!r} is not allowed, seconds, 0 or more")
-    return float(trails)
+    return check_range("~trails", _own_parameter("trails", TRAILS), 0.0, unit="s")
 
 
 def visualize(arguments: Sequence[str]) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xtdrone_control.checks import check_range
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.rendering.backends import BACKENDS, Backend, RendererError
 from xtdrone_sim.cameras.rendering.ranges import Extents
 from xtdrone_sim.cameras.rendering.triangles import Triangles, joined, rotation_matrix, triangles_of, write_obj

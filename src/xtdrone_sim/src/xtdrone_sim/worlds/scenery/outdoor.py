@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xtdrone_control.checks import check_choice, check_range
+from xtdrone_control.settings import Settings, check_range, setting
 from xtdrone_sim.vehicles.poses import from_rpy
 from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds.scenery import assets, things
 from xtdrone_sim.worlds.scenery.ground import Ground, Rectangle
-from xtdrone_sim.worlds.scenery.kit import Kit
+from xtdrone_sim.worlds.scenery.kit import SPLITS, Kit
 from xtdrone_sim.worlds.scenery.things import Thing
 from xtdrone_sim.worlds.sdf import (
     Light,
@@ -54,32 +54,32 @@ _DENSITY = {"tree": 7.0, "bush": 5.0, "house": 0.6, "street": 1.6, "yard": 4.0, 
 
 
 @dataclass(frozen=True)
-class Options:
-    """What a scene is to be like.
+class OutdoorOptions(Settings):
+    """Options of a scene.
 
     Attributes:
-        region: x0, y0, x1, y1, m ENU: where things and persons are.
-        clear: rectangle in which nothing stands; the vehicles start there.
-        persons: how many.
-        walking: they walk; else they stand.
-        skins: names of persons to choose from; empty: the actors' skins are left open.
-        split: of colours, textures and forms: all, train or test.
-        objects: factor on the number of things, 0 to 3.
-        light: noon, morning, evening, overcast or any.
-        person_distance: m that persons keep from ``clear``.
-        within: tells whether people may stand or turn at x, y; None: anywhere in ``region``.
+        region: x0, y0, x1, y1, m ENU; area of things and persons, each side 10 to 2000 m.
+        clear: rectangle without things, where the vehicles start.
+        skins: persons to choose from; empty leaves the actors' skins open.
+        within: predicate of x, y (m ENU) where people may stand or turn; None for anywhere in ``region``.
     """
 
     region: Rectangle = REGION
     clear: Rectangle = CLEAR
-    persons: int = 1
-    walking: bool = False
+    persons: int = setting(1, low=0, high=100, text="number of persons")
+    walking: bool = setting(False, text="persons walk in circuits instead of standing")
     skins: Sequence[str] = ()
-    split: str = "all"
-    objects: float = 1.0
-    light: str = "noon"
-    person_distance: float = 10.0
+    split: str = setting("all", choices=SPLITS, text="colours, textures and shapes to choose from")
+    objects: float = setting(1.0, low=0.0, high=3.0, text="factor on the number of things")
+    light: str = setting("noon", choices=LIGHTS, text="time of day and weather")
+    person_distance: float = setting(10.0, low=0.0, high=1000.0, unit="m", text="distance of persons from ``clear``")
     within: Callable[[float, float], bool] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        x0, y0, x1, y1 = self.region
+        for name, side in (("x", x1 - x0), ("y", y1 - y0)):
+            check_range(f"region: its side along {name}", side, 10.0, 2000.0, "m")
 
 
 def outdoor(seed: int, **options: object) -> SdfWorld:
@@ -87,34 +87,23 @@ def outdoor(seed: int, **options: object) -> SdfWorld:
 
     Args:
         seed: 0 or more.
-        options: see ``Options``. People do not change where things are.
+        options: see :class:`OutdoorOptions`. People do not change where things are.
 
     Raises:
         ValueError: an option that is not allowed, or no free place for a person.
     """
-    wanted = Options(**options)  # type: ignore[arg-type]
-    _check(seed, wanted)
+    wanted = OutdoorOptions(**options)  # type: ignore[arg-type]
+    check_range("seed", seed, 0)
     scene = _Scene(seed, wanted)
     scene.furnish()
     world = replace(load_world_file("empty"), name=f"outdoor_{seed}", light=scene.light(), models=tuple(scene.models))
     return replace(world, actors=tuple(_people(seed, wanted, world)))
 
 
-def _check(seed: int, options: Options) -> None:
-    check_range("seed", seed, 0)
-    check_range("persons", options.persons, 0, 100)
-    check_range("objects", options.objects, 0.0, 3.0)
-    check_range("person_distance", options.person_distance, 0.0, 1000.0, "m")
-    check_choice("light", options.light, LIGHTS)
-    x0, y0, x1, y1 = options.region
-    for name, side in (("x", x1 - x0), ("y", y1 - y0)):
-        check_range(f"region: its side along {name}", side, 10.0, 2000.0, "m")
-
-
 class _Scene:
     """A scene while it is made."""
 
-    def __init__(self, seed: int, options: Options) -> None:
+    def __init__(self, seed: int, options: OutdoorOptions) -> None:
         self._seed = seed
         self._options = options
         self.models: list[SdfModel] = []
@@ -274,7 +263,7 @@ class _Scene:
 # people
 
 
-def _people(seed: int, options: Options, world: SdfWorld) -> list[SdfActor]:
+def _people(seed: int, options: OutdoorOptions, world: SdfWorld) -> list[SdfActor]:
     rng = np.random.default_rng((seed, 20))
     ground = Ground(world)
     actors: list[SdfActor] = []
@@ -293,7 +282,7 @@ def _people(seed: int, options: Options, world: SdfWorld) -> list[SdfActor]:
 
 
 def _place(
-    rng: np.random.Generator, options: Options, ground: Ground, others: list[tuple[float, float, float]]
+    rng: np.random.Generator, options: OutdoorOptions, ground: Ground, others: list[tuple[float, float, float]]
 ) -> tuple[float, float]:
     for _ in range(1000):
         x, y = _anywhere(rng, options.region)
@@ -321,7 +310,7 @@ def _distance(rectangle: Rectangle, x: float, y: float) -> float:
 
 
 def _way(
-    rng: np.random.Generator, options: Options, ground: Ground, start: tuple[float, float], speed: float
+    rng: np.random.Generator, options: OutdoorOptions, ground: Ground, start: tuple[float, float], speed: float
 ) -> Trajectory | None:
     """Return a round of straight ways over free ground; None where there is no room to walk."""
     corners = [start]

@@ -1,10 +1,10 @@
-"""Command lines of programs that serve one vehicle or many."""
+"""Command lines of nodes."""
 
 from __future__ import annotations
 
 import pytest
 
-from xtdrone_control.communication.arguments import (
+from xtdrone_control.program import (
     ArgumentError,
     check_multirotor,
     fleet_of,

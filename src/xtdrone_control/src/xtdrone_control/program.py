@@ -1,4 +1,7 @@
-"""Command lines of programs that serve one vehicle or many: ``iris 0``, ``iris 0-8``, ``iris 1,3,5``, ``iris all``."""
+"""Main functions and command lines of ROS nodes.
+
+Programs for several vehicles of one type name them as ``iris 0``, ``iris 0-8``, ``iris 1,3,5`` or ``iris all``.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,22 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from xtdrone_control.fleet import MAX_VEHICLES, FleetError, Vehicle, parse_fleet
+from .fleet import MAX_VEHICLES, FleetError, Vehicle, parse_fleet
+from .settings import SettingError
 
 MULTIROTORS = ("iris", "solo", "typhoon_h480")
 OTHER_VEHICLES = ("plane", "rover", "standard_vtol", "tiltrotor", "tailsitter")
 
 
 class ArgumentError(ValueError):
-    """A command line that cannot be run."""
+    """An invalid command line or ROS parameter."""
 
 
 def parse_count(text: str) -> int:
-    """Return a number of vehicles.
+    """Parse a number of vehicles.
 
     Raises:
-        ArgumentError: not a whole number in 1..250.
+        ArgumentError: not a whole number from 1 to 250.
     """
     if not re.fullmatch(r"-?\d+", text) or not 1 <= int(text) <= MAX_VEHICLES:
         raise ArgumentError(f"number of vehicles: {text!r} is not allowed, 1 to {MAX_VEHICLES}")
@@ -29,13 +33,16 @@ def parse_count(text: str) -> int:
 
 
 def parse_ids(text: str, first: int, last: int | None, name: str = "id") -> list[int]:
-    """Return the vehicle indices that ``text`` names, ascending.
+    """Parse vehicle indices.
 
     Args:
         text: a number, a range ``0-8``, a comma-separated list of these, or ``all``.
-        first: least index allowed.
-        last: greatest index allowed; None when the number of vehicles is not known, then ``all`` is refused.
-        name: what to call the argument in messages.
+        first: lowest index allowed.
+        last: highest index allowed; None if the number of vehicles is unknown, then ``all`` is rejected.
+        name: of the argument, for messages.
+
+    Returns:
+        The indices, ascending.
 
     Raises:
         ArgumentError: malformed, out of range, or empty.
@@ -61,7 +68,13 @@ def parse_ids(text: str, first: int, last: int | None, name: str = "id") -> list
 
 
 def fleet_of(text: str | None) -> tuple[Vehicle, ...] | None:
-    """Return the fleet that the parameter ``/xtdrone/fleet`` describes, None when it is not set.
+    """Parse the parameter ``/xtdrone/fleet``.
+
+    Args:
+        text: the parameter, None if it is not set.
+
+    Returns:
+        The fleet, None if the parameter is not set.
 
     Raises:
         ArgumentError: the parameter is malformed.
@@ -75,19 +88,19 @@ def fleet_of(text: str | None) -> tuple[Vehicle, ...] | None:
 
 
 def needed_fleet(text: str | None) -> tuple[Vehicle, ...]:
-    """Return the fleet that the parameter ``/xtdrone/fleet`` describes.
+    """Parse the parameter ``/xtdrone/fleet`` of a program that requires it.
 
     Raises:
         ArgumentError: the parameter is not set (``text`` is None), or malformed.
     """
     fleet = fleet_of(text)
     if fleet is None:
-        raise ArgumentError("parameter /xtdrone/fleet is not set: which vehicles there are, as iris:9,typhoon_h480:2")
+        raise ArgumentError("parameter /xtdrone/fleet is not set; it lists the vehicles, as iris:9,typhoon_h480:2")
     return fleet
 
 
 def check_no_arguments(arguments: Sequence[str]) -> None:
-    """Check the command line of a program that serves the whole fleet.
+    """Reject arguments of a program that has none.
 
     Raises:
         ArgumentError: there is an argument.
@@ -97,10 +110,14 @@ def check_no_arguments(arguments: Sequence[str]) -> None:
 
 
 def check_multirotor(kind: str, fleet: tuple[Vehicle, ...] | None) -> int | None:
-    """Return how many vehicles of type ``kind`` fly, None when no fleet is known.
+    """Return the number of vehicles of a multirotor type in the fleet.
+
+    Args:
+        kind: vehicle type, such as ``iris``.
+        fleet: all vehicles; None if unknown, then None is returned.
 
     Raises:
-        ArgumentError: ``kind`` is no multirotor, or not in the fleet.
+        ArgumentError: not a multirotor, or not in the fleet.
     """
     if kind in OTHER_VEHICLES:
         raise ArgumentError(f"type: {kind!r} is no multirotor; allowed are {', '.join(MULTIROTORS)}")
@@ -116,12 +133,12 @@ def check_multirotor(kind: str, fleet: tuple[Vehicle, ...] | None) -> int | None
 
 
 class Served(NamedTuple):
-    """The vehicles that one process serves.
+    """The vehicles of one process.
 
     Attributes:
-        type: of all of them.
-        ids: ascending.
-        name: ``iris_0`` for one, ``iris_0_8`` for the first and last of several: how its node's name begins.
+        type: vehicle type.
+        ids: indices, ascending.
+        name: prefix of the node's name: ``iris_0`` for one vehicle, ``iris_0_8`` with the first and last of several.
     """
 
     type: str
@@ -130,14 +147,14 @@ class Served(NamedTuple):
 
 
 def served_vehicles(arguments: Sequence[str], fleet: str | None) -> Served:
-    """Return the vehicles that a command line ``TYPE ID`` names.
+    """Parse the command line ``TYPE ID``.
 
     Args:
-        arguments: the two; ID is as in :func:`parse_ids`.
-        fleet: the parameter ``/xtdrone/fleet``, None when it is not set.
+        arguments: type and indices, see :func:`parse_ids`.
+        fleet: the parameter ``/xtdrone/fleet``, None if it is not set.
 
     Raises:
-        ArgumentError: they are not two, or one of them or the fleet is not allowed.
+        ArgumentError: wrong number of arguments, or an invalid type, index or fleet.
     """
     if len(arguments) != 2:
         raise ArgumentError(f"2 arguments are needed, {len(arguments)} were given")
@@ -148,12 +165,18 @@ def served_vehicles(arguments: Sequence[str], fleet: str | None) -> Served:
 
 
 def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str], usage: str) -> int:
-    """Run a node's main function with the arguments that ROS leaves; return the exit status.
+    """Run a node's main function and return the exit status.
 
-    0 after a normal end, 1 without a master, when the simulator refuses or drops the node or crashes, 2 for wrong
-    arguments, each with its reason on standard error.
+    Args:
+        main: called with the arguments without ROS remappings.
+        arguments: the command line with the program's name.
+        usage: printed after an invalid command line.
+
+    Returns:
+        0 after a normal end; 1 without a ROS master, or if the simulator rejects or drops the node or crashes; 2 for
+        an invalid command line or parameter. The reason goes to standard error.
     """
-    import rosgraph  # here, so that this module can be imported without ROS
+    import rosgraph  # here: this module can be imported without ROS
     import rospy
 
     from xtdrone_control import lockstep
@@ -164,7 +187,7 @@ def run_program(main: Callable[[Sequence[str]], None], arguments: Sequence[str],
         return 1
     try:
         main(arguments)
-    except ArgumentError as error:
+    except (ArgumentError, SettingError) as error:
         print(f"{error}\nusage: {usage}", file=sys.stderr)
         return 2
     except rospy.ROSInitException as error:

@@ -1,0 +1,76 @@
+"""docs/settings.md holds the tables that the settings classes generate; as a program, update the page."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from xtdrone_control.communication.core import CommandSettings
+from xtdrone_control.settings import Settings
+from xtdrone_interaction.director import DirectorSettings
+from xtdrone_interaction.rviz.node import MarkerSettings
+from xtdrone_perception.detector import DetectorSettings
+from xtdrone_perception.following import FollowSettings
+from xtdrone_perception.geolocation import Noise, Person
+from xtdrone_perception.gimbal import GimbalOptions
+from xtdrone_perception.human_tracking import TrackingOptions
+from xtdrone_perception.tracker import TrackerSettings
+from xtdrone_perception.yolo import EyeOptions, GroundOptions
+from xtdrone_sim.cameras.camera_node import CameraSettings
+from xtdrone_sim.runtime.full_simulation import FullSettings
+from xtdrone_sim.runtime.simulator_node import NodeSettings
+from xtdrone_sim.topics.robot_tf import TfSettings
+from xtdrone_swarm.simplified.node import SimplifiedSettings
+
+PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
+CLASSES: dict[str, type[Settings]] = {
+    cls.__name__: cls
+    for cls in (
+        NodeSettings,
+        FullSettings,
+        SimplifiedSettings,
+        CommandSettings,
+        CameraSettings,
+        TfSettings,
+        GimbalOptions,
+        EyeOptions,
+        GroundOptions,
+        DetectorSettings,
+        TrackerSettings,
+        Person,
+        Noise,
+        TrackingOptions,
+        FollowSettings,
+        DirectorSettings,
+        MarkerSettings,
+    )
+}
+
+
+def updated(page: str) -> str:
+    """Return the page with a current table below each comment that names a class."""
+    page = re.sub(r"\n\|[^\n]*(?=\n)", "", page)
+    page = re.sub(r"<!-- (\w+) -->\n+", lambda found: f"<!-- {found[1]} -->\n\n{table(found[1])}\n\n", page)
+    return page.rstrip() + "\n"
+
+
+def table(name: str) -> str:
+    """Return the table of the settings that a class adds to those of its bases."""
+    cls = CLASSES[name]
+    return cls.table(vars(cls)["__annotations__"])
+
+
+def test_the_page_is_current() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert updated(page) == page
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_each_class_is_on_the_page(name: str) -> None:
+    assert f"<!-- {name} -->" in PAGE.read_text(encoding="utf-8")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
