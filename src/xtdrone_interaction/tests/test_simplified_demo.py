@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import ImageGrab
 
-from xtdrone_interaction import cli, formation_demo, launched, options, simplified_demo
+from xtdrone_interaction import cli, formation_cli, formation_demo, launched, options, simplified_demo
 from xtdrone_interaction.formation_demo import DemoSettings
 from xtdrone_interaction.record import Change, FlightRecord, Track
 
@@ -93,7 +93,7 @@ def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(launched.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []
     monkeypatch.setattr(simplified_demo, "run_ros_demo", lambda demo, console: flown.append(demo) or 1)
-    monkeypatch.setattr(cli, "run_demo", lambda demo, console: flown.append(demo) or 1)
+    monkeypatch.setattr(formation_cli, "run_demo", lambda demo, console: flown.append(demo) or 1)
     (tmp_path / "mine.py").write_text(FOLLOWER + "\nfrom xtdrone_coordination.leader import Leader\n" + LEADER)
     classes = ["--follower", "mine.py:Brisk", "--leader", "mine.py:Mine"]
     assert cli.main([*DEMO, *classes]) == 1
