@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.patterns import with_leader
-from xtdrone_coordination.topology import veteran_topology
 from xtdrone_interaction.options import OptionError, check_vehicle_ports
 from xtdrone_interaction.record import FlightRecord, read_record
 

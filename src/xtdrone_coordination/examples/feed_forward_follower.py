@@ -1,22 +1,22 @@
 #!/usr/bin/env python3
-"""A follower of your own in a few lines: it adds the mean velocity of those it listens to.
+"""A follower of your own in a few lines: it adds the mean velocity of its neighbours.
 
-With the paper's law alone a formation lags behind a moving leader by v / Kp per layer of the topology; with this one
-it does not. Run it instead of the stock follower::
+With the paper's law alone a formation lags behind a moving leader by v / Kp per layer of the topology; with this law it
+does not. To use it instead of the stock follower::
 
     roslaunch launch/formation.launch follower_class:=$PWD/src/xtdrone_coordination/examples/feed_forward_follower.py
 
-or by itself, with the arguments of follower.py: ``feed_forward_follower.py iris 1 9``. ``control_laws`` is not needed
-for that: it is the same law for all at once, so that a thousand fly as fast as the stock ones in
-``Swarm(1000, follower=FeedForwardFollower)``.
+or on its own, with the arguments of follower.py: ``feed_forward_follower.py iris 1 9``. This needs ``control_law`` and
+the base class ``Follower`` only. ``control_laws`` is the same law for many followers at once, so that a thousand fly as
+fast as the stock ones in ``Swarm(1000, follower=FeedForwardFollower)``.
 """
 
 import sys
 
-from xtdrone_coordination.follower import Follower
+from xtdrone_coordination.array_follower import ArrayFollower
 
 
-class FeedForwardFollower(Follower):
+class FeedForwardFollower(ArrayFollower):
     """Consensus with the neighbours' velocity fed forward (vel mode)."""
 
     uses_velocities = True

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Avoidance of all vehicles in one process: ``avoid.py iris 9 vel`` (type, number of vehicles, vel or accel).
 
-Followers compute their own by default; they take this one's when their parameter ``~avoid`` is ``topic``.
+Followers compute their own avoidance by default and use this node's if their parameter ``~avoid`` is ``topic``.
 
 Parameters:
-    ~ids (default ``all``): whose avoidance to compute, as ``3``, ``0-4`` or ``1,3``.
+    ~ids (default ``all``): vehicles to compute the avoidance of, as ``3``, ``0-4`` or ``1,3``.
     ~avoid_radius (m, default 1.5).
 """
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_coordination.avoidance import avoid, give_way, pair
+from xtdrone_coordination.laws.avoidance import avoid, contribution, give_way
 
 
 def vectors() -> list[tuple[float, float, float]]:
@@ -19,8 +19,8 @@ def vectors() -> list[tuple[float, float, float]]:
 
 @pytest.mark.parametrize("r", vectors())
 def test_is_finite_perpendicular_antisymmetric_and_of_the_papers_size(r: tuple[float, float, float]) -> None:
-    a = pair(r, 1.5, 2.0, first=True)
-    b = pair(tuple(-x for x in r), 1.5, 2.0, first=False)
+    a = contribution(r, 1.5, 2.0, first=True)
+    b = contribution(tuple(-x for x in r), 1.5, 2.0, first=False)
     distance = math.sqrt(sum(x * x for x in r))
     assert np.isfinite(a).all()
     assert np.dot(a, r) == pytest.approx(0.0, abs=1e-6)
@@ -31,14 +31,14 @@ def test_is_finite_perpendicular_antisymmetric_and_of_the_papers_size(r: tuple[f
 def test_is_the_papers_cross_product() -> None:
     r = np.array([0.2, 0.9, -0.4])  # less along x, so n = x
     expected = (1 - np.linalg.norm(r) / 1.5) * np.cross(r, [1, 0, 0]) / np.linalg.norm(np.cross(r, [1, 0, 0]))
-    assert pair(tuple(r)) == pytest.approx(expected)
+    assert contribution(tuple(r)) == pytest.approx(expected)
     r = np.array([-1.0, 0.0, 0.0])  # here the paper's signed test divides 0 by 0
-    assert pair(tuple(r)) == pytest.approx((1 - 1 / 1.5) * np.cross(r, [0, 1, 0]))
+    assert contribution(tuple(r)) == pytest.approx((1 - 1 / 1.5) * np.cross(r, [0, 1, 0]))
 
 
 def test_ends_at_the_radius() -> None:
-    assert pair((1.5, 0.0, 0.0)) == (0.0, 0.0, 0.0)
-    assert np.linalg.norm(pair((1.4999, 0.0, 0.0))) < 1e-3
+    assert contribution((1.5, 0.0, 0.0)) == (0.0, 0.0, 0.0)
+    assert np.linalg.norm(contribution((1.4999, 0.0, 0.0))) < 1e-3
 
 
 def test_coincident_vehicles_part() -> None:
@@ -50,7 +50,7 @@ def test_coincident_vehicles_part() -> None:
 
 def test_sums_over_those_near_and_ignores_the_unknown() -> None:
     positions = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), None, (0.0, 0.5, 0.0), (9.0, 0.0, 0.0)]
-    expected = np.add(pair((1.0, 0.0, 0.0)), pair((0.0, 0.5, 0.0)))
+    expected = np.add(contribution((1.0, 0.0, 0.0)), contribution((0.0, 0.5, 0.0)))
     assert avoid(0, positions) == pytest.approx(expected)
     assert avoid(2, positions) == (0.0, 0.0, 0.0)
 

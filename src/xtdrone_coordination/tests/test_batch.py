@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xtdrone_coordination.array_follower import ArrayFollower, OwnRows, PeerRows
 from xtdrone_coordination.batch import FollowerBatch
-from xtdrone_coordination.classes import load_class
-from xtdrone_coordination.consensus import Peer, Vector
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
+from xtdrone_coordination.laws.consensus import Peer, Vector
 from xtdrone_coordination.patterns import PatternError, Patterns
-from xtdrone_coordination.rows import OwnRows, PeerRows
 from xtdrone_coordination.swarm import ArraySwarm, SwarmState
+from xtdrone_coordination.user_classes import load_class
 
 UNKNOWN = np.full(3, math.nan)
 
@@ -96,7 +96,7 @@ class Unlimited(Follower):
         return wanted
 
 
-class InArrays(Follower):
+class InArrays(ArrayFollower):
     """Its law reads all there is."""
 
     @classmethod
@@ -106,7 +106,7 @@ class InArrays(Follower):
         return 0.5 * own.stock + options.Kp * peers.sum(pull) + 0.1 * away + 1e-3 * own.ids[:, None]
 
 
-class InBothForms(FeedForward):
+class InBothForms(FeedForward, ArrayFollower):
     @classmethod
     def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
         return own.stock + peers.mean(peers.velocity)
@@ -126,13 +126,13 @@ class SeesUpwards(InArrays, Upwards, HearsTheNearest):
     pass
 
 
-class WaywardInArrays(Follower):
+class WaywardInArrays(ArrayFollower):
     @classmethod
     def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
         return np.where(own.position > 1.0, math.nan, own.stock)
 
 
-class Useless(Follower):
+class Useless(ArrayFollower):
     @classmethod
     def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> str:
         return "up"
@@ -319,12 +319,22 @@ def test_each_class_by_itself(cls: type[Follower]) -> None:
 
 def test_the_example_agrees_with_itself() -> None:
     example = load_class(str(Path(__file__).parents[1] / "examples" / "feed_forward_follower.py"), Follower)
-    assert example._in_arrays
+    assert issubclass(example, ArrayFollower)
     fly(Twins(12, [example], [FollowerOptions(pose_timeout=0.1)]), 3, 130, box=3.0, losses=0.3)
 
 
+def test_a_law_in_arrays_needs_its_base_class() -> None:
+    class Lost(Follower):
+        @classmethod
+        def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
+            return own.stock
+
+    with pytest.raises(TypeError, match=r"class Lost .* inherit xtdrone_coordination\.array_follower\.ArrayFollower"):
+        Lost(1, 3)
+
+
 def test_a_law_in_arrays_of_the_wrong_shape_stops_the_vehicle_not_the_swarm() -> None:
-    class TooFew(Follower):
+    class TooFew(ArrayFollower):
         @classmethod
         def control_laws(cls, options: FollowerOptions, own: OwnRows, peers: PeerRows) -> np.ndarray:
             return own.stock[:, :2]
@@ -333,10 +343,10 @@ def test_a_law_in_arrays_of_the_wrong_shape_stops_the_vehicle_not_the_swarm() ->
     twins.pattern(Patterns(3).offsets("cube"))
     for followers in (twins.single, twins.batched):
         for follower in followers:
-            follower._warn = lambda text: None  # it tells what it was given, here of one and there of all
+            follower.warn = lambda text: None  # it tells what it was given, here of one and there of all
     twins.hear(9.0 * np.eye(3), np.zeros((3, 3)))
     assert not twins.turn().any()
-    assert all("control_laws gave" in problem for follower in twins.batched for problem in follower._problems)
+    assert all("control_laws returned" in text for follower in twins.batched for text in follower.problem_log.current)
 
 
 def test_an_avoidance_that_is_heard() -> None:

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_coordination import network_kernels as kernels
 from xtdrone_coordination.follower import RATE, Follower
+from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.network import Network, NetworkOptions, make_network
+from xtdrone_coordination.network import channel as kernels
 from xtdrone_coordination.patterns import Patterns, with_leader
 from xtdrone_coordination.swarm import SwarmState
-from xtdrone_coordination.topology import veteran_topology
 
 QUICK = settings(derandomize=True, max_examples=30, deadline=None)
 FEW = settings(derandomize=True, max_examples=12, deadline=None)
@@ -399,20 +399,20 @@ def test_vehicles_out_of_touch_with_the_leader_are_named() -> None:
     adjacency = np.zeros((6, 6))
     adjacency[[1, 2, 3, 4, 5], [0, 1, 2, 3, 4]] = 1.0  # a chain; 5 listens to 4 alone, near the leader as it is
     network.step(places, np.zeros((6, 3)))
-    assert network.cut_off(adjacency) == [3, 4, 5]
-    assert network.cut_off(np.nonzero(adjacency)) == [3, 4, 5]
+    assert network.unreachable(adjacency) == [3, 4, 5]
+    assert network.unreachable(np.nonzero(adjacency)) == [3, 4, 5]
     adjacency[5, 0] = 1.0
-    assert network.cut_off(adjacency) == [3, 4]
+    assert network.unreachable(adjacency) == [3, 4]
     network.step(np.where(np.arange(6)[:, None] == 1, np.nan, places), np.zeros((6, 3)))
-    assert network.cut_off(adjacency) == [3, 4]  # believed where it was last
+    assert network.unreachable(adjacency) == [3, 4]  # believed where it was last
     places[3:5, 0] -= 8.0
     network.step(places, np.zeros((6, 3)))
-    assert network.cut_off(adjacency) == []
+    assert network.unreachable(adjacency) == []
     lossy = Network(6, NetworkOptions(loss=1.0))
     lossy.step(places, np.zeros((6, 3)))
-    assert lossy.cut_off(adjacency) == [1, 2, 3, 4, 5]
+    assert lossy.unreachable(adjacency) == [1, 2, 3, 4, 5]
     with pytest.raises(ValueError, match="listens to itself"):
-        network.cut_off(np.eye(6))
+        network.unreachable(np.eye(6))
 
 
 def test_an_ideal_network_is_none() -> None:

@@ -9,13 +9,13 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from xtdrone_coordination.array_follower import ArrayFollower, OwnRows, PeerRows
 from xtdrone_coordination.batch import FollowerBatch
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, StarFollower
+from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.network import Network, NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_coordination.rows import OwnRows, PeerRows
 from xtdrone_coordination.swarm import ArraySwarm
-from xtdrone_coordination.topology import veteran_topology
 
 COUNT = 30
 
@@ -52,7 +52,7 @@ class Upwards(Follower):
         return x, y, z + 0.01 * sum(p is not None for p in self.swarm.positions)
 
 
-class InArrays(Follower):
+class InArrays(ArrayFollower):
     """A law for many at once."""
 
     @classmethod

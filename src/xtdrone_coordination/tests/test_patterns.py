@@ -38,14 +38,14 @@ def test_generated_families_resemble_xtdrones() -> None:
     def rows(offsets: np.ndarray) -> set[tuple[float, ...]]:
         return {tuple(row) for row in offsets.tolist()}
 
-    from xtdrone_coordination import patterns as module
+    from xtdrone_coordination.patterns import generated as module
 
     own = Patterns(9)
     for name in ("origin", "cube", "triangle"):
-        assert rows(module._GENERATED[name](9)) == rows(own.offsets(name))
-    assert rows(module._GENERATED["pyramid"](5)) == rows(own.offsets("pyramid")[:4])
+        assert rows(module.FAMILIES[name](9)) == rows(own.offsets(name))
+    assert rows(module.FAMILIES["pyramid"](5)) == rows(own.offsets("pyramid")[:4])
     for count in (6, 9, 18):
-        assert rows(module._GENERATED["origin"](count)) == rows(Patterns(count).offsets("origin"))
+        assert rows(module.FAMILIES["origin"](count)) == rows(Patterns(count).offsets("origin"))
     assert (origin_columns(6), origin_columns(9), origin_columns(18)) == (2, 3, 3)
 
 
@@ -104,12 +104,12 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_nothing_is_made_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    from xtdrone_coordination import patterns as module
+    from xtdrone_coordination.patterns import generated as module
 
     made: list[str] = []
-    for name, generate in module._GENERATED.items():
+    for name, generate in module.FAMILIES.items():
         monkeypatch.setitem(
-            module._GENERATED, name, lambda count, name=name, generate=generate: made.append(name) or generate(count)
+            module.FAMILIES, name, lambda count, name=name, generate=generate: made.append(name) or generate(count)
         )
     patterns = Patterns(1000)
     assert "cube" in patterns

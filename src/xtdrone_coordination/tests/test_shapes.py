@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xtdrone_coordination import shapes
 from xtdrone_coordination.leader import CommandError, Leader
 from xtdrone_coordination.patterns import (
     PatternError,
     Patterns,
     absolute_name,
+    clouds,
     least_separation,
     parse_name,
     with_leader,
 )
+from xtdrone_coordination.patterns.points import farthest
 
 COUNTS = [*range(2, 34), 57, 100, 333, 1000, 1001]
 
@@ -209,7 +210,7 @@ FILES = {
 @pytest.mark.parametrize("name", FILES)
 def test_clouds_are_read(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(FILES[name])
-    assert shapes.read_cloud(tmp_path / name).tolist() == PLACES
+    assert clouds.read_cloud(tmp_path / name).tolist() == PLACES
     offsets = Patterns(4).offsets(f"cloud:{tmp_path / name}")
     points = with_leader(offsets)
     scale = 2.0 / np.linalg.norm(np.array(PLACES[1]) - PLACES[0])
@@ -254,8 +255,8 @@ def test_arrays_of_another_shape_are_refused(tmp_path: Path, values: np.ndarray)
 
 
 def test_a_cloud_is_covered_as_a_whole(torus: str) -> None:
-    points = shapes.read_cloud(Path(torus))
-    chosen = points[shapes.farthest(points, 200)]
+    points = clouds.read_cloud(Path(torus))
+    chosen = points[farthest(points, 200)]
     distances = np.linalg.norm(points[:, None] - chosen[None], axis=-1).min(axis=1)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)[np.triu_indices(200, 1)]
     assert distances.max() <= between.min() + 1e-12, "each choice was the farthest point"
@@ -307,7 +308,7 @@ def test_files_without_an_end_are_refused(tmp_path: Path, option: str) -> None:
 
 
 def test_text_of_too_many_points_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shapes, "MAX_TEXT_POINTS", 3)
+    monkeypatch.setattr(clouds, "MAX_TEXT_POINTS", 3)
     (tmp_path / "a.xyz").write_bytes(FILES["a.xyz"])
     (tmp_path / "a.ply").write_bytes(FILES["a.ply"])
     with pytest.raises(PatternError, match="line 6: more than 3 points"):

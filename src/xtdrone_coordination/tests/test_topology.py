@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xtdrone_coordination.laws.topology import check_adjacency, unreachable, veteran_topology
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_coordination.topology import check_adjacency, cut_off, veteran_topology
 
 PAPER = [
     [0, 0, 0, 0, 0, 0],
@@ -67,12 +67,12 @@ def test_offsets_that_are_not_finite() -> None:
 
 def test_who_does_not_hear_of_the_leader() -> None:
     chain = np.eye(5, k=-1)
-    assert cut_off(chain) == []
+    assert unreachable(chain) == []
     chain[2, 1], chain[2, 3] = 0, 1  # 2 and 3 listen to each other alone
-    assert cut_off(chain) == [2, 3, 4]
-    assert cut_off([[0, 1], [0, 0]]) == [1], "that the leader listens to it does not help"
-    assert cut_off(np.zeros((3, 3))) == [1, 2]
-    assert cut_off(np.eye(1000, k=-1)) == []
+    assert unreachable(chain) == [2, 3, 4]
+    assert unreachable([[0, 1], [0, 0]]) == [1], "that the leader listens to it does not help"
+    assert unreachable(np.zeros((3, 3))) == [1, 2]
+    assert unreachable(np.eye(1000, k=-1)) == []
 
 
 @settings(max_examples=50, deadline=None, derandomize=True)
@@ -81,7 +81,7 @@ def test_who_is_cut_off_has_no_path_of_any_length(count: int, seed: int, density
     links = np.random.default_rng(seed).random((count, count)) < density
     np.fill_diagonal(links, False)
     hears = np.linalg.matrix_power(links.astype(int) + np.eye(count, dtype=int), count) > 0
-    assert cut_off(links) == np.flatnonzero(~hears[:, 0]).tolist()
+    assert unreachable(links) == np.flatnonzero(~hears[:, 0]).tolist()
 
 
 def test_who_listens_to_nobody_gets_the_leader() -> None:

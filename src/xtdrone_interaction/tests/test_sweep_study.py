@@ -175,7 +175,9 @@ def test_refuses_by_name(tmp_path: Path, data: dict[str, Any], message: str) -> 
 
 
 def test_refuses_what_cannot_be_flown_together(tmp_path: Path) -> None:
-    with pytest.raises(OptionError, match=r"follower\.clearance=3\.0.*clearance: 3\.0 m is not less"):
+    with pytest.raises(
+        OptionError, match=r"follower\.clearance=3\.0.*clearance: 3\.0 is not allowed, below avoid_radius"
+    ):
         Plan(study(tmp_path, parameters={"follower.clearance": [0.5, 3]})).check()
     with pytest.raises(PatternError, match="'sphinx' is unknown for 4 vehicles"):
         Plan(study(tmp_path, parameters={"n": [4]}, constants={"pattern": "sphinx"})).check()

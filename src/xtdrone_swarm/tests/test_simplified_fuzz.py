@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xtdrone_coordination.consensus import Peer, Vector
+from xtdrone_coordination.array_follower import ArrayFollower, OwnRows, PeerRows
 from xtdrone_coordination.follower import Follower, StarFollower
+from xtdrone_coordination.laws.consensus import Peer, Vector
+from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.leader import CommandError, Leader
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_coordination.rows import OwnRows, PeerRows
-from xtdrone_coordination.topology import veteran_topology
 from xtdrone_swarm import Model, Swarm
 
 Rng = np.random.Generator
@@ -72,7 +72,7 @@ class Upwards(Follower):
         return [x, y, z + 0.2]
 
 
-class InArrays(Follower):
+class InArrays(ArrayFollower):
     @classmethod
     def control_laws(cls, options: Any, own: OwnRows, peers: PeerRows) -> np.ndarray:
         return own.stock + 0.2 * (peers.mean(peers.velocity) - own.velocity)

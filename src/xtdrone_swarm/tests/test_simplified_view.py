@@ -16,8 +16,8 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
+from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_coordination.topology import veteran_topology
 from xtdrone_swarm import Swarm
 from xtdrone_swarm.view import (
     FilmError,

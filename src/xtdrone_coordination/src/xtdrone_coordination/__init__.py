@@ -1,4 +1,6 @@
 """Coordination of many vehicles: formation patterns, assignment, topology, consensus, avoidance, leader and follower.
 
-Only ``ros`` and the programs in ``nodes/`` know ROS; everything else is numbers in, numbers out.
+The rooms: ``laws`` (consensus, avoidance, topology, assignment), ``patterns``, ``batch`` (many followers at once),
+``network`` (radios), ``search``. Only ``ros``, ``ros_leader``, ``ros_search`` and the programs in ``nodes/`` depend on
+ROS.
 """

@@ -1,4 +1,4 @@
-"""``@kernel`` for the coordination's inner loops; see ``xtdrone_control.kernel``."""
+"""``@kernel`` for the inner loops of this package; see ``kernel`` in ``xtdrone_control``."""
 
 from __future__ import annotations
 
@@ -6,4 +6,6 @@ from pathlib import Path
 
 from xtdrone_control import kernel as control_kernel
 
-kernel = control_kernel.compiler(Path(__file__).resolve().parent)
+_PACKAGE = Path(__file__).resolve().parent
+
+kernel = control_kernel.compiler(_PACKAGE, _PACKAGE / "laws", _PACKAGE / "batch", _PACKAGE / "network")

@@ -1,14 +1,14 @@
-"""The leader of a formation: it chooses slots and topology for all. Made to be inherited, free of ROS.
+"""The leader of a formation: slots and topology of all vehicles. Designed for inheritance, without ROS.
 
-The leader is vehicle 0. It flies where the user steers it; when a pattern is chosen it assigns the slots so that the
-followers fly the least total distance, and tells everybody slots and topology.
+The leader is vehicle 0, steered by the user. When a pattern is chosen, it assigns the slots so that the followers fly
+the least total distance, and publishes slots and topology.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,72 +16,66 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xtdrone_control.communication.core import OWN_COMMANDS, PX4_MODES
-from xtdrone_coordination import avoidance
-from xtdrone_coordination.assignment import Assignment, assign
-from xtdrone_coordination.consensus import Vector
-from xtdrone_coordination.follower import RATE, check_choice, check_number
+from xtdrone_control.settings import Settings, setting
+from xtdrone_coordination.follower import RATE
+from xtdrone_coordination.laws import avoidance
+from xtdrone_coordination.laws.assignment import Assignment, assign
+from xtdrone_coordination.laws.consensus import Vector
+from xtdrone_coordination.laws.topology import check_adjacency, unreachable, veteran_topology, without_neighbours
 from xtdrone_coordination.patterns import Offsets, PatternError, Patterns, least_separation, with_leader
-from xtdrone_coordination.swarm import SwarmState
-from xtdrone_coordination.topology import check_adjacency, cut_off, deaf, veteran_topology
+from xtdrone_coordination.swarm import SwarmState, number_list
 
 NO_PATTERN = "waiting"  # XTDrone's keyboard sends it for the digit 0
-_MAX_RUNS = 8  # of numbers in a message
 _MOST_WEIGHT = 2**31 - 1
 STEERING_TICKS = RATE // 2  # a steering velocity older than half a second is over
 
 
 class CommandError(ValueError):
-    """A command to the leader that is neither a pattern nor a flight command, or cannot be flown now."""
+    """A command that is neither a pattern nor a flight command, or cannot be flown now."""
 
 
 @dataclass(frozen=True)
-class LeaderOptions:
-    """Settings of the leader.
+class LeaderOptions(Settings):
+    """Settings of the leader."""
 
-    Attributes:
-        avoid: ``off``: the leader holds its course and the others give way, as in XTDrone; ``own``: it avoids too.
-        Kp_avoid: gain of its avoidance, 0 or more.
-        avoid_radius: b, m, above 0; a pattern with slots closer than this is warned of.
-        min_height: m; a pattern is refused when its lowest slot would lie below this height (local z) while it goes
-            below the leader.
-        vel_max: limit of the avoidance it adds, m/s, above 0.
-    """
-
-    avoid: Literal["off", "own"] = "off"
-    Kp_avoid: float = 1.0
-    avoid_radius: float = avoidance.RADIUS
-    min_height: float = 0.5
-    vel_max: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse what makes no sense.
-
-        Raises:
-            ValueError: a setting is out of its range.
-        """
-        check_choice("avoid", self.avoid, ("off", "own"))
-        check_number("Kp_avoid", self.Kp_avoid, zero=True)
-        check_number("min_height", self.min_height, zero=True)
-        check_number("avoid_radius", self.avoid_radius)
-        check_number("vel_max", self.vel_max)
+    avoid: Literal["off", "own"] = setting(
+        "off",
+        choices=("off", "own"),
+        text="avoidance of the leader: none (it keeps its course and the others avoid it, as in XTDrone), or its own",
+    )
+    Kp_avoid: float = setting(1.0, low=0.0, text="gain of its avoidance")
+    avoid_radius: float = setting(
+        avoidance.RADIUS,
+        above=0.0,
+        unit="m",
+        text="radius b of the avoidance; patterns with slots closer than this cause a warning",
+    )
+    min_height: float = setting(
+        0.5,
+        low=0.0,
+        unit="m",
+        text="least height (local z) of the lowest slot; patterns that reach below the leader and this height are "
+        "rejected",
+    )
+    vel_max: float = setting(1.0, above=0.0, unit="m/s", text="limit of its avoidance")
 
 
 class Leader:
     """The leader.
 
-    Override :meth:`assignment`, :meth:`topology` or :meth:`avoidance`. What else a subclass remembers it forgets in
+    Override :meth:`assignment`, :meth:`topology` or :meth:`avoidance`. A subclass with state of its own resets it in
     :meth:`restart`.
 
     Attributes:
         count: number of vehicles N.
-        patterns: the patterns there are.
+        patterns: the available patterns.
         swarm: positions of all vehicles.
         options: the settings.
-        pattern: name of the present pattern, empty before the first.
+        pattern: name of the current pattern, empty before the first.
         offsets: assigned slots in follower order, shape (N-1, 3), m ENU from the leader; None before the first.
         adjacency: topology, shape (N, N), whole numbers; None before the first pattern.
-        distance: total distance of the last assignment, m.
-        yaw: heading of vehicle 0, rad ENU; needed for its own avoidance only.
+        distance: total distance of the latest assignment, m.
+        yaw: heading of vehicle 0, rad ENU; used by its own avoidance only.
     """
 
     def __init__(
@@ -93,14 +87,14 @@ class Leader:
         options: LeaderOptions | None = None,
         warn: Callable[[str], None] | None = None,
     ) -> None:
-        """Create a leader that has chosen no pattern yet.
+        """Create a leader without a pattern.
 
         Args:
             count: number of vehicles N, at least 2.
-            patterns: XTDrone's and the generated ones if none are given.
+            patterns: by default XTDrone's and the generated ones.
             swarm: shared state of the swarm; its own if none is given.
             options: settings; the defaults if none are given.
-            warn: where warnings go; the Python logger of this module if none is given.
+            warn: receives warnings; the Python logger of this module if none is given.
 
         Raises:
             PatternError: ``count`` is less than 2.
@@ -110,35 +104,34 @@ class Leader:
         self.swarm = swarm or SwarmState(count)
         self.options = options or LeaderOptions()
         self._warn = warn or logging.getLogger(__name__).warning
-        self._know_nothing()
+        self._reset()
 
-    def _know_nothing(self) -> None:
+    def _reset(self) -> None:
         self.pattern = ""
         self.offsets: Offsets | None = None
         self.adjacency: NDArray[np.int32] | None = None
         self.distance = 0.0
         self.yaw = 0.0
-        self._steering: tuple[Vector, float] | None = None  # FLU velocity, yaw rate; not yet given out
-        self._course: tuple[Vector, float] = ((0.0, 0.0, 0.0), 0.0)  # the last of them
+        self._steering: tuple[Vector, float] | None = None  # FLU velocity, yaw rate; not yet output
+        self._course: tuple[Vector, float] = ((0.0, 0.0, 0.0), 0.0)  # the latest one
         self._course_age = STEERING_TICKS + 1
         self._avoiding = False
 
     # to be overridden
 
     def restart(self) -> None:
-        """Know nothing again, nor does the swarm: the state after construction.
+        """Return to the state after construction, the swarm's state included.
 
-        Called when the simulation starts anew (time was set back). A subclass with a state of its own overrides it,
-        and calls this one too.
+        Called when simulated time is set back. A subclass with state of its own overrides it and calls this one too.
         """
-        self._know_nothing()
+        self._reset()
         self.swarm.restart()
 
     def assignment(self, current: Offsets, target: Offsets) -> Assignment:
-        """Return which slot each follower takes; the default minimises the total distance.
+        """Return the slot of each follower; the default minimises the total distance.
 
         Args:
-            current: where the followers are relative to the leader, shape (N-1, 3), m ENU.
+            current: positions of the followers relative to the leader, shape (N-1, 3), m ENU.
             target: the slots, shape (N-1, 3), m ENU.
         """
         return assign(current, target)
@@ -146,8 +139,8 @@ class Leader:
     def topology(self, offsets: Offsets) -> ArrayLike:
         """Return the adjacency matrix, shape (N, N), for assigned slots; the default is the veteran rule.
 
-        Weights are whole numbers, as the message with the topology has them; a follower whose row is all zeros is given
-        the leader to listen to, with a warning.
+        Weights are whole numbers, as in the topology message. Followers without neighbours get the leader as neighbour,
+        with a warning.
 
         Args:
             offsets: slots of all vehicles in order of their numbers, the leader's zero row first, shape (N, 3).
@@ -163,11 +156,11 @@ class Leader:
     # inputs
 
     def on_command(self, text: str) -> str | None:
-        """Take a command: choose the pattern of that name, or return it to be passed on to vehicle 0 once.
+        """Choose the pattern named by a command, or return the command, to be forwarded to vehicle 0 once.
 
         Raises:
-            CommandError: no pattern and no flight command, a pattern asked for wrongly (as a cloud's file that is not
-                there), or one that would reach below ``min_height``.
+            CommandError: neither a pattern nor a flight command, a pattern with wrong arguments (such as a missing
+                file), or one that would reach below ``min_height``.
         """
         if text in ("", "stop controlling", NO_PATTERN):
             return None
@@ -179,7 +172,7 @@ class Leader:
             return None
         mission = text.startswith("mission") and len(text) == len("mission?")
         if text in OWN_COMMANDS or text in PX4_MODES or text.startswith("AUTO.") or mission:
-            self._course_age = STEERING_TICKS + 1  # the course ends where another command begins
+            self._course_age = STEERING_TICKS + 1  # another command ends the course
             return text
         raise CommandError(
             f"leader: {text!r} is no pattern of {self.count} vehicles ({self.patterns.describe()}) "
@@ -187,11 +180,11 @@ class Leader:
         )
 
     def choose(self, name: str) -> None:
-        """Assign the slots of a pattern; nothing happens if it is the present one.
+        """Assign the slots of a pattern, unless it is the current one.
 
         Raises:
             PatternError: there is no such pattern.
-            CommandError: it would reach below ``min_height``, or an overridden method gave something unusable.
+            CommandError: it would reach below ``min_height``, or an overridden method returned an unusable result.
         """
         target = self.patterns.offsets(name)
         if name == self.pattern:
@@ -216,17 +209,17 @@ class Leader:
         self.adjacency = adjacency
 
     def on_steering(self, velocity: Vector, yaw_rate: float) -> None:
-        """Take a steering command for vehicle 0: FLU velocity m/s, yaw rate rad/s."""
+        """Store a steering command for vehicle 0: FLU velocity m/s, yaw rate rad/s."""
         self._steering = self._course = (velocity, yaw_rate)
         self._course_age = 0
 
     # outputs
 
     def update(self) -> tuple[Vector, float] | None:
-        """Return the FLU velocity (m/s) and yaw rate (rad/s) to command vehicle 0 in this tick; None to say nothing.
+        """Return the FLU velocity (m/s) and yaw rate (rad/s) to command vehicle 0 in this tick; None without a command.
 
-        Each steering command goes out once. While the leader itself avoids, its avoidance is added to the course and
-        goes out every tick; when that ends without a course, one zero follows, which means hover.
+        Each steering command is returned once. While the leader itself avoids, course plus avoidance is returned every
+        tick; if no course remains afterwards, one zero command follows, which means hover.
         """
         steering, self._steering = self._steering, None
         self._course_age += 1
@@ -242,9 +235,9 @@ class Leader:
         return (x + k * (cos * ax + sin * ay), y + k * (cos * ay - sin * ax), z + k * az), yaw_rate
 
     def current(self) -> Offsets:
-        """Return where the followers are relative to the leader, shape (N-1, 3), m ENU.
+        """Return the positions of the followers relative to the leader, shape (N-1, 3), m ENU.
 
-        Measured positions if all are known, else the slots they were sent to last, else the spawn grid.
+        Measured positions if all are known, else the slots assigned last, else the spawn grid.
         """
         known = [p for p in self.swarm.positions if p is not None]
         if len(known) == self.count:
@@ -253,7 +246,7 @@ class Leader:
         return self.patterns.offsets("origin") if self.offsets is None else self.offsets.copy()
 
     def _checked_topology(self, name: str, offsets: Offsets) -> NDArray[np.int32]:
-        """Return the topology for a pattern's assigned slots, and name those whom it leaves alone."""
+        """Return the topology for the assigned slots of a pattern; warn of followers cut off from the leader."""
         try:
             given = np.array(self.topology(with_leader(offsets)), dtype=float)
             adjacency = check_adjacency(given, self.count)
@@ -264,17 +257,17 @@ class Leader:
                 f"leader: overridden topology has a weight of {_unsendable(adjacency):g}; weights travel as whole "
                 f"numbers, 0 to {_MOST_WEIGHT}"
             )
-        alone = deaf(given)
+        alone = without_neighbours(given)
         if alone:
             self._warn(
-                f"leader: by the topology of pattern {name!r} {number_list(alone)} of {self.count} vehicles listen to "
-                "nobody: they are given vehicle 0 to listen to"
+                f"leader: topology of pattern {name!r} has no neighbours for {number_list(alone)} of {self.count} "
+                "vehicles: vehicle 0 is added"
             )
-        lost = cut_off(adjacency)
+        lost = unreachable(adjacency)
         if lost:
             self._warn(
                 f"leader: topology of pattern {name!r} cuts off {number_list(lost)} of {self.count} vehicles: they "
-                "hear of vehicle 0 neither directly nor through others and will not keep their slots"
+                "have no path to vehicle 0, direct or through others, and will not keep their slots"
             )
         return adjacency.astype(np.int32)
 
@@ -291,20 +284,8 @@ class Leader:
 
 
 def _unsendable(adjacency: NDArray[np.float64]) -> float:
-    """Return the first weight that is no whole number, or too great."""
+    """Return the first weight that is not a whole number or is too large."""
     return float(adjacency[(adjacency % 1.0 != 0.0) | (adjacency > _MOST_WEIGHT)][0])
 
 
-def number_list(numbers: Sequence[int]) -> str:
-    """Return ascending vehicle numbers as a short text: runs of them, and of many runs the first few and a count."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1] = [runs[-1][0], number]
-        else:
-            runs.append([number])
-    said = ", ".join("-".join(str(n) for n in run) for run in runs[:_MAX_RUNS])
-    return said if len(runs) <= _MAX_RUNS else f"{said}, ... ({len(numbers)} in all)"
-
-
-__all__ = ["CommandError", "Leader", "LeaderOptions", "PatternError"]
+__all__ = ["CommandError", "Leader", "LeaderOptions", "PatternError", "number_list"]

@@ -1,6 +1,6 @@
-"""Follower and avoidance as ROS nodes: the topics around the classes, and the programs' main functions.
+"""ROS nodes of followers and avoidance, and the main functions of their programs.
 
-The leader is in ``ros_leader``: only it needs scipy, which would double the memory of every follower's process.
+The leader is in ``ros_leader``: it needs scipy, which would double the memory of every follower's process.
 
 ==================================  ============================  =====================================================
 topic                               type                          from, to
@@ -9,22 +9,21 @@ topic                               type                          from, to
 /xtdrone/leader/cmd_vel_flu         geometry_msgs/Twist           user -> leader -> vehicle 0 (cmd_accel_flu likewise)
 /xtdrone/leader/pose                geometry_msgs/PoseStamped     leader: pose of vehicle 0
 /xtdrone/formation_pattern          std_msgs/Float32MultiArray    leader -> followers: 3 x (N-1), assigned offsets
-/xtdrone/communication_topology     std_msgs/Int32MultiArray      leader -> followers: N x N, row i: whom i listens to
-/xtdrone/T/avoid_vel (avoid_accel)  geometry_msgs/Vector3         the avoidance of T, before its gain
+/xtdrone/communication_topology     std_msgs/Int32MultiArray      leader -> followers: N x N, row i: neighbours of i
+/xtdrone/T/avoid_vel (avoid_accel)  geometry_msgs/Vector3         avoidance of vehicle T, before its gain
 /xtdrone/T/cmd_vel_enu (..accel..)  geometry_msgs/Twist           follower -> communication node
 /T/mavros/local_position/pose       geometry_msgs/PoseStamped     every vehicle -> leader, followers, avoid
 ==================================  ============================  =====================================================
 
-When simulated time is set back, leader, followers and avoidance are as after their start. Pattern and topology are
-latched, and messages on latched topics outlive that: followers ignore those that come before their first step, and the
-leader publishes an empty pattern and topology, which mean none, in place of what it had latched.
+When simulated time is set back, leader, followers and avoidance restart. Pattern and topology are latched and survive
+this: followers ignore messages received before their first step, and the leader replaces its latched messages by an
+empty pattern and topology, which mean none.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -44,14 +43,14 @@ from xtdrone_control.program import (
     parse_ids,
     run_program,
 )
-from xtdrone_coordination import avoidance
-from xtdrone_coordination.classes import load_class, nothing_overridden
-from xtdrone_coordination.consensus import Vector
+from xtdrone_control.settings import Settings
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions, check_number
-from xtdrone_coordination.leader import number_list
+from xtdrone_coordination.laws import avoidance
+from xtdrone_coordination.laws.consensus import Vector
+from xtdrone_coordination.laws.topology import without_neighbours
 from xtdrone_coordination.patterns import PatternError
-from xtdrone_coordination.swarm import ArraySwarm, SwarmState
-from xtdrone_coordination.topology import deaf
+from xtdrone_coordination.swarm import ArraySwarm, SwarmState, number_list
+from xtdrone_coordination.user_classes import load_class, nothing_overridden
 
 if TYPE_CHECKING:
     from xtdrone_coordination.batch import FollowerBatch
@@ -59,10 +58,11 @@ if TYPE_CHECKING:
 PATTERN_TOPIC = "/xtdrone/formation_pattern"
 TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
 
-MANY = 30  # followers in a process: from so many on it is worth the start of the kernels to compute them together
+MANY = 30  # followers per process from which on computing them together is worth the start-up time of the kernels
 _SWARM_FIELDS = 6  # numbers a vehicle in the swarm topic: x, y, z, vx, vy, vz; m, m/s, ENU
 
 _Base = TypeVar("_Base")
+_Settings = TypeVar("_Settings", bound=Settings)
 
 
 def subscribe_swarm(
@@ -72,15 +72,15 @@ def subscribe_swarm(
     velocities: bool = False,
     on_leader_pose: Callable[[PoseStamped], None] | None = None,
 ) -> None:
-    """Subscribe the positions of all vehicles of a type.
+    """Subscribe to the positions of all vehicles of a type.
 
-    ``/xtdrone/swarm_topic`` (string) names a topic that has them all in one message, as this workspace's MAVROS layer
-    offers it; without it every vehicle's own ``mavros/local_position`` topics are subscribed, as upstream does.
+    The parameter ``/xtdrone/swarm_topic`` names a topic with all states in one message, as published by this
+    workspace's MAVROS layer; if empty, the ``mavros/local_position`` topics of every vehicle are used, as in XTDrone.
 
     Args:
         kind: vehicle type, as ``iris``.
-        swarm: where they go.
-        velocities: whether to subscribe velocities too.
+        swarm: receives them.
+        velocities: whether to subscribe to velocities too.
         on_leader_pose: called with vehicle 0's whole pose.
     """
 
@@ -121,10 +121,9 @@ def subscribe_swarm(
 
 
 class OneByOne:
-    """Some followers, each computed by itself."""
+    """Followers computed one after the other; has the methods of FollowerBatch used by nodes."""
 
     def __init__(self, followers: Sequence[Follower]) -> None:
-        """Take them."""
         self._followers = followers
 
     def on_pattern(self, offsets: ArrayLike) -> None:
@@ -138,27 +137,27 @@ class OneByOne:
             follower.on_topology(adjacency)
 
     def commands(self) -> list[Vector | None]:
-        """Return what each commands now; None for those that do not."""
+        """Return the command of each follower; None for those without."""
         return [follower.update() for follower in self._followers]
 
 
 def make_swarm(count: int, followers: int) -> SwarmState:
-    """Return a state of ``count`` vehicles for a process with so many followers: in arrays if they are many."""
+    """Return a state of ``count`` vehicles for a process with ``followers`` followers: in arrays if they are MANY."""
     return ArraySwarm(count) if followers >= MANY else SwarmState(count)
 
 
 def together(followers: Sequence[Follower]) -> OneByOne | FollowerBatch:
-    """Return followers to be computed together if their state is in arrays, one by one otherwise."""
+    """Return a batch of the followers if their state is in arrays, else one that computes them one by one."""
     swarm = followers[0].swarm
     if not isinstance(swarm, ArraySwarm):
         return OneByOne(followers)
-    from xtdrone_coordination.batch import FollowerBatch  # half a second that a few followers need not wait
+    from xtdrone_coordination.batch import FollowerBatch  # takes half a second, avoided for a few followers
 
     return FollowerBatch(followers, swarm)
 
 
 class FollowerNode:
-    """Topics of the followers of one process."""
+    """Subscriptions and publications of the followers of one process."""
 
     def __init__(self, kind: str, followers: Sequence[Follower]) -> None:
         """Declare the topics.
@@ -193,17 +192,17 @@ class FollowerNode:
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
-        """Begin anew. What comes in this turn was published before; of that only latched topics arrive."""
-        self._forget()
+        """Restart; messages of this turn are latched ones from before the reset and are ignored."""
+        self._reset()
         self._restarting = True
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._pattern = self._topology = ()
         for follower in self.followers:
             follower.restart()
 
     def step(self) -> None:
-        """Command all followers once; call it at 30 Hz."""
+        """Publish the commands of all followers; call it at 30 Hz."""
         self._restarting = False
         for follower, command in zip(self.followers, self._all.commands(), strict=True):
             if command is None:
@@ -218,11 +217,11 @@ class FollowerNode:
         self.swarm.tick()
 
     def _on_pattern(self, message: Float32MultiArray) -> None:
-        """Take the leader's pattern; it is repeated all the time, so most messages are known already."""
+        """Store the leader's pattern; most messages are repetitions."""
         if self._restarting or tuple(message.data) == self._pattern:
             return
         if not message.data:
-            self._forget()
+            self._reset()
             return
         self._pattern = tuple(message.data)
         width = self._count - 1
@@ -244,17 +243,16 @@ class FollowerNode:
         except ValueError as error:
             rospy.logwarn(f"{TOPOLOGY_TOPIC}: {error}")
             return
-        alone = sorted({follower.id for follower in self.followers} & set(deaf(message.data)))
+        alone = sorted({follower.id for follower in self.followers} & set(without_neighbours(message.data)))
         if alone:
-            text = "listens to nobody by it and is" if len(alone) == 1 else "listen to nobody by it and are"
-            rospy.logwarn(f"{TOPOLOGY_TOPIC}: vehicle {number_list(alone)} {text} given vehicle 0 to listen to")
+            rospy.logwarn(f"{TOPOLOGY_TOPIC}: no neighbours for vehicle {number_list(alone)}: vehicle 0 is added")
 
     def _on_avoidance(self, follower: Follower, message: Vector3) -> None:
         follower.on_avoidance((message.x, message.y, message.z))
 
 
 class AvoidanceNode:
-    """Avoidance of many vehicles in one process, as XTDrone's avoid.py; followers take it with ``avoid: topic``."""
+    """Avoidance of many vehicles in one process, as XTDrone's avoid.py; used by followers with ``avoid: topic``."""
 
     def __init__(self, kind: str, count: int, ids: Sequence[int], mode: str, radius: float) -> None:
         """Declare the topics.
@@ -262,7 +260,7 @@ class AvoidanceNode:
         Args:
             kind: vehicle type, as ``iris``.
             count: number of vehicles N.
-            ids: whose avoidance to compute.
+            ids: vehicles to compute the avoidance of.
             mode: ``vel`` or ``accel``: the topic's name.
             radius: b, m, above 0.
         """
@@ -285,8 +283,8 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
     Args:
         cls: the follower's class; the parameter ``~class`` (``file.py``, ``file.py:Class`` or ``module:Class``)
             replaces it.
-        mode_argument: whether the fourth argument, ``vel`` or ``accel``, is needed; else the parameter ``~mode`` says
-            it when that argument is missing.
+        mode_argument: whether the fourth argument, ``vel`` or ``accel``, is required; else ``~mode`` is used if it is
+            missing.
     """
 
     def main(arguments: Sequence[str]) -> None:
@@ -335,7 +333,7 @@ def run_avoidance() -> int:
 
 
 def class_parameter(default: type[_Base], base: type[_Base]) -> type[_Base]:
-    """Return the class that the parameter ``~class`` names, ``default`` when it is empty or not set.
+    """Return the class named by the parameter ``~class``, ``default`` if it is empty or not set.
 
     Raises:
         ArgumentError: see :func:`load_class`.
@@ -348,15 +346,14 @@ def class_parameter(default: type[_Base], base: type[_Base]) -> type[_Base]:
     return chosen
 
 
-def options(cls: type[Any], given: dict[str, Any]) -> Any:
-    """Return options read from the private parameters that have their fields' names; ``given`` ones are not read.
+def options(cls: type[_Settings], given: dict[str, Any]) -> _Settings:
+    """Return settings read from the private parameters named after their fields, except those in ``given``.
 
     Raises:
         ArgumentError: a value is not allowed.
     """
-    values = {f.name: rospy.get_param(f"~{f.name}", f.default) for f in fields(cls) if f.name not in given}
     try:
-        return cls(**{**values, **given})
+        return cls.from_parameters(rospy.get_param, **given)
     except ValueError as error:
         raise ArgumentError(str(error)) from error
 

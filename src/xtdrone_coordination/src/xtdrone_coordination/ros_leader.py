@@ -1,4 +1,4 @@
-"""The leader as a ROS node; its topics are listed in ``ros``."""
+"""ROS node of the leader; its topics are listed in ``ros``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from xtdrone_coordination.ros import (
 
 
 class LeaderNode:
-    """Topics of the leader."""
+    """Subscriptions and publications of the leader."""
 
     def __init__(self, kind: str, leader: Leader, *, republish_rate: float = RATE) -> None:
         """Declare the topics.
@@ -36,13 +36,13 @@ class LeaderNode:
         Args:
             kind: vehicle type, as ``iris``.
             leader: the leader.
-            republish_rate: Hz, above 0 up to 30: how often pattern and topology are said again. They are latched and
-                said at once when they change, so this is for those who expect a stream.
+            republish_rate: Hz, above 0 up to 30, of pattern and topology. They are latched and also published when they
+                change; the repetition serves nodes that expect a stream.
         """
         self.leader = leader
         self._period = max(1, round(RATE / republish_rate))
         self._ticks = 0
-        self._said = ""
+        self._published = ""
         self._pose: PoseStamped | None = None
         self._twist = Twist()
         self._pattern = Float32MultiArray()
@@ -61,17 +61,17 @@ class LeaderNode:
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
-        """Begin anew, and take back what is latched: who joins now must not get the pattern of another flight."""
-        if self._said:
+        """Restart, and clear the latched topics, so that no pattern of another flight is received."""
+        if self._published:
             self._to_pattern.publish(Float32MultiArray())
             self._to_topology.publish(Int32MultiArray())
         self._ticks = 0
-        self._said = ""
+        self._published = ""
         self._pose = None
         self.leader.restart()
 
     def step(self) -> None:
-        """Say what there is to say; call it at 30 Hz."""
+        """Publish pose, command, pattern and topology as needed; call it at 30 Hz."""
         self._ticks += 1
         if self._pose is not None:
             self._to_pose.publish(self._pose)
@@ -81,17 +81,17 @@ class LeaderNode:
             linear = self._twist.linear
             (linear.x, linear.y, linear.z), self._twist.angular.z = course
             self._to_velocity.publish(self._twist)
-        if self.leader.pattern != self._said:
-            self._said = self.leader.pattern
+        if self.leader.pattern != self._published:
+            self._published = self.leader.pattern
             self._encode()
             self._ticks = 0
-        if self._said and self._ticks % self._period == 0:
+        if self._published and self._ticks % self._period == 0:
             self._to_pattern.publish(self._pattern)
             self._to_topology.publish(self._topology)
         self.leader.swarm.tick()
 
     def _encode(self) -> None:
-        """Write pattern and topology into their messages."""
+        """Fill the messages of pattern and topology."""
         leader = self.leader
         assert leader.offsets is not None
         assert leader.adjacency is not None

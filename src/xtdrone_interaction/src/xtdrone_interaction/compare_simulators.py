@@ -19,7 +19,7 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from xtdrone_coordination.assignment import Assignment
+from xtdrone_coordination.laws.assignment import Assignment
 from xtdrone_coordination.leader import Leader
 from xtdrone_interaction.geometry import Array, relative
 from xtdrone_interaction.record import FlightRecord, RecordError, Track, Window

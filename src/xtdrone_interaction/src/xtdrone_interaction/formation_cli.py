@@ -8,9 +8,9 @@ from pathlib import Path
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.program import ArgumentError
-from xtdrone_coordination.classes import load_class
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
+from xtdrone_coordination.user_classes import load_class
 from xtdrone_interaction import options
 from xtdrone_interaction.formation_demo import DemoSettings, run_demo
 from xtdrone_interaction.launched import master_port

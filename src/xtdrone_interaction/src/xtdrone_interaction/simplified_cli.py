@@ -10,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from xtdrone_control.fleet import MAX_VEHICLES, parse_fleet
-from xtdrone_coordination.classes import load_class, nothing_overridden
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
+from xtdrone_coordination.user_classes import load_class, nothing_overridden
 from xtdrone_interaction import options
 from xtdrone_interaction.compare_simulators import check_comparable
 from xtdrone_interaction.formation_demo import DemoSettings

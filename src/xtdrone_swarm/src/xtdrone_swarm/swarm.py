@@ -27,10 +27,10 @@ from scipy.spatial import cKDTree
 
 from xtdrone_control.lockstep.protocol import Schedule
 from xtdrone_coordination.follower import RATE, Follower, FollowerOptions
+from xtdrone_coordination.laws.topology import unreachable
 from xtdrone_coordination.leader import Leader, LeaderOptions, number_list
 from xtdrone_coordination.network import NetworkOptions, make_network
 from xtdrone_coordination.patterns import Patterns
-from xtdrone_coordination.topology import cut_off
 from xtdrone_swarm.flight_record import Choice, Record
 from xtdrone_swarm.followers import FollowerGroup
 from xtdrone_swarm.simplified.model import Model
@@ -207,7 +207,7 @@ class Swarm:
         adjacency, network = self.leader.adjacency, self._followers.network
         if adjacency is None:
             return []
-        return cut_off(adjacency) if network is None else network.cut_off(np.nonzero(adjacency))
+        return unreachable(adjacency) if network is None else network.unreachable(np.nonzero(adjacency))
 
     # what is commanded
 
@@ -433,7 +433,7 @@ class Swarm:
     def _name_those_out_of_range(self) -> None:
         """Warn of vehicles that the leader's topology reaches, but not over the network as all are now."""
         assert self.leader.adjacency is not None
-        lost = sorted(set(self.cut_off()) - set(cut_off(self.leader.adjacency)))
+        lost = sorted(set(self.cut_off()) - set(unreachable(self.leader.adjacency)))
         if lost:
             _LOG.warning(
                 "pattern %s: by the network's range %s of %d vehicles are cut off from the leader",

@@ -1,4 +1,4 @@
-"""Who flies to which slot: the assignment of least total distance (Kuhn-Munkres, section 5 of the paper)."""
+"""Assignment of slots to followers with the least total distance (Kuhn-Munkres, section 5 of the paper)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
-_LARGE = 200  # followers; below, of equally good assignments, the same is found as ever
+_LARGE = 200  # followers; smaller problems are passed to the solver unchanged, so that ties are resolved as before
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ def assign(current: ArrayLike, target: ArrayLike) -> Assignment:
     """Return the assignment of least total Euclidean distance.
 
     Args:
-        current: where the followers are, shape (M, 3), m.
+        current: positions of the followers, shape (M, 3), m.
         target: the slots in the same frame, shape (M, 3), m.
 
     Raises:
@@ -45,11 +45,11 @@ def assign(current: ArrayLike, target: ArrayLike) -> Assignment:
 
 
 def _distances(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances from each to each, shape (M, M)."""
+    """Return the distances of all pairs, shape (M, M)."""
     if len(here) < _LARGE:
         return np.asarray(np.linalg.norm(here[:, None] - there[None], axis=-1))
     squares = np.zeros((len(here), len(there)))
-    for a, b in zip(here.T, there.T, strict=True):  # an axis at a time, a third of the memory
+    for a, b in zip(here.T, there.T, strict=True):  # one axis at a time, for a third of the memory
         difference = a[:, None] - b
         difference *= difference
         squares += difference
@@ -57,9 +57,9 @@ def _distances(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray
 
 
 def _reduced(distance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances less the least of each row, then of each column: of the same best assignments, found faster.
+    """Return the distances minus the least of each row, then of each column; the optimal assignments stay the same.
 
-    A solver that begins with nothing known of the prices of rows and columns finds zeros to assign at once.
+    The solver starts without dual prices and is faster with zeros to assign.
     """
     reduced = distance - distance.min(axis=1, keepdims=True)
     reduced -= reduced.min(axis=0)

@@ -1,4 +1,4 @@
-"""A user's own follower or leader class, found by a file's or a module's name. No ROS here."""
+"""Loading of user-defined follower and leader classes from a file or module, without ROS."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _Base = TypeVar("_Base")
 
 
 def load_class(text: str, base: type[_Base], what: str = "~class") -> type[_Base]:
-    """Return the subclass of ``base`` that ``text`` names.
+    """Return the subclass of ``base`` named by ``text``.
 
     Args:
-        text: ``file.py``, ``file.py:Class`` or ``module:Class``; without a class the only one defined there.
+        text: ``file.py``, ``file.py:Class`` or ``module:Class``; without a class, the only one defined there.
         base: Follower or Leader.
-        what: what to call it in messages.
+        what: name of the setting, for messages.
 
     Raises:
-        ArgumentError: it cannot be imported, or there is no such subclass.
+        ArgumentError: the import fails, or there is no such subclass.
     """
     place, _, name = text.partition(":")
     try:
@@ -36,7 +36,7 @@ def load_class(text: str, base: type[_Base], what: str = "~class") -> type[_Base
             spec.loader.exec_module(module)
         else:
             module = importlib.import_module(place)
-    except (Exception, SystemExit) as error:  # whatever the user's file raises
+    except (Exception, SystemExit) as error:  # raised by the user's code
         raise ArgumentError(f"{what}: {place} cannot be imported: {type(error).__name__}: {error}") from error
     found = {
         key: value
@@ -58,7 +58,8 @@ def overrides(cls: type, base: type) -> bool:
 
 
 def nothing_overridden(cls: type, base: type) -> str:
-    """Return a warning for a class of the user's that flies as ``base`` does, "" if it does not."""
+    """Return a warning if a user's class overrides nothing of its base class, else an empty text."""
+    base = next(kind for kind in cls.__mro__ if kind.__module__.partition(".")[0] == base.__module__.partition(".")[0])
     if cls is base or overrides(cls, base):
         return ""
     return f"class {cls.__name__} overrides nothing of {base.__name__}: is a method's name misspelt?"

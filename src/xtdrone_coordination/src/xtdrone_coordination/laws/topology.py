@@ -1,9 +1,9 @@
-"""Who listens to whom: the adjacency matrix of the paper's section 5.
+"""The communication topology: the adjacency matrix of the paper's section 5.
 
-W[i, j] > 0 means that vehicle i uses the position of vehicle j. The paper takes its matrix for the six-vehicle T from
-a "veteran rule"; the rule here reproduces that matrix: each vehicle listens to the two nearest among those that come
-before it in number, where of equally near ones the later counts as nearer. W is strictly lower triangular, so the
-graph is acyclic with the leader at its root and the consensus law converges whatever the gains.
+W[i, j] > 0 means that vehicle i uses the position of vehicle j. The paper derives its matrix for the six-vehicle T from
+a "veteran rule"; the rule here reproduces that matrix: the neighbours of a vehicle are the two nearest vehicles with a
+smaller number, where of equally near ones the one with the greater number counts as nearer. W is strictly lower
+triangular, so the graph is acyclic with the leader at its root and the consensus law converges for any gain.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def veteran_topology(offsets: ArrayLike) -> NDArray[np.int32]:
     adjacency = np.zeros((count, count), dtype=np.int32)
     for first in range(1, count, _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, count))
-        earlier = rows[-1]  # of these many some come before each row
+        earlier = rows[-1]  # candidates of the block's last row; those not before a row are excluded below
         distance = np.linalg.norm(points[:earlier] - points[rows, None], axis=-1)
         steps = np.rint(distance / _SAME_DISTANCE)
         steps[np.arange(earlier) >= rows[:, None]] = np.inf
@@ -48,11 +48,50 @@ def veteran_topology(offsets: ArrayLike) -> NDArray[np.int32]:
     return adjacency
 
 
-def cut_off(adjacency: ArrayLike) -> list[int]:
-    """Return the vehicles that do not hear of the leader, directly or through others, ascending.
+def check_adjacency(values: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return an adjacency matrix of shape (count, count); the leader is added for followers without neighbours.
 
     Args:
-        adjacency: shape (N, N), as :func:`check_adjacency` returns it; row i: whom vehicle i listens to.
+        values: the matrix, or its N*N values row by row; not negative.
+        count: number of vehicles N.
+
+    Raises:
+        ValueError: another size, a negative or not finite value, or a non-zero diagonal.
+    """
+    matrix = np.array(values, dtype=float)
+    if matrix.size != count * count:
+        raise ValueError(f"topology: {matrix.size} values, {count} vehicles need {count} x {count}")
+    matrix = matrix.reshape(count, count)
+    if not (matrix.min(initial=0.0) >= 0.0 and matrix.max(initial=0.0) < np.inf):
+        raise ValueError("topology: weights must be finite and not negative")
+    if matrix.diagonal().any():
+        raise ValueError(f"topology: vehicle {int(np.argmax(matrix.diagonal() > 0))} listens to itself")
+    matrix[without_neighbours(matrix), 0] = 1.0
+    return matrix
+
+
+def weights_of_row(row: NDArray[np.float64]) -> dict[int, float]:
+    """Return the non-zero weights of a row of a checked adjacency matrix, by vehicle number."""
+    columns = np.flatnonzero(row)
+    return dict(zip(columns.tolist(), row[columns].tolist(), strict=True))
+
+
+def without_neighbours(adjacency: ArrayLike) -> list[int]:
+    """Return the followers with an empty row, ascending; :func:`check_adjacency` adds the leader to those rows.
+
+    Args:
+        adjacency: shape (N, N), or its values row by row, of a size that :func:`check_adjacency` accepts.
+    """
+    values = np.asarray(adjacency)
+    rows = values.reshape(math.isqrt(values.size), -1)
+    return [int(i) for i in np.flatnonzero(~rows.any(axis=1)) if i > 0]
+
+
+def unreachable(adjacency: ArrayLike) -> list[int]:
+    """Return the vehicles without a path from the leader, direct or through others, ascending.
+
+    Args:
+        adjacency: shape (N, N), as returned by :func:`check_adjacency`.
     """
     matrix = np.asarray(adjacency)
     listeners: list[list[int]] = [[] for _ in matrix]
@@ -64,36 +103,3 @@ def cut_off(adjacency: ArrayLike) -> list[int]:
         reached.update(new)
         waiting += new
     return [i for i in range(len(matrix)) if i not in reached]
-
-
-def check_adjacency(values: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Return an adjacency matrix of shape (count, count); a follower that listens to nobody gets the leader.
-
-    Args:
-        values: the matrix, or its N*N values row by row; not negative.
-        count: number of vehicles N.
-
-    Raises:
-        ValueError: another size, a negative or not finite value, or a vehicle that listens to itself.
-    """
-    matrix = np.array(values, dtype=float)
-    if matrix.size != count * count:
-        raise ValueError(f"topology: {matrix.size} values, {count} vehicles need {count} x {count}")
-    matrix = matrix.reshape(count, count)
-    if not (matrix.min(initial=0.0) >= 0.0 and matrix.max(initial=0.0) < np.inf):
-        raise ValueError("topology: weights must be finite and not negative")
-    if matrix.diagonal().any():
-        raise ValueError(f"topology: vehicle {int(np.argmax(matrix.diagonal() > 0))} listens to itself")
-    matrix[deaf(matrix), 0] = 1.0
-    return matrix
-
-
-def deaf(adjacency: ArrayLike) -> list[int]:
-    """Return the followers that listen to nobody, ascending; :func:`check_adjacency` gives them the leader.
-
-    Args:
-        adjacency: shape (N, N), or its values row by row, of a size that :func:`check_adjacency` takes.
-    """
-    values = np.asarray(adjacency)
-    rows = values.reshape(math.isqrt(values.size), -1)
-    return [int(i) for i in np.flatnonzero(~rows.any(axis=1)) if i > 0]

@@ -1,0 +1,5 @@
+"""The laws of the paper, each written once: consensus, avoidance, topology and assignment.
+
+Inputs and outputs are numbers; nothing here depends on ROS. The formulas of ``consensus`` and ``avoidance`` are scalar
+functions, called as they are by a single follower and compiled by ``batch.kernels`` for many.
+"""
