@@ -9,20 +9,21 @@ import pytest
 
 from xtdrone_control.communication.core import CommandSettings
 from xtdrone_control.settings import Settings
+from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_interaction.director import DirectorSettings
 from xtdrone_interaction.rviz.node import MarkerSettings
 from xtdrone_perception.detector import DetectorSettings
 from xtdrone_perception.following import FollowSettings
 from xtdrone_perception.geolocation import Noise, Person
-from xtdrone_perception.gimbal import GimbalOptions
-from xtdrone_perception.human_tracking import TrackingOptions
+from xtdrone_perception.gimbal_node import GimbalOptions
+from xtdrone_perception.human_tracking_node import TrackingOptions
 from xtdrone_perception.tracker import TrackerSettings
-from xtdrone_perception.yolo import EyeOptions, GroundOptions
+from xtdrone_perception.yolo_node import DetectionOptions, GroundOptions
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
-from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
 from xtdrone_swarm.simplified.node import SimplifiedSettings
+from xtdrone_sim.runtime.simulator_node import NodeSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 CLASSES: dict[str, type[Settings]] = {
@@ -35,7 +36,7 @@ CLASSES: dict[str, type[Settings]] = {
         CameraSettings,
         TfSettings,
         GimbalOptions,
-        EyeOptions,
+        DetectionOptions,
         GroundOptions,
         DetectorSettings,
         TrackerSettings,
@@ -43,6 +44,7 @@ CLASSES: dict[str, type[Settings]] = {
         Noise,
         TrackingOptions,
         FollowSettings,
+        MissionSettings,
         DirectorSettings,
         MarkerSettings,
     )

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from xtdrone_perception.detector import Detector, load_settings
-from xtdrone_perception.scoring import Scene, at_threshold, average_precision, best_threshold, match
+from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
 
 SETTINGS = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.yaml"
 LOWEST = 12.0  # px
@@ -40,7 +40,7 @@ def detector_of(settings: Path, weights: Path | None, confidence: float | None) 
     return Detector(load_settings(settings, changes))
 
 
-def looked_at(detector: Detector, folder: Path, most: int) -> tuple[list[Scene], list[bool], float]:
+def looked_at(detector: Detector, folder: Path, most: int) -> tuple[list[LabelledPicture], list[bool], float]:
     """Return what was found in a folder's pictures, which of them show nobody, and the median time to look, s."""
     labels = [json.loads(line) for line in (folder / "labels.jsonl").read_text().splitlines()][:most]
     scenes, empty, times = [], [], []
@@ -55,12 +55,12 @@ def looked_at(detector: Detector, folder: Path, most: int) -> tuple[list[Scene],
         truth = np.array([person["box"] for person in label["people"]], float).reshape(-1, 4)
         seen = np.array([person["visible"] >= 1.0 - HIDDEN for person in label["people"]], bool)
         counts = seen & (truth[:, 3] - truth[:, 1] >= LOWEST)
-        scenes.append(Scene(boxes, np.array([d.probability for d in found], float), truth, counts))
+        scenes.append(LabelledPicture(boxes, np.array([d.probability for d in found], float), truth, counts))
         empty.append(not label["people"])
     return scenes, empty, float(np.median(times))
 
 
-def judged(scenes: list[Scene], empty: list[bool], threshold: float | None) -> dict[str, Any]:
+def judged(scenes: list[LabelledPicture], empty: list[bool], threshold: float | None) -> dict[str, Any]:
     """Return the figures by height of the people, at a threshold or else at the best one."""
     every = match(scenes, heights=BANDS[-1])
     best = best_threshold(every)

@@ -25,8 +25,8 @@ import numpy as np
 from evaluate import SETTINGS, detector_of
 from make_data import REGION, Scene, View, people_of
 
-from xtdrone_coordination.search.evidence import Candidate, Evidence, Sighting, nearest
-from xtdrone_coordination.search.mission import MissionSettings
+from xtdrone_coordination.search.candidates import Candidate, Evidence, Sighting, nearest
+from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_sim.vehicles.poses import from_rpy, rotate
 from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds import people

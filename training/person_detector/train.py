@@ -27,7 +27,7 @@ from loss import decode, detection_loss
 from network import Darknet, load_weights, save_weights
 from pictures import Cropper, Picture, load, read_labels, read_picture
 
-from xtdrone_perception.scoring import Scene, at_threshold, average_precision, best_threshold, match
+from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
 
 CONFIG = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.cfg"
 HEIGHT = 384  # of the network's input; pictures of 360 lines get grey bars above and below
@@ -131,7 +131,7 @@ def find(network: Darknet, image: np.ndarray, least: float = 0.02) -> tuple[np.n
 def judge(network: Darknet, pictures: list[Picture]) -> dict[str, float]:
     """Return average precision over all who count and over those of 12 to 20 px, and the best threshold's figures."""
     scenes = [
-        Scene(
+        LabelledPicture(
             *find(network, picture.image),
             picture.boxes,
             picture.certain & (picture.boxes[:, 3] - picture.boxes[:, 1] >= 12),

@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
 """Mission control of a cooperative search: ``search_mission.py``, one node for all vehicles.
 
-It starts each vehicle's mission, which a ground station has uploaded, sends vehicles to a second look at what their
-cameras find, has the finder follow, gives the rest of lost vehicles' paths to others, and brings all home.
+Starts the missions that a ground station has uploaded, sends vehicles to a second look at candidates, makes the finder
+follow the person, reallocates the paths of lost vehicles, and returns all vehicles home.
 
-Parameters (``config/search.yaml`` has them all, with their ranges):
+Parameters (all of them, with their ranges, are in ``config/search.yaml``):
     /xtdrone/fleet (as ``typhoon_h480:6``): the vehicles.
     ~region: YAML file of the region, ``{region: [[x, y], ...], holes: [...]}``, m ENU.
-    ~out: folder to whose events.jsonl events are appended; empty: none.
-    ~class (human): what is searched for, a class of the detector; empty: any.
-    ~camera: {width, height, horizontal_fov} of all vehicles' cameras.
+    ~out: folder with the events.jsonl that events are appended to; empty: none.
+    ~class (human): detector class to search for; empty: any.
+    ~camera: {width, height, horizontal_fov} of the cameras.
     ~datum: {latitude, longitude, altitude} of the map frame's origin.
-    ~on_find, ~follow_time, ...: see ``xtdrone_coordination.search.mission.MissionSettings``.
+    ~on_find, ~follow_time, ...: see ``xtdrone_coordination.search.settings.MissionSettings``.
 
 Topics: see ``xtdrone_coordination.ros_search``.
 """

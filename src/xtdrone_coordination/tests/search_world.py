@@ -1,7 +1,7 @@
-"""A world of points for the mission control: vehicles that fly as they are told, cameras that see people in it.
+"""Point-mass world for the mission control: vehicles that execute its actions, cameras that see people.
 
-Nothing of the autopilot is here but what the control relies on: missions flown item by item at 5 m/s, modes, a state
-once a second, a picture every half second.
+It models only what the mission control relies on: missions flown item by item at 5 m/s, modes, a state once a second, a
+picture every half second.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_coordination.search import mission as control
-from xtdrone_coordination.search.covered import shows
-from xtdrone_coordination.search.evidence import Sighting
-from xtdrone_coordination.search.mission import MissionSettings, SearchMission
-from xtdrone_coordination.search.plans import Datum, SearchOptions, mission_items, plan_search
+from xtdrone_coordination.search import actions as control
+from xtdrone_coordination.search.candidates import Sighting
+from xtdrone_coordination.search.coverage_map import shows
+from xtdrone_coordination.search.mission import SearchMission
+from xtdrone_coordination.search.planning.plans import Datum, SearchOptions, mission_items, plan_search
+from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_coordination.search.vehicle import State
 
 CAMERA = Pinhole.of_view(640, 360, 2.0)
@@ -31,11 +32,11 @@ REGION = Polygon([(15, -40), (135, -40), (135, 40), (15, 40)])
 
 @dataclass
 class Thing:
-    """Somebody, or something that looks like it.
+    """A person, or an object that looks like one.
 
     Attributes:
-        at: place at a time, m ENU.
-        probability: the detector's, from the distance of the camera, m.
+        at: position at a time, m ENU.
+        probability: of the detector, by the distance from the camera, m.
     """
 
     at: Callable[[float], tuple[float, float]]
@@ -47,7 +48,7 @@ def person(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Thing:
 
 
 def decoy(x: float, y: float) -> Thing:
-    """Looks like a person from afar, and not from near by."""
+    """Return an object that looks like a person only from a distance."""
     return Thing(lambda t: (x, y), lambda distance: 0.8 if distance > 13.0 else 0.0)
 
 
@@ -75,7 +76,7 @@ class Body:
     tracks: dict[int, int] = field(default_factory=dict)
 
     def move(self, target: tuple[float, float, float], speed: float) -> bool:
-        """Fly towards a place; return whether it is reached."""
+        """Fly towards a target; return whether it is reached."""
         way = np.subtract(target, (self.x, self.y, self.z))
         distance = float(np.linalg.norm(way))
         share = min(1.0, speed * DT / distance) if distance > 0.0 else 0.0
@@ -126,11 +127,11 @@ class Body:
 
 
 class World:
-    """Some vehicles, people and the mission control.
+    """Vehicles, people and the mission control.
 
     Attributes:
-        at: what happens when: called once, by time, s.
-        events: all so far.
+        at: functions to call once, by time, s.
+        events: all events so far.
         nearest: least distance between two flying vehicles, m.
     """
 
@@ -164,16 +165,16 @@ class World:
         return self.control.vehicles[f"typhoon_h480_{index}"].state
 
     def named(self, event: str) -> list[dict[str, Any]]:
-        return [told for told in self.events if told["event"] == event]
+        return [entry for entry in self.events if entry["event"] == event]
 
     def run(self, until: Callable[[World], Any] = lambda world: world.control.finished, limit: float = 900.0) -> None:
-        """Go on until something holds; fail at a time limit, s."""
+        """Run until a condition holds; fail at a time limit, s."""
         while not until(self):
             assert self.time < limit, (self.time, self.control.progress(), self.events)
             self.step()
 
     def step(self) -> None:
-        turn = round(self.time / DT)
+        tick = round(self.time / DT)
         for when in [when for when in self.at if when <= self.time]:
             self.at.pop(when)(self)
         for i, (name, body) in enumerate(self.bodies.items()):
@@ -183,14 +184,14 @@ class World:
             self._follow(body)
             self.control.on_pose(name, (body.x, body.y, body.z), body.yaw, self.time)
             self.control.on_item(name, body.seq)
-            if turn % 10 == i:
+            if tick % 10 == i:
                 self.control.on_state(name, body.mode, body.armed, True, self.time)
-            if turn % 5 == i % 5 and not body.no_camera:
+            if tick % 5 == i % 5 and not body.no_camera:
                 self._picture(name, body)
         for action in self.control.step(self.time):
-            self._obey(action)
+            self._execute(action)
         self.events += self.control.events()
-        self.time = (turn + 1) * DT
+        self.time = (tick + 1) * DT
         flying = [np.array([b.x, b.y, b.z]) for b in self.bodies.values() if b.z > 2.0 and not b.dead]
         for i, one in enumerate(flying):
             for other in flying[:i]:
@@ -226,7 +227,7 @@ class World:
                 )
         self.control.on_picture(name, self.time, position, rotation, sightings, self.time)
 
-    def _obey(self, action: control.Action) -> None:
+    def _execute(self, action: control.Action) -> None:
         body = self.bodies[action.vehicle]
         if body.dead:
             self.control.on_result(action, False, "no answer")
@@ -239,15 +240,15 @@ class World:
                 body.mode = mode
             case control.Arm():
                 body.armed = True
-            case control.Push(items=items, current=current):
+            case control.PushMission(items=items, current=current):
                 body.items, body.seq = items, current
             case control.GoTo(position=position, yaw=yaw):
                 body.goal, body.goal_yaw = position, yaw
             case control.Follow(track=track):
                 body.follows = track
                 body.pitch = -50.0 if track > 0 else body.pitch
-            case control.Aim(pitch=pitch):
+            case control.PointCamera(pitch=pitch):
                 body.pitch = pitch
-            case control.ReturnHeight(height=height):
+            case control.SetReturnHeight(height=height):
                 body.return_height = height
         self.control.on_result(action, True)

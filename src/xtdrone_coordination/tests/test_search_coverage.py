@@ -1,4 +1,4 @@
-"""Coverage paths: what the camera sees along them, their turns, and the footprint they are made for."""
+"""Coverage paths: ground seen along them, turns, and the footprint they are planned for."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_coordination.search.coverage import (
+from xtdrone_coordination.search.planning.coverage_path import (
     PERSON,
     CoverageOptions,
     Footprint,
@@ -32,7 +32,7 @@ OPTIONS = CoverageOptions()
 
 
 def _projected(ahead: float, side: float, up: float, height: float, pitch: float) -> tuple[float, float]:
-    """Return the pixel of a point, by the camera's own projection."""
+    """Return the pixel of a point by the camera's projection."""
     down = math.radians(-pitch)
     below = height - up
     optical = [
@@ -59,7 +59,7 @@ def test_people_in_the_footprint_are_large_enough_and_whole(height: float, pitch
     assert v - head < 12.0 or head < 0.0 or beyond > 30.0
 
 
-def test_a_height_at_which_nobody_is_seen_is_refused() -> None:
+def test_a_height_from_which_people_are_too_small_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"height: 120 m: .* at most \d px high, at least 12 px"):
         footprint(CAMERA, 120.0, -60.0)
     with pytest.raises(ValueError, match=r"gimbal_pitch: 10\.0 is not allowed, -90 to -5 deg"):
@@ -121,7 +121,7 @@ def test_lanes_of_a_rectangle_are_the_fewest_and_begin_before_it() -> None:
     assert length(path) == pytest.approx(3 * 110.0 + 2 * math.hypot(29 / 3, NARROW.far + NARROW.near), abs=0.1)
 
 
-def test_lanes_lie_across_the_least_width_wherever_it_is() -> None:
+def test_lanes_lie_across_the_least_width() -> None:
     slim = Polygon([(0, 0), (150, 0), (150, 24), (0, 24)])
     for angle in (0.0, 0.4, 1.9):
         path = cover(shapely.affinity.rotate(slim, angle, origin=(0, 0), use_radians=True), NARROW, OPTIONS)

@@ -1,4 +1,4 @@
-"""Whole searches by the mission control in a world of points: finds, false ones, losses, silent cameras."""
+"""Complete searches by the mission control in a point-mass world: finds, false finds, losses, failed cameras."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from search_world import Thing, World, decoy, person
 
 from xtdrone_control.autopilot.navigator import plan
-from xtdrone_coordination.search.evidence import Candidate, Sighting
-from xtdrone_coordination.search.mission import MissionSettings
+from xtdrone_coordination.search.candidates import Candidate, Sighting
+from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_coordination.search.vehicle import State
 
 MODES = ("hold", "return", "continue")
@@ -24,7 +24,7 @@ def _finished(world: World) -> dict[str, Any]:
     return world.events[-1]
 
 
-def test_a_search_that_finds_nobody_covers_the_region_and_returns() -> None:
+def test_a_search_without_a_person_covers_the_region_and_returns() -> None:
     world = World()
     end = _finished(world)
     assert (end["outcome"], end["reason"], end["vehicle"]) == ("not found", "all paths are flown", None)
@@ -83,11 +83,11 @@ def _kill(index: int) -> Any:
     return lambda world: setattr(world[index], "dead", True)
 
 
-def test_what_a_lost_vehicle_leaves_over_is_flown_by_the_others() -> None:
+def test_the_path_of_a_lost_vehicle_is_flown_by_the_others() -> None:
     world = World(at={30.0: _kill(1)})
     end = _finished(world)
     (lost,) = world.named("lost_vehicle")
-    assert (lost["vehicle"], lost["reason"]) == ("typhoon_h480_1", "tells nothing for 3 s")
+    assert (lost["vehicle"], lost["reason"]) == ("typhoon_h480_1", "no state received for 3 s")
     (given,) = world.named("reassigned")
     assert given["vehicle"] == "typhoon_h480_1"
     assert given["to"]
@@ -98,10 +98,10 @@ def test_what_a_lost_vehicle_leaves_over_is_flown_by_the_others() -> None:
 @pytest.mark.parametrize(
     ("what", "reason"),
     [
-        ({"mode": "AUTO.RTL"}, "has gone to AUTO.RTL by itself"),
-        ({"mode": "POSCTL"}, "has gone to POSCTL by itself"),
-        ({"armed": False, "z": 6.0}, "is disarmed at 6.0 m"),
-        ({"z": 0.5, "mode": "STABILIZED"}, "has fallen to 0.5 m"),
+        ({"mode": "AUTO.RTL"}, "left AUTO.MISSION for AUTO.RTL"),
+        ({"mode": "POSCTL"}, "left AUTO.MISSION for POSCTL"),
+        ({"armed": False, "z": 6.0}, "disarmed at 6.0 m"),
+        ({"z": 0.5, "mode": "STABILIZED"}, "fell to 0.5 m"),
     ],
 )
 def test_vehicles_that_no_longer_search_are_lost(what: dict[str, Any], reason: str) -> None:
@@ -115,7 +115,7 @@ def test_vehicles_that_no_longer_search_are_lost(what: dict[str, Any], reason: s
     assert (lost["vehicle"], lost["reason"]) == ("typhoon_h480_2", reason)
 
 
-def test_those_that_have_landed_start_again_when_nobody_else_can() -> None:
+def test_landed_vehicles_take_off_again_when_no_other_is_available() -> None:
     world = World(count=2)
     world[1].items = world[1].items[:4] + world[1].items[-1:]  # a short path: it has landed long before the other
     world.control.on_mission("typhoon_h480_1", world[1].items)
@@ -129,7 +129,7 @@ def test_those_that_have_landed_start_again_when_nobody_else_can() -> None:
     assert end["outcome"] == "not found"
 
 
-def test_a_silent_camera_is_told_and_its_rest_is_flown_by_others() -> None:
+def test_a_failed_camera_is_reported_and_its_path_is_flown_by_others() -> None:
     world = World(at={30.0: lambda w: setattr(w[0], "no_camera", True)})
     end = _finished(world)
     (silent,) = world.named("camera_silent")
@@ -140,7 +140,7 @@ def test_a_silent_camera_is_told_and_its_rest_is_flown_by_others() -> None:
     assert end["lost"] == []
 
 
-def test_pictures_that_do_not_change_count_as_none() -> None:
+def test_unchanging_pictures_are_ignored() -> None:
     world = World(at={30.0: lambda w: w.control.on_camera("typhoon_h480_0", False)})
     end = _finished(world)
     (silent,) = world.named("camera_silent")
@@ -155,7 +155,7 @@ def test_without_any_camera_the_search_has_failed() -> None:
             body.no_camera = True
 
     end = _finished(World(at={0.0: dark}))
-    assert (end["outcome"], end["reason"], end["covered_fraction"]) == ("failed", "no camera tells anything", 0.0)
+    assert (end["outcome"], end["reason"], end["covered_fraction"]) == ("failed", "no camera works", 0.0)
 
 
 def test_two_finders_of_two_persons() -> None:
@@ -181,8 +181,8 @@ def test_a_walking_person_is_found_and_followed() -> None:
     assert world.named("follow_ended")[0]["reason"] == "time"
 
 
-def test_somebody_beside_the_followed_person_does_not_take_his_place() -> None:
-    """His track goes on being followed, also where he has run farther than ``same_place`` between two pictures."""
+def test_another_person_beside_the_followed_one_is_not_followed_instead() -> None:
+    """The track is followed even if the person runs farther than ``same_place`` between two pictures."""
     world = World(things=[person(100.0, 10.0)], follow_time=20.0)
     world.run(lambda w: w.named("following"))
     (begun,) = world.named("following")
@@ -197,19 +197,19 @@ def test_somebody_beside_the_followed_person_does_not_take_his_place() -> None:
     assert followed.track[begun["vehicle"]] == begun["track"]
 
 
-def test_of_two_tracks_in_one_place_the_surer_is_the_person() -> None:
+def test_of_two_tracks_in_one_place_the_more_probable_is_the_person() -> None:
     candidate = Candidate((0.0, 0.0), (0.0, 0.0), (1.0, 0.0, 0.0, 1.0), 0.0)
-    somebody, post = Sighting(6, (0.0, 0.0), probability=0.8), Sighting(9, (1.3, 0.0), probability=0.5)
+    walker, post = Sighting(6, (0.0, 0.0), probability=0.8), Sighting(9, (1.3, 0.0), probability=0.5)
     candidate.see("a", 0.0, post, {9})
     for k in range(1, 8):
-        for sighting in (somebody, post) if k != 6 else (post,):  # one picture misses him
+        for sighting in (walker, post) if k != 6 else (post,):  # one picture misses the person
             candidate.see("a", 0.5 * k, sighting, {6, 9})
     assert (candidate.track, candidate.position, candidate.seen_at) == ({"a": 6}, (0.0, 0.0), 3.5)
-    candidate.see("a", 4.0, post, {9})  # his track has ended
+    candidate.see("a", 4.0, post, {9})  # the person's track has ended
     assert (candidate.track, candidate.position) == ({"a": 9}, (1.3, 0.0))
 
 
-def test_what_others_see_does_not_keep_a_follower_from_losing_the_person() -> None:
+def test_sightings_of_other_vehicles_do_not_delay_the_loss_of_the_person() -> None:
     world = World(things=[person(100.0, 10.0)], on_find="hold", lose_time=4.0)
     world.run(lambda w: w.named("following"))
     finder = world.named("following")[0]["vehicle"]
@@ -225,17 +225,17 @@ def test_what_others_see_does_not_keep_a_follower_from_losing_the_person() -> No
     assert world.time - begun == pytest.approx(4.0, abs=0.5)
 
 
-def test_what_the_camera_shows_before_it_is_pointed_does_not_count() -> None:
+def test_pictures_before_the_camera_is_pointed_are_ignored() -> None:
     world = World(count=1)
-    name, body, first = "typhoon_h480_0", world[0], world.control.vehicles["typhoon_h480_0"].path[0][0]
+    name, body, first = "typhoon_h480_0", world[0], world.control.vehicles["typhoon_h480_0"].mission.first_waypoint
     level = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     while body.seq < first:
         world.step()
-        if world.state(0) is State.STARTING:
+        if world.state(0) is State.TAKING_OFF:
             place = np.array([body.x, body.y, body.z])
             world.control.on_picture(name, world.time - 0.01, place, level, [Sighting(1, (40.0, 3.0))], world.time)
-    assert body.z > 0.8 * world.control.vehicles[name].takeoff_height
-    assert (world.control.candidates, world.control.covered.fraction) == ([], 0.0)
+    assert body.z > 0.8 * world.control.vehicles[name].mission.takeoff_height
+    assert (world.control.candidates, world.control.coverage.fraction) == ([], 0.0)
     world.run(lambda w: w.state(0) is State.SEARCHING, limit=world.time + 1.0)
 
 
@@ -249,7 +249,7 @@ def test_a_path_that_climbs_is_flown() -> None:
     assert (end["lost"], end["outcome"]) == ([], "not found")
 
 
-def test_one_that_falls_in_a_second_look_is_lost() -> None:
+def test_a_vehicle_that_falls_in_a_second_look_is_lost() -> None:
     world = World(things=[person(100.0, 10.0)])
     world.run(lambda w: w.named("second_look"))
     (look,) = world.named("second_look")
@@ -257,11 +257,11 @@ def test_one_that_falls_in_a_second_look_is_lost() -> None:
     body.z, body.no_offboard, body.goal = 0.4, True, None
     body.move = lambda target, speed: False  # type: ignore[method-assign]
     end = _finished(world)
-    assert world.named("lost_vehicle")[0]["reason"] == "has fallen to 0.4 m"
+    assert world.named("lost_vehicle")[0]["reason"] == "fell to 0.4 m"
     assert (end["outcome"], end["lost"]) == ("found", [look["vehicle"]])
 
 
-def test_a_rest_is_given_away_once() -> None:
+def test_a_path_is_reallocated_once() -> None:
     def vanish(world: World) -> None:
         assert world.state(0) is State.RETURNING
         world[0].dead = True
@@ -290,7 +290,7 @@ def test_another_takes_over_when_the_follower_loses_the_person() -> None:
     assert end["possible"] == []
 
 
-def test_who_takes_over_finds_a_person_who_has_walked_on_unseen() -> None:
+def test_taking_over_finds_a_person_who_has_walked_on_unseen() -> None:
     world = World(things=[person(100.0, 10.0)], follow_time=60.0)
     world.run(lambda w: w.named("following"))
     world.run(lambda w: w.time > w.named("following")[0]["time"] + 5.0)
@@ -305,11 +305,11 @@ def test_who_takes_over_finds_a_person_who_has_walked_on_unseen() -> None:
     assert not world.named("rejected")
 
 
-def test_the_follower_looks_again_when_nobody_else_can() -> None:
+def test_the_follower_looks_again_when_no_other_is_available() -> None:
     hidden = {"now": False}
-    somebody = person(100.0, 10.0)
-    somebody.probability = lambda distance: 0.0 if hidden["now"] else 0.9
-    world = World(count=1, things=[somebody], follow_time=60.0, lose_time=4.0)
+    hiding = person(100.0, 10.0)
+    hiding.probability = lambda distance: 0.0 if hidden["now"] else 0.9
+    world = World(count=1, things=[hiding], follow_time=60.0, lose_time=4.0)
     world.run(lambda w: w.named("following"))
     hidden["now"] = True
     world.run(lambda w: w.named("follow_ended"))
@@ -328,7 +328,7 @@ def test_a_refused_second_look_loses_the_vehicle_but_not_the_candidate() -> None
     world.bodies[finder].no_offboard = True
     end = _finished(world)
     (lost,) = world.named("lost_vehicle")
-    assert (lost["vehicle"], lost["reason"]) == (finder, "does not go to OFFBOARD: no setpoints")
+    assert (lost["vehicle"], lost["reason"]) == (finder, "does not enter OFFBOARD: no setpoints")
     assert end["outcome"] == "found"
     assert end["vehicle"] != finder
 
@@ -347,7 +347,7 @@ def test_a_vehicle_that_never_gets_ready_is_lost_and_the_others_fly_its_part() -
     assert end["covered_fraction"] > 0.98
 
 
-def test_the_same_search_goes_the_same_way() -> None:
+def test_a_search_is_deterministic() -> None:
     runs = []
     for _ in range(2):
         world = World(things=[person(100.0, 10.0), decoy(50.0, 0.0)], follow_time=5.0)
@@ -359,7 +359,7 @@ def test_the_same_search_goes_the_same_way() -> None:
 @pytest.mark.parametrize(
     ("changes", "what"),
     [
-        ({"on_find": "wait"}, "on_find: 'wait' is not allowed, hold or return or continue"),
+        ({"on_find": "wait"}, "on_find: 'wait' is not allowed, hold, return or continue"),
         ({"look_speed": 50.0}, "look_speed: 50.0 is not allowed, 0.5 to 10 m/s"),
         ({"reject_log_odds": 1.0}, "reject_log_odds: 1.0 is not allowed, -100 to -1"),
     ],

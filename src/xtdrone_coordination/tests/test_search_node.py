@@ -1,4 +1,4 @@
-"""The search node with a real master, in lockstep; called as a program this file is the vehicles and their detector."""
+"""The search node with a real master, in lockstep; run as a program, this file simulates the vehicles and detectors."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from search_world import REGION, World, person
 from xtdrone_control import lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.program import ArgumentError
-from xtdrone_coordination.search import mission as control
-from xtdrone_coordination.search.region import region_data
+from xtdrone_coordination.search import actions as control
+from xtdrone_coordination.search.planning.region import region_data
+from xtdrone_coordination.search.settings import MissionSettings
 
 try:
     import rospy
@@ -43,19 +44,19 @@ ROSMASTER = shutil.which("rosmaster")
 pytestmark = pytest.mark.skipif(ROSMASTER is None or rospy is None, reason="needs ROS 1 and the built workspace")
 
 NODE = Path(__file__).parents[1] / "nodes" / "search_mission.py"
-PATIENCE = 120.0  # s of wall time, for what should take none
+PATIENCE = 120.0  # s of wall time
 COUNT = 2
 
 
 class Topics:
-    """In the place of the world's mission control: what the vehicles tell as topics, what they are told as services."""
+    """Replaces the world's mission control: telemetry as topics, actions as services and topics."""
 
     def __init__(self, world: World) -> None:
         self._world = world
         self._actions: list[Any] = []
         self._lock = threading.Lock()
         self._pushed: dict[str, Any] = {}
-        self._told: dict[str, int] = {}
+        self._items: dict[str, int] = {}
         self._out: dict[tuple[str, str], Any] = {}
         for name in world.bodies:
             base = f"/{name}/mavros"
@@ -71,7 +72,7 @@ class Topics:
             for service, kind, act in (
                 ("set_mode", SetMode, lambda name, r: control.SetMode(name, r.custom_mode)),
                 ("cmd/arming", CommandBool, lambda name, r: control.Arm(name)),
-                ("param/set", ParamSet, lambda name, r: control.ReturnHeight(name, r.value.real)),
+                ("param/set", ParamSet, lambda name, r: control.SetReturnHeight(name, r.value.real)),
                 ("mission/pull", WaypointPull, self._pull),
                 ("mission/push", WaypointPush, self._push),
                 ("mission/set_current", WaypointSetCurrent, self._set_current),
@@ -90,13 +91,13 @@ class Topics:
         return response
 
     def _pull(self, name: str, _: Any) -> None:
-        self._told.pop(name, None)
+        self._items.pop(name, None)
 
     def _push(self, name: str, request: Any) -> None:
         self._pushed[name] = tuple(ros_search.to_item(waypoint) for waypoint in request.waypoints)
 
     def _set_current(self, name: str, request: Any) -> Any:
-        return control.Push(name, self._pushed[name], request.wp_seq)
+        return control.PushMission(name, self._pushed[name], request.wp_seq)
 
     def _on_pose(self, name: str, pose: Any) -> None:
         p, q = pose.position, pose.orientation
@@ -109,7 +110,7 @@ class Topics:
         with self._lock:
             self._actions.append(action)
 
-    # what the world calls
+    # called by the world
 
     def on_state(self, name: str, mode: str, armed: bool, connected: bool, _: float) -> None:
         self._out[name, "state"].publish(State(mode=mode, armed=armed, connected=connected))
@@ -119,8 +120,8 @@ class Topics:
 
     def on_item(self, name: str, current: int) -> None:
         with self._lock:
-            known = self._told.get(name)
-            self._told[name] = current
+            known = self._items.get(name)
+            self._items[name] = current
         if known != current:
             waypoints = [ros_search.to_waypoint(item) for item in self._world.bodies[name].items]
             self._out[name, "waypoints"].publish(WaypointList(current_seq=current, waypoints=waypoints))
@@ -148,11 +149,11 @@ class Topics:
         return []
 
     def on_result(self, *_: Any) -> None:
-        """Services have answered already."""
+        """Results have been returned by the services."""
 
 
 def stage() -> None:
-    """Fly as the search node says, in a world with a person and a car."""
+    """Execute the actions of the search node in a world with a person and a car."""
     lockstep.init_node("stage", rate=10.0)
     world = World(count=COUNT, things=[person(100.0, 10.0)])
     world.control = Topics(world)  # type: ignore[assignment]
@@ -208,20 +209,20 @@ def test_a_search_from_takeoff_to_landing(master: xmlrpc.client.ServerProxy, tmp
     ]
     events = tmp_path / "events.jsonl"
 
-    def told() -> list[dict[str, Any]]:
+    def recorded() -> list[dict[str, Any]]:
         return [json.loads(line) for line in events.read_text().splitlines()] if events.exists() else []
 
     try:
         assert server.wait_for(["/stage", "/search_mission"], timeout=PATIENCE), (tmp_path / "search.out").read_text()
         now = server.next_due_us(-1)
-        while now is not None and now < 400_000_000 and not (told() and told()[-1]["event"] == "finished"):
+        while now is not None and now < 400_000_000 and not (recorded() and recorded()[-1]["event"] == "finished"):
             server.tick(now)
             now = server.next_due_us(now)
-        names = [event["event"] for event in told()]
+        names = [event["event"] for event in recorded()]
         assert names[-1] == "finished", (names, (tmp_path / "search.out").read_text()[-2000:])
         for name in ("started", "candidate", "second_look", "confirmed", "following", "follow_ended"):
             assert name in names
-        end = told()[-1]
+        end = recorded()[-1]
         assert (end["outcome"], end["lost"]) == ("found", [])
         assert end["position"] == pytest.approx([100.0, 10.0], abs=0.5)
         assert end["covariance"] == [0.25, 0.0, 0.0, 0.25]
@@ -229,7 +230,7 @@ def test_a_search_from_takeoff_to_landing(master: xmlrpc.client.ServerProxy, tmp
         while now is not None and now < last:
             server.tick(now)
             now = server.next_due_us(now)
-        assert nodes[1].wait(PATIENCE) == 0, "it does not end by itself"
+        assert nodes[1].wait(PATIENCE) == 0, "the node does not end after the search"
     finally:
         server.close()
         statuses = [node.wait(PATIENCE) for node in nodes]
@@ -237,16 +238,16 @@ def test_a_search_from_takeoff_to_landing(master: xmlrpc.client.ServerProxy, tmp
     assert "Traceback" not in (tmp_path / "search.out").read_text()
 
 
-def test_a_region_that_is_not_there_is_named(master: xmlrpc.client.ServerProxy, tmp_path: Path) -> None:
+def test_a_missing_region_file_is_named(master: xmlrpc.client.ServerProxy, tmp_path: Path) -> None:
     _parameters(master, tmp_path, region="/nowhere/region.yaml")
     node = _start(tmp_path, "search", sys.executable, str(NODE), "__name:=search_mission")
     assert node.wait(PATIENCE) == 2
     assert "~region: /nowhere/region.yaml: " in (tmp_path / "search.out").read_text()
 
 
-def test_parameters_that_are_not_allowed_are_named() -> None:
+def test_invalid_parameters_are_named() -> None:
     for read, name, value, what in (
-        (ros_search.settings_of, "~on_find", "wait", "~on_find: 'wait' is not allowed, hold or return or continue"),
+        (ros_search.settings_of, "~on_find", "wait", "~on_find: 'wait' is not allowed, hold, return or continue"),
         (ros_search.camera_of, "~camera", {"horizontal_fov": 9.0}, "~camera: horizontal_fov: 9.0 is not allowed"),
         (ros_search.camera_of, "~camera", "wide", "~camera: 'wide' is not allowed, a mapping"),
         (ros_search.datum_of, "~datum", {"latitude": 95.0}, "~datum: latitude: 95.0 is not allowed"),
@@ -258,7 +259,7 @@ def test_parameters_that_are_not_allowed_are_named() -> None:
 
 def test_the_configuration_names_every_setting_with_its_default() -> None:
     config = yaml.safe_load((NODE.parents[1] / "config" / "search.yaml").read_text(encoding="utf-8"))
-    settings = vars(control.MissionSettings())
+    settings = vars(MissionSettings())
     assert {name: value for name, value in config.items() if name not in ("class", "camera")} == settings
 
 

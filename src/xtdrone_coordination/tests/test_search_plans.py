@@ -1,4 +1,4 @@
-"""Missions of a search: heights, places, and the plan files that carry them."""
+"""Missions of a search: heights, positions and plan files."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from shapely.geometry import Polygon
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
-from xtdrone_coordination.search import plans as search_plans
-from xtdrone_coordination.search.coverage import sweep
-from xtdrone_coordination.search.plans import Datum, SearchOptions, plan_search, write_plans
+from xtdrone_coordination.search.planning import plans as search_plans
+from xtdrone_coordination.search.planning.coverage_path import sweep
+from xtdrone_coordination.search.planning.plans import Datum, SearchOptions, plan_search, write_plans
 
 CAMERA = Pinhole.of_view(640, 360, 2.0)
 REGION = Polygon([(0, 20), (180, 20), (180, 140), (0, 140)], [[(60, 60), (90, 60), (90, 90)]])
@@ -32,7 +32,7 @@ def test_six_vehicles_share_the_region_at_heights_of_their_own() -> None:
 
 
 def test_more_vehicles_fly_nearer_above_each_other() -> None:
-    """From 17.75 m on nobody is 12 px high; the highest still sees a band on which four pictures show everybody."""
+    """Above 17.75 m people are less than 12 px high; the highest vehicle still needs a band for four pictures."""
     options = SearchOptions()
     for count in (7, 11):
         assert options.heights(CAMERA, count) == pytest.approx(np.linspace(12.0, 17.0, count))
@@ -45,7 +45,7 @@ def test_more_vehicles_fly_nearer_above_each_other() -> None:
         SearchOptions(height=20.0).heights(CAMERA, 1)
 
 
-def test_plan_files_carry_the_paths(tmp_path: Path) -> None:
+def test_plan_files_contain_the_paths(tmp_path: Path) -> None:
     options, datum = SearchOptions(speed=4.0, gimbal_pitch=-50.0, person_pixels=10.0), Datum(-33.9, 151.2, 30.0)
     found = plan_search(REGION, HOMES, CAMERA, options)
     files = write_plans(tmp_path / "plans", found, options, datum)
@@ -74,11 +74,13 @@ def test_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "3200 m^2 at 14 m" in capsys.readouterr().out
     assert search_plans.main([*arguments, "--height", "90"]) == 2
     assert "height: 90 m: with the gimbal at -60 deg" in capsys.readouterr().err
-    assert search_plans.main([*arguments, "--speed", "40"]) == 2
-    assert "speed: 40.0 is not allowed, 0.5 to 15 m/s" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        search_plans.main([*arguments, "--speed", "40"])
+    assert ended.value.code == 2
+    assert "--speed: '40' is not allowed, 0.5 to 15 m/s" in capsys.readouterr().err
 
 
-def test_the_plans_that_come_with_it_are_those_of_its_region(tmp_path: Path) -> None:
+def test_the_shipped_plans_match_the_shipped_region(tmp_path: Path) -> None:
     folder = Path(__file__).parents[1] / "config" / "search"
     assert search_plans.main([str(folder / "region.yaml"), "--out", str(tmp_path)]) == 0
     names = sorted(path.name for path in (folder / "plans").iterdir())

@@ -1,4 +1,4 @@
-"""Regions in pieces: equal areas, connected, no overlap, no gap; whatever the shape."""
+"""Division of regions: equal areas, connected, no overlap, no gap, for any shape."""
 
 from __future__ import annotations
 
@@ -13,8 +13,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from xtdrone_coordination.search import region as regions
-from xtdrone_coordination.search.region import RegionError, divide, make_region, parse_region, read_region, region_data
+from xtdrone_coordination.search.planning import region as regions
+from xtdrone_coordination.search.planning.region import (
+    RegionError,
+    divide,
+    make_region,
+    parse_region,
+    read_region,
+    region_data,
+)
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 
@@ -52,7 +59,7 @@ SHAPES = {
 def check(region: Polygon, pieces: list[Polygon], count: int, equal: float = 1e-6) -> None:
     assert len(pieces) == count
     for piece in pieces:
-        assert isinstance(piece, Polygon)  # one that is valid has a connected inside
+        assert isinstance(piece, Polygon)  # a valid polygon is connected
         assert piece.is_valid
         assert piece.area == pytest.approx(region.area / count, rel=equal)
     together = shapely.union_all(pieces)
@@ -68,7 +75,7 @@ def test_pieces_are_equal_connected_and_together_the_region(name: str, count: in
 
 @st.composite
 def polygons(draw: st.DrawFn) -> Polygon:
-    """Return a polygon whose corners lie anywhere around a point, with holes in some of its triangles."""
+    """Return a polygon with corners at random distances around a point, and holes in some of its triangles."""
     corners = draw(st.integers(3, 14))
     radii = draw(st.lists(st.floats(0.05, 1.0), min_size=corners, max_size=corners))
     turn = draw(st.floats(0.0, 1.0))
@@ -92,7 +99,7 @@ def test_any_polygon_falls_into_any_number_of_pieces(region: Polygon, count: int
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(polygons(), st.integers(2, 12))
 def test_arcs_of_the_band_around_the_triangles_are_as_good(region: Polygon, count: int) -> None:
-    """Of regions of area 1, as ``divide`` gives them."""
+    """For regions of area 1, as ``divide`` normalises them."""
     scale = math.sqrt(region.area)
     here = shapely.transform(shapely.orient_polygons(region), lambda xy: (xy - region.bounds[:2]) / scale)
     check(here, regions._arcs(here, count), count)
@@ -122,13 +129,13 @@ def test_the_same_region_gives_the_same_pieces() -> None:
         (7, [], "a list of corners"),
     ],
 )
-def test_what_is_no_region_is_refused(corners: list, holes: list, what: str) -> None:
+def test_invalid_regions_are_rejected(corners: list, holes: list, what: str) -> None:
     with pytest.raises(RegionError, match=what):
         make_region(corners, holes)
 
 
 @pytest.mark.parametrize("count", [0, -1, 251, 2.0, True])
-def test_numbers_of_pieces_that_cannot_be(count: int) -> None:
+def test_invalid_numbers_of_pieces_are_rejected(count: int) -> None:
     with pytest.raises(RegionError, match=r"pieces: .* is not allowed, 1 to 250"):
         divide(SHAPES["square"], count)
 

@@ -2,15 +2,15 @@
 """Detect people and objects in camera pictures: ``yolo.py typhoon_h480 0``.
 
 One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
-Topics are listed in ``xtdrone_perception.yolo``.
+Topics are listed in ``xtdrone_perception.yolo_node``.
 
 Parameters:
     ~detector (default ``search``): a name in config/yolo, or the path of a .yaml file, with the network's files and
         settings; ~weights, ~config, ~names and the settings of ``xtdrone_perception.detector.DetectorSettings`` replace
-        entries of it.
-    those of ``xtdrone_perception.yolo.EyeOptions`` and ``GroundOptions``, see docs/settings.md.
+        its entries.
+    those of ``xtdrone_perception.yolo_node.DetectionOptions`` and ``GroundOptions``, see docs/settings.md.
     ~person, ~noise, ~tracker: mappings as in ``geolocation.Person``, ``geolocation.Noise``, ``TrackerSettings``.
-    /xtdrone/fleet (as ``typhoon_h480:6``): all vehicles; without it the upper limit of the ids is unknown.
+    /xtdrone/fleet (as ``typhoon_h480:6``): the fleet; without it ids are not checked against a count.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.program import run_program, served_vehicles
-from xtdrone_perception.yolo import RATE, YoloNode, read_detector, read_options
+from xtdrone_perception.yolo_node import RATE, YoloNode, read_detector, read_options
 
 USAGE = "yolo.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Serve the vehicles that the arguments name until shutdown."""
+    """Run the node for the vehicles in the arguments until shutdown."""
     kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     lockstep.init_node(f"{name}_yolo", rate=RATE)
     node = YoloNode(kind, ids, read_detector(), read_options())

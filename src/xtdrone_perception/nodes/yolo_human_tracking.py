@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Follow a person detected by ``yolo.py``: ``yolo_human_tracking.py typhoon_h480 0``.
+"""Follow a person found by the detection node: ``yolo_human_tracking.py typhoon_h480 0``.
 
-One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet). It
-needs ``yolo.py`` and the communication node; topics are listed in ``xtdrone_perception.human_tracking``.
+One process serves one vehicle (``0``) or several (``0-5``, ``1,3``, ``all``: all of that type in /xtdrone/fleet).
+Needs ``yolo.py`` and the communication node; topics are listed in ``xtdrone_perception.human_tracking_node``.
 
 Parameters:
-    those of ``xtdrone_perception.human_tracking.TrackingOptions`` and ``xtdrone_perception.following.FollowSettings``,
-    see docs/settings.md.
-    /xtdrone/fleet (as ``typhoon_h480:6``): all vehicles; without it the upper limit of the ids is unknown.
+    those of ``xtdrone_perception.human_tracking_node.TrackingOptions`` and
+    ``xtdrone_perception.following.FollowSettings``, see docs/settings.md.
+    /xtdrone/fleet (as ``typhoon_h480:6``): the fleet; without it ids are not checked against a count.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.program import run_program, served_vehicles
-from xtdrone_perception.human_tracking import RATE, HumanTracking, read_options
+from xtdrone_perception.human_tracking_node import RATE, HumanTracking, read_options
 
 USAGE = "yolo_human_tracking.py TYPE ID   (ID: 0, 0-5, 1,3,5 or all)"
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Serve the vehicles that the arguments name until shutdown."""
+    """Run the node for the vehicles in the arguments until shutdown."""
     kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     lockstep.init_node(f"{name}_yolo_human_tracking", rate=RATE)
     options = read_options()

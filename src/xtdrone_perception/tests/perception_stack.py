@@ -1,4 +1,4 @@
-"""A ROS master and nodes in lockstep with a test that plays the simulator."""
+"""A ROS master and nodes in lockstep with a test that acts as the simulator."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from pathlib import Path
 from xtdrone_control.lockstep.server import LockstepServer
 
 ROSMASTER = shutil.which("rosmaster")
-PATIENCE = 120.0  # s of wall time, for what should take none
+PATIENCE = 120.0  # s of wall time
 
 
 class Stack:
-    """A master, the simulator's side of the lockstep, and the nodes that a test starts.
+    """A master, the lockstep server, and the nodes started by a test.
 
     Attributes:
-        record: file for what a recording node writes, a JSON line a message.
+        record: output file of a recording node, one JSON line per message.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -70,14 +70,14 @@ class Stack:
         return [json.loads(line) for line in self.record.read_text().splitlines()]
 
     def wait_for(self, *names: str) -> None:
-        """Wait until nodes take part."""
+        """Wait until nodes have joined the lockstep."""
         assert self.server.wait_for(names, timeout=PATIENCE), (self.server.missing(names), self.outputs())
 
     def outputs(self) -> dict[str, str]:
         return {name: self.output(name)[-2000:] for name in self.processes}
 
     def run(self, until: float) -> None:
-        """Let simulated time pass from where it is, or 0."""
+        """Advance simulated time."""
         now: int | None = self.server.next_due_us(-1)
         while now is not None and now < until * 1e6:
             self.server.tick(now)
@@ -85,7 +85,7 @@ class Stack:
         assert now is not None, self.outputs()
 
     def end(self, name: str) -> None:
-        """End the simulation, and with it a node, which must have no fault to show."""
+        """End the simulation and check that a node ends without error."""
         self.server.close()
         assert self.processes[name].wait(PATIENCE) == 0, self.outputs()
         assert "Traceback" not in self.output(name)
@@ -100,5 +100,5 @@ class Stack:
 def wait_until(condition: Callable[[], bool], what: str) -> None:
     end = time.monotonic() + PATIENCE
     while not condition():
-        assert time.monotonic() < end, f"in vain waited until {what}"
+        assert time.monotonic() < end, f"timed out waiting until {what}"
         time.sleep(0.02)

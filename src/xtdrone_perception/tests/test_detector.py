@@ -1,4 +1,4 @@
-"""The detector with networks of a few numbers, against boxes computed by hand."""
+"""The detector with tiny networks, against boxes computed by hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from tiny_networks import write_darknet, write_onnx
 
 from xtdrone_perception.detector import Detector, DetectorError, DetectorSettings, load_settings
-from xtdrone_perception.layouts import LayoutError, find_layout
+from xtdrone_perception.output_layouts import LayoutError, find_layout
 
 NAMES = ("human", "car")
 SURE = 6.0  # logit
@@ -28,7 +28,7 @@ def names(tmp_path: Path) -> Path:
 
 
 def red_darknet(folder: Path, *, width: int = 96, height: int = 64, extra: str = "") -> tuple[Path, Path]:
-    """Two anchors; the first finds a human in a red cell, the second (a weak) car in a green one."""
+    """Write a network with two anchors: a human in a red cell, a (less probable) car in a green one."""
     biases = np.array([0.5, -0.4, 0.2, -0.3, -SURE, SURE, -SURE, 0, 0, 0, 0, -SURE, -SURE, -2.0], float)
     weights = np.zeros((14, 3))
     weights[4, 0] = weights[11, 1] = 2 * SURE
@@ -58,19 +58,19 @@ def test_darknet_against_its_formula(tmp_path, names):
     x, y = 32 * (2 + sigmoid(0.5)), 32 * (1 + sigmoid(-0.4))
     w, h = 10 * math.exp(0.2), 20 * math.exp(-0.3)
     check_box(human, (x - w / 2, y - h / 2, x + w / 2, min(64, y + h / 2)), sigmoid(SURE) ** 2)
-    # Less likely than 0.2, where OpenCV cuts off by itself.
+    # Below 0.2, OpenCV's default threshold.
     check_box(car, (48 - 12, 16 - 6, 48 + 12, 16 + 6), sigmoid(SURE) * sigmoid(-2.0), "car")
 
 
 @pytest.mark.parametrize("extra", ["", "thresh=0.9\n"])
-def test_the_confidence_asked_for_replaces_darknets_own(tmp_path, names, extra):
+def test_the_confidence_replaces_the_threshold_of_darknet(tmp_path, names, extra):
     cfg, weights = red_darknet(tmp_path, extra=extra)
     for confidence, count in ((0.05, 2), (0.1, 2), (0.5, 1)):
         found = Detector(DetectorSettings(weights, cfg, names, confidence=confidence)).detect(red_cell_picture())
         assert len(found) == count
 
 
-def test_other_input_size_than_the_file_names(tmp_path, names):
+def test_an_input_size_different_from_the_file(tmp_path, names):
     cfg, weights = red_darknet(tmp_path, width=416, height=416)
     detector = Detector(DetectorSettings(weights, cfg, names, width=96, height=64))
     (human,) = detector.detect(red_cell_picture())
@@ -98,7 +98,7 @@ ROWS = np.array([[30.0, 20.0, 10.0, 16.0], [31.0, 20.0, 10.0, 16.0], [70.0, 40.0
 
 
 def onnx_outputs(layout: str) -> dict[str, np.ndarray]:
-    """Two boxes of one human, 0.8 and 0.9, and a car of 0.6, in an input of 96 x 64."""
+    """Return two boxes of one human, 0.8 and 0.9, and a car of 0.6, in an input of 96 x 64."""
     human, car = np.array([0.8, 0.9, 0.1]), np.array([0.1, 0.1, 0.6])
     parts = ROWS / [96, 64, 96, 64]
     if layout == "darknet":
@@ -124,7 +124,7 @@ def test_layouts_of_onnx(tmp_path, names, layout):
         check_box(car, (66, 25, 74, 55), 0.6, "car")
 
 
-def test_colours_are_taken_as_red_green_blue_from_0_to_1(tmp_path, names):
+def test_the_input_is_red_green_blue_from_0_to_1(tmp_path, names):
     constant = np.array([[[30.0, 20.0, 10.0, 16.0, 1.0, 0.0, 0.0]]])
     factors = np.zeros((3, 7))
     factors[0, 5], factors[2, 6] = 0.75, 0.5
@@ -184,51 +184,51 @@ def test_settings_file(tmp_path, names):
         ({"letterbox": "maybe"}, "letterbox: 'maybe'"),
     ],
 )
-def test_settings_that_are_not_allowed(changes, message):
+def test_invalid_settings_are_rejected(changes, message):
     with pytest.raises(DetectorError, match=message):
         DetectorSettings(Path("a.weights"), **changes)
 
 
-def test_files_that_cannot_be_used(tmp_path, names):
+def test_unusable_files_are_rejected(tmp_path, names):
     cfg, weights = red_darknet(tmp_path)
 
-    def refused(message: str, **changes):
+    def rejects(message: str, **changes):
         with pytest.raises(DetectorError, match=message):
             Detector(DetectorSettings(**{"weights": weights, "config": cfg, "names": names, **changes}))
 
-    refused("missing.weights: No such file", weights=tmp_path / "missing.weights")
-    refused("missing.cfg: No such file", config=tmp_path / "missing.cfg")
-    refused("missing.names: No such file", names=tmp_path / "missing.names")
-    refused("needs darknet's .cfg", config=None)
-    refused("names: a file", names=None)
-    refused("a file .weights or .onnx", weights=cfg)
+    rejects("missing.weights: No such file", weights=tmp_path / "missing.weights")
+    rejects("missing.cfg: No such file", config=tmp_path / "missing.cfg")
+    rejects("missing.names: No such file", names=tmp_path / "missing.names")
+    rejects("needs a darknet .cfg", config=None)
+    rejects("names: a file", names=None)
+    rejects("a file .weights or .onnx", weights=cfg)
     one = tmp_path / "one.names"
     one.write_text("human\n")
-    refused("seems to have 2", names=one)
-    refused("is not of layout|are not of layout yolov5", layout="yolov5")
+    rejects("seems to have 2", names=one)
+    rejects("is not of layout|are not of layout yolov5", layout="yolov5")
     short = tmp_path / "short.weights"
     short.write_bytes(weights.read_bytes()[:-40])
-    refused("short.weights", weights=short)
+    rejects("short.weights", weights=short)
     huge = tmp_path / "huge.weights"
     with huge.open("wb") as file:
-        file.truncate(5 << 30)  # of which the disk holds nothing
-    refused("huge.weights has 5120 MB, at most 2048 MB are read", weights=huge)
+        file.truncate(5 << 30)  # sparse
+    rejects("huge.weights has 5120 MB, at most 2048 MB are read", weights=huge)
     broken = tmp_path / "broken.cfg"
     broken.write_text("[net]\nwidth=96\nheight=64\nchannels=3\n[dance]\n")
-    refused("broken.cfg", config=broken)
+    rejects("broken.cfg", config=broken)
     broken.write_text("hello")
-    refused(r"no section \[net\]", config=broken)
+    rejects(r"no section \[net\]", config=broken)
     onnx = tmp_path / "broken.onnx"
     onnx.write_bytes(b"no network")
-    refused("broken.onnx", weights=onnx, width=96, height=64)
-    refused("size must be given", weights=onnx)
+    rejects("broken.onnx", weights=onnx, width=96, height=64)
+    rejects("size must be given", weights=onnx)
 
 
 @pytest.mark.parametrize(
     "picture", [np.zeros((64, 96), np.uint8), np.zeros((64, 96, 4), np.uint8), np.zeros((64, 96, 3)),
                 np.zeros((0, 96, 3), np.uint8), None]
 )  # fmt: skip
-def test_pictures_that_are_none(tmp_path, names, picture):
+def test_invalid_pictures_are_rejected(tmp_path, names, picture):
     cfg, weights = red_darknet(tmp_path)
     with pytest.raises(ValueError, match="picture"):
         Detector(DetectorSettings(weights, cfg, names)).detect(picture)

@@ -1,4 +1,4 @@
-"""Following in a closed loop: a vehicle that lags, a camera on a gimbal that lags, pictures that come late or not."""
+"""Following in closed loop, with lags of the vehicle and the gimbal, and late or missing pictures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, opt
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_perception.following import ANY, FOLLOWING, LOST, SEARCHING, Following, FollowSettings, Seen
 from xtdrone_perception.geolocation import Geolocator, View, cylinder_box
-from xtdrone_perception.tracker import Find, Tracker
+from xtdrone_perception.tracker import GroundDetection, Tracker
 
 PINHOLE = Pinhole.of_view(640, 360, 2.0)
 STEP = 1.0 / 30.0
@@ -21,7 +21,7 @@ PERIOD = 0.5  # s between pictures
 
 
 class World:
-    """A vehicle at 20 m, a person, and everything between the camera and the commands."""
+    """A vehicle at 20 m, a person, and everything from the camera to the commands."""
 
     def __init__(self, seed: int, settings: FollowSettings | None = None, lost: float = 0.1) -> None:
         self.random = np.random.default_rng(seed)
@@ -81,7 +81,7 @@ class World:
         if self.in_view and not self.hidden and self.random.random() >= self.lost:
             box = self.box() + self.random.normal(0.0, 1.0, 4)
             point = self.locator.locate(view, tuple(box))
-            finds = [Find(point, "human", 0.9)]
+            finds = [GroundDetection(point, "human", 0.9)]
         tracks = self.tracker.update(self.time, finds, lambda place: True)
         seen = [
             Seen(t.id, self.time, tuple(t.position), tuple(t.velocity), t.probability) for t in tracks if t.probability
@@ -103,7 +103,7 @@ def test_a_walking_person_stays_in_view_for_a_minute(seed):
     while world.time < 75.0:
         world.wander()
         world.step()
-        if world.time > 15.0 and len(ranges) < 3 * (world.time - 15.0):  # three a second
+        if world.time > 15.0 and len(ranges) < 3 * (world.time - 15.0):  # three per second
             views.append(world.in_view)
             ranges.append(math.dist(world.position[:2], world.person))
             heights.append(world.position[2])
@@ -124,7 +124,7 @@ def test_behind_a_person_who_walks_straight_the_distance_is_kept():
     assert world.velocity[:2] == pytest.approx([1.5, 0.0], abs=0.25)
 
 
-def test_after_a_loss_the_vehicle_stops_rises_and_finds_again():
+def test_after_a_loss_the_vehicle_stops_climbs_and_finds_the_person_again():
     world = World(2, lost=0.0)
     world.walk = np.array([1.0, 0.0])
     while world.time < 20.0:
@@ -146,7 +146,7 @@ def test_after_a_loss_the_vehicle_stops_rises_and_finds_again():
     while world.following.state == SEARCHING:
         world.step()
         assert world.time < stopped + 12.0
-    assert world.following.target != first  # the track had ended; it is the same person
+    assert world.following.target != first  # another track of the same person
     while world.time < stopped + 40.0:
         world.step()
         assert world.in_view
@@ -157,7 +157,7 @@ def seen(identity, time, x, y, velocity=(0.0, 0.0), probability=0.9) -> Seen:
     return Seen(identity, time, (x, y, 0.0), velocity, probability)
 
 
-def test_a_search_in_vain_ends_in_hover():
+def test_an_unsuccessful_search_ends_in_hover():
     following = Following(FollowSettings(search=5.0))
     following.follow(ANY)
     following.see([seen(1, 0.0, 5.0, 0.0)])
@@ -170,7 +170,7 @@ def test_a_search_in_vain_ends_in_hover():
     assert following.update(10.0, (0.0, 0.0, 15.0), 0.0).velocity is not None
 
 
-def test_only_who_was_named_is_followed():
+def test_only_the_named_track_is_followed():
     following = Following()
     following.see([seen(1, 0.0, 5.0, 0.0)])
     assert following.update(0.1, (0.0, 0.0, 15.0), 0.0) == (None, 0.0, None, "")
@@ -179,7 +179,7 @@ def test_only_who_was_named_is_followed():
     assert following.target == 0
     following.see([seen(1, 0.7, 5.0, 0.0), seen(2, 0.7, -5.0, 0.0)])
     assert following.target == 2
-    following.see([seen(1, 1.2, 5.0, 0.0)])  # ten metres off: not the same person
+    following.see([seen(1, 1.2, 5.0, 0.0)])  # ten metres away: not the same person
     assert following.target == 2
     following.see([seen(1, 1.7, 5.0, 0.0), seen(7, 1.7, -5.5, 0.2)])
     assert following.target == 7
@@ -188,7 +188,7 @@ def test_only_who_was_named_is_followed():
     assert following.update(2.0, (0.0, 0.0, 15.0), 0.0).velocity is None
 
 
-def test_right_above_the_person_nothing_is_divided_by_zero():
+def test_directly_above_the_person_all_commands_are_finite():
     following = Following(FollowSettings(distance=0.0))
     following.follow(ANY)
     following.see([seen(1, 0.0, 3.0, 2.0)])
@@ -202,6 +202,6 @@ def test_right_above_the_person_nothing_is_divided_by_zero():
 
 
 @pytest.mark.parametrize("wrong", [{"height": 1.0}, {"predict": math.nan}, {"max_speed": "fast"}, {"sweep": 4.0}])
-def test_settings_that_are_not_allowed(wrong):
+def test_invalid_settings_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         FollowSettings(**wrong)

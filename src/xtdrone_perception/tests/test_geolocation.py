@@ -1,4 +1,4 @@
-"""Places on the ground: against geometry by hand, and their covariance against errors drawn by it."""
+"""Positions on the ground against geometry by hand, and their covariance against random errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from xtdrone_control import frames
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_perception.geolocation import Geolocator, Noise, Person, View, cylinder_box, small_turn
+from xtdrone_perception.geolocation import Geolocator, Noise, Person, View, cylinder_box, rotation_from_vector
 
 PINHOLE = Pinhole.of_view(640, 360, 2.0)
 
@@ -28,7 +28,7 @@ def test_the_middle_of_the_picture_meets_the_ground_where_the_camera_points():
     assert down == pytest.approx((0.0, -18.0, 2.0))  # 45 degrees to the right, heading east: south
 
 
-def test_rays_above_the_horizon_and_too_far_are_refused():
+def test_rays_above_the_horizon_or_too_far_are_rejected():
     locator = Geolocator(farthest=100.0)
     level = view(pitch=0.0)
     assert locator.point(level, (320, 180)) is None
@@ -36,7 +36,7 @@ def test_rays_above_the_horizon_and_too_far_are_refused():
     assert locator.point(level, (320, 180 + PINHOLE.fy * math.tan(math.radians(3.5)))) is None  # 330 m away
     assert locator.point(level, (320, 180 + PINHOLE.fy * math.tan(math.radians(20)))) is not None
     assert locator.locate(level, (300.0, 150.0, 310.0, 175.0)) is None
-    assert Geolocator().point(view(position=(0, 0, -1.0)), (320, 180)) is None  # under ground
+    assert Geolocator().point(view(position=(0, 0, -1.0)), (320, 180)) is None  # below the ground
 
 
 def test_box_of_a_cylinder_is_that_of_its_rims_points():
@@ -51,7 +51,7 @@ def test_box_of_a_cylinder_is_that_of_its_rims_points():
 
 
 @pytest.mark.parametrize("pitch", [-90.0, -60.0, -30.0])
-def test_a_person_of_usual_size_is_found_where_it_stands(pitch):
+def test_a_person_of_average_size_is_located_exactly(pitch):
     camera = view(pitch=pitch, yaw=30.0)
     ahead = 20.0 / math.tan(math.radians(-pitch)) if pitch > -90.0 else 0.0
     foot = np.array([ahead * math.cos(math.radians(30.0)) + 1.0, ahead * 0.5 - 3.0, 0.0])
@@ -80,7 +80,7 @@ def test_slope_of_the_ground():
     assert normal @ (found.covariance - np.diag([0, 0, 0.01])) @ normal == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_box_cut_by_the_pictures_edge_is_known_less_well_but_not_wrongly():
+def test_a_box_cut_off_by_the_picture_is_less_certain_but_unbiased():
     camera = view(pitch=-45.0)
     foot = Geolocator().point(camera, (320.0, 357.0))
     whole = cylinder_box(camera, foot, 1.7, 0.3)
@@ -91,24 +91,24 @@ def test_a_box_cut_by_the_pictures_edge_is_known_less_well_but_not_wrongly():
     assert np.trace(found.covariance) > np.trace(Geolocator().locate(camera, tuple(whole)).covariance)
 
 
-def test_shared_part_of_the_covariance_is_what_a_perfect_picture_leaves():
+def test_a_perfect_picture_leaves_only_the_shared_covariance():
     camera = view()
     box = tuple(cylinder_box(camera, np.array([10.0, 2.0, 0.0]), 1.7, 0.3))
     sharp = Geolocator(noise=Noise(pixel=1e-3, tilt=0.0, heading=0.0, horizontal=0.5, vertical=0.0, ground=0.0))
     found = sharp.locate(camera, box)
     assert found.covariance[:2, :2] == pytest.approx(0.25 * np.eye(2), abs=1e-3)
-    assert found.fresh == pytest.approx(np.zeros((3, 3)), abs=1e-6)
+    assert found.independent == pytest.approx(np.zeros((3, 3)), abs=1e-6)
 
 
 @pytest.mark.parametrize(("pitch", "x", "y"), [(-90.0, 3.0, -2.0), (-60.0, 12.0, 5.0), (-35.0, 30.0, -4.0)])
-def test_errors_are_as_large_as_the_covariance_says(pitch, x, y):
-    """The errors' squares in units of the covariance are chi-squared of two degrees of freedom."""
+def test_the_covariance_matches_the_errors(pitch, x, y):
+    """Normalised squared errors are chi-squared with two degrees of freedom."""
     random = np.random.default_rng(7)
     noise, person = Noise(), Person()
     locator = Geolocator(person=person, noise=noise)
     told, squares = view(pitch=pitch), []
     for _ in range(250):
-        turn = small_turn(random.normal(0.0, [noise.tilt, noise.tilt, noise.heading]))
+        turn = rotation_from_vector(random.normal(0.0, [noise.tilt, noise.tilt, noise.heading]))
         shift = random.normal(0.0, [noise.horizontal, noise.horizontal, noise.vertical])
         true = View(PINHOLE, told.position + shift, turn @ told.rotation)
         foot = np.array([x, y, random.normal(0.0, noise.ground)])
@@ -118,7 +118,7 @@ def test_errors_are_as_large_as_the_covariance_says(pitch, x, y):
         found = locator.locate(told, tuple(box))
         error = (found.position - foot)[:2]
         squares.append(error @ np.linalg.solve(found.covariance[:2, :2], error))
-    # 99.9 % of means of 250 such squares lie within 2 +- 3.29 * 2 / sqrt(250); a tenth more for what is not linear.
+    # 99.9 % of means of 250 such squares lie within 2 +- 3.29 * 2 / sqrt(250); a tenth more for nonlinearity.
     assert 1.5 < np.mean(squares) < 2.6
 
 
@@ -131,7 +131,7 @@ def test_errors_are_as_large_as_the_covariance_says(pitch, x, y):
         ({"noise": {"pixel": 0.0}}, "pixel: 0.0"),
     ],
 )
-def test_values_that_are_not_allowed(arguments, message):
+def test_invalid_values_are_rejected(arguments, message):
     kinds = {"person": Person, "noise": Noise}
     with pytest.raises(ValueError, match=message):
         Geolocator(**{name: kinds[name](**value) if name in kinds else value for name, value in arguments.items()})

@@ -1,7 +1,4 @@
-"""The node that steers gimbals, with a real master in lockstep.
-
-Called as a program this file is the other node: a vehicle that moves, and writes down what it is told.
-"""
+"""The gimbal node with a real master in lockstep; run as a program, this file is a moving vehicle and recorder."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ def place_at(seconds: float) -> tuple[float, float, float]:
 
 
 def vehicle(file: str) -> None:
-    """Vehicle 1 of the fleet: flies, steers its gimbal at 1 s and at 2 s, wrongly; writes down what it hears."""
+    """Simulate vehicle 1 of the fleet: moves, commands its gimbal at 1 s and, with invalid angles, at 2 s; records."""
     lockstep.init_node("vehicle", rate=30.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
     pose = lockstep.Publisher("/typhoon_h480_1/mavros/local_position/pose", PoseStamped)
@@ -86,7 +83,7 @@ def stack(tmp_path):
 
 
 def fly(stack: Stack, seconds: float) -> tuple[list[dict], list[dict]]:
-    """Return the commands and the poses that the vehicle has heard."""
+    """Return the commands and the poses that the vehicle has received."""
     stack.start("vehicle", sys.executable, __file__, "vehicle", str(stack.folder / "record"))
     stack.start("gimbal", sys.executable, NODE, "typhoon_h480", "all", "__name:=gimbal")
     names = ["/gimbal", "/vehicle"]
@@ -100,7 +97,7 @@ def fly(stack: Stack, seconds: float) -> tuple[list[dict], list[dict]]:
     return [line for line in lines if line["topic"] == "command"], [line for line in lines if line["topic"] == "pose"]
 
 
-def test_the_gimbal_is_held_steered_and_the_cameras_pose_is_told(stack):
+def test_the_gimbal_is_commanded_and_the_camera_pose_published(stack):
     commands, poses = fly(stack, 3.0)
     assert {line["mode"] for line in commands} == {2}
     assert [line["angles"] for line in commands if line["now"] < 1.0][-1] == [0.0, -60.0, 0.0]
@@ -122,7 +119,7 @@ def test_true_poses_and_other_angles_by_parameters(stack):
     assert poses[-1]["pose"] == [*TRUE, 0.0, 0.0, 0.0, 1.0]
 
 
-def test_what_cannot_be_run_is_said(stack):
+def test_invalid_parameters_are_reported(stack):
     wrong = [
         ("pitch", -200.0, "/pitch: -200.0 is not allowed, -180 to 180 deg"),
         ("source", "eyes", "/source: 'eyes' is not allowed, vehicle or gazebo"),

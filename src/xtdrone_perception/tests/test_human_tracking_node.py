@@ -1,4 +1,4 @@
-"""The following node with a real master in lockstep; called as a program this file is the vehicle that it commands."""
+"""The following node with a real master in lockstep; run as a program, this file is the vehicle it commands."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PERSON = (20.0, 5.0)
 
 
 def stage(file: str) -> None:
-    """A vehicle that stands still at 15 m and sees track 3 from 1 s to 4 s; 3 is named at 2 s; notes commands."""
+    """Simulate a vehicle that hovers at 15 m and sees track 3 from 1 s to 4 s, named at 2 s; record its commands."""
     lockstep.init_node("stage", rate=30.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -87,7 +87,7 @@ def stack(tmp_path: Path) -> Iterator[Stack]:
     stack.stop()
 
 
-def test_follows_whom_it_is_told_until_the_loss_and_until_it_is_told_to_stop(stack):
+def test_follows_the_named_track_until_the_loss_and_until_the_stop(stack):
     stack.set("/tracker/wait", True)
     stack.set("/tracker/max_speed", 10.0)
     stack.start("stage", sys.executable, __file__, str(stack.record))
@@ -128,7 +128,7 @@ def test_follows_whom_it_is_told_until_the_loss_and_until_it_is_told_to_stop(sta
     stack.end("tracker")
 
 
-def test_a_wrong_parameter_is_said(stack):
+def test_an_invalid_parameter_is_reported(stack):
     stack.master.deleteParam("/test", "/lockstep/uri")
     stack.set("/tracker/height", 1.0)
     process = stack.start("tracker", sys.executable, str(NODE), "typhoon_h480", "0", "__name:=tracker")

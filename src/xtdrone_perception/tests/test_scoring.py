@@ -5,13 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_perception.scoring import Scene, at_threshold, average_precision, best_threshold, match, overlaps
+from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match, overlaps
 
 
 def scene(found, truth, counts=None):
     found = np.array(found, float).reshape(-1, 5)
     truth = np.array(truth, float).reshape(-1, 4)
-    return Scene(found[:, :4], found[:, 4], truth, np.ones(len(truth), bool) if counts is None else np.array(counts))
+    return LabelledPicture(
+        found[:, :4], found[:, 4], truth, np.ones(len(truth), bool) if counts is None else np.array(counts)
+    )
 
 
 A, B, C = (0, 0, 10, 20), (50, 0, 60, 20), (100, 0, 110, 40)
@@ -25,7 +27,7 @@ def test_overlap_of_two_boxes():
 
 
 def test_by_hand():
-    # likeliest first: A right, ground false, B right, A again false; C never found
+    # most probable first: A right, ground false, B right, A again false; C never detected
     first = scene([(*A, 0.9), (*A, 0.5), (*GROUND, 0.8)], [A])
     second = scene([(*B, 0.7)], [B, C])
     matches = match([first, second])
@@ -44,7 +46,7 @@ def test_box_must_overlap_by_half():
     assert match([scene([(*nearly, 0.9)], [A])], least_overlap=0.49).right.all()
 
 
-def test_what_is_ignored_is_neither_right_nor_false():
+def test_ignored_objects_are_neither_right_nor_false():
     within = (2, 2, 6, 10)
     matches = match([scene([(*A, 0.9), (*within, 0.8), (*B, 0.7)], [A, B], [False, True])])
     assert matches.scores.tolist() == [0.7]

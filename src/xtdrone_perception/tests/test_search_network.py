@@ -1,4 +1,4 @@
-"""The network that comes with the package, on pictures of scenes and people that it was not trained on."""
+"""The shipped network, on pictures of scenes and people it was not trained on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from xtdrone_perception.detector import Detector, load_settings
-from xtdrone_perception.scoring import Scene, at_threshold, average_precision, match
+from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, match
 
 PACKAGE = Path(__file__).resolve().parents[1]
 PICTURES = Path(__file__).resolve().parent / "pictures"
@@ -22,14 +22,14 @@ def detector() -> Detector:
     return Detector(load_settings(PACKAGE / "config/yolo/search.yaml", {"confidence": 0.02}))
 
 
-def look(detector: Detector, name: str) -> Scene:
-    """Return what is found in a picture, and who is there."""
+def look(detector: Detector, name: str) -> LabelledPicture:
+    """Return the detected and the true boxes of a picture."""
     image = cv2.imread(str(PICTURES / name))
     assert image is not None
     assert image.shape == (360, 640, 3)
     found = detector.detect(np.ascontiguousarray(image[:, :, ::-1]))
     certain, others = PEOPLE[name]["certain"], PEOPLE[name]["others"]
-    return Scene(
+    return LabelledPicture(
         np.array([[d.xmin, d.ymin, d.xmax, d.ymax] for d in found], float).reshape(-1, 4),
         np.array([d.probability for d in found], float),
         np.array(certain + others, float).reshape(-1, 4),
@@ -37,7 +37,7 @@ def look(detector: Detector, name: str) -> Scene:
     )
 
 
-def test_finds_people_and_little_else(detector: Detector):
+def test_detects_people_and_little_else(detector: Detector):
     """The first picture of each of eight scenes; over the whole test split AP50 is 0.97 (training/person_detector)."""
     matches = match([look(detector, name) for name in PEOPLE])
     assert matches.there == 58
@@ -48,7 +48,7 @@ def test_finds_people_and_little_else(detector: Detector):
 
 
 def detector_threshold() -> float:
-    """Return the probability from which on the shipped detector tells of a box."""
+    """Return the least probability of the shipped detector."""
     return load_settings(PACKAGE / "config/yolo/search.yaml", {}).confidence
 
 

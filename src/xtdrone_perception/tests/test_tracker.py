@@ -1,4 +1,4 @@
-"""Tracks: who is who, when they begin and end, and whether the filter knows how wrong it is."""
+"""Tracks: identity, beginning and end, and the consistency of the filter."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from xtdrone_perception.geolocation import GroundPoint
-from xtdrone_perception.tracker import Find, Tracker, TrackerSettings
+from xtdrone_perception.tracker import GroundDetection, Tracker, TrackerSettings
 
 SIGMA = 0.2
 
 
-def find(x, y, probability=0.9, sigma=SIGMA, shared=0.5, object_class="human") -> Find:
+def find(x, y, probability=0.9, sigma=SIGMA, shared=0.5, object_class="human") -> GroundDetection:
     flat = np.diag([1.0, 1.0, 0.0])
-    return Find(GroundPoint(np.array([x, y, 0.0]), sigma**2 * flat, shared**2 * flat), object_class, probability)
+    return GroundDetection(
+        GroundPoint(np.array([x, y, 0.0]), sigma**2 * flat, shared**2 * flat), object_class, probability
+    )
 
 
 def place(track):
@@ -27,7 +29,7 @@ def place(track):
 def test_two_people_who_pass_at_one_metre_keep_their_ids(seed, along):
     """They walk towards each other, or one overtakes the other; one picture in five shows only one of them."""
     random = np.random.default_rng(seed)
-    bias = random.normal(0.0, 0.5, 2)  # of the vehicle's position: the same in all pictures
+    bias = random.normal(0.0, 0.5, 2)  # error of the vehicle's position, the same in all pictures
     speeds = (1.3, -1.3) if along > 0 else (1.5, 0.4)
     starts = (-10.0, 10.0) if along > 0 else (-10.0, -1.0)
     tracker, time, ids = Tracker(), 0.0, {}
@@ -46,13 +48,13 @@ def test_two_people_who_pass_at_one_metre_keep_their_ids(seed, along):
     assert ids[0] != ids[1]
 
 
-def test_confirmed_after_three_of_five_pictures_and_not_by_less():
+def test_confirmed_after_three_of_five_pictures_and_not_by_fewer():
     tracker = Tracker()
     shown = [1, 0, 1, 0, 0, 1, 1, 0, 1]
     confirmed = []
     for k, there in enumerate(shown):
         confirmed.append(len(tracker.update(0.5 * k, [find(0.0, 0.0)] if there else [])))
-    # Begins at 0, is given up at 4 (three of five can no longer be), begins anew at 5, has its third at 8.
+    # Begins at 0, ends at 4 (three of five is no longer possible), begins again at 5, has its third hit at 8.
     assert confirmed == [0, 0, 0, 0, 0, 0, 0, 0, 1]
     (track,) = tracker.tracks
     assert (track.id, track.hits, track.probability) == (1, 3, 0.9)
@@ -70,13 +72,13 @@ def test_ends_after_misses_in_view_and_not_out_of_view():
         counts.append(len(shown.update(0.5 * k, [])))
         assert (track.missed, track.probability) == (0, 0.0)
     assert counts == [1, 1, 1, 0, 0, 0]
-    assert place(track) == pytest.approx([11.0, 0.0], abs=0.3)  # it walks on by 2 m/s
+    assert place(track) == pytest.approx([11.0, 0.0], abs=0.3)  # extrapolated with 2 m/s
     for k in range(12, 60):
         hidden.update(0.5 * k, [], lambda place: False)
-    assert hidden.tracks == []  # by now it may be anywhere
+    assert hidden.tracks == []  # its position is too uncertain now
 
 
-def test_improbable_finds_hold_a_track_but_begin_none():
+def test_improbable_detections_continue_a_track_but_begin_none():
     tracker = Tracker(TrackerSettings(birth=0.6))
     for k in range(6):
         assert tracker.update(0.5 * k, [find(0.0, 0.0, 0.4)]) == []
@@ -86,7 +88,7 @@ def test_improbable_finds_hold_a_track_but_begin_none():
     assert [track.hits for track in tracker.confirmed] == [4]
 
 
-def test_of_two_finds_as_near_the_more_probable_is_taken():
+def test_of_two_equally_near_detections_the_more_probable_is_assigned():
     tracker = Tracker()
     for k in range(4):
         tracker.update(0.5 * k, [find(0.0, 0.0)])
@@ -95,15 +97,15 @@ def test_of_two_finds_as_near_the_more_probable_is_taken():
     assert track.state[0] < 0.0
 
 
-def test_classes_and_far_finds_begin_tracks_of_their_own():
+def test_other_classes_and_distant_detections_begin_their_own_tracks():
     tracker = Tracker(TrackerSettings(confirm_hits=1, confirm_of=1))
     tracker.update(0.0, [find(0.0, 0.0)])
     tracks = tracker.update(0.5, [find(0.0, 0.0), find(0.0, 0.1, object_class="car"), find(8.0, 0.0)])
     assert [(track.id, track.object_class) for track in tracks] == [(1, "human"), (2, "car"), (3, "human")]
 
 
-def test_the_filter_knows_its_errors():
-    """Squares of errors in units of the covariance are chi-squared of four degrees of freedom, at uneven times."""
+def test_the_covariance_matches_the_errors():
+    """Normalised squared errors are chi-squared with four degrees of freedom, at uneven time steps."""
     random = np.random.default_rng(3)
     settings = TrackerSettings(acceleration=0.3, speed=1.0, confirm_hits=1, confirm_of=1)
     squares = []
@@ -122,7 +124,7 @@ def test_the_filter_knows_its_errors():
     assert track.position_covariance[0, 0] == pytest.approx(track.covariance[0, 0] + 0.25)
 
 
-def test_time_goes_on_only():
+def test_time_must_increase():
     tracker = Tracker()
     tracker.update(1.0, [find(0.0, 0.0)])
     for time in (0.9, math.nan):
@@ -133,6 +135,6 @@ def test_time_goes_on_only():
 
 
 @pytest.mark.parametrize("wrong", [{"gate": 0.0}, {"confirm_hits": 6}, {"misses": 0}, {"birth": 2.0}, {"widest": "x"}])
-def test_settings_that_are_not_allowed(wrong):
+def test_invalid_settings_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TrackerSettings(**wrong)

@@ -1,4 +1,4 @@
-"""Poses between messages, and what a camera that has failed looks like."""
+"""Interpolated poses, and faults of a camera."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from xtdrone_perception.history import History
-from xtdrone_perception.watch import CameraWatch
+from xtdrone_perception.camera_watch import CameraWatch
+from xtdrone_perception.pose_history import PoseHistory
 
 
 def yaw(angle: float) -> list[float]:
     return [0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)]
 
 
-def test_between_two_entries_and_beyond_them():
-    history = History(reach=0.3)
+def test_entries_are_interpolated_and_extrapolated():
+    history = PoseHistory(reach=0.3)
     assert history.at(0) is None
     history.add(1_000_000_000, np.array([0.0, 0.0, 10.0, *yaw(0.0)]))
-    history.add(2_000_000_000, np.array([4.0, 0.0, 12.0, *(-np.array(yaw(0.4)))]))  # the same turn as its negative
+    history.add(2_000_000_000, np.array([4.0, 0.0, 12.0, *(-np.array(yaw(0.4)))]))  # same rotation as its negative
     history.add(1_500_000_000, np.array([9.0, 9.0, 9.0, *yaw(2.0)]))  # too late
     middle = history.at(1_500_000_000)
     assert middle[:3] == pytest.approx([2.0, 0.0, 11.0])
@@ -28,7 +28,7 @@ def test_between_two_entries_and_beyond_them():
     assert history.at(2_350_000_000) is None
     assert history.at(600_000_000) is None
     history.add(9_000_000_000, np.array([0.0, 0.0, 0.0, *yaw(0.0)]))
-    assert history.at(1_500_000_000) is None  # forgotten by now
+    assert history.at(1_500_000_000) is None  # removed by now
     history.clear()
     assert history.last is None
 
@@ -40,8 +40,8 @@ def watched(steps, picture):
         t = 0.5 * k
         shown = picture(t)
         if shown is not None:
-            watch.picture(t, *shown, (t, 0.0, 20.0))
-        watch.look(t, flying=True)
+            watch.on_picture(t, *shown, (t, 0.0, 20.0))
+        watch.update(t, flying=True)
         faults.append(watch.fault)
     return faults
 
@@ -67,10 +67,10 @@ def test_silence_old_stamps_and_pictures_that_never_change_are_faults():
 def test_on_the_ground_a_camera_may_be_silent():
     watch = CameraWatch()
     for k in range(20):
-        watch.look(0.5 * k, flying=False)
+        watch.update(0.5 * k, flying=False)
     assert (watch.fault, watch.seen) == ("", False)
     for k in range(20, 26):
-        watch.look(0.5 * k, flying=True)
+        watch.update(0.5 * k, flying=True)
         assert watch.fault == ""
-    watch.look(13.0, flying=True)
+    watch.update(13.0, flying=True)
     assert watch.fault

@@ -1,6 +1,6 @@
-"""The detection node with a real master in lockstep: a camera that this file plays, a network whose output is known.
+"""The detection node with a real master in lockstep: a simulated camera, a network with known outputs.
 
-Called as a program this file is one of the other nodes: ``eyes`` (a vehicle with its camera) or ``recorder``.
+Run as a program, this file is one of the other nodes: ``eyes`` (a vehicle with its camera) or ``recorder``.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def picture() -> np.ndarray:
 
 
 def eyes(pictures: str) -> None:
-    """A vehicle in flight; ``pictures``: JSON of [from, to, every how many turns of 20 ms], s."""
+    """Simulate a vehicle in flight; ``pictures``: JSON of [from, to, number of 20 ms steps per picture], s."""
     lockstep.init_node("eyes", rate=50.0)
     phases = json.loads(pictures)
     pose = lockstep.Publisher(f"/{NAME}/mavros/local_position/pose", PoseStamped)
@@ -79,7 +79,7 @@ def eyes(pictures: str) -> None:
         if any(begin <= now.to_sec() < end and turn % every == 0 for begin, end, every in phases):
             shot = Image(height=360, width=640, encoding="rgb8", step=1920)
             shot.header.stamp = now - rospy.Duration.from_sec(EXPOSURE)
-            rgb[0, 0] = 0, turn // 256, turn % 256  # no two are the same
+            rgb[0, 0] = 0, turn // 256, turn % 256  # all pictures differ
             shot.data = rgb.tobytes()
             about = CameraInfo(width=640, height=360, K=matrix)
             about.header.stamp = shot.header.stamp
@@ -91,7 +91,7 @@ def eyes(pictures: str) -> None:
 
 
 def recorder(file: str) -> None:
-    """Writes down what the detection node says, a JSON line a message."""
+    """Record the messages of the detection node, one JSON line each."""
     lockstep.init_node("recorder", rate=50.0)
     out = open(file, "w", buffering=1)  # noqa: SIM115 - ends with the process
 
@@ -129,7 +129,7 @@ def recorder(file: str) -> None:
     del keep
 
 
-# ---- the test's side ----
+# tests
 
 
 @pytest.fixture
@@ -141,7 +141,7 @@ def stack(tmp_path: Path) -> Iterator[Stack]:
 
 @pytest.fixture
 def network(stack: Stack) -> None:
-    """Finds a human of 8 x 12 px in the middle of a red cell."""
+    """Detects a human of 8 x 12 px in the middle of a red cell."""
     biases = np.array([0.0, 0.0, 0.0, 0.0, -6.0, 6.0])
     weights = np.zeros((6, 3))
     weights[4, 0] = 12.0
@@ -167,12 +167,12 @@ def expected_box() -> tuple[float, float, float, float]:
 
 
 def expected_place(stamp: float) -> np.ndarray:
-    """Where the person of the box stands, with the camera where it was at the exposure."""
+    """Return the position of the person in the box, from the camera pose at the exposure."""
     link = camera_link_pose(place_at(stamp), (0.0, 0.0, 0.0, 1.0), MOUNT, (0.041, 0.0, -0.122))
     return Geolocator().locate(View.of(PINHOLE, *optical_pose(link)), expected_box()).position
 
 
-def test_each_picture_at_its_simulated_time_and_the_same_again_after_a_reset(stack, network):
+def test_results_are_published_on_time_and_repeat_after_a_reset(stack, network):
     begin(stack, [[0.5, 10.0, 25]])  # 2 Hz
     stack.run(4.0)
     stack.server.reset_time(0)
@@ -185,7 +185,7 @@ def test_each_picture_at_its_simulated_time_and_the_same_again_after_a_reset(sta
     boxes = [line for line in first if line["topic"] == "boxes"]
     sent = [0.5 + 0.5 * k for k in range(7)]
     assert [line["stamp"] for line in boxes] == pytest.approx([t - EXPOSURE for t in sent])
-    # A turn to the node, 0.1 s of latency.
+    # One step to the node, 0.1 s of latency.
     assert [line["done"] for line in boxes] == pytest.approx([t + 0.02 + 0.1 for t in sent])
     ((name, probability, *corners),) = boxes[0]["boxes"]
     assert (name, corners) == ("human", list(expected_box()))
@@ -199,7 +199,7 @@ def test_each_picture_at_its_simulated_time_and_the_same_again_after_a_reset(sta
     assert [line["stamp"] for line in objects] == [line["stamp"] for line in boxes]
     assert [len(line["objects"]) for line in objects] == [0, 0, 1, 1, 1, 1, 1]
     assert objects[0]["camera"] == pytest.approx([2.0 * 0.45 + 0.041, 1.0, 19.878])
-    # The thing moves along with the picture; the track is where it is seen, within what is uncertain.
+    # The object moves with the picture; the track is where it is seen, within its uncertainty.
     for line in objects[2:]:
         identity, kind, _, *numbers = line["objects"][0]
         assert (identity, kind) == (1, "human")
@@ -211,13 +211,13 @@ def test_each_picture_at_its_simulated_time_and_the_same_again_after_a_reset(sta
     stack.end("yolo")
 
 
-def test_pictures_that_come_too_fast_are_passed_over_and_a_silent_camera_is_told(stack, network):
+def test_surplus_pictures_are_dropped_and_a_silent_camera_is_reported(stack, network):
     begin(stack, [[0.51, 2.51, 2]])  # 25 Hz, then none
     stack.run(6.5)
     records = stack.lines()
     objects = [line for line in records if line["topic"] == "objects"]
     boxes = [line for line in records if line["topic"] == "boxes"]
-    # 50 pictures: a picture's work ends five turns after it began, and the newest that has come is next.
+    # 50 pictures: processing takes five steps, then the newest picture is next.
     sent = [0.52 + 0.04 * k - EXPOSURE for k in range(50)]
     numbers = [int(np.argmin([abs(line["stamp"] - stamp) for stamp in sent])) for line in boxes]
     assert numbers[0] == 0
@@ -231,7 +231,7 @@ def test_pictures_that_come_too_fast_are_passed_over_and_a_silent_camera_is_told
     wait_until(lambda: "no picture for more than 3 s, in flight" in stack.output("yolo"), "the warning is written")
 
 
-def test_what_cannot_be_run_is_said(stack, network):
+def test_invalid_parameters_are_reported(stack, network):
     stack.master.deleteParam("/test", "/lockstep/uri")
     wrong = [
         (["typhoon_h480", "0"], "detector", "/nowhere/none.yaml", "/nowhere/none.yaml: No such file"),

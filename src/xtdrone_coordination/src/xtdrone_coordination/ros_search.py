@@ -1,4 +1,4 @@
-"""Mission control of a cooperative search as a ROS node: the topics and services around ``search.mission``.
+"""ROS node of a cooperative search: the topics and services around ``search.mission``.
 
 For each vehicle ``T`` (as ``typhoon_h480_0``):
 
@@ -6,18 +6,18 @@ For each vehicle ``T`` (as ``typhoon_h480_0``):
 topic or service                    type                           meaning
 ==================================  =============================  ====================================================
 /T/mavros/state                     mavros_msgs/State              in
-/T/mavros/local_position/pose       geometry_msgs/PoseStamped      in: where it is, map frame
-/T/mavros/mission/waypoints         mavros_msgs/WaypointList       in: which item it flies
+/T/mavros/local_position/pose       geometry_msgs/PoseStamped      in: position in the map frame
+/T/mavros/mission/waypoints         mavros_msgs/WaypointList       in: mission and current item
 /T/mavros/mission/reached           mavros_msgs/WaypointReached    in
-/xtdrone/T/objects                  xtdrone_msgs/ObjectsOnGround   in: what its camera shows
+/xtdrone/T/objects                  xtdrone_msgs/ObjectsOnGround   in: tracks of its camera
 /xtdrone/T/camera_ok                std_msgs/Bool                  in: whether its pictures are new ones
 /xtdrone/T/cmd_pose_enu             geometry_msgs/Pose             out: setpoints of a second look
-/xtdrone/T/follow                   std_msgs/Int32                 out: the track to follow, -1 for none
-/T/mavros/mount_control/command     mavros_msgs/MountControl       out: the camera down, for a look and after it
+/xtdrone/T/follow                   std_msgs/Int32                 out: track to follow, -1 for none
+/T/mavros/mount_control/command     mavros_msgs/MountControl       out: camera pitch, for a look and after it
 /T/mavros/set_mode, cmd/arming      SetMode, CommandBool           called
-/T/mavros/mission/{pull,push,..}    WaypointPull, WaypointPush     called: the mission that it has; more to fly
-/T/mavros/param/set                 ParamSet                       called: the height of its return
-/xtdrone/search/event               std_msgs/String                out: JSON, see ``search.mission``
+/T/mavros/mission/{pull,push,..}    WaypointPull, WaypointPush     called: read the mission; extend it
+/T/mavros/param/set                 ParamSet                       called: height of the return
+/xtdrone/search/event               std_msgs/String                out: JSON, see ``search.reports``
 /xtdrone/search/progress            std_msgs/String                out: JSON, once a second
 ==================================  =============================  ====================================================
 """
@@ -28,7 +28,6 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -48,19 +47,21 @@ from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
 
-from .search import mission as control
-from .search.evidence import Sighting
-from .search.mission import Action, MissionSettings, SearchMission
-from .search.plans import Datum
-from .search.region import RegionError, read_region
+from .search import actions
+from .search.actions import Action
+from .search.candidates import Sighting
+from .search.mission import SearchMission
+from .search.planning.plans import Datum
+from .search.planning.region import RegionError, read_region
+from .search.settings import MissionSettings
 from .search.vehicle import State as VehicleState
 
 EVENT_TOPIC = "/xtdrone/search/event"
 PROGRESS_TOPIC = "/xtdrone/search/progress"
 RATE = 10  # Hz
-_PULL_PERIOD = 2.0  # s between questions for the mission of a vehicle that has none yet
+_PULL_PERIOD = 2.0  # s between requests for the mission of a vehicle that has none yet
 _PROGRESS_PERIOD = 1.0  # s
-_LAST_TURNS = 10  # after the end, in which whoever records the search gets the last events
+_FINAL_STEPS = 10  # steps after the end, so that recorders receive the last events
 
 Outcome = tuple[bool, str]
 
@@ -68,12 +69,12 @@ Outcome = tuple[bool, str]
 class Calls:
     """Service calls of one vehicle, in order.
 
-    In lockstep a call is made at once: the simulator waits, so the outcome falls into the same turn each time. In real
-    time a thread of its own waits for the answer, and the turns go on.
+    In lockstep a call blocks: the simulator waits, so its result always arrives in the same step. In real time a
+    thread waits for the response while the steps continue.
     """
 
     def __init__(self, *, in_lockstep: bool) -> None:
-        """Prepare.
+        """Start the thread if one is needed.
 
         Args:
             in_lockstep: whether a simulator holds time while this node works.
@@ -82,7 +83,7 @@ class Calls:
         self._calls: list[tuple[Future[Any], Callable[[Any], None]]] = []
 
     def submit(self, call: Callable[[], Any], on_end: Callable[[Any], None]) -> None:
-        """Start a call; ``on_end`` gets what it returns, in :meth:`finish`."""
+        """Start a call; :meth:`finish` passes its result to ``on_end``."""
         if self._executor is not None:
             self._calls.append((self._executor.submit(call), on_end))
             return
@@ -91,13 +92,13 @@ class Calls:
         self._calls.append((done, on_end))
 
     def finish(self) -> None:
-        """Tell the outcomes of the calls that have ended."""
+        """Pass on the results of the calls that have ended."""
         while self._calls and self._calls[0][0].done():
             future, on_end = self._calls.pop(0)
             on_end(future.result())
 
     def close(self) -> None:
-        """Let no further call begin."""
+        """Cancel the calls that have not begun."""
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
 
@@ -110,7 +111,7 @@ class VehicleLink:
 
         Args:
             name: as ``typhoon_h480_0``.
-            node: who gets what comes.
+            node: receives the messages.
             in_lockstep: see :class:`Calls`.
         """
         self.name = name
@@ -140,44 +141,44 @@ class VehicleLink:
             )
         }
 
-    def obey(self, action: Action, on_result: Callable[[Action, bool, str], None]) -> None:
-        """Carry out an action; ``on_result`` is told what came of those that are answered."""
+    def execute(self, action: Action, on_result: Callable[[Action, bool, str], None]) -> None:
+        """Carry out an action; ``on_result`` receives the result of a service call."""
         match action:
-            case control.GoTo():
+            case actions.GoTo():
                 self._setpoint.publish(_pose(action))
-            case control.Follow(track=track):
+            case actions.Follow(track=track):
                 self._follow.publish(Int32(data=track))
-            case control.Aim(pitch=pitch):
+            case actions.PointCamera(pitch=pitch):
                 self._mount.publish(MountControl(mode=MountControl.MAV_MOUNT_MODE_MAVLINK_TARGETING, pitch=pitch))
             case _:
                 self.calls.submit(partial(self._call, action), lambda outcome: on_result(action, *outcome))
 
     def pull(self) -> bool:
-        """Ask for the vehicle's mission, which then comes as a topic; return whether it was told."""
-        return self._answer(lambda: bool(self._services[WaypointPull]().success))[0]
+        """Request the vehicle's mission, which arrives as a topic; return whether the request was accepted."""
+        return self._outcome(lambda: bool(self._services[WaypointPull]().success))[0]
 
     def _call(self, action: Action) -> Outcome:
         match action:
-            case control.SetMode(mode=mode):
-                return self._answer(lambda: bool(self._services[SetMode](0, mode).mode_sent))
-            case control.Arm():
-                return self._answer(lambda: bool(self._services[CommandBool](True).success))
-            case control.Push(items=items, current=current):
-                return self._answer(partial(self._push, items, current))
-            case control.ReturnHeight(height=height):
+            case actions.SetMode(mode=mode):
+                return self._outcome(lambda: bool(self._services[SetMode](0, mode).mode_sent))
+            case actions.Arm():
+                return self._outcome(lambda: bool(self._services[CommandBool](True).success))
+            case actions.PushMission(items=items, current=current):
+                return self._outcome(partial(self._push, items, current))
+            case actions.SetReturnHeight(height=height):
                 value = ParamValue(integer=0, real=height)
-                return self._answer(lambda: bool(self._services[ParamSet]("RTL_RETURN_ALT", value).success))
+                return self._outcome(lambda: bool(self._services[ParamSet]("RTL_RETURN_ALT", value).success))
             case _:
-                raise TypeError(f"no service is called for {action}")
+                raise TypeError(f"no service for {action}")
 
     def _push(self, items: Items, current: int) -> bool:
         if not self._services[WaypointPush](0, [to_waypoint(item) for item in items]).success:
             return False
         return bool(self._services[WaypointSetCurrent](current).success)
 
-    def _answer(self, call: Callable[[], bool]) -> Outcome:
+    def _outcome(self, call: Callable[[], bool]) -> Outcome:
         try:
-            return (True, "") if call() else (False, "the autopilot refuses")
+            return (True, "") if call() else (False, "rejected by the autopilot")
         except (rospy.ROSException, rospy.ServiceException) as error:
             return False, f"{error}; is MAVROS running?"
 
@@ -196,9 +197,9 @@ class SearchNode:
         """Declare the topics.
 
         Args:
-            make: makes the mission control; again when time is set back.
-            thing: the class of objects that is searched for; empty: any.
-            out: folder to whose events.jsonl events are appended; None: none.
+            make: creates the mission control; called again when time is reset.
+            thing: class of the objects to search for; empty: any.
+            out: folder with the events.jsonl that events are appended to; None: none.
             in_lockstep: whether a simulator holds time while this node works.
         """
         self._make = make
@@ -209,55 +210,55 @@ class SearchNode:
         self._event = lockstep.Publisher(EVENT_TOPIC, String)
         self._progress = lockstep.Publisher(PROGRESS_TOPIC, String)
         self._pulled = -math.inf
-        self._told = -math.inf
-        self._left = _LAST_TURNS
+        self._progress_published = -math.inf
+        self._steps_left = _FINAL_STEPS
         lockstep.add_reset_hook(self._restart)
 
     def _restart(self) -> None:
         self.control = self._make()
-        self._pulled = self._told = -math.inf
-        self._left = _LAST_TURNS
+        self._pulled = self._progress_published = -math.inf
+        self._steps_left = _FINAL_STEPS
 
     @property
     def over(self) -> bool:
-        """Whether the search has ended, and all have had the time to hear of it."""
-        return self._left <= 0
+        """Whether the search has ended and its last events have been delivered."""
+        return self._steps_left <= 0
 
     def step(self) -> None:
-        """Take what has come and let the mission control decide."""
+        """Run the mission control once, carry out its actions and publish its events."""
         now = _now()
-        self._left -= self.control.finished
+        self._steps_left -= self.control.finished
         for link in self._links.values():
             link.calls.finish()
         self._pull(now)
         for action in self.control.step(now):
-            self._links[action.vehicle].obey(action, self._on_result)
+            self._links[action.vehicle].execute(action, self._on_result)
         for event in self.control.events():
-            self._tell(event)
-        if now - self._told >= _PROGRESS_PERIOD - 1e-6:
-            self._told = now
+            self._publish_event(event)
+        if now - self._progress_published >= _PROGRESS_PERIOD - 1e-6:
+            self._progress_published = now
             self._progress.publish(String(data=json.dumps(self.control.progress())))
 
     def close(self) -> None:
-        """Call no more services."""
+        """Cancel all service calls that have not begun."""
         for link in self._links.values():
             link.calls.close()
 
     def _pull(self, now: float) -> None:
-        """Ask those that wait for their missions."""
+        """Request the missions of waiting vehicles."""
         if now - self._pulled < _PULL_PERIOD:
             return
         self._pulled = now
         for name, vehicle in self.control.vehicles.items():
-            if vehicle.state is VehicleState.WAITING and vehicle.connected and not vehicle.items:
+            if vehicle.state is VehicleState.WAITING and vehicle.connected and not vehicle.mission.items:
                 self._links[name].calls.submit(self._links[name].pull, lambda _: None)
 
     def _on_result(self, action: Action, accepted: bool, reason: str) -> None:
         if not accepted:
-            rospy.logwarn(f"{action.vehicle}: {type(action).__name__} {_short(action)}: {reason}")
+            rospy.logwarn(f"{action.vehicle}: {type(action).__name__} {getattr(action, 'mode', '')}: {reason}")
         self.control.on_result(action, accepted, reason)
 
-    def _tell(self, event: dict[str, Any]) -> None:
+    def _publish_event(self, event: dict[str, Any]) -> None:
         line = json.dumps(event)
         rospy.loginfo(f"search: {line}")
         self._event.publish(String(data=line))
@@ -265,32 +266,32 @@ class SearchNode:
             with self._file.open("a", encoding="utf-8") as file:
                 file.write(line + "\n")
 
-    # what comes
+    # messages
 
     def on_state(self, name: str, message: State) -> None:
-        """Take mavros/state."""
+        """Receive mavros/state."""
         self.control.on_state(name, message.mode, message.armed, message.connected, _now())
 
     def on_pose(self, name: str, message: PoseStamped) -> None:
-        """Take mavros/local_position/pose."""
+        """Receive mavros/local_position/pose."""
         p, q = message.pose.position, message.pose.orientation
         self.control.on_pose(name, (p.x, p.y, p.z), yaw_of(q.x, q.y, q.z, q.w), _now())
 
     def on_waypoints(self, name: str, message: WaypointList) -> None:
-        """Take the mission that a vehicle has, and which item it flies."""
+        """Receive a vehicle's mission and its current item."""
         self.control.on_mission(name, tuple(to_item(waypoint) for waypoint in message.waypoints))
         self.control.on_item(name, message.current_seq)
 
     def on_reached(self, name: str, message: WaypointReached) -> None:
-        """Take mavros/mission/reached."""
+        """Receive mavros/mission/reached."""
         self.control.on_reached(name, message.wp_seq)
 
     def on_camera(self, name: str, message: Bool) -> None:
-        """Take whether the detector gets new pictures."""
+        """Receive whether the detector gets new pictures."""
         self.control.on_camera(name, message.data)
 
     def on_objects(self, name: str, message: ObjectsOnGround) -> None:
-        """Take what the detector says of a picture."""
+        """Receive the detections of a picture."""
         p, q = message.camera.position, message.camera.orientation
         sightings = [
             Sighting(
@@ -312,11 +313,7 @@ def _now() -> float:
     return float(rospy.Time.now().to_sec())
 
 
-def _short(action: Action) -> str:
-    return str(getattr(action, "mode", ""))
-
-
-def _pose(action: control.GoTo) -> Pose:
+def _pose(action: actions.GoTo) -> Pose:
     pose = Pose()
     pose.position.x, pose.position.y, pose.position.z = action.position
     pose.orientation.z, pose.orientation.w = math.sin(0.5 * action.yaw), math.cos(0.5 * action.yaw)
@@ -324,7 +321,7 @@ def _pose(action: control.GoTo) -> Pose:
 
 
 def _rotation(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:
-    """Return the rotation matrix of a quaternion."""
+    """Return the (3, 3) rotation matrix of a quaternion (x, y, z, w), normalised first."""
     norm = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
     x, y, z, w = x / norm, y / norm, z / norm, w / norm
     return np.array(
@@ -360,27 +357,26 @@ def to_waypoint(item: PlanItem) -> Waypoint:
     )
 
 
-# the program
+# parameters and main loop
 
 
 def settings_of(read: Callable[[str, Any], Any]) -> MissionSettings:
-    """Return the settings from private parameters.
+    """Read the settings from private parameters.
 
     Raises:
-        ArgumentError: one is not allowed.
+        ArgumentError: a parameter is out of range.
     """
-    values = {f.name: read(f"~{f.name}", f.default) for f in fields(MissionSettings)}
     try:
-        return MissionSettings(**values)
+        return MissionSettings.from_parameters(read)
     except ValueError as error:
-        raise ArgumentError(f"~{error}") from error
+        raise ArgumentError(str(error)) from error
 
 
 def camera_of(read: Callable[[str, Any], Any]) -> Pinhole:
-    """Return the camera from ``~camera`` (width, height, px; horizontal_fov, rad).
+    """Read the camera from ``~camera`` (width, height, px; horizontal_fov, rad).
 
     Raises:
-        ArgumentError: it is not allowed.
+        ArgumentError: a value is invalid.
     """
     given = {"width": 640, "height": 360, "horizontal_fov": 2.0, **_mapping("~camera", read("~camera", {}))}
     try:
@@ -390,10 +386,10 @@ def camera_of(read: Callable[[str, Any], Any]) -> Pinhole:
 
 
 def datum_of(read: Callable[[str, Any], Any]) -> Datum:
-    """Return the map's origin from ``~datum`` (latitude, longitude, deg; altitude, m).
+    """Read the origin of the map frame from ``~datum`` (latitude, longitude, deg; altitude, m).
 
     Raises:
-        ArgumentError: it is not allowed.
+        ArgumentError: a value is invalid.
     """
     try:
         return Datum(**_mapping("~datum", read("~datum", {})))
@@ -408,10 +404,10 @@ def _mapping(name: str, value: Any) -> dict[str, Any]:
 
 
 def run(arguments: Sequence[str]) -> None:
-    """Run the node until the search is over, or it is shut down.
+    """Run the node until the search has ended, or until shutdown.
 
     Raises:
-        ArgumentError: an argument or a parameter is not allowed.
+        ArgumentError: an argument or a parameter is invalid.
     """
     check_no_arguments(arguments)
     lockstep.init_node("search_mission", rate=RATE)
@@ -439,6 +435,6 @@ def run(arguments: Sequence[str]) -> None:
             node.step()
             rate.sleep()
     except rospy.ROSInterruptException:
-        pass  # it is to end
+        pass  # shutdown
     finally:
         node.close()

@@ -1,6 +1,6 @@
-"""Objects in pictures by a YOLO network, run by OpenCV on the processor.
+"""Object detection with a YOLO network, run by OpenCV on the CPU.
 
-Reads darknet's cfg and weights, and ONNX files; the layouts of outputs are in ``layouts``. No ROS.
+Loads darknet cfg and weights files, and ONNX files; the layouts of outputs are in ``output_layouts``. No ROS.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from numpy.typing import NDArray
 from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 from xtdrone_control.settings import SettingError, Settings, setting
 
-from .layouts import LAYOUTS, LayoutError, check_layout, decode, find_layout
+from .output_layouts import LAYOUTS, LayoutError, check_layout, decode, find_layout
 
-STRIDE = 32  # pixels of the input in one cell of the coarsest grid: sizes are multiples of it
-_GREY = 127  # of the edges that fit a picture to the input's shape, as darknet's
-_LARGEST_FILE = 1 << 31  # bytes; networks for a processor are far below
+STRIDE = 32  # px of the input per cell of the coarsest grid; input sizes are multiples of it
+_GREY = 127  # of the letterbox edges, as in darknet
+_LARGEST_FILE = 1 << 31  # bytes; networks for a CPU are far smaller
 _FILES = ("weights", "config", "names")
 
 
 class DetectorError(ValueError):
-    """A network that cannot be used; the text says which file or value and why."""
+    """An unusable network; the message names the file or value and the reason."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Detection:
     """An object in a picture.
 
     Attributes:
-        class_id: number of its class, from 0.
-        name: of its class.
+        class_id: index of the class, from 0.
+        name: of the class.
         probability: 0 to 1.
-        xmin, ymin, xmax, ymax: pixels from the picture's left and upper edge, within the picture.
+        xmin, ymin, xmax, ymax: px from the left and upper edges, within the picture.
     """
 
     class_id: int
@@ -59,7 +59,7 @@ def _check_multiple(size: int) -> None:
 
 @dataclass(frozen=True)
 class DetectorSettings(Settings):
-    """A network and its use.
+    """Settings of a network.
 
     Attributes:
         weights: ``.weights`` (darknet) or ``.onnx``.
@@ -90,7 +90,7 @@ class DetectorSettings(Settings):
         """Check everything but the files.
 
         Raises:
-            DetectorError: a value is not allowed.
+            DetectorError: a value is invalid.
         """
         try:
             super().__post_init__()
@@ -101,7 +101,7 @@ class DetectorSettings(Settings):
 
 
 def settings_file(name: str) -> Path:
-    """Return the path of a settings file; ``name`` is a path that ends in .yaml, or a name in this package's config."""
+    """Return the path of a settings file, given as a path ending in .yaml or as a name in this package's config."""
     path = Path(name).expanduser()
     if path.suffix == ".yaml":
         return path
@@ -109,31 +109,31 @@ def settings_file(name: str) -> Path:
 
 
 def load_settings(path: Path, changes: Mapping[str, Any] | None = None) -> DetectorSettings:
-    """Return the settings of a YAML file whose keys are the fields of DetectorSettings.
+    """Load settings from a YAML file with the fields of DetectorSettings.
 
     Args:
-        path: the file; names of files in it are relative to its folder.
-        changes: entries that replace the file's; names of files are relative to the working folder.
+        path: the file; paths in it are relative to its folder.
+        changes: entries that replace those of the file; paths are relative to the working directory.
 
     Raises:
-        DetectorError: the file is missing or malformed, or an entry is unknown or not allowed.
+        DetectorError: the file is missing or malformed, or an entry is unknown or invalid.
     """
     try:
         entries = load_yaml(read_text(path))
     except OSError as error:
         raise DetectorError(f"{path}: {error.strerror}") from error
     except ContentError as error:
-        raise DetectorError(f"{path}: no YAML: {error}") from error
+        raise DetectorError(f"{path}: not YAML: {error}") from error
     if not isinstance(entries, dict):
         raise DetectorError(f"{path}: a mapping of settings is needed")
     return settings_of({**_resolved(entries, path.parent), **_resolved(changes or {}, Path())}, str(path))
 
 
 def settings_of(entries: Mapping[str, Any], source: str = "detector") -> DetectorSettings:
-    """Return settings from their names and values; empty file names are none.
+    """Return settings from their names and values; an empty path counts as none.
 
     Raises:
-        DetectorError: an entry is unknown, missing, or not allowed.
+        DetectorError: an entry is unknown, missing or invalid.
     """
     known = {field.name for field in fields(DetectorSettings)}
     if unknown := sorted(set(map(str, entries)) - known):
@@ -149,7 +149,7 @@ def settings_of(entries: Mapping[str, Any], source: str = "detector") -> Detecto
 
 
 def _resolved(entries: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return entries with the names of files made relative to a folder."""
+    """Return the entries with paths resolved relative to a folder."""
     return {
         name: folder / Path(str(value)).expanduser() if name in _FILES and value else value
         for name, value in entries.items()
@@ -157,10 +157,10 @@ def _resolved(entries: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def read_names(path: Path) -> tuple[str, ...]:
-    """Return the names of a file, a line each; empty lines are left out.
+    """Return the names in a file, one per line; empty lines are ignored.
 
     Raises:
-        DetectorError: the file is missing or has none.
+        DetectorError: the file is missing or empty.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -173,21 +173,21 @@ def read_names(path: Path) -> tuple[str, ...]:
 
 
 class Detector:
-    """A network that finds objects in pictures; one picture at a time.
+    """A network that detects objects, one picture at a time.
 
     Attributes:
         names: of the classes.
-        settings: as given, with the layout and the size of the input found.
+        settings: as given, with the layout and input size filled in.
     """
 
     def __init__(self, settings: DetectorSettings) -> None:
-        """Reads the network and runs it once.
+        """Load the network and run it once.
 
         Raises:
-            DetectorError: a file is missing or malformed, or the outputs do not fit.
+            DetectorError: a file is missing or malformed, or the outputs match no layout.
         """
         if settings.names is None:
-            raise DetectorError("names: a file with the classes' names is needed")
+            raise DetectorError("names: a file with the class names is needed")
         self.names = read_names(settings.names)
         cv2.setNumThreads(int(settings.threads))
         darknet = settings.weights.suffix == ".weights"
@@ -209,13 +209,13 @@ class Detector:
         self.settings = replace(settings, layout=layout, width=self._size[0], height=self._size[1])
 
     def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
-        """Return the objects in a picture, the likeliest first.
+        """Return the objects in a picture, the most probable first.
 
         Args:
             rgb: (height, width, 3), uint8.
 
         Raises:
-            ValueError: the array is none of that kind.
+            ValueError: wrong shape or type of the array.
         """
         if not isinstance(rgb, np.ndarray) or rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
             given = f"{rgb.dtype} of shape {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
@@ -228,7 +228,7 @@ class Detector:
         return self._chosen((corners - np.tile(offset, 2)) / np.tile(scale, 2), classes, probabilities, rgb.shape)
 
     def _run(self, picture: NDArray[Any]) -> list[NDArray[np.float32]]:
-        """Return the network's outputs for a picture of the input's size."""
+        """Return the outputs for a picture of the input's size."""
         self._network.setInput(cv2.dnn.blobFromImage(picture, 1.0 / 255.0))
         try:
             return list(self._network.forward(self._outputs))
@@ -238,7 +238,7 @@ class Detector:
             ) from error
 
     def _fitted(self, rgb: NDArray[np.uint8]) -> tuple[NDArray[Any], tuple[float, float], tuple[float, float]]:
-        """Return a picture of the input's size, its scale and its offset in that, (x, y) each."""
+        """Return the picture at the input's size, with its scale and offset there, (x, y) each."""
         height, width = rgb.shape[:2]
         to_width, to_height = self._size
         if not self.settings.letterbox:
@@ -259,7 +259,7 @@ class Detector:
         probabilities: NDArray[np.float64],
         shape: Sequence[int],
     ) -> list[Detection]:
-        """Return one detection an object, within the picture."""
+        """Return one detection per object, clipped to the picture."""
         limits = np.array([shape[1], shape[0], shape[1], shape[0]], float)
         corners = np.clip(corners, 0.0, limits)
         whole = np.flatnonzero((corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
@@ -276,18 +276,18 @@ class Detector:
 
 
 def _read_darknet(settings: DetectorSettings) -> tuple[Any, tuple[int, int]]:
-    """Return a network of darknet's files and the size of its input."""
+    """Return a network from darknet files and the size of its input."""
     if settings.config is None:
-        raise DetectorError(f"config: {settings.weights} needs darknet's .cfg beside it")
+        raise DetectorError(f"config: {settings.weights} needs a darknet .cfg file")
     try:
         text = _read(settings.config).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise DetectorError(f"config: {settings.config} is no text") from error
+        raise DetectorError(f"config: {settings.config} is not text") from error
     size = _darknet_size(text, settings.config)
     if settings.width:
         text = _with_entry(text, r"net(?:work)?", "width", settings.width)
         text = _with_entry(text, r"net(?:work)?", "height", settings.height)
-    # OpenCV drops what is less likely than the region layers' own limit, which is 0.2 where the file has none.
+    # OpenCV drops boxes below the region layers' own threshold, which defaults to 0.2.
     text = _with_entry(text, "yolo|region", "thresh", settings.confidence)
     weights = _read(settings.weights)
     try:
@@ -295,27 +295,27 @@ def _read_darknet(settings: DetectorSettings) -> tuple[Any, tuple[int, int]]:
     except cv2.error as error:
         raise DetectorError(f"{settings.config} and {settings.weights}: {_reason(error)}") from error
     _check_length(network, weights, settings)
-    return _on_processor(network), size
+    return _on_cpu(network), size
 
 
 def _check_length(network: Any, weights: bytes, settings: DetectorSettings) -> None:
-    """Check that darknet's weights are as many as the configuration needs, of which OpenCV takes no notice.
+    """Check the number of darknet weights against the configuration, which OpenCV does not.
 
     Raises:
-        DetectorError: they are not.
+        DetectorError: they differ.
     """
     layers = [network.getLayer(network.getLayerId(name)) for name in network.getLayerNames()]
     needed = sum(blob.size for layer in layers if layer.type in ("Convolution", "BatchNorm") for blob in layer.blobs)
     major, minor = struct.unpack_from("<ii", weights.ljust(8, b"\0"))
-    there = (len(weights) - (20 if 10 * major + minor >= 2 else 16)) // 4
-    if there != needed:
+    present = (len(weights) - (20 if 10 * major + minor >= 2 else 16)) // 4
+    if present != needed:
         raise DetectorError(
-            f"{settings.weights} has {max(there, 0)} weights, {settings.config} needs {needed}: they are no pair"
+            f"{settings.weights} has {max(present, 0)} weights, {settings.config} needs {needed}: they do not match"
         )
 
 
 def _darknet_size(text: str, path: Path) -> tuple[int, int]:
-    """Return width and height that darknet's configuration names."""
+    """Return the input width and height of a darknet configuration."""
     section = re.search(r"^\s*\[net(?:work)?\]([^\[]*)", text, re.MULTILINE)
     found = {
         name: re.search(rf"^\s*{name}\s*=\s*(\d+)", section[1], re.MULTILINE) if section else None
@@ -327,7 +327,7 @@ def _darknet_size(text: str, path: Path) -> tuple[int, int]:
 
 
 def _with_entry(text: str, section: str, name: str, value: float) -> str:
-    """Return darknet's configuration with an entry of all sections of a kind set."""
+    """Return a darknet configuration with an entry set in all sections of a kind."""
 
     def entered(match: re.Match[str]) -> str:
         body = re.sub(rf"^\s*{name}\s*=.*\n?", "", match[2], flags=re.MULTILINE)
@@ -337,30 +337,30 @@ def _with_entry(text: str, section: str, name: str, value: float) -> str:
 
 
 def _read_onnx(settings: DetectorSettings) -> tuple[Any, tuple[int, int]]:
-    """Return a network of an ONNX file and the size of its input, (0, 0) where the file leaves that open."""
+    """Return a network from an ONNX file and the size of its input."""
     if settings.weights.suffix != ".onnx":
         raise DetectorError(f"weights: {settings.weights} is not allowed, a file .weights or .onnx")
     if not settings.width:
-        raise DetectorError(f"width and height: {settings.weights} is ONNX, whose input's size must be given")
+        raise DetectorError(f"width and height: {settings.weights} is ONNX; its input size must be given")
     content = _read(settings.weights)
     try:
         network = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8))
     except cv2.error as error:
         raise DetectorError(f"{settings.weights}: {_reason(error)}") from error
-    return _on_processor(network), (settings.width, settings.height)
+    return _on_cpu(network), (settings.width, settings.height)
 
 
-def _on_processor(network: Any) -> Any:
+def _on_cpu(network: Any) -> Any:
     network.setPreferableBackend(cv2.dnn.DNN_BACKEND_OPENCV)
     network.setPreferableTarget(cv2.dnn.DNN_TARGET_CPU)
     return network
 
 
 def _read(path: Path) -> bytes:
-    """Return what a file holds.
+    """Return the content of a file.
 
     Raises:
-        DetectorError: it cannot be read, is empty, or larger than any network is.
+        DetectorError: the file cannot be read, is empty or too large.
     """
     try:
         size = path.stat().st_size
@@ -375,5 +375,5 @@ def _read(path: Path) -> bytes:
 
 
 def _reason(error: cv2.error) -> str:
-    """Return OpenCV's message in one line."""
+    """Return OpenCV's message as one line."""
     return " ".join(str(getattr(error, "err", "") or error).split())

@@ -1,9 +1,9 @@
-"""Following a walking person: what a vehicle with a camera on a gimbal does to keep one track in view. No ROS.
+"""Following a walking person with a camera on a gimbal. No ROS.
 
-The vehicle keeps a height and a horizontal distance, faces the person and points the gimbal at it. The person's place
-is the track's, moved on by its velocity from the picture's exposure to now, so neither the detection's latency nor a
-few pictures without it matter. When it has not been seen for ``predict`` seconds the vehicle stops (HOVER), then rises
-slowly, with the gimbal sweeping over where the person was last; the first track that can be the same person ends that.
+The vehicle keeps a height and a horizontal distance, faces the person and points the gimbal at the person. The track is
+extrapolated from the exposure to the current time with its velocity, so detection latency and a few missed pictures do
+not matter. When the person has not been seen for ``predict`` seconds, the vehicle stops (HOVER), then climbs slowly
+with the gimbal sweeping around the last known position, until a track appears that can be the same person.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Vector = tuple[float, float, float]
 
 IDLE, FOLLOWING, SEARCHING, LOST = "idle", "following", "searching", "lost"
 ANY = 0
-"""In place of a track's id: whoever is found first."""
+"""Instead of a track's id: the first person found."""
 
-_PAUSE = 1.0  # s of HOVER before the search begins, in which the vehicle comes to a stop
-_NEAR = 0.5  # m; nearer than this the direction to the person is not told from the vehicle's own heading
-_MIDDLE = 0.85  # m above its foot, where the camera points
+_PAUSE = 1.0  # s of HOVER for the vehicle to stop before the search
+_NEAR = 0.5  # m; closer than this the direction to the person is undefined
+_MIDDLE = 0.85  # m above the foot, where the camera points
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,14 @@ class FollowSettings(Settings):
 
 
 class Seen(NamedTuple):
-    """A track in a picture that showed it.
+    """A track shown by a picture.
 
     Attributes:
         id: of the track, from 1.
         time: of the exposure, s.
         position: of the foot, m, map.
         velocity: (vx, vy) m/s, map.
-        probability: of the find.
+        probability: of the detection.
     """
 
     id: int
@@ -74,13 +74,13 @@ class Seen(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What the vehicle is to do now.
+    """Command of the vehicle and its gimbal.
 
     Attributes:
-        velocity: ahead, left, up, m/s; None: none is commanded.
-        yaw_rate: rad/s, to the left.
-        gimbal: pitch (negative looks down) and yaw (to the right, from the heading), rad; None: as it is.
-        order: for the communication node, once: ``HOVER``; empty: none.
+        velocity: forward, left, up, m/s; None: no velocity command.
+        yaw_rate: rad/s, positive to the left.
+        gimbal: pitch (negative down) and yaw (positive right of the heading), rad; None: unchanged.
+        order: single command for the communication node: ``HOVER``; empty: none.
     """
 
     velocity: Vector | None = None
@@ -90,11 +90,11 @@ class Command(NamedTuple):
 
 
 class Following:
-    """Follows one person.
+    """Controller that follows one person.
 
     Attributes:
-        state: IDLE (nobody is to be followed), FOLLOWING, SEARCHING (after a loss), or LOST (searched in vain).
-        target: id of the track that is followed or was last; 0: none so far.
+        state: IDLE (no person to follow), FOLLOWING, SEARCHING (after a loss), or LOST (search failed).
+        target: id of the current or last followed track; 0: none so far.
     """
 
     def __init__(self, settings: FollowSettings | None = None) -> None:
@@ -109,22 +109,22 @@ class Following:
         self._hovered = True
 
     def follow(self, track: int) -> None:
-        """Begin to follow a track, or ANY: whoever is found first."""
+        """Start following a track, or ANY: the first person found."""
         self._wanted, self._last, self.target = track, None, 0
         self.state, self._hovered = IDLE, True
 
     def stop(self) -> Command:
-        """Follow nobody any more; return HOVER if somebody was followed."""
+        """Stop following; return HOVER if a person was followed."""
         was = self.state
         self.follow(ANY)
         self._wanted = None
         return Command(order="" if was == IDLE else "HOVER")
 
     def see(self, seen: Sequence[Seen]) -> None:
-        """Take what a picture shows.
+        """Process the tracks of a picture.
 
         Args:
-            seen: the tracks that it shows; those that it does not must be left out.
+            seen: tracks shown by this picture only.
         """
         chosen = self._choose(seen)
         if chosen is None or (self._last is not None and chosen.time < self._last.time):
@@ -133,7 +133,7 @@ class Following:
         self.state = FOLLOWING
 
     def _choose(self, seen: Sequence[Seen]) -> Seen | None:
-        """Return the person among the tracks, None if it is none of them."""
+        """Return the track of the person, None if there is none."""
         if self._wanted is None:
             return None
         for entry in seen:
@@ -141,13 +141,13 @@ class Following:
                 return entry
         if self._last is None:
             return max(seen, key=lambda entry: entry.probability, default=None) if self._wanted == ANY else None
-        # The track may have ended and begun anew under another id. One that is still seen has its own.
-        near = [(self._off(entry), entry) for entry in seen if entry.time > self._last.time]
+        # The track may have ended and restarted under another id.
+        near = [(self._relative_distance(entry), entry) for entry in seen if entry.time > self._last.time]
         near = [(off, entry) for off, entry in near if off <= 1.0]
         return min(near, default=(0.0, None))[1]
 
-    def _off(self, entry: Seen) -> float:
-        """Return how far a track is from where the person is expected, in parts of what is allowed."""
+    def _relative_distance(self, entry: Seen) -> float:
+        """Return the distance of a track from the expected position, as a fraction of the allowed one."""
         assert self._last is not None
         passed = entry.time - self._last.time
         x, y, _ = self.expected(entry.time)
@@ -155,24 +155,24 @@ class Following:
         return far / (self.settings.reach + self.settings.reach_speed * passed)
 
     def expected(self, now: float) -> Vector:
-        """Return where the person is at a time, m, map; it walks on for ``predict`` s after it was seen.
+        """Return the extrapolated position of the person at a time, m, map; at most ``predict`` s ahead.
 
         Raises:
-            ValueError: none has been seen.
+            ValueError: no person has been seen yet.
         """
         if self._last is None:
-            raise ValueError("nobody has been seen yet")
+            raise ValueError("no person has been seen yet")
         ahead = min(max(now - self._last.time, 0.0), self.settings.predict)
         (x, y, z), (vx, vy) = self._last.position, self._last.velocity
         return x + vx * ahead, y + vy * ahead, z
 
     def update(self, now: float, position: Vector, yaw: float) -> Command:
-        """Return what to do now.
+        """Return the command for now.
 
         Args:
             now: time, s.
-            position: the vehicle's, m, map.
-            yaw: its heading, rad, ENU.
+            position: of the vehicle, m, map.
+            yaw: heading of the vehicle, rad, ENU.
         """
         if self._wanted is None or self._last is None:
             return Command()
@@ -182,20 +182,20 @@ class Following:
         if self.state == FOLLOWING:
             return self._pursue(now, position, yaw)
         if self.state == SEARCHING:
-            return self._look_around(now, position, yaw)
+            return self._search(now, position, yaw)
         return Command()
 
     def _pursue(self, now: float, position: Vector, yaw: float) -> Command:
         assert self._last is not None
         settings, (vx, vy) = self.settings, self._last.velocity
         x, y, z = self.expected(now)
-        ahead, left = _turned(x - position[0], y - position[1], -yaw)
+        ahead, left = _rotated(x - position[0], y - position[1], -yaw)
         away = math.hypot(ahead, left)
         unit = (ahead / away, left / away) if away > _NEAR else (1.0, 0.0)
-        own_ahead, own_left = _turned(vx, vy, -yaw)
-        # The correction is bounded before the person's own velocity comes on top, so that far away the way is straight.
+        own_ahead, own_left = _rotated(vx, vy, -yaw)
+        # Limit the correction before adding the person's velocity, so that the path is straight when far away.
         pull = _clipped(settings.kp_xy * (away - settings.distance), settings.max_speed)
-        velocity = _shortened((own_ahead + pull * unit[0], own_left + pull * unit[1]), settings.max_speed)
+        velocity = _limited((own_ahead + pull * unit[0], own_left + pull * unit[1]), settings.max_speed)
         climb = _clipped(settings.kp_z * (z + settings.height - position[2]), settings.max_climb)
         turn = 0.0
         if away > _NEAR:
@@ -204,12 +204,12 @@ class Following:
         return Command((*velocity, climb), turn, self._aim(now, position, yaw))
 
     def _aim(self, now: float, position: Vector, yaw: float) -> tuple[float, float]:
-        """Return pitch and yaw of the gimbal towards the person; the vehicle faces it, so the yaw stays 0."""
+        """Return gimbal pitch and yaw towards the person; the yaw stays 0 because the vehicle faces the person."""
         x, y, z = self.expected(now)
         away = math.hypot(x - position[0], y - position[1])
         return -math.atan2(position[2] - z - _MIDDLE, away), 0.0
 
-    def _look_around(self, now: float, position: Vector, yaw: float) -> Command:
+    def _search(self, now: float, position: Vector, yaw: float) -> Command:
         settings, passed = self.settings, now - self._lost_at
         pitch, _ = self._aim(now, position, yaw)
         if passed > settings.search:
@@ -225,8 +225,8 @@ class Following:
         return Command((0.0, 0.0, settings.rise_speed if rising else 0.0), 0.0, gimbal)
 
 
-def _turned(x: float, y: float, angle: float) -> tuple[float, float]:
-    """Return a vector turned to the left, rad."""
+def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:
+    """Return a vector rotated to the left by ``angle`` rad."""
     c, s = math.cos(angle), math.sin(angle)
     return c * x - s * y, s * x + c * y
 
@@ -235,12 +235,12 @@ def _clipped(value: float, most: float) -> float:
     return min(max(value, -most), most)
 
 
-def _shortened(vector: tuple[float, float], most: float) -> tuple[float, float]:
+def _limited(vector: tuple[float, float], most: float) -> tuple[float, float]:
     length = math.hypot(*vector)
     return vector if length <= most else (vector[0] * most / length, vector[1] * most / length)
 
 
 def heading_of(q: tuple[float, float, float, float]) -> float:
-    """Return the yaw of an attitude (x, y, z, w), rad."""
+    """Return the yaw of a quaternion (x, y, z, w), rad."""
     x, y, z, w = q
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

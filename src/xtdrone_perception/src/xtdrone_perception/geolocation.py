@@ -1,12 +1,12 @@
-"""Where on the ground a person stands that a camera shows as a box.
+"""Geolocation: position on the ground of a person detected as a box.
 
-A person is a standing cylinder. A camera high above does not show its foot at the lower edge of its box: seen from
-steep above, the nearer rim of its top lies lower in the picture than its foot. So place, height and radius are chosen
-together such that the cylinder's box is the one that was found, with the height and radius that people have as what is
-known before (a Gauss-Newton step is a Kalman update). Where the box ends at the picture's edge, that side says nothing.
+A person is modelled as a standing cylinder. The lower edge of its box is not its foot: from steeply above, the near rim
+of its top lies lower in the picture. Position, height and radius are therefore estimated together, so that the
+cylinder's box matches the detected one, with the usual height and radius of people as the prior (a Gauss-Newton step is
+a Kalman update). Sides of a box cut off by the edge of the picture are not used.
 
-The covariance has two parts: one that is new in every picture (pixels, and the attitude, which sways), and one that a
-vehicle's pictures share (its position, the person's own height), which no number of pictures makes smaller.
+The covariance has two parts: the error independent in every picture (pixels, and the swaying attitude), and the error
+shared by the pictures of a vehicle (its position, the height of the person), which averaging does not reduce.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from xtdrone_control.settings import Settings, check_range, setting
 Array = NDArray[np.float64]
 Ground = Callable[[float, float], float]
 
-_STEPS = 8  # of Gauss-Newton; three suffice but for boxes that are cut off
+_STEPS = 8  # of Gauss-Newton; three suffice except for boxes that are cut off
 _SETTLED = 1e-4  # m
-_EDGE = 1.0  # px; a box so near to the picture's edge may go on outside of it
-_DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-3])  # m, for derivatives by place, height and radius
+_EDGE = 1.0  # px; a box this close to the picture's edge may be cut off
+_DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-3])  # m, for derivatives with respect to position, height and radius
 _POSE_DELTA = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])  # m, rad
 
 
 @dataclass(frozen=True)
 class Person(Settings):
-    """Vertical cylinder that models a person; standard deviations end in ``_noise``."""
+    """Cylinder model of a person; standard deviations end in ``_noise``."""
 
     height: float = setting(1.7, low=0.1, high=10.0, unit="m", text="height of the cylinder")
     height_noise: float = setting(0.15, low=1e-3, high=10.0, unit="m", text="standard deviation of ``height``")
@@ -69,26 +69,26 @@ class View:
 
 @dataclass(frozen=True)
 class GroundPoint:
-    """A place on the ground.
+    """A position on the ground.
 
     Attributes:
         position: (3,) of the foot, m, map.
-        fresh: (3, 3) covariance of what is new in every picture, m^2.
-        shared: (3, 3) covariance of what pictures of one vehicle have in common, m^2.
+        independent: (3, 3) covariance of the error independent in every picture, m^2.
+        shared: (3, 3) covariance of the error shared by the pictures of a vehicle, m^2.
     """
 
     position: Array
-    fresh: Array
+    independent: Array
     shared: Array
 
     @property
     def covariance(self) -> Array:
-        """The whole covariance, (3, 3) m^2."""
-        return self.fresh + self.shared
+        """Total covariance, (3, 3) m^2."""
+        return self.independent + self.shared
 
 
 def rotation_of(q: tuple[float, ...]) -> Array:
-    """Return the matrix (3, 3) of a unit quaternion (x, y, z, w)."""
+    """Return the (3, 3) rotation matrix of a unit quaternion (x, y, z, w)."""
     x, y, z, w = q
     return np.array(
         [
@@ -100,7 +100,7 @@ def rotation_of(q: tuple[float, ...]) -> Array:
 
 
 class Geolocator:
-    """Places of people on the ground, from boxes."""
+    """Locates people on the ground from their boxes."""
 
     def __init__(
         self,
@@ -111,17 +111,17 @@ class Geolocator:
         farthest: float = 200.0,
         least_dip: float = math.radians(3.0),
     ) -> None:
-        """Take what is known before.
+        """Set the prior knowledge.
 
         Args:
-            ground: height of flat ground, m, map; or a function of x and y that returns it.
-            person: the cylinder; None: the usual one.
-            noise: None: the usual one.
-            farthest: no place is farther from the camera than this, 1 to 10000 m.
-            least_dip: rays that point less below the horizon are refused, 0.001 to 1.5 rad.
+            ground: height of flat ground, m, map; or a function of x and y that returns the height.
+            person: cylinder model; None: the default.
+            noise: None: the default.
+            farthest: greatest distance from the camera, 1 to 10000 m.
+            least_dip: rays less than this below the horizon are rejected, 0.001 to 1.5 rad.
 
         Raises:
-            ValueError: a value is not allowed.
+            ValueError: a value is out of range.
         """
         self.person = person or Person()
         self.noise = noise or Noise()
@@ -130,22 +130,22 @@ class Geolocator:
         self._least_dip = check_range("least_dip", least_dip, 0.001, 1.5, "rad")
 
     def point(self, view: View, pixel: tuple[float, float]) -> Array | None:
-        """Return where the ray of a pixel meets the ground, (3,) m map.
+        """Return the point where the ray of a pixel meets the ground, (3,) m, map.
 
         Returns:
-            None for a ray that points too little below the horizon, or meets the ground too far away.
+            None if the ray is too close to the horizon, or meets the ground too far away.
         """
         return self._hit(view, pixel, 0.0)
 
     def locate(self, view: View, box: tuple[float, float, float, float]) -> GroundPoint | None:
-        """Return where the person stands whom a box shows.
+        """Return the position of the person in a box.
 
         Args:
-            view: the picture's camera.
+            view: camera of the picture.
             box: xmin, ymin, xmax, ymax, px.
 
         Returns:
-            None for a box that is not on the ground within reach.
+            None if the box is not on the ground within range.
         """
         seen = np.asarray(box, float)
         start = self._hit(view, (0.5 * (seen[0] + seen[2]), 0.5 * (seen[1] + seen[3])), 0.5 * self.person.height)
@@ -175,15 +175,15 @@ class Geolocator:
                 break
         if not np.isfinite(state).all() or math.dist(state[:2], view.position[:2]) > self._farthest:
             return None
-        return self._with_covariance(view, state, known, weight)
+        return self._ground_point(view, state, known, weight)
 
     def foot(self, place: Array) -> Array:
-        """Return the point of the ground, (3,) m, at a place (2,)."""
+        """Return the point on the ground, (3,) m, at a place (2,)."""
         x, y = float(place[0]), float(place[1])
         return np.array([x, y, self._ground(x, y)])
 
     def _hit(self, view: View, pixel: tuple[float, float], above: float) -> Array | None:
-        """Return where a ray is so much above the ground, m."""
+        """Return the point on a ray ``above`` m above the ground."""
         ray = view.rotation @ view.pinhole.rays(np.array([pixel], float))[0]
         ray /= np.linalg.norm(ray)
         if not -ray[2] >= math.sin(self._least_dip):
@@ -200,18 +200,18 @@ class Geolocator:
         return place
 
     def _known_sides(self, pinhole: Pinhole, box: Array) -> NDArray[np.bool_]:
-        """Return which sides of a box are the person's, not the picture's."""
+        """Return which sides of a box are not cut off by the picture."""
         limits = np.array([0.0, 0.0, pinhole.width, pinhole.height])
         known = np.abs(box - limits) > _EDGE
-        # Nothing is left to go by of a person as large as the picture; then the middle has to do.
+        # A person as large as the picture leaves no side to use: use all, that is, the centre of the picture.
         return known if known.sum() >= 2 else np.ones(4, bool)
 
     def _linear(self, view: View, state: Array) -> tuple[Array, Array]:
-        """Return the box of a cylinder, (4,) px, and its derivatives by its state, (4, 4); NaN as `cylinder_boxes` has.
+        """Return the box of a cylinder, (4,) px, and its Jacobian, (4, 4); NaN as in :func:`cylinder_boxes`.
 
         Args:
             view: the camera.
-            state: (4,) x, y of its foot, height, radius, m.
+            state: (4,) x, y of the foot, height, radius, m.
         """
         states = np.vstack([state, state + np.diag(_DELTA), state - np.diag(_DELTA)])
         feet = np.array([[x, y, self._ground(x, y)] for x, y in states[:, :2].tolist()])
@@ -219,14 +219,14 @@ class Geolocator:
         return boxes[0], ((boxes[1:5] - boxes[5:]) / (2.0 * _DELTA[:, None])).T
 
     def _pose_slope(self, view: View, foot: Array, state: Array) -> Array:
-        """Return the box's derivatives by the camera's position and small turns about map's axes, (4, 6)."""
+        """Return the Jacobian of the box with respect to camera position and small rotations about map axes, (4, 6)."""
         steps = np.vstack([np.diag(_POSE_DELTA), -np.diag(_POSE_DELTA)])
         positions = view.position + steps[:, :3]
-        rotations = np.array([small_turn(step[3:]) for step in steps]) @ view.rotation
+        rotations = np.array([rotation_from_vector(step[3:]) for step in steps]) @ view.rotation
         boxes = cylinder_boxes(view.pinhole, positions, rotations, foot, state[2], state[3])
         return ((boxes[:6] - boxes[6:]) / (2.0 * _POSE_DELTA[:, None])).T
 
-    def _with_covariance(self, view: View, state: Array, known: NDArray[np.bool_], weight: Array) -> GroundPoint | None:
+    def _ground_point(self, view: View, state: Array, known: NDArray[np.bool_], weight: Array) -> GroundPoint | None:
         foot = self.foot(state[:2])
         slope, pose_slope = self._linear(view, state)[1][known], self._pose_slope(view, foot, state)[known]
         if not (np.isfinite(slope).all() and np.isfinite(pose_slope).all()):
@@ -236,17 +236,17 @@ class Geolocator:
         gain = covariance @ slope.T / noise.pixel**2
         pixels = gain @ gain.T * noise.pixel**2
         person = covariance @ weight @ covariance
-        # A ground that is higher is a camera that is lower.
+        # Raising the ground has the same effect as lowering the camera.
         vertical = noise.vertical**2 + noise.ground**2
         position = _through(gain @ pose_slope[:, :3], np.diag([noise.horizontal**2, noise.horizontal**2, vertical]))
         attitude = _through(gain @ pose_slope[:, 3:], np.diag([noise.tilt**2, noise.tilt**2, noise.heading**2]))
         on_ground = self._on_ground(state)
-        fresh = _through(on_ground, (pixels + attitude)[:2, :2])
+        independent = _through(on_ground, (pixels + attitude)[:2, :2])
         shared = _through(on_ground, (person + position)[:2, :2]) + np.diag([0.0, 0.0, noise.ground**2])
-        return GroundPoint(foot, fresh, shared)
+        return GroundPoint(foot, independent, shared)
 
     def _on_ground(self, state: Array) -> Array:
-        """Return the derivative of a place on the ground by x and y, (3, 2)."""
+        """Return the Jacobian of a point on the ground with respect to x and y, (3, 2)."""
         x, y = float(state[0]), float(state[1])
         delta = 0.1
         rise = [self._ground(x + dx, y + dy) - self._ground(x - dx, y - dy) for dx, dy in ((delta, 0.0), (0.0, delta))]
@@ -254,15 +254,15 @@ class Geolocator:
 
 
 def cylinder_box(view: View, foot: Array, height: float, radius: float) -> Array:
-    """Return the box that shows a standing cylinder: xmin, ymin, xmax, ymax, (4,) px, not cut at the picture's edges.
+    """Return the box of a standing cylinder: xmin, ymin, xmax, ymax, (4,) px, not clipped to the picture.
 
     Args:
         view: the camera.
-        foot: (3,) the middle of its lower end, m, map.
+        foot: (3,) centre of its base, m, map.
         height, radius: m.
 
     Returns:
-        NaN where a part of it is not ahead of the camera.
+        NaN if a part of it is not in front of the camera.
     """
     return cylinder_boxes(view.pinhole, view.position, view.rotation, np.asarray(foot, float)[None], height, radius)[0]
 
@@ -270,48 +270,49 @@ def cylinder_box(view: View, foot: Array, height: float, radius: float) -> Array
 def cylinder_boxes(
     pinhole: Pinhole, positions: Array, rotations: Array, feet: Array, heights: Array | float, radii: Array | float
 ) -> Array:
-    """Return the boxes of n standing cylinders, (n, 4) px, as `cylinder_box`; arguments of one go for all.
+    """Return the boxes of n standing cylinders, (n, 4) px, as :func:`cylinder_box`; arguments are broadcast.
 
     Args:
-        pinhole: of all cameras.
+        pinhole: intrinsics of all cameras.
         positions: (n, 3) or (3,) of the cameras, m, map.
         rotations: (n, 3, 3) or (3, 3) from the optical frame to map.
         feet: (n, 3) or (3,) m, map.
-        heights, radii: (n,) or one, m.
+        heights, radii: (n,) or scalar, m.
     """
     camera = np.array([[pinhole.fx, 0.0, pinhole.cx], [0.0, pinhole.fy, pinhole.cy], [0.0, 0.0, 1.0]])
     projections = np.einsum("ij,...kj->...ik", camera, rotations)
     lower = np.einsum("...ij,...j->...i", projections, feet - positions)
     upper = lower + projections[..., 2] * np.asarray(heights)[..., None]
-    rims = [_rim_boxes(projections, middles, np.asarray(radii, float)) for middles in (lower, upper)]
+    rims = [_rim_boxes(projections, centres, np.asarray(radii, float)) for centres in (lower, upper)]
     return np.concatenate(
         [np.minimum(rims[0][..., :2], rims[1][..., :2]), np.maximum(rims[0][..., 2:], rims[1][..., 2:])], axis=-1
     )
 
 
-def _rim_boxes(projections: Array, middles: Array, radii: Array) -> Array:
-    """Return the boxes of level circles, (n, 4) px.
+def _rim_boxes(projections: Array, centres: Array, radii: Array) -> Array:
+    """Return the boxes of horizontal circles, (n, 4) px.
 
-    A circle's picture is a conic; a vertical line x = c touches it if (1, 0, -c) D (1, 0, -c)' = 0 for its dual D.
+    The image of a circle is a conic; a vertical line x = c is tangent to it if (1, 0, -c) D (1, 0, -c)' = 0 for its
+    dual D.
 
     Args:
         projections: (n, 3, 3) from map to homogeneous pixels.
-        middles: (n, 3) of the circles, homogeneous pixels.
+        centres: (n, 3) of the circles, homogeneous pixels.
         radii: (n,) m.
     """
     along = projections[..., :2]
     area = (radii * radii)[..., None]
-    last = area[..., 0] * (along[..., 2, :] ** 2).sum(axis=-1) - middles[..., 2] ** 2
-    mixed = area * (along[..., :2, :] * along[..., 2:, :]).sum(axis=-1) - middles[..., :2] * middles[..., 2:]
-    squares = area * (along[..., :2, :] ** 2).sum(axis=-1) - middles[..., :2] ** 2
-    last = np.where((middles[..., 2] > 0.0) & (last < 0.0), last, np.nan)[..., None]
-    centres = mixed / last
-    halves = np.sqrt(np.maximum(centres**2 - squares / last, 0.0))
-    return np.concatenate([centres - halves, centres + halves], axis=-1)
+    last = area[..., 0] * (along[..., 2, :] ** 2).sum(axis=-1) - centres[..., 2] ** 2
+    mixed = area * (along[..., :2, :] * along[..., 2:, :]).sum(axis=-1) - centres[..., :2] * centres[..., 2:]
+    squares = area * (along[..., :2, :] ** 2).sum(axis=-1) - centres[..., :2] ** 2
+    last = np.where((centres[..., 2] > 0.0) & (last < 0.0), last, np.nan)[..., None]
+    middles = mixed / last
+    halves = np.sqrt(np.maximum(middles**2 - squares / last, 0.0))
+    return np.concatenate([middles - halves, middles + halves], axis=-1)
 
 
-def small_turn(angles: Array) -> Array:
-    """Return the matrix (3, 3) of a turn by a vector of angles, rad (Rodrigues)."""
+def rotation_from_vector(angles: Array) -> Array:
+    """Return the (3, 3) matrix of a rotation vector, rad (Rodrigues)."""
     angle = float(np.linalg.norm(angles))
     if angle == 0.0:
         return np.eye(3)

@@ -1,7 +1,7 @@
-"""How well a detector finds: precision, recall and average precision from boxes found and boxes that are there.
+"""Scores of a detector: precision, recall and average precision from detected and true boxes.
 
-Boxes are (n, 4) arrays xmin, ymin, xmax, ymax in pixels. What is there but need not be found (too small, hidden) is
-ignored: finding it is neither right nor wrong.
+Boxes are (n, 4) arrays xmin, ymin, xmax, ymax in pixels. True objects that need not be detected (too small, hidden) are
+ignored: detecting them is neither right nor wrong.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Scene:
-    """One picture: what was found in it and what is there.
+class LabelledPicture:
+    """Detected and true boxes of a picture.
 
     Attributes:
-        found: (n, 4) boxes found.
+        found: (n, 4) detected boxes.
         scores: (n,) their probabilities.
-        truth: (m, 4) boxes of what is there.
-        counts: (m,) bool, False for what is ignored.
+        truth: (m, 4) true boxes.
+        counts: (m,) bool, False for true boxes that are ignored.
     """
 
     found: Array
@@ -34,12 +34,12 @@ class Scene:
 
 @dataclass(frozen=True)
 class Matches:
-    """What became of the boxes found in many pictures.
+    """Matches between the detected and the true boxes of many pictures.
 
     Attributes:
-        scores: (n,) probabilities of the boxes that count, the highest first.
-        right: (n,) bool, whether each found something that had not been found by a likelier one.
-        there: how many objects that count there are.
+        scores: (n,) probabilities of the detected boxes that count, the highest first.
+        right: (n,) bool, whether each is the most probable box of an object.
+        there: number of true objects that count.
         pictures: number of pictures.
     """
 
@@ -61,56 +61,58 @@ def overlaps(one: Array, other: Array) -> tuple[Array, Array]:
     return common / np.maximum(union, 1e-12), common / np.maximum(area_one[:, None], 1e-12)
 
 
-def match(scenes: Iterable[Scene], least_overlap: float = 0.5, heights: tuple[float, float] = (0.0, np.inf)) -> Matches:
-    """Say of every box found whether it is right, the likeliest first in each picture.
+def match(
+    pictures: Iterable[LabelledPicture], least_overlap: float = 0.5, heights: tuple[float, float] = (0.0, np.inf)
+) -> Matches:
+    """Match detected boxes with true ones, the most probable first in each picture.
 
-    A box is right where its intersection over union with an object that counts, and that no likelier box has found, is
-    ``least_overlap`` or more; of several objects it finds the one it overlaps most. Otherwise it is ignored where it
-    overlaps an object that is ignored so much, or lies in it by half of its own area, or is itself outside of
-    ``heights``; all others are false.
+    A box is right if its intersection over union with an object that counts and is still unmatched is at least
+    ``least_overlap``; of several objects, it matches the one with the greatest overlap. Otherwise it is ignored if it
+    overlaps an ignored object as much, lies in one by half of its own area, or is itself outside ``heights``. All other
+    boxes are false.
 
     Args:
-        scenes: the pictures.
+        pictures: detected and true boxes.
         least_overlap: 0 to 1.
-        heights: only objects from the first to below the second, px, count.
+        heights: only objects at least as high as the first and below the second, px, count.
     """
     scores: list[float] = []
     right: list[bool] = []
-    there, pictures = 0, 0
-    for scene in scenes:
-        pictures += 1
-        truth = np.asarray(scene.truth, float).reshape(-1, 4)
+    there, count = 0, 0
+    for picture in pictures:
+        count += 1
+        truth = np.asarray(picture.truth, float).reshape(-1, 4)
         tall = truth[:, 3] - truth[:, 1]
-        counts = np.asarray(scene.counts, bool) & (tall >= heights[0]) & (tall < heights[1])
+        counts = np.asarray(picture.counts, bool) & (tall >= heights[0]) & (tall < heights[1])
         there += int(counts.sum())
-        union, own = overlaps(scene.found, truth)
+        union, own = overlaps(picture.found, truth)
         free = counts.copy()
-        for index in np.argsort(-np.asarray(scene.scores, float), kind="stable"):
+        for index in np.argsort(-np.asarray(picture.scores, float), kind="stable"):
             fitting = np.where(free, union[index], -1.0)
             best = int(fitting.argmax()) if len(fitting) else -1
             if best >= 0 and fitting[best] >= least_overlap:
                 free[best] = False
-                scores.append(float(scene.scores[index]))
+                scores.append(float(picture.scores[index]))
                 right.append(True)
                 continue
             aside = ~counts & ((union[index] >= least_overlap) | (own[index] >= 0.5))
-            height = scene.found[index][3] - scene.found[index][1]
+            height = picture.found[index][3] - picture.found[index][1]
             if not aside.any() and heights[0] <= height < heights[1]:
-                scores.append(float(scene.scores[index]))
+                scores.append(float(picture.scores[index]))
                 right.append(False)
     order = np.argsort(-np.array(scores), kind="stable") if scores else np.zeros(0, int)
-    return Matches(np.array(scores, float)[order], np.array(right, bool)[order], there, pictures)
+    return Matches(np.array(scores, float)[order], np.array(right, bool)[order], there, count)
 
 
 def curve(matches: Matches) -> tuple[Array, Array]:
-    """Return precision and recall after each box, the likeliest first."""
+    """Return precision and recall after each box, the most probable first."""
     hits = np.cumsum(matches.right)
     precision = hits / np.maximum(np.arange(1, len(hits) + 1), 1)
     return precision, hits / max(matches.there, 1)
 
 
 def average_precision(matches: Matches) -> float:
-    """Return the area under precision over recall, precision made monotonous; NaN where nothing was to be found."""
+    """Return the area under the monotone precision-recall curve; NaN without any true object."""
     if not matches.there:
         return float("nan")
     precision, recall = curve(matches)
@@ -122,9 +124,9 @@ def average_precision(matches: Matches) -> float:
 
 
 def at_threshold(matches: Matches, threshold: float) -> tuple[float, float, float]:
-    """Return precision, recall and false boxes a picture with what is as likely as ``threshold`` or more.
+    """Return precision, recall and false boxes per picture, counting boxes of probability ``threshold`` or more.
 
-    Precision is 1 where nothing is found.
+    Precision is 1 if there is no such box.
     """
     taken = matches.scores >= threshold
     hits = int(matches.right[taken].sum())
@@ -134,7 +136,7 @@ def at_threshold(matches: Matches, threshold: float) -> tuple[float, float, floa
 
 
 def best_threshold(matches: Matches) -> float:
-    """Return the threshold at which the harmonic mean of precision and recall is greatest; 1 where nothing is right."""
+    """Return the threshold with the greatest harmonic mean of precision and recall; 1 if no box is right."""
     precision, recall = curve(matches)
     both = precision + recall
     mean = np.divide(2 * precision * recall, both, out=np.zeros_like(both), where=both > 0)

@@ -1,7 +1,7 @@
-"""Tracks of things on the ground from what each picture shows of them: who is who, where, and how fast.
+"""Multi-object tracker on the ground plane.
 
-Every track is a Kalman filter with constant velocity in the plane; a picture's finds go to the tracks by the cheapest
-assignment within a gate (Hungarian method), those confirmed first. Numbers in, numbers out; time steps may vary.
+Each track is a constant-velocity Kalman filter in the plane. The detections of a picture are assigned to the tracks at
+least cost within a gate (Hungarian method), confirmed tracks first. Time steps may vary. No ROS.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .geolocation import GroundPoint
 Array = NDArray[np.float64]
 InView = Callable[[Array], bool]
 
-_FORBIDDEN = 1e9  # cost of what is outside of the gate
-_PLACE = np.eye(2, 4)  # of the state x, y, vx, vy
+_FORBIDDEN = 1e9  # cost outside the gate
+_PLACE = np.eye(2, 4)  # measurement matrix of the state x, y, vx, vy
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,12 @@ class TrackerSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Find:
-    """What a picture shows of a thing.
+class GroundDetection:
+    """A detection located on the ground.
 
     Attributes:
-        point: where it stands.
-        object_class: its class's name.
+        point: position on the ground.
+        object_class: name of its class.
         probability: above 0, at most 1.
         box: in the picture: xmin, ymin, xmax, ymax, px.
     """
@@ -75,24 +75,24 @@ class Find:
 
 @dataclass
 class Track:
-    """A thing that is followed.
+    """Track of an object.
 
     Attributes:
-        id: from 1; 0 until it is confirmed.
-        object_class: its class's name.
+        id: from 1; 0 until confirmed.
+        object_class: name of its class.
         state: (4,) x, y, m, map; vx, vy, m/s.
-        covariance: (4, 4) of the state, without what all pictures have in common.
-        last: the find that it had last.
-        hits: pictures that showed it.
-        missed: pictures since that should have and did not.
-        probability: in the last picture, 0 when it was not shown.
+        covariance: (4, 4) of the state, without the error shared by all pictures.
+        last: its last detection.
+        hits: number of pictures that showed it.
+        missed: number of pictures since the last hit that should have shown it.
+        probability: in the last picture, 0 if not shown.
         seen_at: time of the last picture that showed it, s.
     """
 
     object_class: str
     state: Array
     covariance: Array
-    last: Find
+    last: GroundDetection
     seen_at: float
     id: int = 0
     hits: int = 1
@@ -102,32 +102,32 @@ class Track:
 
     @property
     def confirmed(self) -> bool:
-        """Whether enough pictures have shown it."""
+        """Whether enough pictures have shown the object."""
         return self.id > 0
 
     @property
     def position(self) -> Array:
-        """Where it stands, (3,) m, map."""
+        """Position on the ground, (3,) m, map."""
         return np.array([self.state[0], self.state[1], self.last.point.position[2]])
 
     @property
     def velocity(self) -> Array:
-        """How fast it moves, (2,) m/s, map."""
+        """Velocity, (2,) m/s, map."""
         return self.state[2:]
 
     @property
     def position_covariance(self) -> Array:
-        """Covariance of the position with what all pictures have in common, (3, 3) m^2."""
+        """Covariance of the position, including the error shared by all pictures, (3, 3) m^2."""
         whole = self.last.point.covariance.copy()
         whole[:2, :2] = self.covariance[:2, :2] + self.last.point.shared[:2, :2]
         return whole
 
 
 class Tracker:
-    """Tracks of one camera.
+    """Tracker of one camera.
 
     Attributes:
-        tracks: all that there are, those not confirmed too, in the order of their beginnings.
+        tracks: all tracks, confirmed or not, oldest first.
     """
 
     def __init__(self, settings: TrackerSettings | None = None) -> None:
@@ -139,24 +139,24 @@ class Tracker:
 
     @property
     def confirmed(self) -> list[Track]:
-        """The tracks that enough pictures have shown."""
+        """The confirmed tracks."""
         return [track for track in self.tracks if track.confirmed]
 
     def reset(self) -> None:
-        """Forget all tracks and times; ids go on, so that none means two things."""
+        """Remove all tracks and the time; ids continue, so that none is used twice."""
         self.tracks = []
         self._time = None
 
-    def update(self, time: float, finds: Sequence[Find], in_view: InView | None = None) -> list[Track]:
-        """Take what a picture shows and return the confirmed tracks.
+    def update(self, time: float, detections: Sequence[GroundDetection], in_view: InView | None = None) -> list[Track]:
+        """Update the tracks with a picture and return the confirmed ones.
 
         Args:
-            time: of its exposure, s; not before the last one's.
-            finds: all that it shows; may be none.
-            in_view: whether the picture should show a thing at a place (2,), m; None: everywhere.
+            time: of the exposure, s; not before that of the last picture.
+            detections: of the picture, may be empty.
+            in_view: returns whether the picture should show an object at a place (2,), m; None: always.
 
         Raises:
-            ValueError: the time is not finite or before the last one.
+            ValueError: the time is not finite or before that of the last picture.
         """
         if not math.isfinite(time) or (self._time is not None and time < self._time):
             raise ValueError(f"time: {time!r} is not allowed, {self._time!r} s or later")
@@ -164,14 +164,14 @@ class Tracker:
         self._time = time
         for track in self.tracks:
             self._predict(track, step)
-        left = list(range(len(finds)))
+        left = list(range(len(detections)))
         for confirmed in (True, False):
             group = [track for track in self.tracks if track.confirmed == confirmed]
-            left = self._assign(group, finds, left, time, in_view)
-        self.tracks = [track for track in self.tracks if self._goes_on(track)]
+            left = self._assign(group, detections, left, time, in_view)
+        self.tracks = [track for track in self.tracks if self._survives(track)]
         for i in left:
-            if finds[i].probability >= self.settings.birth:
-                self.tracks.append(self._begun(finds[i], time))
+            if detections[i].probability >= self.settings.birth:
+                self.tracks.append(self._new_track(detections[i], time))
         for track in self.tracks:
             if not track.confirmed and sum(track.history) >= self.settings.confirm_hits:
                 track.id = self._next_id
@@ -187,17 +187,22 @@ class Tracker:
         track.covariance = move @ track.covariance @ move.T + noise
 
     def _assign(
-        self, tracks: list[Track], finds: Sequence[Find], left: list[int], time: float, in_view: InView | None
+        self,
+        tracks: list[Track],
+        detections: Sequence[GroundDetection],
+        left: list[int],
+        time: float,
+        in_view: InView | None,
     ) -> list[int]:
-        """Give finds to tracks and return the indices of those that are left."""
-        costs = np.array([[self._cost(track, finds[i]) for i in left] for track in tracks]).reshape(
+        """Assign detections to tracks and return the indices of those left over."""
+        costs = np.array([[self._cost(track, detections[i]) for i in left] for track in tracks]).reshape(
             len(tracks), len(left)
         )
         pairs = [(t, f) for t, f in zip(*linear_sum_assignment(costs), strict=True) if costs[t, f] < _FORBIDDEN]
         given = dict(pairs)
         for t, track in enumerate(tracks):
             if t in given:
-                self._correct(track, finds[left[given[t]]], time)
+                self._correct(track, detections[left[given[t]]], time)
             else:
                 track.probability = 0.0
                 if in_view is None or in_view(track.state[:2]):
@@ -206,45 +211,45 @@ class Tracker:
         taken = set(given.values())
         return [i for f, i in enumerate(left) if f not in taken]
 
-    def _cost(self, track: Track, find: Find) -> float:
-        """Return minus twice the logarithm of how likely a find is the track's, but for a constant."""
-        if find.object_class != track.object_class:
+    def _cost(self, track: Track, detection: GroundDetection) -> float:
+        """Return minus twice the log-likelihood that a detection belongs to the track, up to a constant."""
+        if detection.object_class != track.object_class:
             return _FORBIDDEN
-        # What all pictures have in common may have changed a little since the track began.
-        spread = track.covariance[:2, :2] + find.point.covariance[:2, :2]
-        error = find.point.position[:2] - track.state[:2]
+        # The shared error may have changed a little since the track began.
+        spread = track.covariance[:2, :2] + detection.point.covariance[:2, :2]
+        error = detection.point.position[:2] - track.state[:2]
         distance = float(error @ np.linalg.solve(spread, error))
         if not distance <= self.settings.gate:
             return _FORBIDDEN
-        return distance + math.log(np.linalg.det(spread)) - 2.0 * math.log(max(find.probability, 1e-6))
+        return distance + math.log(np.linalg.det(spread)) - 2.0 * math.log(max(detection.probability, 1e-6))
 
-    def _correct(self, track: Track, find: Find, time: float) -> None:
-        noise = find.point.fresh[:2, :2]
+    def _correct(self, track: Track, detection: GroundDetection, time: float) -> None:
+        noise = detection.point.independent[:2, :2]
         gain = track.covariance @ _PLACE.T @ np.linalg.inv(track.covariance[:2, :2] + noise)
-        track.state = track.state + gain @ (find.point.position[:2] - track.state[:2])
+        track.state = track.state + gain @ (detection.point.position[:2] - track.state[:2])
         rest = np.eye(4) - gain @ _PLACE
         track.covariance = rest @ track.covariance @ rest.T + gain @ noise @ gain.T
-        track.last, track.seen_at, track.probability = find, time, find.probability
+        track.last, track.seen_at, track.probability = detection, time, detection.probability
         track.hits += 1
         track.missed = 0
         track.history.append(True)
 
-    def _goes_on(self, track: Track) -> bool:
+    def _survives(self, track: Track) -> bool:
         settings = self.settings
         if track.missed >= settings.misses or np.linalg.eigvalsh(track.covariance[:2, :2])[-1] > settings.widest**2:
             return False
         return track.confirmed or track.history.count(False) <= settings.confirm_of - settings.confirm_hits
 
-    def _begun(self, find: Find, time: float) -> Track:
+    def _new_track(self, detection: GroundDetection, time: float) -> Track:
         covariance = np.diag([0.0, 0.0, self.settings.speed**2, self.settings.speed**2])
-        covariance[:2, :2] = find.point.fresh[:2, :2]
-        state = np.array([*find.point.position[:2], 0.0, 0.0])
+        covariance[:2, :2] = detection.point.independent[:2, :2]
+        state = np.array([*detection.point.position[:2], 0.0, 0.0])
         return Track(
-            find.object_class,
+            detection.object_class,
             state,
             covariance,
-            find,
+            detection,
             time,
-            probability=find.probability,
+            probability=detection.probability,
             history=deque([True], maxlen=self.settings.confirm_of),
         )

@@ -1,4 +1,4 @@
-"""The rest of a path in parts: all of it, in order, with loads evened out; what pictures say of a place."""
+"""Reallocated paths: complete, in order, with balanced loads; evidence, candidates and the coverage map."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_coordination.search.coverage import Waypoint, length
-from xtdrone_coordination.search.covered import Covered
-from xtdrone_coordination.search.evidence import Candidate, Evidence, nearest
-from xtdrone_coordination.search.plans import Datum
-from xtdrone_coordination.search.region import make_region
-from xtdrone_coordination.search.sharing import cut, share_out
-from xtdrone_coordination.search.vehicle import Vehicle
+from xtdrone_coordination.search.candidates import Candidate, Evidence, nearest
+from xtdrone_coordination.search.coverage_map import CoverageMap
+from xtdrone_coordination.search.planning.coverage_path import Waypoint, length
+from xtdrone_coordination.search.planning.plans import Datum
+from xtdrone_coordination.search.planning.region import make_region
+from xtdrone_coordination.search.reallocation import cut, share_out
+from xtdrone_coordination.search.vehicle import AssignedMission
 
 REST = [
     Waypoint(0.0, 0.0, 0.0),
@@ -29,14 +29,14 @@ REST = [
 def test_parts_are_the_whole_path_and_even_out_the_loads() -> None:
     loads = {"a": 0.0, "b": 60.0, "c": 500.0}
     parts = share_out(REST, {"a": (0.0, 20.0), "b": (-5.0, 0.0), "c": (50.0, 0.0)}, loads)
-    assert list(parts) == ["b", "a"]  # b ends nearest to where the rest begins; c has enough to fly
+    assert list(parts) == ["b", "a"]  # b ends nearest to the start of the path; c has enough to fly
     assert {name: length(part) + loads[name] for name, part in parts.items()} == pytest.approx({"a": 140.0, "b": 140.0})
     assert parts["b"][0] == REST[0]
     assert parts["a"][-1] == REST[-1]
     assert parts["b"][-1] == parts["a"][0] == Waypoint(80.0, 0.0, 0.0)
 
 
-def test_one_taker_gets_all() -> None:
+def test_a_single_vehicle_gets_the_whole_path() -> None:
     assert share_out(REST, {"a": (0.0, 0.0)}, {"a": 1e4}) == {"a": REST}
 
 
@@ -60,44 +60,44 @@ def test_evidence_adds_log_odds() -> None:
     assert (evidence.pictures, evidence.hits, evidence.mean) == (4, 3, pytest.approx(0.7))
 
 
-def test_a_candidate_is_where_his_velocity_has_brought_him() -> None:
+def test_the_position_of_a_candidate_is_extrapolated() -> None:
     walker = Candidate((10.0, 0.0), (1.0, 0.0), (1.0, 0.0, 0.0, 1.0), seen_at=5.0)
     assert walker.place(7.0) == (12.0, 0.0)
-    assert walker.place(60.0) == (13.0, 0.0)  # not believed for long
+    assert walker.place(60.0) == (13.0, 0.0)  # for 3 s at most
     assert nearest([walker], (14.0, 0.0), 7.0, 3.0) is walker
     assert nearest([walker], (16.0, 0.0), 7.0, 3.0) is None
 
 
-def test_what_is_nobody_does_not_walk() -> None:
-    """A camera that circles gives what stands a velocity; it is not to be taken for another a moment later."""
+def test_a_rejected_candidate_stands_still() -> None:
+    """A circling camera measures a velocity of standing objects, which must not split them into two candidates."""
     post = Candidate((10.0, 0.0), (2.5, 0.0), (1.0, 0.0, 0.0, 1.0), seen_at=20.0)
     assert nearest([post], (10.0, 0.0), 30.0, 6.0) is None
     post.status = "rejected"
     assert nearest([post], (10.0, 0.0), 30.0, 6.0) is post
 
 
-def test_covered_is_what_a_picture_straight_down_shows() -> None:
+def test_the_coverage_map_marks_the_ground_below_a_camera_pointing_down() -> None:
     camera = Pinhole(100, 100, 50.0, 50.0, 50.0, 50.0)  # 45 degrees to each side
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # columns: right, down, ahead
     region = make_region([(-20, -20), (20, -20), (20, 20), (-20, 20)])
-    covered = Covered(region, camera, pixels=0.0, cell=0.2)
-    covered.see(np.array([0.0, 0.0, 10.0]), down)
-    head = 10.0 - 1.7  # heads show where the ground 10 / 8.3 farther out would
-    assert covered.area == pytest.approx((2.0 * head) ** 2, rel=0.02)
-    assert covered.fraction == pytest.approx(covered.area / 1600.0)
-    before = covered.area
-    covered.see(np.array([0.0, 0.0, 10.0]), down)
-    assert covered.area == before
+    coverage = CoverageMap(region, camera, pixels=0.0, cell=0.2)
+    coverage.add_picture(np.array([0.0, 0.0, 10.0]), down)
+    head = 10.0 - 1.7  # the head limits the area, not the foot
+    assert coverage.area == pytest.approx((2.0 * head) ** 2, rel=0.02)
+    assert coverage.fraction == pytest.approx(coverage.area / 1600.0)
+    before = coverage.area
+    coverage.add_picture(np.array([0.0, 0.0, 10.0]), down)
+    assert coverage.area == before
 
 
 def test_a_path_without_headings_looks_ahead() -> None:
     datum = Datum()
     places = [(10.0, 0.0), (10.0, 30.0), (-20.0, 30.0)]
     items = tuple(PlanItem(16, 3, (0.0, 0.0, 0.0, math.nan), *datum.place(*place), 15.0) for place in places)
-    vehicle = Vehicle("iris_0", 0, datum)
-    vehicle.take_mission(items)
-    ahead = [(math.cos(waypoint.heading), math.sin(waypoint.heading)) for _, waypoint in vehicle.path]
+    mission = AssignedMission(datum)
+    mission.load(items)
+    ahead = [(math.cos(waypoint.heading), math.sin(waypoint.heading)) for _, waypoint in mission.path]
     assert np.allclose(ahead, [(0.0, 1.0), (0.0, 1.0), (-1.0, 0.0)], atol=1e-6)
-    assert (vehicle.height, vehicle.lowest, vehicle.end) == (15.0, 15.0, 3)
-    vehicle.progress = (1, (10.0, 20.0))
-    assert [(round(w.x, 6), round(w.y, 6)) for w in vehicle.rest] == [(10.0, 20.0), (10.0, 30.0), (-20.0, 30.0)]
+    assert (mission.height, mission.lowest, mission.end) == (15.0, 15.0, 3)
+    mission.progress = (1, (10.0, 20.0))
+    assert [(round(w.x, 6), round(w.y, 6)) for w in mission.unseen_path] == [(10.0, 20.0), (10.0, 30.0), (-20.0, 30.0)]

@@ -1,4 +1,4 @@
-"""Values at past times: poses between the messages that told them."""
+"""Poses of the last seconds, interpolated between messages."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class History:
-    """Positions and attitudes of the last seconds, and what they were between.
+class PoseHistory:
+    """Poses or attitudes of the last seconds with interpolation.
 
-    An entry is an array of numbers whose last four are a unit quaternion, the others whatever moves evenly.
+    An entry is an array whose last four numbers are a unit quaternion; the others are interpolated linearly.
     """
 
     def __init__(self, seconds: float = 3.0, reach: float = 0.3) -> None:
@@ -22,7 +22,7 @@ class History:
 
         Args:
             seconds: how long entries are kept, s.
-            reach: so far from an entry, s, a time may lie that is not between two.
+            reach: greatest extrapolation, s.
         """
         self._keep_ns = round(seconds * 1e9)
         self._reach_ns = round(reach * 1e9)
@@ -30,12 +30,12 @@ class History:
         self._entries: deque[Array] = deque()
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all entries."""
         self._times.clear()
         self._entries.clear()
 
     def add(self, time_ns: int, entry: Array) -> None:
-        """Add an entry; one that is not later than the last is left out."""
+        """Add an entry; one that is not later than the last is ignored."""
         if self._times and time_ns <= self._times[-1]:
             return
         self._times.append(time_ns)
@@ -50,10 +50,10 @@ class History:
         return self._entries[-1] if self._entries else None
 
     def at(self, time_ns: int) -> Array | None:
-        """Return the entry of a time: between two, both in parts (the quaternion normalised), else the nearest.
+        """Return the entry at a time: interpolated between two entries (quaternion normalised), else the nearest.
 
         Returns:
-            None where the nearest is too far away.
+            None if the nearest entry is too far away.
         """
         after = bisect_left(self._times, time_ns)
         if 0 < after < len(self._times):
@@ -67,7 +67,7 @@ class History:
 
 
 def _between(early: Array, late: Array, part: float) -> Array:
-    # A quaternion and its negative are the same turn: take the nearer.
+    # A quaternion and its negative are the same rotation: use the nearer one.
     late = late.copy()
     if early[-4:] @ late[-4:] < 0.0:
         late[-4:] *= -1.0

@@ -1,16 +1,16 @@
-"""A vehicle's gimbal as a ROS node: it is held at an angle, and where the camera is and looks is told.
+"""Node that holds the gimbals of vehicles at an angle and publishes the poses of their cameras.
 
 For each vehicle ``T`` (as ``typhoon_h480_0``):
 
 ===================================  ===========================  ====================================================
 topic                                type                         meaning
 ===================================  ===========================  ====================================================
-/xtdrone/T/gimbal_cmd                geometry_msgs/Vector3        in: roll, pitch, yaw, degrees; pitch negative is down
-/T/mavros/local_position/pose        geometry_msgs/PoseStamped    in: where the vehicle is
-/T/mavros/mount_control/orientation  geometry_msgs/Quaternion     in: where the gimbal points
-/gazebo/link_states                  gazebo_msgs/LinkStates       in: with ``~source`` gazebo, in place of those two
-/T/mavros/mount_control/command      mavros_msgs/MountControl     out: each turn
-/xtdrone/T/cam_pose                  geometry_msgs/PoseStamped    out: the camera's link in map, x ahead, z up
+/xtdrone/T/gimbal_cmd                geometry_msgs/Vector3        in: roll, pitch, yaw, degrees; negative pitch is down
+/T/mavros/local_position/pose        geometry_msgs/PoseStamped    in
+/T/mavros/mount_control/orientation  geometry_msgs/Quaternion     in: gimbal attitude
+/gazebo/link_states                  gazebo_msgs/LinkStates       in: with ``~source`` gazebo, instead of those two
+/T/mavros/mount_control/command      mavros_msgs/MountControl     out: every step
+/xtdrone/T/cam_pose                  geometry_msgs/PoseStamped    out: camera link in map, x forward, z up
 ===================================  ===========================  ====================================================
 """
 
@@ -60,7 +60,7 @@ class GimbalOptions(Settings):
 
 
 class GimbalControl:
-    """The gimbal of one vehicle."""
+    """Gimbal of one vehicle."""
 
     def __init__(self, name: str, options: GimbalOptions) -> None:
         """Declare the topics of vehicle ``name``."""
@@ -76,9 +76,9 @@ class GimbalControl:
         if options.source == "vehicle":
             lockstep.Subscriber(f"/{name}/mavros/local_position/pose", PoseStamped, self._on_pose)
             lockstep.Subscriber(f"/{name}/mavros/mount_control/orientation", Quaternion, self._on_mount)
-        lockstep.add_reset_hook(self._begin_anew)
+        lockstep.add_reset_hook(self._restart)
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         self._angles = self._options.angles
         self._pose = self._mount = self._true = None
 
@@ -86,7 +86,7 @@ class GimbalControl:
 
     def _on_command(self, message: Vector3) -> None:
         angles = (message.x, message.y, message.z)
-        if all(abs(angle) <= _LARGEST_ANGLE for angle in angles):  # not so for what is no number
+        if all(abs(angle) <= _LARGEST_ANGLE for angle in angles):  # false for NaN
             self._angles = angles
         else:
             rospy.logwarn_throttle(
@@ -99,12 +99,12 @@ class GimbalControl:
     def _on_mount(self, message: Quaternion) -> None:
         self._mount = message
 
-    def see(self, states: LinkStates, index: dict[str, int]) -> None:
-        """Take the true pose of the camera's link.
+    def on_link_states(self, states: LinkStates, index: dict[str, int]) -> None:
+        """Store the true pose of the camera link.
 
         Args:
             states: of all links.
-            index: where each link stands in them.
+            index: of each link in ``states``, by name.
         """
         place = index.get(f"{self._name}::{self._options.link}")
         if place is not None:
@@ -112,20 +112,20 @@ class GimbalControl:
             self._true.header.stamp = rospy.Time.now()
             self._true.header.frame_id = "map"
 
-    # turns
+    # steps
 
     def step(self) -> None:
-        """Say where to look, and where the camera is; call it at 30 Hz."""
+        """Publish the gimbal command and the camera pose; call it at 30 Hz."""
         roll, pitch, yaw = self._angles
         command = MountControl(mode=MountControl.MAV_MOUNT_MODE_MAVLINK_TARGETING, roll=roll, pitch=pitch, yaw=yaw)
         command.header.stamp = rospy.Time.now()
         self._command.publish(command)
-        pose = self._true if self._options.source == "gazebo" else self._told()
+        pose = self._true if self._options.source == "gazebo" else self._estimated_pose()
         if pose is not None:
             self._cam_pose.publish(pose)
 
-    def _told(self) -> PoseStamped | None:
-        """Return the camera's pose of what the vehicle has told last, None before that."""
+    def _estimated_pose(self) -> PoseStamped | None:
+        """Return the camera pose from the last messages of the vehicle, None before the first."""
         if self._pose is None or self._mount is None:
             return None
         p, q, m = self._pose.pose.position, self._pose.pose.orientation, self._mount
@@ -141,15 +141,15 @@ class GimbalControl:
 
 
 class GimbalNode:
-    """The gimbals of one or many vehicles in one process."""
+    """Gimbals of one or several vehicles in one process."""
 
     def __init__(self, kind: str, ids: Sequence[int], options: GimbalOptions) -> None:
         """Declare the topics.
 
         Args:
             kind: vehicle type, as ``typhoon_h480``.
-            ids: the vehicles' numbers.
-            options: of all vehicles.
+            ids: numbers of the vehicles.
+            options: shared by the vehicles.
         """
         self._gimbals = [GimbalControl(f"{kind}_{index}", options) for index in ids]
         if options.source == "gazebo":
@@ -158,9 +158,9 @@ class GimbalNode:
     def _on_links(self, states: LinkStates) -> None:
         index = {name: i for i, name in enumerate(states.name)}
         for gimbal in self._gimbals:
-            gimbal.see(states, index)
+            gimbal.on_link_states(states, index)
 
     def step(self) -> None:
-        """Serve every vehicle; call it at 30 Hz."""
+        """Publish for every vehicle; call it at 30 Hz."""
         for gimbal in self._gimbals:
             gimbal.step()

@@ -1,4 +1,4 @@
-"""What of a region the cameras have truly shown, picture by picture, on a grid of places."""
+"""Coverage map: the part of a region that the cameras have shown, picture by picture, on a grid of places."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from shapely.geometry import Polygon
 
 from xtdrone_control.pinhole import Pinhole
 
-from .coverage import PERSON
+from .planning.coverage_path import PERSON
 
-_CELLS = 40_000  # at most; a wide region gets wider cells
+_MAX_CELLS = 40_000  # a larger region gets wider cells
 
 
-class Covered:
-    """The grid of places of a region, and which of them some picture has shown.
+class CoverageMap:
+    """Grid of places in a region, each marked once a picture shows it.
 
     Attributes:
         region_area: m^2.
@@ -24,18 +24,18 @@ class Covered:
     def __init__(
         self, region: Polygon, camera: Pinhole, *, ground: float = 0.0, pixels: float = 12.0, cell: float = 1.0
     ) -> None:
-        """Begin with nothing seen.
+        """Create the grid with no place seen.
 
         Args:
             region: m ENU.
-            camera: of all vehicles.
+            camera: intrinsics, the same for all vehicles.
             ground: height of the ground in the map frame, m.
             pixels: least height of a person in the picture, px.
-            cell: distance between places, m; wider where the region would have more than 40000.
+            cell: distance between places, m; increased if the grid would have more than 40000 places.
         """
         self.region_area = float(region.area)
         low_x, low_y, high_x, high_y = region.bounds
-        cell = max(cell, ((high_x - low_x) * (high_y - low_y) / _CELLS) ** 0.5)
+        cell = max(cell, ((high_x - low_x) * (high_y - low_y) / _MAX_CELLS) ** 0.5)
         x, y = np.meshgrid(
             np.arange(low_x + 0.5 * cell, high_x, cell), np.arange(low_y + 0.5 * cell, high_y, cell), indexing="ij"
         )
@@ -49,8 +49,8 @@ class Covered:
         self._pixels = pixels
         self._seen = np.zeros(len(places), bool)
 
-    def see(self, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
-        """Take a picture's view.
+    def add_picture(self, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+        """Mark the places that a picture shows.
 
         Args:
             position: (3,) of the camera, m, map.
@@ -62,12 +62,12 @@ class Covered:
 
     @property
     def fraction(self) -> float:
-        """The part of the region that was seen, 0 to 1."""
+        """Covered fraction of the region, 0 to 1."""
         return float(np.mean(self._seen))
 
     @property
     def area(self) -> float:
-        """The area that was seen, m^2."""
+        """Covered area, m^2."""
         return self.fraction * self.region_area
 
 
@@ -78,14 +78,17 @@ def shows(
     feet: NDArray[np.float64],
     pixels: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Return which places a picture shows, with a person there whole and at least so high.
+    """Return, for each place, whether a picture would show a person standing there whole and large enough.
 
     Args:
-        camera: its intrinsics.
+        camera: intrinsics.
         position: (3,) of the camera, m, map.
         rotation: (3, 3) from the optical frame to the map frame.
         feet: (n, 3) places on the ground, m, map.
-        pixels: least height of a person in the picture, px.
+        pixels: least height of the person in the picture, px.
+
+    Returns:
+        (n,) bool.
     """
     foot = camera.project((feet - position) @ rotation)
     head = camera.project((feet - position + np.array([0.0, 0.0, PERSON])) @ rotation)

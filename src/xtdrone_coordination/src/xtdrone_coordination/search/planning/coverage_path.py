@@ -1,10 +1,10 @@
-"""Paths along which a camera sees all of a piece of ground: parallel lanes, flown to and fro.
+"""Coverage paths: parallel lanes along which a camera sees all of a piece of ground.
 
-The camera looks ahead of the vehicle, so a lane begins before what is to be seen and ends before its far side. Lanes
-lie in the direction that takes the least time, turns included; the directions tried are those of the sides of the
-piece's hull, among which is that of its least width. A piece with holes or bays is flown either in lanes straight
-across them, or cell by cell, whichever is quicker (H. Choset, "Coverage of known spaces: the boustrophedon cellular
-decomposition", Autonomous Robots 9, 2000).
+The camera looks ahead of the vehicle, so a lane begins before the ground to be seen and ends before its far side. The
+lanes are laid in the fastest direction, turns included, of those along the sides of the piece's convex hull; one of
+these is across the piece's least width. A piece with holes or bays is flown either straight across them or cell by
+cell, whichever is faster (H. Choset, "Coverage of known spaces: the boustrophedon cellular decomposition", Autonomous
+Robots 9, 2000).
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from xtdrone_control.pinhole import Pinhole
-from xtdrone_control.settings import check_range
+from xtdrone_control.settings import Settings, check_range, setting
 
-PERSON = 1.7  # m, the height that a person counts with
+PERSON = 1.7  # m, height of a person
 _MOST_DIRECTIONS = 12
-_TURN = math.radians(30.0)  # a change of course from which on it is a turn
+_TURN = math.radians(30.0)  # a larger change of course is a turn
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """The ground on which a picture shows people well enough, seen from the point beneath the camera.
+    """Ground on which people are visible and large enough, relative to the point below the camera.
 
     Attributes:
         height: of the camera, m over the ground.
-        near, far: m ahead; the near one may be negative, behind.
-        half_near, half_far: half of its width there, m.
+        near, far: distance ahead, m; near may be negative, behind the camera.
+        half_near, half_far: half of the width there, m.
     """
 
     height: float
@@ -46,17 +46,17 @@ class Footprint:
     half_far: float
 
     def half_at(self, ahead: float) -> float:
-        """Return half of its width ``ahead`` m ahead."""
+        """Return half of the width ``ahead`` m ahead."""
         share = (ahead - self.near) / (self.far - self.near)
         return self.half_near + share * (self.half_far - self.half_near)
 
     def band(self, depth: float) -> tuple[float, float]:
-        """Return where its farthest ``depth`` m begin, and half of the width there: all of it has at least that."""
+        """Return the near edge of the farthest ``depth`` m, and half of the width there, the least of the band."""
         near = max(self.near, self.far - depth)
         return near, self.half_at(near)
 
     def outline(self, x: float, y: float, heading: float) -> NDArray[np.float64]:
-        """Return its corners, (4, 2) m, for a camera over (x, y) that looks to ``heading``, rad from east (ENU)."""
+        """Return the corners, (4, 2) m, for a camera over (x, y) with ``heading``, rad from east (ENU)."""
         corners = np.array(
             [
                 (self.near, -self.half_near),
@@ -72,18 +72,18 @@ class Footprint:
 def footprint(
     camera: Pinhole, height: float, pitch: float, *, pixels: float = 12.0, margin: float = 0.05, reach: float = 30.0
 ) -> Footprint:
-    """Return the ground on which a camera shows standing people whole and large enough.
+    """Return the ground on which a camera shows standing people completely and large enough.
 
     Args:
         camera: its intrinsics.
         height: m over the ground, 2 to 200.
         pitch: of the gimbal, deg, negative down, -90 to -5.
-        pixels: least height of a person in the picture, from foot to head, 1 to 1000.
-        margin: share of the picture's width and height at each edge that does not count, 0 to 0.4.
-        reach: how far ahead the ground counts, m, 1 to 1000.
+        pixels: least height of a person in the picture, from foot to head, px, 1 to 1000.
+        margin: fraction of the picture's width and height ignored at each edge, 0 to 0.4.
+        reach: the ground counts up to this far ahead, m, 1 to 1000.
 
     Raises:
-        ValueError: one is out of range, or a person is nowhere so large.
+        ValueError: a value is out of range, or a person is nowhere large enough.
     """
     check_range("height", height, 2.0, 200.0, "m")
     check_range("gimbal_pitch", pitch, -90.0, -5.0, "deg")
@@ -115,7 +115,7 @@ def footprint(
 def _row(
     camera: Pinhole, ahead: NDArray[np.float64], below: float, down: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the picture's row, px, and the depth, m, of points ``ahead`` and ``below`` the camera."""
+    """Return the picture rows, px, and depths, m, of points ``ahead`` of and ``below`` the camera, m."""
     depth = ahead * math.cos(down) + below * math.sin(down)
     lower = below * math.cos(down) - ahead * math.sin(down)
     return camera.fy * lower / np.where(depth > 0.0, depth, np.nan) + camera.cy, depth
@@ -123,11 +123,11 @@ def _row(
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A place to fly to.
+    """Waypoint of a path.
 
     Attributes:
         x, y: m, map frame, ENU.
-        heading: where the vehicle looks on the way there, rad from east (ENU).
+        heading: of the vehicle on the leg to the waypoint, rad from east (ENU).
     """
 
     x: float
@@ -136,51 +136,37 @@ class Waypoint:
 
 
 @dataclass(frozen=True)
-class CoverageOptions:
-    """How lanes are laid.
+class CoverageOptions(Settings):
+    """Spacing and cost of the lanes."""
 
-    Attributes:
-        overlap: share of the footprint's width that neighbouring lanes both see, 0 to 0.8.
-        depth: m along the lane, 1 to 100: for so long every place stays in the picture.
-        speed: m/s, 0.5 to 20.
-        turn_time: s that a turn costs, 0 to 60.
-    """
-
-    overlap: float = 0.2
-    depth: float = 10.0
-    speed: float = 5.0
-    turn_time: float = 3.0
-
-    def __post_init__(self) -> None:
-        """Check them.
-
-        Raises:
-            ValueError: one is out of range.
-        """
-        check_range("overlap", self.overlap, 0.0, 0.8)
-        check_range("depth", self.depth, 1.0, 100.0, "m")
-        check_range("speed", self.speed, 0.5, 20.0, "m/s")
-        check_range("turn_time", self.turn_time, 0.0, 60.0, "s")
+    overlap: float = setting(
+        0.2, low=0.0, high=0.8, text="fraction of the footprint's width seen from both neighbouring lanes"
+    )
+    depth: float = setting(
+        10.0, low=1.0, high=100.0, unit="m", text="every place stays in view for this distance along the lane"
+    )
+    speed: float = setting(5.0, low=0.5, high=20.0, unit="m/s", text="speed over ground")
+    turn_time: float = setting(3.0, low=0.0, high=60.0, unit="s", text="time lost in a turn")
 
 
 def cover(piece: Polygon, seen: Footprint, options: CoverageOptions, home: Point | None = None) -> list[Waypoint]:
-    """Return the quickest path found along which the camera sees all of a piece.
+    """Return the fastest path found along which the camera sees all of a piece.
 
     Args:
-        piece: polygon, holes allowed, m ENU. The path may lead over holes and beyond its edges.
+        piece: polygon, holes allowed, m ENU. The path may cross holes and the boundary.
         seen: the camera's footprint.
         options: see :class:`CoverageOptions`.
-        home: where the vehicle comes from and returns to; None: that does not count.
+        home: start and end of the flight; None: the flight to and from the path is ignored.
 
     Returns:
-        Waypoints, two a lane: its beginning, to which the vehicle flies looking along it already, and its end.
+        Two waypoints per lane, its start and its end, both with the heading of the lane.
     """
     paths = [path for angle in _angles(piece) for path in _paths(piece, angle, seen, options)]
     return min(paths, key=lambda path: _time(path, options, home))
 
 
 def length(path: Sequence[Waypoint], home: Point | None = None) -> float:
-    """Return a path's length, m, with the ways from and to ``home`` if it is given."""
+    """Return the length of a path, m, including the legs from and to ``home`` if given."""
     places = [(w.x, w.y) for w in path]
     if home is not None:
         places = [home, *places, home]
@@ -188,13 +174,13 @@ def length(path: Sequence[Waypoint], home: Point | None = None) -> float:
 
 
 def turns(path: Sequence[Waypoint]) -> int:
-    """Return how often a path changes its course by more than 30 degrees."""
+    """Return the number of course changes of more than 30 degrees."""
     courses = [math.atan2(b.y - a.y, b.x - a.x) for a, b in pairwise(path) if math.dist((a.x, a.y), (b.x, b.y)) > 0.1]
     return sum(abs(math.remainder(b - a, 2.0 * math.pi)) > _TURN for a, b in pairwise(courses))
 
 
 def sweep(path: Sequence[Waypoint], seen: Footprint, step: float = 1.0) -> shapely.Geometry:
-    """Return the ground that pictures taken every ``step`` m of a path show."""
+    """Return the ground shown by pictures taken every ``step`` m along a path."""
     outlines = []
     for a, b in pairwise(path):
         count = max(1, math.ceil(math.dist((a.x, a.y), (b.x, b.y)) / step))
@@ -209,7 +195,7 @@ def _time(path: Sequence[Waypoint], options: CoverageOptions, home: Point | None
 
 
 def _angles(piece: Polygon) -> list[float]:
-    """Return directions of lanes to try, rad: along the hull's sides, the one of least width first."""
+    """Return the lane directions to try, rad: along the sides of the hull, that across the least width first."""
     hull = shapely.get_coordinates(shapely.orient_polygons(piece.convex_hull))
     found: list[tuple[float, float]] = []
     for (x0, y0), (x1, y1) in pairwise(hull):
@@ -225,7 +211,7 @@ def _angles(piece: Polygon) -> list[float]:
 
 @dataclass(frozen=True)
 class _Strip:
-    """What of a piece one lane must show: its middle and from where to where, in the frame of the lanes."""
+    """Part of a piece seen from one lane: its centre line y, from x = low to high, in the frame of the lanes."""
 
     y: float
     low: float
@@ -236,7 +222,7 @@ _Cell = list[_Strip]
 
 
 def _paths(piece: Polygon, angle: float, seen: Footprint, options: CoverageOptions) -> Iterator[list[Waypoint]]:
-    """Yield the paths with lanes in one direction."""
+    """Yield the paths with lanes in direction ``angle``, rad."""
     c, s = math.cos(angle), math.sin(angle)
     turned = shapely.transform(piece, lambda xy: xy @ np.array([[c, -s], [s, c]]))
     rows = _rows(turned, seen, options)
@@ -257,12 +243,12 @@ def _paths(piece: Polygon, angle: float, seen: Footprint, options: CoverageOptio
 
 
 def _rows(piece: Polygon, seen: Footprint, options: CoverageOptions) -> list[list[_Strip]]:
-    """Return for each lane what it must show: one strip, or several with wide gaps between them."""
+    """Return the strips each lane must cover: one, or several with wide gaps between them."""
     _, half = seen.band(options.depth)
     low_x, low_y, high_x, high_y = piece.bounds
     width = 2.0 * half * (1.0 - options.overlap)
     count = max(1, math.ceil((high_y - low_y) / width - 1e-9))
-    reach = max(half, 0.5 * (high_y - low_y) / count)  # a lane shows more than its own share of the width
+    reach = max(half, 0.5 * (high_y - low_y) / count)  # a lane covers more than its spacing
     spacing = (high_y - low_y) / count
     rows = []
     for i in range(count):
@@ -284,7 +270,7 @@ def _rows(piece: Polygon, seen: Footprint, options: CoverageOptions) -> list[lis
 
 
 def _cells(rows: Sequence[Sequence[_Strip]]) -> list[_Cell]:
-    """Return strips of neighbouring lanes that lie side by side, until they split or meet."""
+    """Return the cells: strips of consecutive lanes that lie side by side, until they split or merge."""
     cells: list[_Cell] = []
     open_cells: list[_Cell] = []
     for row in rows:
@@ -306,11 +292,11 @@ def _beside(one: _Strip, other: _Strip) -> bool:
     return one.low < other.high and other.low < one.high
 
 
-_Lane = tuple[float, float, float]  # x of its beginning and end, y
+_Lane = tuple[float, float, float]  # x of its start and end, y
 
 
 def _tour(cells: Sequence[_Cell], first: int, variant: int, near: float, far: float) -> list[_Lane]:
-    """Return lanes that show all cells: each cell to and fro, from one to that which begins nearest to its end."""
+    """Return the lanes of all cells, visiting next the cell whose first lane starts nearest."""
     lanes = _lanes(cells[first], variant, near, far)
     left = [cell for i, cell in enumerate(cells) if i != first]
     while left:
@@ -323,7 +309,7 @@ def _tour(cells: Sequence[_Cell], first: int, variant: int, near: float, far: fl
 
 
 def _lanes(cell: _Cell, variant: int, near: float, far: float) -> list[_Lane]:
-    """Return a cell's lanes; ``variant`` says from which of its four corners."""
+    """Return the lanes of a cell, starting at one of its four corners, ``variant`` 0 to 3."""
     strips = cell if variant < 2 else cell[::-1]
     lanes = []
     for i, strip in enumerate(strips):

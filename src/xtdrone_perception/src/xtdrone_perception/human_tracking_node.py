@@ -1,16 +1,16 @@
-"""Following people as a ROS node: tracked people on the ground in, velocities and the gimbal's orientation out.
+"""Node that follows people: tracked people on the ground in, velocity and gimbal commands out.
 
 For each vehicle ``T`` (as ``typhoon_h480_0``):
 
 =====================================  ==========================  ==================================================
 topic                                  type                        meaning
 =====================================  ==========================  ==================================================
-/xtdrone/T/objects                     xtdrone_msgs/ObjectsOn..    in: what the detection node finds
+/xtdrone/T/objects                     xtdrone_msgs/ObjectsOn..    in: tracks of the detection node
 /T/mavros/local_position/pose          geometry_msgs/PoseStamped   in
-/xtdrone/T/follow                      std_msgs/Int32              in: id of the track to follow; -1: none any more
-/xtdrone/T/cmd_vel_flu                 geometry_msgs/Twist         out: while somebody is followed
-/xtdrone/T/cmd                         std_msgs/String             out: OFFBOARD at the beginning, HOVER at a loss
-/T/mavros/mount_control/command        mavros_msgs/MountControl    out: the gimbal, towards the person
+/xtdrone/T/follow                      std_msgs/Int32              in: id of the track to follow; -1: stop
+/xtdrone/T/cmd_vel_flu                 geometry_msgs/Twist         out: while following
+/xtdrone/T/cmd                         std_msgs/String             out: OFFBOARD at the start, HOVER after a loss
+/T/mavros/mount_control/command        mavros_msgs/MountControl    out: gimbal towards the person
 /xtdrone/T/follow_state                std_msgs/String             out, latched: idle, following, searching, lost
 =====================================  ==========================  ==================================================
 """
@@ -32,7 +32,7 @@ from xtdrone_control.settings import Settings, setting
 from .following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen, heading_of
 
 RATE = 30.0  # Hz
-_MOUNT_PERIOD = 0.2  # s between commands to the gimbal, each of which is a command of MAVLink's
+_MOUNT_PERIOD = 0.2  # s between gimbal commands, each of which is a MAVLink command
 _MOUNT_CHANGE = math.radians(0.5)
 
 
@@ -68,7 +68,7 @@ def read_options() -> TrackingOptions:
 
 
 class HumanTracking:
-    """Topics of one vehicle that follows."""
+    """Topics of one following vehicle."""
 
     def __init__(self, vehicle: str, options: TrackingOptions) -> None:
         """Declare the topics.
@@ -94,10 +94,10 @@ class HumanTracking:
         if not self._options.wait:
             self._following.follow(ANY)
         self._pose: tuple[tuple[float, float, float], float] | None = None
-        self._begun = False
-        self._stopped = Command()
+        self._offboard_sent = False
+        self._pending_stop = Command()
         self._pointed: tuple[float, tuple[float, float]] | None = None
-        self._said = ""
+        self._published_state = ""
 
     def _on_pose(self, message: PoseStamped) -> None:
         p, q = message.pose.position, message.pose.orientation
@@ -107,10 +107,10 @@ class HumanTracking:
         if message.data > 0:
             if message.data != self._following.target:
                 self._following.follow(message.data)
-                self._begun = False
+                self._offboard_sent = False
         elif message.data == -1:
-            self._stopped = self._following.stop()
-            self._begun = False
+            self._pending_stop = self._following.stop()
+            self._offboard_sent = False
         else:
             rospy.logwarn(f"/xtdrone/{self.name}/follow: {message.data} is not allowed, a track's id from 1, or -1")
 
@@ -131,24 +131,24 @@ class HumanTracking:
         )
 
     def step(self) -> None:
-        """Command the vehicle once; call it at 30 Hz."""
-        if self._stopped.order:
-            self._command.publish(String(self._stopped.order))
-            self._stopped = Command()
+        """Publish the commands of one step; call it at 30 Hz."""
+        if self._pending_stop.order:
+            self._command.publish(String(self._pending_stop.order))
+            self._pending_stop = Command()
         if self._pose is not None:
-            self._obey(self._following.update(rospy.get_time(), *self._pose))
-        if self._following.state != self._said:
-            if self._said:
+            self._execute(self._following.update(rospy.get_time(), *self._pose))
+        if self._following.state != self._published_state:
+            if self._published_state:
                 rospy.loginfo(f"{self.name}: {self._following.state}, track {self._following.target}")
-            self._said = self._following.state
-            self._state.publish(String(self._said))
+            self._published_state = self._following.state
+            self._state.publish(String(self._published_state))
 
-    def _obey(self, command: Command) -> None:
+    def _execute(self, command: Command) -> None:
         if command.order:
             self._command.publish(String(command.order))
         if command.velocity is not None:
-            if not self._begun and self._following.state == FOLLOWING:
-                self._begun = True
+            if not self._offboard_sent and self._following.state == FOLLOWING:
+                self._offboard_sent = True
                 if self._options.commands_offboard:
                     self._command.publish(String("OFFBOARD"))
             twist = Twist()
@@ -159,7 +159,7 @@ class HumanTracking:
             self._point(command.gimbal)
 
     def _point(self, gimbal: tuple[float, float]) -> None:
-        """Command the gimbal where it is to turn by more than a little."""
+        """Command the gimbal if the angles have changed noticeably."""
         now = rospy.get_time()
         if self._pointed is not None:
             then, last = self._pointed

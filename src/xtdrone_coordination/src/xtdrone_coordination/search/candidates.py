@@ -1,4 +1,4 @@
-"""What pictures say for and against a person at a place."""
+"""Candidates: places where pictures show a person, and the evidence for and against each."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
-from .coverage import Point
+from .planning.coverage_path import Point
 
-_SURE = 0.95  # what a detector's probability counts at most with: its errors do not come one by one
-_MISS = -1.5  # of a picture that shows the place and nobody there: about one in four shows a person and misses him
-AHEAD = 3.0  # s for which a velocity is believed
+_MAX_PROBABILITY = 0.95  # cap on a detector's probability: its errors are correlated from picture to picture
+_MISS = -1.5  # log-odds of a picture of the place without a detection: about one in four misses a person
+EXTRAPOLATION = 3.0  # s for which a velocity is extrapolated
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What a picture shows, as one entry of ObjectsOnGround.
+    """An object in a picture, one entry of ObjectsOnGround.
 
     Attributes:
-        id: of the track, the same as long as the camera keeps it.
+        id: of the track, constant as long as the camera keeps it.
         position: on the ground, m ENU.
         velocity: m/s ENU.
         covariance: of the position: xx, xy, yx, yy, m^2.
-        probability: the detector's; 0 where this picture did not show it.
+        probability: the detector's; 0 if this picture does not show the track.
     """
 
     id: int
@@ -34,13 +34,13 @@ class Sighting:
 
 @dataclass
 class Evidence:
-    """The second look at a place, picture by picture.
+    """Evidence that a person is at a place, accumulated over the pictures of a second look.
 
     Attributes:
-        log_odds: the sum of the pictures' logarithms of odds, 0 at the beginning.
-        pictures: that showed the place.
-        hits: that showed somebody there.
-        total: sum of their probabilities.
+        log_odds: sum over the pictures, 0 at the start.
+        pictures: number of pictures of the place.
+        hits: number of pictures that show a person there.
+        total: sum of the probabilities of the hits.
     """
 
     log_odds: float = 0.0
@@ -49,15 +49,15 @@ class Evidence:
     total: float = 0.0
 
     def hit(self, probability: float) -> None:
-        """Take a picture that shows somebody."""
-        p = min(max(probability, 1.0 - _SURE), _SURE)
+        """Add a picture that shows a person."""
+        p = min(max(probability, 1.0 - _MAX_PROBABILITY), _MAX_PROBABILITY)
         self.log_odds += math.log(p / (1.0 - p))
         self.pictures += 1
         self.hits += 1
         self.total += probability
 
     def miss(self) -> None:
-        """Take a picture that shows nobody."""
+        """Add a picture of the place that shows no person."""
         self.log_odds += _MISS
         self.pictures += 1
 
@@ -67,19 +67,19 @@ class Evidence:
         return self.total / self.pictures if self.pictures else 0.0
 
 
-@dataclass
+@dataclass(eq=False)
 class Candidate:
-    """Somebody who may be there.
+    """A possible person, compared by identity.
 
     Attributes:
-        position, velocity, covariance: of the newest picture that showed him.
-        seen_at: its time, s.
-        track: his id with each vehicle; of several tracks in one place the surest is he.
-        hits, total: pictures that showed him and their probabilities' sum, by vehicle.
+        position, velocity, covariance: of the newest picture.
+        seen_at: time of the newest picture, s.
+        track: the person's track id by vehicle; of several tracks at the place, the one with the greatest weight.
+        hits, total: number of pictures that show the person, and the sum of their probabilities, by vehicle.
         status: ``seen``, ``looked at``, ``rejected`` or ``confirmed``.
-        looked_by: vehicles that have had a second look.
-        found: whether a second look has ever confirmed him.
-        weight: sum of the probabilities of each track that was taken for him, by vehicle and id.
+        looked_by: vehicles that have taken a second look.
+        found: whether a second look has ever confirmed it.
+        weight: sum of the probabilities of each track merged into it, by vehicle and track id.
     """
 
     position: Point
@@ -95,44 +95,49 @@ class Candidate:
     weight: dict[tuple[str, int], float] = field(default_factory=dict)
 
     def see(self, vehicle: str, time: float, sighting: Sighting, tracked: Collection[int] = ()) -> None:
-        """Take a picture of a vehicle that shows him.
+        """Merge a sighting into the candidate.
 
         Args:
-            vehicle: its name.
+            vehicle: name of the vehicle that took the picture.
             time: of the exposure, s.
-            sighting: what is taken for him.
-            tracked: all tracks that the vehicle's camera has.
+            sighting: the sighting.
+            tracked: ids of all tracks of the vehicle's camera.
         """
         self.hits[vehicle] = self.hits.get(vehicle, 0) + 1
         self.total[vehicle] = self.total.get(vehicle, 0.0) + sighting.probability
-        mine = vehicle, sighting.id
-        self.weight[mine] = self.weight.get(mine, 0.0) + sighting.probability
+        this = vehicle, sighting.id
+        self.weight[this] = self.weight.get(this, 0.0) + sighting.probability
         known = self.track.get(vehicle, sighting.id)
-        if known in tracked and self.weight[vehicle, known] > self.weight[mine]:
-            return  # something beside him
+        if known in tracked and self.weight[vehicle, known] > self.weight[this]:
+            return  # another object beside the person
         self.position, self.velocity, self.covariance = sighting.position, sighting.velocity, sighting.covariance
         self.seen_at = time
         self.track[vehicle] = sighting.id
 
     def place(self, time: float) -> Point:
-        """Return where he is at a time, if he goes on as he was seen; what is nobody stands."""
+        """Return the extrapolated position at a time, m ENU; a rejected candidate is taken to stand still."""
         if self.status == "rejected":
             return self.position
-        ahead = min(max(time - self.seen_at, 0.0), AHEAD)
+        ahead = min(max(time - self.seen_at, 0.0), EXTRAPOLATION)
         return self.position[0] + ahead * self.velocity[0], self.position[1] + ahead * self.velocity[1]
 
     def mean(self, vehicle: str) -> float:
-        """Return the mean probability of the pictures of a vehicle that showed him."""
+        """Return the mean probability of a vehicle's pictures of the candidate."""
         return self.total.get(vehicle, 0.0) / max(self.hits.get(vehicle, 0), 1)
 
     @property
+    def pictures(self) -> int:
+        """Number of pictures of all vehicles that show it."""
+        return sum(self.hits.values())
+
+    @property
     def probability(self) -> float:
-        """Mean probability of all pictures that showed him."""
-        return sum(self.total.values()) / max(sum(self.hits.values()), 1)
+        """Mean probability over all pictures that show it."""
+        return sum(self.total.values()) / max(self.pictures, 1)
 
 
 def nearest(candidates: Iterable[Candidate], place: Point, time: float, radius: float) -> Candidate | None:
-    """Return the candidate that is nearest to a place at a time, within ``radius`` m."""
+    """Return the candidate nearest to a place at a time, None if none is within ``radius`` m."""
     found = [(math.dist(candidate.place(time), place), i, candidate) for i, candidate in enumerate(candidates)]
     near = min(found, default=None, key=lambda entry: entry[:2])
     return near[2] if near is not None and near[0] <= radius else None

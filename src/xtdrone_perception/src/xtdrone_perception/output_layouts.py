@@ -1,16 +1,16 @@
-"""What the outputs of YOLO networks mean: arrays of a network in, boxes, classes and probabilities out.
+"""Output layouts of YOLO networks: arrays of a network in, boxes, classes and probabilities out.
 
 Four layouts, C classes and N candidates:
 
-- ``darknet``: darknet's region layers as OpenCV runs them, one or several arrays (N, 5 + C), a row: middle x, y, width,
-  height as parts of the input, whether there is anything, each class's probability (that already counts in). Of
-  yolov3, yolov3-tiny, yolov4, yolov4-tiny; ONNX exports of these that decode the same way.
-- ``yolov4``: a pair (1, N, 1, 4) and (1, N, C) as ONNX exports of yolov4 have: corners as parts of the input, each
-  class's probability.
-- ``yolov5``: (1, N, 5 + C), a row: middle x, y, width, height in pixels of the input, whether there is anything, each
-  class's probability if there is. Also yolov3 and yolov7 as that family exports them.
-- ``yolov8``: (1, 4 + C, N), a column: middle x, y, width, height in pixels of the input, each class's probability. Also
-  its successors without boxes of their own suppression (yolov9, yolo11).
+- ``darknet``: darknet's region layers as run by OpenCV, one or several arrays (N, 5 + C). Row: centre x, y, width,
+  height as fractions of the input, objectness, class probabilities (objectness included). yolov3, yolov3-tiny, yolov4,
+  yolov4-tiny, and ONNX exports of these with the same decoding.
+- ``yolov4``: a pair (1, N, 1, 4) and (1, N, C), as in ONNX exports of yolov4: corners as fractions of the input, and
+  class probabilities.
+- ``yolov5``: (1, N, 5 + C). Row: centre x, y, width, height in pixels of the input, objectness, conditional class
+  probabilities. Also yolov3 and yolov7 exported by the same tools.
+- ``yolov8``: (1, 4 + C, N). Column: centre x, y, width, height in pixels of the input, class probabilities. Also yolov9
+  and yolo11, exported without non-maximum suppression.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Shape = tuple[int, ...]
 
 
 class LayoutError(ValueError):
-    """A network whose outputs are of no layout that is known, or not for so many classes."""
+    """Outputs that match no known layout, or another number of classes."""
 
 
 def find_layout(shapes: Sequence[Shape], classes: int, darknet: bool) -> str:
-    """Return the layout that a network's outputs have.
+    """Return the layout of a network's outputs.
 
     Args:
         shapes: of all outputs.
@@ -39,7 +39,7 @@ def find_layout(shapes: Sequence[Shape], classes: int, darknet: bool) -> str:
         darknet: whether the network was read from darknet's files.
 
     Raises:
-        LayoutError: none fits; the text says what was expected.
+        LayoutError: no layout matches; the message names those expected.
     """
     candidates = ("darknet",) if darknet else ("yolov5", "yolov8", "yolov4", "darknet")
     fitting = [layout for layout in candidates if fits(layout, shapes, classes)]
@@ -52,10 +52,10 @@ def find_layout(shapes: Sequence[Shape], classes: int, darknet: bool) -> str:
 
 
 def check_layout(layout: str, shapes: Sequence[Shape], classes: int) -> None:
-    """Check that outputs of these shapes can be read.
+    """Check that outputs of these shapes match a layout.
 
     Raises:
-        LayoutError: they cannot.
+        LayoutError: they do not.
     """
     if not fits(layout, shapes, classes):
         raise LayoutError(
@@ -65,7 +65,7 @@ def check_layout(layout: str, shapes: Sequence[Shape], classes: int) -> None:
 
 
 def fits(layout: str, shapes: Sequence[Shape], classes: int) -> bool:
-    """Return whether outputs of these shapes can be of a layout."""
+    """Return whether outputs of these shapes match a layout."""
     if layout == "darknet":
         return bool(shapes) and all(
             len(shape) >= 2 and shape[-1] == 5 + classes and _ones(shape[:-2]) for shape in shapes
@@ -90,13 +90,13 @@ def fits(layout: str, shapes: Sequence[Shape], classes: int) -> bool:
 def decode(
     layout: str, outputs: Sequence[Array], size: tuple[int, int], least: float
 ) -> tuple[Array, NDArray[np.int64], Array]:
-    """Return the candidates that are likely enough, before those that overlap are suppressed.
+    """Return the boxes of sufficient probability, before non-maximum suppression.
 
     Args:
         layout: one of LAYOUTS.
-        outputs: the network's, float.
+        outputs: of the network, float.
         size: (width, height) of the network's input, pixels.
-        least: probability, 0 to 1.
+        least: least probability, 0 to 1.
 
     Returns:
         corners (n, 4) xmin, ymin, xmax, ymax in pixels of the input; classes (n,); probabilities (n,).
@@ -122,7 +122,7 @@ def decode(
 
 
 def _likely(scores: Array, least: float) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return rows, their likeliest classes and the probabilities of these, of the rows that are likely enough."""
+    """Return the indices of the rows of sufficient probability, their most probable classes and the probabilities."""
     classes = np.argmax(scores, axis=1)
     probabilities = scores[np.arange(len(scores)), classes]
     chosen = np.flatnonzero(probabilities >= least)
@@ -130,9 +130,9 @@ def _likely(scores: Array, least: float) -> tuple[NDArray[np.int64], NDArray[np.
 
 
 def _boxes_first(pair: Sequence) -> tuple:
-    """Return the two outputs of ``yolov4``, or their shapes, the boxes first."""
+    """Return the two outputs of ``yolov4``, or their shapes, boxes first."""
     shapes = [entry if isinstance(entry, tuple) else entry.shape for entry in pair]
-    # With four classes both end in 4; the boxes have one axis more.
+    # With four classes both end in 4; the boxes have one more axis.
     second = shapes[1][-1] == 4 and (shapes[0][-1] != 4 or len(shapes[1]) > len(shapes[0]))
     return (pair[1], pair[0]) if second else (pair[0], pair[1])
 
@@ -146,7 +146,7 @@ def _text(shapes: Sequence[Shape]) -> str:
 
 
 def _guess(shapes: Sequence[Shape], classes: int, darknet: bool) -> str:
-    """Return how many classes a network seems to have, for a message; empty where that cannot be told."""
+    """Return the apparent number of classes of a network, for a message; empty if it cannot be determined."""
     if not shapes:
         return ""
     shape = shapes[0]

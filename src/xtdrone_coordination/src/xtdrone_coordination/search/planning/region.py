@@ -1,11 +1,11 @@
-"""A region for several vehicles: a polygon, with holes if there are any, cut into connected pieces of equal area.
+"""Division of a region, a polygon with or without holes, into connected pieces of equal area.
 
-The region is halved again and again: a straight cut in the direction that gives the shortest one, at the place that
-leaves whole multiples of a piece's area on both sides. Where straight cuts through the whole region would leave a side
-in parts, one part is cut off by itself. Where that fails too (combs, spirals, thin rings), a band that runs once around
-a tree of triangles of the region is cut into arcs: the pieces are then long and winding, yet connected and equal.
+The region is bisected recursively by the shortest straight cut that leaves a whole number of pieces on both sides. If
+every straight cut through the whole region leaves a disconnected side, a single part is cut off. If that fails too
+(combs, spirals, thin rings), a band around a spanning tree of the region's triangles is cut into arcs: these pieces are
+long and winding, but connected and of equal area.
 
-Areas are equal up to rounding. The same region and number give the same pieces.
+Areas are equal up to rounding. The result is deterministic.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from shapely.validation import explain_validity
 from xtdrone_control import bounded_file
 
 MAX_PIECES = 250
-_DIRECTIONS = 16  # of cuts, besides those along the sides of the smallest rectangle
-_BALANCES = 4  # how many ways to share out the pieces are tried with straight cuts: half and half, and the next
-_LEVELS = 60  # places along a direction at which parts are looked for
-_CRUMB = 1e-9  # part of a piece's area: what is smaller comes from rounding
-_UNEQUAL = 1e-6  # part of a piece's area that a cut may miss
+_DIRECTIONS = 16  # of cuts, in addition to the sides of the smallest rectangle
+_BALANCES = 4  # ratios of pieces tried with straight cuts: the most balanced ones
+_LEVELS = 60  # positions along a direction at which parts are searched for
+_CRUMB = 1e-9  # fraction of a piece's area; smaller polygons are rounding errors
+_UNEQUAL = 1e-6  # tolerance of a cut, as a fraction of a piece's area
 
 
 class RegionError(ValueError):
-    """A region that cannot be searched, or not in so many pieces."""
+    """An invalid region, or one that cannot be divided into the requested number of pieces."""
 
 
 def make_region(corners: Sequence[Sequence[float]], holes: Sequence[Sequence[Sequence[float]]] = ()) -> Polygon:
-    """Return the polygon.
+    """Return the polygon of a region.
 
     Args:
-        corners: (x, y) each, at least 3, in either order; map frame, ENU, m. The last is joined to the first.
-        holes: corners of areas inside that are no part of it.
+        corners: (x, y) each, at least 3, in either order; map frame, ENU, m. The polygon is closed automatically.
+        holes: corners of the areas inside to be left out.
 
     Raises:
-        RegionError: too few corners, none-finite ones, a boundary that crosses itself, a hole that is not inside, holes
-            that overlap, or no area.
+        RegionError: too few or non-finite corners, a self-intersecting boundary, a hole outside, overlapping holes, or
+            no area.
     """
     shell = _ring("region", corners)
     rings = [_ring(f"holes[{i}]", hole) for i, hole in enumerate(holes)]
@@ -72,7 +72,7 @@ def parse_region(data: Any) -> Polygon:
     """Return the polygon that a mapping ``{region: [[x, y], ...], holes: [[[x, y], ...], ...]}`` describes.
 
     Raises:
-        RegionError: it is no such mapping, or see :func:`make_region`.
+        RegionError: the mapping is malformed, or see :func:`make_region`.
     """
     if not isinstance(data, Mapping) or "region" not in data:
         raise RegionError("region: a mapping with the key region, and holes if there are any, is needed")
@@ -86,7 +86,7 @@ def read_region(path: str | Path) -> Polygon:
     """Return the polygon in a YAML file, see :func:`parse_region`.
 
     Raises:
-        RegionError: the file cannot be read, or what it holds is no region; the message names the file.
+        RegionError: the file cannot be read or holds no valid region; the message names the file.
     """
     try:
         return parse_region(bounded_file.load_yaml(bounded_file.read_text(path)))
@@ -95,26 +95,26 @@ def read_region(path: str | Path) -> Polygon:
 
 
 def region_data(region: Polygon) -> dict[str, Any]:
-    """Return the mapping that :func:`parse_region` takes."""
+    """Return the mapping of a region, as :func:`parse_region` reads it."""
     rings = [[[float(x), float(y)] for x, y in ring.coords[:-1]] for ring in (region.exterior, *region.interiors)]
     return {"region": rings[0], "holes": rings[1:]}
 
 
 def divide(region: Polygon, count: int) -> list[Polygon]:
-    """Return ``count`` connected pieces of equal area that together are the region.
+    """Divide a region into ``count`` connected pieces of equal area.
 
     Args:
         region: see :func:`make_region`.
         count: 1 to 250.
 
     Raises:
-        RegionError: ``count`` is not allowed, or the region is none.
+        RegionError: ``count`` is out of range, or the region is invalid.
     """
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MAX_PIECES:
         raise RegionError(f"pieces: {count!r} is not allowed, 1 to {MAX_PIECES}")
     if not isinstance(region, Polygon) or not region.is_valid or not region.area > 0.0:
         raise RegionError("region: it is no polygon with an area; a valid one is needed")
-    # near the origin and with sides of about 1, rounding is the same for every region
+    # normalise position and scale, so that rounding is the same for every region
     low = np.array(region.bounds[:2])
     scale = math.sqrt(region.area)
     here = shapely.transform(shapely.orient_polygons(region), lambda xy: (xy - low) / scale)
@@ -123,7 +123,7 @@ def divide(region: Polygon, count: int) -> list[Polygon]:
 
 
 def _sound(piece: Polygon) -> Polygon:
-    """Return a piece without what rounding has made of corners that all but coincide."""
+    """Return a valid piece, without the artefacts of nearly coincident corners."""
     if piece.is_valid:
         return piece
     return max(_parts(shapely.make_valid(piece), 0.0), key=lambda part: part.area)
@@ -141,11 +141,11 @@ def _ring(name: str, corners: Any) -> list[tuple[float, float]]:
     return ring
 
 
-# cutting
+# straight cuts
 
 
 def _split(polygon: Polygon, count: int) -> list[Polygon]:
-    """Return pieces of equal area: straight cuts as long as they leave connected sides."""
+    """Return pieces of equal area, by straight cuts as long as these leave connected sides."""
     if count == 1:
         return [polygon]
     area = polygon.area / count
@@ -159,7 +159,7 @@ def _split(polygon: Polygon, count: int) -> list[Polygon]:
     return _split(left, part) + _split(right, count - part)
 
 
-_Cut = tuple[float, Polygon, Polygon, int]  # its length, both sides, pieces on the first side
+_Cut = tuple[float, Polygon, Polygon, int]  # length, both sides, number of pieces on the first side
 
 
 def _length(cut: _Cut) -> float:
@@ -167,7 +167,7 @@ def _length(cut: _Cut) -> float:
 
 
 def _straight_cuts(polygon: Polygon, area: float, part: int) -> Iterator[_Cut]:
-    """Yield the cuts that leave ``part`` times ``area`` on one side, both sides connected."""
+    """Yield the cuts with ``part`` times ``area`` on the first side and both sides connected."""
     for direction in _directions(polygon):
         place = _sweep(polygon, direction, part * area)
         if place is None:
@@ -179,13 +179,13 @@ def _straight_cuts(polygon: Polygon, area: float, part: int) -> Iterator[_Cut]:
 
 
 def _partial_cuts(polygon: Polygon, area: float, count: int) -> Iterator[_Cut]:
-    """Yield the shortest cut that takes off one part of what lies on one side of a line, for each direction."""
+    """Yield, for each direction, the shortest cut that takes a single part off one side of a line."""
     for direction in (sign * d for d in _directions(polygon)[:: _DIRECTIONS // 4] for sign in (1.0, -1.0)):
         levels = np.unique(shapely.get_coordinates(polygon) @ direction)
         levels = levels[:: 1 + len(levels) // _LEVELS]
         cuts: list[_Cut] = []
         for before, level in pairwise(levels):
-            # just below a corner: what meets there is still apart
+            # just below a corner, where the parts that meet at it are still separate
             side = polygon.intersection(_half_plane(polygon, direction, level - 1e-6 * (level - before)))
             for body in _parts(side, area):
                 start = body.intersection(_half_plane(polygon, direction, before)).area
@@ -202,7 +202,7 @@ def _partial_cuts(polygon: Polygon, area: float, count: int) -> Iterator[_Cut]:
 
 
 def _cut(polygon: Polygon, one: Any, other: Any, area: float, part: int) -> _Cut | None:
-    """Return a cut if both sides are connected and have their areas."""
+    """Return the cut if both sides are connected and have the right areas, else None."""
     sides = [_parts(side, area) for side in (one, other)]
     if any(len(side) != 1 for side in sides):
         return None
@@ -215,13 +215,13 @@ def _cut(polygon: Polygon, one: Any, other: Any, area: float, part: int) -> _Cut
 
 
 def _parts(area: Any, piece: float) -> list[Polygon]:
-    """Return the polygons in the result of a cut, without the crumbs of rounding."""
+    """Return the polygons in the result of a cut, without rounding artefacts."""
     parts = shapely.get_parts(area)
     return [part for part in parts if isinstance(part, Polygon) and part.area > _CRUMB * piece]
 
 
 def _directions(polygon: Polygon) -> list[NDArray[np.float64]]:
-    """Return unit vectors at right angles to the cuts that are tried."""
+    """Return the unit normals of the cuts to try."""
     box = shapely.get_coordinates(shapely.minimum_rotated_rectangle(polygon))
     along = math.atan2(*(box[1] - box[0])[::-1]) if len(box) > 1 else 0.0
     angles = [along + i * math.pi / _DIRECTIONS for i in range(_DIRECTIONS)]
@@ -231,7 +231,7 @@ def _directions(polygon: Polygon) -> list[NDArray[np.float64]]:
 
 
 def _half_plane(polygon: Polygon, direction: NDArray[np.float64], place: float) -> Polygon:
-    """Return what of the plane lies before ``place`` along ``direction``, as far as the polygon reaches."""
+    """Return the half-plane below ``place`` along ``direction``, large enough to contain the polygon."""
     low_x, low_y, high_x, high_y = polygon.bounds
     reach = 2.0 * (math.hypot(high_x - low_x, high_y - low_y) + math.hypot(low_x, low_y) + abs(place))
     across = np.array([-direction[1], direction[0]])
@@ -241,10 +241,10 @@ def _half_plane(polygon: Polygon, direction: NDArray[np.float64], place: float) 
 
 
 def _sweep(polygon: Polygon, direction: NDArray[np.float64], area: float) -> float | None:
-    """Return how far along ``direction`` a line at right angles has ``area`` of the polygon behind it.
+    """Return the position of the line normal to ``direction`` with ``area`` of the polygon behind it, None if outside.
 
-    By Green's theorem that area is the integral of min(t, place) du along the boundary, where t runs along the
-    direction and u across. Between two corners it is a quadratic function of the place.
+    By Green's theorem this area is the integral of min(t, place) du along the boundary, with t along the direction and
+    u across. Between two corners it is a quadratic function of the place.
     """
     starts, ends = _edges(polygon)
     across = np.array([-direction[1], direction[0]])
@@ -276,7 +276,7 @@ def _sweep(polygon: Polygon, direction: NDArray[np.float64], area: float) -> flo
 
 
 def _edges(polygon: Polygon) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return starts and ends of all edges, the polygon on their left."""
+    """Return the start and end points of all edges, with the polygon on their left."""
     rings = [shapely.get_coordinates(ring) for ring in (polygon.exterior, *polygon.interiors)]
     starts, ends = [], []
     for i, ring in enumerate(rings):
@@ -287,17 +287,17 @@ def _edges(polygon: Polygon) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.concatenate(starts), np.concatenate(ends)
 
 
-# the band around a tree of triangles
+# band around a spanning tree of triangles
 
 _Point = tuple[float, float]
-_Wedge = tuple[_Point, _Point, _Point]  # hinge, start and end of the side that a cut through the hinge moves along
+_Wedge = tuple[_Point, _Point, _Point]  # hinge, start and end of the opposite side, which cuts move along
 
 
 def _arcs(polygon: Polygon, count: int) -> list[Polygon]:
-    """Return pieces of equal area as arcs of a band that runs once around a tree of triangles.
+    """Return pieces of equal area as arcs of a band that runs once around a spanning tree of triangles.
 
-    Every triangle is split at its centroid into a wedge for each side, and that of a side across which the band goes
-    over to the next triangle into two. Neighbours in the band share an edge, so every arc is connected.
+    Every triangle is split at its centroid into one wedge per side, and the wedge of a side that the tree crosses into
+    two. Consecutive wedges of the band share an edge, so every arc is connected.
     """
     wedges = _band(polygon)
     areas = np.array([_area(wedge) for wedge in wedges])
@@ -334,16 +334,16 @@ def _union(wedges: Sequence[_Wedge]) -> Polygon:
 
 
 def _band(polygon: Polygon) -> list[_Wedge]:
-    """Return the wedges in order of the way around the tree.
+    """Return the wedges in the order around the tree.
 
-    The way follows a triangle's sides, and crosses those that the tree crosses, at their first half; it comes back by
-    the second half, which is the first half seen from the other triangle.
+    The band follows a triangle's sides and crosses those that the tree crosses in their first half; it comes back
+    through the second half, which is the first half as seen from the other triangle.
     """
     triangles = [
         [(float(x), float(y)) for x, y in shapely.get_coordinates(body)[:3]]
         for body in shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
     ]
-    # all turn the same way: the largest shows which; those whose corners lie in a row could not
+    # all have the same orientation; take it from the largest, since degenerate triangles do not show it
     if not _turns_left(max(triangles, key=lambda t: _area((t[0], t[1], t[2])))):
         triangles = [t[::-1] for t in triangles]
     centres = [(sum(x for x, _ in t) / 3.0, sum(y for _, y in t) / 3.0) for t in triangles]
@@ -370,12 +370,12 @@ def _turns_left(t: Sequence[_Point]) -> bool:
 
 
 def _middle(p: _Point, q: _Point) -> _Point:
-    """Return the point half-way, the same to the bit from both sides."""
+    """Return the midpoint, bit-identical from both sides."""
     return (0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]))
 
 
 def _tree(triangles: Sequence[Sequence[_Point]], sides: Mapping[tuple[_Point, _Point], int]) -> set[frozenset[int]]:
-    """Return the neighbours that the band connects: breadth first, so that its arms are short."""
+    """Return the pairs of neighbours in a spanning tree; breadth first keeps its branches short."""
     tree: set[frozenset[int]] = set()
     seen, queue = {0}, [0]
     for k in queue:

@@ -1,4 +1,4 @@
-"""Detection as a ROS node: pictures of one or many vehicles in, boxes and places on the ground out.
+"""Detection node: pictures of one or several vehicles in, boxes and positions on the ground out.
 
 For each vehicle ``T`` (as ``typhoon_h480_0``) with the number ``i``:
 
@@ -6,19 +6,19 @@ For each vehicle ``T`` (as ``typhoon_h480_0``) with the number ``i``:
 topic                                    type                            meaning
 =======================================  ==============================  =============================================
 /T/cgo3_camera/image_raw, camera_info    sensor_msgs/Image, CameraInfo   in: rgb8 or bgr8
-/T/mavros/local_position/pose            geometry_msgs/PoseStamped       in: where the vehicle was at the exposure
-/T/mavros/mount_control/orientation      geometry_msgs/Quaternion        in: where the gimbal pointed
-/T/mavros/state                          mavros_msgs/State               in: a camera may be silent while disarmed
-/uav_<i>/darknet_ros/bounding_boxes      darknet_ros_msgs/BoundingBoxes  out: a message a picture, as darknet_ros
+/T/mavros/local_position/pose            geometry_msgs/PoseStamped       in: position at the exposure
+/T/mavros/mount_control/orientation      geometry_msgs/Quaternion        in: gimbal attitude
+/T/mavros/state                          mavros_msgs/State               in: no camera fault while disarmed
+/uav_<i>/darknet_ros/bounding_boxes      darknet_ros_msgs/BoundingBoxes  out: one per picture, as darknet_ros
 /uav_<i>/darknet_ros/found_object        darknet_ros_msgs/ObjectCount    out: number of boxes
 /uav_<i>/darknet_ros/detection_image     sensor_msgs/Image               out: with boxes; only while subscribed
 /xtdrone/T/objects                       xtdrone_msgs/ObjectsOnGround    out: tracked people on the ground, in map
-/xtdrone/T/camera_ok                     std_msgs/Bool                   out, latched: whether pictures come
+/xtdrone/T/camera_ok                     std_msgs/Bool                   out, latched: whether the camera works
 =======================================  ==============================  =============================================
 
-A picture's results are published a fixed simulated time (``~latency``) after its work began, whatever the work takes;
-flight goes on meanwhile. A vehicle has one picture in work; of those that come meanwhile the newest waits, the others
-are passed over and counted.
+The results of a picture are published a fixed simulated time (``~latency``) after processing began, whatever the
+processing takes; the flight continues meanwhile. One picture per vehicle is processed at a time; of those that arrive
+meanwhile the newest waits, the others are dropped and counted.
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.program import ArgumentError
 from xtdrone_control.settings import Settings, setting
 
+from .camera_watch import CameraWatch
 from .detector import Detection, Detector, DetectorError, DetectorSettings, load_settings, settings_file
 from .geolocation import Geolocator, Noise, Person, View
-from .history import History
-from .tracker import Find, Track, Tracker, TrackerSettings
-from .watch import CameraWatch
+from .pose_history import PoseHistory
+from .tracker import GroundDetection, Track, Tracker, TrackerSettings
 
-RATE = 50.0  # Hz; the gimbal's orientation has no stamp, so it is as exact as the node's turns
+RATE = 50.0  # Hz; the gimbal attitude has no stamp, so its time is as accurate as the node's period
 CAMERA_OFFSET = (0.041, 0.0, -0.122)  # of the typhoon's camera from base_link, m, FLU
-MARGIN = 8.0  # px; what should be nearer to the picture's edge may well be outside
+MARGIN = 8.0  # px; a person expected closer to the edge may be outside the picture
 _COLOUR = (255, 60, 60)
 
 
 @dataclass(frozen=True)
-class EyeOptions(Settings):
+class DetectionOptions(Settings):
     """Private parameters of the node, for all its vehicles.
 
     Attributes:
@@ -88,13 +88,13 @@ class GroundOptions(Settings):
 
 
 class Picture(NamedTuple):
-    """A picture that waits or is in work."""
+    """A picture to be processed."""
 
     message: Image
     rgb: NDArray[np.uint8]
 
 
-def read_options() -> EyeOptions:
+def read_options() -> DetectionOptions:
     """Read the private parameters of all but the network.
 
     Raises:
@@ -109,14 +109,14 @@ def read_options() -> EyeOptions:
         farthest=place.farthest,
     )
     tracker = TrackerSettings.from_mapping(get("~tracker", {}), rospy.resolve_name("~tracker"))
-    return EyeOptions.from_parameters(get, locator=locator, tracker=tracker)
+    return DetectionOptions.from_parameters(get, locator=locator, tracker=tracker)
 
 
 def read_detector() -> DetectorSettings:
-    """Return the settings of the network: the file that ``~detector`` names, and what private parameters replace.
+    """Read the detector settings: the file named by ``~detector``, with entries replaced by private parameters.
 
     Raises:
-        ArgumentError: the file or a value cannot be used.
+        ArgumentError: the file or a value is invalid.
     """
     name = str(rospy.get_param("~detector", "search"))
     path = settings_file(name)
@@ -132,20 +132,20 @@ def read_detector() -> DetectorSettings:
 
 
 class Detectors:
-    """Networks of the same file, one a worker, since a network runs one picture at a time."""
+    """One copy of the network per worker, since a network processes one picture at a time."""
 
     def __init__(self, settings: DetectorSettings, count: int) -> None:
-        """Read them.
+        """Load the networks.
 
         Raises:
-            DetectorError: they cannot be used.
+            DetectorError: the network cannot be loaded.
         """
         self._free: queue.SimpleQueue[Detector] = queue.SimpleQueue()
         for _ in range(count):
             self._free.put(Detector(settings))
 
     def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
-        """Return a picture's objects; for any thread."""
+        """Return the objects in a picture; thread-safe."""
         detector = self._free.get()
         try:
             return detector.detect(rgb)
@@ -153,23 +153,23 @@ class Detectors:
             self._free.put(detector)
 
 
-class VehicleEyes:
-    """Topics, tracks and the camera's state of one vehicle."""
+class VehicleDetection:
+    """Topics, tracks and camera state of one vehicle."""
 
-    def __init__(self, kind: str, index: int, options: EyeOptions) -> None:
+    def __init__(self, kind: str, index: int, options: DetectionOptions) -> None:
         """Declare the topics.
 
         Args:
             kind: vehicle type, as ``typhoon_h480``.
-            index: the vehicle's number.
+            index: number of the vehicle.
             options: of the node.
         """
         self.name = f"{kind}_{index}"
         self._options = options
         self._pinhole: Pinhole | None = None
-        self._poses, self._mounts = History(), History()
+        self._poses, self._mounts = PoseHistory(), PoseHistory()
         self._armed = False
-        self._begin_anew()
+        self._clear_state()
         darknet = f"/uav_{index}/darknet_ros"
         self._boxes = lockstep.Publisher(f"{darknet}/bounding_boxes", BoundingBoxes)
         self._count = lockstep.Publisher(f"{darknet}/found_object", ObjectCount)
@@ -184,10 +184,10 @@ class VehicleEyes:
         lockstep.Subscriber(f"{camera}/image_raw", Image, self._on_image, queue_size=2, buff_size=2**24)
         lockstep.add_reset_hook(self._restart)
 
-    def _begin_anew(self) -> None:
+    def _clear_state(self) -> None:
         self._tracker = Tracker(self._options.tracker)
         self._watch = CameraWatch()
-        self._said_ok: bool | None = None
+        self._published_ok: bool | None = None
         self._waiting: Picture | None = None
         self._working = False
         self._dropped = 0
@@ -196,7 +196,7 @@ class VehicleEyes:
         self._poses.clear()
         self._mounts.clear()
         self._armed = False
-        self._begin_anew()
+        self._clear_state()
 
     # messages
 
@@ -206,12 +206,12 @@ class VehicleEyes:
     def _on_pose(self, message: PoseStamped) -> None:
         p, q = message.pose.position, message.pose.orientation
         entry = np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-        if _usable(entry):
+        if _is_valid(entry):
             self._poses.add(message.header.stamp.to_nsec(), entry)
 
     def _on_mount(self, message: Quaternion) -> None:
         entry = np.array([message.x, message.y, message.z, message.w])
-        if _usable(entry):
+        if _is_valid(entry):
             self._mounts.add(rospy.Time.now().to_nsec(), entry)
 
     def _on_info(self, message: CameraInfo) -> None:
@@ -219,47 +219,47 @@ class VehicleEyes:
         if fx > 0.0 and fy > 0.0 and message.width and message.height:
             self._pinhole = Pinhole(message.width, message.height, fx, fy, cx, cy)
         else:
-            rospy.logwarn_throttle(10.0, f"{self.name}: camera_info without focal lengths or size is ignored")
+            rospy.logwarn_throttle(10.0, f"{self.name}: ignored camera_info without focal lengths or size")
 
     def _on_image(self, message: Image) -> None:
         try:
             rgb = picture_of(message)
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self.name}: a picture is ignored: {error}")
+            rospy.logwarn_throttle(10.0, f"{self.name}: ignored a picture: {error}")
             return
         last = self._poses.last
         place = None if last is None else (float(last[0]), float(last[1]), float(last[2]))
         content = zlib.crc32(message.data)
-        self._watch.picture(rospy.get_time(), message.header.stamp.to_sec(), content, place if self._armed else None)
+        self._watch.on_picture(rospy.get_time(), message.header.stamp.to_sec(), content, place if self._armed else None)
         if self._waiting is not None:
             self._dropped += 1
         self._waiting = Picture(message, rgb)
 
-    # turns
+    # steps
 
     def take(self) -> Picture | None:
-        """Return the picture that is to be worked on now, None while there is none or one is in work."""
+        """Return the next picture to process, None if there is none or one is being processed."""
         if self._working or self._waiting is None:
             return None
         picture, self._waiting = self._waiting, None
         self._working = True
         return picture
 
-    def look(self) -> None:
-        """Say on ``camera_ok`` whether the camera works, when that has changed."""
-        self._watch.look(rospy.get_time(), self._armed)
+    def publish_camera_state(self) -> None:
+        """Publish on ``camera_ok`` whether the camera works, when this has changed."""
+        self._watch.update(rospy.get_time(), self._armed)
         ok = not self._watch.fault
-        if ok == self._said_ok or not (self._watch.fault or self._watch.seen):
+        if ok == self._published_ok or not (self._watch.fault or self._watch.seen):
             return
         if not ok:
             rospy.logwarn(f"{self.name}: the camera has failed: {self._watch.fault}")
-        elif self._said_ok is False:
+        elif self._published_ok is False:
             rospy.loginfo(f"{self.name}: the camera works again")
-        self._said_ok = ok
+        self._published_ok = ok
         self._ok.publish(Bool(ok))
 
     def finish(self, picture: Picture, detections: Sequence[Detection]) -> None:
-        """Publish what a picture shows."""
+        """Publish the results of a picture."""
         self._working = False
         header = picture.message.header
         boxes = BoundingBoxes(image_header=header)
@@ -272,29 +272,29 @@ class VehicleEyes:
         self._count.publish(count)
         if self._image.get_num_connections():
             self._image.publish(drawn(picture, detections))
-        self._place(header.stamp, detections)
+        self._publish_tracks(header.stamp, detections)
 
-    def _place(self, stamp: Any, detections: Sequence[Detection]) -> None:
-        """Publish the tracks after a picture, if it is known where the camera was."""
+    def _publish_tracks(self, stamp: Any, detections: Sequence[Detection]) -> None:
+        """Update and publish the tracks, if the camera pose at the exposure is known."""
         camera = self._camera_at(stamp.to_nsec())
         if camera is None or self._pinhole is None:
             rospy.logwarn_throttle(
-                10.0, f"{self.name}: no places on the ground: pose, mount orientation or camera_info is missing"
+                10.0, f"{self.name}: no positions on the ground: pose, mount orientation or camera_info is missing"
             )
             return
         view = View.of(self._pinhole, camera.position, camera.orientation)
-        finds = []
+        located = []
         for entry in detections:
             if entry.name not in self._options.persons:
                 continue
             box = (entry.xmin, entry.ymin, entry.xmax, entry.ymax)
             point = self._options.locator.locate(view, box)
             if point is not None:
-                finds.append(Find(point, entry.name, entry.probability, box))
+                located.append(GroundDetection(point, entry.name, entry.probability, box))
         try:
-            tracks = self._tracker.update(stamp.to_sec(), finds, lambda place: in_view(view, place, self._options))
+            tracks = self._tracker.update(stamp.to_sec(), located, lambda place: in_view(view, place, self._options))
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, f"{self.name}: a picture's places are left out: {error}")
+            rospy.logwarn_throttle(10.0, f"{self.name}: ignored the positions of a picture: {error}")
             return
         message = ObjectsOnGround(vehicle=self.name, dropped=self._dropped)
         message.header.stamp, message.header.frame_id = stamp, "map"
@@ -303,7 +303,7 @@ class VehicleEyes:
         self._objects.publish(message)
 
     def _camera_at(self, time_ns: int) -> CameraPose | None:
-        """Return the pose of the optical frame at a time, None where it is not known."""
+        """Return the pose of the optical frame at a time, None if unknown."""
         pose, mount = self._poses.at(time_ns), self._mounts.at(time_ns)
         if pose is None or mount is None:
             return None
@@ -315,19 +315,19 @@ class VehicleEyes:
 
 
 class YoloNode:
-    """Detection of one or many vehicles in one process."""
+    """Detection for one or several vehicles in one process."""
 
-    def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: EyeOptions) -> None:
-        """Read the networks and declare the topics.
+    def __init__(self, kind: str, ids: Sequence[int], detector: DetectorSettings, options: DetectionOptions) -> None:
+        """Load the networks and declare the topics.
 
         Args:
             kind: vehicle type, as ``typhoon_h480``.
-            ids: the vehicles' numbers.
-            detector: the network.
-            options: of all vehicles.
+            ids: numbers of the vehicles.
+            detector: settings of the network.
+            options: shared by the vehicles.
 
         Raises:
-            ArgumentError: the network cannot be used.
+            ArgumentError: the network cannot be loaded.
         """
         try:
             self._detectors = Detectors(detector, options.workers)
@@ -335,11 +335,11 @@ class YoloNode:
             raise ArgumentError(f"parameter ~detector: {error}") from error
         self._latency_us = round(options.latency * 1e6)
         self._work = Deferred(options.workers, wait=lockstep.is_active())
-        self._vehicles = [VehicleEyes(kind, index, options) for index in ids]
+        self._vehicles = [VehicleDetection(kind, index, options) for index in ids]
         lockstep.add_reset_hook(self._work.clear)
 
     def step(self) -> None:
-        """Publish what is due, and begin with what waits; call it at 50 Hz."""
+        """Publish the results that are due and start processing waiting pictures; call it at 50 Hz."""
         now_us = rospy.Time.now().to_nsec() // 1000
         for (vehicle, picture), detections in self._work.ready(now_us):
             vehicle.finish(picture, detections)
@@ -348,18 +348,18 @@ class YoloNode:
             if picture is not None:
                 due_us = now_us + self._latency_us
                 self._work.put((vehicle, picture), due_us, self._detectors.detect, picture.rgb)
-            vehicle.look()
+            vehicle.publish_camera_state()
 
     def close(self) -> None:
-        """End the workers."""
+        """Stop the workers."""
         self._work.close()
 
 
 def picture_of(message: Image) -> NDArray[np.uint8]:
-    """Return a message's picture, (height, width, 3) red, green, blue.
+    """Return the picture in a message, (height, width, 3) red, green, blue.
 
     Raises:
-        ValueError: its encoding is not known, or it has not as many bytes as it says.
+        ValueError: unknown encoding, or a size that does not match the data.
     """
     if message.encoding not in ("rgb8", "bgr8"):
         raise ValueError(f"encoding: {message.encoding!r} is not allowed, rgb8 or bgr8")
@@ -372,7 +372,7 @@ def picture_of(message: Image) -> NDArray[np.uint8]:
 
 
 def box_message(entry: Detection) -> BoundingBox:
-    """Return a detection as darknet_ros has it."""
+    """Return a detection as a message of darknet_ros."""
     return BoundingBox(
         probability=entry.probability,
         xmin=round(entry.xmin),
@@ -400,8 +400,8 @@ def object_message(track: Track) -> ObjectOnGround:
     )
 
 
-def in_view(view: View, place: NDArray[np.float64], options: EyeOptions) -> bool:
-    """Return whether a picture should show a person who stands at a place (2,), m."""
+def in_view(view: View, place: NDArray[np.float64], options: DetectionOptions) -> bool:
+    """Return whether a picture should show a person standing at a place (2,), m."""
     foot = options.locator.foot(place)
     middle = foot + np.array([0.0, 0.0, 0.5 * options.locator.person.height])
     x, y = view.pinhole.project(((middle - view.position) @ view.rotation)[None])[0]
@@ -409,7 +409,7 @@ def in_view(view: View, place: NDArray[np.float64], options: EyeOptions) -> bool
 
 
 def drawn(picture: Picture, detections: Sequence[Detection]) -> Image:
-    """Return a picture with boxes, as rgb8."""
+    """Return a picture with boxes drawn, as rgb8."""
     rgb = picture.rgb.copy()
     for entry in detections:
         corners = (round(entry.xmin), round(entry.ymin)), (round(entry.xmax), round(entry.ymax))
@@ -423,6 +423,6 @@ def drawn(picture: Picture, detections: Sequence[Detection]) -> Image:
     return message
 
 
-def _usable(entry: NDArray[np.float64]) -> bool:
-    """Return whether an entry is finite and ends in a unit quaternion."""
+def _is_valid(entry: NDArray[np.float64]) -> bool:
+    """Return whether all values are finite and the last four are a unit quaternion."""
     return bool(np.isfinite(entry).all() and abs(entry[-4:] @ entry[-4:] - 1.0) < 0.01)
