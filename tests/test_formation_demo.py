@@ -23,7 +23,7 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_coordination.laws.topology import veteran_topology
 from xtdrone_coordination.patterns import with_leader
 from xtdrone_interaction.options import OptionError, check_vehicle_ports
-from xtdrone_interaction.record import FlightRecord, read_record
+from xtdrone_interaction.recording.formation import FormationRecord, read_formation
 
 FLEET = "iris:6"
 FLIGHT_LIMIT = 600.0  # s of wall time
@@ -88,8 +88,8 @@ class Flight:
         return json.loads((self.folder / "report.json").read_text(encoding="utf-8"))
 
     @property
-    def record(self) -> FlightRecord:
-        return read_record(self.folder / "flight.bag")
+    def record(self) -> FormationRecord:
+        return read_formation(self.folder / "flight.bag")
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +164,7 @@ def test_a_stopped_flight_leaves_nothing_running(tmp_path: Path, number: int) ->
     else:
         assert status == 128 + number
     assert _processes_with(str(out)) == []
-    record = read_record(out / "flight.bag")
+    record = read_formation(out / "flight.bag")
     assert record.track.time[-1] > 0.0
     check_vehicle_ports(parse_fleet(FLEET))  # free again
 

@@ -13,7 +13,7 @@ pytest.importorskip("rospy")
 
 from std_msgs.msg import String
 
-from xtdrone_interaction.analysis.ros1bag import BagFile
+from xtdrone_interaction.bags.ros1bag import BagFile
 
 WRITTEN = 10_000  # bytes of a bag that has more than its header
 

@@ -21,9 +21,9 @@ from xtdrone_perception.tracker import TrackerSettings
 from xtdrone_perception.yolo_node import DetectionOptions, GroundOptions
 from xtdrone_sim.cameras.camera_node import CameraSettings
 from xtdrone_sim.runtime.full_simulation import FullSettings
+from xtdrone_sim.runtime.simulator_node import NodeSettings
 from xtdrone_sim.topics.robot_tf import TfSettings
 from xtdrone_swarm.simplified.node import SimplifiedSettings
-from xtdrone_sim.runtime.simulator_node import NodeSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 CLASSES: dict[str, type[Settings]] = {

@@ -110,8 +110,8 @@ def measure(megabytes: int, folder: Path) -> dict[str, Any]:
     """
     from rich.console import Console
 
-    from xtdrone_interaction.analysis.command import analyse
-    from xtdrone_interaction.analysis.flight import read_flight
+    from xtdrone_interaction.recording.bag import read_bag
+    from xtdrone_interaction.report.analyse import analyse
 
     bag = folder / "made.bag"
     small = folder / "small.bag"
@@ -120,10 +120,10 @@ def measure(megabytes: int, folder: Path) -> dict[str, Any]:
         with bag.open("wb") as file:
             for chunk in chunks(megabytes * 1_000_000):
                 file.write(chunk)
-        read_flight(small)  # compiles the kernels
+        read_bag([small])  # compiles the kernels
         size = bag.stat().st_size
         began, worked = time.perf_counter(), time.process_time()
-        flight = read_flight(bag)
+        flight = read_bag([bag])
         seconds, cpu = time.perf_counter() - began, time.process_time() - worked
         memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         began = time.perf_counter()

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from benchmarks.programs import analysis, detector, drawing, program, simplified
-from xtdrone_interaction.analysis.flight import read_flight
 from xtdrone_interaction.options import repository
+from xtdrone_interaction.recording.bag import read_bag
 
 sys.path.append(str(repository() / "src" / "xtdrone_perception" / "tests"))
 from tiny_networks import write_darknet
@@ -39,7 +39,7 @@ def test_the_detector_is_measured_at_the_size_asked_for(tmp_path: Path):
 
 def test_the_bag_of_the_analysis_holds_nine_vehicles_at_even_steps(tmp_path: Path) -> None:
     (tmp_path / "made.bag").write_bytes(b"".join(analysis.chunks(2_000_000)))
-    flight = read_flight(tmp_path / "made.bag")
+    flight = read_bag([tmp_path / "made.bag"])
     assert len(flight.vehicles) == 9
     assert flight.notes == ["the recorder did not end it: there is no index; it was read by its records"]
     place = flight.vehicles[8].position

@@ -29,9 +29,9 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
+from xtdrone_interaction.flight_events import read_events
 from xtdrone_interaction.options import OptionError, patterns_setting, seed_setting, vehicles_setting
 from xtdrone_interaction.processes import ProcessTree
-from xtdrone_interaction.record import read_events
 from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.scripted_launch import (
     NODE_PATIENCE,

@@ -18,9 +18,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from xtdrone_interaction.analysis.ros1bag import BagError, BagFile
-from xtdrone_interaction.analysis.source import Layouts, by_connection, large_batches, whole_messages
-from xtdrone_interaction.analysis.ulog import LogError, read_log
+from xtdrone_interaction.bags.ros1bag import BagError, BagFile
+from xtdrone_interaction.bags.sources import Layouts, by_connection, large_batches, whole_messages
+from xtdrone_interaction.recording.ulog import LogError, read_log
 
 _NICE = 10
 _KEPT = 3  # number of whole files kept of each kind
@@ -57,7 +57,7 @@ def judge_log(path: Path) -> Finding:
         log = read_log(path, ())
     except LogError as error:
         return Finding("ulog", str(path), "damaged", size, 0, [str(error)])
-    return Finding("ulog", str(path), "damaged" if log.cut else "whole", size, sum(log.counts.values()), log.notes)
+    return Finding("ulog", str(path), "whole" if log.whole else "damaged", size, sum(log.counts.values()), log.notes)
 
 
 def judge_bag(path: Path, may_be_cut: bool) -> Finding:

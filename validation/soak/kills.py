@@ -23,10 +23,10 @@ from pathlib import Path
 
 from xtdrone_interaction import formation_demo, options
 from xtdrone_interaction.deaths import Deaths
+from xtdrone_interaction.flight_events import read_events
 from xtdrone_interaction.formation_demo import DemoSettings
 from xtdrone_interaction.launched import DemoError, run_flight
 from xtdrone_interaction.processes import ProcessTree, descendants, end_descendants
-from xtdrone_interaction.record import read_events
 from xtdrone_interaction.screen import PatientConsole
 
 NODES = (

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Records a flight with rosbag, by a profile; see ``xtdrone_interaction.recording``."""
+"""Records a flight with rosbag, by a profile; see ``xtdrone_interaction.record_command``."""
 
 import sys
 

@@ -29,7 +29,7 @@ from std_msgs.msg import String
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import FleetError, parse_fleet
-from xtdrone_interaction.search_record import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.recording.search import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.search_views import Picture, Views
 from xtdrone_swarm.view.film import FilmError, FilmWriter
 

@@ -19,7 +19,9 @@ from xtdrone_interaction.compare_simulators import (
     same_slots,
     save_pictures,
 )
-from xtdrone_interaction.record import Change, FlightRecord, RecordError, Track
+from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.model import Change, RecordError
+from xtdrone_interaction.recording.positions import FleetTrack
 
 GRID = np.array([[3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 3.0, 0.0]])
 LINE = np.array([[0.0, 2.0, 0.0], [0.0, 4.0, 0.0], [0.0, 6.0, 1.0]])
@@ -35,7 +37,7 @@ def flight(
     order: tuple[int, ...] = (0, 1, 2),
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
     patterns: tuple[tuple[str, NDArray[np.float64]], ...] = (("origin", GRID), ("line", LINE)),
-) -> FlightRecord:
+) -> FormationRecord:
     """Return a flight of first-order followers under a leader that drifts.
 
     Args:
@@ -68,7 +70,7 @@ def flight(
     events.append({"event": "phase", "time": start + WINDOW * len(patterns), "phase": "land"})
     events.append({"event": "done", "time": times[-1], "wall": 1.0})
     places = np.concatenate([leader[:, None], leader[:, None] + followers], axis=1)
-    return FlightRecord(NAMES, Track("made up", times, places), None, changes, [], events)
+    return FormationRecord(NAMES, FleetTrack("made up", times, places), None, changes, [], events)
 
 
 def test_a_flight_does_not_differ_from_itself_later_and_at_another_rate() -> None:

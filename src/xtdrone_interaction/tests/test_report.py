@@ -15,14 +15,18 @@ from matplotlib import image
 from rich.console import Console
 from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
-from xtdrone_interaction import report as reports
-from xtdrone_interaction.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
-from xtdrone_interaction.plots import figures, save_figures, save_plots
-from xtdrone_interaction.record import Change, FlightRecord, RecordError, Track, read_record, regular_times
+from xtdrone_interaction.formation_geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
+from xtdrone_interaction.metrics import formation as reports
+from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
+from xtdrone_interaction.pictures.formation import figures
+from xtdrone_interaction.recording.formation import FormationRecord, read_formation
+from xtdrone_interaction.recording.model import Change, RecordError
+from xtdrone_interaction.recording.positions import FleetTrack, regular_times
+from xtdrone_interaction.report.terminal import print_formation
 
 
 def test_record_holds_the_flight(flight_bag: Path) -> None:
-    record = read_record(flight_bag)
+    record = read_formation(flight_bag)
     assert record.names == tuple(f"iris_{i}" for i in range(9))
     assert record.truth is not None
     assert record.estimate is not None
@@ -48,7 +52,7 @@ def test_unreadable_bags_are_named(tmp_path: Path, content: bytes | None) -> Non
     if content is not None:
         bag.write_bytes(content)
     with pytest.raises(RecordError, match=r"broken\.bag"):
-        read_record(bag)
+        read_formation(bag)
 
 
 @pytest.mark.parametrize("name", ["flight", "flight.plan", "old.bag", "log.bag"])
@@ -56,23 +60,23 @@ def test_other_files_are_refused_with_who_reads_them(tmp_path: Path, name: str) 
     begin = {"old.bag": b"#ROSBAG V1.2\n", "log.bag": b"ULog\x01\x12\x35\x01"}.get(name, b"#ROSBAG V2.0\n")
     (tmp_path / name).write_bytes(begin + bytes(100))
     with pytest.raises(RecordError, match=r"neither a bag of version 2\.0 .*analyse"):
-        read_record(tmp_path / name)
+        read_formation(tmp_path / name)
 
 
 def test_a_folder_is_no_record(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="is a folder"):
-        read_record(tmp_path)
+        read_formation(tmp_path)
 
 
 def test_a_pattern_that_is_taken_back_is_none(tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", patterns=("origin",), taken_back=True)
-    record = read_record(tmp_path / "flight.bag")
+    record = read_formation(tmp_path / "flight.bag")
     assert [len(change.value) for change in record.patterns] == [8]
     assert [change.value.shape for change in record.topologies] == [(9, 9)]
 
 
 def test_settling_follows_the_first_order_motion(flight_bag: Path) -> None:
-    results = {r.pattern: r for r in reports.measure(read_record(flight_bag), read_record(flight_bag).track)}
+    results = {r.pattern: r for r in reports.measure(read_formation(flight_bag), read_formation(flight_bag).track)}
     assert results["origin"].settling_time == pytest.approx(0.0, abs=0.05)
     farthest = 6.63  # m, from the grid to the cube's slot that is farthest, at the least total distance
     expected = math.log(farthest / SETTLED_ERROR) / RATE
@@ -84,7 +88,7 @@ def test_settling_follows_the_first_order_motion(flight_bag: Path) -> None:
 
 
 def test_good_flight_has_no_shortcomings(flight_bag: Path) -> None:
-    report = reports.make_report(read_record(flight_bag), {"seed": 7, "command_wall": 990.0})
+    report = reports.make_report(read_formation(flight_bag), {"seed": 7, "command_wall": 990.0})
     assert report["shortcomings"] == []
     assert report["outcome"] == "done"
     assert report["positions"] == TRUTH
@@ -97,14 +101,14 @@ def test_good_flight_has_no_shortcomings(flight_bag: Path) -> None:
 
 def test_estimates_serve_where_no_truth_was_recorded(tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", patterns=("cube",), truth=False)
-    report = reports.make_report(read_record(tmp_path / "flight.bag"))
+    report = reports.make_report(read_formation(tmp_path / "flight.bag"))
     assert report["positions"] == ESTIMATE
     assert "by_estimate" not in report
 
 
 def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", patterns=("cube", "pyramid"), offset=0.3, shuffle=True)
-    report = reports.make_report(read_record(tmp_path / "flight.bag"))
+    report = reports.make_report(read_formation(tmp_path / "flight.bag"))
     text = " ".join(report["shortcomings"])
     assert "'cube' did not settle" in text
     assert "assigned distance" in text
@@ -113,7 +117,7 @@ def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
 
 def test_a_lost_vehicle_is_named_and_counts_until_it_is_lost(tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", patterns=("cube", "pyramid"), offset=0.3)
-    record = read_record(tmp_path / "flight.bag")
+    record = read_formation(tmp_path / "flight.bag")
     whole = reports.make_report(record)
     assert (whole["lost"], whole["reconfigurations"][1]["settling_time"]) == ([], None)
     second = record.windows[1]
@@ -130,10 +134,10 @@ def test_a_lost_vehicle_is_named_and_counts_until_it_is_lost(tmp_path: Path) -> 
 
 
 def test_a_cut_record_is_reported_as_far_as_it_goes(flight_bag: Path) -> None:
-    whole = read_record(flight_bag)
+    whole = read_formation(flight_bag)
     assert (whole.cut, whole.unrecorded) == (None, [])
 
-    def cut(end: float) -> FlightRecord:
+    def cut(end: float) -> FormationRecord:
         return replace(whole, truth=whole.truth.between(0.0, end), estimate=whole.estimate.between(0.0, end))
 
     report = reports.make_report(cut(25.0))
@@ -143,8 +147,8 @@ def test_a_cut_record_is_reported_as_far_as_it_goes(flight_bag: Path) -> None:
     assert report["shortcomings"] == [
         "the record is cut: positions end at 25.0 s, the flight at 53.0 s; patterns not judged: cube, pyramid, triangle"
     ]
-    assert [name for name, _ in figures(cut(25.0))] == ["formations.png", "distances.png"]
-    assert [name for name, _ in figures(cut(9.0))] == ["distances.png"]
+    assert [picture.name for picture in figures(cut(25.0))] == ["formations", "distances"]
+    assert [picture.name for picture in figures(cut(9.0))] == ["distances"]
     early = replace(whole, events=[{**event, "time": event["time"] + 90.0} for event in whole.events])
     with pytest.raises(RecordError, match=r"it is cut, the positions end at 5\d\.\d s, before the takeoff at 91\.0 s"):
         reports.make_report(early)
@@ -153,7 +157,7 @@ def test_a_cut_record_is_reported_as_far_as_it_goes(flight_bag: Path) -> None:
 def test_a_collision_is_a_shortcoming(tmp_path: Path) -> None:
     words = "simulator: collision of iris_1 and iris_2"
     make_bag(tmp_path / "flight.bag", patterns=("cube",), log=("simulator: something else", words))
-    report = reports.make_report(read_record(tmp_path / "flight.bag"))
+    report = reports.make_report(read_formation(tmp_path / "flight.bag"))
     assert report["collisions"] == [words]
     assert report["shortcomings"] == [words]
 
@@ -173,7 +177,7 @@ def crossing(simulator: str) -> dict[str, Any]:
         {"event": "done", "time": 40.0},
     ]
     names = tuple(f"iris_{i}" for i in range(5))
-    record = FlightRecord(names, Track("made up", times, places), None, [Change(1.0, offsets)], [], events)
+    record = FormationRecord(names, FleetTrack("made up", times, places), None, [Change(1.0, offsets)], [], events)
     return reports.make_report(record, {"simulator": simulator})
 
 
@@ -195,7 +199,7 @@ def test_the_words_on_touching_are_the_simulators() -> None:
     said = {}
     for simulator in ("simplified", "full"):
         output = io.StringIO()
-        reports.print_report(crossing(simulator), Console(file=output, width=200))
+        print_formation(crossing(simulator), Console(file=output, width=200))
         said[simulator] = output.getvalue()
     assert "Simplified vehicles do not touch: where two meet, they fly through each other." in said["simplified"]
     assert "collisions" not in said["simplified"]
@@ -203,13 +207,15 @@ def test_the_words_on_touching_are_the_simulators() -> None:
 
 
 def test_a_good_flight_has_no_close_pairs(flight_bag: Path) -> None:
-    found = reports.make_report(read_record(flight_bag))["too_close"]
+    found = reports.make_report(read_formation(flight_bag))["too_close"]
     assert found == {"pairs": 0, "vehicles": 0, "first_time": None, "last_time": None, "closest": []}
 
 
 def test_a_recorder_whose_clock_is_off_changes_nothing(flight_bag: Path, tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", delay=0.9)
-    good, bad = (reports.measure(r, r.track) for r in (read_record(flight_bag), read_record(tmp_path / "flight.bag")))
+    good, bad = (
+        reports.measure(r, r.track) for r in (read_formation(flight_bag), read_formation(tmp_path / "flight.bag"))
+    )
     for expected, found in zip(good, bad, strict=True):
         assert found.settling_time == pytest.approx(expected.settling_time, abs=0.04)
         assert found.least_distance == pytest.approx(expected.least_distance, abs=0.02)
@@ -220,7 +226,7 @@ def test_with_stamped_truth_the_recorders_clock_does_not_matter(tmp_path: Path) 
     records = []
     for delay in (0.0, 0.9):
         make_bag(tmp_path / f"{delay}.bag", odometry=True, delay=delay)
-        records.append(read_record(tmp_path / f"{delay}.bag"))
+        records.append(read_formation(tmp_path / f"{delay}.bag"))
     good, bad = records
     assert good.track is good.truth
     assert good.track.time.tolist() == bad.track.time.tolist()
@@ -257,9 +263,9 @@ def test_least_distance_is_over_all_pairs() -> None:
 
 
 def test_table_names_every_pattern(flight_bag: Path, tmp_path: Path) -> None:
-    report = reports.make_report(read_record(flight_bag))
+    report = reports.make_report(read_formation(flight_bag))
     output = io.StringIO()
-    reports.print_report(report, Console(file=output, width=120))
+    print_formation(report, Console(file=output, width=120))
     assert all(name in output.getvalue() for name in PATTERNS)
     reports.write_report(report, tmp_path / "report.json")
     assert json.loads((tmp_path / "report.json").read_text())["vehicles"] == report["vehicles"]
@@ -268,16 +274,16 @@ def test_table_names_every_pattern(flight_bag: Path, tmp_path: Path) -> None:
 def test_names_with_words_and_paths_make_names_of_files(tmp_path: Path) -> None:
     from matplotlib.figure import Figure
 
-    name = "response_1_text:A B_to_cloud:/data/$5$.ply:spacing=3.png"
+    name = "response_1_text:A B_to_cloud:/data/$5$.ply:spacing=3"
     figure = Figure()
     figure.suptitle(name)
-    (path,) = save_figures([(name, figure)], tmp_path)
+    ((_, path),) = save_figures([NamedFigure(name, name, figure)], tmp_path)
     assert path.name == "response_1_text-A-B_to_cloud-data-5-.ply-spacing-3.png"
     assert path.is_file()
 
 
 def test_pictures_are_drawn(flight_bag: Path, tmp_path: Path) -> None:
-    paths = save_plots(read_record(flight_bag), tmp_path)
+    paths = [path for _, path in save_figures(figures(read_formation(flight_bag)), tmp_path)]
     names = [p.name for p in paths]
     assert names[0] == "response_1_origin_to_cube.png"
     assert names[-2:] == ["formations.png", "distances.png"]

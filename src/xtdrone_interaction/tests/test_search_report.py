@@ -11,9 +11,10 @@ import pytest
 from rich.console import Console
 from shapely.geometry import box
 
-from xtdrone_interaction.record import RecordError
-from xtdrone_interaction.search_record import CUT_SHORT, SearchRecord, Sight, read_search
-from xtdrone_interaction.search_report import make_report, print_report
+from xtdrone_interaction.metrics.search import make_report
+from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.search import CUT_SHORT, SearchRecord, Sight, read_search
+from xtdrone_interaction.report.terminal import print_search
 from xtdrone_interaction.search_views import Views
 
 FINISHED: dict[str, Any] = {
@@ -67,7 +68,7 @@ def test_a_search_that_goes_on_is_to_find_everybody() -> None:
     assert report["shortcomings"] == ["not found: person_1"]
     assert make_report(search, {"on_find": "hold"})["shortcomings"] == []
     with (console := Console(width=100)).capture() as printed:
-        print_report(report, console)
+        print_search(report, console)
     assert "Found by typhoon_h480_0 at 30.0 s, at (10.0, 0.2) m, 0.20 m from person_0." in printed.get()
     assert "Found again by typhoon_h480_1 at 70.0 s" in printed.get()
 
@@ -115,7 +116,7 @@ def test_a_search_that_was_cut_short_says_so_and_what_is_known() -> None:
     assert report["find"]["error"] == pytest.approx(0.5)
     assert report["following"][0]["duration"] == pytest.approx(10.0)  # until the record's end
     with (console := Console(width=100)).capture() as printed:
-        print_report(report, console)
+        print_search(report, console)
     assert "Cut short." in printed.get()
     assert "Covered 25.0 %, in 100 s." in printed.get()
 
@@ -126,7 +127,7 @@ def test_a_bag_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_map_shows_find_and_ways(tmp_path: Path) -> None:
-    from xtdrone_interaction.search_map import save_map
+    from xtdrone_interaction.pictures.search_map import save_map
 
     found = {"event": "confirmed", "time": 30.0, "vehicle": "typhoon_h480_0", "position": [10.0, 0.0]}
     region = box(-10.0, -40.0, 120.0, 40.0).difference(box(50.0, -5.0, 60.0, 5.0))

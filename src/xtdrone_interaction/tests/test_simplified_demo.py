@@ -17,7 +17,9 @@ from PIL import ImageGrab
 
 from xtdrone_interaction import cli, formation_cli, formation_demo, launched, options, simplified_demo
 from xtdrone_interaction.formation_demo import DemoSettings
-from xtdrone_interaction.record import Change, FlightRecord, Track
+from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.model import Change
+from xtdrone_interaction.recording.positions import FleetTrack
 
 DEMO = ["demo", "simplified"]
 PATIENCE = 120.0  # s; bounds a broken test
@@ -303,9 +305,9 @@ def test_a_film_is_made_of_a_record_that_misses_a_topology() -> None:
         {"event": "assigned", "time": 5.0, "pattern": "two", "offsets": slots[1].tolist()},
         {"event": "done", "time": 9.0},
     ]
-    record = FlightRecord(
+    record = FormationRecord(
         ("iris_0", "iris_1", "iris_2"),
-        Track("made up", times, np.zeros((len(times), 3, 3))),
+        FleetTrack("made up", times, np.zeros((len(times), 3, 3))),
         None,
         [Change(1.0, slots[0]), Change(5.0, slots[1])],
         [Change(5.1, links)],

@@ -12,9 +12,11 @@ import pytest
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction.compare_simulators import compare, with_assignments_of
-from xtdrone_interaction.plots import save_plots
-from xtdrone_interaction.record import FlightRecord, RecordError, read_record, save_record
-from xtdrone_interaction.report import make_report, write_report
+from xtdrone_interaction.metrics.formation import make_report, write_report
+from xtdrone_interaction.pictures.drawing import save_figures
+from xtdrone_interaction.pictures.formation import figures
+from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
+from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.swarm_flight import FormationFlight, fly_formation, outcome_of
 from xtdrone_swarm import Swarm
 from xtdrone_swarm.full_vehicles import CoreVehicles
@@ -23,16 +25,16 @@ COUNT = 6
 PATTERNS = ["T", "diamond"]
 
 
-def fly(**options: Any) -> FlightRecord:
+def fly(**options: Any) -> FormationRecord:
     return fly_formation(Swarm(COUNT, airborne=False, record=False, **options), PATTERNS)
 
 
 @pytest.fixture(scope="module")
-def record() -> FlightRecord:
+def record() -> FormationRecord:
     return fly()
 
 
-def test_a_whole_flight_gives_a_good_report(record: FlightRecord, tmp_path: Path) -> None:
+def test_a_whole_flight_gives_a_good_report(record: FormationRecord, tmp_path: Path) -> None:
     assert outcome_of(record) == ("done", "")
     phases = [e["phase"] for e in record.phases]
     assert phases == [
@@ -50,17 +52,17 @@ def test_a_whole_flight_gives_a_good_report(record: FlightRecord, tmp_path: Path
     assert report["real_time_factor"] > 0.0
     write_report(report, tmp_path / "report.json")
     assert json.loads((tmp_path / "report.json").read_text())["vehicles"] == [f"iris_{i}" for i in range(COUNT)]
-    assert all(path.stat().st_size > 10_000 for path in save_plots(record, tmp_path))
+    assert all(path.stat().st_size > 10_000 for _, path in save_figures(figures(record), tmp_path))
     assert all(w.topology is not None for w in record.windows)
 
 
-def test_the_same_flight_twice_is_the_same_to_the_bit(record: FlightRecord) -> None:
+def test_the_same_flight_twice_is_the_same_to_the_bit(record: FormationRecord) -> None:
     again = fly()
     np.testing.assert_array_equal(record.track.time, again.track.time)
     np.testing.assert_array_equal(record.track.position, again.track.position)
 
 
-def test_full_physics_flies_the_same_mission_close_by(record: FlightRecord) -> None:
+def test_full_physics_flies_the_same_mission_close_by(record: FormationRecord) -> None:
     """The same classes on the same assignments; sensors' noise and GPS wander are part of the difference."""
     vehicles = CoreVehicles(COUNT)
     full = fly(vehicles=vehicles, leader=with_assignments_of(record, type(Swarm(COUNT).leader)))
@@ -114,7 +116,7 @@ def test_unknown_patterns_are_refused() -> None:
         fly_formation(Swarm(COUNT, airborne=False), ["heart"])
 
 
-def test_turn_by_turn(record: FlightRecord) -> None:
+def test_turn_by_turn(record: FormationRecord) -> None:
     """A window flies the same flight in pieces."""
     flight = FormationFlight(Swarm(COUNT, airborne=False, record=False), PATTERNS)
     turns = flight.turns()
@@ -125,14 +127,14 @@ def test_turn_by_turn(record: FlightRecord) -> None:
     np.testing.assert_array_equal(part.position, record.track.position[: len(part.time)])
 
 
-def test_the_saved_record_has_what_was_flown_and_is_read_again(record: FlightRecord, tmp_path: Path) -> None:
-    save_record(record, tmp_path / "flight.npz")
+def test_the_saved_record_has_what_was_flown_and_is_read_again(record: FormationRecord, tmp_path: Path) -> None:
+    save_formation(record, tmp_path / "flight.npz")
     with np.load(tmp_path / "flight.npz") as saved:
         np.testing.assert_array_equal(saved["position"], record.track.position)
         assert saved["names"].tolist() == list(record.names)
         assert saved["offsets"].shape == (4, COUNT - 1, 3)
         assert saved["topology"].shape == (4, COUNT, COUNT)
-    again = read_record(tmp_path / "flight.npz")
+    again = read_formation(tmp_path / "flight.npz")
     assert make_report(again, {"seed": 0}) == make_report(record, {"seed": 0})
     assert [w.pattern for w in again.windows] == [w.pattern for w in record.windows]
     assert all((a.topology == b.topology).all() for a, b in zip(again.windows, record.windows, strict=True))
@@ -142,10 +144,10 @@ def test_the_saved_record_has_what_was_flown_and_is_read_again(record: FlightRec
 def test_an_archive_that_is_none_is_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "flight.npz").write_bytes(content)
     with pytest.raises(RecordError, match=r"flight record: .*flight\.npz cannot be read"):
-        read_record(tmp_path / "flight.npz")
+        read_formation(tmp_path / "flight.npz")
 
 
 def test_an_archive_of_something_else_is_named(tmp_path: Path) -> None:
     np.savez(tmp_path / "flight.npz", position=np.zeros((3, 3)))
     with pytest.raises(RecordError, match=r"flight\.npz cannot be read \(.*pattern_time"):
-        read_record(tmp_path / "flight.npz")
+        read_formation(tmp_path / "flight.npz")

@@ -214,8 +214,10 @@ def test_a_corrected_file_replaces_runs_that_all_failed(tmp_path: Path, capsys: 
     (tmp_path / "mine.py").write_text(good.replace("record.track.position[0]", "record.start"))
     assert main(arguments) == 1
     text = capsys.readouterr().out
-    assert text.count("A run has failed (seed 0): AttributeError: 'FlightRecord' object has no attribute 'start'") == 1
-    assert "  2 failed: AttributeError: 'FlightRecord' object has no attribute 'start' (mine.py:15)\n" in text
+    assert (
+        text.count("A run has failed (seed 0): AttributeError: 'FormationRecord' object has no attribute 'start'") == 1
+    )
+    assert "  2 failed: AttributeError: 'FormationRecord' object has no attribute 'start' (mine.py:15)\n" in text
     assert "No picture is drawn, for no run went well" in text
     assert "Picture:" not in text
     assert not (out / "picture.png").exists()

@@ -21,9 +21,11 @@ from scipy.spatial.distance import cdist
 
 from xtdrone_coordination.laws.assignment import Assignment
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.geometry import Array, relative
-from xtdrone_interaction.record import FlightRecord, RecordError, Track, Window
-from xtdrone_interaction.report import measure
+from xtdrone_interaction.formation_geometry import Array, relative
+from xtdrone_interaction.metrics.formation import measure
+from xtdrone_interaction.recording.formation import FormationRecord, PatternWindow
+from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.positions import FleetTrack
 
 SIMPLIFIED, FULL = "simplified", "full physics"
 _STEP = 0.02  # s, interval between compared positions
@@ -74,7 +76,7 @@ class _Pair:
     follower: NDArray[np.int64]
 
 
-def compare(simplified: FlightRecord, full: FlightRecord) -> list[Difference]:
+def compare(simplified: FormationRecord, full: FormationRecord) -> list[Difference]:
     """Return the differences, one per reconfiguration of both flights.
 
     Raises:
@@ -102,7 +104,7 @@ def compare(simplified: FlightRecord, full: FlightRecord) -> list[Difference]:
     return differences
 
 
-def with_assignments_of(record: FlightRecord, base: type[Leader]) -> type[Leader]:
+def with_assignments_of(record: FormationRecord, base: type[Leader]) -> type[Leader]:
     """Return a leader class with the assignments of a recorded flight, otherwise equal to ``base``.
 
     From a symmetric formation many assignments have about the same length, and noise decides between them. With equal
@@ -155,7 +157,7 @@ def overall(differences: list[Difference]) -> float:
     return float(np.sqrt(np.average([d.rms**2 for d in differences], weights=weights)))
 
 
-def check_comparable(full: FlightRecord, count: int, patterns: list[str]) -> None:
+def check_comparable(full: FormationRecord, count: int, patterns: list[str]) -> None:
     """Check that a flight can be compared with one of ``count`` vehicles through ``patterns``, up to the shorter end.
 
     Raises:
@@ -171,13 +173,15 @@ def check_comparable(full: FlightRecord, count: int, patterns: list[str]) -> Non
         raise RecordError(f"comparison: patterns {', '.join(patterns)} cannot be compared with {', '.join(flown)}")
 
 
-def _common_windows(simplified: FlightRecord, full: FlightRecord) -> list[tuple[Window, Window]]:
+def _common_windows(simplified: FormationRecord, full: FormationRecord) -> list[tuple[PatternWindow, PatternWindow]]:
     first, second = simplified.windows, full.windows
     check_comparable(full, len(simplified.names), [w.pattern for w in first])
     return list(zip(first, second, strict=False))
 
 
-def _pair(track: Track, window: Window, full_track: Track, full_window: Window, lead_in: float = 0.0) -> _Pair:
+def _pair(
+    track: FleetTrack, window: PatternWindow, full_track: FleetTrack, full_window: PatternWindow, lead_in: float = 0.0
+) -> _Pair:
     end = min(window.end - window.start, full_window.end - full_window.start)
     time = np.arange(-lead_in, end, _STEP)
     follower = same_slots(window.offsets, full_window.offsets)
@@ -207,7 +211,7 @@ def same_slots(offsets: Array, others: Array) -> NDArray[np.int64]:
     return columns
 
 
-def _at(track: Track, times: Array) -> Array:
+def _at(track: FleetTrack, times: Array) -> Array:
     """Return the positions at given times, shape (t, n, 3)."""
     after = np.clip(np.searchsorted(track.time, times), 1, len(track.time) - 1)
     before = after - 1
@@ -246,36 +250,40 @@ def print_comparison(differences: list[Difference], console: Console) -> None:
             )
 
 
-def save_pictures(simplified: FlightRecord, full: FlightRecord, folder: str | Path) -> list[Path]:
+def save_pictures(simplified: FormationRecord, full: FormationRecord, folder: str | Path) -> list[Path]:
     """Draw both responses to each pattern in one figure, saved in ``folder``; return the paths.
 
     Raises:
         RecordError: see :func:`compare`.
     """
-    from xtdrone_interaction.plots import save_figures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures  # matplotlib takes a while to import
 
     windows = _common_windows(simplified, full)
     names = [window.pattern for window, _ in windows]
-    titles = [
-        f"comparison_{number}_{before}_to_{pattern}.png" for number, (before, pattern) in enumerate(pairwise(names), 1)
-    ]
     figures = (
-        _response(simplified, full, *pair, before=before) for pair, before in zip(windows[1:], names, strict=False)
+        NamedFigure(
+            f"comparison_{number}_{before}_to_{pattern}",
+            f"From {before} to {pattern}",
+            _response(simplified, full, *windows[number], before=before),
+        )
+        for number, (before, pattern) in enumerate(pairwise(names), 1)
     )
-    return save_figures(zip(titles, figures, strict=True), folder)
+    return [path for _, path in save_figures(figures, folder)]
 
 
-def _response(first: FlightRecord, full: FlightRecord, window: Window, other: Window, before: str) -> Any:
+def _response(
+    first: FormationRecord, full: FormationRecord, window: PatternWindow, other: PatternWindow, before: str
+) -> Any:
     """Draw x, y and z of every follower relative to the leader, simplified solid, full physics dashed."""
     from matplotlib import pyplot as plt
     from matplotlib.lines import Line2D
 
-    from xtdrone_interaction.plots import colours
+    from xtdrone_interaction.pictures.drawing import fleet_colours
 
     pair = _pair(first.track, window, full.track, other, _LEAD_IN)
     figure, axes = plt.subplots(3, 1, figsize=(9.0, 7.5), sharex=True)
     figure.subplots_adjust(left=0.08, right=0.81, top=0.93, bottom=0.07, hspace=0.1)
-    shades = colours(len(first.names))
+    shades = fleet_colours(len(first.names))
     for axis, (panel, letter) in enumerate(zip(axes, "xyz", strict=True)):
         for i in range(pair.full.shape[1]):
             panel.plot(pair.time, pair.full[:, i, axis], color=shades[i + 1], lw=2.2, alpha=0.35)

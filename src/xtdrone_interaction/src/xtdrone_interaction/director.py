@@ -1,4 +1,4 @@
-"""The formation director: a lockstep node that flies a :class:`~xtdrone_interaction.mission.FormationMission`.
+"""The formation director, a lockstep node that flies a formation mission.
 
 Topics, for every vehicle T of /xtdrone/fleet:
 
@@ -36,8 +36,8 @@ from std_msgs.msg import Float32MultiArray, String
 
 from xtdrone_control import lockstep
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.events_file import EventsFile
-from xtdrone_interaction.geometry import (
+from xtdrone_interaction.flight_events import EventsFile
+from xtdrone_interaction.formation_geometry import (
     ESTIMATE,
     EVENTS_TOPIC,
     PATTERN_TOPIC,
@@ -48,7 +48,7 @@ from xtdrone_interaction.geometry import (
     least_distances,
     offsets_from_message,
 )
-from xtdrone_interaction.mission import FormationMission, MissionError, View
+from xtdrone_interaction.formation_mission import FleetState, FormationMission, MissionError
 
 RATE = 30.0  # Hz
 _PROGRESS_TICKS = 6  # 5 Hz of simulated time
@@ -89,7 +89,7 @@ class FormationDirector:
             clearance: least height of any slot above the ground, m.
             events: gets the events as JSON lines too.
         """
-        self.view = View(names)
+        self.view = FleetState(names)
         self.mission = FormationMission(self.view, self, patterns, slots, clearance)
         self._events = events
         self._has_truth = False

@@ -1,16 +1,16 @@
-"""What a running launch tells on its topics, fetched by a child process: a mute master holds up the child alone.
+"""Messages of a running launch, received by a child process, so that only the child blocks on an unresponsive master.
 
-The child is this module, run as a program: a node that writes a line of JSON for each message it hears. It asks the
-master again and again until that answers; it ends when its standard input does, or with its parent.
+The child is this module, run as a program: a node that writes one line of JSON per message received. It polls the
+master until that answers; it exits at the end of its standard input, or with its parent.
 
 Lines have a ``kind``:
 
 ===========  ======================================================================================================
-master       the master answers and the topics are subscribed to
-status       of the simulator: ``text``: why the world stands still, ``held``: that is as it should be, ``joined``:
-             names of those that take part, ``time``: simulated, s, ``paused``
+master       the master answers and the topics are subscribed
+status       of the simulator: ``text``: why time stands still, ``held``: whether that is intended, ``joined``: names of
+             the lockstep participants, ``time``: simulated, s, ``paused``
 estimators   every vehicle's estimator has started; ``time``: simulated, s
-(others)     messages (std_msgs/String with JSON) of the topics that were asked for, as ``message``
+(others)     JSON of the std_msgs/String messages on the requested topics, as ``message``
 ===========  ======================================================================================================
 """
 
@@ -33,11 +33,11 @@ from urllib.parse import urlparse
 from xtdrone_interaction.processes import die_with_parent
 
 ANSWER_LIMIT = 3.0  # s for a master to answer one call
-_ASK_PERIOD = 0.3  # s between two calls of a master that does not answer
-_CLOSE_LIMIT = 2.0  # s for the child to leave the master
+_ASK_PERIOD = 0.3  # s between two calls to a master that does not answer
+_CLOSE_LIMIT = 2.0  # s for the child to unregister from the master
 _NAMES_SHOWN = 3
-_STANDBY = 3  # MAV_STATE; less: the autopilot starts
-_MOST_ESTIMATORS = 50  # vehicles whose state is asked for; each is a connection
+_STANDBY = 3  # MAV_STATE; below it, the autopilot is starting
+_MOST_ESTIMATORS = 50  # vehicles whose state is subscribed; each is a connection
 
 
 def answers(uri: str, limit: float = ANSWER_LIMIT) -> bool:
@@ -58,7 +58,7 @@ def answers(uri: str, limit: float = ANSWER_LIMIT) -> bool:
 
 
 def standstill(status: Any) -> str:
-    """Return why the world stands still, in a few words; empty while it moves.
+    """Return the reason why simulated time stands still; empty while it advances.
 
     Args:
         status: an xtdrone_msgs/SimulationStatus.
@@ -74,7 +74,7 @@ def standstill(status: Any) -> str:
 
 
 class Feed:
-    """The parent's end: the child process and what it has told so far."""
+    """The parent's end of the child process."""
 
     def __init__(
         self, environment: Mapping[str, str], log: Path, topics: Mapping[str, str], vehicles: Sequence[str] = ()
@@ -83,12 +83,12 @@ class Feed:
 
         Args:
             environment: of the launch, with its ROS_MASTER_URI.
-            log: gets what the child has to say of itself.
-            topics: kind of message to topic.
-            vehicles: whose estimators are waited for.
+            log: file of the child's standard error.
+            topics: topic by kind of message.
+            vehicles: report when the estimators of all of them have started.
 
         Raises:
-            OSError: it cannot be started.
+            OSError: the child cannot be started.
         """
         self.lost = False
         self._log = log
@@ -107,7 +107,7 @@ class Feed:
         self._reader.start()
 
     def take(self, timeout: float) -> list[dict[str, Any]]:
-        """Return the messages that have come, after waiting up to ``timeout`` s of wall time for the first."""
+        """Return the messages received, after waiting up to ``timeout`` s of wall time for the first."""
         messages: list[dict[str, Any]] = []
         try:
             message = None if self.lost else self._messages.get(timeout=timeout)
@@ -122,12 +122,12 @@ class Feed:
         return messages
 
     def last_words(self) -> str:
-        """Return the last line of what the child has said of itself."""
+        """Return the last line in the child's log."""
         lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n") if self._log.is_file() else []
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def close(self) -> None:
-        """Have the child leave the master, and end it."""
+        """Stop the child after it has unregistered from the master."""
         if self._process.stdin is not None and not self._process.stdin.closed:
             self._process.stdin.close()
         try:
@@ -143,7 +143,7 @@ class Feed:
             for line in lines:
                 try:
                     self._messages.put(json.loads(line))
-                except ValueError:  # what a library prints is no message
+                except ValueError:  # printed by a library
                     continue
         self._messages.put(None)
 
@@ -154,11 +154,11 @@ class _Node:
     def __init__(self, wanted: dict[str, Any]) -> None:
         self._wanted = wanted
         self._lock = threading.Lock()
-        self._starting: dict[str, Any] = {}  # vehicle to subscription, of those whose estimators have not started
+        self._starting: dict[str, Any] = {}  # subscription by vehicle whose estimators have not started
         self._time = 0.0
 
     def run(self) -> int:
-        """Run until standard input ends."""
+        """Run until the end of standard input."""
         threading.Thread(target=self._end_with_input, daemon=True).start()
         uri = os.environ["ROS_MASTER_URI"]
         while not answers(uri):
@@ -205,7 +205,7 @@ class _Node:
             subscription = self._starting.pop(name, None)
             last = subscription is not None and not self._starting
         if subscription is not None:
-            # not in the subscription's own thread, which could not join itself
+            # not in the subscription's own thread, which cannot join itself
             threading.Thread(target=subscription.unregister, daemon=True).start()
         if last:
             self._say("estimators", time=self._time)
@@ -213,7 +213,7 @@ class _Node:
     def _end_with_input(self) -> None:
         while os.read(0, 4096):
             pass
-        # Leaving takes calls to the master, which may be gone or mute.
+        # Unregistering calls the master, which may be gone or unresponsive.
         threading.Timer(_CLOSE_LIMIT, os._exit, (1,)).start()
         rospy = sys.modules.get("rospy")
         if rospy is not None:

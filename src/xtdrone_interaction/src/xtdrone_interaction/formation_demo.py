@@ -16,8 +16,9 @@ from rich.console import Console
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display
-from xtdrone_interaction.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.formation_geometry import EVENTS_TOPIC, PROGRESS_TOPIC
 from xtdrone_interaction.launched import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.metrics.formation import make_report, write_report
 from xtdrone_interaction.options import (
     DEFAULT_FOLLOWER,
     clearance_setting,
@@ -26,8 +27,9 @@ from xtdrone_interaction.options import (
     speed_setting,
     vehicles_setting,
 )
-from xtdrone_interaction.record import RecordError, read_record
-from xtdrone_interaction.report import make_report, print_report, write_report
+from xtdrone_interaction.recording.formation import read_formation
+from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.report.terminal import print_formation, print_paths
 
 _START_LIMIT = 60.0  # s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
 _START_LIMIT_VEHICLE = 2.0
@@ -189,7 +191,7 @@ def report_flight(
 
     Args:
         bag: the flight's record.
-        settings: see :func:`~xtdrone_interaction.report.make_report`.
+        settings: see :func:`~xtdrone_interaction.metrics.formation.make_report`.
         console: gets the table.
         deaths: nodes that ended in flight, where that is known.
         kept: goes into the report as it is.
@@ -197,18 +199,18 @@ def report_flight(
     Raises:
         DemoError: the bag is no flight record.
     """
-    from xtdrone_interaction.plots import save_plots  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.drawing import save_figures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.formation import figures
 
     try:
-        record = read_record(bag)
+        record = read_formation(bag)
         report = make_report(record, settings)
         report |= {"died": [asdict(death) for death in deaths], **kept}
         report["shortcomings"] = [*(str(death) for death in deaths if death.matters), *report["shortcomings"]]
         write_report(report, bag.parent / "report.json")
-        pictures = save_plots(record, bag.parent)
+        pictures = save_figures(figures(record), bag.parent)
     except RecordError as error:
         raise DemoError(str(error)) from error
-    print_report(report, console)
-    for path in [bag, bag.parent / "report.json", *pictures]:
-        console.print(f"  {path}", highlight=False, soft_wrap=True)
+    print_formation(report, console)
+    print_paths([bag, bag.parent / "report.json", *(path for _, path in pictures)], console)
     return 1 if report["shortcomings"] else 0

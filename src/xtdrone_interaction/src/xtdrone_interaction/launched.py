@@ -24,6 +24,7 @@ from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
 from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.feed import Feed, answers
+from xtdrone_interaction.flight_events import read_events
 from xtdrone_interaction.hints import advice, trouble
 from xtdrone_interaction.missing import not_joined
 from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
@@ -149,8 +150,6 @@ class Flight(Launch):
 
     def events(self) -> list[dict[str, Any]]:
         """Return the director's events so far."""
-        from xtdrone_interaction.record import read_events  # and scipy with it, which a launch needs not wait for
-
         return read_events(self.out / "events.jsonl")
 
 

@@ -15,12 +15,13 @@ from rich.console import Console
 from xtdrone_interaction.deaths import Death, Deaths
 from xtdrone_interaction.display import Display
 from xtdrone_interaction.launched import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.metrics.formation import write_report
+from xtdrone_interaction.metrics.search import make_report
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.record import RecordError
-from xtdrone_interaction.report import write_report
+from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.recording.search import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
+from xtdrone_interaction.report.terminal import print_search
 from xtdrone_interaction.search_prepare import Prepared, SearchSettings, prepare, read_prepared
-from xtdrone_interaction.search_record import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
-from xtdrone_interaction.search_report import make_report, print_report
 
 _START_LIMIT = 90.0  # wall s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
 _START_LIMIT_VEHICLE = 5.0
@@ -155,7 +156,7 @@ def _report(
     Raises:
         DemoError: the bag is no record of a search.
     """
-    from xtdrone_interaction.search_map import save_map  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.search_map import save_map  # matplotlib takes a while to import
 
     folder = bag.parent
     try:
@@ -167,7 +168,7 @@ def _report(
     report["shortcomings"] = [*(str(death) for death in deaths if death.matters), *report["shortcomings"]]
     write_report(report, folder / "report.json")
     save_map(record, prepared.region, prepared.pieces, prepared.ways, folder / "map.png")
-    print_report(report, console)
+    print_search(report, console)
     for file in (bag, *(folder / name for name in _RESULTS)):
         if file.exists():
             console.print(f"  {file}", highlight=False, soft_wrap=True)

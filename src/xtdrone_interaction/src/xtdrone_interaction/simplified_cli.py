@@ -17,10 +17,10 @@ from xtdrone_coordination.user_classes import load_class, nothing_overridden
 from xtdrone_interaction import options
 from xtdrone_interaction.compare_simulators import check_comparable
 from xtdrone_interaction.formation_demo import DemoSettings
-from xtdrone_interaction.geometry import ORIGIN
+from xtdrone_interaction.formation_geometry import ORIGIN
 from xtdrone_interaction.launched import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError, checked
-from xtdrone_interaction.record import FlightRecord, read_record
+from xtdrone_interaction.recording.formation import FormationRecord, read_formation
 from xtdrone_interaction.screen import PatientConsole, run_reported
 from xtdrone_interaction.simplified_demo import (
     MOST_COMPARED,
@@ -205,7 +205,7 @@ def _compare(arguments: argparse.Namespace, count: int) -> bool:
     return bool(count <= MOST_COMPARED if arguments.compare is None else arguments.compare)
 
 
-def _recorded(file: Path | None, settings: SwarmSettings) -> FlightRecord | None:
+def _recorded(file: Path | None, settings: SwarmSettings) -> FormationRecord | None:
     """Return the recorded flight to compare with, None without one.
 
     Raises:
@@ -215,7 +215,7 @@ def _recorded(file: Path | None, settings: SwarmSettings) -> FlightRecord | None
         return None
     if not file.is_file():
         raise OptionError(f"comparison: {file} does not exist; flight.bag of a formation flight is needed")
-    record = read_record(file)
+    record = read_formation(file)
     check_comparable(record, settings.n, [ORIGIN, *settings.patterns, ORIGIN])
     return record
 

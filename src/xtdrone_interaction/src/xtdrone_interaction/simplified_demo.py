@@ -30,6 +30,7 @@ from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.formation_demo import DemoSettings, show_event
 from xtdrone_interaction.formation_demo import run_demo as run_ros_demo
 from xtdrone_interaction.launched import DemoError, Interrupted, escape, signals_raise
+from xtdrone_interaction.metrics.formation import make_report, write_report
 from xtdrone_interaction.options import (
     MAX_SWARM,
     clearance_setting,
@@ -38,8 +39,9 @@ from xtdrone_interaction.options import (
     speed_setting,
     vehicles_setting,
 )
-from xtdrone_interaction.record import FlightRecord, RecordError, read_record, save_record
-from xtdrone_interaction.report import make_report, print_report, write_report
+from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
+from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.report.terminal import print_formation
 from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of
 
 if TYPE_CHECKING:
@@ -107,7 +109,7 @@ class SwarmSettings(Settings):
     network: NetworkOptions | None = None
     compare: bool = False
     compare_with: Path | None = None
-    recorded: FlightRecord | None = None
+    recorded: FormationRecord | None = None
 
     def stored(self) -> dict[str, Any]:
         """Return what the report keeps of them."""
@@ -172,7 +174,7 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
     with signals_raise():
         try:
             record = _fly(settings, film, console)
-            save_record(record, settings.out / "flight.npz")
+            save_formation(record, settings.out / "flight.npz")
             _check_outcome(record)
             report = make_report(record, {**settings.stored(), "command_wall": command_wall})
             return _conclude(record, report, settings, film, console)
@@ -193,8 +195,8 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _fly(
-    settings: SwarmSettings, film: FilmSettings, console: Console, *, like: FlightRecord | None = None
-) -> FlightRecord:
+    settings: SwarmSettings, film: FilmSettings, console: Console, *, like: FormationRecord | None = None
+) -> FormationRecord:
     """Fly once, showing the progress; a flight that fails is returned too.
 
     Args:
@@ -245,7 +247,7 @@ def _own_fault(error: Exception, settings: SwarmSettings) -> str:
     return f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno}, in {last.name}: {last.line})"
 
 
-def _check_outcome(record: FlightRecord, where: str = "") -> None:
+def _check_outcome(record: FormationRecord, where: str = "") -> None:
     """Raise DemoError, with ``where`` before the reason, for a flight that failed."""
     outcome, reason = outcome_of(record)
     if outcome != "done":
@@ -311,14 +313,16 @@ def _edges(adjacency: Any) -> Any:
 
 
 def _conclude(
-    record: FlightRecord, report: dict[str, Any], settings: SwarmSettings, film: FilmSettings, console: Console
+    record: FormationRecord, report: dict[str, Any], settings: SwarmSettings, film: FilmSettings, console: Console
 ) -> int:
-    from xtdrone_interaction.plots import save_plots  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.drawing import save_figures  # matplotlib takes a while to import
+    from xtdrone_interaction.pictures.formation import figures
 
-    print_report(report, console)
+    print_formation(report, console)
     file = settings.out / "report.json"
     write_report(report, file)  # whatever becomes of the rest
-    paths = [settings.out / "flight.npz", file, *save_plots(record, settings.out)]
+    pictures = save_figures(figures(record), settings.out)
+    paths = [settings.out / "flight.npz", file, *(path for _, path in pictures)]
     if settings.compare or settings.compare_with:
         full, what = _full_flight(record, settings, console)
         paths += add_comparison(record, full, what, report, settings.out, console)
@@ -330,7 +334,7 @@ def _conclude(
     return 1 if report["shortcomings"] else 0
 
 
-def _full_flight(record: FlightRecord, settings: SwarmSettings, console: Console) -> tuple[FlightRecord, str]:
+def _full_flight(record: FormationRecord, settings: SwarmSettings, console: Console) -> tuple[FormationRecord, str]:
     if settings.recorded is not None:
         return settings.recorded, str(settings.compare_with)
     full = _fly(settings, FilmSettings(None, window=False), console, like=record)
@@ -339,7 +343,7 @@ def _full_flight(record: FlightRecord, settings: SwarmSettings, console: Console
 
 
 def add_comparison(
-    record: FlightRecord, full: FlightRecord, what: str, report: dict[str, Any], folder: Path, console: Console
+    record: FormationRecord, full: FormationRecord, what: str, report: dict[str, Any], folder: Path, console: Console
 ) -> list[Path]:
     """Compare with a full flight: the table, ``report["comparison"]``, and pictures, whose paths are returned.
 
@@ -352,7 +356,7 @@ def add_comparison(
     return save_pictures(record, full, folder)
 
 
-def film_frames(record: FlightRecord) -> Iterator[Any]:
+def film_frames(record: FormationRecord) -> Iterator[Any]:
     """Yield the flight's frames for a film."""
     track = record.track
     speed = max(_FILM_SPEED, float(track.time[-1] - track.time[0]) / _FILM_LENGTH)
@@ -374,7 +378,7 @@ def film_frames(record: FlightRecord) -> Iterator[Any]:
         yield _frame(now, places, slots, edges, pattern)
 
 
-def make_film(record: FlightRecord, path: Path, console: Console) -> Path:
+def make_film(record: FormationRecord, path: Path, console: Console) -> Path:
     """Film a recorded flight, some times as fast as flown, and show how far it is drawn.
 
     Raises:
@@ -409,7 +413,7 @@ def run_on_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, 
 
 
 def _after_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, console: Console) -> int:
-    record = read_record(demo.out / "flight.bag")
+    record = read_formation(demo.out / "flight.bag")
     paths: list[Path] = []
     if settings.compare or settings.compare_with:
         file = demo.out / "report.json"

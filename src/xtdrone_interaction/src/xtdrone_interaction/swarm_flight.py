@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from xtdrone_coordination.leader import CommandError
-from xtdrone_interaction.geometry import ORIGIN, Array
-from xtdrone_interaction.mission import CLEARANCE, SETTLE_LIMIT, FormationMission, MissionError, View
-from xtdrone_interaction.record import Change, FlightRecord, Track
+from xtdrone_interaction.formation_geometry import ORIGIN, Array
+from xtdrone_interaction.formation_mission import CLEARANCE, SETTLE_LIMIT, FleetState, FormationMission, MissionError
+from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.model import Change
+from xtdrone_interaction.recording.positions import FleetTrack
 
 if TYPE_CHECKING:
     from xtdrone_swarm import Swarm
@@ -39,7 +41,7 @@ def fly_formation(
     progress: Progress | None = None,
     on_event: EventListener | None = None,
     on_turn: Callable[[], None] | None = None,
-) -> FlightRecord:
+) -> FormationRecord:
     """Fly the formation mission: takeoff, origin, each pattern with the leader moving between, origin, landing.
 
     A flight that fails is landed and recorded too: its last event is then ``failed``, not ``done``.
@@ -87,7 +89,7 @@ class FormationFlight:
         """Prepare the flight; see :func:`fly_formation`."""
         known = swarm.leader.patterns
         slots = {name: known.offsets(name) for name in dict.fromkeys([ORIGIN, *patterns])}
-        self.view = View(swarm.vehicles.names)
+        self.view = FleetState(swarm.vehicles.names)
         self.view.connected = [True] * len(self.view.names)
         reach = max(float(np.linalg.norm(offsets, axis=1).max()) for offsets in slots.values())
         limit = max(SETTLE_LIMIT, _SETTLE_TIME * reach)
@@ -208,11 +210,11 @@ class FormationFlight:
             "positions": self._source,
         }
 
-    def record(self) -> FlightRecord:
+    def record(self) -> FormationRecord:
         """Return what has been flown; vehicles touch each other in full physics alone."""
-        return FlightRecord(
+        return FormationRecord(
             names=tuple(self.view.names),
-            truth=Track(self._source, np.array(self._times), np.array(self._places)),
+            truth=FleetTrack(self._source, np.array(self._times), np.array(self._places)),
             estimate=None,
             patterns=self._patterns,
             topologies=self._topologies,
@@ -221,7 +223,7 @@ class FormationFlight:
         )
 
 
-def outcome_of(record: FlightRecord) -> tuple[str, str]:
+def outcome_of(record: FormationRecord) -> tuple[str, str]:
     """Return how a flight ended, ``done`` or ``failed``, and why."""
     last = record.events[-1]
     return cast(str, last["event"]), cast(str, last.get("reason", ""))

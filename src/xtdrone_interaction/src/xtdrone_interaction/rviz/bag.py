@@ -1,4 +1,4 @@
-"""A recorded flight as a source of messages in simulated time."""
+"""A recorded flight, also a cut off one, as a source of ROS messages in simulated time."""
 
 from __future__ import annotations
 
@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import rosbag
 import roslib.message
 
 from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
+from xtdrone_interaction.bags.ros1bag import BagError, BagFile
+from xtdrone_interaction.bags.sources import large_batches
 
 _POSE = re.compile(r"/(?P<type>\w+)_(?P<index>\d+)/mavros/local_position/pose")
-
-
-class BagError(ValueError):
-    """A bag that cannot be shown; the message says why."""
 
 
 class Timed(NamedTuple):
@@ -27,7 +24,7 @@ class Timed(NamedTuple):
     Attributes:
         time_us: simulated time at which it was sent, microseconds.
         topic: name.
-        message: of the type that this workspace has.
+        message: of this workspace's type.
     """
 
     time_us: int
@@ -38,15 +35,15 @@ class Timed(NamedTuple):
 class FlightBag:
     """A bag with vehicles' poses.
 
-    The times at which the recorder noted messages may be wrong by seconds. So the time of a message is its own stamp;
-    where it has none, the newest stamp of a pose that was recorded before it.
+    The recorder's times may be wrong by seconds. So the time of a message is its own stamp or, if it has none, the
+    newest stamp of a pose recorded before it.
 
     Attributes:
         fleet: as ``iris:9``.
         vehicles: of the fleet.
         types: message type of each topic.
-        begin_us, end_us: simulated times of the first and of the last pose, microseconds.
-        flown: the lowest and the highest coordinates of all poses, shape (2, 3), m; None if none is known.
+        begin_us, end_us: simulated times of the first and the last pose, microseconds.
+        flown: the lowest and the highest coordinates of all poses, shape (2, 3), m; None if all are unknown.
     """
 
     def __init__(self, path: Path) -> None:
@@ -57,14 +54,16 @@ class FlightBag:
         """
         if not path.is_file():
             raise BagError(f"bag: {path} does not exist")
-        try:
-            self._bag = rosbag.Bag(str(path))
-            found = self._bag.get_type_and_topic_info()
-        except (rosbag.ROSBagException, OSError, ValueError) as error:
-            raise BagError(f"bag: {path} cannot be read ({error}); 'rosbag reindex' may mend it") from error
         self._path = path
-        self.types = {topic: info.msg_type for topic, info in found.topics.items()}
-        self._md5sums = {topic: found.msg_types[kind] for topic, kind in self.types.items()}
+        try:
+            self._bag = BagFile(path)
+            for _ in self._bag.batches():  # collects the connections
+                pass
+        except BagError as error:
+            raise BagError(f"bag: {path} cannot be read ({error})") from error
+        connections = self._bag.connections.values()
+        self.types = {connection.topic: connection.type for connection in connections}
+        self._md5sums = {connection.topic: connection.md5 for connection in connections}
         self._poses = {topic: match for topic in self.types if (match := _POSE.fullmatch(topic))}
         self.fleet = self._fleet()
         self.vehicles: tuple[Vehicle, ...] = parse_fleet(self.fleet)
@@ -94,7 +93,7 @@ class FlightBag:
         """Yield the messages of ``topics`` in the order of their times.
 
         Raises:
-            BagError: the bag is damaged, or a message is of another type than this workspace has under that name.
+            BagError: the type of a message differs from this workspace's type of that name.
         """
         classes = {topic: self._message_class(topic) for topic in topics if topic in self.types}
         for time_us, _, topic, data in sorted(self._raw(classes)):
@@ -110,23 +109,24 @@ class FlightBag:
     def _raw(self, classes: Mapping[str, Any]) -> Iterator[tuple[int, int, str, bytes]]:
         """Yield time (us), number, topic and content of all messages from the first pose on, as they were recorded."""
         newest_us = -1
-        try:
-            read = self._bag.read_messages(topics=[*{*classes, *self._poses}], raw=True)
-            for number, (topic, (_, data, *_), _) in enumerate(read):
-                own_us = -1
-                if topic in self._poses or classes[topic]._has_header:
-                    _, seconds, nanoseconds = struct.unpack_from("<III", data)  # the header is a message's first field
-                    own_us = seconds * 1_000_000 + nanoseconds // 1000
-                if topic in self._poses:
-                    newest_us = max(newest_us, own_us)
-                if topic in classes and newest_us >= 0:
-                    yield own_us if own_us > 0 else newest_us, number, topic, data
-        except (rosbag.ROSBagException, OSError, struct.error) as error:
-            raise BagError(f"bag: {self._path} is damaged: {error}") from error
+        for number, (topic, data) in enumerate(self._serialised({*classes, *self._poses})):
+            own_us = -1
+            if topic in self._poses or classes[topic]._has_header:
+                _, seconds, nanoseconds = struct.unpack_from("<III", data)  # the header is a message's first field
+                own_us = seconds * 1_000_000 + nanoseconds // 1000
+            if topic in self._poses:
+                newest_us = max(newest_us, own_us)
+            if topic in classes and newest_us >= 0:
+                yield own_us if own_us > 0 else newest_us, number, topic, data
 
-    def close(self) -> None:
-        """Close the file."""
-        self._bag.close()
+    def _serialised(self, topics: Collection[str]) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and content of the messages of ``topics``, in the order of the recorder's times."""
+        numbers = {number: c.topic for number, c in self._bag.connections.items() if c.topic in topics}
+        for batch in large_batches(self._bag):
+            rows = np.flatnonzero(np.isin(batch.connection, list(numbers)))
+            for row in rows[np.argsort(batch.time[rows], kind="stable")].tolist():
+                start = int(batch.offset[row])
+                yield numbers[int(batch.connection[row])], batch.data[start : start + int(batch.length[row])].tobytes()
 
 
 def _position(data: bytes) -> tuple[float, float, float]:

@@ -12,7 +12,6 @@ signal n (what there is of the film is kept).
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import subprocess
 import sys
@@ -101,7 +100,7 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
         OptionError: the film would begin after the flight's end.
         StageError: there is no film.
     """
-    from xtdrone_interaction.rviz.bag import FlightBag  # rosbag takes a while to import
+    from xtdrone_interaction.rviz.bag import FlightBag  # slow to import
     from xtdrone_interaction.rviz.playback import play
 
     bag = FlightBag(path)
@@ -120,8 +119,7 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
             share = min(1.0, (now_us - begin_us) / max(1.0, end_us - begin_us))
             console.print(f"film: sim {now_us * 1e-6:.1f} s, {share:.0%}", highlight=False)
 
-    with contextlib.closing(bag):
-        frames = play(settings, bag, work, on_turn)
+    frames = play(settings, bag, work, on_turn)
     rate = frames / (time.monotonic() - began)
     console.print(f"film: {frames} frames, {rate:.1f} a second of wall time", highlight=False)
 

@@ -18,9 +18,11 @@ from xtdrone_coordination.follower import Follower, FollowerOptions
 from xtdrone_coordination.leader import Leader, LeaderOptions
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_interaction.geometry import Array, least_distances
-from xtdrone_interaction.record import Change, FlightRecord, Track
-from xtdrone_interaction.report import measure
+from xtdrone_interaction.formation_geometry import Array, least_distances
+from xtdrone_interaction.metrics.formation import measure
+from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.model import Change
+from xtdrone_interaction.recording.positions import FleetTrack
 from xtdrone_interaction.sweep.parameters import CLASS, DEFAULTS, Value, group_of
 from xtdrone_interaction.sweep.sources import Source, load
 from xtdrone_swarm import Swarm
@@ -163,7 +165,7 @@ def check_options(parameters: Mapping[str, Value]) -> None:
     make_options({**DEFAULTS, **parameters})
 
 
-def figures_of(record: FlightRecord) -> Row:
+def figures_of(record: FormationRecord) -> Row:
     """Return the figures of a flight, all but wall_time; see FIGURES."""
     track = record.track
     changes = measure(record, track)
@@ -199,7 +201,7 @@ def collided_pairs(positions: Array, limit: float = COLLISION_DISTANCE) -> int:
     return len(pairs)
 
 
-def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) -> FlightRecord:
+def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) -> FormationRecord:
     """Fly patterns in turn from the air, each until all followers have settled or the limit is over."""
     swarm.run(_LISTENING)  # else the leader assigns by the grid: over a network it has heard of nobody yet
     names = tuple(swarm.vehicles.names)
@@ -216,11 +218,11 @@ def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) 
         swarm.run_until(hold=hold, limit=limit)
     events.append({"event": "done", "time": swarm.time})
     assert swarm.record is not None
-    truth = Track(_SOURCE, np.array(swarm.record.times), np.array(swarm.record.positions))
-    return FlightRecord(names, truth, None, changes, topologies, events)
+    truth = FleetTrack(_SOURCE, np.array(swarm.record.times), np.array(swarm.record.positions))
+    return FormationRecord(names, truth, None, changes, topologies, events)
 
 
-def _mission(swarm: Swarm, patterns: Sequence[str]) -> FlightRecord:
+def _mission(swarm: Swarm, patterns: Sequence[str]) -> FormationRecord:
     """Fly the demo's whole mission, takeoff to landing."""
     from xtdrone_interaction.swarm_flight import fly_formation
 
@@ -230,7 +232,7 @@ def _mission(swarm: Swarm, patterns: Sequence[str]) -> FlightRecord:
     return record
 
 
-def _ending(record: FlightRecord) -> str:
+def _ending(record: FormationRecord) -> str:
     last = record.events[-1]
     return f"the flight ended with {last['event']!r}: {last.get('reason', 'no reason given')}"
 

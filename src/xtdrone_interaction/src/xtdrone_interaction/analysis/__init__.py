@@ -1,1 +1,0 @@
-"""What flights leave behind, bags and ULogs, read and drawn without ROS. No module here imports rospy."""

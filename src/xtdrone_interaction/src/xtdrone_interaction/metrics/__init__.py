@@ -1,0 +1,1 @@
+"""Numbers computed from recordings; no drawing, no ROS."""

@@ -1,0 +1,191 @@
+"""How well responses follow their setpoints, and the frequency content of signals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+
+from xtdrone_interaction.recording.series import Array, Series
+from xtdrone_interaction.recording.ulog import FlightLog, euler
+
+_MOST_DELAY = 1.0  # s; longer delays are not detected
+_LEAST_LIKENESS = 0.5  # correlation; below it a response does not follow, and its delay is undefined
+_AXES = ("x", "y", "z")
+_SEGMENT = 512  # samples of one spectrum; Welch's method averages many
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How well a response follows its setpoint.
+
+    Attributes:
+        name: quantity and unit.
+        rms: of the error.
+        greatest: error.
+        delay: of the response behind the setpoint, s; None if nothing moves or the response does not follow.
+    """
+
+    name: str
+    rms: float
+    greatest: float
+    delay: float | None
+
+
+def even_times(time: Array, step: float) -> Array:
+    """Return evenly spaced times from the first to at most the last of ``time``."""
+    count = int((time[-1] - time[0]) / step + 1e-6) + 1
+    return np.minimum(time[0] + step * np.arange(count), time[-1])
+
+
+def uniform(series: Series, start: float, end: float) -> tuple[Array, float] | None:
+    """Return a part of a series resampled at even steps, shape (t, k), and the step, s; None if it is too short."""
+    part = (series.time >= start) & (series.time <= end)
+    time = series.time[part]
+    if len(time) < 16:
+        return None
+    step = float(np.median(np.diff(time)))
+    if step <= 0.0:
+        return None
+    return Series(time, series.value[part]).at(even_times(time, step)), step
+
+
+def tracking(name: str, wanted: Series, actual: Series, start: float, end: float, turn: float = 0.0) -> Tracking | None:
+    """Compare a response with its setpoint.
+
+    Args:
+        name: for the result.
+        wanted: setpoint, (t, 1); NaN where there is none.
+        actual: response, (t, 1).
+        start, end: span of the comparison, s.
+        turn: full turn in the quantity's unit, for angles; else 0.
+    """
+    made = uniform(actual, start, end)
+    if made is None or not len(wanted):
+        return None
+    values, step = made
+    grid = actual.time[(actual.time >= start) & (actual.time <= end)][0] + step * np.arange(len(values))
+    # a setpoint holds until the next one; stamps are rounded
+    last = np.searchsorted(wanted.time, grid + 0.05 * step, "right") - 1
+    told = np.where(last >= 0, wanted.value[np.maximum(last, 0), 0], np.nan)
+    did = values[:, 0]
+    error = did - told
+    if turn:
+        error = (error + turn / 2) % turn - turn / 2
+    good = np.isfinite(error)
+    if good.sum() < 16:
+        return None
+    delay = None if turn else _delay(told[good], did[good], step)
+    return Tracking(name, float(np.sqrt(np.mean(error[good] ** 2))), float(np.abs(error[good]).max()), delay)
+
+
+def _delay(told: Array, did: Array, step: float) -> float | None:
+    """Return the delay of ``did`` behind ``told`` by their correlation, s; None if they do not correlate."""
+    told, did = told - told.mean(), did - did.mean()
+    if told.std() < 1e-9 or did.std() < 1e-9:
+        return None
+    most = min(round(_MOST_DELAY / step), len(told) // 2)
+    likeness = signal.correlate(did, told, "full")[len(told) - 1 : len(told) + most]
+    best = int(likeness.argmax())
+    if likeness[best] < _LEAST_LIKENESS * np.linalg.norm(told) * np.linalg.norm(did) or best == most:
+        return None
+    return float(step * best)
+
+
+def spectrum(series: Series, start: float, end: float) -> tuple[Array, Array] | None:
+    """Return frequencies, Hz, and the power spectral density of each column, shape (f, k), by Welch's method."""
+    made = uniform(series, start, end)
+    if made is None:
+        return None
+    values, step = made
+    values = np.nan_to_num(values)
+    # the median, so that takeoff and touchdown do not mask permanent vibration
+    frequency, density = signal.welch(
+        values, 1.0 / step, nperseg=min(_SEGMENT, len(values)), axis=0, average="median", detrend="linear"
+    )
+    return frequency, density
+
+
+def spectrogram(series: Series, start: float, end: float) -> tuple[Array, Array, Array] | None:
+    """Return times, s, frequencies, Hz, and the power spectral density summed over the columns, shape (f, t)."""
+    made = uniform(series, start, end)
+    if made is None or len(made[0]) < 4 * 128:
+        return None
+    values, step = made
+    step_by = max(64, len(values) // 800)
+    size = max(256, step_by) if len(values) > 2048 else 128
+    frequency, time, density = signal.spectrogram(
+        np.nan_to_num(values), 1.0 / step, nperseg=size, noverlap=max(0, size - step_by), axis=0
+    )
+    first = float(series.time[series.time >= start][0])
+    return time + first, frequency, density.sum(axis=1)
+
+
+class SetpointPair(NamedTuple):
+    """A response and its setpoint.
+
+    Attributes:
+        name: quantity and unit.
+        actual: response, (t, 1).
+        wanted: setpoint, (t, 1).
+        turn: full turn in the unit of an angle; else 0.
+    """
+
+    name: str
+    actual: Series
+    wanted: Series | None
+    turn: float = 0.0
+
+
+def pairs(log: FlightLog) -> dict[str, list[SetpointPair]]:
+    """Return all responses with their setpoints, by group."""
+    found: dict[str, list[SetpointPair]] = {"Position": [], "Velocity": [], "Attitude": [], "Rates": []}
+    place, told = log.series("vehicle_local_position", *_AXES), log.series("vehicle_local_position_setpoint", *_AXES)
+    moving = log.series("vehicle_local_position", "vx", "vy", "vz")
+    told_moving = log.series("vehicle_local_position_setpoint", "vx", "vy", "vz")
+    signs = (1.0, 1.0, -1.0)
+    for i, (name, sign) in enumerate(zip(("north [m]", "east [m]", "up [m]"), signs, strict=True)):
+        if place is not None and np.isfinite(place.value[:, i]).any():
+            found["Position"].append(SetpointPair(name, place.column(i, sign), _column_or_none(told, i, sign)))
+    for i, (name, sign) in enumerate(zip(("north [m/s]", "east [m/s]", "up [m/s]"), signs, strict=True)):
+        if moving is not None and np.isfinite(moving.value[:, i]).any():
+            found["Velocity"].append(SetpointPair(name, moving.column(i, sign), _column_or_none(told_moving, i, sign)))
+    attitude, wanted = _angles(log, "vehicle_attitude", "q"), _angles(log, "vehicle_attitude_setpoint", "q_d")
+    for i, name in enumerate(("roll [°]", "pitch [°]", "yaw [°]")):
+        if attitude is not None:
+            found["Attitude"].append(SetpointPair(name, attitude.column(i), _column_or_none(wanted, i), 360.0))
+    rates, wanted = body_rates(log), log.series("vehicle_rates_setpoint", "roll", "pitch", "yaw")
+    degrees = float(np.degrees(1.0))
+    for i, name in enumerate(("roll [°/s]", "pitch [°/s]", "yaw [°/s]")):
+        if rates is not None:
+            found["Rates"].append(SetpointPair(name, rates.column(i, degrees), _column_or_none(wanted, i, degrees)))
+    return {what: group for what, group in found.items() if group}
+
+
+def body_rates(log: FlightLog) -> Series | None:
+    """Return the body rates, rad/s FRD, (t, 3); logs before PX4 v1.10 have them with the attitude."""
+    rates = log.array("vehicle_angular_velocity", "xyz", 3)
+    return rates or log.series("vehicle_attitude", "rollspeed", "pitchspeed", "yawspeed")
+
+
+def trackings(log: FlightLog) -> list[tuple[str, Tracking]]:
+    """Return the group and the tracking of all responses, from the first arming to the last disarming."""
+    rows = []
+    for what, group in pairs(log).items():
+        for pair in group:
+            if pair.wanted is not None:
+                found = tracking(pair.name, pair.wanted, pair.actual, *log.flown, pair.turn)
+                if found is not None:
+                    rows.append((what, found))
+    return rows
+
+
+def _column_or_none(series: Series | None, column: int, scale: float = 1.0) -> Series | None:
+    return None if series is None else series.column(column, scale)
+
+
+def _angles(log: FlightLog, topic: str, name: str) -> Series | None:
+    quaternion = log.array(topic, name, 4)
+    return None if quaternion is None else Series(quaternion.time, euler(quaternion.value))

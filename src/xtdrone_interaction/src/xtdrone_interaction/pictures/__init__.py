@@ -1,0 +1,1 @@
+"""Matplotlib figures of recordings; no display, no ROS."""

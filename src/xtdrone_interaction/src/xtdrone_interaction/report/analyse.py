@@ -1,0 +1,132 @@
+"""``./xtdrone analyse FILE``: report and pictures of any recording.
+
+Exit status: 0 when a report was written, 1 when nothing can be read, 2 for a value that is not allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from xtdrone_interaction.bags.ros1bag import BagError
+from xtdrone_interaction.metrics.vehicle import summarise, summarise_log
+from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.pictures import flight_log
+from xtdrone_interaction.pictures import recording as recording_pictures
+from xtdrone_interaction.recording.formation import formation_of
+from xtdrone_interaction.recording.model import RecordError, Recording
+from xtdrone_interaction.recording.open import open_recording
+from xtdrone_interaction.recording.ulog import FlightLog, LogError
+from xtdrone_interaction.report import tables
+from xtdrone_interaction.report.page import ReportPage, output_folder, write_page
+
+
+def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | None = None) -> None:
+    """Write the report of a recording, and print it.
+
+    Args:
+        files: one file, or the consecutive bags of a split recording.
+        folder: of the report; exists.
+        console: to print on.
+        part: number of the flight in a bag whose simulated time was reset, from 1; None for the longest.
+
+    Raises:
+        BagError, LogError, RecordError: nothing can be read of it.
+    """
+    recording = open_recording(files, part)
+    if recording.flight_log is not None:
+        log = recording.flight_log
+        metrics = summarise_log(recording, log)
+        write_page(_log_page(log, metrics), metrics, flight_log.pictures(log), folder, console)
+        return
+    record = formation_of(recording)
+    metrics = summarise(recording, record)
+    shown = recording_pictures.pictures(recording, record if metrics["formation"] else None)
+    write_page(_recording_page(recording, metrics), metrics, shown, folder, console)
+
+
+def _recording_page(recording: Recording, metrics: dict[str, Any]) -> ReportPage:
+    page = ReportPage(f"Flight in {recording.path.name}", _summary(recording, metrics), list(metrics["notes"]))
+    if metrics["formation"]:
+        page.tables.append(tables.formation_table(metrics["formation"]["reconfigurations"]))
+        page.notes += metrics["formation"]["shortcomings"]
+    else:
+        page.notes += recording.collisions
+    page.tables += [tables.vehicles_table(metrics["vehicles"]), tables.modes_table(metrics["vehicles"])]
+    texts = tables.texts_table(recording), tables.warnings_table(recording)
+    page.tables += [table for table in texts if table.rows]
+    page.tables.append(tables.topics_table(recording))
+    return page
+
+
+def _summary(recording: Recording, metrics: dict[str, Any]) -> str:
+    vehicles = f"{len(recording.vehicles)} vehicles" if len(recording.vehicles) != 1 else "1 vehicle"
+    text = f"{vehicles}, {len(recording.topics)} topics, {metrics['messages']} messages in {recording.duration:.1f} s"
+    text += f", {recording.size / 1e6:.1f} MB."
+    if recording.origin:
+        text += f" It began at {time.strftime('%Y-%m-%d %H:%M:%S', time.gmtime(recording.origin))} UTC."
+    if metrics["formation"]:
+        text += f" The formation flight ended with {metrics['formation']['outcome']!r}; judged by "
+        text += f"{metrics['formation']['positions']}, the least distance was "
+        text += f"{metrics['formation']['least_distance']:.2f} m."
+    return text
+
+
+def _log_page(log: FlightLog, metrics: dict[str, Any]) -> ReportPage:
+    armed = metrics["armed_time"]
+    text = f"{log.duration:.1f} s, armed for {armed:.1f} s, {log.size / 1e6:.1f} MB, {len(log.counts)} topics."
+    if metrics["way"] is not None and armed > 0:
+        text += f" It flew {metrics['way']:.1f} m, {metrics['highest']:.1f} m above where it began"
+        text += "." if metrics["greatest_speed"] is None else f", at up to {metrics['greatest_speed']:.1f} m/s."
+    text += _logged_by(metrics["vehicle"])
+    return ReportPage(f"Flight log {log.path.name}", text, list(log.notes), tables.log_tables(log, metrics))
+
+
+def _logged_by(vehicle: dict[str, Any]) -> str:
+    """Return the sentence on the logging software and hardware; empty if they are unknown."""
+    words = " ".join(str(vehicle[key]) for key in ("sys_name", "release") if key in vehicle)
+    if "ver_hw" in vehicle:
+        words += f" on {vehicle['ver_hw']}"
+    if "ver_sw" in vehicle:
+        words += f" (git {str(vehicle['ver_sw'])[:10]})"
+    return f" Logged by {words.strip()}." if words else ""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "Write report and pictures of a recorded flight: report.html, which needs no other file, the "
+        "pictures as PNG, and report.json. No ROS is needed."
+    )
+    add = parser.add_argument
+    add("files", type=Path, nargs="+", metavar="FILE", help="ROS 1 bag or ULog, also one that a crash cut off, ROS 2 "
+        "bag, or flight.npz; or the bags of a split recording")  # fmt: skip
+    add("--part", type=int, metavar="N", help="of a bag in which time was set back (default: the longest)")
+    add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    first = arguments.files[0]
+    try:
+        for file in arguments.files:
+            if not file.exists():
+                raise BagError(f"analyse: {str(file)!r} does not exist")
+        folder = output_folder(arguments.out, first.with_name(f"{first.stem}-analysis"))
+        analyse(arguments.files, folder, Console(), arguments.part)
+    except OptionError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 2
+    except (BagError, LogError, RecordError) as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        return 1
+    return 0

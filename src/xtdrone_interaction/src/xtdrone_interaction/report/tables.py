@@ -1,0 +1,182 @@
+"""Tables of reports, for HTML pages and the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from xtdrone_interaction.recording.model import Recording
+    from xtdrone_interaction.recording.ulog import FlightLog
+
+_PRINTED_ROWS = 40  # on the terminal
+_MOST_ROWS = 300  # of a table of texts
+_MANY_ROWS = 20  # of texts; longer tables are folded
+_SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_LEVELS = {4: "warning", 8: "error", 16: "fatal"}
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """A table of a report.
+
+    Attributes:
+        title: above it.
+        head: of the columns, with units.
+        rows: texts.
+        long: whether it is folded on the page and left out on the terminal.
+        texts: left-aligned columns by number, from 0; the first always is.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    long: bool = False
+    texts: frozenset[int] = frozenset()
+
+
+def print_table(table: ReportTable, console: Console) -> None:
+    """Print the first rows of a table."""
+    printed = Table(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for column, name in enumerate(table.head):
+        left = column == 0 or column in table.texts
+        printed.add_column(name, justify="left" if left else "right", no_wrap=column == 0)
+    for row in table.rows[:_PRINTED_ROWS]:
+        printed.add_row(*(escape(cell) for cell in row))
+    console.print(printed)
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """Return a number as text; empty if it is unknown."""
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def formation_table(reconfigurations: Iterable[dict[str, Any]], title: str = "Formation") -> ReportTable:
+    """Return the table of a formation flight.
+
+    Args:
+        reconfigurations: as in the report, see :class:`~xtdrone_interaction.metrics.formation.Reconfiguration`.
+        title: above it.
+    """
+    rows = [
+        (
+            item["pattern"],
+            "never" if item["settling_time"] is None else f"{item['settling_time']:.2f}",
+            f"{item['overshoot']:.2f} ({item['overshoot_percent']:.0f}%)",
+            f"{item['steady_error_mean']:.3f}/{item['steady_error_max']:.3f}",
+            f"{item['least_distance']:.2f}",
+            f"{item['assigned_distance']:.2f}",
+            f"{item['optimal_distance']:.2f}",
+        )
+        for item in reconfigurations
+    ]
+    # Line breaks make it fit into 80 columns.
+    head = ("pattern", "settled\nafter (s)", "overshoot\n(m)", "steady (m)\nmean/max", "least\ngap (m)",
+            "assigned\n(m)", "optimum\n(m)")  # fmt: skip
+    return ReportTable(title, head, rows)
+
+
+def vehicles_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:
+    """Return the table of the vehicles' metrics."""
+    rows = [
+        (
+            name,
+            number(item["armed_time"], 1),
+            number(item["way"], 1),
+            number(item["highest"]),
+            number(item["greatest_speed"]),
+            number(item["greatest_climb"]),
+            number(item["least_voltage"]),
+            str(item["warnings"]),
+        )
+        for name, item in vehicles.items()
+    ]
+    head = ("vehicle", "armed (s)", "way (m)", "highest (m)", "fastest (m/s)", "fastest climb (m/s)",
+            "least voltage (V)", "warnings")  # fmt: skip
+    return ReportTable("Vehicles", head, rows, long=len(rows) > 60)
+
+
+def modes_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:
+    """Return the table of the time each vehicle spent in each mode."""
+    rows = [
+        (name, ", ".join(f"{mode} {seconds:.1f}" for mode, seconds in item["modes"].items()))
+        for name, item in vehicles.items()
+    ]
+    return ReportTable("Seconds in each mode", ("vehicle", "modes (s)"), rows, long=True, texts=frozenset({1}))
+
+
+def texts_table(recording: Recording) -> ReportTable:
+    """Return the table of the autopilots' status texts."""
+    rows = sorted((at, vehicle.name, bad, text) for vehicle in recording.vehicles for at, bad, text in vehicle.texts)
+    cells = [(f"{at:.2f}", name, _severity(bad), text) for at, name, bad, text in rows]
+    return _shortened("Texts of the autopilots", ("time (s)", "vehicle", "severity", "text"), cells)
+
+
+def _severity(level: int) -> str:
+    return _SEVERITIES[level] if 0 <= level < len(_SEVERITIES) else str(level)
+
+
+def warnings_table(recording: Recording) -> ReportTable:
+    """Return the table of the nodes' warnings and errors."""
+    cells = [(f"{at:.2f}", node, _LEVELS.get(level, str(level)), text) for at, level, node, text in recording.log]
+    return _shortened("Warnings of nodes", ("time (s)", "node", "level", "text"), cells)
+
+
+def _shortened(title: str, head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> ReportTable:
+    if len(rows) > _MOST_ROWS:
+        title = f"{title} (the first {_MOST_ROWS} of {len(rows)})"
+    folded = len(rows) > _MANY_ROWS
+    return ReportTable(title, head, rows[:_MOST_ROWS], long=folded, texts=frozenset(range(1, len(head))))
+
+
+def topics_table(recording: Recording) -> ReportTable:
+    """Return the table of recorded topics."""
+    rows = [
+        (
+            topic.name,
+            topic.type,
+            str(topic.count),
+            "" if math.isnan(topic.rate) else f"{topic.rate:.1f}",
+            f"{topic.bytes / 1e6:.3f}",
+            str(topic.publishers),
+        )
+        for topic in recording.topics
+    ]
+    head = ("topic", "type", "messages", "rate (Hz)", "MB", "publishers")
+    return ReportTable(f"Topics ({len(rows)})", head, rows, long=True, texts=frozenset({1}))
+
+
+def log_tables(log: FlightLog, metrics: dict[str, Any]) -> list[ReportTable]:
+    """Return all tables of a flight log."""
+    responses = [
+        (
+            f"{item['what'].lower()}, {item['name']}",
+            f"{item['rms']:.3f}",
+            f"{item['greatest']:.3f}",
+            "" if item["delay"] is None else f"{1e3 * item['delay']:.0f}",
+        )
+        for item in metrics["tracking"]
+    ]
+    modes = [(mode, f"{seconds:.1f}") for mode, seconds in metrics["modes"].items()]
+    texts = [(f"{time:.2f}", severity, text) for time, severity, text in log.texts]
+    changed = [(name, f"{value:g}", "" if usual is None else f"{usual:g}") for name, value, usual in log.changed]
+    topics = [(name, str(instance), str(count)) for (name, instance), count in sorted(log.counts.items())]
+    tables = [
+        ReportTable(
+            f"Setpoint and response {log.flown_words}",
+            ("quantity", "error, RMS", "greatest", "delay (ms)"),
+            responses,
+        ),
+        ReportTable("Seconds in each mode", ("mode", "time (s)"), modes),
+        _shortened("Texts", ("time (s)", "severity", "text"), texts),
+        ReportTable(f"Changed parameters ({len(changed)})", ("name", "value", "default"), changed, long=True),
+        ReportTable(f"Topics ({len(topics)})", ("topic", "instance", "messages"), topics, long=True),
+    ]
+    return tables[:2] + [table for table in tables[2:] if table.rows]

@@ -1,0 +1,101 @@
+"""The reports of formation flights and searches on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from xtdrone_interaction.report.tables import ReportTable, formation_table, print_table
+
+
+def print_paths(paths: Iterable[Path], console: Console) -> None:
+    """Print the paths of results, one per line."""
+    for path in paths:
+        console.print(f"  {path}", highlight=False, soft_wrap=True, markup=False)
+
+
+def print_formation(report: dict[str, Any], console: Console) -> None:
+    """Print a formation flight's table and shortcomings.
+
+    Args:
+        report: of :func:`~xtdrone_interaction.metrics.formation.make_report`.
+        console: to print on.
+    """
+    title = f"Formation flight of {len(report['vehicles'])} vehicles"
+    print_table(formation_table(report["reconfigurations"], title), console)
+    simplified = report["settings"].get("simulator") == "simplified"
+    collisions = "" if simplified else f", {len(report['collisions'])} collisions"
+    line = f"Least distance {report['least_distance']:.2f} m{collisions}; {report['sim_time']:.1f} s simulated"
+    if report["real_time_factor"] is not None:
+        line += f" in {report['wall_time']:.1f} s ({report['real_time_factor']:.1f} x real time)"
+    if report["startup_time"] is not None:
+        line += f"; first vehicle armed {report['startup_time']:.1f} s after the command"
+    console.print(line + ".", highlight=False)
+    console.print(f"Positions: {report['positions']}.", highlight=False)
+    if simplified:
+        console.print("Simplified vehicles do not touch: where two meet, they fly through each other.", highlight=False)
+    for text in report["shortcomings"]:
+        console.print(f"[red]Missed:[/red] {escape(text)}", highlight=False, soft_wrap=True)
+
+
+def print_search(report: dict[str, Any], console: Console) -> None:
+    """Print a search's finds, table and shortcomings.
+
+    Args:
+        report: of :func:`~xtdrone_interaction.metrics.search.make_report`.
+        console: to print on.
+    """
+    covered = report["covered"]
+    if report["outcome"] != "found":
+        outcome = escape(report["outcome"].capitalize())
+        console.print(f"[yellow]{outcome}.[/yellow] {escape(report['reason'])}", highlight=False)
+    for find in report["finds"]:
+        console.print(_find_text(find), highlight=False)
+    for following in report["following"]:
+        share = following["in_view"]
+        part = "" if share is None else f", in view in {100 * share:.0f} % of the pictures"
+        console.print(f"{following['vehicle']} followed for {following['duration']:.0f} s{part}.", highlight=False)
+    for candidate in report["possible"][:5]:
+        x, y = candidate["position"][:2]
+        console.print(
+            f"Seen but not confirmed: ({x:.1f}, {y:.1f}) m, {candidate.get('hits', 0)} pictures.", highlight=False
+        )
+    print_table(_search_table(report["vehicles"]), console)
+    if covered["fraction"] is not None:
+        area = "" if covered["area"] is None else f"{covered['area']:.0f} of {covered['region_area']:.0f} m^2, "
+        console.print(
+            f"Covered {area}{100 * covered['fraction']:.1f} %, in {report['simulated_time']:.0f} s{_pace(report)}.",
+            highlight=False,
+        )
+    for line in report["shortcomings"]:
+        console.print(f"[red]{escape(line)}[/red]", highlight=False)
+
+
+def _find_text(find: dict[str, Any]) -> str:
+    x, y = find["position"]
+    error = "" if find["error"] is None else f", {find['error']:.2f} m from {find['person']}"
+    again = " again" if find["again"] else ""
+    return f"[green]Found{again}[/green] by {find['vehicle']} at {find['time']:.1f} s, at ({x:.1f}, {y:.1f}) m{error}."
+
+
+def _pace(report: dict[str, Any]) -> str:
+    wall = report["settings"].get("wall_time")
+    return f", {report['simulated_time'] / wall:.2f} x real time with starting up" if wall else ""
+
+
+def _search_table(vehicles: dict[str, dict[str, Any]]) -> ReportTable:
+    rows = [
+        (
+            name,
+            f"{item['distance']:.0f}",
+            f"{item['greatest_height']:.1f}",
+            str(item["pictures"]),
+            str(item["dropped"]),
+        )
+        for name, item in vehicles.items()
+    ]
+    return ReportTable("Vehicles", ("vehicle", "way (m)", "top (m)", "pictures", "passed over"), rows)
