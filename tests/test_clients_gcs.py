@@ -13,8 +13,11 @@ from client_world import CLIENT_LIMIT, Core
 from xtdrone_control.autopilot import modes
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.server import MavlinkServer
-from xtdrone_interaction.gcs import GroundStation, Peer, command, exchanges, logs, parameters
-from xtdrone_interaction.gcs.state import VehicleState
+from xtdrone_interaction.gcs import GroundStation, Peer
+from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.exchanges import logs, parameters, protocol
+from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
+from xtdrone_interaction.gcs.vehicle_state import VehicleState
 from xtdrone_sim.simulation import Simulation
 
 FIRST = 230
@@ -51,7 +54,7 @@ def until(core: Core) -> Iterator[Callable[[Callable[[list[VehicleState]], bool]
 
 def gcs(*arguments: str) -> int:
     """Run a command for all vehicles."""
-    return command.main([*arguments, "--vehicle", *VEHICLES])
+    return main([*arguments, "--vehicle", *VEHICLES])
 
 
 def test_all_take_off(until):
@@ -70,7 +73,7 @@ def test_all_go_to_a_place_of_the_map(until):
 
 
 def test_one_that_has_landed_refuses_and_the_others_go_on(until, capsys):
-    assert command.main(["land", "--vehicle", VEHICLES[0]]) == 0  # the lowest: the others are above it
+    assert main(["land", "--vehicle", VEHICLES[0]]) == 0  # the lowest: the others are above it
     until(lambda states: not states[0].armed, "landed")
     capsys.readouterr()
     assert gcs("goto", "0", "0", "6", "--spacing", "3") == 1
@@ -82,10 +85,10 @@ def test_one_that_has_landed_refuses_and_the_others_go_on(until, capsys):
 
 def test_hold_mode_and_return(until):
     flying = ["--vehicle", *VEHICLES[1:]]
-    assert command.main(["hold", *flying]) == 0
-    assert command.main(["takeoff", "9", *flying]) == 1  # they fly already
-    assert command.main(["mode", "LAND", "--vehicle", VEHICLES[1]]) == 0
-    assert command.main(["rtl", "--vehicle", VEHICLES[2]]) == 0
+    assert main(["hold", *flying]) == 0
+    assert main(["takeoff", "9", *flying]) == 1  # they fly already
+    assert main(["mode", "LAND", "--vehicle", VEHICLES[1]]) == 0
+    assert main(["rtl", "--vehicle", VEHICLES[2]]) == 0
     until(lambda states: (states[1].mode, states[2].mode) == ("AUTO.LAND", "AUTO.RTL"), "modes")
     until(lambda states: not any(state.armed for state in states), "all are down")
 
@@ -96,7 +99,12 @@ def flown(watched: bool) -> tuple[np.ndarray, int]:
     simulation = Simulation(fleet, seed=2)
     server = MavlinkServer(fleet, simulation.autopilot, simulation.commanders)
     peers = [Peer.of(vehicle) for vehicle in fleet] if watched else []
-    jobs = (exchanges.look, parameters.fetch_all, lambda beat: exchanges.fetch_plan(beat.system), logs.fetch_list)
+    jobs = (
+        protocol.request_state,
+        parameters.fetch_all,
+        lambda beat: plan_exchanges.download_plan(beat.system),
+        logs.fetch_list,
+    )
     futures = []
     rows = []
     try:

@@ -23,8 +23,10 @@ from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, PlanItem
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.geodesy import geo
 from xtdrone_control.plans.qgc_plan import FRAME_RELATIVE, Plan
-from xtdrone_interaction.gcs import GcsError, GroundStation, Peer, exchanges, flight, parameters
-from xtdrone_interaction.gcs.exchanges import Beat, Exchange
+from xtdrone_interaction.gcs import GcsError, GroundStation, Peer
+from xtdrone_interaction.gcs.exchanges import flight, parameters
+from xtdrone_interaction.gcs.exchanges.plans import cancel_transfers, upload_plan
+from xtdrone_interaction.gcs.exchanges.protocol import Exchange, Heartbeat
 
 _HOME = (47.397742, 8.545594)  # degrees, of the map's origin, PX4's default in simulation
 _PATIENCE = 300.0  # s of wall time without a response from a vehicle, on a busy machine
@@ -88,15 +90,15 @@ class Actions:
 
     # ---- vehicles, over MAVLink
 
-    def _exchange(self, action: str, job: Callable[[Beat, int], Exchange[Any]]) -> list[Any]:
+    def _exchange(self, action: str, job: Callable[[Heartbeat, int], Exchange[Any]]) -> list[Any]:
         """Run an exchange with every vehicle from ports of our own, which go away; return the results that came."""
 
-        def of(number: int) -> Callable[[Beat], Exchange[Any]]:
-            return lambda beat: job(beat, number)
+        def of(number: int) -> Callable[[Heartbeat], Exchange[Any]]:
+            return lambda heartbeat: job(heartbeat, number)
 
         with GroundStation(self._peers) as station:
             jobs = {peer: of(number) for number, peer in enumerate(self._peers)}
-            results = station.run(jobs, patience=_PATIENCE, closing=exchanges.cancel)
+            results = station.run(jobs, patience=_PATIENCE, on_abort=cancel_transfers)
         found = []
         for result in results.values():
             if isinstance(result, GcsError):
@@ -108,44 +110,44 @@ class Actions:
     def log(self, vehicles: Sequence[int]) -> None:
         """Have these vehicles write a flight log while they are armed, and no others."""
 
-        def set_mode(beat: Beat, number: int) -> Exchange[Any]:
-            return (yield from parameters.change(beat, "SDLOG_MODE", 0.0 if number in vehicles else -1.0))
+        def set_mode(heartbeat: Heartbeat, number: int) -> Exchange[Any]:
+            return (yield from parameters.change(heartbeat, "SDLOG_MODE", 0.0 if number in vehicles else -1.0))
 
         self._exchange("log", set_mode)
 
     def upload(self, plans: Sequence[dict[str, Any]]) -> None:
         """Give each vehicle its mission."""
 
-        def store(beat: Beat, number: int) -> Exchange[Any]:
-            yield from exchanges.store_plan(beat.system, mission(plans[number]))
+        def store(heartbeat: Heartbeat, number: int) -> Exchange[Any]:
+            yield from upload_plan(heartbeat.system, mission(plans[number]))
 
         self._exchange("upload", store)
 
     def fly_mission(self) -> None:
         """Have those that are not armed fly their missions."""
 
-        def fly(beat: Beat, _number: int) -> Exchange[Any]:
-            if not _armed(beat):
-                yield from flight.set_mode(beat, "MISSION")
-                yield from flight.arm(beat)
+        def fly(heartbeat: Heartbeat, _number: int) -> Exchange[Any]:
+            if not _armed(heartbeat):
+                yield from flight.set_mode(heartbeat, "MISSION")
+                yield from flight.arm(heartbeat)
 
         self._exchange("fly_mission", fly)
 
     def take_off(self, height: float) -> None:
         """Command all vehicles to take off."""
 
-        def climb(beat: Beat, _number: int) -> Exchange[Any]:
-            if not _armed(beat):
-                yield from flight.take_off(beat, height)
+        def climb(heartbeat: Heartbeat, _number: int) -> Exchange[Any]:
+            if not _armed(heartbeat):
+                yield from flight.take_off(heartbeat, height)
 
         self._exchange("take_off", climb)
 
     def count_flying(self, vehicles: Sequence[int]) -> None:
         """Count the armed vehicles among those commanded to take off."""
 
-        def look(beat: Beat, number: int) -> Exchange[bool]:
+        def look(heartbeat: Heartbeat, number: int) -> Exchange[bool]:
             yield from ()
-            return _armed(beat) and number in vehicles
+            return _armed(heartbeat) and number in vehicles
 
         self.expected += len(vehicles)
         self.flights += sum(self._exchange("count_flying", look))
@@ -153,19 +155,19 @@ class Actions:
     def land(self) -> None:
         """Have all that fly land where they are."""
 
-        def descend(beat: Beat, _number: int) -> Exchange[None]:
-            if _armed(beat):
-                yield from flight.land(beat)
+        def descend(heartbeat: Heartbeat, _number: int) -> Exchange[None]:
+            if _armed(heartbeat):
+                yield from flight.land(heartbeat)
 
         self._exchange("land", descend)
 
     def disarm(self) -> None:
         """Force-disarm the vehicles that are still armed."""
 
-        def force(beat: Beat, _number: int) -> Exchange[bool]:
-            if _armed(beat):
-                yield from flight.arm(beat, armed=False, force=True)
-            return _armed(beat)
+        def force(heartbeat: Heartbeat, _number: int) -> Exchange[bool]:
+            if _armed(heartbeat):
+                yield from flight.arm(heartbeat, armed=False, force=True)
+            return _armed(heartbeat)
 
         self.forced += sum(self._exchange("disarm", force))
 
@@ -312,8 +314,8 @@ class Actions:
             self._stack.set_speed(self._speed)
 
 
-def _armed(beat: Beat) -> bool:
-    return bool(beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+def _armed(heartbeat: Heartbeat) -> bool:
+    return bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
 def _speaks(node: Node) -> bool:

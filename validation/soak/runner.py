@@ -7,7 +7,6 @@ import shutil
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from benchmarks.process_use import CpuSample
@@ -217,8 +216,3 @@ class Runner:
         """Keep the disk free."""
         self.give_logs()
         self.stack.wait_for(lambda: not self.judge.overloaded, 3600.0)
-
-
-def disk_free(folder: Path) -> int:
-    """Return the free space of the disk of a folder, bytes."""
-    return shutil.disk_usage(folder).free

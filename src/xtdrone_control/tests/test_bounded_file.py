@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from xtdrone_control import bounded_file
-from xtdrone_control.autopilot.parameters import parameter_file
+from xtdrone_control import bounded_file, parameter_file
 from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, load_json, load_yaml, read_bytes, read_text
 from xtdrone_control.plans import qgc_plan
 
@@ -47,7 +46,7 @@ def test_a_large_file_is_refused_by_its_size(tmp_path: Path) -> None:
         read_text(file)
     with pytest.raises(qgc_plan.PlanError, match=r"large: cannot be read: it has 1024\.0 MB, at most 16 MB"):
         qgc_plan.read(file)
-    assert parameter_file.read(file) == []
+    assert parameter_file.read_rows(file) == []
 
 
 @pytest.mark.usefixtures("bounded")

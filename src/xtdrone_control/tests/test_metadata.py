@@ -73,7 +73,6 @@ def test_only_what_is_an_event_too_ends_with_a_tab():
         "announcements",
         "ftp",
         "logger",
-        "parameter_file",
     }
 
 

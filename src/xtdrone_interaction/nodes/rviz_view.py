@@ -11,7 +11,7 @@ Parameters:
 import sys
 
 from xtdrone_control.program import run_program
-from xtdrone_interaction.rviz.window import main
+from xtdrone_interaction.rviz.rviz_window import main
 
 if __name__ == "__main__":
     sys.exit(run_program(main, sys.argv, "rviz_view.py VIEW"))

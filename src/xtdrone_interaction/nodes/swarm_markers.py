@@ -16,7 +16,7 @@ Topics:
 import sys
 
 from xtdrone_control.program import run_program
-from xtdrone_interaction.rviz.node import main
+from xtdrone_interaction.rviz.markers_node import main
 
 if __name__ == "__main__":
     sys.exit(run_program(main, sys.argv, "swarm_markers.py"))

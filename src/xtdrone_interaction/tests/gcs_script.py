@@ -7,7 +7,7 @@ from collections import deque
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.codec import decoder
-from xtdrone_interaction.gcs.exchanges import Beat
+from xtdrone_interaction.gcs.exchanges.protocol import Heartbeat
 
 PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 COPTER, ROVER, PLANE = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_FIXED_WING
@@ -15,7 +15,7 @@ _MAV = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
 
 
 def beat(autopilot=PX4, kind=COPTER):
-    return Beat(7, autopilot, kind, 1, 0)
+    return Heartbeat(7, autopilot, kind, 1, 0)
 
 
 def told(message):

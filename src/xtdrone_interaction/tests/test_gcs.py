@@ -13,7 +13,10 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
-from xtdrone_interaction.gcs import GcsError, Peer, command, display, exchanges, peers_of, station, upload_plans
+from xtdrone_interaction.gcs import GcsError, Peer, peers_of, station, upload_plans
+from xtdrone_interaction.gcs.commands import display
+from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 
 NAN = float("nan")
 PATIENCE = 120.0  # s; only a broken run takes so long
@@ -61,10 +64,10 @@ def test_all_vehicles_get_their_plans_and_tell_them_again(field, as_named):
     assert [field.lists(i) for i in range(COUNT)] == [[9, 4, 1]] * COUNT
     assert {name for name, *_ in seen} == set(field.names)
     assert {what for _, what, *_ in seen} >= {"sending mission", "reading mission", "sending fence"}
-    back = run({peer: exchanges.fetch_plan(peer.system) for peer in field.peers()})
+    back = run({peer: plan_exchanges.download_plan(peer.system) for peer in field.peers()})
     for name, content in plans.items():
         for kind in plan.KINDS:
-            assert exchanges.difference(content.items(kind), back[name].items(kind), kind) == ""
+            assert plan_exchanges.difference(content.items(kind), back[name].items(kind), kind) == ""
     assert back[field.names[0]].mission[3].params[3] == pytest.approx(269.9)  # a PX4 tells headings so
 
 
@@ -74,14 +77,14 @@ def test_it_works_over_a_line_that_loses_a_third(field, seed):
     try:
         peers = [Peer(v.name, v.system_id, "127.0.0.1", line.ports[v.name]) for v in field.vehicles]
         plans = {peer: survey(10 * i) for i, peer in enumerate(peers)}
-        stored = run({peer: exchanges.store_plan(peer.system, plans[peer]) for peer in peers}, 0.02)
+        stored = run({peer: plan_exchanges.upload_plan(peer.system, plans[peer]) for peer in peers}, 0.02)
         assert [str(result) for result in stored.values() if isinstance(result, GcsError)] == []
         assert [field.lists(i) for i in range(COUNT)] == [[9, 4, 1]] * COUNT
-        for peer, found in run({peer: exchanges.fetch_plan(peer.system) for peer in peers}, 0.02).items():
+        for peer, found in run({peer: plan_exchanges.download_plan(peer.system) for peer in peers}, 0.02).items():
             assert isinstance(found, Plan), found
             content = survey(10 * field.names.index(peer))
-            assert exchanges.difference(content.mission, found.mission, plan.MISSION) == ""
-        run({peer: exchanges.clear(peer.system) for peer in peers}, 0.02)
+            assert plan_exchanges.difference(content.mission, found.mission, plan.MISSION) == ""
+        run({peer: plan_exchanges.clear_plan(peer.system) for peer in peers}, 0.02)
         assert [field.lists(i) for i in range(COUNT)] == [[0, 0, 0]] * COUNT
     finally:
         line.close()
@@ -90,18 +93,18 @@ def test_it_works_over_a_line_that_loses_a_third(field, seed):
 
 def test_a_plan_that_is_there_is_replaced_whole(field):
     (peer, *_) = field.peers()
-    run({peer: exchanges.store_plan(peer.system, survey(0))})
-    run({peer: exchanges.store_plan(peer.system, Plan((waypoint(1),)))})
+    run({peer: plan_exchanges.upload_plan(peer.system, survey(0))})
+    run({peer: plan_exchanges.upload_plan(peer.system, Plan((waypoint(1),)))})
     assert field.lists(0) == [1, 0, 0]
 
 
 def test_what_a_vehicle_refuses_is_told_and_leaves_nothing_half_done(field):
     (peer, *_) = field.peers()
     bad = Plan((waypoint(0), PlanItem(183, 2, (0.0,) * 4, 0.0, 0.0, 0.0)))
-    (error,) = run({peer: exchanges.store_plan(peer.system, bad)}).values()
+    (error,) = run({peer: plan_exchanges.upload_plan(peer.system, bad)}).values()
     assert str(error) == ("typhoon_h480_0: mission: the vehicle refuses item 2 (command 183): MAV_MISSION_UNSUPPORTED")
     assert field.lists(0) == [0, 0, 0]
-    (result,) = run({peer: exchanges.store_plan(peer.system, survey(0))}).values()
+    (result,) = run({peer: plan_exchanges.upload_plan(peer.system, survey(0))}).values()
     assert not isinstance(result, GcsError)
 
 
@@ -109,7 +112,7 @@ def test_an_upload_that_somebody_left_off_does_not_block_the_next(field):
     (peer, *_) = field.peers()
 
     def interrupted():
-        exchange = exchanges.store_plan(peer.system, survey(0))
+        exchange = plan_exchanges.upload_plan(peer.system, survey(0))
         answer = yield next(exchange)
         for _ in range(3):
             answer = yield exchange.send(answer)
@@ -117,7 +120,7 @@ def test_an_upload_that_somebody_left_off_does_not_block_the_next(field):
 
     with pytest.raises(KeyboardInterrupt):
         run({peer: interrupted()})
-    (result,) = run({peer: exchanges.store_plan(peer.system, survey(0))}).values()
+    (result,) = run({peer: plan_exchanges.upload_plan(peer.system, survey(0))}).values()
     assert not isinstance(result, GcsError)
 
 
@@ -127,11 +130,11 @@ def test_a_vehicle_that_is_not_there_is_named(field):
     port = nobody.getsockname()[1]
     first = field.peers()[0]
     peers = [Peer("iris_0", 9, "127.0.0.1", first.port), Peer("iris_1", 2, "127.0.0.1", port)]
-    found = station.run({peer: exchanges.fetch_plan(peer.system) for peer in peers}, timeout=0.02, patience=0.3)
+    found = station.run({peer: plan_exchanges.download_plan(peer.system) for peer in peers}, timeout=0.02, patience=0.3)
     nobody.close()
     assert str(found["iris_1"]) == f"iris_1: UDP 127.0.0.1:{port}: no answer of system 2 within 0.3 s"
     assert "no answer of system 9" in str(found["iris_0"])  # it is another's port
-    closed = station.run({peers[1]: exchanges.fetch_plan(2)}, timeout=0.02, patience=0.3)
+    closed = station.run({peers[1]: plan_exchanges.download_plan(2)}, timeout=0.02, patience=0.3)
     assert "nobody listens there" in str(closed["iris_1"])
 
 
@@ -169,7 +172,7 @@ def write_plans(folder, field):
 
 def test_the_command_uploads_downloads_and_clears(field, as_named, tmp_path, capsys):
     write_plans(tmp_path, field)
-    assert command.main(["upload", str(tmp_path), "--patience", "60"]) == 0
+    assert main(["upload", str(tmp_path), "--patience", "60"]) == 0
     shown = capsys.readouterr().out.splitlines()
     assert shown[0].split(maxsplit=1) == [
         "typhoon_h480_0", "9 items, 4 of fence, 1 of rally points: sent, and come back the same"
@@ -177,37 +180,37 @@ def test_the_command_uploads_downloads_and_clears(field, as_named, tmp_path, cap
     assert len(shown) == COUNT
     back = tmp_path / "back"
     vehicles = ["--vehicle", ",".join(field.names), "--patience", "60"]
-    assert command.main(["download", *vehicles, "--to", str(back)]) == 0
+    assert main(["download", *vehicles, "--to", str(back)]) == 0
     for i, name in enumerate(field.names):
         found = qgc_plan.read(back / f"{name}.plan")
-        assert exchanges.difference(survey(10 * i).mission, found.mission, plan.MISSION) == ""
-    assert command.main(["clear", *vehicles]) == 0
+        assert plan_exchanges.difference(survey(10 * i).mission, found.mission, plan.MISSION) == ""
+    assert main(["clear", *vehicles]) == 0
     assert [field.lists(i) for i in range(COUNT)] == [[0, 0, 0]] * COUNT
 
 
 def test_a_folder_that_cannot_be_written_to(field, as_named, capsys):
     for words in (["download"], ["fence", "download"]):
-        assert command.main([*words, "--vehicle", field.names[0], "--to", "/proc/none", "--patience", "60"]) == 1
+        assert main([*words, "--vehicle", field.names[0], "--to", "/proc/none", "--patience", "60"]) == 1
         assert "typhoon_h480_0: its " in capsys.readouterr().err
 
 
 def test_one_file_goes_to_the_vehicle_that_is_named(field, as_named, tmp_path):
     qgc_plan.write(tmp_path / "mine.plan", survey(0))
-    assert command.main(["upload", str(tmp_path / "mine.plan"), "--vehicle", field.names[1], "--patience", "60"]) == 0
+    assert main(["upload", str(tmp_path / "mine.plan"), "--vehicle", field.names[1], "--patience", "60"]) == 0
     assert [field.lists(i)[0] for i in range(COUNT)] == [0, 9, 0]
 
 
 def test_a_file_that_is_called_after_no_vehicle(tmp_path, capsys):
     qgc_plan.write(tmp_path / "mine.plan", survey(0))
     for words in (["upload"], ["fence", "upload"]):
-        assert command.main([*words, str(tmp_path / "mine.plan")]) == 2
+        assert main([*words, str(tmp_path / "mine.plan")]) == 2
         assert "'mine' is not allowed" in (said := capsys.readouterr().err)
         assert "or --vehicle says whose it is" in said
 
 
 def test_failures_are_told_by_the_exit_status(tmp_path, capsys):
     qgc_plan.write(tmp_path / "iris_249.plan", survey(0))
-    assert command.main(["upload", str(tmp_path), "--patience", "0.2"]) == 1
+    assert main(["upload", str(tmp_path), "--patience", "0.2"]) == 1
     caught = capsys.readouterr()
     assert caught.out.split() == ["iris_249", "failed"]
     assert "xtdrone gcs: iris_249: UDP 127.0.0.1:18819: nobody listens there" in caught.err
@@ -218,7 +221,7 @@ def test_a_bad_file_keeps_all_at_home(field, as_named, tmp_path, capsys):
     document = json.loads((tmp_path / "typhoon_h480_1.plan").read_text())
     document["mission"]["items"][0]["frame"] = 10
     (tmp_path / "typhoon_h480_1.plan").write_text(json.dumps(document))
-    assert command.main(["upload", str(tmp_path)]) == 2
+    assert main(["upload", str(tmp_path)]) == 2
     assert "typhoon_h480_1.plan: mission: items: item 1: frame: 10 is not allowed" in capsys.readouterr().err
     assert [field.lists(i) for i in range(COUNT)] == [[0, 0, 0]] * COUNT
 
@@ -234,16 +237,16 @@ def test_a_bad_file_keeps_all_at_home(field, as_named, tmp_path, capsys):
     ],
 )
 def test_what_is_not_allowed_is_named(arguments, message, tmp_path, capsys):
-    assert command.main([argument.format(tmp_path) for argument in arguments]) == 2
+    assert main([argument.format(tmp_path) for argument in arguments]) == 2
     assert message in capsys.readouterr().err
 
 
 def test_check_says_what_px4_would(tmp_path, capsys):
     qgc_plan.write(tmp_path / "good.plan", survey(0))
-    assert command.main(["check", str(tmp_path)]) == 0
+    assert main(["check", str(tmp_path)]) == 0
     assert "good.plan: 9 items, 4 of fence, 1 of rally points; 25 m of way" in capsys.readouterr().out
     qgc_plan.write(tmp_path / "far.plan", Plan((waypoint(0), waypoint(1, command_=plan.TAKEOFF)), home=(*HOME, 0.0)))
-    assert command.main(["check", str(tmp_path / "far.plan")]) == 1
+    assert main(["check", str(tmp_path / "far.plan")]) == 1
     assert "Mission rejected: takeoff not first waypoint item" in capsys.readouterr().err
 
 

@@ -9,9 +9,11 @@ from gcs_field import FIRST, Field, LossyLine
 from gcs_script import ARDUPILOT, COPTER, PLANE, PX4, ROVER, ack, beat, talk, told
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_interaction.gcs import GcsError, Peer, command, flight, station
-from xtdrone_interaction.gcs.exchanges import RefusalError
-from xtdrone_interaction.gcs.flight import Target
+from xtdrone_interaction.gcs import GcsError, Peer, station
+from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.exchanges import flight
+from xtdrone_interaction.gcs.exchanges.flight import Target
+from xtdrone_interaction.gcs.exchanges.protocol import RefusalError
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977420, 85455940, 488_000, 0)
@@ -161,17 +163,17 @@ def field():
 def test_one_of_three_refuses(field, capsys):
     """Arming by force does not ask for checks."""
     vehicles = [str(vehicle.id) for vehicle in field.vehicles]
-    assert command.main(["arm", "--force", "--vehicle", *vehicles[:2]]) == 0
+    assert main(["arm", "--force", "--vehicle", *vehicles[:2]]) == 0
     assert [commander.armed for commander in field.commanders] == [True, True, False]
-    assert command.main(["disarm", "--vehicle", vehicles[0]]) == 0
+    assert main(["disarm", "--vehicle", vehicles[0]]) == 0
     capsys.readouterr()
-    assert command.main(["arm", "--vehicle", *vehicles[1:]]) == 1  # what is armed stays so, the other's checks fail
+    assert main(["arm", "--vehicle", *vehicles[1:]]) == 1  # what is armed stays so, the other's checks fail
     caught = capsys.readouterr()
     assert [line.split(maxsplit=1) for line in caught.out.splitlines()] == [
         [f"vehicle_{FIRST + 1}", "armed"], [f"vehicle_{FIRST + 2}", "failed"]
     ]  # fmt: skip
     assert f"xtdrone gcs: vehicle_{FIRST + 2}: arm: the vehicle says " in caught.err
-    assert command.main(["disarm", "--force", "--vehicle", *vehicles]) == 0
+    assert main(["disarm", "--force", "--vehicle", *vehicles]) == 0
     assert [commander.armed for commander in field.commanders] == [False] * 3
 
 
@@ -181,7 +183,7 @@ def test_commands_over_a_line_that_loses_a_third(field):
         peers = [Peer(name, 0, "127.0.0.1", port) for name, port in line.ports.items()]
         for armed in (True, False):
             jobs = dict.fromkeys(peers, lambda beat, armed=armed: flight.arm(beat, armed, force=True))
-            results = station.run(jobs, timeout=0.05, patience=PATIENCE, closing=station.no_closing)
+            results = station.run(jobs, timeout=0.05, patience=PATIENCE, on_abort=station.no_abort_messages)
             assert set(results.values()) == {None}
             assert [commander.armed for commander in field.commanders] == [armed] * 3
     finally:
@@ -191,7 +193,7 @@ def test_commands_over_a_line_that_loses_a_third(field):
 def test_a_goto_on_the_ground_is_refused(field):
     peer = field.peers()[0]
     job = {peer: lambda beat: flight.go_to(beat, Target(place=(47.0, 8.0), altitude=500.0))}
-    (result,) = station.run(job, closing=station.no_closing).values()
+    (result,) = station.run(job, on_abort=station.no_abort_messages).values()
     assert isinstance(result, GcsError)
     assert "goto: the vehicle says TEMPORARILY_REJECTED" in str(result)
 
@@ -208,13 +210,13 @@ def test_a_goto_on_the_ground_is_refused(field):
     ],
 )
 def test_what_is_said_by_halves(arguments, message, capsys):
-    assert command.main(arguments) == 2
+    assert main(arguments) == 2
     assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["takeoff", "nan"], ["takeoff", "-1"], ["goto", "1", "2", "far"]])
 def test_numbers_that_are_none(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
-        command.main([*arguments, "--vehicle", "0"])
+        main([*arguments, "--vehicle", "0"])
     assert ended.value.code == 2
     assert "is not allowed" in capsys.readouterr().err

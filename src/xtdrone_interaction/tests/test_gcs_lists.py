@@ -13,7 +13,8 @@ from test_gcs import survey
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan
-from xtdrone_interaction.gcs import command, exchanges
+from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.exchanges import plans as plan_exchanges
 
 
 @pytest.fixture(scope="module")
@@ -27,32 +28,32 @@ def test_one_list_goes_up_and_down_and_the_others_stay(field, tmp_path, capsys):
     vehicle = ["--vehicle", str(FIRST)]
     path = tmp_path / "mine.plan"
     qgc_plan.write(path, survey(0))
-    assert command.main(["fence", "upload", str(path), *vehicle]) == 0
+    assert main(["fence", "upload", str(path), *vehicle]) == 0
     assert field.lists(0) == [0, 4, 0]
     assert "4 items of fence: sent, and come back the same" in capsys.readouterr().out
-    assert command.main(["rally", "upload", str(path), *vehicle]) == 0
+    assert main(["rally", "upload", str(path), *vehicle]) == 0
     assert field.lists(0) == [0, 4, 1]
     there = tmp_path / f"vehicle_{FIRST}.plan"
     qgc_plan.write(there, Plan(survey(3).mission))
-    assert command.main(["fence", "download", "--to", str(tmp_path), *vehicle]) == 0
+    assert main(["fence", "download", "--to", str(tmp_path), *vehicle]) == 0
     found = qgc_plan.read(there)
-    assert exchanges.difference(survey(0).fence, found.fence, plan.FENCE) == ""
+    assert plan_exchanges.difference(survey(0).fence, found.fence, plan.FENCE) == ""
     assert qgc_plan.text_of(Plan(found.mission)) == qgc_plan.text_of(Plan(survey(3).mission))
-    assert command.main(["fence", "clear", *vehicle]) == 0
+    assert main(["fence", "clear", *vehicle]) == 0
     assert field.lists(0) == [0, 0, 1]
 
 
 def test_a_plan_without_a_fence_does_not_empty_the_vehicles(field, tmp_path, capsys):
     path = tmp_path / "mine.plan"
     qgc_plan.write(path, Plan(survey(0).mission))
-    assert command.main(["fence", "upload", str(path), "--vehicle", str(FIRST)]) == 2
+    assert main(["fence", "upload", str(path), "--vehicle", str(FIRST)]) == 2
     assert "mine.plan: no fence in it; 'clear' empties the vehicle's" in capsys.readouterr().err
 
 
 def test_a_plan_that_cannot_be_read_is_not_written_over(field, tmp_path, capsys):
     there = tmp_path / f"vehicle_{FIRST}.plan"
     there.write_text("{")
-    assert command.main(["rally", "download", "--to", str(tmp_path), "--vehicle", str(FIRST)]) == 1
+    assert main(["rally", "download", "--to", str(tmp_path), "--vehicle", str(FIRST)]) == 1
     assert "its rally points cannot be written" in capsys.readouterr().err
     assert there.read_text() == "{"
 
@@ -63,7 +64,7 @@ def test_a_plan_for_another_autopilot_is_taken_with_a_note(field, tmp_path, caps
     document = json.loads(qgc_plan.text_of(survey(0)))
     document["mission"]["firmwareType"] = firmware
     path.write_text(json.dumps(document))
-    assert command.main(["upload", str(path), "--vehicle", str(FIRST)]) == 0
+    assert main(["upload", str(path), "--vehicle", str(FIRST)]) == 0
     assert f"mine.plan: drawn for {words}, its items are taken as PX4 takes them" in capsys.readouterr().err
     assert field.lists(0) == [9, 4, 1]
     assert json.loads(qgc_plan.text_of(qgc_plan.read(path)))["mission"]["firmwareType"] == firmware
@@ -120,14 +121,14 @@ class ArduPilot:
 
 def test_an_ardupilots_first_item_is_its_home():
     vehicle, content = ArduPilot(), survey(0)
-    talk(exchanges.store_plan(7, content, autopilot=ARDUPILOT), vehicle)
+    talk(plan_exchanges.upload_plan(7, content, autopilot=ARDUPILOT), vehicle)
     assert [item.command for item in vehicle.lists[0]] == [16, *(item.command for item in content.mission)]
     assert vehicle.lists[0][-1].param1 == 2.0  # a jump to what is item 1 of the plan
-    found = talk(exchanges.fetch_plan(7, autopilot=ARDUPILOT), vehicle)
+    found = talk(plan_exchanges.download_plan(7, autopilot=ARDUPILOT), vehicle)
     assert (found.mission[-1].params[0], found.drawn_for) == (1.0, "ArduPilot")
     for kind in plan.KINDS:
-        assert exchanges.difference(content.items(kind), found.items(kind), kind, ARDUPILOT) == ""
-    assert "8 items came back of 9" in exchanges.difference(content.mission, found.mission[1:], 0, ARDUPILOT)
-    talk(exchanges.clear(7, autopilot=ARDUPILOT), vehicle)
+        assert plan_exchanges.difference(content.items(kind), found.items(kind), kind, ARDUPILOT) == ""
+    assert "8 items came back of 9" in plan_exchanges.difference(content.mission, found.mission[1:], 0, ARDUPILOT)
+    talk(plan_exchanges.clear_plan(7, autopilot=ARDUPILOT), vehicle)
     assert vehicle.lists == {0: [vehicle.home], 1: [], 2: []}
-    talk(exchanges.store_plan(7, Plan(()), autopilot=ARDUPILOT), vehicle)
+    talk(plan_exchanges.upload_plan(7, Plan(()), autopilot=ARDUPILOT), vehicle)

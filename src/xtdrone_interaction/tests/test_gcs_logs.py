@@ -10,9 +10,12 @@ from gcs_script import beat, talk, told
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.logger.folder import LogFolder
-from xtdrone_interaction.gcs import GcsError, Peer, command, log_command, logs, station
-from xtdrone_interaction.gcs.exchanges import RefusalError
-from xtdrone_interaction.gcs.logs import Log
+from xtdrone_interaction.gcs import GcsError, Peer, station
+from xtdrone_interaction.gcs.commands import logs as log_commands
+from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.exchanges import logs
+from xtdrone_interaction.gcs.exchanges.logs import Log
+from xtdrone_interaction.gcs.exchanges.protocol import RefusalError
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 SIZES = {"2020-01-01/00_00_05.ulg": 90 * 300 + 17, "2020-01-01/00_10_00.ulg": 1000, "2020-01-02/00_00_00.ulg": 90}
@@ -44,7 +47,7 @@ def vehicles(field):
 
 
 def test_logs_are_listed(field, capsys):
-    assert command.main(["logs", "list", *vehicles(field)]) == 0
+    assert main(["logs", "list", *vehicles(field)]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert len(lines) == 7
     assert [line for line in lines if line[1:] == ["no", "logs"]] == [[f"vehicle_{field.vehicles[2].id}", "no", "logs"]]
@@ -52,9 +55,9 @@ def test_logs_are_listed(field, capsys):
 
 
 def test_logs_are_downloaded(field, tmp_path, capsys):
-    assert command.main(["logs", "download", "--to", str(tmp_path), *vehicles(field)]) == 0  # the newest
+    assert main(["logs", "download", "--to", str(tmp_path), *vehicles(field)]) == 0  # the newest
     assert f"vehicle_{FIRST + 2}  it has no logs" in capsys.readouterr().out
-    assert command.main(["logs", "download", "all", "--to", str(tmp_path), *vehicles(field)]) == 0
+    assert main(["logs", "download", "all", "--to", str(tmp_path), *vehicles(field)]) == 0
     for index in range(2):
         folder = tmp_path / f"vehicle_{FIRST + index}"
         assert sorted(path.name for path in folder.iterdir()) == FILES
@@ -69,7 +72,7 @@ def test_what_was_broken_off_is_gone_on_with(field, tmp_path):
     kept = b"kept" + whole[4:5000]
     part.write_bytes(kept)
     only = ["--to", str(tmp_path), "--vehicle", str(FIRST)]
-    assert command.main(["logs", "download", "0", *only]) == 0
+    assert main(["logs", "download", "0", *only]) == 0
     assert (folder / FILES[0]).read_bytes() == kept + whole[5000:]
     assert not part.exists()
 
@@ -80,10 +83,10 @@ def test_over_a_line_that_loses_a_third(field, tmp_path):
         peers = [Peer(name, 0, "127.0.0.1", port) for name, port in line.ports.items()][:2]
 
         def fetch(name):
-            return lambda beat: log_command.fetch(beat, ["all"], tmp_path / name, lambda *_: None)
+            return lambda beat: log_commands.download(beat, ["all"], tmp_path / name, lambda *_: None)
 
         jobs = {peer: fetch(peer.name) for peer in peers}
-        results = station.run(jobs, timeout=0.1, patience=PATIENCE, closing=logs.closing)
+        results = station.run(jobs, timeout=0.1, patience=PATIENCE, on_abort=logs.end_transfer)
         assert [result for result in results.values() if isinstance(result, GcsError)] == []
         for index, peer in enumerate(peers):
             assert [(tmp_path / peer.name / name).read_bytes() for name in FILES] == content(field, index)
@@ -92,15 +95,15 @@ def test_over_a_line_that_loses_a_third(field, tmp_path):
 
 
 def test_logs_that_are_not_there(field, capsys):
-    assert command.main(["logs", "download", "9", "--vehicle", str(FIRST)]) == 1
+    assert main(["logs", "download", "9", "--vehicle", str(FIRST)]) == 1
     assert "log 9: not allowed, one of the vehicle's: 0, 1, 2" in capsys.readouterr().err
-    assert command.main(["logs", "download", "new", "--vehicle", str(FIRST)]) == 2
+    assert main(["logs", "download", "new", "--vehicle", str(FIRST)]) == 2
     assert "'new' is not allowed, numbers or all" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_written(field, tmp_path, capsys):
     (tmp_path / f"vehicle_{FIRST}").write_text("in the way")
-    assert command.main(["logs", "download", "--to", str(tmp_path), "--vehicle", str(FIRST)]) == 1
+    assert main(["logs", "download", "--to", str(tmp_path), "--vehicle", str(FIRST)]) == 1
     assert "cannot be written: File exists" in capsys.readouterr().err
 
 

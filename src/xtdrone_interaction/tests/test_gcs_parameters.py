@@ -11,11 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control import parameter_text
+from xtdrone_control import parameter_file
 from xtdrone_control.autopilot.parameters.parameters import NAMES
-from xtdrone_control.parameter_text import LIMITS, REAL32, ParameterFile
-from xtdrone_interaction.gcs import GcsError, Peer, command, parameters, station
-from xtdrone_interaction.gcs.exchanges import RefusalError
+from xtdrone_control.parameter_file import LIMITS, REAL32, ParameterFile
+from xtdrone_interaction.gcs import GcsError, Peer, station
+from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.exchanges import parameters
+from xtdrone_interaction.gcs.exchanges.protocol import RefusalError
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 INT32 = 6
@@ -144,48 +146,48 @@ def vehicles(field, count=3):
 
 
 def test_parameters_are_shown_and_set(field, capsys):
-    assert command.main(["params", "set", "MIS_TAKEOFF_ALT", "6.5", *vehicles(field, 2)]) == 0
-    assert command.main(["params", "set", "NAV_DLL_ACT", "2", *vehicles(field, 1)]) == 0
+    assert main(["params", "set", "MIS_TAKEOFF_ALT", "6.5", *vehicles(field, 2)]) == 0
+    assert main(["params", "set", "NAV_DLL_ACT", "2", *vehicles(field, 1)]) == 0
     capsys.readouterr()
-    assert command.main(["params", "get", "MIS_TAKEOFF_ALT", "NAV_DLL_ACT", *vehicles(field)]) == 0
+    assert main(["params", "get", "MIS_TAKEOFF_ALT", "NAV_DLL_ACT", *vehicles(field)]) == 0
     assert [line.split()[1:] for line in capsys.readouterr().out.splitlines()] == [
         ["MIS_TAKEOFF_ALT", "6.5"], ["NAV_DLL_ACT", "2"],
         ["MIS_TAKEOFF_ALT", "6.5"], ["NAV_DLL_ACT", "0"],
         ["MIS_TAKEOFF_ALT", "2.5"], ["NAV_DLL_ACT", "0"],
     ]  # fmt: skip
-    assert command.main(["params", "get", "MPC_XY_*", *vehicles(field, 1)]) == 0
+    assert main(["params", "get", "MPC_XY_*", *vehicles(field, 1)]) == 0
     assert "MPC_XY_VEL_MAX" in capsys.readouterr().out
 
 
 def test_parameters_are_saved_compared_and_loaded(field, tmp_path, capsys):
     one = vehicles(field, 1)
     path = tmp_path / "mine.params"
-    assert command.main(["params", "save", str(path), *one]) == 0
-    content = parameter_text.read(path)
+    assert main(["params", "save", str(path), *one]) == 0
+    content = parameter_file.read(path)
     assert set(content.values) == set(NAMES)
     assert (content.system, content.stack) == (FIRST + 1, "PX4 Pro")
-    assert command.main(["params", "diff", str(path), *one]) == 0
+    assert main(["params", "diff", str(path), *one]) == 0
     old = field.commanders[0].parameters.get("MPC_Z_VEL_MAX_UP")
     field.commanders[0].parameters.set("MPC_Z_VEL_MAX_UP", 1.25)
     capsys.readouterr()
-    assert command.main(["params", "diff", str(path), *one]) == 1
+    assert main(["params", "diff", str(path), *one]) == 1
     assert capsys.readouterr().out.split() == [f"vehicle_{FIRST}", "MPC_Z_VEL_MAX_UP", "1.25", "file:", f"{old:g}"]
-    assert command.main(["params", "load", str(path), *one]) == 0
+    assert main(["params", "load", str(path), *one]) == 0
     assert f"MPC_Z_VEL_MAX_UP  {old:g}, was 1.25" in capsys.readouterr().out
     assert field.commanders[0].parameters.get("MPC_Z_VEL_MAX_UP") == old
-    assert command.main(["params", "load", str(path), *vehicles(field, 2)]) == 1  # the second is another
+    assert main(["params", "load", str(path), *vehicles(field, 2)]) == 1  # the second is another
     assert f"the file is of vehicle {FIRST + 1}, this is system {FIRST + 2}" in capsys.readouterr().err
-    assert command.main(["params", "save", str(path), *vehicles(field, 2)]) == 2
+    assert main(["params", "save", str(path), *vehicles(field, 2)]) == 2
     assert "a folder is needed for 2 vehicles" in capsys.readouterr().err
-    assert command.main(["params", "save", str(tmp_path), *vehicles(field, 2)]) == 0
-    assert command.main(["params", "load", str(tmp_path), *vehicles(field, 2)]) == 0
+    assert main(["params", "save", str(tmp_path), *vehicles(field, 2)]) == 0
+    assert main(["params", "load", str(tmp_path), *vehicles(field, 2)]) == 0
 
 
 def test_over_a_line_that_loses_a_third(field):
     line = LossyLine(field.ports, 0.3, 4)
     try:
         peers = [Peer(name, 0, "127.0.0.1", port) for name, port in line.ports.items()]
-        limits = {"timeout": 0.05, "patience": PATIENCE, "closing": station.no_closing}
+        limits = {"timeout": 0.05, "patience": PATIENCE, "on_abort": station.no_abort_messages}
         for found in station.run(dict.fromkeys(peers, parameters.fetch_all), **limits).values():
             assert not isinstance(found, GcsError), found
             assert set(found) == set(NAMES)
@@ -199,6 +201,6 @@ def test_over_a_line_that_loses_a_third(field):
 
 def test_bytes_or_numbers_by_what_the_autopilot_says():
     version = mavlink.MAVLink_autopilot_version_message(16, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
-    assert talk(parameters.bytewise_of(beat(PX4)), lambda _: [])
-    assert not talk(parameters.bytewise_of(beat(ARDUPILOT)), lambda _: [])
-    assert talk(parameters.bytewise_of(beat(0)), lambda _: [told(version)])
+    assert talk(parameters.uses_bytewise(beat(PX4)), lambda _: [])
+    assert not talk(parameters.uses_bytewise(beat(ARDUPILOT)), lambda _: [])
+    assert talk(parameters.uses_bytewise(beat(0)), lambda _: [told(version)])

@@ -18,12 +18,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_interaction.gcs import GcsError, Peer, command, exchanges, station, status_command
-from xtdrone_interaction.gcs.display import Screen
-from xtdrone_interaction.gcs.lines import cut, open_line
+from xtdrone_interaction.gcs import GcsError, Peer, discovery
+from xtdrone_interaction.gcs.commands import status as status_command
+from xtdrone_interaction.gcs.commands.display import Screen
+from xtdrone_interaction.gcs.commands.main import main
+from xtdrone_interaction.gcs.connections import open_connection, split_stream
+from xtdrone_interaction.gcs.exchanges import protocol
 from xtdrone_interaction.gcs.peers import choose_systems, numbered, parse_address
-from xtdrone_interaction.gcs.state import VehicleState
 from xtdrone_interaction.gcs.station import GroundStation
+from xtdrone_interaction.gcs.vehicle_state import VehicleState
 
 PATIENCE = 120.0  # s; only a broken run takes so long
 
@@ -47,13 +50,13 @@ def words(field):
 
 
 def test_all_that_are_there_are_found_with_their_system_ids(field):
-    found = {peer.port: peer for peer in station.find(limit=PATIENCE)}
+    found = {peer.port: peer for peer in discovery.find(limit=PATIENCE)}
     assert [found[v.gcs_local_port].system for v in field.vehicles] == [v.system_id for v in field.vehicles]
     assert found[field.vehicles[0].gcs_local_port].name == f"vehicle_{FIRST}"
 
 
 def test_status_once_while_time_stands(field, capsys):
-    assert command.main(["status", "--once", "--vehicle", *words(field)]) == 0
+    assert main(["status", "--once", "--vehicle", *words(field)]) == 0
     titles, *rows = capsys.readouterr().out.splitlines()
     assert titles.split()[:4] == ["VEHICLE", "SYS", "TYPE", "ARMED"]
     assert [row.split()[:4] for row in rows] == [
@@ -62,7 +65,7 @@ def test_status_once_while_time_stands(field, capsys):
 
 
 def test_status_as_json(field, capsys):
-    assert command.main(["status", "--once", "--json", "--vehicle", f"{FIRST}-{FIRST + 1}"]) == 0
+    assert main(["status", "--once", "--json", "--vehicle", f"{FIRST}-{FIRST + 1}"]) == 0
     first, second = json.loads(capsys.readouterr().out)
     assert (first["system"], second["system"]) == (FIRST + 1, FIRST + 2)
     assert first["autopilot"] == "px4"
@@ -71,7 +74,7 @@ def test_status_as_json(field, capsys):
 
 
 def test_a_vehicle_that_is_silent_is_named_and_the_others_are_told(field, capsys):
-    assert command.main(["status", "--once", "--patience", "3", "--vehicle", str(FIRST), "240"]) == 1
+    assert main(["status", "--once", "--patience", "3", "--vehicle", str(FIRST), "240"]) == 1
     caught = capsys.readouterr()
     assert f"vehicle_{FIRST} " in caught.out
     assert "nothing heard yet" in caught.out
@@ -81,7 +84,7 @@ def test_a_vehicle_that_is_silent_is_named_and_the_others_are_told(field, capsys
 def test_status_over_a_line_that_loses_a_third(field, lossy):
     peers = [Peer(name, 0, "127.0.0.1", port) for name, port in lossy.ports.items()]
     with GroundStation(peers) as ground:
-        results = ground.run(dict.fromkeys(peers, exchanges.look), timeout=0.05, patience=PATIENCE)
+        results = ground.run(dict.fromkeys(peers, protocol.request_state), timeout=0.05, patience=PATIENCE)
         assert set(results.values()) == {None}
         assert [state.system for state in ground.states()] == [v.system_id for v in field.vehicles]
 
@@ -92,15 +95,15 @@ def test_a_station_with_a_thread_of_its_own_tells_changes_and_beats(field):
     before = [commander.health._gcs_us for commander in field.commanders]
     station_ = GroundStation(peers, heartbeat=True, on_change=lambda state: state.mode and heard.set())
     station_.start()
-    futures = [station_.submit(peer, exchanges.look, patience=PATIENCE) for peer in peers]
+    futures = [station_.submit(peer, protocol.request_state, patience=PATIENCE) for peer in peers]
     assert [future.result(PATIENCE) for future in futures] == [None] * len(peers)
-    assert set(station_.run(dict.fromkeys(peers, exchanges.look), patience=PATIENCE).values()) == {None}
+    assert set(station_.run(dict.fromkeys(peers, protocol.request_state), patience=PATIENCE).values()) == {None}
     assert heard.wait(PATIENCE)
     station_.close()
     assert before == [None] * len(peers)
     assert all(commander.health._gcs_us is not None for commander in field.commanders)
     with pytest.raises(GcsError, match="the station is closed"):
-        station_.submit(peers[0], exchanges.look)
+        station_.submit(peers[0], protocol.request_state)
 
 
 def test_what_waits_can_be_cancelled_and_what_runs_ends_with_the_station(field):
@@ -115,9 +118,9 @@ def test_what_waits_can_be_cancelled_and_what_runs_ends_with_the_station(field):
     with GroundStation(field.peers()) as ground:
         first, second = ground.peers[:2]
         running = ground.submit(first, endless, patience=PATIENCE)
-        waiting = ground.submit(first, exchanges.look)
+        waiting = ground.submit(first, protocol.request_state)
         flawed = ground.submit(second, broken)
-        fine = ground.submit(second, exchanges.look, patience=PATIENCE)
+        fine = ground.submit(second, protocol.request_state, patience=PATIENCE)
         ground.poll(0.0)
         assert waiting.cancel()
         while not fine.done():
@@ -134,11 +137,11 @@ def test_a_watcher_that_fails_is_logged_and_the_station_goes_on(field, caplog):
     peers = field.peers()
     with GroundStation(peers, on_change=fail) as ground:
         ground.start()
-        futures = [ground.submit(peer, exchanges.look, patience=PATIENCE) for peer in peers]
+        futures = [ground.submit(peer, protocol.request_state, patience=PATIENCE) for peer in peers]
         assert [future.result(PATIENCE) for future in futures] == [None] * len(peers)
     assert "typhoon_h480_0: on_change of the ground station has failed" in caplog.text
     with GroundStation(peers, on_change=fail) as ground, pytest.raises(ZeroDivisionError):  # the caller's own thread
-        ground.run({peers[0]: exchanges.look}, patience=PATIENCE)
+        ground.run({peers[0]: protocol.request_state}, patience=PATIENCE)
 
 
 class Cable:
@@ -164,7 +167,7 @@ class Cable:
                     if key.fileobj is self._socket:
                         os.write(self._vehicle, self._socket.recv(65535))
                         continue
-                    frames, self._rest = cut(self._rest + os.read(self._vehicle, 4096))
+                    frames, self._rest = split_stream(self._rest + os.read(self._vehicle, 4096))
                     for frame in frames:
                         self._socket.send(frame)
 
@@ -182,17 +185,17 @@ def test_a_serial_line_that_is_pulled_in_the_end(field, capsys):
     address = f"serial:{cable.device}:57600"
     try:
         wanted = ["--connect", address, "--vehicle", str(FIRST + 2)]
-        assert command.main(["status", "--once", *wanted]) == 0
+        assert main(["status", "--once", *wanted]) == 0
         assert f"system_{FIRST + 2}  {FIRST + 2}" in capsys.readouterr().out
-        assert command.main(["params", "get", "MAV_SYS_ID", *wanted]) == 0
+        assert main(["params", "get", "MAV_SYS_ID", *wanted]) == 0
         assert capsys.readouterr().out.split() == [f"system_{FIRST + 2}", "MAV_SYS_ID", str(FIRST + 2)]
         peer = Peer("radio", FIRST + 2, cable.device, 57600, "serial")
         with GroundStation([peer]) as ground:
             assert str(GroundStation([peer]).errors["radio"]).startswith(
                 f"radio: {cable.device} at 57600 baud cannot be"
             )
-            ground.run({peer: exchanges.look}, patience=PATIENCE)
-            future = ground.submit(peer, exchanges.look)
+            ground.run({peer: protocol.request_state}, patience=PATIENCE)
+            future = ground.submit(peer, protocol.request_state)
             cable.pull()
             while not future.done():
                 ground.poll(1.0)
@@ -202,7 +205,7 @@ def test_a_serial_line_that_is_pulled_in_the_end(field, capsys):
     finally:
         if not cable._ended.is_set():
             cable.pull()
-    assert command.main(["status", "--once", *wanted]) == 1
+    assert main(["status", "--once", *wanted]) == 1
     assert f"{cable.device} at 57600 baud cannot be opened: No such file" in capsys.readouterr().err
 
 
@@ -224,10 +227,10 @@ def test_several_vehicles_over_one_line(field):
     thread = threading.Thread(target=fly)
     thread.start()
     try:
-        peers = station.listen(("udpin", "127.0.0.1", port), 2.0)
+        peers = discovery.listen(("udpin", "127.0.0.1", port), 2.0)
         assert [peer.system for peer in peers] == [3, 7]
         with GroundStation(peers) as ground:
-            greeted = ground.run({peer: exchanges.greet(peer.system) for peer in peers}, patience=PATIENCE)
+            greeted = ground.run({peer: protocol.await_heartbeat(peer.system) for peer in peers}, patience=PATIENCE)
             assert [beat.system for beat in greeted.values()] == [3, 7]
             states = ground.states()
     finally:
@@ -240,7 +243,7 @@ def test_a_tcp_line_that_ends(field):
     with socket.create_server(("127.0.0.1", 0)) as server:
         peer = Peer("a", 1, "127.0.0.1", server.getsockname()[1], "tcp")
         with GroundStation([peer]) as ground:
-            future = ground.submit(peer, exchanges.look)
+            future = ground.submit(peer, protocol.request_state)
             connection, _ = server.accept()
             ground.poll(0.0)
             connection.close()
@@ -249,7 +252,7 @@ def test_a_tcp_line_that_ends(field):
         with pytest.raises(GcsError, match=r"the other end has closed the connection|is broken"):
             future.result()
     with pytest.raises(GcsError, match="cannot be reached"):
-        open_line(*peer.line)
+        open_connection(*peer.address)
 
 
 # ---- what a vehicle tells
@@ -262,15 +265,15 @@ def message(text, part=0, number=0):
 def test_texts_in_parts_are_put_together_and_made_fit_to_show():
     state = VehicleState("a")
     for part in (message("Preflight Fail: ", 0, 5), message("no GPS\t", 1, 5), message("\x1b[2Jother")):
-        state.take("STATUSTEXT", part, 1.0)
+        state.update("STATUSTEXT", part, 1.0)
     assert [text for _, text in state.texts] == ["Preflight Fail:no GPS", "?[2Jother"]
 
 
 def test_places_have_the_digits_of_the_wire():
     state = VehicleState("a", 1)
     place = {"lat": 473977419, "lon": -85455941, "alt": 488123, "relative_alt": -1}
-    state.take("GLOBAL_POSITION_INT", SimpleNamespace(**place, vx=30, vy=40, vz=-5, hdg=65535), 1.0)
-    state.take("LOCAL_POSITION_NED", SimpleNamespace(x=1.23449, y=-0.1 - 0.2, z=-4.0, vx=0.0, vy=0.0, vz=0.0), 1.0)
+    state.update("GLOBAL_POSITION_INT", SimpleNamespace(**place, vx=30, vy=40, vz=-5, hdg=65535), 1.0)
+    state.update("LOCAL_POSITION_NED", SimpleNamespace(x=1.23449, y=-0.1 - 0.2, z=-4.0, vx=0.0, vy=0.0, vz=0.0), 1.0)
     told = json.dumps(state.as_json(1.0))
     for text in ('"latitude": 47.3977419', '"longitude": -8.5455941', '"altitude": 488.123', '"height": -0.001',
                  '"local": [-0.3, 1.234, 4.0]', '"speed": 0.5', '"climb": 0.05', '"heading": null'):  # fmt: skip
@@ -325,14 +328,14 @@ def test_a_narrow_table_leaves_out_what_matters_least_and_no_text():
     ],
 )
 def test_vehicles_that_lead_nowhere(arguments, message, capsys):
-    assert command.main(["status", "--once", *arguments]) == 2
+    assert main(["status", "--once", *arguments]) == 2
     assert message in capsys.readouterr().err
 
 
 def test_a_host_that_is_none(capsys):
-    assert command.main(["status", "--once", "--host", "a..b"]) == 1
+    assert main(["status", "--once", "--host", "a..b"]) == 1
     assert capsys.readouterr().err.startswith("xtdrone gcs: a..b: no such machine: ")
-    assert command.main(["status", "--once", "--connect", "udpout:a..b:14550"]) == 1
+    assert main(["status", "--once", "--connect", "udpout:a..b:14550"]) == 1
     assert "UDP a..b:14550 cannot be reached" in capsys.readouterr().err
 
 
@@ -360,7 +363,7 @@ def test_a_stream_is_cut_into_its_frames_however_it_comes(frames, sizes, noise):
     while stream:
         size = sizes[len(found) % len(sizes)]
         part, stream = stream[:size], stream[size:]
-        new, rest = cut(rest + part)
+        new, rest = split_stream(rest + part)
         found += new
     assert found == frames
     assert rest == b""

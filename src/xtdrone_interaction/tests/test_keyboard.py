@@ -13,9 +13,9 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.program import ArgumentError
 from xtdrone_coordination.patterns import Patterns
 from xtdrone_interaction.keyboard.arguments import parse_arguments
-from xtdrone_interaction.keyboard.keys import PAGE_DOWN, PAGE_UP, QUIT, Decoder
-from xtdrone_interaction.keyboard.pilot import Message, Pilot, Say, Steer, Target, digits
-from xtdrone_interaction.keyboard.screen import Sight, View, frame, help_lines, layout, sentence
+from xtdrone_interaction.keyboard.key_decoder import PAGE_DOWN, PAGE_UP, QUIT, KeyDecoder
+from xtdrone_interaction.keyboard.pilot import Command, Message, Pilot, Setpoint, Target, digits
+from xtdrone_interaction.keyboard.screen import ScreenContent, VehicleStatus, frame, help_lines, layout, sentence
 
 STEERING = {"w": 0, "x": 0, "a": 1, "d": 1, "i": 2, ",": 2, "j": 3, "l": 3}
 KEYS = [*STEERING, *"tyvnrbskg0123456789"]
@@ -60,7 +60,7 @@ def test_speeds_stay_within_xtdrones_limits(key: str, presses: int) -> None:
 def test_whoever_was_told_a_speed_is_told_zero_before_he_is_left(keys: list[str]) -> None:
     """Also at the end; and nobody who rests is told anything but once."""
     pilot = Pilot(digits(Patterns(6).names))
-    told = dict.fromkeys(Target, Steer(Target.ALL))
+    told = dict.fromkeys(Target, Setpoint(Target.ALL))
     for key in [*keys, "end"]:
         before = dict(told)
         if key in ("cycle", "end"):
@@ -68,7 +68,7 @@ def test_whoever_was_told_a_speed_is_told_zero_before_he_is_left(keys: list[str]
         else:
             messages = list(pilot.press(key))
         for message in messages:
-            if isinstance(message, Steer):
+            if isinstance(message, Setpoint):
                 told[message.target] = message
         for target in Target:
             if target is not pilot.target or key == "end":
@@ -77,7 +77,7 @@ def test_whoever_was_told_a_speed_is_told_zero_before_he_is_left(keys: list[str]
             assert messages == [None]
 
 
-def at_rest(message: Steer) -> bool:
+def at_rest(message: Setpoint) -> bool:
     return not any((message.forward, message.left, message.up, message.turn))
 
 
@@ -93,11 +93,11 @@ def test_commands_are_xtdrones() -> None:
     pilot.press("i")
     said = {key: pilot.press(key) for key in "tyvnrb"}
     commands = ("ARM", "DISARM", "AUTO.TAKEOFF", "AUTO.LAND", "AUTO.RTL", "OFFBOARD")
-    assert said == {key: [Say(Target.ALL, text)] for key, text in zip("tyvnrb", commands, strict=True)}
+    assert said == {key: [Command(Target.ALL, text)] for key, text in zip("tyvnrb", commands, strict=True)}
     assert set(commands[2:]) <= set(PX4_MODES)
     for key in "sk":
         pilot.press("w")
-        assert pilot.press(key) == [Say(Target.ALL, "HOVER"), Steer(Target.ALL)], "the zero comes last"
+        assert pilot.press(key) == [Command(Target.ALL, "HOVER"), Setpoint(Target.ALL)], "the zero comes last"
         assert pilot.cycle() is None
 
 
@@ -105,26 +105,26 @@ def test_the_documented_take_off() -> None:
     pilot = Pilot()
     for _ in range(35):
         assert pilot.press("i") == []
-    assert pilot.cycle() == Steer(Target.ALL, up=0.35)
-    assert pilot.press("b") == [Say(Target.ALL, "OFFBOARD")]
-    assert pilot.press("t") == [Say(Target.ALL, "ARM")]
-    assert pilot.cycle() == Steer(Target.ALL, up=0.35), "the stream goes on"
+    assert pilot.cycle() == Setpoint(Target.ALL, up=0.35)
+    assert pilot.press("b") == [Command(Target.ALL, "OFFBOARD")]
+    assert pilot.press("t") == [Command(Target.ALL, "ARM")]
+    assert pilot.cycle() == Setpoint(Target.ALL, up=0.35), "the stream goes on"
 
 
 def test_offboard_at_rest_holds_the_place_of_that_moment() -> None:
-    assert Pilot().press("b") == [Say(Target.ALL, "HOVER"), Say(Target.ALL, "OFFBOARD")]
+    assert Pilot().press("b") == [Command(Target.ALL, "HOVER"), Command(Target.ALL, "OFFBOARD")]
 
 
 def test_the_leader_alone_is_steered_after_g() -> None:
     pilot = Pilot(digits(Patterns(9).names))
     pilot.press("w")
     pilot.cycle()
-    assert pilot.press("g") == [Steer(Target.ALL)]
+    assert pilot.press("g") == [Setpoint(Target.ALL)]
     pilot.press("w")
-    assert pilot.cycle() == Steer(Target.LEADER, forward=0.01)
-    assert pilot.press("n") == [Say(Target.LEADER, "AUTO.LAND")]
-    assert pilot.press("g") == [Steer(Target.LEADER)]
-    assert pilot.press("t") == [Say(Target.ALL, "ARM")]
+    assert pilot.cycle() == Setpoint(Target.LEADER, forward=0.01)
+    assert pilot.press("n") == [Command(Target.LEADER, "AUTO.LAND")]
+    assert pilot.press("g") == [Setpoint(Target.LEADER)]
+    assert pilot.press("t") == [Command(Target.ALL, "ARM")]
 
 
 @pytest.mark.parametrize("count", [*range(1, 21), 100, 250])
@@ -137,7 +137,7 @@ def test_digits_are_patterns_that_there_are(count: int) -> None:
     pilot.press("g")
     for digit in "0123456789":
         match pilot.press(digit):
-            case [Say(Target.LEADER, name)]:
+            case [Command(Target.LEADER, name)]:
                 assert name == "waiting" if digit == "0" else patterns is not None and name in patterns
             case nothing:
                 assert nothing == []
@@ -182,15 +182,15 @@ def test_other_keys_do_nothing_and_are_named() -> None:
     ],
 )
 def test_keys_of_bytes_in_one_piece_and_in_many(data: bytes, keys: list[str]) -> None:
-    assert Decoder().feed(data) == keys
-    decoder = Decoder()
+    assert KeyDecoder().feed(data) == keys
+    decoder = KeyDecoder()
     assert [key for byte in data for key in decoder.feed(bytes([byte]))] == keys
 
 
 def test_escape_alone_takes_nothing_of_what_comes_later() -> None:
-    decoder = Decoder()
+    decoder = KeyDecoder()
     assert decoder.feed(b"\x1b") == []
-    decoder.rest()
+    decoder.drop_partial()
     assert decoder.feed(b"s") == ["s"]
 
 
@@ -198,7 +198,7 @@ def test_escape_alone_takes_nothing_of_what_comes_later() -> None:
 @given(st.binary(max_size=200))
 def test_any_bytes_are_keys_or_nothing(data: bytes) -> None:
     pilot = Pilot()
-    for key in Decoder().feed(data):
+    for key in KeyDecoder().feed(data):
         pilot.press(key)
 
 
@@ -255,14 +255,14 @@ def test_bad_command_lines_are_named(arguments: list[str], fleet: str | None, wo
 # ---- the screen
 
 
-def seen(count: int, kind: str = "iris") -> list[Sight]:
-    return [Sight(f"{kind}_{i}", True, "AUTO.TAKEOFF", 12.345, 0.318, 0.1) for i in range(count)]
+def seen(count: int, kind: str = "iris") -> list[VehicleStatus]:
+    return [VehicleStatus(f"{kind}_{i}", True, "AUTO.TAKEOFF", 12.345, 0.318, 0.1) for i in range(count)]
 
 
-def view(page: list[Sight], count: int, note: str = "") -> View:
+def view(page: list[VehicleStatus], count: int, note: str = "") -> ScreenContent:
     patterns = digits(Patterns(9).names)
     speeds = (0.01, -20.0, 0.35, -3.0)
-    return View("iris 9", "vel", Target.ALL, True, speeds, note, page, 0, count, patterns)
+    return ScreenContent("iris 9", "vel", Target.ALL, True, speeds, note, page, 0, count, patterns)
 
 
 @pytest.mark.parametrize("help_wanted", [None, True, False])
@@ -302,7 +302,11 @@ def test_more_vehicles_than_rows_are_paged() -> None:
 
 def test_what_is_wrong_with_a_vehicle_is_said() -> None:
     shown = layout(80, 24, 3, {}, None)
-    page = [Sight("iris_0"), Sight("iris_1", silence=12.4), Sight("iris_2", True, "POSCTL", 1.0, 0.0, 0.0, False)]
+    page = [
+        VehicleStatus("iris_0"),
+        VehicleStatus("iris_1", silence=12.4),
+        VehicleStatus("iris_2", True, "POSCTL", 1.0, 0.0, 0.0, False),
+    ]
     text = "\n".join(frame(view(page, 3), 80, 24, shown))
     for word in ("not heard of", "silent for 12 s", "takes no commands"):
         assert word in text

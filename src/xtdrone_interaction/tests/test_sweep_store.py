@@ -1,8 +1,14 @@
-"""The results' folder: whole files only, every run once, types, other studies refused."""
+"""The store of a sweep's rows: commits, locks, every run once, column types, folders that are refused."""
 
 from __future__ import annotations
 
 import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -46,18 +52,78 @@ def test_rows_come_back_in_the_plans_order_with_types_and_study(tmp_path: Path) 
     assert json.loads(table.schema.metadata[METADATA]) == HEADER
 
 
-def test_what_was_written_is_there_again_and_half_files_are_not(tmp_path: Path) -> None:
-    store = opened(tmp_path)
-    store.add([row(0), row(1, error="it broke")])
-    store.flush()
-    whole = next((tmp_path / "parts").glob("*.parquet")).read_bytes()
-    store.close()
-    (tmp_path / "parts" / "000002.parquet.new").write_bytes(whole[:100])  # killed while writing
+def committed(folder: Path) -> list[str]:
+    """Return the keys that another process finds after a crash at this moment."""
+    copy = folder.with_name(folder.name + "-copy")
+    copy.mkdir(exist_ok=True)
+    for name in ("runs.sqlite", "runs.sqlite-journal"):
+        (copy / name).unlink(missing_ok=True)
+        if (folder / name).exists():
+            (copy / name).write_bytes((folder / name).read_bytes())
+    database = sqlite3.connect(copy / "runs.sqlite")
+    try:
+        return [key for (key,) in database.execute("SELECT key FROM runs ORDER BY key")]
+    finally:
+        database.close()
+
+
+def test_committed_rows_are_found_again(tmp_path: Path) -> None:
+    with opened(tmp_path) as store:
+        store.add([row(0), row(1, error="it broke")])
     with opened(tmp_path) as again:
+        assert again.before == HEADER
         assert again.rows == {"k0": True, "k1": False}
-        assert not list((tmp_path / "parts").glob("*.new"))
         again.add([row(2)])
         assert pq.read_table(again.finish(["k0", "k1", "k2"])).num_rows == 3
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from xtdrone_interaction.sweep import store as stores
+stores.FLUSH = 0.0
+with stores.Store(Path(sys.argv[1]), {"key": str, "error": str}, {}) as store:
+    store.begin()
+    for number in range(10**9):
+        store.add([{"key": f"{number}-{part}", "error": None} for part in range(3)])
+        print(number, flush=True)
+"""
+
+
+def test_a_killed_writer_leaves_every_committed_row_and_no_half_of_a_commit(tmp_path: Path) -> None:
+    known: set[str] = set()
+    for attempt in range(5):
+        process = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path / "a")], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        time.sleep(0.03 * attempt)
+        process.kill()
+        lines = (first + process.stdout.read()).splitlines()
+        assert process.wait() == -signal.SIGKILL
+        known |= {f"{int(line)}-{part}" for line in lines for part in range(3)}
+        with Store(tmp_path / "a", {"key": str, "error": str}, {}) as store:  # no lock is left
+            assert known <= set(store.rows)
+            assert len(store.rows) % 3 == 0
+            known = set(store.rows)
+
+
+def test_a_second_process_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    with opened(tmp_path / "a") as store:
+        store.add([row(0)])
+        second = subprocess.run(
+            [sys.executable, "-c", WRITER, str(tmp_path / "a")], capture_output=True, text=True, check=False
+        )
+        assert "OptionError: out: another sweep is running in" in second.stderr
+        store.add([row(1)])
+    with opened(tmp_path / "a") as again:
+        assert again.rows == {"k0": True, "k1": True}
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_to_is_an_error_of_the_system(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(OSError, match="unable to open database file"):
+        opened(tmp_path)
 
 
 def test_a_run_that_is_flown_again_counts_once_and_the_last_time(tmp_path: Path) -> None:
@@ -72,41 +138,15 @@ def test_a_run_that_is_flown_again_counts_once_and_the_last_time(tmp_path: Path)
         assert again.rows == {"k0": True}
 
 
-def test_many_parts_become_one_and_nothing_is_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stores, "_MOST_PARTS", 3)
-    with opened(tmp_path) as store:
-        for number in range(20):
-            store.add([row(number)])
-            store.flush()
-            assert len(list((tmp_path / "parts").glob("*.parquet"))) <= 3
-    with opened(tmp_path) as again:
-        assert len(again.rows) == 20
-        keys = [f"k{number}" for number in range(20)]
-        assert pq.read_table(again.finish(keys))["key"].to_pylist() == keys
-
-
-def test_dying_between_a_merge_and_its_clean_up_leaves_every_run_once(tmp_path: Path) -> None:
-    with opened(tmp_path) as store:
-        store.add([row(0)])
-        store.flush()
-        part = next((tmp_path / "parts").glob("*.parquet"))
-        (part.with_name("000007.parquet")).write_bytes(part.read_bytes())
-    with opened(tmp_path) as again:
-        assert pq.read_table(again.finish(["k0"])).num_rows == 1
-        again.add([row(1)])
-        again.flush()
-        assert (tmp_path / "parts" / "000008.parquet").is_file()
-
-
-def test_rows_are_on_the_disk_after_a_while_without_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_are_committed_after_a_while_without_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr(stores.time, "monotonic", lambda: now)
-    with opened(tmp_path) as store:
+    with opened(tmp_path / "a") as store:
         store.add([row(0)])
-        assert not list((tmp_path / "parts").glob("*"))
+        assert committed(tmp_path / "a") == []
         now += stores.FLUSH
         store.tick()
-        assert len(list((tmp_path / "parts").glob("*.parquet"))) == 1
+        assert committed(tmp_path / "a") == ["k0"]
 
 
 def test_no_runs_make_an_empty_table(tmp_path: Path) -> None:
@@ -127,7 +167,7 @@ def test_a_new_folder_without_runs_goes_again_and_others_stay(tmp_path: Path) ->
         store.add([row(0)])
     with opened(tmp_path / "mine") as store:
         store.drop({"k0"})
-    assert (tmp_path / "mine" / "study.json").is_file()  # it was there before
+    assert (tmp_path / "mine" / "runs.sqlite").is_file()  # it was there before
 
 
 def test_dropped_runs_are_gone_and_others_stay(tmp_path: Path) -> None:
@@ -150,9 +190,15 @@ def test_refuses_folders_by_name(tmp_path: Path) -> None:
         store.add([row(0)])
         with pytest.raises(OptionError, match="another sweep is running in"):
             opened(tmp_path / "a")
-    (tmp_path / "a" / "study.json").write_text('{"format": 99}')
-    with pytest.raises(OptionError, match="has format 99; 1 is understood"):
+    database = sqlite3.connect(tmp_path / "a" / "runs.sqlite")
+    database.execute("PRAGMA user_version = 99")
+    database.close()
+    with pytest.raises(OptionError, match=r"runs\.sqlite has format 99; 2 is understood"):
         opened(tmp_path / "a")
-    (tmp_path / "a" / "study.json").write_text("{")
-    with pytest.raises(OptionError, match=r"study\.json is damaged"):
+    (tmp_path / "a" / "runs.sqlite").write_text("{" * 200)
+    with pytest.raises(OptionError, match=r"runs\.sqlite is damaged: file is not a database"):
         opened(tmp_path / "a")
+    (tmp_path / "old" / "parts").mkdir(parents=True)
+    (tmp_path / "old" / "study.json").write_text('{"format": 1}')
+    with pytest.raises(OptionError, match="holds a sweep of an earlier version, which cannot be continued"):
+        opened(tmp_path / "old")

@@ -16,7 +16,7 @@ from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
 from xtdrone_sim.worlds.scenery import __main__ as program
 from xtdrone_sim.worlds.scenery.things import HIGHEST
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, read_world, write_world
-from xtdrone_sim.worlds.sdf.bounds import box_of
+from xtdrone_sim.worlds.sdf.shapes import box_of
 
 CLEAR = (-3.0, -3.0, 18.0, 13.0)
 

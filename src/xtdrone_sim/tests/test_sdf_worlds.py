@@ -30,7 +30,7 @@ from xtdrone_sim.worlds.sdf import (
     world_file,
     write_world,
 )
-from xtdrone_sim.worlds.sdf.bounds import box_of
+from xtdrone_sim.worlds.sdf.shapes import box_of
 
 CONE = MODELS / "scenery" / "meshes" / "cone_0.obj"
 GRASS = MODELS / "scenery" / "textures" / "grass_0.jpg"

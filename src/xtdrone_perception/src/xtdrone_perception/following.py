@@ -106,12 +106,11 @@ class Following:
         self._last: Seen | None = None
         self._lost_at = 0.0
         self._from_height = 0.0
-        self._hovered = True
 
     def follow(self, track: int) -> None:
         """Start following a track, or ANY: the first person found."""
         self._wanted, self._last, self.target = track, None, 0
-        self.state, self._hovered = IDLE, True
+        self.state = IDLE
 
     def stop(self) -> Command:
         """Stop following; return HOVER if a person was followed."""

@@ -169,7 +169,6 @@ class _Table:
         self.rows = 0
         self._waiting: list[pa.Table] = []
         self._writer: Any = None
-        self._schema: pa.Schema | None = None
 
     def add(self, table: pa.Table) -> None:
         """Append rows."""
@@ -184,7 +183,6 @@ class _Table:
         table = pa.concat_tables(self._waiting)
         self._waiting = []
         if self._writer is None:
-            self._schema = table.schema
             make = pa.parquet.ParquetWriter if self.kind == "parquet" else pa.csv.CSVWriter
             self._writer = make(str(self.path), table.schema)
         self._writer.write_table(table)

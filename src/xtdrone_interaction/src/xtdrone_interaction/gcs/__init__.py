@@ -1,6 +1,6 @@
-"""A ground station for many vehicles over MAVLink: their state, commands, plans, as QGroundControl has them.
+"""A ground station for many vehicles over MAVLink: states, commands, plans, parameters and logs.
 
-``GroundStation`` is the library; ``command`` and the ``..._command`` modules are the command line around it.
+``GroundStation`` runs the exchanges of ``exchanges`` with vehicles; ``commands`` is the command line.
 """
 
 from .peers import GcsError, Peer, peers_of

@@ -1,4 +1,4 @@
-"""Which vehicles a ground station speaks to, and where they are met."""
+"""Addresses of vehicles, from their names, numbers and system ids."""
 
 from __future__ import annotations
 
@@ -11,30 +11,29 @@ from xtdrone_control.fleet import MAX_VEHICLES, Vehicle, parse_fleet
 LOOPBACK = "127.0.0.1"
 SCHEMES = ("udpout", "udpin", "tcp", "serial")
 ANY = 0
-"""System id of a vehicle that is still to say which it has."""
+"""System id of a vehicle whose system id is not known yet."""
 
 _NAME = re.compile(r"([a-z][a-z0-9_]*)_(\d+)")
 _NUMBERS = re.compile(r"(\d+)(?:-(\d+))?")
-_UNNAMED = "vehicle"  # type of a vehicle of which only the number is known
+_UNNAMED = "vehicle"  # type of a vehicle known by number only
 _LAST_PORT = 65535
 _FASTEST = 10_000_000  # baud
 _LAST_SYSTEM = 255
 
 
 class GcsError(Exception):
-    """What was asked for could not be done; the message says of which vehicle and why."""
+    """An operation has failed; the message names the vehicle and the reason."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Where a vehicle is met.
+    """A vehicle and its address.
 
     Attributes:
-        name: as ``typhoon_h480_0``.
-        system: MAVLink system id; ``ANY``: that of the autopilot that answers there.
-        host, port: of its ground-station link; of this end where the scheme is ``udpin``; where it is ``serial``, the
-            device and its baud rate.
-        scheme: one of ``SCHEMES``: speak to a UDP port, wait at one of ours, connect over TCP, open a device.
+        name: such as ``typhoon_h480_0``.
+        system: MAVLink system id; ``ANY`` for whichever autopilot answers.
+        host, port: of its ground-station link; the local end for ``udpin``; device and baud rate for ``serial``.
+        scheme: one of ``SCHEMES``: send to a UDP port, bind a UDP port, connect over TCP, open a serial device.
     """
 
     name: str
@@ -45,27 +44,27 @@ class Peer:
 
     @staticmethod
     def of(vehicle: Vehicle, host: str = LOOPBACK) -> Peer:
-        """Return where ``vehicle`` is met on the machine ``host``."""
+        """Return the address of ``vehicle`` in a simulation on the machine ``host``."""
         return Peer(vehicle.name, vehicle.system_id, host, vehicle.gcs_local_port)
 
     @property
-    def line(self) -> tuple[str, str, int]:
-        """Scheme, host and port; vehicles with the same share a line."""
+    def address(self) -> tuple[str, str, int]:
+        """Scheme, host and port; vehicles with the same address share a connection."""
         return self.scheme, self.host, self.port
 
 
 def peers_of(names: Iterable[str], fleet: str = "", host: str = LOOPBACK, instance: int = 0) -> list[Peer]:
-    """Return where vehicles are met.
+    """Return the addresses of vehicles in a simulation.
 
     Args:
-        names: the vehicles'.
-        fleet: the fleet that flies, as ``iris:3,typhoon_h480:2``; empty: all are of one type, and so is the fleet.
-        host: the machine on which they fly.
-        instance: of the simulations on it.
+        names: of the vehicles.
+        fleet: such as ``iris:3,typhoon_h480:2``; empty for a fleet of one type.
+        host: machine of the simulation.
+        instance: number of the simulation on that machine.
 
     Raises:
-        GcsError: a name that is none, or is not in the fleet; names of several types without a fleet.
-        FleetError: the fleet is none.
+        GcsError: an invalid name, a name outside of the fleet, or names of several types without a fleet.
+        FleetError: invalid fleet.
     """
     names = list(names)
     known = parse_fleet(fleet, instance) if fleet else ()
@@ -88,10 +87,10 @@ def peers_of(names: Iterable[str], fleet: str = "", host: str = LOOPBACK, instan
 
 
 def numbers_of(word: str) -> range | None:
-    """Return the numbers that a word as ``3`` or ``0-5`` names, None when it is no such word.
+    """Parse a number or range such as ``3`` or ``0-5``; None for other words.
 
     Raises:
-        GcsError: the second is less than the first.
+        GcsError: the last number is less than the first.
     """
     match = _NUMBERS.fullmatch(word)
     if match is None:
@@ -103,11 +102,11 @@ def numbers_of(word: str) -> range | None:
 
 
 def numbered(number: int, fleet: str = "", host: str = LOOPBACK, instance: int = 0) -> Peer:
-    """Return where the vehicle of a global number is met; without a fleet its name and system id are not known.
+    """Return the address of a vehicle by its number in the fleet; without a fleet, its name and system id are unknown.
 
     Raises:
-        GcsError: there is no such number.
-        FleetError: the fleet is none.
+        GcsError: the number is out of range.
+        FleetError: invalid fleet.
     """
     vehicles = parse_fleet(fleet, instance) if fleet else ()
     count = len(vehicles) or MAX_VEHICLES
@@ -119,10 +118,13 @@ def numbered(number: int, fleet: str = "", host: str = LOOPBACK, instance: int =
 
 
 def parse_address(text: str) -> tuple[str, str, int]:
-    """Return scheme, host and port of an address as ``udpin:0.0.0.0:14550``, or ``serial:/dev/ttyACM0:57600``.
+    """Parse an address such as ``udpin:0.0.0.0:14550`` or ``serial:/dev/ttyACM0:57600``.
+
+    Returns:
+        Scheme, host and port.
 
     Raises:
-        GcsError: it is none.
+        GcsError: invalid address.
     """
     scheme, _, rest = text.partition(":")
     host, _, port = rest.rpartition(":")
@@ -134,10 +136,10 @@ def parse_address(text: str) -> tuple[str, str, int]:
 
 
 def choose_systems(words: Sequence[str], found: Sequence[Peer]) -> list[Peer]:
-    """Return those of the vehicles on a line that ``words`` name: ``all``, names, or system ids as ``1`` and ``2-4``.
+    """Select vehicles on a connection by ``all``, names, or system ids such as ``1`` and ``2-4``.
 
     Raises:
-        GcsError: a word that names none of them.
+        GcsError: a word that selects none of them.
     """
     chosen: dict[Peer, None] = {}
     by_system = {peer.system: peer for peer in found}

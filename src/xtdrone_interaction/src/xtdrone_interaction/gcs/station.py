@@ -1,8 +1,8 @@
-"""A ground station: lines to many vehicles, what each of them tells, and exchanges with all of them at once.
+"""A ground station for many vehicles: their connections, their states, and exchanges with all of them at once.
 
-Everything happens in one thread: that of ``poll`` and ``run``, or the station's own after ``start``, when ``run`` only
-waits. Other threads may call ``submit``, ``states`` and ``close``, then ``run``, too. Time-outs are wall time: a ground
-station lives by it, and simulated time may stand still meanwhile.
+All work is done in one thread: the one that calls ``poll`` or ``run``, or after ``start`` the station's own, in which
+case ``run`` only waits. Other threads may call ``submit``, ``states`` and ``close``, and after ``start`` also ``run``.
+Time-outs are in wall time, because simulated time may stand still.
 """
 
 from __future__ import annotations
@@ -15,202 +15,48 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
 from copy import copy
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.fleet import MAX_VEHICLES
-from xtdrone_control.mavlink.wire.codec import FrameError, decoder, split
-from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
+from xtdrone_control.mavlink.wire.codec import FrameError, split
 from xtdrone_control.plans.qgc_plan import Plan
 
-from . import exchanges
-from .exchanges import Beat, Exchange, Heard, Progress, RefusalError, Say
-from .lines import Line, open_line
-from .peers import ANY, LOOPBACK, GcsError, Peer, numbered, peers_of
-from .state import TELEMETRY, VehicleState
-
-__all__ = [
-    "LOOPBACK",
-    "GcsError",
-    "GroundStation",
-    "Peer",
-    "find",
-    "listen",
-    "peers_of",
-    "progress_of",
-    "run",
-    "upload_plans",
-]
+from .connections import Connection, open_connection
+from .contact import AbortMessages, Contact, Job, QueuedExchange
+from .exchanges import protocol
+from .exchanges.plans import cancel_transfers, check_capacity, upload_plan
+from .exchanges.protocol import Progress
+from .peers import ANY, LOOPBACK, GcsError, Peer, peers_of
+from .vehicle_state import VehicleState
 
 TIMEOUT = 0.3
-"""s until what was not answered is sent again."""
+"""s without an answer before a message is repeated."""
 PATIENCE = 10.0
-"""s of a vehicle's silence after which it is given up."""
-BEAT_PERIOD = 1.0
-"""s between two heartbeats of ours."""
+"""s of silence before a vehicle is given up."""
+HEARTBEAT_PERIOD = 1.0
+"""s between our heartbeats."""
 
 _LOG = logging.getLogger(__name__)
-_FIND_LIMIT = 3.0  # s in which vehicles that are looked for have to answer
-_AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
-_NAMES = {MESSAGE_ID[name]: name for name in (*exchanges.ANSWERS, *TELEMETRY)}
-_DECODERS = {number: decoder(name) for number, name in _NAMES.items()}
 
 T = TypeVar("T")
-Job = Exchange[T] | Callable[[Beat], Exchange[T]]
-"""An exchange; or what makes one, given what the vehicle's heartbeat tells."""
 Watcher = Callable[[str, str, int, int], None]
-"""Told of a vehicle (its name) what is under way, how many of its parts are done, and how many there are."""
-Closing = Callable[[int], list[Any]]
-"""Returns what ends, with the autopilot of a system, an exchange that was broken off."""
+"""Callback for progress: name of the vehicle, description, number of finished parts, total number of parts."""
 
 
-def no_closing(_system: int) -> list[Any]:
-    """Return nothing: an exchange that can be left off."""
+def no_abort_messages(_system: int) -> list[Any]:
+    """Return no messages, for exchanges that need no end."""
     return []
 
 
-class _Run(Generic[T]):
-    """An exchange that is under way, or waits for those before it."""
-
-    def __init__(self, job: Job[T], timeout: float, patience: float, closing: Closing) -> None:
-        self.future: Future[T] = Future()
-        self.timeout = timeout
-        self.patience = patience
-        self.closing = closing
-        self.deadline = self.heard = math.inf  # until it begins
-        self.exchange: Exchange[T] = _greeted(job) if callable(job) else job
-
-
-def _greeted(job: Callable[[Beat], Exchange[T]]) -> Exchange[T]:
-    beat = yield from exchanges.greet()
-    return (yield from job(beat))
-
-
-class _Contact:
-    """One vehicle: its line, its state, what is to be done with it."""
-
-    def __init__(self, peer: Peer, line: Line, mav: Any) -> None:
-        self.peer = peer
-        self.line = line
-        self.system = peer.system
-        self.state = VehicleState(peer.name, peer.system)
-        self.runs: deque[_Run[Any]] = deque()
-        self._mav = mav
-
-    @property
-    def deadline(self) -> float:
-        return self.runs[0].deadline if self.runs else math.inf
-
-    def add(self, run: _Run[Any]) -> None:
-        self.runs.append(run)
-        if len(self.runs) == 1:
-            self._begin()
-
-    def _begin(self) -> None:
-        """Begin the exchange that is the next, of those that nobody has cancelled."""
-        while self.runs and not self.runs[0].future.set_running_or_notify_cancel():
-            self.runs.popleft()
-        if not self.runs:
-            return
-        run = self.runs[0]
-        run.deadline = run.heard = time.monotonic()
-        self._advance(run, lambda: next(run.exchange))
-
-    def _advance(self, run: _Run[Any], step: Callable[[], list[Any]]) -> None:
-        """Let the exchange go on, and send what it says."""
-        try:
-            outgoing = step()
-            while isinstance(outgoing, Say):
-                self.send(outgoing)
-                outgoing = run.exchange.send(None)
-            self.send(outgoing)
-        except StopIteration as end:
-            result = end.value
-            self._end(run, lambda: run.future.set_result(result))
-        except (RefusalError, GcsError) as error:
-            self.fail(run, GcsError(f"{self.peer.name}: {error}"))
-        except Exception as error:  # a flaw of this exchange; the others go on
-            self.fail(run, error)
-        else:
-            if outgoing:
-                run.deadline = time.monotonic() + run.timeout
-
-    def _end(self, run: _Run[Any], tell: Callable[[], None]) -> None:
-        self.runs.popleft()
-        tell()
-        if self.runs:
-            self._begin()
-
-    def fail(self, run: _Run[Any], error: Exception) -> None:
-        """End an exchange by an error."""
-        self.break_off(run)
-        self._end(run, lambda: run.future.set_exception(error))
-
-    def break_off(self, run: _Run[Any]) -> None:
-        """End an exchange with the vehicle; nothing is left half done there."""
-        run.exchange.close()
-        with contextlib.suppress(GcsError):
-            self.send(run.closing(self.system))
-
-    def send(self, messages: Sequence[Any]) -> None:
-        for message in messages:
-            self.line.send(message.pack(self._mav), self.system)
-
-    def take(self, number: int, system: int, frame: bytes, now: float) -> bool:
-        """Take a frame of this vehicle; return whether it changes the state.
-
-        Raises:
-            FrameError: it is damaged.
-        """
-        if self.system == ANY:
-            self.system = self.state.system = system
-        name = _NAMES.get(number)
-        if name is None:
-            return False
-        message = _DECODERS[number](frame)
-        if name in TELEMETRY:
-            self.state.take(name, message, now)
-        if name in exchanges.ANSWERS and self.runs:
-            if name == "HEARTBEAT":
-                message = Beat(system, message.autopilot, message.type, message.base_mode, message.custom_mode)
-            elif name == "TIMESYNC":
-                message = Heard(system)
-            if getattr(message, "target_system", exchanges.SYSTEM) in (0, exchanges.SYSTEM):
-                run = self.runs[0]
-                if name not in TELEMETRY and name != "TIMESYNC":  # those come without being asked for
-                    run.heard = now
-                self._advance(run, lambda: run.exchange.send(message))
-        return name in TELEMETRY
-
-    def check_time(self, now: float) -> None:
-        """Tell the exchange that nothing came in time, or give the vehicle up."""
-        if now < self.deadline:
-            return
-        run = self.runs[0]
-        run.deadline = now + run.timeout
-        if now - run.heard > run.patience:
-            self.fail(run, GcsError(self._silence(run.patience)))
-        else:
-            self._advance(run, lambda: run.exchange.send(None))
-
-    def _silence(self, patience: float) -> str:
-        where = f"{self.peer.name}: {self.line.where}"
-        if self.line.unreachable:
-            return f"{where}: nobody listens there; does the simulation run, with this vehicle?"
-        who = "any autopilot" if self.system == ANY else f"system {self.system}"
-        return f"{where}: no answer of {who} within {patience:g} s"
-
-
 class GroundStation:
-    """Lines to vehicles; see the module's text.
+    """Connections to vehicles; see the module's docstring.
 
     Attributes:
-        peers: the vehicles that can be spoken to.
-        errors: why others cannot be, by name.
+        errors: connection errors by name of the vehicle.
     """
 
     def __init__(
@@ -220,26 +66,26 @@ class GroundStation:
         heartbeat: bool = False,
         on_change: Callable[[VehicleState], None] | None = None,
     ) -> None:
-        """Open the lines.
+        """Open the connections.
 
         Args:
             peers: the vehicles.
-            heartbeat: tell them each second that a ground station is there. An autopilot may be set to act when that
-                ends (PX4's NAV_DLL_ACT), so only who stays should do it; without it they are greeted all the same.
-            on_change: called with a copy of a vehicle's state after each message that changes it, in the thread that
-                polls. What it raises comes out of ``poll``, or is logged where the station has a thread of its own.
+            heartbeat: send a ground station's heartbeat each second. An autopilot may react to its loss (PX4's
+                NAV_DLL_ACT), so only a permanent station should send it; exchanges do not need it.
+            on_change: callback with a copy of a vehicle's state after each message that changes it, in the polling
+                thread. Its exceptions propagate from ``poll``; the station's own thread logs them.
         """
         self.errors: dict[str, GcsError] = {}
-        self._heartbeat = heartbeat
+        self._sends_heartbeat = heartbeat
         self._on_change = on_change
-        self._mav = mavlink.MAVLink(None, srcSystem=exchanges.SYSTEM, srcComponent=exchanges.COMPONENT)
+        self._mav = mavlink.MAVLink(None, srcSystem=protocol.SYSTEM, srcComponent=protocol.COMPONENT)
         self._selector = selectors.DefaultSelector()
-        self._lines: dict[tuple[str, str, int], Line] = {}
-        self._contacts: dict[Peer, _Contact] = {}
-        self._by_line: dict[Line, list[_Contact]] = {}
-        self._beat = -math.inf
+        self._connections: dict[tuple[str, str, int], Connection] = {}
+        self._contacts: dict[Peer, Contact] = {}
+        self._by_connection: dict[Connection, list[Contact]] = {}
+        self._last_heartbeat = -math.inf
         self._lock = threading.RLock()
-        self._arrived: deque[tuple[Peer, _Run[Any]]] = deque()
+        self._submitted: deque[tuple[Peer, QueuedExchange[Any]]] = deque()
         self._closed = False
         self._thread: threading.Thread | None = None
         self._waker, self._wakened = socket.socketpair()
@@ -256,21 +102,25 @@ class GroundStation:
 
     @property
     def peers(self) -> list[Peer]:
-        """The vehicles that can be spoken to."""
+        """The vehicles that are connected."""
         return list(self._contacts)
 
+    def is_unreachable(self, peer: Peer) -> bool:
+        """Return whether the vehicle's machine has reported that no program has its port."""
+        return self._contacts[peer].connection.unreachable
+
     def _add(self, peer: Peer) -> None:
-        line = self._lines.get(peer.line)
-        if line is None:
+        connection = self._connections.get(peer.address)
+        if connection is None:
             try:
-                line = self._lines[peer.line] = open_line(*peer.line)
+                connection = self._connections[peer.address] = open_connection(*peer.address)
             except GcsError as error:
                 self.errors[peer.name] = GcsError(f"{peer.name}: {error}")
                 return
-            self._selector.register(line, selectors.EVENT_READ, line)
-            self._by_line[line] = []
-        contact = self._contacts[peer] = _Contact(peer, line, self._mav)
-        self._by_line[line].append(contact)
+            self._selector.register(connection, selectors.EVENT_READ, connection)
+            self._by_connection[connection] = []
+        contact = self._contacts[peer] = Contact(peer, connection, self._mav)
+        self._by_connection[connection].append(contact)
 
     # for all threads
 
@@ -281,63 +131,63 @@ class GroundStation:
         *,
         timeout: float = TIMEOUT,
         patience: float = PATIENCE,
-        closing: Closing = no_closing,
+        on_abort: AbortMessages = no_abort_messages,
     ) -> Future[T]:
-        """Begin an exchange with a vehicle, after those that are under way with it.
+        """Queue an exchange with a vehicle.
 
         Args:
             peer: one of ``peers``.
-            job: the exchange, or what makes it.
-            timeout: s until what was not answered is sent again.
-            patience: s of silence after which the vehicle is given up.
-            closing: returns what ends it there when it is broken off.
+            job: the exchange, or a function that creates it from the vehicle's heartbeat.
+            timeout: s without an answer before a message is repeated.
+            patience: s of silence before the vehicle is given up.
+            on_abort: returns the messages that end the exchange if it is aborted.
 
         Returns:
-            What will have the result, or a GcsError. It can be cancelled until the exchange begins.
+            Future of the result, or of a GcsError. It can be cancelled until the exchange starts.
 
         Raises:
-            GcsError: the vehicle cannot be spoken to, or the station is closed.
+            GcsError: the vehicle is not connected, or the station is closed.
         """
         if peer not in self._contacts:
             raise self.errors.get(peer.name) or GcsError(f"{peer.name}: no vehicle of this station")
-        found: _Run[T] = _Run(job, timeout, patience, closing)
+        item: QueuedExchange[T] = QueuedExchange(job, timeout, patience, on_abort)
         with self._lock:
             if self._closed:
                 raise GcsError(f"{peer.name}: the station is closed")
-            self._arrived.append((peer, found))
+            self._submitted.append((peer, item))
         self._wake()
-        return found.future
+        return item.future
 
     def states(self) -> list[VehicleState]:
-        """Return what is known of the vehicles, in the order in which they were given."""
+        """Return the states of the connected vehicles, in the order of the constructor."""
         with self._lock:
             return [copy(contact.state) for contact in self._contacts.values()]
 
     def start(self) -> None:
-        """Poll in a thread of its own until ``close``."""
+        """Poll in a thread of the station's own until ``close``."""
         self._thread = threading.Thread(target=self._serve, name="ground station", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Break off what is under way, and close the lines."""
+        """Abort all exchanges and close the connections."""
         with self._lock:
-            ended, self._closed = self._closed, True
-        if ended:
+            was_closed, self._closed = self._closed, True
+        if was_closed:
             return
         if self._thread is not None:
             self._wake()
             self._thread.join()
         for contact in self._contacts.values():
-            for run in contact.runs:
-                if run.future.running():
-                    contact.break_off(run)
-                    run.future.set_exception(GcsError(f"{contact.peer.name}: the station is closed"))
+            for item in contact.queue:
+                if item.future.running():
+                    contact.abort(item)
+                    item.future.set_exception(GcsError(f"{contact.peer.name}: the station is closed"))
                 else:
-                    run.future.cancel()
-        for _, run in self._arrived:
-            run.future.cancel()
-        for line in self._lines.values():
-            line.close()
+                    item.future.cancel()
+        for _, item in self._submitted:
+            item.future.cancel()
+        for connection in self._connections.values():
+            connection.close()
         self._selector.close()
         self._waker.close()
         self._wakened.close()
@@ -348,17 +198,17 @@ class GroundStation:
 
     def _serve(self) -> None:
         while not self._closed:
-            self.poll(BEAT_PERIOD)
+            self.poll(HEARTBEAT_PERIOD)
 
-    # for the thread that polls
+    # for the polling thread
 
     def poll(self, limit: float) -> None:
-        """Do what is to be done, waiting up to ``limit`` s for it."""
-        self._take_arrived()
+        """Process messages, new exchanges and time-outs, waiting for the first of them up to ``limit`` s."""
+        self._start_submitted()
         now = time.monotonic()
-        self._say_hello(now)
+        self._send_heartbeat(now)
         due = min((contact.deadline for contact in self._contacts.values()), default=math.inf)
-        due = min(due, self._beat + BEAT_PERIOD if self._heartbeat else math.inf, now + limit)
+        due = min(due, self._last_heartbeat + HEARTBEAT_PERIOD if self._sends_heartbeat else math.inf, now + limit)
         for key, _ in self._selector.select(max(due - now, 0.0)):
             if key.data is None:
                 with contextlib.suppress(BlockingIOError):
@@ -367,51 +217,51 @@ class GroundStation:
                 self._receive(key.data)
         now = time.monotonic()
         for contact in self._contacts.values():
-            contact.check_time(now)
+            contact.check_timeout(now)
 
-    def _take_arrived(self) -> None:
-        while self._arrived:
-            peer, found = self._arrived.popleft()
+    def _start_submitted(self) -> None:
+        while self._submitted:
+            peer, item = self._submitted.popleft()
             if peer in self._contacts:
-                self._contacts[peer].add(found)
-            else:  # its line has ended in the meantime
-                found.future.set_exception(self.errors[peer.name])
+                self._contacts[peer].add(item)
+            else:  # its connection has ended in the meantime
+                item.future.set_exception(self.errors[peer.name])
 
-    def _say_hello(self, now: float) -> None:
-        if not self._heartbeat or now < self._beat + BEAT_PERIOD:
+    def _send_heartbeat(self, now: float) -> None:
+        if not self._sends_heartbeat or now < self._last_heartbeat + HEARTBEAT_PERIOD:
             return
-        self._beat = now
+        self._last_heartbeat = now
         kind, none, active = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mavlink.MAV_STATE_ACTIVE
-        beat = mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, active, 3).pack(self._mav)
-        for line in self._by_line:
-            with contextlib.suppress(GcsError):  # the vehicle's silence shows it
-                line.send(beat, ANY)
+        heartbeat = mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, active, 3).pack(self._mav)
+        for connection in self._by_connection:
+            with contextlib.suppress(GcsError):  # the silence of its vehicles is reported
+                connection.send(heartbeat, ANY)
 
-    def _receive(self, line: Line) -> None:
+    def _receive(self, connection: Connection) -> None:
         try:
-            arrived = line.receive()
+            chunks = connection.receive()
         except GcsError as error:
-            self._lose(line, error)
+            self._remove(connection, error)
             return
         now = time.monotonic()
-        for datagram in arrived:
+        for chunk in chunks:
             try:
-                for number, system, component, frame in split(datagram):
-                    if component == _AUTOPILOT:
-                        self._give(line, number, system, frame, now)
-            except FrameError:  # noise; what is missing is asked for again
+                for number, system, component, frame in split(chunk):
+                    if component == protocol.AUTOPILOT:
+                        self._dispatch(connection, number, system, frame, now)
+            except FrameError:  # noise; exchanges repeat their requests
                 continue
 
-    def _give(self, line: Line, number: int, system: int, frame: bytes, now: float) -> None:
-        for contact in self._by_line[line]:
+    def _dispatch(self, connection: Connection, number: int, system: int, frame: bytes, now: float) -> None:
+        for contact in self._by_connection[connection]:
             if contact.system not in (ANY, system):
                 continue
             with self._lock:
-                changed = contact.take(number, system, frame, now)
+                changed = contact.receive(number, system, frame, now)
             if changed:
-                self._tell_change(contact)
+                self._report_change(contact)
 
-    def _tell_change(self, contact: _Contact) -> None:
+    def _report_change(self, contact: Contact) -> None:
         if self._on_change is None:
             return
         try:
@@ -421,12 +271,12 @@ class GroundStation:
                 raise
             _LOG.exception("%s: on_change of the ground station has failed; the station goes on", contact.peer.name)
 
-    def _lose(self, line: Line, error: GcsError) -> None:
-        """Take note that a line has ended."""
-        self._selector.unregister(line)
-        for contact in self._by_line.pop(line):
-            while contact.runs:
-                contact.fail(contact.runs[0], GcsError(f"{contact.peer.name}: {error}"))
+    def _remove(self, connection: Connection, error: GcsError) -> None:
+        """Remove a connection that has ended, and its vehicles."""
+        self._selector.unregister(connection)
+        for contact in self._by_connection.pop(connection):
+            while contact.queue:
+                contact.fail(contact.queue[0], GcsError(f"{contact.peer.name}: {error}"))
             with self._lock:
                 self.errors[contact.peer.name] = GcsError(f"{contact.peer.name}: {error}")
                 del self._contacts[contact.peer]
@@ -435,7 +285,7 @@ class GroundStation:
         """Run exchanges with vehicles, all at once; see ``submit`` for ``limits``.
 
         Returns:
-            By vehicle's name what the exchange has returned, or the error with which it ended.
+            Result or error by name of the vehicle.
         """
         futures: dict[str, Future[T]] = {}
         results: dict[str, T | GcsError] = {}
@@ -447,7 +297,7 @@ class GroundStation:
         if self._thread is not None:
             wait(futures.values())
         while not all(future.done() for future in futures.values()):
-            self.poll(BEAT_PERIOD)
+            self.poll(HEARTBEAT_PERIOD)
         for name, future in futures.items():
             try:
                 results[name] = future.result()
@@ -461,80 +311,19 @@ def run(
     *,
     timeout: float = TIMEOUT,
     patience: float = PATIENCE,
-    closing: Closing = exchanges.cancel,
+    on_abort: AbortMessages = cancel_transfers,
 ) -> dict[str, T | GcsError]:
-    """Run exchanges with vehicles, all at once.
+    """Run exchanges with vehicles, all at once, over connections of their own.
 
     Args:
-        jobs: the exchange with each, or what makes it.
-        timeout: s until what was not answered is sent again.
-        patience: s of a vehicle's silence after which it is given up.
-        closing: returns what ends an exchange that was broken off.
+        jobs: exchanges, or functions that create them.
+        timeout, patience, on_abort: see ``GroundStation.submit``.
 
     Returns:
-        By vehicle's name what the exchange has returned, or the error with which it ended.
+        Result or error by name of the vehicle.
     """
     with GroundStation(jobs) as station:
-        return station.run(jobs, timeout=timeout, patience=patience, closing=closing)
-
-
-def find(host: str = LOOPBACK, limit: float = _FIND_LIMIT, instance: int = 0) -> list[Peer]:
-    """Return the vehicles that answer at the ports of a simulation, in their order, with their system ids.
-
-    Args:
-        host: the machine on which they fly.
-        limit: s in which they have to answer; a port that nobody has says so at once where the machine tells it.
-        instance: of the simulations on it.
-
-    Raises:
-        GcsError: there is no such machine.
-    """
-    try:
-        address = socket.gethostbyname(host)  # once for all
-    except (OSError, UnicodeError) as error:
-        raise GcsError(f"{host}: no such machine: {getattr(error, 'strerror', None) or error}") from error
-    peers = [numbered(number, host=address, instance=instance) for number in range(MAX_VEHICLES)]
-    with GroundStation(peers) as station:
-        futures = {peer: station.submit(peer, exchanges.greet(), patience=limit) for peer in station.peers}
-        end = time.monotonic() + limit
-        while time.monotonic() < end:
-            station.poll(TIMEOUT)
-            if all(futures[peer].done() or contact.line.unreachable for peer, contact in station._contacts.items()):
-                break
-        done = [peer for peer, future in futures.items() if future.done() and future.exception() is None]
-        return [Peer(peer.name, futures[peer].result().system, host, peer.port) for peer in done]
-
-
-def listen(address: tuple[str, str, int], limit: float = _FIND_LIMIT, wanted: Collection[int] = ()) -> list[Peer]:
-    """Return the vehicles of which heartbeats come over a line, by their system ids.
-
-    Args:
-        address: scheme, host and port.
-        limit: s in which they have to come.
-        wanted: system ids; when all of these are there no more are waited for. Empty: all that come in time.
-
-    Raises:
-        GcsError: the line cannot be opened, or ends.
-    """
-    line = open_line(*address)
-    beat = MESSAGE_ID["HEARTBEAT"]
-    mav = mavlink.MAVLink(None, srcSystem=exchanges.SYSTEM, srcComponent=exchanges.COMPONENT)
-    found: set[int] = set()
-    try:
-        with selectors.DefaultSelector() as selector:
-            selector.register(line, selectors.EVENT_READ)
-            end = time.monotonic() + limit
-            while (now := time.monotonic()) < end and not (wanted and found.issuperset(wanted)):
-                for message in exchanges.hello():
-                    line.send(message.pack(mav), ANY)
-                if not selector.select(min(TIMEOUT, end - now)):
-                    continue
-                for datagram in line.receive():
-                    with contextlib.suppress(FrameError):
-                        found |= {s for number, s, part, _ in split(datagram) if (number, part) == (beat, _AUTOPILOT)}
-    finally:
-        line.close()
-    return [Peer(f"system_{system}", system, *address[1:], address[0]) for system in sorted(found)]
+        return station.run(jobs, timeout=timeout, patience=patience, on_abort=on_abort)
 
 
 def upload_plans(
@@ -547,37 +336,34 @@ def upload_plans(
     patience: float = PATIENCE,
     instance: int = 0,
 ) -> None:
-    """Give vehicles their plans, all at once, and see that they have come whole.
+    """Upload plans to vehicles, all at once, and compare what the vehicles have stored.
 
     Args:
-        plans: by vehicle's name.
-        fleet: the fleet that flies; see ``peers_of``.
-        host: the machine on which it flies.
-        watch: told of the progress.
-        timeout, patience: see ``run``.
-        instance: of the simulations on that machine.
+        plans: by name of the vehicle.
+        fleet: the fleet; see ``peers_of``.
+        host: machine of the simulation.
+        watch: callback for progress.
+        timeout, patience: see ``GroundStation.submit``.
+        instance: number of the simulation on that machine.
 
     Raises:
-        GcsError: some vehicle has not taken its plan; one line each.
-        FleetError: the fleet is none.
+        GcsError: some vehicles have not stored their plan; one line each.
+        FleetError: invalid fleet.
     """
     jobs = {}
     for peer in peers_of(plans, fleet, host, instance):
-        too_long = exchanges.check_kinds(plans[peer.name])
+        too_long = check_capacity(plans[peer.name])
         if too_long:
             raise GcsError(f"{peer.name}: {too_long}")
-        jobs[peer] = exchanges.store_plan(peer.system, plans[peer.name], progress_of(peer.name, watch))
-    failures = [str(result) for result in run(jobs, timeout=timeout, patience=patience).values() if _failed(result)]
+        jobs[peer] = upload_plan(peer.system, plans[peer.name], progress_of(peer.name, watch))
+    results = run(jobs, timeout=timeout, patience=patience).values()
+    failures = [str(result) for result in results if isinstance(result, GcsError)]
     if failures:
         raise GcsError("\n".join(failures))
 
 
-def _failed(result: object) -> bool:
-    return isinstance(result, GcsError)
-
-
 def progress_of(name: str, watch: Watcher | None) -> Progress:
-    """Return what tells ``watch`` of the vehicle ``name``."""
+    """Return the callback for the progress of the vehicle ``name``."""
     if watch is None:
-        return exchanges.nobody
+        return protocol.ignore_progress
     return lambda what, done, total: watch(name, what, done, total)

@@ -1,4 +1,4 @@
-"""The keyboard's command line: ``iris 9 vel`` as XTDrone's, and ``iris:3,typhoon_h480:2 accel`` for mixed fleets."""
+"""The keyboard's command line: ``iris 9 vel`` as in XTDrone, or ``iris:3,typhoon_h480:2 accel`` for mixed fleets."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ MODES = ("vel", "accel")
 
 @dataclass(frozen=True)
 class Request:
-    """What a command line asks for.
+    """A parsed command line.
 
     Attributes:
-        vehicles: whom to steer.
+        vehicles: to be controlled.
         mode: ``vel`` or ``accel``.
     """
 
@@ -26,30 +26,30 @@ class Request:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the vehicles, as ``iris_0``."""
+        """Names of the vehicles, such as ``iris_0``."""
         return tuple(vehicle.name for vehicle in self.vehicles)
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many of each type, in the order given."""
+        """Number of vehicles by type, in the given order."""
         types = [vehicle.type for vehicle in self.vehicles]
         return {kind: types.count(kind) for kind in dict.fromkeys(types)}
 
     @property
     def formation(self) -> int:
-        """How many vehicles the leader's formation has: those of the first type."""
+        """Number of vehicles in the leader's formation, those of the first type."""
         return next(iter(self.counts.values()))
 
 
 def parse_arguments(arguments: Sequence[str], fleet: tuple[Vehicle, ...] | None) -> Request:
-    """Return what the arguments ask for.
+    """Parse the arguments.
 
     Args:
-        arguments: those that ROS leaves.
-        fleet: the vehicles that there are; None if that is not known.
+        arguments: without those of ROS.
+        fleet: the running vehicles; None if unknown.
 
     Raises:
-        ArgumentError: too few or too many, a mode, type or number that is not allowed, or more than the fleet has.
+        ArgumentError: wrong number of arguments, invalid mode, type or number, or more vehicles than in the fleet.
     """
     vehicles, mode = list(arguments), "vel"
     if len(vehicles) == 3 or (len(vehicles) == 2 and (vehicles[1] in MODES or ":" in vehicles[0])):

@@ -6,12 +6,12 @@ published, for each vehicle T as iris_0, or for the leader
 /xtdrone/T/cmd_vel_flu, /xtdrone/leader/...         geometry_msgs/Twist         with ``vel``, 10 Hz while not zero
 /xtdrone/T/cmd_accel_flu, /xtdrone/leader/...       geometry_msgs/Twist         with ``accel``, likewise
 subscribed
-/T/mavros/state                                     mavros_msgs/State           of the vehicles in sight
+/T/mavros/state                                     mavros_msgs/State           of visible vehicles
 /T/mavros/local_position/pose, velocity_local       PoseStamped, TwistStamped   likewise
 ==================================================  ==========================  =====================================
 
-It is a person's program: it lives in wall time, so that its keys work while the simulation is paused, takes no part in
-the lockstep, and needs no simulator.
+It runs in wall time, so that its keys work while the simulation is paused, takes no part in the lockstep, and needs no
+simulator.
 """
 
 from __future__ import annotations
@@ -43,33 +43,33 @@ from xtdrone_control.program import ArgumentError, fleet_of, run_program
 from xtdrone_coordination.patterns import PatternError, Patterns
 
 from .arguments import USAGE, Request, parse_arguments
-from .keys import PAGE_DOWN, PAGE_UP, QUIT, REDRAW, Decoder
-from .pilot import AXES, Message, Pilot, Say, Steer, Target, digits
-from .screen import SILENT, Layout, Sight, View, frame, help_lines, layout, sentence
+from .key_decoder import PAGE_DOWN, PAGE_UP, QUIT, REDRAW, KeyDecoder
+from .pilot import AXES, Command, Message, Pilot, Setpoint, Target, digits
+from .screen import SILENT, Layout, ScreenContent, VehicleStatus, frame, help_lines, layout, sentence
 from .terminal import ENDING, NoTerminalError, Signals, Terminal, TerminalGoneError
 
 NAME = "multirotor_keyboard_control"
 PERIOD = 0.1  # s of wall time: XTDrone's 10 Hz
-_WIDTH = 80  # columns of the help where nothing is redrawn
-_MASTER_PERIOD = 2.0  # s between two looks for the master
-_LEAVE_LIMIT = 3.0  # s for the master to let the node go
-_KEPT = 10  # messages kept for a vehicle that takes none
+_WIDTH = 80  # columns of the help without redrawing
+_MASTER_PERIOD = 2.0  # s between two checks of the master
+_LEAVE_LIMIT = 3.0  # s for the master to unregister the node
+_KEPT = 10  # queue of a topic
 
 
-class _Ear:
-    """A topic's last message, unpacked when somebody looks: few of thirty a second are looked at."""
+class _LatestMessage:
+    """The last message of a topic, decoded on demand, because most of thirty a second are never shown."""
 
     def __init__(self, topic: str, kind: type[genpy.Message]) -> None:
         self.heard: float | None = None  # s, of the monotonic clock
         self._kind = kind
         self._packed = b""
-        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._take, queue_size=1, tcp_nodelay=True)
+        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._store, queue_size=1, tcp_nodelay=True)
 
-    def _take(self, message: rospy.AnyMsg) -> None:
+    def _store(self, message: rospy.AnyMsg) -> None:
         self._packed, self.heard = message._buff, time.monotonic()
 
-    def look(self) -> genpy.Message | None:
-        """Return the message; None before the first, and for one of another type."""
+    def decode(self) -> genpy.Message | None:
+        """Return the message; None before the first one, or for another type."""
         if self.heard is None:
             return None
         message = self._kind()
@@ -83,62 +83,65 @@ class _Ear:
         self._subscriber.unregister()
 
 
-class _Watch:
-    """What one vehicle in sight says."""
+class _VehicleMonitor:
+    """Topics of one visible vehicle."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._state = _Ear(f"/{name}/mavros/state", State)
-        self._pose = _Ear(f"/{name}/mavros/local_position/pose", PoseStamped)
-        self._velocity = _Ear(f"/{name}/mavros/local_position/velocity_local", TwistStamped)
-        self._ears = (self._state, self._pose, self._velocity)
+        self._state = _LatestMessage(f"/{name}/mavros/state", State)
+        self._pose = _LatestMessage(f"/{name}/mavros/local_position/pose", PoseStamped)
+        self._velocity = _LatestMessage(f"/{name}/mavros/local_position/velocity_local", TwistStamped)
+        self._topics = (self._state, self._pose, self._velocity)
 
-    def sight(self, listened: bool) -> Sight:
-        """Return the vehicle as it is seen now."""
-        state, pose, velocity = self._state.look(), self._pose.look(), self._velocity.look()
-        heard = [ear.heard for ear in self._ears if ear.heard is not None]
+    def status(self, has_subscriber: bool) -> VehicleStatus:
+        """Return the present state."""
+        state, pose, velocity = self._state.decode(), self._pose.decode(), self._velocity.decode()
+        heard = [topic.heard for topic in self._topics if topic.heard is not None]
         linear = velocity.twist.linear if velocity else None
-        return Sight(
+        return VehicleStatus(
             self._name,
             armed=state.armed if state else None,
             mode=state.mode if state else "",
             height=pose.pose.position.z if pose else None,
             speed=math.hypot(linear.x, linear.y, linear.z) if linear else None,
             silence=time.monotonic() - max(heard) if heard else None,
-            listened=listened,
+            has_subscriber=has_subscriber,
         )
 
     def close(self) -> None:
-        for ear in self._ears:
-            ear.close()
+        for topic in self._topics:
+            topic.close()
 
 
-class _Lookout:
-    """Watches the vehicles in sight, and only those, and the master.
+class _Monitor:
+    """Monitors the visible vehicles and the ROS master.
 
-    The master is asked in a thread: rospy waits for it, without end if it is gone.
+    A thread calls the master, because rospy waits for it, forever if it is gone.
 
     Attributes:
-        trouble: what is wrong with the master, in a few words; empty: nothing.
+        trouble: short description of a problem with the master; empty for none.
     """
 
     def __init__(self) -> None:
         self.trouble = ""
-        self._watches: dict[str, _Watch] = {}
+        self._watches: dict[str, _VehicleMonitor] = {}
         self._wanted: Sequence[str] = ()
         self._changed = threading.Event()
         self._ended = threading.Event()
         rospy.on_shutdown(self._ended.set)
         threading.Thread(target=self._run, name="lookout", daemon=True).start()
 
-    def sights(self, listened: Mapping[str, bool]) -> list[Sight]:
-        """Return how the vehicles named are seen now; from now on they are the ones to be watched."""
-        names = tuple(listened)
+    def statuses(self, has_subscriber: Mapping[str, bool]) -> list[VehicleStatus]:
+        """Return the states of the named vehicles, and monitor only these from now on."""
+        names = tuple(has_subscriber)
         if names != self._wanted:
             self._wanted = names
             self._changed.set()
         watches = {name: self._watches.get(name) for name in names}
-        return [w.sight(listened[n]) if w else Sight(n, listened=listened[n]) for n, w in watches.items()]
+        return [
+            watch.status(has_subscriber[name]) if watch else VehicleStatus(name, has_subscriber=has_subscriber[name])
+            for name, watch in watches.items()
+        ]
 
     def _run(self) -> None:
         while not rospy.is_shutdown():
@@ -151,25 +154,25 @@ class _Lookout:
                 self._watch(self._wanted)
 
     def _watch(self, wanted: Sequence[str]) -> None:
-        """Watch these, until others are wanted or the master is gone: rospy would wait for it, and hold locks meanwhile
-        that its shutdown needs."""
+        """Subscribe to the wanted vehicles, until others are wanted or the master is gone: rospy would wait for it with
+        locks held that its shutdown needs."""
         for name in set(self._watches).difference(wanted):
             self._watches.pop(name).close()
         for name in wanted:
             if self._changed.is_set():
                 return
             if not rosgraph.is_master_online():
-                self._changed.set()  # to be done when it is back
+                self._changed.set()  # retry when it is back
                 return
             if name not in self._watches:
-                self._watches[name] = _Watch(name)
+                self._watches[name] = _VehicleMonitor(name)
 
 
 def _trouble_of_master() -> str:
-    """Return what is wrong with the ROS master, in a few words; empty: nothing.
+    """Describe a problem with the ROS master; empty for none.
 
-    Connections that there are live on without it, but none is made any more; one that was started anew knows nothing of
-    this node, and rospy does not tell it.
+    Without a master, existing connections survive but no new ones are made; a restarted master does not know this node,
+    and rospy does not register it again.
     """
     name = rospy.get_name()
     try:
@@ -181,39 +184,39 @@ def _trouble_of_master() -> str:
     return ""
 
 
-class _Outlet:
-    """Where a vehicle, or the leader, takes commands; publishing waits for nobody."""
+class _CommandTopics:
+    """Command topics of a vehicle or the leader; publishing never blocks."""
 
     def __init__(self, name: str, mode: str) -> None:
         self._command = lockstep.UncountedPublisher(f"/xtdrone/{name}/cmd", String, queue_size=_KEPT)
         self._steering = lockstep.UncountedPublisher(f"/xtdrone/{name}/cmd_{mode}_flu", Twist, queue_size=_KEPT)
 
     @property
-    def listened(self) -> bool:
-        """Whether anybody takes commands."""
+    def has_subscriber(self) -> bool:
+        """Whether a node receives commands."""
         return bool(self._command.get_num_connections())
 
-    def say(self, text: str) -> None:
+    def send_command(self, text: str) -> None:
         self._command.publish(String(data=text))
 
-    def steer(self, twist: Twist) -> None:
+    def send_setpoint(self, twist: Twist) -> None:
         self._steering.publish(twist)
 
 
-class _Notes(logging.Handler):
-    """Keeps what rospy would write across the screen."""
+class _LogCapture(logging.Handler):
+    """Captures log messages that would disturb the screen."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.texts: deque[str] = deque(maxlen=1)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a warning."""
+        """Store a warning."""
         self.texts.append(" ".join(record.getMessage().split()))
 
     @contextlib.contextmanager
     def instead_of_console(self) -> Iterator[None]:
-        """Take what rospy logs, within the context, in place of its own handlers for the console."""
+        """Replace rospy's console handlers within the context."""
         logger = logging.getLogger("rosout")
         before = [handler for handler in logger.handlers if isinstance(handler, RosStreamHandler)]
         for handler in before:
@@ -228,39 +231,39 @@ class _Notes(logging.Handler):
 
 
 class Keyboard:
-    """One person at one terminal."""
+    """The keyboard program at one terminal."""
 
     def __init__(self, request: Request, pilot: Pilot, terminal: Terminal) -> None:
         """Advertise the topics.
 
         Args:
-            request: whom to steer, and how.
-            pilot: what keys mean.
-            terminal: where they come from; not taken yet.
+            request: the parsed command line.
+            pilot: mapping of keys.
+            terminal: not opened yet.
         """
         self._request = request
         self._pilot = pilot
         self._terminal = terminal
         self._began = time.monotonic()
-        self._decoder = Decoder()
+        self._decoder = KeyDecoder()
         self._ending = False
-        self._first = 0  # vehicle at the head of the page
-        self._help: bool | None = None  # wanted by the person; None: if there is room
-        self._lookout = _Lookout()
-        self._said: dict[str, object] = {}  # what was written last, where nothing is redrawn
-        self._notes = _Notes()
-        self._lock = threading.RLock()  # the pilot's and the publishers'
-        self._vehicles = {name: _Outlet(name, request.mode) for name in request.names}
-        self._leader = _Outlet("leader", request.mode)
-        rospy.on_shutdown(self._stop_for_good)  # rosnode kill: nothing can be published once that is complete
+        self._first = 0  # index of the first visible vehicle
+        self._help: bool | None = None  # chosen by the user; None: shown if there is room
+        self._monitor = _Monitor()
+        self._written: dict[str, object] = {}  # last written values, without redrawing
+        self._notes = _LogCapture()
+        self._lock = threading.RLock()  # for pilot and publishers
+        self._vehicles = {name: _CommandTopics(name, request.mode) for name in request.names}
+        self._leader = _CommandTopics("leader", request.mode)
+        rospy.on_shutdown(self._stop_for_good)  # rosnode kill: nothing can be published after the shutdown
 
     def run(self) -> None:
-        """Take keys until a signal, Ctrl-C or the node's shutdown ends it.
+        """Process keys until a signal, Ctrl-C or the shutdown of the node.
 
         Raises:
             TerminalGoneError: the terminal has been closed.
         """
-        # From outside to inside: signals end the loop, not the restoring.
+        # Signals is outermost, so that a signal ends the loop but not the restoring of the terminal.
         with Signals() as signals, selectors.DefaultSelector() as selector, self._notes.instead_of_console():
             selector.register(self._terminal.input, selectors.EVENT_READ)
             selector.register(signals.descriptor, selectors.EVENT_READ)
@@ -275,13 +278,13 @@ class Keyboard:
             print("the node was told to end: by rosnode kill, or another node of its name has started", file=sys.stderr)
 
     def _cycle(self, selector: selectors.BaseSelector, signals: Signals) -> None:
-        """Take what comes within a period, say the speeds, show how things are."""
+        """Process keys and signals for a period, publish the setpoint and update the screen."""
         end = time.monotonic() + PERIOD
         pressed = False
         while not self._ending and (left := end - time.monotonic()) > 0.0:
             ready = {key.fd for key, _ in selector.select(left)}
             if signals.descriptor in ready:
-                self._take_signals(signals)
+                self._handle_signals(signals)
             elif self._terminal.input in ready:
                 pressed = True
                 for key in self._decoder.feed(self._terminal.read()):
@@ -289,8 +292,8 @@ class Keyboard:
         if self._ending:
             return
         if not pressed:
-            self._decoder.rest()
-        self._tell(lambda: [self._pilot.cycle()])
+            self._decoder.drop_partial()
+        self._act(lambda: [self._pilot.cycle()])
         self._show()
 
     # keys and signals
@@ -310,27 +313,27 @@ class Keyboard:
             self._turn_page(-1 if key == PAGE_UP else 1)
         else:
             self._notes.texts.clear()
-            self._tell(lambda: self._pilot.press(key))
+            self._act(lambda: self._pilot.press(key))
 
-    def _take_signals(self, signals: Signals) -> None:
+    def _handle_signals(self, signals: Signals) -> None:
         numbers = signals.take()
         if any(number in ENDING for number in numbers):
             self._ending = True
         elif signal.SIGTSTP in numbers:
             self._suspend(signals)
         elif signal.SIGCONT in numbers:
-            self._retake(signals)
+            self._reopen(signals)
         elif signal.SIGWINCH in numbers:
             self._terminal.forget()
 
     def _suspend(self, signals: Signals) -> None:
-        """Stop as Ctrl-Z asks, those who are steered first; go on where the person comes back."""
-        self._tell(lambda: [self._pilot.stop()])
+        """Stop the vehicles, then this process, as Ctrl-Z does; continue afterwards."""
+        self._act(lambda: [self._pilot.stop()])
         self._terminal.suspend()
-        self._retake(signals)
+        self._reopen(signals)
 
-    def _retake(self, signals: Signals) -> None:
-        """Take the terminal when the process is continued, unless it is to end."""
+    def _reopen(self, signals: Signals) -> None:
+        """Open the terminal after the process is continued, unless it is ending."""
         while not self._ending:
             numbers = signals.take()
             self._ending = any(number in ENDING for number in numbers)
@@ -344,42 +347,42 @@ class Keyboard:
 
     # messages
 
-    def _tell(self, act: Callable[[], Sequence[Message | None]]) -> None:
-        """Let the pilot act and tell what he says, unless the end has come: nothing is said after the last stop."""
+    def _act(self, act: Callable[[], Sequence[Message | None]]) -> None:
+        """Run an action of the pilot and publish its messages, unless the vehicles have been stopped for good."""
         with self._lock:
             if not self._ending:
                 self._publish(act())
 
     def _publish(self, messages: Sequence[Message | None]) -> None:
         for message in messages:
-            if isinstance(message, Say):
-                self._say(message)
+            if isinstance(message, Command):
+                self._send_command(message)
             elif message is not None:
-                self._steer(message)
+                self._send_setpoint(message)
 
-    def _outlets(self, target: Target) -> dict[str, _Outlet]:
+    def _topics_of(self, target: Target) -> dict[str, _CommandTopics]:
         return {"leader": self._leader} if target is Target.LEADER else self._vehicles
 
-    def _say(self, message: Say) -> None:
-        outlets = self._outlets(message.target)
-        deaf = [name for name, outlet in outlets.items() if not outlet.listened]
-        for outlet in outlets.values():
-            outlet.say(message.text)
-        if deaf:
-            more = f" and {len(deaf) - 1} more" if len(deaf) > 1 else ""
-            self._pilot.note += f"; {deaf[0]}{more} took nothing: no communication node"
+    def _send_command(self, message: Command) -> None:
+        topics = self._topics_of(message.target)
+        unheard = [name for name, topic in topics.items() if not topic.has_subscriber]
+        for topic in topics.values():
+            topic.send_command(message.text)
+        if unheard:
+            more = f" and {len(unheard) - 1} more" if len(unheard) > 1 else ""
+            self._pilot.note += f"; {unheard[0]}{more} took nothing: no communication node"
             if message.target is Target.LEADER:
                 self._pilot.note = f"{message.text}: no leader is there, start leader.py"
 
-    def _steer(self, message: Steer) -> None:
+    def _send_setpoint(self, message: Setpoint) -> None:
         twist = Twist()
         twist.linear.x, twist.linear.y, twist.linear.z = message.forward, message.left, message.up
         twist.angular.z = message.turn
-        for outlet in self._outlets(message.target).values():
-            outlet.steer(twist)
+        for topic in self._topics_of(message.target).values():
+            topic.send_setpoint(twist)
 
     def _stop_for_good(self) -> None:
-        """Stop those who are steered; called in a thread of rospy's when that ends the node."""
+        """Stop the vehicles and ignore further keys; called in rospy's thread if it shuts the node down."""
         with self._lock:
             self._ending = True
             self._publish([self._pilot.stop()])
@@ -400,26 +403,26 @@ class Keyboard:
             self._first = 0
         if self._first < 0:
             self._first = (len(self._vehicles) - 1) // rows * rows
-        self._said.clear()
+        self._written.clear()
 
-    def _page(self, rows: int) -> list[Sight]:
+    def _page(self, rows: int) -> list[VehicleStatus]:
         """Return the vehicles on the page."""
         names = list(self._vehicles)[self._first : self._first + rows]
-        return self._lookout.sights({name: self._vehicles[name].listened for name in names})
+        return self._monitor.statuses({name: self._vehicles[name].has_subscriber for name in names})
 
     def _show(self) -> None:
         shown = self._layout()
         page = self._page(shown.rows)
         said = self._notes.texts[-1] if self._notes.texts else self._pilot.note
-        note = "; ".join(filter(None, [self._lookout.trouble, said]))
+        note = "; ".join(filter(None, [self._monitor.trouble, said]))
         if not self._terminal.redraws:
             self._show_lines(page, note)
             return
-        view = View(
+        view = ScreenContent(
             fleet=self._fleet(),
             mode=self._request.mode,
             target=self._pilot.target,
-            leader_listens=self._leader.listened,
+            leader_has_subscriber=self._leader.has_subscriber,
             speeds=self._pilot.speeds,
             note=note,
             page=page,
@@ -435,22 +438,22 @@ class Keyboard:
         if not self._terminal.redraws:
             self._write(f"{self._fleet()}, {self._request.mode}", *help_lines(_WIDTH, self._pilot.patterns))
 
-    def _show_lines(self, page: Sequence[Sight], note: str) -> None:
-        """Write what has changed: speeds, notes, and vehicles whose mode, arming or trouble is another."""
+    def _show_lines(self, page: Sequence[VehicleStatus], note: str) -> None:
+        """Write changes of speeds, notes, and of modes, arming and problems of vehicles."""
         speeds = self._pilot.speeds
         if self._changed("speeds", speeds):
             self._write("  ".join(f"{axis} {value:+.2f}" for axis, value in zip(AXES, speeds, strict=True)))
         if self._changed("note", note) and note:
             self._write(note)
-        for sight in page:
-            if sight.silence is None and time.monotonic() - self._began < SILENT:
-                continue  # it may be heard of in a moment
-            if self._changed(sight.name, (sight.armed, sight.mode, sight.listened, bool(sight.trouble))):
-                self._write(sentence(sight))
+        for status in page:
+            if status.silence is None and time.monotonic() - self._began < SILENT:
+                continue  # its first message may still arrive
+            if self._changed(status.name, (status.armed, status.mode, status.has_subscriber, bool(status.trouble))):
+                self._write(sentence(status))
 
     def _changed(self, what: str, value: object) -> bool:
-        changed = self._said.get(what) != value
-        self._said[what] = value
+        changed = self._written.get(what) != value
+        self._written[what] = value
         return changed
 
     def _write(self, *lines: str) -> None:
@@ -462,7 +465,7 @@ def _keyboard(arguments: Sequence[str], terminal: Terminal) -> None:
     """Run the program with its arguments.
 
     Raises:
-        ArgumentError: they, or ~patterns, are not allowed.
+        ArgumentError: invalid arguments or ~patterns.
         TerminalGoneError: the terminal has been closed.
     """
     request = parse_arguments(arguments, fleet_of(rospy.get_param("/xtdrone/fleet", None)))
@@ -471,14 +474,14 @@ def _keyboard(arguments: Sequence[str], terminal: Terminal) -> None:
     try:
         Keyboard(request, Pilot(_patterns(request.formation)), terminal).run()
     finally:
-        # In a thread: a master that does not answer does not hold the person up.
+        # In a thread, so that a master that does not answer does not delay the end.
         leaving = threading.Thread(target=rospy.signal_shutdown, args=("the keyboard has ended",), daemon=True)
         leaving.start()
         leaving.join(_LEAVE_LIMIT)
 
 
 def _patterns(count: int) -> dict[str, str]:
-    """Return the patterns of the digits for so many vehicles; one alone has none."""
+    """Return the patterns by digit for a number of vehicles; none for a single one."""
     file = str(rospy.get_param("~patterns", ""))
     if count == 1:
         return {}
@@ -489,16 +492,16 @@ def _patterns(count: int) -> dict[str, str]:
 
 
 def _allow_many_files() -> None:
-    """Allow as many files as the system lets us: each vehicle has several connections."""
+    """Raise the limit of open files to the maximum: each vehicle has several connections."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
 def main() -> int:
-    """Run the program with ``sys.argv``; return the exit status.
+    """Run the program with ``sys.argv`` and return the exit status.
 
-    0 after Ctrl-C or another signal, 1 without a master or when the terminal is closed, 2 for wrong arguments and where
-    standard input is no terminal.
+    0 after Ctrl-C or another signal, 1 without a master or after the terminal is closed, 2 for invalid arguments or if
+    standard input is not a terminal.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

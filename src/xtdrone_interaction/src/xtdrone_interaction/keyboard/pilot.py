@@ -1,13 +1,12 @@
-"""What the keyboard's keys mean: keys in, messages out. No ROS and no terminal here.
+"""Mapping of keys to messages, without ROS and terminal.
 
-Keys, steps and limits are XTDrone's (multirotor_keyboard_control.py). What differs, on purpose:
+Keys, steps and limits are those of XTDrone's multirotor_keyboard_control.py. Intended differences:
 
-- Velocities are said while they are not zero, and zero once when they have become so, not zero for ever: the keyboard
-  lies beside a formation without a word. A vehicle that was steered keeps still when the keyboard turns to another
-  target or ends.
-- OFFBOARD with all speeds zero is preceded by HOVER, so that the vehicle stays where it is then, and does not go where
-  it last hovered.
-- A digit is a pattern that there is, for the leader; else it does nothing and says why.
+- Setpoints are published while they are not zero, and once when they become zero, instead of forever, so that an idle
+  keyboard does not disturb a formation. Vehicles are stopped when the target changes or the keyboard ends.
+- OFFBOARD with zero speeds is preceded by HOVER, so that the vehicle holds its present position rather than the last
+  one where it hovered.
+- A digit selects one of the leader's patterns; other digits do nothing but explain why.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-STEPS = 100  # presses to 1 m/s (m/s^2 in accelerations), or to 1 rad/s
+STEPS = 100  # key presses per m/s (m/s^2 for accelerations) or rad/s
 MAX_SPEED = 20  # m/s, m/s^2
 MAX_TURN = 3  # rad/s
-NO_PATTERN = "waiting"  # what the digit 0 says to the leader
+NO_PATTERN = "waiting"  # the leader's command for the digit 0
 
 AXES = ("forward", "left", "up", "turn")
 _STEERING = {
@@ -44,14 +43,14 @@ _MOST = (MAX_SPEED * STEPS, MAX_SPEED * STEPS, MAX_SPEED * STEPS, MAX_TURN * STE
 
 
 class Target(Enum):
-    """Who hears the keyboard."""
+    """Receiver of the commands."""
 
     ALL = "all vehicles"
     LEADER = "leader"
 
 
 @dataclass(frozen=True)
-class Say:
+class Command:
     """A command string for the target's topic ``cmd``."""
 
     target: Target
@@ -59,8 +58,8 @@ class Say:
 
 
 @dataclass(frozen=True)
-class Steer:
-    """A velocity (m/s) or acceleration (m/s^2) in FLU, and a yaw rate (rad/s), for the target."""
+class Setpoint:
+    """A velocity (m/s) or acceleration (m/s^2) in FLU, and a yaw rate (rad/s)."""
 
     target: Target
     forward: float = 0.0
@@ -69,14 +68,14 @@ class Steer:
     turn: float = 0.0
 
 
-Message = Say | Steer
+Message = Command | Setpoint
 
 
 def digits(patterns: Sequence[str]) -> dict[str, str]:
-    """Return which pattern each digit from 1 chooses.
+    """Assign digits from 1 to patterns.
 
     Args:
-        patterns: names, XTDrone's first. Its keyboard leaves ``origin`` out; here it has the last digit.
+        patterns: names, XTDrone's first. ``origin``, which XTDrone's keyboard lacks, gets the last digit.
     """
     names = [name for name in patterns if name != "origin"]
     if "origin" in patterns:
@@ -88,22 +87,22 @@ class Pilot:
     """Speeds and target that the keys set.
 
     Attributes:
-        target: who hears the keyboard.
+        target: receiver of the commands.
         patterns: name by digit, from "1".
-        note: what the last key did or why it did nothing; for the person.
+        note: effect of the last key, for the screen.
     """
 
     def __init__(self, patterns: Mapping[str, str] | None = None) -> None:
-        """Steer all vehicles, at rest.
+        """Start with all vehicles as target and zero speeds.
 
         Args:
-            patterns: which pattern each digit chooses, see :func:`digits`.
+            patterns: name by digit, see :func:`digits`.
         """
         self.patterns = dict(patterns or {})
         self.target = Target.ALL
         self.note = ""
-        self._counts = [0, 0, 0, 0]  # presses along each axis: sums of 0.01 would drift
-        self._moving = False  # the target has been told a speed that is not zero
+        self._counts = [0, 0, 0, 0]  # key presses per axis; sums of 0.01 would accumulate rounding errors
+        self._moving = False  # whether the last setpoint was not zero
 
     @property
     def speeds(self) -> tuple[float, float, float, float]:
@@ -112,7 +111,7 @@ class Pilot:
         return forward, left, up, turn
 
     def press(self, key: str) -> list[Message]:
-        """Take a key, a character; return what is to be said at once. Speeds are told by :meth:`cycle`."""
+        """Process a key and return the messages to publish at once; setpoints follow from :meth:`cycle`."""
         if key in _STEERING:
             self._change(*_STEERING[key])
             return []
@@ -127,14 +126,14 @@ class Pilot:
         self.note = f"{key!r} is no key of this keyboard"
         return []
 
-    def cycle(self) -> Steer | None:
-        """Return the speeds to be told now, None if there is nothing to tell; 10 Hz."""
+    def cycle(self) -> Setpoint | None:
+        """Return the setpoint to publish, or None; to be called at 10 Hz."""
         moving, was_moving = any(self._counts), self._moving
         self._moving = moving
-        return Steer(self.target, *self.speeds) if moving or was_moving else None
+        return Setpoint(self.target, *self.speeds) if moving or was_moving else None
 
-    def stop(self) -> Steer | None:
-        """Set all speeds zero; return how to tell those who were steered, None if nobody was."""
+    def stop(self) -> Setpoint | None:
+        """Set all speeds to zero and return the setpoint that stops moving vehicles, or None."""
         self._counts = [0, 0, 0, 0]
         return self.cycle()
 
@@ -145,18 +144,18 @@ class Pilot:
 
     def _command(self, text: str) -> list[Message]:
         self.note = f"{text} to {self._addressee()}"
-        said: list[Message] = [Say(self.target, text)]
+        said: list[Message] = [Command(self.target, text)]
         if text == "OFFBOARD" and not any(self._counts):
             self.note += ", hovering"
-            said.insert(0, Say(self.target, "HOVER"))
+            said.insert(0, Command(self.target, "HOVER"))
         return said
 
     def _hover(self) -> list[Message]:
         self._counts = [0, 0, 0, 0]
         self._moving = False
         self.note = f"HOVER to {self._addressee()}"
-        # The zero comes last: a speed that was told before may arrive after the command, which has a topic of its own.
-        return [Say(self.target, "HOVER"), Steer(self.target)]
+        # The zero setpoint comes last: an earlier one may arrive after the command, which has another topic.
+        return [Command(self.target, "HOVER"), Setpoint(self.target)]
 
     def _turn_to_other_target(self) -> list[Message]:
         stopped = self.stop()
@@ -174,7 +173,7 @@ class Pilot:
             return []
         name = self.patterns.get(digit, NO_PATTERN)
         self.note = f"{name} to {self._addressee()}"
-        return [Say(self.target, name)]
+        return [Command(self.target, name)]
 
     def _addressee(self) -> str:
         return "the leader" if self.target is Target.LEADER else "all"

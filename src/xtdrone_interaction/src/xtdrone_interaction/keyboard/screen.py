@@ -1,4 +1,4 @@
-"""What the person sees, as lines of text; no terminal and no ROS here."""
+"""The keyboard's screen as lines of text, without terminal and ROS."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from dataclasses import dataclass
 
 from .pilot import AXES, NO_PATTERN, Target
 
-SILENT = 3.0  # s without a word from a vehicle after which that is said
-_JOINED = "\xa0"  # a space at which no line ends
-_LEAST_TABLE = 4  # vehicles that are worth more than the help
-_FULL = 76  # columns that all headings and units take
+SILENT = 3.0  # s without a message before a vehicle is shown as silent
+_JOINED = "\xa0"  # non-breaking space
+_LEAST_TABLE = 4  # vehicles that have priority over the help
+_FULL = 76  # columns for all headings and units
 
 _UNITS = {"vel": "m/s", "accel": "m/s^2"}
 
 
 @dataclass(frozen=True)
-class Sight:
-    """A vehicle as it is seen.
+class VehicleStatus:
+    """State of a vehicle; None and empty texts are unknown values.
 
     Attributes:
-        name: as ``iris_0``.
-        armed: whether its motors may turn; None: it has not said so.
-        mode: PX4's, empty: not said.
-        height: local z, m; None: not said.
-        speed: m/s; None: not said.
-        silence: s since its last word of any kind; None: there was none.
-        listened: whether anybody takes commands for it.
+        name: such as ``iris_0``.
+        armed: whether it is armed.
+        mode: PX4's name.
+        height: local z, m.
+        speed: m/s.
+        silence: s since its last message; None before the first.
+        has_subscriber: whether a node receives commands for it.
     """
 
     name: str
@@ -36,12 +36,12 @@ class Sight:
     height: float | None = None
     speed: float | None = None
     silence: float | None = None
-    listened: bool = True
+    has_subscriber: bool = True
 
     @property
     def trouble(self) -> str:
-        """What is wrong, in a few words; empty: nothing."""
-        if not self.listened:
+        """Short description of a problem; empty for none."""
+        if not self.has_subscriber:
             return "takes no commands"
         if self.silence is None:
             return "not heard of"
@@ -49,18 +49,18 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class View:
-    """All that there is to show.
+class ScreenContent:
+    """Content of the screen.
 
     Attributes:
-        fleet: the vehicles in words, as ``iris 9``.
+        fleet: description of the vehicles, such as ``iris 9``.
         mode: ``vel`` or ``accel``.
-        target: who is steered.
-        leader_listens: whether anybody takes commands for the leader.
+        target: receiver of the commands.
+        leader_has_subscriber: whether a node receives commands for the leader.
         speeds: forward, left, up in m/s (m/s^2), turn in rad/s.
-        note: what was done last; empty: nothing to say.
-        page: the vehicles in sight.
-        first: number of the first of them, from 0.
+        note: the last action; may be empty.
+        page: the visible vehicles.
+        first: index of the first visible vehicle.
         count: of all vehicles.
         patterns: name by digit.
     """
@@ -68,10 +68,10 @@ class View:
     fleet: str
     mode: str
     target: Target
-    leader_listens: bool
+    leader_has_subscriber: bool
     speeds: tuple[float, float, float, float]
     note: str
-    page: Sequence[Sight]
+    page: Sequence[VehicleStatus]
     first: int
     count: int
     patterns: Mapping[str, str]
@@ -79,11 +79,11 @@ class View:
 
 @dataclass(frozen=True)
 class Layout:
-    """How the screen is divided.
+    """Layout of the screen.
 
     Attributes:
-        rows: vehicles on a page, at least 1.
-        help: whether the keys are shown.
+        rows: number of vehicles on a page, at least 1.
+        help: whether the help is shown.
     """
 
     rows: int
@@ -97,23 +97,23 @@ def layout(columns: int, rows: int, count: int, patterns: Mapping[str, str], wan
         columns: of the terminal.
         rows: of the terminal.
         count: of vehicles.
-        patterns: name by digit, as the help lists them.
-        wanted: whether help was asked for; None: if there is room.
+        patterns: name by digit, for the help.
+        wanted: whether to show the help; None to show it if there is room.
     """
-    free = rows - len(_heading(columns)) - 2  # the table's head and foot
+    free = rows - len(_heading(columns)) - 2  # header and footer of the table
     needed = len(help_lines(columns, patterns))
     shown = free - needed >= min(count, _LEAST_TABLE) if wanted is None else wanted
     return Layout(max(1, min(count, free - needed if shown else free)), shown)
 
 
 def _heading(columns: int) -> list[str]:
-    """What stands above the table; without its contents here."""
+    """Return empty lines in place of those above the table."""
     return [""] * (4 if columns < _FULL else 3)
 
 
-def frame(view: View, columns: int, rows: int, shown: Layout) -> list[str]:
-    """Return the screen's lines, at most ``rows``, none longer than ``columns`` - 1: a full line may wrap."""
-    note = view.note or next((f"{sight.name} {sight.trouble}" for sight in view.page if sight.trouble), "")
+def frame(view: ScreenContent, columns: int, rows: int, shown: Layout) -> list[str]:
+    """Return at most ``rows`` lines of at most ``columns`` - 1 characters, because a full line may wrap."""
+    note = view.note or next((f"{status.name} {status.trouble}" for status in view.page if status.trouble), "")
     lines = [*_title(view, columns), *_steering(view, columns), note, *table(view.page, columns)]
     lines.append(_foot(view, shown, columns))
     if shown.help:
@@ -121,9 +121,9 @@ def frame(view: View, columns: int, rows: int, shown: Layout) -> list[str]:
     return [line[: max(0, columns - 1)].rstrip() for line in lines[:rows]]
 
 
-def _title(view: View, columns: int) -> Iterator[str]:
+def _title(view: ScreenContent, columns: int) -> Iterator[str]:
     who = "leader" if view.target is Target.LEADER else "all"
-    absent = view.target is Target.LEADER and not view.leader_listens
+    absent = view.target is Target.LEADER and not view.leader_has_subscriber
     if columns < _FULL:
         yield f"{view.fleet}, {view.mode}: {'no ' if absent else ''}{who}"
     else:
@@ -131,7 +131,7 @@ def _title(view: View, columns: int) -> Iterator[str]:
         yield f"XTDrone keyboard: {view.fleet}, steering {who}{hint}"
 
 
-def _steering(view: View, columns: int) -> Iterator[str]:
+def _steering(view: ScreenContent, columns: int) -> Iterator[str]:
     parts = [f"{name} {value:+.2f}" for name, value in zip(AXES, view.speeds, strict=True)]
     unit = _UNITS[view.mode]
     if columns < _FULL:
@@ -141,33 +141,35 @@ def _steering(view: View, columns: int) -> Iterator[str]:
         yield f"{'  '.join(parts[:3])} {unit}   {parts[3]} rad/s"
 
 
-def table(page: Sequence[Sight], columns: int) -> list[str]:
-    """Return a heading and a line for each vehicle."""
-    width = max([7, *(len(sight.name) for sight in page)])
+def table(page: Sequence[VehicleStatus], columns: int) -> list[str]:
+    """Return a header and a line for each vehicle."""
+    width = max([7, *(len(status.name) for status in page)])
     if columns < _FULL:
         return [f"{'vehicle':{width}} A {'mode':8} {'m':>6} {'m/s':>5}", *(_short_row(s, width) for s in page)]
     head = f"{'vehicle':{width}}  {'':8} {'mode':14}  {'height':>8}  {'speed':>9}"
-    return [head, *(_row(sight, width) for sight in page)]
+    return [head, *(_row(status, width) for status in page)]
 
 
-def _row(sight: Sight, width: int) -> str:
-    armed = {True: "armed", False: "disarmed", None: "?"}[sight.armed]
-    height, speed = _figure(sight.height, 2, " m"), _figure(sight.speed, 2, " m/s")
-    return f"{sight.name:{width}}  {armed:8} {sight.mode or '?':14}  {height:>8}  {speed:>9}  {sight.trouble}".rstrip()
+def _row(status: VehicleStatus, width: int) -> str:
+    armed = {True: "armed", False: "disarmed", None: "?"}[status.armed]
+    height, speed = _figure(status.height, 2, " m"), _figure(status.speed, 2, " m/s")
+    return (
+        f"{status.name:{width}}  {armed:8} {status.mode or '?':14}  {height:>8}  {speed:>9}  {status.trouble}".rstrip()
+    )
 
 
-def _short_row(sight: Sight, width: int) -> str:
-    armed = {True: "A", False: "-", None: "?"}[sight.armed]
-    mode = (sight.mode or "?").removeprefix("AUTO.")
-    height, speed = _figure(sight.height, 1), _figure(sight.speed, 2)
-    return f"{sight.name:{width}} {armed} {mode:8.8} {height:>6} {speed:>5}{' !' if sight.trouble else ''}"
+def _short_row(status: VehicleStatus, width: int) -> str:
+    armed = {True: "A", False: "-", None: "?"}[status.armed]
+    mode = (status.mode or "?").removeprefix("AUTO.")
+    height, speed = _figure(status.height, 1), _figure(status.speed, 2)
+    return f"{status.name:{width}} {armed} {mode:8.8} {height:>6} {speed:>5}{' !' if status.trouble else ''}"
 
 
 def _figure(value: float | None, digits: int, unit: str = "") -> str:
     return "?" if value is None else f"{value:.{digits}f}{unit}"
 
 
-def _foot(view: View, shown: Layout, columns: int) -> str:
+def _foot(view: ScreenContent, shown: Layout, columns: int) -> str:
     page, keys, end = "", "h keys, ", "Ctrl-C ends"
     if view.count > len(view.page):
         page = f"{view.first + 1}-{view.first + len(view.page)} of {view.count}, p next, "
@@ -176,8 +178,8 @@ def _foot(view: View, shown: Layout, columns: int) -> str:
 
 
 def help_lines(columns: int, patterns: Mapping[str, str]) -> list[str]:
-    """Return what the keys do, in lines for this width."""
-    # a digit stays with its pattern where the line wraps
+    """Return the help text wrapped to a width."""
+    # keep a digit and its pattern on one line
     chosen = ", ".join(f"{digit}{_JOINED}{name}" for digit, name in {"0": NO_PATTERN, **patterns}.items())
     items = [
         "w/x forward/back",
@@ -205,12 +207,12 @@ def help_lines(columns: int, patterns: Mapping[str, str]) -> list[str]:
     return [line.replace(_JOINED, " ") for line in lines]
 
 
-def sentence(sight: Sight) -> str:
-    """Return a vehicle's state as a line of its own, for terminals that cannot redraw."""
-    armed = {True: "armed", False: "disarmed", None: "arming unknown"}[sight.armed]
-    parts = [armed, sight.mode or "mode unknown"]
-    if sight.height is not None:
-        parts.append(f"height {sight.height:.2f} m")
-    if sight.speed is not None:
-        parts.append(f"speed {sight.speed:.2f} m/s")
-    return f"{sight.name}: {', '.join([*parts, *filter(None, [sight.trouble])])}"
+def sentence(status: VehicleStatus) -> str:
+    """Describe a vehicle in one line, for terminals that cannot redraw."""
+    armed = {True: "armed", False: "disarmed", None: "arming unknown"}[status.armed]
+    parts = [armed, status.mode or "mode unknown"]
+    if status.height is not None:
+        parts.append(f"height {status.height:.2f} m")
+    if status.speed is not None:
+        parts.append(f"speed {status.speed:.2f} m/s")
+    return f"{status.name}: {', '.join([*parts, *filter(None, [status.trouble])])}"

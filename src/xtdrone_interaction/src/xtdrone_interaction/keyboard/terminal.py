@@ -1,7 +1,7 @@
-"""The terminal that keys come from and the screen is drawn on: single keys, no echo, and as it was before in the end.
+"""The terminal for keys and screen: unbuffered keys, no echo, restored at the end.
 
-A terminal that can place its cursor (terminfo knows) gets a screen that is redrawn in place; any other, such as
-TERM=dumb, gets lines.
+A terminal that can position its cursor (by terminfo) gets a screen that is redrawn in place; others, such as TERM=dumb,
+get lines.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import FrameType
 
-_PADDING = re.compile(rb"\$<[^>]*>")  # terminfo asks slow terminals for pauses
-_MOST_UNSENT = 1 << 16  # bytes kept for a terminal that takes none
-_SIZE = (80, 24)  # columns, rows of a terminal that does not tell its own
+_PADDING = re.compile(rb"\$<[^>]*>")  # delays for slow terminals in terminfo strings
+_MOST_UNSENT = 1 << 16  # bytes buffered for a blocked terminal
+_SIZE = (80, 24)  # default columns and rows
 _HANDLED = (
     signal.SIGINT,
     signal.SIGTERM,
@@ -35,7 +35,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 class NoTerminalError(Exception):
-    """Standard input is no terminal."""
+    """Standard input is not a terminal."""
 
 
 class TerminalGoneError(Exception):
@@ -43,27 +43,27 @@ class TerminalGoneError(Exception):
 
 
 class Signals:
-    """Signals as bytes to be read, so that the main loop takes them where it stands well.
+    """Signals as bytes in a pipe, so that the main loop handles them at a safe point.
 
     Attributes:
-        descriptor: becomes readable with a signal.
+        descriptor: becomes readable on a signal.
     """
 
     def __init__(self) -> None:
-        """Nothing is changed before the context is entered."""
+        """Create the pipe; handlers are installed by the context."""
         self.descriptor, self._write = os.pipe()
         os.set_blocking(self.descriptor, False)
         os.set_blocking(self._write, False)
 
     def __enter__(self) -> Signals:
-        """Take the signals over; SIGHUP stays ignored where it is, as under nohup."""
+        """Install the handlers; SIGHUP stays ignored if it is, as under nohup."""
         numbers = [n for n in _HANDLED if n != signal.SIGHUP or signal.getsignal(n) != signal.SIG_IGN]
         self._before = {number: signal.signal(number, _wake) for number in numbers}
         self._wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give them back."""
+        """Restore the handlers."""
         signal.set_wakeup_fd(self._wakeup)
         for number, handler in self._before.items():
             signal.signal(number, handler)
@@ -71,7 +71,7 @@ class Signals:
         os.close(self._write)
 
     def take(self) -> list[int]:
-        """Return the numbers of the signals that have come since the last call."""
+        """Return the numbers of the signals since the last call."""
         try:
             return list(os.read(self.descriptor, 4096))
         except BlockingIOError:
@@ -79,18 +79,18 @@ class Signals:
 
 
 def _wake(_number: int, _frame: FrameType | None) -> None:
-    """Python has written the signal's number into the pipe."""
+    """Do nothing: Python has written the signal's number into the pipe."""
 
 
 @dataclass(frozen=True)
 class _Sequences:
-    """What a terminal must be told, by terminfo.
+    """Control sequences of a terminal, from terminfo.
 
     Attributes:
-        enter: before the first line.
-        leave: after the last.
-        clear: clears all.
-        end: clears to the line's end.
+        enter: sent before the first line.
+        leave: sent after the last line.
+        clear: clears the screen.
+        end: clears the rest of a line.
     """
 
     enter: bytes
@@ -100,7 +100,7 @@ class _Sequences:
 
     @staticmethod
     def of(descriptor: int) -> _Sequences | None:
-        """Return those of the terminal ``TERM``; None if it cannot redraw in place."""
+        """Return the sequences of the terminal ``TERM``; None if it cannot redraw in place."""
         try:
             curses.setupterm(os.environ.get("TERM", "dumb"), descriptor)
         except curses.error:
@@ -114,7 +114,7 @@ class _Sequences:
 
 
 def _place(row: int) -> bytes:
-    """Return what puts the cursor at the beginning of a row, from 0."""
+    """Return the sequence that moves the cursor to the start of a row, from 0."""
     return _PADDING.sub(b"", curses.tparm(curses.tigetstr("cup") or b"", row, 0))
 
 
@@ -122,15 +122,15 @@ class Terminal:
     """Standard input and output as one terminal.
 
     Attributes:
-        input: where keys come from.
-        redraws: whether :meth:`draw` can be used; else :meth:`write_line`.
+        input: descriptor of the keys.
+        redraws: whether :meth:`draw` is supported, otherwise :meth:`write_line`.
     """
 
     def __init__(self) -> None:
-        """Look what there is; nothing is changed before :meth:`open`.
+        """Inspect the terminal; :meth:`open` changes it.
 
         Raises:
-            NoTerminalError: standard input is no terminal.
+            NoTerminalError: standard input is not a terminal.
         """
         self.input = sys.stdin.fileno()
         if not os.isatty(self.input):
@@ -142,8 +142,8 @@ class Terminal:
         self._shown: list[str] = []
         self._cleared = False
         self._unsent = b""
-        # Of its own, so that a terminal that takes nothing (Ctrl-S, a broken connection) does not hold the steering up.
-        # Its flags are not those that the shell shares.
+        # Open it again without blocking, so that a blocked terminal (Ctrl-S, a broken connection) does not delay
+        # commands. The flags of standard output are shared with the shell and stay unchanged.
         self._pipe = self._output
         if os.isatty(self._output):
             with contextlib.suppress(OSError):
@@ -160,7 +160,7 @@ class Terminal:
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[Terminal]:
-        """Single keys, no echo and a screen of its own within the context, whatever ends it."""
+        """Open the terminal within the context."""
         self.open()
         try:
             yield self
@@ -168,19 +168,19 @@ class Terminal:
             self.close()
 
     def open(self) -> None:
-        """Take the terminal; where it is taken already, take it again: somebody else may have changed it.
+        """Set unbuffered keys without echo; repeat it on an open terminal to undo changes by other programs.
 
-        In the background this stops the process, as a shell's jobs are.
+        In the background this stops the process, like other jobs of a shell.
 
         Raises:
-            InterruptedError: a signal came meanwhile; to be called again if the process is to go on.
-            TerminalGoneError: there is none any more.
+            InterruptedError: a signal has arrived; call again to continue.
+            TerminalGoneError: the terminal has been closed.
         """
         before = self._before
         try:
             before = before or termios.tcgetattr(self.input)
             changed = termios.tcgetattr(self.input)
-            # Keys come one by one and unseen; Ctrl-S stops nothing; Ctrl-C and Ctrl-Z are signals as ever.
+            # No line buffer, no echo, no flow control by Ctrl-S; Ctrl-C and Ctrl-Z remain signals.
             changed[0] &= ~termios.IXON
             changed[3] &= ~(termios.ICANON | termios.ECHO)
             changed[6][termios.VMIN], changed[6][termios.VTIME] = 1, 0
@@ -195,17 +195,17 @@ class Terminal:
         self.forget()
 
     def close(self) -> None:
-        """Give the terminal back as it was; keys that nobody has read are dropped."""
+        """Restore the terminal and drop unread keys."""
         before, self._before = self._before, None
         if before is None:
             return
         if self._sequences is not None:
             self._unsent = b""
             self._send(self._sequences.leave)
-        # In the background, where somebody else has the terminal, this would stop the process, and for good.
+        # In the background, SIGTTOU would stop the process for good.
         ignored = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
         try:
-            # A terminal that is gone has nothing to restore. What is still to be written is not waited for.
+            # A closed terminal needs no restoring. Do not wait for unwritten output.
             with contextlib.suppress(termios.error):
                 termios.tcsetattr(self.input, termios.TCSANOW, before)
                 termios.tcflush(self.input, termios.TCIFLUSH)
@@ -213,18 +213,18 @@ class Terminal:
             signal.signal(signal.SIGTTOU, ignored)
 
     def suspend(self) -> None:
-        """Stop this process as Ctrl-Z does, with the terminal as it was; return when it is continued.
+        """Restore the terminal and stop this process, as Ctrl-Z does; return when it is continued.
 
-        The terminal is to be taken again by :meth:`open`, if the process is to go on.
+        Call :meth:`open` afterwards.
         """
         self.close()
         os.kill(os.getpid(), signal.SIGSTOP)
 
     def read(self) -> bytes:
-        """Return the bytes of keys that have come.
+        """Return the bytes of pressed keys.
 
         Raises:
-            TerminalGoneError: there will be no more.
+            TerminalGoneError: the terminal has been closed.
         """
         try:
             data = os.read(self.input, 4096)
@@ -235,12 +235,12 @@ class Terminal:
         return data
 
     def forget(self) -> None:
-        """Have everything drawn anew next time: the screen has changed under us."""
+        """Redraw everything next time, because the screen has changed."""
         self._shown = []
         self._cleared = False
 
     def draw(self, lines: Sequence[str]) -> None:
-        """Show these lines from the top; only those that have changed are sent."""
+        """Draw lines from the top, sending only those that have changed."""
         if self._sequences is None or not self._flush():
             return
         data = b"" if self._cleared else self._sequences.clear
@@ -253,7 +253,7 @@ class Terminal:
         self._send(data)
 
     def write_line(self, text: str) -> None:
-        """Write a line that stays, for terminals that cannot redraw."""
+        """Write a line, for terminals that cannot redraw."""
         self._send(f"{text}\n".encode())
 
     def _send(self, data: bytes) -> None:
@@ -262,14 +262,14 @@ class Terminal:
         self._flush()
 
     def _flush(self) -> bool:
-        """Write what the terminal takes now; return whether that is all."""
+        """Write as much as the terminal accepts and return whether that was all."""
         try:
             while self._unsent and (self._pipe != self._output or self._writable()):
                 self._unsent = self._unsent[os.write(self._pipe, self._unsent) :]
         except BlockingIOError:
             pass
         except OSError:
-            self._unsent = b""  # nobody is there; the end of input says so
+            self._unsent = b""  # the terminal is closed; reading reports it
         return not self._unsent
 
     def _writable(self) -> bool:

@@ -22,9 +22,9 @@ class Timed(NamedTuple):
     """A message of a bag.
 
     Attributes:
-        time_us: simulated time at which it was sent, microseconds.
+        time_us: simulated time of its publication, microseconds.
         topic: name.
-        message: of this workspace's type.
+        message: decoded by this workspace's type.
     """
 
     time_us: int
@@ -33,24 +33,24 @@ class Timed(NamedTuple):
 
 
 class FlightBag:
-    """A bag with vehicles' poses.
+    """A bag with the poses of vehicles.
 
-    The recorder's times may be wrong by seconds. So the time of a message is its own stamp or, if it has none, the
-    newest stamp of a pose recorded before it.
+    The recorder's times may be wrong by seconds, so the time of a message is its own stamp or, without one, the latest
+    stamp of the poses recorded before it.
 
     Attributes:
-        fleet: as ``iris:9``.
+        fleet: such as ``iris:9``.
         vehicles: of the fleet.
-        types: message type of each topic.
+        types: message type by topic.
         begin_us, end_us: simulated times of the first and the last pose, microseconds.
-        flown: the lowest and the highest coordinates of all poses, shape (2, 3), m; None if all are unknown.
+        flown: lowest and highest coordinates of all poses, shape (2, 3), m; None without finite poses.
     """
 
     def __init__(self, path: Path) -> None:
         """Open a bag.
 
         Raises:
-            BagError: it cannot be read, or has no poses.
+            BagError: it cannot be read, or lacks poses.
         """
         if not path.is_file():
             raise BagError(f"bag: {path} does not exist")
@@ -90,7 +90,7 @@ class FlightBag:
         return text
 
     def messages(self, topics: Collection[str]) -> Iterator[Timed]:
-        """Yield the messages of ``topics`` in the order of their times.
+        """Yield the messages of ``topics`` in order of time.
 
         Raises:
             BagError: the type of a message differs from this workspace's type of that name.
@@ -107,7 +107,7 @@ class FlightBag:
         return cls
 
     def _raw(self, classes: Mapping[str, Any]) -> Iterator[tuple[int, int, str, bytes]]:
-        """Yield time (us), number, topic and content of all messages from the first pose on, as they were recorded."""
+        """Yield time (us), number, topic and content of all messages after the first pose, in recorded order."""
         newest_us = -1
         for number, (topic, data) in enumerate(self._serialised({*classes, *self._poses})):
             own_us = -1
@@ -130,6 +130,6 @@ class FlightBag:
 
 
 def _position(data: bytes) -> tuple[float, float, float]:
-    """Return the position in a serialised PoseStamped, m: behind the stamp and the frame's name."""
+    """Return the position in a serialised PoseStamped, m, which follows the stamp and the name of the frame."""
     (letters,) = struct.unpack_from("<I", data, 12)
     return struct.unpack_from("<ddd", data, 16 + letters)

@@ -1,4 +1,4 @@
-"""What is filmed, and how: the options of ``./xtdrone record-view``."""
+"""Options of ``./xtdrone record-view``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from xtdrone_interaction.options import OptionError, checked
 from xtdrone_interaction.rviz.views import SHIPPED
 
 DEMOS = ("formation", "simplified", "search")
-_RATES = (1.0, 50.0)  # Hz of simulated time, least and most frames
+_RATES = (1.0, 50.0)  # allowed frames per simulated second
 _SIZES = (64, 4096)  # pixels
 
 
@@ -24,14 +24,14 @@ class FilmSettings(Settings):
     """Settings of a film.
 
     Attributes:
-        view: of SHIPPED, or an .rviz file.
-        bag: recorded flight; None for the running one.
-        demo: demo to fly first, or empty; then ``bag`` is None.
-        demo_options: of that demo.
+        view: one of SHIPPED, or an .rviz file.
+        bag: recorded flight; None for the running flight.
+        demo: name of a demo to fly first, with ``bag`` None; empty for none.
+        demo_options: options of the demo.
         size: width and height, px.
-        out: the film.
-        frames: folder for PNG files too, or None.
-        master: of the running flight: port or URI, or empty to search for it.
+        out: file of the film.
+        frames: folder for PNG files, or None.
+        master: port or URI of the running flight; empty for automatic.
     """
 
     view: str
@@ -74,11 +74,11 @@ def _size(text: str) -> tuple[int, int]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
-        "Film a flight as rviz shows it, without a screen: a recorded one, one that a demo flies first, or "
-        "the one that is running. Options of the demo go after --."
+        "Film a flight with rviz, without a screen: a recorded flight, a demo that is flown first, or the running "
+        "flight. Options of the demo follow --."
     )
     add = parser.add_argument
-    add("view", metavar="VIEW", help=f"{', '.join(SHIPPED)} (made for the vehicles that fly), or an .rviz file")
+    add("view", metavar="VIEW", help=f"{', '.join(SHIPPED)} (adapted to the fleet), or an .rviz file")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--bag", type=Path, metavar="FILE", help="flight.bag of a run")
     source.add_argument("--demo", choices=DEMOS, help="fly this demo, then film it")
@@ -86,8 +86,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     FilmSettings.add_arguments(parser, ("fps", "faster"))
     add("--size", type=checked(_size), default=(1280, 720), metavar="WxH", help="pixels (default: 1280x720)")
     FilmSettings.add_arguments(parser, ("antialiasing", "begin", "end"))
-    add("--frames", type=Path, metavar="FOLDER", help="write each frame as PNG file too, into a new folder")
-    add("--master", default="", metavar="PORT|URI", help="of the running flight (default: it is looked for)")
+    add("--frames", type=Path, metavar="FOLDER", help="also write each frame as a PNG file into a new folder")
+    add("--master", default="", metavar="PORT|URI", help="port or URI of the running flight (default: automatic)")
 
 
 def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
@@ -103,11 +103,11 @@ def film_settings(argv: Sequence[str]) -> FilmSettings:
     """Return the settings of a command line; see :func:`settings_of`.
 
     Args:
-        argv: options, and after ``--`` those of the demo.
+        argv: options, and those of the demo after ``--``.
 
     Raises:
-        OptionError: a value that is not allowed.
-        SystemExit: argparse's.
+        OptionError: invalid value.
+        SystemExit: from argparse.
     """
     parser = argparse.ArgumentParser(prog="xtdrone record-view")
     add_arguments(parser)

@@ -1,20 +1,20 @@
-"""What rviz shows of a swarm besides the vehicles themselves: marker arrays made of states. No ROS node is needed.
+"""Markers of a swarm for rviz, without a ROS node.
 
-Everything is in the ``map`` frame, ENU, metres. One namespace for each kind of thing, so that rviz can switch it off:
+All markers are in the ``map`` frame, ENU, metres, with a namespace per kind, which can be switched in rviz:
 
 =============  ==============  =====================================================================================
 namespace      type            what it shows
 =============  ==============  =====================================================================================
 names          text            each vehicle's name above it
-spots          sphere          each vehicle's place, where a view is taken from too far away to see the vehicle
-trails         line strip      where each vehicle was in the last seconds
-slots          spheres         the places that the pattern gives the followers, about the leader
-topology       line list       who hears whom: from the vehicle that is heard (dark) to the one that listens (bright)
+spots          sphere          each vehicle's position, for views from too far away to see the vehicle
+trails         line strip      path of each vehicle in the last seconds
+slots          spheres         the followers' slots in the pattern, relative to the leader
+topology       line list       communication links, from the sender (dark) to the receiver (bright)
 avoidance      arrow           the avoidance of each vehicle, before its gain
-views          line list       what each camera sees of the ground
-detections     cylinder        things that cameras show and where they stand, as high as a person
-sightlines     line list       from each camera to what it shows
-finds          cylinder, text  what the search has confirmed
+views          line list       each camera's view of the ground
+detections     cylinder        detected objects, as high as a person
+sightlines     line list       from each camera to its detections
+finds          cylinder, text  confirmed finds of the search
 =============  ==============  =====================================================================================
 """
 
@@ -40,10 +40,10 @@ TRAIL = 6.0  # s
 _LABEL = 0.4  # m
 _TRAIL_STEP = 0.15  # m between two points of a trail
 _TRAIL_POINTS = 400
-_LEAST_ARROW = 0.05  # m; shorter avoidance is none
+_LEAST_ARROW = 0.05  # m; shorter arrows are left out
 _PERSON = (0.6, 1.8)  # m, width and height of a detection's cylinder
-_FIND = (1.2, 30.0)  # m: a find is seen from afar
-_MOST_VIEW = 150.0  # m from the camera to a corner of its view of the ground; beyond, or above the horizon: no view
+_FIND = (1.2, 30.0)  # m, visible from far away
+_MOST_VIEW = 150.0  # m, longest distance from the camera to a corner of its view
 
 _DARK = ColorRGBA(0.10, 0.12, 0.16, 1.0)
 _SLOT = ColorRGBA(0.10, 0.60, 0.25, 0.30)
@@ -67,7 +67,7 @@ class _Vehicle:
 def ground_view(
     position: Sequence[float], orientation: Sequence[float], focal: tuple[float, float], size: tuple[int, int]
 ) -> Array:
-    """Return the corners of what a camera sees of the ground z = 0, shape (4, 3), m; shape (0, 3) if a corner has none.
+    """Return the corners of a camera's view of the ground z = 0, shape (4, 3), m; (0, 3) if it includes the horizon.
 
     Args:
         position: of the camera, m ENU.
@@ -95,23 +95,23 @@ def ground_view(
 
 
 class SwarmMarkers:
-    """Collects the newest of everything and makes markers of it.
+    """Collects the latest states and creates markers.
 
     Attributes:
         names: of the vehicles; the first leads a formation.
     """
 
     def __init__(self, names: Sequence[str], trail: float = TRAIL, scale: float = 1.0, spot: float = 0.0) -> None:
-        """Know nothing yet.
+        """Start without states.
 
         Args:
             names: of the vehicles.
             trail: length of the trails, s; 0 for none.
-            scale: of letters and of lines' widths; at 1 letters are 0.4 m high, to be read from 15 m.
-            spot: diameter of the spheres about the vehicles, m; 0 for none.
+            scale: of text and line widths; at 1 letters are 0.4 m high, readable from 15 m.
+            spot: diameter of the spheres around the vehicles, m; 0 for none.
 
         Raises:
-            ValueError: no vehicles, or a length that is not allowed.
+            ValueError: no vehicles, or an invalid size.
         """
         if not names:
             raise ValueError("markers: there are no vehicles")
@@ -129,7 +129,7 @@ class SwarmMarkers:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything: time has gone back. The next array takes away what is shown."""
+        """Reset all states after simulated time has gone back; the next array removes all markers."""
         self._vehicles = {name: _Vehicle() for name in self.names}
         self._offsets: Array = np.empty((0, 3))
         self._edges: list[tuple[str, str]] = []
@@ -137,10 +137,10 @@ class SwarmMarkers:
         self._clear = True
         self._things_shown = 0
 
-    # what is told
+    # inputs
 
     def on_position(self, name: str, time: float, position: Place) -> None:
-        """Take a vehicle's place, m ENU, at a time, s."""
+        """Store the position of a vehicle, m ENU, at a time, s."""
         vehicle = self._vehicles[name]
         vehicle.position = position
         last = vehicle.trail[-1][1] if vehicle.trail else (math.inf,) * 3
@@ -148,17 +148,17 @@ class SwarmMarkers:
             vehicle.trail.append((time, position))
 
     def on_pattern(self, offsets: Array) -> None:
-        """Take the followers' slots relative to the leader, shape (n - 1, 3), m; shape (0, 3): no pattern."""
+        """Store the followers' slots relative to the leader, shape (n - 1, 3), m; (0, 3) for no pattern."""
         self._offsets = np.asarray(offsets, dtype=float).reshape(-1, 3)
 
     def on_topology(self, adjacency: Array) -> None:
-        """Take who hears whom.
+        """Store the communication topology.
 
         Args:
-            adjacency: shape (n, n), row i: whom vehicle i listens to; empty: nobody.
+            adjacency: shape (n, n); row i has the vehicles that vehicle i receives; may be empty.
 
         Raises:
-            ValueError: it is for another number of vehicles.
+            ValueError: wrong size.
         """
         count = len(self.names)
         if adjacency.size not in (0, count * count):
@@ -167,23 +167,23 @@ class SwarmMarkers:
         self._edges = [(self.names[j], self.names[i]) for i, j in np.argwhere(matrix)]
 
     def on_avoidance(self, name: str, vector: tuple[float, float, float]) -> None:
-        """Take a vehicle's avoidance, ENU."""
+        """Store the avoidance vector of a vehicle, ENU."""
         self._vehicles[name].avoidance = vector
 
     def on_detections(self, name: str, camera: Place, feet: Sequence[Place]) -> None:
-        """Take where the things stand that a vehicle's newest picture shows, and where its camera was, m ENU."""
+        """Store the ground positions of a vehicle's latest detections and the position of its camera, m ENU."""
         self._vehicles[name].camera = camera
         self._vehicles[name].detections = tuple(feet)
 
     def on_view(self, name: str, corners: Array) -> None:
-        """Take what a vehicle's camera sees of the ground, shape (4, 3), m ENU; shape (0, 3): nothing."""
+        """Store the view of a vehicle's camera on the ground, shape (4, 3), m ENU; (0, 3) for none."""
         self._vehicles[name].view = corners
 
     def on_find(self, place: tuple[float, float], words: str) -> None:
-        """Take a confirmed find, x and y in m ENU."""
+        """Store a confirmed find, x and y in m ENU."""
         self._finds.append((place, words))
 
-    # what is shown
+    # output
 
     def array(self, time: float) -> MarkerArray:
         """Return all markers.
@@ -267,7 +267,7 @@ class SwarmMarkers:
         return _or_none(lines, len(lines.points) > 0)
 
     def _things(self) -> list[Marker]:
-        """Return a cylinder for each detection, and take away those that are no more."""
+        """Return a cylinder for each detection, and the deletion of earlier ones."""
         feet = [foot for vehicle in self._vehicles.values() for foot in vehicle.detections]
         width, height = _PERSON
         gone = range(len(feet), self._things_shown)
@@ -296,12 +296,12 @@ def _marker(namespace: str, number: int, kind: int, colour: ColorRGBA, scale: Ve
 
 
 def _or_none(marker: Marker, shown: bool) -> Marker:
-    """Return the marker, or what takes it away: rviz complains of lists without points."""
+    """Return the marker, or its deletion, because rviz rejects lists without points."""
     return marker if shown else Marker(ns=marker.ns, id=marker.id, type=marker.type, action=Marker.DELETE)
 
 
 def _colour(number: int) -> ColorRGBA:
-    """Return a vehicle's colour; hues by the golden ratio, so that neighbours differ."""
+    """Return the colour of a vehicle; hues follow the golden ratio, so that neighbours differ."""
     hue = (0.6 + number * 0.618034) % 1.0
     red, green, blue = (0.75 * min(1.0, max(0.0, abs(((hue + k / 3.0) % 1.0) * 6.0 - 3.0) - 1.0)) for k in (3, 2, 1))
     return ColorRGBA(red, green, blue, 1.0)

@@ -1,7 +1,7 @@
-"""A recorded flight as the nodes that draw see it: this process stands for the simulator.
+"""Playback of a recorded flight for the nodes that draw it, in place of the simulator.
 
-It has the lockstep's server and sends the record's messages in their simulated time, so each frame shows exactly what
-there was at its moment.
+This process runs the lockstep server and publishes the recorded messages in simulated time, so each frame shows exactly
+the state at its time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from xtdrone_interaction.launched import signals_wait
 from xtdrone_interaction.processes import ProcessTree
 from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import FilmSettings
-from xtdrone_interaction.rviz.node import SEARCH_EVENTS
+from xtdrone_interaction.rviz.markers_node import SEARCH_EVENTS
 from xtdrone_interaction.rviz.stage import NODES, Stage, StageError, node_environment
 from xtdrone_interaction.rviz.views import Array
 
@@ -35,18 +35,18 @@ _JOIN_LIMIT = 90.0  # wall s for the nodes to start
 _MASTER_LIMIT = 20.0  # wall s
 _HANG_LIMIT = 60.0  # wall s
 _SLICE = 0.1  # wall s
-_LAST_TURNS = 2  # after the record's end: what it says last is drawn two turns later
+_LAST_TURNS = 2  # after the end of the record: the last messages are drawn two turns later
 _NOT_PLAYED = {"/rosout", "/clock", "/tf", "/tf_static"}
 
 
 class Record(Protocol):
-    """A recorded flight, as :class:`xtdrone_interaction.rviz.bag.FlightBag`.
+    """A recorded flight, such as :class:`xtdrone_interaction.rviz.bag.FlightBag`.
 
     Attributes:
-        fleet: as ``iris:9``.
-        types: message type of each topic.
-        begin_us: simulated time at which it begins, microseconds.
-        flown: where its vehicles are in it, shape (k, 3), m; None if that does not matter.
+        fleet: such as ``iris:9``.
+        types: message type by topic.
+        begin_us: simulated time of its start, microseconds.
+        flown: positions that the view should show, shape (k, 3), m; None for the default.
     """
 
     fleet: str
@@ -55,24 +55,24 @@ class Record(Protocol):
     flown: Array | None
 
     def messages(self, topics: Collection[str]) -> Iterator[Timed]:
-        """Yield the messages of ``topics`` in the order of their times."""
+        """Yield the messages of ``topics`` in order of time."""
 
 
 def play(settings: FilmSettings, record: Record, work: Path, on_turn: Callable[[int], None]) -> int:
-    """Have a film made of a record, at a ROS master of its own.
+    """Film a recorded flight with a ROS master of its own.
 
     Args:
-        settings: of the film; ``begin`` and ``end`` bound the part of the record.
-        record: of a flight.
-        work: folder, which is there, for what the nodes write.
-        on_turn: called after each turn with the simulated time, microseconds.
+        settings: of the film; ``begin`` and ``end`` limit the part of the record.
+        record: the flight.
+        work: existing folder for files of the nodes.
+        on_turn: callback after each turn with the simulated time, microseconds.
 
     Returns:
-        How many frames the film has.
+        Number of frames.
 
     Raises:
-        StageError: there is no film.
-        BagError: the record's.
+        StageError: no film was made.
+        BagError: from the record.
     """
     with _master(work) as uri:
         os.environ.update(node_environment(uri))
@@ -81,7 +81,7 @@ def play(settings: FilmSettings, record: Record, work: Path, on_turn: Callable[[
 
 @contextlib.contextmanager
 def _master(work: Path) -> Iterator[str]:
-    """Run a ROS master on a free port and give its URI.
+    """Run a ROS master on a free port and yield its URI.
 
     Raises:
         StageError: it does not start.
@@ -101,7 +101,7 @@ def _master(work: Path) -> Iterator[str]:
 
 
 def _serve(settings: FilmSettings, record: Record, work: Path, on_turn: Callable[[int], None]) -> int:
-    """Be the simulator of the nodes, with what the record has."""
+    """Start the nodes and run them with the recorded messages; return the number of frames."""
     import roslib.message
     import rospy
 
@@ -133,7 +133,7 @@ def _serve(settings: FilmSettings, record: Record, work: Path, on_turn: Callable
 
 
 def _idle(stage: Stage, server: LockstepServer, timeout: float) -> None:
-    """Wait until a participant has something to say, at most ``timeout`` s; see LockstepServer.tick."""
+    """Wait for messages of participants, at most ``timeout`` s; see LockstepServer.tick."""
     stage.check()
     select.select([server.fileno()], [], [], min(timeout, _SLICE))
 
@@ -146,15 +146,15 @@ def _run(
     idle: Idle,
     on_turn: Callable[[int], None],
 ) -> None:
-    """Send all messages in their time, turn by turn."""
+    """Publish all messages at their times, turn by turn."""
     begin_us = max(record.begin_us, round(settings.begin * 1e6))
     end_us = settings.end * 1e6
     source = record.messages(publishers)
     following = next(source, None)
-    # What was before the film's beginning is not drawn; of each topic the last message is what holds then.
+    # Before the start of the film, only the last message of each topic matters.
     held: dict[str, Any] = {}
     while following is not None and following.time_us < begin_us:
-        if following.topic == SEARCH_EVENTS:  # and all finds
+        if following.topic == SEARCH_EVENTS:  # but all finds remain
             publishers[following.topic].publish(following.message)
         held[following.topic] = following.message
         following = next(source, None)

@@ -1,12 +1,11 @@
-"""``./xtdrone record-view VIEW``: a film of a flight as rviz shows it, without a screen.
+"""``./xtdrone record-view VIEW``: a film of a flight in rviz, without a screen.
 
-The flight is a recorded one (``--bag``), one that a demo flies first (``--demo``), or else the one that is running.
-For a bag this process stands for the simulator: it has the lockstep's server and sends the bag's messages in their
-simulated time, so each frame shows exactly what there was at its moment. Of a running flight the nodes become
-participants: it waits for them, and flies as it would without.
+The flight is a bag (``--bag``), a demo that is flown first (``--demo``), or the running one. A bag is played back in
+place of the simulator (``playback``). In a running flight the drawing nodes become participants of the lockstep, which
+waits for them without any effect on the flight.
 
-Exit status: 0 when there is a film, 1 when there is none, 2 for a value that is not allowed, 128 + n when stopped by
-signal n (what there is of the film is kept).
+Exit status: 0 for success, 1 without a film, 2 for an invalid argument, 128 + n after signal n (the finished part of
+the film is kept).
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
         return 2
-    except (DemoError, ValueError) as error:  # a bag that cannot be shown, too
+    except (DemoError, ValueError) as error:  # ValueError: also BagError
         print(f"xtdrone: {error}", file=sys.stderr)
         return 1
     except OSError as error:
@@ -80,12 +79,12 @@ def _film(settings: FilmSettings, console: Console) -> int:
 
 
 def _fly(command: Sequence[str]) -> int:
-    """Run a demo to its end and return its status; a signal that comes meanwhile ends it first."""
+    """Run a demo and return its status; a signal ends the demo first."""
     with subprocess.Popen(command) as demo:
         try:
             return demo.wait()
         except Interrupted as signalled:
-            # Ctrl-C is for the demo too, which cleans up and is not cut short by a second signal.
+            # Forward the signal and let the demo clean up, undisturbed by further signals.
             demo.send_signal(signalled.number)
             with signals_wait():
                 demo.wait()
@@ -97,10 +96,10 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
 
     Raises:
         BagError: it cannot be shown.
-        OptionError: the film would begin after the flight's end.
-        StageError: there is no film.
+        OptionError: --from and --to select nothing.
+        StageError: no film was made.
     """
-    from xtdrone_interaction.rviz.bag import FlightBag  # slow to import
+    from xtdrone_interaction.rviz.bag import FlightBag  # rosbag is slow to import
     from xtdrone_interaction.rviz.playback import play
 
     bag = FlightBag(path)
@@ -124,14 +123,11 @@ def film_bag(settings: FilmSettings, path: Path, work: Path, console: Console) -
     console.print(f"film: {frames} frames, {rate:.1f} a second of wall time", highlight=False)
 
 
-# ---- a running flight
-
-
 def film_running(settings: FilmSettings, work: Path, console: Console) -> None:
     """Film the running flight until it ends or Ctrl-C.
 
     Raises:
-        StageError: no flight is running, or there is no film.
+        StageError: no flight is running, or no film was made.
     """
     given = f"http://localhost:{settings.master}" if settings.master.isdigit() else settings.master
     try:

@@ -1,4 +1,4 @@
-"""The nodes that draw a view: robot_tf, swarm_markers and rviz_offscreen, on a ROS master that is there."""
+"""The nodes that draw a view on a running ROS master: robot_tf, swarm_markers and rviz_offscreen."""
 
 from __future__ import annotations
 
@@ -29,19 +29,20 @@ NODES = tuple(f"/{name}" for name in (TF, MARKERS, DRAWER))
 _PATIENCE = 30.0  # wall s for the film to be finished
 _LAST_LINES = 6
 _MOST_COMPLAINTS = 10
-_DRAWN = re.compile(rf"^{DRAWER}: (\d+) frames drawn$", re.MULTILINE)  # what it says last
-_COMPLAINT = re.compile(r"\[(?: WARN|ERROR|FATAL)\] \[[\d., ]+\]: (.*?)(?:\x1b\[0m)?$", re.MULTILINE)  # of rosconsole
+_DRAWN = re.compile(rf"^{DRAWER}: (\d+) frames drawn$", re.MULTILINE)  # its last line
+# lines of rosconsole
+_COMPLAINT = re.compile(r"\[(?: WARN|ERROR|FATAL)\] \[[\d., ]+\]: (.*?)(?:\x1b\[0m)?$", re.MULTILINE)
 
 
 class StageError(DemoError):
-    """A node that cannot be started, or has ended too early; the message has its last words."""
+    """A node cannot be started or has ended early; the message has its last output."""
 
 
 def program(package: str, name: str) -> str:
     """Return the path of a node's program.
 
     Raises:
-        StageError: it is not there.
+        StageError: not found.
     """
     found = roslib.packages.find_node(package, name)
     if not found:
@@ -50,10 +51,10 @@ def program(package: str, name: str) -> str:
 
 
 def check_tools() -> None:
-    """Check that what the drawing needs is installed.
+    """Check that the programs for drawing are installed.
 
     Raises:
-        StageError: it is not.
+        StageError: one is missing.
     """
     for tool, package in (("Xvfb", "xvfb"), ("ffmpeg", "ffmpeg")):
         if shutil.which(tool) is None:
@@ -62,14 +63,14 @@ def check_tools() -> None:
 
 
 class Stage:
-    """Nodes as processes; as a context manager it ends them all, the one that draws first."""
+    """Processes of the nodes; the context manager ends them, the drawing node first."""
 
     def __init__(self, environment: Mapping[str, str], work: Path) -> None:
-        """Start nothing yet.
+        """Start no node yet.
 
         Args:
-            environment: of the nodes; it names the master.
-            work: folder, which is there, for what they read and write.
+            environment: of the nodes, with the URI of the master.
+            work: existing folder for their files.
         """
         self._environment = dict(environment)
         self._work = work
@@ -80,21 +81,21 @@ class Stage:
     def start_all(
         self, settings: FilmSettings, fleet: str, running: Container[str] = (), flown: Array | None = None
     ) -> None:
-        """Start the nodes that are not running yet, with what they find on the master.
+        """Start the nodes that are not running yet.
 
         Args:
             settings: of the film.
-            fleet: as ``iris:9``.
-            running: names of the nodes that are there, as ``/robot_tf``.
-            flown: where the vehicles are in the flight, see ``make_view``.
+            fleet: such as ``iris:9``.
+            running: names of running nodes, such as ``/robot_tf``.
+            flown: positions of the vehicles, see ``make_view``.
 
         Raises:
-            StageError: a program is not there.
+            StageError: a program is missing.
         """
         self._film = settings.out
         vehicles = parse_fleet(fleet)
         for vehicle in vehicles:
-            # The simplified simulator, and a bag, tell nobody what vehicles look like.
+            # The simplified simulator and bags provide no robot descriptions.
             if not self._master.hasParam(f"/{vehicle.name}/robot_description"):
                 self._master.setParam(f"/{vehicle.name}/robot_description", load_vehicle(vehicle.type).urdf.text)
         config = Path(settings.view)
@@ -119,20 +120,20 @@ class Stage:
         })  # fmt: skip
 
     def start(self, package: str, name: str, parameters: Mapping[str, Any]) -> None:
-        """Start a node of the name ``name``; its program has that name too, with .py where it is Python's.
+        """Start the node ``name``, whose program has the same name, with .py for Python.
 
         Args:
             package: ROS package.
             name: of the node.
-            parameters: private ones; those with None are left out.
+            parameters: private ones; None values are left out.
 
         Raises:
-            StageError: its program is not there.
+            StageError: its program is missing.
         """
         file = name if name == DRAWER else f"{name}.py"
         command = [program(package, file), f"__name:={name}"]
-        # Not on the command line: some nodes look before rospy has read that.
-        if self._master.hasParam(f"/{name}"):  # of one that was there before
+        # Set on the server, because some nodes read parameters before rospy parses the command line.
+        if self._master.hasParam(f"/{name}"):  # of an earlier node
             self._master.deleteParam(f"/{name}")
         for key, value in parameters.items():
             if value is not None:
@@ -140,11 +141,11 @@ class Stage:
         self._nodes[name] = ProcessTree(command, self._environment, self.log(name))
 
     def log(self, name: str) -> Path:
-        """Return the file of what a node writes."""
+        """Return the file of a node's output."""
         return self._work / f"{name}.log"
 
     def wait(self, name: str, timeout: float) -> bool:
-        """Wait up to ``timeout`` s for a node's end; return whether it has ended."""
+        """Wait up to ``timeout`` s for the end of a node and return whether it has ended."""
         return self._nodes[name].wait(timeout)
 
     def check(self) -> None:
@@ -158,32 +159,32 @@ class Stage:
                 raise StageError(f"{name} has ended (status {tree.status}): {self.last_words(name)}")
 
     def check_others(self) -> None:
-        """Check that no node beside the drawing one has failed; one that has ended in order is right.
+        """Check that no node other than the drawing one has failed.
 
         Raises:
-            StageError: one has.
+            StageError: one has ended with an error.
         """
         for name, tree in self._nodes.items():
             if name != DRAWER and tree.wait(0.0) and tree.process.returncode != 0:
                 raise StageError(f"{name} has failed (status {tree.status}): {self.last_words(name)}")
 
     def last_words(self, name: str = DRAWER) -> str:
-        """Return the end of what a node wrote."""
+        """Return the last lines of a node's output."""
         lines = self.log(name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return "\n".join(lines[-_LAST_LINES:]) or "it said nothing"
 
     def complaints(self) -> list[str]:
-        """Return what the drawing node has warned of, each once."""
+        """Return the distinct warnings of the drawing node."""
         text = self.log(DRAWER).read_text(encoding="utf-8", errors="replace")
         return list(dict.fromkeys(_COMPLAINT.findall(text)))
 
     def finish(self) -> int:
-        """Have the drawing node end in an orderly way, so that the film is finished; return how many frames it has.
+        """Stop the drawing node, which finishes the film, and return the number of frames.
 
-        What it has warned of is passed on to standard error.
+        Its warnings go to standard error.
 
         Raises:
-            StageError: it failed, or there is no frame.
+            StageError: the node has failed, or the film has no frame.
         """
         tree = self._nodes[DRAWER]
         if tree.process.poll() is None:
@@ -201,7 +202,7 @@ class Stage:
         return frames
 
     def _rest(self) -> str:
-        """Return where the rest of a film is, for a message, where the drawing node could not finish it."""
+        """Return a message with the file of an unfinished film, if any."""
         part = self._film.with_name(f".{self._film.name}.{self._nodes[DRAWER].pid}.part.mp4")
         return f"\nwhat there is of the film: {part}" if part.exists() else ""
 

@@ -1,6 +1,6 @@
 """Configurations of rviz for a fleet: one vehicle, the formation, the search.
 
-``python -m xtdrone_interaction.rviz.views`` writes those that are shipped, ``xtdrone_rviz/config/*.rviz``.
+``python -m xtdrone_interaction.rviz.views`` writes the shipped ones, ``xtdrone_rviz/config/*.rviz``.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ Point = tuple[float, float, float]
 
 MARKERS_TOPIC = "/xtdrone/markers"
 SHIPPED = {"vehicle": "iris:1", "formation": "iris:9", "search": "typhoon_h480:6"}
-"""The views by name, and for which fleet they are shipped."""
+"""Fleets of the shipped views by name."""
 
 FOR_MARKERS: dict[str, dict[str, float]] = {"vehicle": {"scale": 0.3}, "search": {"scale": 6.0, "spot": 2.0}}
-"""Parameters of the markers' node for views that are taken from near or from afar."""
+"""Parameters of the markers node for near and far views."""
 
 _REGION_MIDDLE = (60.0, 0.0, 0.0)
-"""About the middle of the region that comes with the search, m, map."""
-_REGION_DISTANCE = 115.0  # m, from which all of it is seen
+"""Approximate centre of the default search region, m, map."""
+_REGION_DISTANCE = 115.0  # m, for a view of the whole region
 _SEARCH_PITCH, _SEARCH_YAW = 0.75, 4.4  # rad
 _NEAREST = 20.0  # m
-_ASIDE = 10.0  # m about what was flown: what is found there is seen, too
-_LARGEST = 50.0  # of the markers' scale and spots
+_ASIDE = 10.0  # m around the flown area, to include finds
+_LARGEST = 50.0  # limit of the markers' scale and spots
 
 _PATTERNS = ("origin", "cube", "pyramid", "triangle")
-_FIELD = math.pi / 4.0  # rad, from the picture's lower edge to the upper one, rviz's own
-_MARGIN = 1.0  # m about a vehicle that is seen
+_FIELD = math.pi / 4.0  # rad, vertical field of view of rviz
+_MARGIN = 1.0  # m around a visible vehicle
 
 _BACKGROUND = "232; 236; 242"
 _GRID = "165; 172; 184"
@@ -52,16 +52,16 @@ def shipped_folder() -> Path:
 
 
 def make_view(name: str, vehicles: Sequence[str], flown: Array | None = None) -> str:
-    """Return an .rviz file's text.
+    """Generate the text of an .rviz file.
 
     Args:
-        name: of SHIPPED.
-        vehicles: names, as ``iris_0``; the first is looked at, or leads.
-        flown: where they are in the flight, shape (k, 3), m, map, all of which the search's view shows; None: it shows
-            the region that comes with the search.
+        name: one of SHIPPED.
+        vehicles: names, such as ``iris_0``; the first one is the focus, or the leader.
+        flown: positions that the view of the search has to include, shape (k, 3), m, map; None for the default search
+            region.
 
     Raises:
-        OptionError: no such view.
+        OptionError: unknown view.
     """
     if name not in _VIEWS:
         raise OptionError(f"view: {name!r} is unknown; there are: {', '.join(_VIEWS)}")
@@ -69,7 +69,7 @@ def make_view(name: str, vehicles: Sequence[str], flown: Array | None = None) ->
 
 
 def marker_parameters(name: str, flown: Array | None = None) -> dict[str, float]:
-    """Return parameters of the markers' node for a view; see ``make_view``."""
+    """Return the parameters of the markers node for a view; see ``make_view``."""
     found = dict(FOR_MARKERS.get(name, {}))
     if name == "search":
         farther = _search_camera(flown)[1] / _REGION_DISTANCE
@@ -92,7 +92,7 @@ def _formation(vehicles: list[str]) -> Config:
 
 
 def _slots(count: int) -> Array:
-    """Return all places in the usual patterns, shape (k, 3), m from the leader, whose place is one of them."""
+    """Return all slots of the usual patterns and the leader, shape (k, 3), m from the leader."""
     places = [np.zeros((1, 3))]
     if count > 1:
         patterns = Patterns(count)
@@ -101,11 +101,11 @@ def _slots(count: int) -> Array:
 
 
 def _distance(places: Array, pitch: float, yaw: float) -> float:
-    """Return how far from the focus rviz's camera must be to see some places, in a picture of 16:9, m.
+    """Return the distance, m, from the focus to a camera that sees some positions in a 16:9 picture.
 
     Args:
-        places: shape (k, 3), m from the focus.
-        pitch, yaw: where the camera is, seen from the focus, rad.
+        places: positions, shape (k, 3), m from the focus.
+        pitch, yaw: direction of the camera from the focus, rad.
     """
     away = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])
     right = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
@@ -117,7 +117,7 @@ def _distance(places: Array, pitch: float, yaw: float) -> float:
 
 
 def _search_camera(flown: Array | None) -> tuple[Point, float]:
-    """Return where the search's camera looks, m, map, and from how far, m."""
+    """Return focus, m, map, and distance, m, of the camera of the search."""
     if flown is None:
         return _REGION_MIDDLE, _REGION_DISTANCE
     low, high = flown.min(axis=0) - _ASIDE, flown.max(axis=0) + _ASIDE
@@ -179,7 +179,7 @@ def _grid(cells: int, size: float) -> Config:
 
 
 def _markers(namespaces: Config) -> Config:
-    # The queue holds single markers: all of an array must find room.
+    # The queue counts single markers and has to hold a whole array.
     return {
         "Class": "rviz/MarkerArray",
         "Name": "Swarm",

@@ -1,8 +1,8 @@
-"""Runs on Dask: batches of flights on worker processes, of this machine or of a cluster, in a bounded window.
+"""Execution on Dask: batches of flights on worker processes of this machine or of a cluster, in a bounded window.
 
-A flight that raises is a row with its error (``run.fly_row``), so what Dask itself reports is a lost worker. It repeats
-a batch on another worker then. The runs of a batch that was on several workers that died fly alone, one at a time; one
-that kills its workers even so becomes a row with that error.
+A flight that raises becomes a row with its error (``run.fly_row``), so the only failure that Dask reports is a lost
+worker; Dask then repeats the batch on another one. If several workers die under a batch, its runs are repeated one at a
+time, and a run that still kills its workers becomes a row with that error.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from distributed.comm import get_address_host
 
 from xtdrone_interaction.sweep.run import Row, Work
 
-CONNECT_LIMIT = 5.0  # s until a scheduler has answered
-BATCH_TIME = 0.5  # s of work in a batch, so that Dask's few milliseconds for each do not count
+CONNECT_LIMIT = 5.0  # s for a scheduler to answer
+BATCH_TIME = 0.5  # s of work per batch, so that Dask's overhead of milliseconds per batch does not matter
 _MOST_BATCH = 100  # runs
-_WINDOW = 4  # batches a thread of a worker that Dask knows of; so no worker waits, and memory stays bounded
+_WINDOW = 4  # batches per worker thread in Dask's queue: no worker waits, and memory stays bounded
 _LEAST_WINDOW = 8
-_LOST_WORKERS = 2  # as many workers may die under a batch before it is given up
+_LOST_WORKERS = 2  # number of workers that may die under a batch before it is given up
 _POLL = 0.1  # s
-_RECOUNT = 20  # polls between two looks at how many workers there are
-_WORKERS_LIMIT = 300.0  # s without any worker; Dask gives up a worker that cannot be started again
+_RECOUNT = 20  # polls between two counts of the workers
+_WORKERS_LIMIT = 300.0  # s without any worker; Dask gives up workers that cannot be restarted
 _SMOOTHING = 0.2
 _LOGGERS = ("distributed", "tornado.application", "asyncio")
 
@@ -39,22 +39,22 @@ Task = Mapping[str, Any]
 
 
 class SweepError(RuntimeError):
-    """The sweep cannot go on; what has finished is kept."""
+    """The sweep cannot continue; finished runs are kept."""
 
 
 class SchedulerLostError(SweepError):
-    """The scheduler is gone."""
+    """The connection to the scheduler is lost."""
 
 
 @contextmanager
 def local_client(workers: int, dashboard: str | None = None) -> Iterator[Client]:
     """Yield a client of a cluster on this machine: processes of one thread each, on loopback only.
 
-    Its processes end with this one, however this one ends.
+    Its processes end with this one, even if this one is killed.
 
     Args:
         workers: number of processes.
-        dashboard: address as ``127.0.0.1:8787`` of Dask's own page; None: none.
+        dashboard: address of Dask's web page, such as ``127.0.0.1:8787``; None for no page.
 
     Raises:
         SweepError: the processes cannot be started.
@@ -96,7 +96,7 @@ def _local_cluster(workers: int, dashboard: str | None) -> LocalCluster:
 
 
 def _end_workers(cluster: LocalCluster) -> None:
-    """End the workers at once: what they still fly has been given up, and asking them politely takes seconds."""
+    """Kill the workers: their runs have been given up, and an orderly shutdown takes seconds."""
     for nanny in cluster.workers.values():
         nanny.auto_restart = False
         if nanny.pid is not None:
@@ -106,14 +106,14 @@ def _end_workers(cluster: LocalCluster) -> None:
 
 @contextmanager
 def remote_client(address: str) -> Iterator[Client]:
-    """Yield a client of the cluster whose scheduler is at ``address``, as ``tcp://host:8786``.
+    """Yield a client of the cluster with the scheduler at ``address``, such as ``tcp://host:8786``.
 
     Raises:
-        SweepError: nobody answers there.
+        SweepError: no scheduler answers.
     """
     with _quiet(), dask.config.set({"distributed.comm.timeouts.connect": f"{CONNECT_LIMIT:g}s"}):
         try:
-            get_address_host(address)  # a client with an address of no known kind ends late and with a traceback
+            get_address_host(address)  # a client with an invalid address fails late and with a traceback
             client = Client(address, timeout=CONNECT_LIMIT, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise SweepError(
@@ -127,11 +127,11 @@ def remote_client(address: str) -> Iterator[Client]:
 
 
 class Executor:
-    """Sends tasks to workers and hands out rows as they come.
+    """Sends tasks to workers and delivers their rows.
 
     Attributes:
-        workers: number of workers' threads when it was last counted.
-        lost: how many batches were given up because several workers died under them.
+        workers: number of worker threads at the last count.
+        lost: number of batches that were given up because several workers died under them.
     """
 
     def __init__(self, client: Client, work: Work, common: Mapping[str, Any]) -> None:
@@ -139,18 +139,18 @@ class Executor:
 
         Args:
             client: of the cluster.
-            work: what flies a batch, importable in the workers.
-            common: what all runs share, sent with each batch.
+            work: function that flies a batch, importable by the workers.
+            common: data that all runs share, sent with each batch.
         """
         self._client = client
         self._work = work
         self._common = dict(common)
         self._running: dict[Future, list[Task]] = {}
-        self._suspects: list[Task] = []  # were on workers that died, perhaps by another run's fault
+        self._suspects: list[Task] = []  # runs of batches under which workers died
         self._alone: Future | None = None
-        self._seconds = BATCH_TIME  # of one run; at first a batch is one run
+        self._seconds = BATCH_TIME  # per run; the first batches have one run
         self._numbers = itertools.count()
-        self._manned = time.monotonic()  # when there was a worker
+        self._last_worker = time.monotonic()  # time of the last count with a worker
         self.workers = 0
         self.lost = 0
 
@@ -158,15 +158,15 @@ class Executor:
         """Fly all tasks.
 
         Args:
-            tasks: taken as workers get free.
-            deliver: called with the rows of finished runs, in the order in which they finish.
-            check: called several times a second; what it raises stops the sweep.
+            tasks: consumed as workers become free.
+            deliver: callback with the rows of finished runs, in order of completion.
+            check: called several times a second; its exceptions stop the sweep.
 
         Raises:
-            SchedulerLostError: the scheduler is gone.
-            SweepError: the workers cannot fly at all, or there has been none for _WORKERS_LIMIT seconds.
+            SchedulerLostError: the connection to the scheduler is lost.
+            SweepError: the workers cannot import the work, or there has been none for _WORKERS_LIMIT seconds.
         """
-        self._manned = time.monotonic()
+        self._last_worker = time.monotonic()
         completed = as_completed(loop=self._client.loop, with_results=True, raise_errors=False)
         try:
             for poll in itertools.count():
@@ -184,7 +184,7 @@ class Executor:
             self._abandon()
 
     def _count(self) -> None:
-        """Count the workers' threads, and check that the scheduler answers."""
+        """Count the worker threads and check that the scheduler answers."""
         if self._client.status != "running":
             raise self._scheduler_lost()
         try:
@@ -193,12 +193,12 @@ class Executor:
             raise self._scheduler_lost() from error
         now = time.monotonic()
         if self.workers:
-            self._manned = now
-        elif now - self._manned > _WORKERS_LIMIT:
+            self._last_worker = now
+        elif now - self._last_worker > _WORKERS_LIMIT:
             raise SweepError(f"workers: the cluster has had none for {_WORKERS_LIMIT:g} s")
 
     def _fill(self, tasks: Iterator[Task], completed: as_completed) -> None:
-        """Keep the window full; a suspect flies alone, so that it answers for nobody else."""
+        """Fill the window; a suspect run flies alone, so that its failure is its own."""
         if self._suspects:
             if not self._running:
                 self._alone = self._submit([self._suspects.pop()], completed)
@@ -221,12 +221,12 @@ class Executor:
         return future
 
     def _rows(self, future: Future, result: Any) -> list[Row]:
-        """Return the rows of a batch that has ended; none if it must be flown again."""
+        """Return the rows of a batch that has ended; none if its runs have to be repeated."""
         batch = self._running.pop(future)
         alone = future is self._alone
         if alone:
             self._alone = None
-        # The result counts: a future is pending again if its worker died after it had handed the rows over.
+        # Check the result, not the status: a future is pending again if its worker died after delivering the rows.
         if isinstance(result, list):
             self._learn(result)
             return result
@@ -245,13 +245,13 @@ class Executor:
         return [_killed_row(batch[0])]
 
     def _learn(self, rows: Sequence[Row]) -> None:
-        """Take over how long a run lasts; in doubt longer, for batches that are too small cost little."""
+        """Update the duration of a run; quickly upwards, because small batches cost little."""
         for row in rows:
             share = 1.0 if row["wall_time"] > self._seconds else _SMOOTHING
             self._seconds += share * (max(row["wall_time"], 1e-4) - self._seconds)
 
     def _abandon(self) -> None:
-        """Take back what has not been flown."""
+        """Cancel unfinished batches."""
         if self._running and self._client.status == "running":
             self._client.cancel(list(self._running), asynchronous=False)
         self._running.clear()
@@ -261,7 +261,7 @@ class Executor:
 
 
 def _finished(completed: as_completed) -> list[tuple[Future, Any]]:
-    """Return the batches that have ended, waiting for one up to _POLL seconds."""
+    """Return the finished batches, waiting up to _POLL seconds for the first."""
     with completed.thread_condition:
         if not completed.has_ready():
             completed.thread_condition.wait(_POLL)
@@ -280,14 +280,14 @@ def _killed_row(task: Task) -> Row:
 
 @contextmanager
 def _signals_for_this_process() -> Iterator[None]:
-    """Block a terminal's signals in the threads that are started meanwhile, and in all processes that these start.
+    """Block a terminal's signals in threads started within the context, and in the processes that they start.
 
-    Ctrl-C goes to every process of the terminal's group: this one is to stop the workers, in order.
+    Ctrl-C reaches every process of the terminal's group, but the workers are to be stopped by this one.
     """
     ours = {signal.SIGINT, signal.SIGHUP}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ours)
     try:
-        resource_tracker.ensure_running()  # Python's own helper process outlives a hang-up too; this unblocks SIGINT
+        resource_tracker.ensure_running()  # so that Python's helper process survives SIGHUP, too; it unblocks SIGINT
         signal.pthread_sigmask(signal.SIG_BLOCK, ours)
         yield
     finally:
@@ -296,7 +296,7 @@ def _signals_for_this_process() -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask's log of workers that come and go off the screen; what matters is said by the sweep itself."""
+    """Silence Dask's log of its workers; the sweep reports failures itself."""
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     levels = [logger.level for logger in loggers]
     for logger in loggers:

@@ -1,13 +1,14 @@
 """``./xtdrone sweep study.yaml``: the command.
 
-Exit status: 0 when all runs are there, 1 when the sweep could not go on or runs have failed, 2 for a value that is not
-allowed, 128 + n when stopped by signal n. In every case finished runs are kept, and the same command goes on.
+Exit status: 0 for success, 1 if the sweep could not continue or runs have failed, 2 for an invalid argument or study,
+128 + n after signal n. Finished runs are kept in all cases, and the same command continues the sweep.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import sqlite3
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,9 +34,9 @@ from xtdrone_interaction.sweep.run import FIGURES
 from xtdrone_interaction.sweep.store import Store
 from xtdrone_interaction.sweep.study import Study, read_study
 
-_SHOWN = 10  # runs of a dry run, and differences of studies
+_SHOWN = 10  # runs in a dry run, and differences of studies
 _PICTURE = "picture.png"
-_REASONS = 3  # for which runs have failed
+_REASONS = 3  # of failures, the most frequent
 _FACTS = ("python", "packages", "commit", "changed_since_commit")
 
 
@@ -51,29 +52,31 @@ class WorkerSettings(Settings):
         low=1024,
         high=65535,
         metavar="PORT",
-        text="show Dask's own page on this TCP port of 127.0.0.1 (needs bokeh)",
+        text="serve Dask's web page on this TCP port of 127.0.0.1 (needs bokeh)",
     )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
-        "Fly a study: many simplified (or core, full-physics) flights over parameters and seeds. What has "
-        "finished is kept whatever happens; the same command goes on where it stopped. See docs/sweeps.md."
+        "Fly a study: many simplified (or core, full-physics) flights over parameters and seeds. Finished runs are "
+        "kept in all cases; the same command continues an interrupted sweep. See docs/sweeps.md."
     )
     add = parser.add_argument
-    add("study", type=Path, metavar="STUDY.yaml", help="what is flown")
+    add("study", type=Path, metavar="STUDY.yaml", help="description of the runs")
     add("--out", type=Path, metavar="FOLDER", help="folder of the results (default: runs/sweeps/<name of the study>)")
     where = parser.add_mutually_exclusive_group()
     WorkerSettings.add_arguments(where, ("workers",))
     where.add_argument(
-        "--scheduler", metavar="ADDRESS", help="fly on a Dask cluster: its scheduler, as tcp://host:8786"
+        "--scheduler",
+        metavar="ADDRESS",
+        help="fly on a Dask cluster: address of its scheduler, such as tcp://host:8786",
     )
     WorkerSettings.add_arguments(parser, ("dashboard",))
-    add("--dry-run", action="store_true", help="say what would be flown, and fly nothing")
-    add("--draw", action="store_true", help="fly nothing: write results and picture of what is there")
-    add("--retry-failed", action="store_true", help="fly again what is in the results with an error")
-    add("--metric", metavar="NAME", help="figure that the picture shows (default: settling_time)")
+    add("--dry-run", action="store_true", help="print the runs without flying them")
+    add("--draw", action="store_true", help="write results and picture of the finished runs without flying more")
+    add("--retry-failed", action="store_true", help="repeat the runs that have failed")
+    add("--metric", metavar="NAME", help="figure in the picture (default: settling_time)")
     add("--x", metavar="PARAMETER", help="parameter along the picture's axis (default: chosen)")
     add("--by", metavar="PARAMETER", help="second parameter of the picture (default: chosen)")
 
@@ -101,10 +104,13 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"xtdrone: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
         return 1
+    except sqlite3.Error as error:  # a full disk, a folder that disappears
+        print(f"xtdrone: out: runs cannot be stored: {error}; what was stored is kept", file=sys.stderr)
+        return 1
 
 
 def _check_picture(study: Study, arguments: argparse.Namespace) -> None:
-    """Refuse unknown names before hours of flying; figures of the user's metric are known only afterwards."""
+    """Reject unknown names before hours of flying; the figures of a user's metric are known only afterwards."""
     varied = [*(axis.parameter.name for axis in study.axes), "seed"]
     for thing in ("x", "by"):
         name = getattr(arguments, thing)
@@ -115,7 +121,7 @@ def _check_picture(study: Study, arguments: argparse.Namespace) -> None:
 
 
 def _dry_run(plan: Plan, console: Console) -> int:
-    _say_study(plan.study, console)
+    _print_study(plan.study, console)
     for run in plan[:_SHOWN]:
         values = " ".join(f"{name}={value}" for name, value in run.varied.items())
         _print(console, f"  {run.key}  {values} seed={run.seed}")
@@ -124,7 +130,7 @@ def _dry_run(plan: Plan, console: Console) -> int:
     return 0
 
 
-def _say_study(study: Study, console: Console) -> None:
+def _print_study(study: Study, console: Console) -> None:
     _print(console, f"Study {study.name}: {study.engine} flights, {study.flight}")
     for name, value in study.constants.items():
         _print(console, f"  {name} = {value}")
@@ -141,15 +147,15 @@ def _say_study(study: Study, console: Console) -> None:
 
 
 def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Console) -> int:
-    """Fly what is missing, write results and picture, and return the exit status."""
+    """Fly the missing runs, write results and picture, and return the exit status."""
     header = _header(plan.study)
     with StopRequest(end_processes=False) as stop, Store(folder, columns(plan.study), header) as store:
         keys = [run.key for run in plan]
-        _check_same(store, keys, header, arguments.retry_failed and not arguments.draw, console)
+        _check_study(store, keys, header, arguments.retry_failed and not arguments.draw, console)
         store.begin()
         done = {key for key, good in store.rows.items() if good or not arguments.retry_failed}
         missing = [number for number, key in enumerate(keys) if key not in done]
-        _say_study(plan.study, console)
+        _print_study(plan.study, console)
         if len(missing) < len(keys):
             _print(console, f"{len(keys) - len(missing):,} runs are there already, {len(missing):,} are missing")
         status = _fly(plan, missing, store, arguments, stop, console) if missing and not arguments.draw else 0
@@ -166,25 +172,25 @@ def _header(study: Study) -> dict[str, Any]:
 
 
 def columns(study: Study) -> dict[str, type]:
-    """Return names and types of the results' columns; a user's metric adds more."""
+    """Return names and types of the columns; a user's metric adds more."""
     varied = {axis.parameter.name: axis.parameter.kind for axis in study.axes}
     return {"key": str, "seed": int, **varied, "error": str, **FIGURES}
 
 
-def _check_same(
+def _check_study(
     store: Store, keys: Sequence[str], header: dict[str, Any], retry_failed: bool, console: Console
 ) -> None:
-    """Refuse a folder with runs that this study does not have; say what is new in one that has more.
+    """Reject a folder with runs that are not in this study; report differences of the studies.
 
-    Runs that failed with another version of the user's files do not count when they are to be flown again.
+    Failed runs of another version of the user's files are dropped if failed runs are to be repeated.
 
     Raises:
-        OptionError: the folder is of another study.
+        OptionError: the folder belongs to another study.
     """
     if store.before is None:
         return
     files = file_differences(store.before.get("sources", {}), header["sources"])
-    changes = differences(_but_for_contents(store.before), _but_for_contents(header))
+    changes = differences(_without_contents(store.before), _without_contents(header))
     foreign = store.rows.keys() - set(keys)
     good = sum(store.rows[key] for key in foreign)
     if foreign and files and not changes:
@@ -216,18 +222,17 @@ def _check_same(
         _print(console, f"Warning: earlier runs are of another version of the software ({before} then, {now} now)")
 
 
-def _but_for_contents(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a study in plain data with the names of the user's classes and functions in place of fingerprints."""
+def _without_contents(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the data of a study with the names of the user's classes and functions in place of fingerprints."""
     names = {role: source["name"] for role, source in header.get("sources", {}).items()}
     return {**header.get("study", {}), "sources": names}
 
 
 def file_differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """Return which of the user's files have other contents, in words; each once.
+    """Describe changes in the contents of the user's files.
 
     Args:
-        before: the sources as plain data by role.
-        after: the same.
+        before, after: data of the sources by role.
     """
     both = [(before[role], after[role]) for role in after if role in before]
     files = (Path(new["path"]).name for old, new in both if old["text"] != new["text"])
@@ -235,7 +240,7 @@ def file_differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> lis
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
-    """Return what differs between two studies in plain data, in words."""
+    """Describe the differences between the data of two studies."""
     found = []
     for name in dict.fromkeys([*before, *after]):
         old, new = before.get(name), after.get(name)
@@ -283,7 +288,7 @@ def _fly(
         if not stop.number:
             print(f"xtdrone: {error}", file=sys.stderr)
             return 1
-        # It may have come to the workers too, so that they could not fly any more.
+        # The signal may have ended the workers, too.
         print(f"xtdrone: stopped by {Stopped(stop.number)}", file=sys.stderr)
         return 128 + stop.number
     return 0
@@ -314,7 +319,7 @@ def _check_bokeh() -> None:
 
 
 def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.Namespace, console: Console) -> int:
-    """Write the results, say how it went, draw the picture, and return the exit status."""
+    """Write the results, print a summary, draw the picture and return the exit status."""
     there = sum(key in store.rows for key in keys)
     failed = sum(not store.rows.get(key, True) for key in keys)
     _print(console, f"{there:,} of {len(keys):,} runs are there, {failed:,} of them failed")
@@ -325,11 +330,11 @@ def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.
         return status or 1
     _print(console, f"Results: {results}")
     if failed:
-        _say_reasons(results, console)
+        _print_reasons(results, console)
     if failed == there:
-        results.with_name(_PICTURE).unlink(missing_ok=True)  # of runs that are not there any more
+        results.with_name(_PICTURE).unlink(missing_ok=True)  # an older one
         _print(console, "No picture is drawn, for no run went well")
-    elif not status:  # who stops a sweep does not want to wait for a picture; there is --draw
+    elif not status:  # an interrupted sweep ends at once; --draw makes the picture
         _draw(results, arguments, console)
     if there < len(keys):
         _print(console, "Give the same command again to fly the rest, or with --draw to see what is there")
@@ -339,8 +344,8 @@ def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.
     return status or int(failed > 0)
 
 
-def _say_reasons(results: Path, console: Console) -> None:
-    """Say the commonest reasons for which runs have failed."""
+def _print_reasons(results: Path, console: Console) -> None:
+    """Print the most frequent reasons of failures."""
     errors = pq.read_table(results, columns=["error"])["error"].drop_null().to_pylist()
     for error, count in Counter(map(one_line, errors)).most_common(_REASONS):
         _print(console, f"  {count:,} failed: {error}")

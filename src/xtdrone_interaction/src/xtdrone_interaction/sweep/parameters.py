@@ -1,4 +1,4 @@
-"""What a study may vary: the flight's own parameters and the settings of followers, leader, vehicles and network."""
+"""Parameters of a study: those of the flight, and the settings of followers, leader, vehicles and network."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ GROUPS: dict[str, type] = {
     "model": Model,
     "network": NetworkOptions,
 }
-"""Parameters ``follower.Kp`` and so on are the fields of these classes."""
+"""Classes whose fields are parameters, such as ``follower.Kp``."""
 CLASS = "class."
-"""Prefix of a parameter that is a class attribute of the user's own follower."""
+"""Prefix of parameters that are class attributes of the user's follower."""
 _ALIASES = {"pattern": "patterns"}
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter and what it may be.
+    """A parameter and its allowed values.
 
     Attributes:
-        name: as written in a study.
+        name: in a study.
         kind: bool, int, float or str.
-        choices: allowed texts; empty: any.
-        least: smallest number, None for none.
-        most: greatest number, None for none.
+        choices: allowed texts; empty for any.
+        least: lower limit, or None.
+        most: upper limit, or None.
         infinite: whether ``.inf`` is allowed.
     """
 
@@ -52,10 +52,10 @@ class Parameter:
     infinite: bool = False
 
     def check(self, value: object) -> Value:
-        """Return ``value`` as this parameter's type.
+        """Convert ``value`` to the parameter's type.
 
         Raises:
-            OptionError: it is not allowed.
+            OptionError: invalid value.
         """
         if self.kind is bool:
             if isinstance(value, bool):
@@ -85,13 +85,13 @@ class Parameter:
 
 
 class PatternList(Parameter):
-    """Patterns that one flight flies in turn, kept as their names with commas between."""
+    """Patterns that a flight flies in turn, stored as comma-separated names."""
 
     def check(self, value: object) -> Value:
-        """Return the names with commas between.
+        """Return comma-separated names.
 
         Raises:
-            OptionError: no names.
+            OptionError: not a list of names.
         """
         names = value if isinstance(value, list) else value.split(",") if isinstance(value, str) else []
         if not names or not all(isinstance(name, str) and name.strip() for name in names):
@@ -117,11 +117,11 @@ DEFAULTS: dict[str, Value] = {
     "hold": 5.0,
     "limit": 60.0,
 }
-"""Of the flight's own parameters."""
+"""Default values of the flight's parameters."""
 
 
 def as_number(value: object) -> float | None:
-    """Return a number, or a text that reads as one (YAML takes 1e-3 for a text), as float; None if it is none."""
+    """Convert a number or its text (YAML reads 1e-3 as a text) to float; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -134,7 +134,7 @@ def known_parameters(attributes: Mapping[str, object] | None = None) -> dict[str
     """Return all parameters by name.
 
     Args:
-        attributes: class attributes of the user's follower that are numbers, truth values or texts.
+        attributes: class attributes of the user's follower that are numbers, booleans or texts.
     """
     found = {parameter.name: parameter for parameter in _FLIGHT}
     for group, options in GROUPS.items():
@@ -149,7 +149,7 @@ def known_parameters(attributes: Mapping[str, object] | None = None) -> dict[str
 
 
 def _of_field(name: str, hint: Any) -> Parameter | None:
-    """Return a data class's field as parameter, None if it is no plain value."""
+    """Return the parameter of a data class's field; None unless it is a number, boolean or text."""
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         kinds = [kind for kind in typing.get_args(hint) if kind is not type(None)]
         hint = kinds[0] if len(kinds) == 1 else None
@@ -160,15 +160,15 @@ def _of_field(name: str, hint: Any) -> Parameter | None:
         return Parameter(name, int, least=min(choices), most=max(choices))
     if hint not in (bool, int, float, str):
         return None
-    # Whether infinity makes sense is for the class to say.
+    # The class itself rejects infinity where it makes no sense.
     return Parameter(name, hint, infinite=hint is float)
 
 
 def find_parameter(name: object, known: Mapping[str, Parameter]) -> Parameter:
-    """Return the parameter of a name, as written in a study.
+    """Return a parameter by its name in a study.
 
     Raises:
-        OptionError: there is none; the message names the nearest ones.
+        OptionError: unknown name; the message suggests similar ones.
     """
     text = _ALIASES.get(str(name), str(name))
     if text in known:
@@ -185,6 +185,6 @@ def describe(names: Sequence[str] | Mapping[str, Parameter]) -> str:
 
 
 def group_of(parameters: Mapping[str, Value], group: str) -> dict[str, Value]:
-    """Return the parameters of a group without its name, as ``{"Kp": 1.0}`` of ``follower``."""
+    """Return the parameters of a group without its prefix, such as ``{"Kp": 1.0}`` of ``follower``."""
     start = group + "."
     return {name[len(start) :]: value for name, value in parameters.items() if name.startswith(start)}

@@ -1,4 +1,4 @@
-"""The picture of a sweep: a figure of the runs over one or two parameters, its mean and its spread over the seeds.
+"""The picture of a sweep: mean and spread of a figure over the seeds, against one or two parameters.
 
 It needs no display and no ROS.
 """
@@ -28,9 +28,9 @@ from xtdrone_interaction.sweep.run import FIGURES
 from xtdrone_interaction.sweep.store import METADATA
 
 DPI = 150
-_MOST_LINES = 8  # more values of the second parameter make a map of colours
+_MOST_LINES = 8  # a second parameter with more values makes a colour map
 _MOST_TICKS = 15
-_LOG_RATIO = 1.05  # neighbouring steps of a logarithmic axis are as even as this
+_LOG_RATIO = 1.05  # tolerance for even steps of a logarithmic axis
 _UNITS = {
     "settling_time": "s", "overshoot": "m", "steady_error": "m", "least_distance": "m", "assigned_distance": "m",
     "simulated_time": "s", "wall_time": "s",
@@ -43,9 +43,9 @@ class Results:
 
     Attributes:
         name: of the study.
-        columns: by name, None where a run has no such figure.
+        columns: by name; None for missing values.
         parameters: names of the varied parameters.
-        figures: names of the figures, the user's too.
+        figures: names of the figures, including the user's.
     """
 
     name: str
@@ -58,7 +58,7 @@ def read_results(file: Path) -> Results:
     """Read results.parquet.
 
     Raises:
-        OptionError: the file is missing, no Parquet, or not of a sweep.
+        OptionError: the file is missing, is not Parquet, or does not belong to a sweep.
     """
     try:
         table = pq.read_table(file)
@@ -80,9 +80,9 @@ def draw(results: Results, figure: str | None = None, x: str | None = None, by: 
 
     Args:
         results: of the sweep.
-        figure: which is shown; by default the settling time, or the first of which there are values.
-        x: parameter along the axis; by default the one with the most values, numbers before texts.
-        by: second parameter, as lines or, of many values, as a map of colours; by default the next one.
+        figure: name; by default the settling time, or the first figure with values.
+        x: parameter of the axis; by default the one with the most values, numbers before texts.
+        by: second parameter, drawn as lines or, with many values, as a colour map; by default the next one.
 
     Raises:
         OptionError: an unknown name, or nothing to show.
@@ -108,10 +108,10 @@ def draw(results: Results, figure: str | None = None, x: str | None = None, by: 
 def save_picture(
     file: Path, path: Path, figure: str | None = None, x: str | None = None, by: str | None = None
 ) -> None:
-    """Draw the picture of a file of results into another file, PNG, SVG or PDF by its ending.
+    """Draw the picture of a results file into a PNG, SVG or PDF file.
 
     Raises:
-        OptionError: see :func:`read_results` and :func:`draw`; another ending.
+        OptionError: see :func:`read_results` and :func:`draw`; unknown suffix.
     """
     shown = draw(read_results(file), figure, x, by)
     try:
@@ -134,14 +134,14 @@ def _figure_name(results: Results, wanted: str | None) -> str:
 
 
 def _parameters(results: Results, x: str | None, by: str | None) -> tuple[str, str | None]:
-    """Return the parameter along the axis, and the second one if there is one."""
+    """Return the parameter of the axis, and the second one or None."""
     for thing, name in (("x", x), ("by", by)):
         if name is not None and name not in (*results.parameters, "seed"):
             there = ", ".join((*results.parameters, "seed"))
             raise OptionError(f"{thing}: {name!r} is not varied in this study; there are: {there}")
     values = {name: set(results.columns[name]) - {None} for name in results.parameters}
     free = [name for name in results.parameters if name not in (x, by) and len(values[name]) > 1]
-    free.sort(key=lambda name: (not _numeric(values[name]), -len(values[name])))  # stable: the study's order
+    free.sort(key=lambda name: (not _numeric(values[name]), -len(values[name])))  # stable: ties keep the study's order
     if x is None:
         x = free.pop(0) if free else next((name for name in results.parameters if name != by), "seed")
     if by is None and free:
@@ -150,7 +150,7 @@ def _parameters(results: Results, x: str | None, by: str | None) -> tuple[str, s
 
 
 def _points(results: Results, figure: str, x: str, by: str | None) -> dict[tuple[Any, Any], list[float]]:
-    """Return the figure's values of all runs at each point of the picture; runs without one are left out."""
+    """Return the figure's values of all runs at each point of the picture."""
     points: dict[tuple[Any, Any], list[float]] = defaultdict(list)
     seconds: Sequence[Any] = results.columns[by] if by else [None] * len(results.columns[x])
     for first, second, value in zip(results.columns[x], seconds, results.columns[figure], strict=True):
@@ -167,7 +167,7 @@ def _draw_lines(
     by: str | None,
     figure: str,
 ) -> None:
-    """Draw mean and band of one standard deviation against x, a line for each value of the second parameter."""
+    """Draw mean and standard deviation against x, a line for each value of the second parameter."""
     places = sorted({first for first, _ in points}, key=_order)
     numeric = _numeric(set(places))
     where = {place: place if numeric else number for number, place in enumerate(places)}
@@ -199,10 +199,10 @@ def _draw_lines(
 def _draw_map(
     shown: Figure, axes: Axes, points: Mapping[tuple[Any, Any], Sequence[float]], x: str, by: str, figure: str
 ) -> None:
-    """Draw the mean as colours over both parameters."""
+    """Draw the mean as a colour map over both parameters."""
     firsts = sorted({first for first, _ in points})
     seconds = sorted({second for _, second in points})
-    if len(points) * 2 < len(firsts) * len(seconds):  # no grid: drawn samples
+    if len(points) * 2 < len(firsts) * len(seconds):  # no grid, but random samples
         first, second = np.array(list(points), dtype=float).T
         colours = axes.scatter(first, second, c=[np.mean(values) for values in points.values()], cmap="viridis")
     else:
@@ -225,7 +225,7 @@ def _plain_ticks(axes: Axes, places: Sequence[float]) -> None:
 
 
 def _logarithmic(places: Sequence[float]) -> bool:
-    """Return whether numbers in rising order are evenly spaced in the logarithm and far from evenly otherwise."""
+    """Return whether ascending numbers have even logarithmic steps over a wide range."""
     if len(places) < 3 or places[0] <= 0.0:
         return False
     ratios = [b / a for a, b in itertools.pairwise(places)]
@@ -257,7 +257,7 @@ def _numeric(values: set[Any]) -> bool:
 
 
 def _order(value: Any) -> tuple[bool, Any]:
-    """Numbers by size, then texts."""
+    """Sort key: numbers by size, then texts."""
     return isinstance(value, str), -math.inf if value is None else value
 
 

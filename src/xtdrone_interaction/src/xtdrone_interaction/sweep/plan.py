@@ -1,4 +1,4 @@
-"""The runs of a study: every combination of parameters with every seed, each with a key that stays the same."""
+"""The runs of a study: every combination of parameters with every seed, each with a permanent key."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Run:
     """One flight of a study.
 
     Attributes:
-        index: its place in the plan.
-        key: made of all that determines its outcome; the same in any study that holds this run.
-        varied: the varied parameters' values.
-        seed: of all that is random in it.
+        index: in the plan.
+        key: hash of everything that determines the result; the same in every study with this run.
+        varied: values of the varied parameters.
+        seed: of all random numbers.
     """
 
     index: int
@@ -38,14 +38,14 @@ class Run:
     seed: int
 
     def task(self) -> dict[str, Any]:
-        """Return what a worker needs beside what all runs share, as plain data."""
+        """Return the data for a worker, without those that all runs share."""
         return {"key": self.key, "varied": self.varied, "seed": self.seed}
 
 
 class Plan(Sequence[Run]):
-    """All runs of a study, made when asked for: all points with the first seed, then with the second, ...
+    """All runs of a study, created on access: all points with the first seed, then with the second, ...
 
-    So a sweep that is stopped early has seen the whole range.
+    So an interrupted sweep has covered the whole range.
     """
 
     def __init__(self, study: Study) -> None:
@@ -73,7 +73,7 @@ class Plan(Sequence[Run]):
         return (self[index] for index in range(len(self)))
 
     def point(self, number: int) -> dict[str, Value]:
-        """Return the varied parameters of a point, 0 to ``study.points`` - 1; the last one varies fastest."""
+        """Return the parameters of a point, 0 to ``study.points`` - 1; the last parameter varies fastest."""
         axes = self.study.axes
         if self.study.combine in ("random", "latin"):
             return dict(zip(self._names, self._samples[number], strict=True))
@@ -89,7 +89,7 @@ class Plan(Sequence[Run]):
         """Check that every combination of parameters can be flown.
 
         Raises:
-            OptionError, PatternError: one cannot; the message says which.
+            OptionError, PatternError: one cannot; the message names it.
         """
         study = self.study
         options: set[tuple[Any, ...]] = set()
@@ -106,7 +106,8 @@ class Plan(Sequence[Run]):
             keys[values] = number
             parameters = study.constants | varied
             own = DEFAULTS | parameters
-            altitude = float(own["altitude"]) if study.flight == AIRBORNE else math.inf  # a mission climbs as it needs
+            # a mission climbs as high as necessary
+            altitude = float(own["altitude"]) if study.flight == AIRBORNE else math.inf
             patterns.add((int(own["n"]), str(own["patterns"]), altitude))
             options.add(tuple(sorted((k, v) for k, v in parameters.items() if "." in k or k == "kind")))
         for count, names, altitude in sorted(patterns):
@@ -126,7 +127,7 @@ class Plan(Sequence[Run]):
         study = self.study
         size = len(study.axes)
         if study.combine == "latin":
-            from scipy.stats import qmc  # takes a second to import
+            from scipy.stats import qmc  # slow to import
 
             unit = qmc.LatinHypercube(size, seed=study.sample_seed).random(study.samples)
         else:
@@ -136,7 +137,7 @@ class Plan(Sequence[Run]):
 
 
 def _drawn(axis: Axis, unit: Any) -> list[Value]:
-    """Return the values of an axis for numbers from 0 to 1, below 1."""
+    """Map numbers in [0, 1) to values of an axis."""
     if not axis.sampled:
         return [axis.values[int(u * len(axis.values))] for u in unit]
     start, end = float(axis.values[0]), float(axis.values[1])

@@ -1,4 +1,4 @@
-"""How far a sweep is: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a sweep: a bar on a terminal, otherwise a line every few seconds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 
 _LINE_EVERY = 10.0  # s, without a terminal
-_SPAN = 30.0  # s; the rate is that of the last while
+_SPAN = 30.0  # s over which the rate is averaged
 
 
 class Progress:
@@ -50,7 +50,7 @@ class Progress:
             self._line()
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Count finished runs, and say why the first one failed."""
+        """Count finished runs and print the error of the first failure."""
         self._done += len(rows)
         failed = [row for row in rows if row["error"] is not None]
         if failed and not self._failed:

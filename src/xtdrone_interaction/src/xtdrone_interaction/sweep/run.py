@@ -1,4 +1,4 @@
-"""One run of a study: a function of plain data that flies a swarm without ROS and returns a row of figures."""
+"""One run of a study: a function that flies a swarm without ROS and returns a row of figures."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from xtdrone_interaction.sweep.sources import Source, load
 from xtdrone_swarm import Swarm
 from xtdrone_swarm.simplified.model import load_model
 
-COLLISION_DISTANCE = 0.5  # m between the middles of two vehicles; nearer ones have touched
+COLLISION_DISTANCE = 0.5  # m between the centres of two vehicles
 _SOURCE = "truth (in one process)"
 _LISTENING = 1.0  # s in the air before the first pattern
-_MOST_ERROR = 500  # characters of an error that are kept
+_MOST_ERROR = 500  # characters of an error message
 
 FIGURES: dict[str, type] = {
     "settled": bool,
@@ -46,10 +46,10 @@ FIGURES: dict[str, type] = {
 }
 """Figures of every run and their types.
 
-settled: whether every pattern settled; settling_time: of the slowest pattern, s, none unless all settled; overshoot and
-steady_error: the greatest over patterns, m; least_distance: between any two vehicles from the first pattern's command
-on, m; collisions: pairs of vehicles that came nearer than COLLISION_DISTANCE; assigned_distance: sum over patterns, m;
-simulated_time and wall_time: s. All but wall_time are the same to the last bit in every repetition.
+settled: whether every pattern settled; settling_time: of the slowest pattern, s, None unless all settled; overshoot and
+steady_error: largest over all patterns, m; least_distance: between any two vehicles after the first pattern's command,
+m; collisions: number of pairs closer than COLLISION_DISTANCE; assigned_distance: sum over all patterns, m;
+simulated_time and wall_time: s. All but wall_time are reproducible bit by bit.
 """
 
 Row = dict[str, Any]
@@ -59,7 +59,7 @@ def fly_batch(common: Mapping[str, Any], tasks: Sequence[Mapping[str, Any]]) -> 
     """Fly several runs and return their rows in the same order.
 
     Args:
-        common: what all runs of the study share: engine, flight, constants, sources.
+        common: data that all runs share: engine, flight, constants, sources.
         tasks: key, varied parameters and seed of each run.
     """
     with _quiet():
@@ -67,21 +67,21 @@ def fly_batch(common: Mapping[str, Any], tasks: Sequence[Mapping[str, Any]]) -> 
 
 
 def fly_row(common: Mapping[str, Any], task: Mapping[str, Any]) -> Row:
-    """Fly one run and return its row: key, seed, parameters, figures, error (None: it went well).
+    """Fly one run and return its row: key, seed, parameters, figures, error (None for success).
 
-    A run that raises is a row with its error and no figures.
+    If a run raises, its row has the error and no figures.
     """
     row: Row = {"key": task["key"], "seed": task["seed"], **task["varied"], "error": None}
     began = time.perf_counter()
     try:
         figures = fly(common, task["varied"], task["seed"])
-    except (Exception, SystemExit) as error:  # whatever a user's class raises is a result of the study
+    except (Exception, SystemExit) as error:  # an exception in a user's class is a result of the study
         figures = {"error": _words(error)}
     return row | figures | {"wall_time": time.perf_counter() - began}
 
 
 def fly(common: Mapping[str, Any], varied: Mapping[str, Value], seed: int) -> Row:
-    """Fly one run and return its figures, those of the user's metric included."""
+    """Fly one run and return its figures, including those of the user's metric."""
     parameters = {**DEFAULTS, **common["constants"], **varied}
     swarm = make_swarm(common, parameters, seed)
     try:
@@ -102,8 +102,8 @@ def make_swarm(common: Mapping[str, Any], parameters: Mapping[str, Value], seed:
 
     Args:
         common: see :func:`fly_batch`.
-        parameters: all of them, defaults included.
-        seed: of the places at the start, the network and, in full physics, the sensors.
+        parameters: all of them, including defaults.
+        seed: of the initial positions, the network and, in full physics, the sensors.
     """
     count, kind = int(parameters["n"]), str(parameters["kind"])
     airborne = common["flight"] == "airborne"
@@ -129,12 +129,12 @@ def make_swarm(common: Mapping[str, Any], parameters: Mapping[str, Value], seed:
 
 
 def start_places(count: int, scatter: float, seed: int) -> Array:
-    """Return where vehicles begin, shape (count, 3), m ENU on the ground: the spawn grid, each moved a little.
+    """Return the initial positions, shape (count, 3), m ENU on the ground: the spawn grid with random offsets.
 
     Args:
         count: number of vehicles.
-        scatter: greatest way along x and along y, m; the grid's pitch is 3 m.
-        seed: of the ways.
+        scatter: largest offset along x and y, m; the grid has a pitch of 3 m.
+        seed: of the offsets.
     """
     places = with_leader(Patterns(count).offsets("origin"))
     places[:, :2] += np.random.default_rng(seed).uniform(-scatter, scatter, (count, 2))
@@ -142,10 +142,10 @@ def start_places(count: int, scatter: float, seed: int) -> Array:
 
 
 def make_options(parameters: Mapping[str, Value]) -> dict[str, Any]:
-    """Return the settings of follower, leader, model and network; network is None when nothing is said of it.
+    """Return the settings of follower, leader, model and network; network is None without network parameters.
 
     Raises:
-        ValueError: a combination that is not allowed.
+        ValueError: invalid combination.
     """
     network, model = group_of(parameters, "network"), group_of(parameters, "model")
     return {
@@ -160,7 +160,7 @@ def check_options(parameters: Mapping[str, Value]) -> None:
     """Check a combination of settings.
 
     Raises:
-        ValueError: it is not allowed.
+        ValueError: invalid combination.
     """
     make_options({**DEFAULTS, **parameters})
 
@@ -186,7 +186,7 @@ def figures_of(record: FormationRecord) -> Row:
 
 
 def collided_pairs(positions: Array, limit: float = COLLISION_DISTANCE) -> int:
-    """Return how many pairs of vehicles came nearer than ``limit`` metres.
+    """Return the number of pairs of vehicles that came closer than ``limit``.
 
     Args:
         positions: shape (t, n, 3), m.
@@ -202,8 +202,9 @@ def collided_pairs(positions: Array, limit: float = COLLISION_DISTANCE) -> int:
 
 
 def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) -> FormationRecord:
-    """Fly patterns in turn from the air, each until all followers have settled or the limit is over."""
-    swarm.run(_LISTENING)  # else the leader assigns by the grid: over a network it has heard of nobody yet
+    """Fly patterns in turn from the air, each until all followers have settled or its time limit."""
+    # Otherwise the leader would assign slots before it has received any position over the network
+    swarm.run(_LISTENING)
     names = tuple(swarm.vehicles.names)
     events: list[Row] = [{"event": "start", "time": swarm.time, "vehicles": list(names)}]
     changes: list[Change] = []
@@ -239,7 +240,7 @@ def _ending(record: FormationRecord) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the warnings of thousands of flights off the screen: what they are about shows in the figures."""
+    """Silence the warnings of thousands of flights; their causes show in the figures."""
     loggers = [logging.getLogger(name) for name in ("xtdrone_coordination", "xtdrone_sim", "xtdrone_control")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -257,7 +258,7 @@ def _loaded(common: Mapping[str, Any], role: str, default: Any) -> Any:
 
 
 def _follower_class(common: Mapping[str, Any], parameters: Mapping[str, Value]) -> type[Follower]:
-    """Return the follower's class, with its attributes as the run has them."""
+    """Return the follower's class with the attributes of the run."""
     own = tuple(sorted((name[len(CLASS) :], value) for name, value in parameters.items() if name.startswith(CLASS)))
     return _with_attributes(_loaded(common, "follower", Follower), own)
 
@@ -268,15 +269,15 @@ def _with_attributes(cls: type[Follower], attributes: tuple[tuple[str, Value], .
 
 
 def _checked_metric(values: object, varied: Mapping[str, Value]) -> Row:
-    """Return what a user's metric gave as floats; a number that is not finite is none.
+    """Convert the result of a user's metric to floats; None for numbers that are not finite.
 
     Args:
-        values: what it gave.
-        varied: the varied parameters, whose names are taken too.
+        values: the result.
+        varied: the varied parameters, whose names are reserved.
 
     Raises:
-        TypeError: it is no mapping of names to numbers.
-        ValueError: a name is taken.
+        TypeError: not a mapping of names to numbers.
+        ValueError: reserved name.
     """
     if not isinstance(values, Mapping):
         raise TypeError(f"metric gave {values!r}; a mapping of names to numbers is allowed")
@@ -293,12 +294,12 @@ def _checked_metric(values: object, varied: Mapping[str, Value]) -> Row:
 
 
 def _words(error: BaseException) -> str:
-    """Return an error as text: its kind, what it says, and the line of code it came from."""
+    """Format an error: type, message, and the line of code that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
     try:
         said = str(error)
-    except Exception:  # a user's exception may have a broken __str__
+    except Exception:  # the __str__ of a user's exception may raise
         said = "it cannot be written"
     return f"{type(error).__name__}: {said}{place}"[:_MOST_ERROR]
 

@@ -1,4 +1,4 @@
-"""The user's own Python in a study: follower, leader, metric. Read once, sent by value, loaded in any process."""
+"""A user's Python in a study: follower, leader, metric. Read once, sent as text, loaded in any process."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from typing import Any
 from xtdrone_interaction.options import OptionError
 
 MODULE = "xtdrone_study_"
-"""Beginning of the names of the modules that users' files become."""
+"""Prefix of the modules created from users' files."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file of the user's and the name in it that is meant.
+    """A class or function in a user's file.
 
     Attributes:
-        path: of the file where the study was started.
+        path: of the file on the machine of the command.
         name: of the class or function.
-        text: the file's content.
+        text: content of the file.
     """
 
     path: str
@@ -32,24 +32,24 @@ class Source:
 
     @property
     def digest(self) -> str:
-        """A short fingerprint of the file's content and the name."""
+        """Short fingerprint of content and name."""
         return hashlib.sha256(f"{self.name}\n{self.text}".encode()).hexdigest()[:16]
 
     def plain(self) -> dict[str, str]:
-        """Return the source as plain data."""
+        """Return the source as JSON data."""
         return asdict(self)
 
 
 def read_source(role: str, text: object, folder: Path) -> Source:
-    """Return the source that ``FILE.py:NAME`` in a study means.
+    """Read the source ``FILE.py:NAME`` of a study.
 
     Args:
-        role: as ``follower``, for messages.
-        text: what the study says.
-        folder: that relative paths start from, the study's own.
+        role: such as ``follower``, for messages.
+        text: in the study.
+        folder: of the study, the base of relative paths.
 
     Raises:
-        OptionError: it has another form, or the file cannot be read.
+        OptionError: invalid form, or the file cannot be read.
     """
     file, colon, name = text.rpartition(":") if isinstance(text, str) else ("", "", "")
     if not colon or not file.endswith(".py") or not name.isidentifier():
@@ -64,10 +64,10 @@ def read_source(role: str, text: object, folder: Path) -> Source:
 
 
 def load(role: str, source: Source) -> Any:
-    """Return the object that a source means; its file is executed once a process.
+    """Return the object of a source, executing its file once per process.
 
     Raises:
-        OptionError: the file cannot be executed, or it has no such name.
+        OptionError: the file cannot be executed, or does not define the name.
     """
     module_name = MODULE + source.digest
     module = sys.modules.get(module_name)
@@ -82,22 +82,22 @@ def load(role: str, source: Source) -> Any:
 def _execute(role: str, source: Source, module_name: str) -> types.ModuleType:
     module = types.ModuleType(module_name)
     module.__file__ = source.path
-    sys.modules[module_name] = module  # data classes look themselves up there
-    # Where the file is not, a traceback shows its lines all the same.
+    sys.modules[module_name] = module  # data classes look up their module there
+    # Show the lines in tracebacks also on machines without the file.
     linecache.cache[source.path] = (len(source.text), None, source.text.splitlines(keepends=True), source.path)
     folder = str(Path(source.path).parent)
     if folder not in sys.path:
-        sys.path.append(folder)  # its neighbours, where there are any
+        sys.path.append(folder)  # for imports of neighbouring files
     try:
         exec(compile(source.text, source.path, "exec"), module.__dict__)
-    except (Exception, SystemExit) as error:  # whatever the user's file raises
+    except (Exception, SystemExit) as error:  # the user's file may raise anything
         del sys.modules[module_name]
         raise OptionError(f"{role}: {source.path} cannot be loaded: {type(error).__name__}: {error}") from error
     return module
 
 
 def class_attributes(cls: type) -> dict[str, bool | int | float | str]:
-    """Return what a user's class can be set to: its public attributes that are numbers, truth values or texts."""
+    """Return the public attributes of a user's class that are numbers, booleans or texts."""
     found: dict[str, bool | int | float | str] = {}
     for base in reversed(cls.__mro__[:-1]):
         if base.__module__.startswith(MODULE) or not base.__module__.startswith("xtdrone_"):

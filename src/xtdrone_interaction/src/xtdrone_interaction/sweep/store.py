@@ -1,246 +1,185 @@
-"""Where a sweep's rows lie: small Parquet files while it runs, one at its end; nothing finished is lost or read half.
+"""Storage of a sweep's rows: an SQLite file while it runs, a Parquet table at its end.
 
-A folder holds ``study.json`` (what is swept, and with which software), ``parts/*.parquet`` (rows as they came) and,
-after the end or a stop, ``results.parquet``. Every file is written beside its place, brought to the disk (fsync) and
-then renamed, so that whatever has its name is whole; a machine that dies leaves at most a ``*.new`` that nobody reads.
+A folder holds ``runs.sqlite`` (the header of the study and one row per finished run) and, after the end or an
+interruption, ``results.parquet``. SQLite's transactions keep every committed row through a killed process or a power
+failure, and its lock admits one writer. The file exists only to continue a sweep: users read the table.
 """
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
+import sqlite3
 import time
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Set
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from xtdrone_interaction.options import OptionError
 
-FORMAT = 1  # of the folder
+FORMAT = 2  # of runs.sqlite; 1 was a folder of Parquet files
 METADATA = b"xtdrone.study"
-FLUSH = 2.0  # s; a row waits so long for others at most
-_MOST_PARTS = 200  # then they become one
-_MOST_ROWS = 5000  # of one part that comes from the sweep
+FLUSH = 2.0  # s, longest time from a finished run to its commit
+_FILE = "runs.sqlite"
+_JOURNAL = f"{_FILE}-journal"  # SQLite's own
+_RESULTS = "results.parquet"
 _TYPES: dict[type, pa.DataType] = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+_TABLES = """
+CREATE TABLE IF NOT EXISTS study (header TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS runs (key TEXT PRIMARY KEY, good INTEGER NOT NULL, row TEXT NOT NULL) WITHOUT ROWID;
+"""
 
 Row = Mapping[str, Any]
 
 
 class Store:
-    """The rows of one sweep in a folder that nobody else writes to meanwhile.
+    """The rows of one sweep, in a folder that is locked against other sweeps.
 
     Attributes:
-        folder: absolute.
-        rows: finished runs by key: whether each went well.
+        folder: absolute path.
+        before: header of the sweep that the folder already holds; None for a new folder.
+        rows: finished runs by key; True for success, False for an error.
     """
 
     def __init__(self, folder: Path, columns: Mapping[str, type], header: Mapping[str, Any]) -> None:
-        """Open or make a folder.
+        """Open or create a folder.
 
         Args:
-            folder: where.
-            columns: names and types of the columns that are known beforehand, in order; others are numbers.
-            header: what is swept, plain data.
+            folder: path.
+            columns: names and types of the table's fixed columns, in order; all others are floats.
+            header: description of the study, JSON data.
 
         Raises:
-            OptionError: another sweep uses it, or it is no sweep's folder.
+            OptionError: another sweep is running in the folder, or it does not belong to a sweep of this format.
+            OSError: the folder cannot be written to.
         """
         self.folder = folder.resolve()
         self._columns = dict(columns)
         self._header = dict(header)
-        self._waiting: list[Row] = []
-        self._written = time.monotonic()
-        self._parts = self.folder / "parts"
-        self.before = read_header(self.folder)
+        self._committed = time.monotonic()
+        _check_folder(self.folder)
         self._made = [path for path in (self.folder, *self.folder.parents) if not path.exists()]
-        self._parts.mkdir(parents=True, exist_ok=True)
-        self._lock = self._locked()
-        for left in self._parts.glob("*.new"):
-            left.unlink()
-        self._number = max((int(part.stem) for part in self._part_files()), default=0)
-        self.rows: dict[str, bool] = {}
-        for part in self._part_files():
-            table = pq.read_table(part, columns=["key", "error"])
-            for key, error in zip(table["key"].to_pylist(), table["error"].to_pylist(), strict=True):
-                self.rows[key] = error is None
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._database = _open(self.folder / _FILE)
+        found = self._database.execute("SELECT header FROM study").fetchone()
+        self.before: dict[str, Any] | None = json.loads(found[0]) if found else None
+        self.rows = {key: bool(good) for key, good in self._database.execute("SELECT key, good FROM runs")}
 
     def __enter__(self) -> Store:
-        """Return the store."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        """Write what waits, and let others use the folder."""
         self.close()
 
     def begin(self) -> None:
-        """Write down what is swept."""
-        write_whole(
-            self.folder / "study.json", (json.dumps({"format": FORMAT, **self._header}, indent=1) + "\n").encode()
-        )
+        """Store the header."""
+        self._database.execute("DELETE FROM study")
+        self._database.execute("INSERT INTO study VALUES (?)", (json.dumps(self._header),))
+        self.flush()
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Take finished runs; they are on the disk within FLUSH seconds as long as this or :meth:`tick` is called."""
+        """Store finished runs, replacing earlier rows of the same keys; see :meth:`tick` for their commit."""
         for row in rows:
-            self._waiting.append(row)
-            self.rows[row["key"]] = row["error"] is None
+            good = row["error"] is None
+            values = (row["key"], good, json.dumps(row, default=_number))
+            self._database.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)", values)
+            self.rows[row["key"]] = good
         self.tick()
 
     def tick(self) -> None:
-        """Write what waits if it is time."""
-        if len(self._waiting) >= _MOST_ROWS or time.monotonic() - self._written >= FLUSH:
+        """Commit if the last commit was FLUSH seconds ago; to be called several times a second."""
+        if time.monotonic() - self._committed >= FLUSH:
             self.flush()
 
     def flush(self) -> None:
-        """Write what waits."""
-        self._written = time.monotonic()
-        if not self._waiting:
-            return
-        self._write_part(self._table(self._waiting))
-        self._waiting = []
-        if len(self._part_files()) > _MOST_PARTS:
-            self._merge()
+        """Commit: the rows added so far survive any failure."""
+        self._committed = time.monotonic()
+        self._database.commit()
 
     def close(self) -> None:
-        """Write what waits, and let others use the folder; one that was new and has got no run is removed."""
-        if self._lock.closed:
-            return
-        self.flush()
+        """Commit and unlock; a folder that was new and has no run is removed."""
+        self._database.commit()
+        self._database.close()
         if self.before is None and not self.rows:
-            self._remove()
-        self._lock.close()
+            for name in (_FILE, _RESULTS):
+                (self.folder / name).unlink(missing_ok=True)
+            for path in self._made:
+                with suppress(OSError):  # it holds other files
+                    path.rmdir()
 
     def drop(self, keys: Set[str]) -> None:
-        """Forget finished runs; dying in between leaves some of them there."""
-        self.flush()
-        old, table = self._part_files(), self._read()
-        kept = table.filter(pc.invert(pc.is_in(table["key"], value_set=pa.array(sorted(keys), type=pa.string()))))
-        if kept.num_rows:
-            self._write_part(kept)
-        for part in old:
-            part.unlink()
+        """Remove finished runs."""
+        self._database.executemany("DELETE FROM runs WHERE key = ?", ((key,) for key in keys))
         self.rows = {key: good for key, good in self.rows.items() if key not in keys}
 
     def finish(self, keys: Iterable[str]) -> Path:
-        """Write results.parquet: the runs that are finished in the order of ``keys``, each once; return its path."""
+        """Write the finished runs to results.parquet, in the order of ``keys``, and return its path."""
         self.flush()
-        table = self._read()
-        place = {key: number for number, key in enumerate(table["key"].to_pylist())}
-        order = [place[key] for key in keys if key in place]
-        table = table.take(pa.array(order, type=pa.int64()))
-        path = self.folder / "results.parquet"
-        _write_table(self._typed(table), path, {METADATA: json.dumps(self._header).encode()})
+        texts = dict(self._database.execute("SELECT key, row FROM runs"))
+        rows = [json.loads(texts[key]) for key in keys if key in texts]
+        others = sorted({name for row in rows for name in row} - set(self._columns))
+        types = self._columns | dict.fromkeys(others, float)
+        metadata = {METADATA: json.dumps(self._header)}
+        schema = pa.schema([(name, _TYPES[kind]) for name, kind in types.items()], metadata)
+        path = self.folder / _RESULTS
+        draft = path.with_name(path.name + ".new")
+        pq.write_table(pa.Table.from_pylist(rows, schema), draft, compression="zstd")
+        os.replace(draft, path)
         return path
 
-    def _remove(self) -> None:
-        """Take away what was made here: the files, and the folders as far as they are empty."""
-        for name in ("study.json", "results.parquet", "lock"):
-            (self.folder / name).unlink(missing_ok=True)
-        for path in (self._parts, *self._made):
-            with suppress(OSError):  # somebody else's files are in it
-                path.rmdir()
 
-    def _locked(self) -> Any:
-        file = (self.folder / "lock").open("a")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
-            raise OptionError(f"out: another sweep is running in {self.folder}") from None
-        return file
-
-    def _part_files(self) -> list[Path]:
-        return sorted(self._parts.glob("*.parquet"), key=lambda path: int(path.stem))
-
-    def _table(self, rows: Sequence[Row]) -> pa.Table:
-        """Return rows as a table; a name that is in one row only is empty in the others."""
-        names = list(dict.fromkeys([*self._columns, *(name for row in rows for name in row)]))
-        columns = [pa.array([row.get(name) for row in rows], type=self._type(name)) for name in names]
-        return pa.table(columns, names=names)
-
-    def _type(self, name: str) -> pa.DataType:
-        return _TYPES[self._columns.get(name, float)]
-
-    def _typed(self, table: pa.Table) -> pa.Table:
-        """Return a table with the known columns first, in their order, the others by name."""
-        others = sorted(set(table.column_names) - set(self._columns))
-        return table.select([*(name for name in self._columns if name in table.column_names), *others])
-
-    def _write_part(self, table: pa.Table) -> None:
-        self._number += 1
-        _write_table(table, self._parts / f"{self._number:06d}.parquet", {})
-
-    def _read(self) -> pa.Table:
-        """Return all rows that are on the disk; of a run that was repeated the last one."""
-        tables = [pq.read_table(part) for part in self._part_files()]
-        if not tables:
-            return self._table([])
-        table = pa.concat_tables(tables, promote_options="default")
-        last = {key: number for number, key in enumerate(table["key"].to_pylist())}
-        return table.take(pa.array(sorted(last.values()), type=pa.int64()))
-
-    def _merge(self) -> None:
-        """Make one part of all; dying in between leaves rows twice, which reading puts right."""
-        old = self._part_files()
-        self._write_part(self._read())
-        for part in old:
-            part.unlink()
+def _number(value: Any) -> Any:
+    """Return a NumPy scalar as a Python number."""
+    return value.item()
 
 
-def read_header(folder: Path) -> dict[str, Any] | None:
-    """Return what was swept in a folder, None if it is new.
+def _check_folder(folder: Path) -> None:
+    """Refuse a path that cannot become, or is not, a sweep's folder of this format.
 
     Raises:
-        OptionError: it is there but no sweep's folder, or of another version.
+        OptionError: it is a file, holds other files, or a sweep of an earlier version.
     """
     if folder.exists() and not folder.is_dir():
         raise OptionError(f"out: {str(folder)!r} is a file; a folder is needed")
-    file = folder / "study.json"
-    if not file.is_file():
-        if folder.exists() and any(path.name not in ("lock", "parts", "study.json.new") for path in folder.iterdir()):
-            raise OptionError(f"out: {str(folder)!r} is not empty and no sweep's folder; choose another --out")
-        return None
+    if not folder.exists() or (folder / _FILE).exists():
+        return
+    if (folder / "study.json").is_file():
+        raise OptionError(
+            f"out: {str(folder)!r} holds a sweep of an earlier version, which cannot be continued; choose another "
+            "--out (its results.parquet can still be read)"
+        )
+    if any(path.name != _JOURNAL for path in folder.iterdir()):
+        raise OptionError(f"out: {str(folder)!r} is not empty and no sweep's folder; choose another --out")
+
+
+def _open(file: Path) -> sqlite3.Connection:
+    """Open a database and lock it until it is closed, or the process ends.
+
+    Raises:
+        OptionError: another process has locked it, or it is damaged or has another format.
+        OSError: it cannot be written to.
+    """
+    database = sqlite3.connect(file, timeout=0.0)
     try:
-        header = json.loads(file.read_text(encoding="utf-8"))
-        version = header["format"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise OptionError(f"out: {file} is damaged: {error!r}") from error
-    if version != FORMAT:
-        raise OptionError(f"out: {file} has format {version!r}; {FORMAT} is understood, choose another --out")
-    return header
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is either the old one or the new one, whatever happens."""
-    new = path.with_name(path.name + ".new")
-    with new.open("wb") as file:
-        file.write(data)
-    _put_in_place(new, path)
-
-
-def _write_table(table: pa.Table, path: Path, metadata: Mapping[bytes, bytes]) -> None:
-    new = path.with_name(path.name + ".new")
-    pq.write_table(table.replace_schema_metadata(dict(metadata) or None), new, compression="zstd")
-    _put_in_place(new, path)
-
-
-def _put_in_place(new: Path, path: Path) -> None:
-    _sync(new)
-    os.replace(new, path)
-    with suppress(OSError):  # some file systems cannot do it for folders
-        _sync(path.parent)
-
-
-def _sync(path: Path) -> None:
-    """Bring a file or folder to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        database.execute("PRAGMA locking_mode = EXCLUSIVE")
+        database.execute("BEGIN EXCLUSIVE")
+        version = database.execute("PRAGMA user_version").fetchone()[0]
+        if version not in (0, FORMAT):  # 0: a new file
+            raise OptionError(f"out: {file} has format {version}; {FORMAT} is understood, choose another --out")
+        database.executescript(f"{_TABLES} PRAGMA user_version = {FORMAT};")
+    except sqlite3.Error as error:
+        database.close()
+        if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
+            raise OptionError(f"out: another sweep is running in {file.parent}") from None
+        if error.sqlite_errorcode in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT):
+            raise OptionError(f"out: {file} is damaged: {error}") from error
+        raise OSError(0, str(error), str(file)) from error
+    except OptionError:
+        database.close()
+        raise
+    return database

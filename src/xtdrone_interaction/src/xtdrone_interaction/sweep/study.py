@@ -1,4 +1,4 @@
-"""A study: what is flown again and again, and over which parameters and seeds; read from YAML and checked.
+"""A study: the flight, its varied parameters and its seeds, read from YAML and checked.
 
 ::
 
@@ -52,10 +52,10 @@ class Axis:
     """One varied parameter.
 
     Attributes:
-        parameter: which.
-        values: in order; of a sampled range its two ends.
-        log: sampled (random, latin) or spaced evenly in the logarithm.
-        sampled: whether values between the two ends are drawn.
+        parameter: the parameter.
+        values: in order; both ends of a sampled range.
+        log: whether values are spaced or sampled evenly in the logarithm.
+        sampled: whether values are drawn at random between both ends.
     """
 
     parameter: Parameter
@@ -69,17 +69,17 @@ class Study:
     """A checked study.
 
     Attributes:
-        name: short, also of the results' folder.
+        name: also of the results folder.
         engine: ``simplified`` or ``core``.
-        flight: ``airborne`` (begins in the air: patterns only) or ``mission`` (takeoff to landing, as the demo).
-        constants: parameters that all runs share, by name.
+        flight: ``airborne`` (patterns only, from the air) or ``mission`` (takeoff to landing, as in the demo).
+        constants: parameters with one value, by name.
         axes: varied parameters.
-        combine: how axes make points: ``grid``, ``zip``, ``random`` or ``latin``.
+        combine: combination of axes: ``grid``, ``zip``, ``random`` or ``latin``.
         samples: number of points of ``random`` and ``latin``, 0 otherwise.
-        sample_seed: of those points.
+        sample_seed: of these points.
         seeds: of the runs at each point.
-        sources: the user's own Python by role: follower, leader, metric.
-        known: all parameters there are for this study.
+        sources: user's Python by role: follower, leader, metric.
+        known: all available parameters.
     """
 
     name: str
@@ -111,7 +111,7 @@ class Study:
         return self.points * len(self.seeds)
 
     def base(self) -> dict[str, Any]:
-        """Return what makes all runs of this study what they are, beside parameters and seed; plain data."""
+        """Return the data that determine a run beside its parameters and seed."""
         return {
             "engine": self.engine,
             "flight": self.flight,
@@ -119,7 +119,7 @@ class Study:
         }
 
     def plain(self) -> dict[str, Any]:
-        """Return the study as plain data, ready for JSON."""
+        """Return the study as JSON data."""
         return {
             "name": self.name,
             **self.base(),
@@ -137,14 +137,14 @@ def _plain_axis(axis: Axis) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML that refuses the same key twice, where plain YAML silently takes the last."""
+    """YAML loader that rejects duplicate keys, of which YAML silently takes the last."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, Hashable):
-                continue  # it is refused below
+                continue  # rejected below
             if key in seen:
                 raise OptionError(f"{key!r} is there twice, again in line {key_node.start_mark.line + 1}")
             seen.add(key)
@@ -155,7 +155,7 @@ def read_study(file: str | Path) -> Study:
     """Read and check a study.
 
     Raises:
-        OptionError: it cannot be read, or something in it is not allowed; the message names the file too.
+        OptionError: unreadable file or invalid study; the message names the file.
     """
     path = Path(file)
     try:
@@ -170,14 +170,14 @@ def read_study(file: str | Path) -> Study:
 
 
 def make_study(data: object, folder: Path) -> Study:
-    """Return the study that plain data describe.
+    """Create a study from YAML data.
 
     Args:
-        data: as read from YAML.
-        folder: that the user's files are relative to.
+        data: from the YAML file.
+        folder: base of relative paths.
 
     Raises:
-        OptionError: something is not allowed.
+        OptionError: invalid study.
     """
     if data is None:
         raise OptionError(f"it is empty; a mapping with {', '.join(_KEYS)}")
@@ -214,7 +214,7 @@ def make_study(data: object, folder: Path) -> Study:
 
 
 def _check_fit(study: Study) -> None:
-    """Refuse parameters that mean nothing to this engine or flight, instead of varying nothing."""
+    """Reject parameters without any effect in this engine or flight."""
     used = [*study.constants, *(axis.parameter.name for axis in study.axes)]
     if study.engine == "core" and study.flight != MISSION:
         raise OptionError(
@@ -228,7 +228,7 @@ def _check_fit(study: Study) -> None:
 
 
 def _sources(data: Mapping[str, Any], folder: Path) -> tuple[dict[str, Source], dict[str, Any]]:
-    """Return the user's own Python by role, and what can be set of the follower's class."""
+    """Return the user's Python by role, and the settable attributes of the follower's class."""
     found = {role: sources.read_source(role, data[role], folder) for role in _ROLES if role in data}
     attributes: dict[str, Any] = {}
     for role, source in found.items():
@@ -285,12 +285,12 @@ def _seeds(value: object) -> tuple[int, ...]:
         if not value:
             raise OptionError("seeds: the list is empty; at least one seed")
         seeds = tuple(_whole("seeds", seed, 0, _MOST_SEED) for seed in value)
-        _refuse_twice("seeds", seeds)
+        _check_unique("seeds", seeds)
         return seeds
     return tuple(range(_whole("seeds", value, 1, MOST_RUNS)))
 
 
-def _refuse_twice(name: str, values: Sequence[Value]) -> None:
+def _check_unique(name: str, values: Sequence[Value]) -> None:
     seen: set[Value] = set()
     for value in values:
         if value in seen:
@@ -315,7 +315,7 @@ def _constants(
 
 def _axes(data: Mapping[Any, Any], known: Mapping[str, Parameter], combine: str) -> tuple[Axis, ...]:
     axes = tuple(_axis(parameters.find_parameter(name, known), spec, combine) for name, spec in data.items())
-    _refuse_twice("parameters", [axis.parameter.name for axis in axes])
+    _check_unique("parameters", [axis.parameter.name for axis in axes])
     if combine == "zip":
         sizes = {axis.parameter.name: len(axis.values) for axis in axes}
         if len(set(sizes.values())) > 1:
@@ -334,8 +334,8 @@ def _axis(parameter: Parameter, spec: object, combine: str) -> Axis:
     if not spec:
         raise OptionError(f"{parameter.name}: the list of values is empty")
     values = tuple(parameter.check(value) for value in spec)
-    if combine != "zip":  # there the combinations count
-        _refuse_twice(parameter.name, values)
+    if combine != "zip":  # zip has no duplicates unless whole points are equal
+        _check_unique(parameter.name, values)
     return Axis(parameter, values)
 
 
@@ -363,7 +363,7 @@ def _range(parameter: Parameter, spec: Mapping[Any, Any], combine: str) -> Axis:
         return Axis(parameter, (parameter.check(start), parameter.check(end)), log, sampled=True)
     steps = _whole(f"{name}: steps", spec["steps"], 2, MOST_RUNS)
     numbers = np.geomspace(start, end, steps) if log else np.linspace(start, end, steps)
-    # Twelve digits: 0.3 shall be 0.3 on any machine, not 0.30000000000000004.
+    # Twelve digits: 0.3 on every machine rather than 0.30000000000000004.
     values = tuple(parameter.check(float(f"{number:.12g}")) for number in numbers)
-    _refuse_twice(name, values)
+    _check_unique(name, values)
     return Axis(parameter, values, log)

@@ -17,7 +17,7 @@ from xtdrone_sim.physics.bullet import BulletClient, pybullet
 from xtdrone_sim.physics.plant import FREE, TOUCHING
 from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Pose, Sphere
-from xtdrone_sim.worlds.sdf.bounds import box_of
+from xtdrone_sim.worlds.sdf.shapes import box_of
 from xtdrone_sim.worlds.sdf.types import SdfModel
 
 _CELL = 8.0  # m, side of a column, at least

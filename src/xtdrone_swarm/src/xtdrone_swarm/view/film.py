@@ -1,7 +1,7 @@
-"""Films of a swarm: MP4 by ffmpeg, GIF and PNG by Pillow; drawn off-screen and written as the frames come.
+"""Films of a swarm, drawn off-screen and written frame by frame: MP4 by ffmpeg, GIF and PNG by Pillow.
 
-A film is written beside its place under another name and put there when it is finished, so that a film which is there
-can be read. One that is broken off by Ctrl-C is finished with the frames there are; one that fails leaves nothing.
+A film is written to a temporary file beside its path and renamed at the end, so that an existing film is complete.
+Ctrl-C finishes the film with the frames so far; an error leaves no film.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from xtdrone_swarm.view.scene import Frame, SwarmView
 
 FPS = 25.0
 FPS_RANGE = (0.1, 120.0)
-GIF_FASTEST = 50.0  # browsers slow down what is faster
-_GIF_TICK = 0.01  # s, the unit of a GIF's times
+GIF_FASTEST = 50.0  # browsers slow down faster films
+_GIF_TICK = 0.01  # s, the unit of times in a GIF
 _GIF_COLOURS = 256
-_LINE_PERIOD = 5.0  # s of wall time between two lines of progress where there is no terminal
+_LINE_PERIOD = 5.0  # s of wall time between lines of progress without a terminal
 
 Picture = NDArray[np.uint8]
 
@@ -46,46 +46,45 @@ class _Encoder(Protocol):
     """Writes pictures into a file."""
 
     def add(self, picture: Picture) -> None:
-        """Take a picture, RGBA, shape (height, width, 4); it may be overwritten afterwards."""
+        """Append a picture, RGBA, shape (height, width, 4); the array may be reused."""
 
     def finish(self) -> None:
         """Complete the file."""
 
     def abandon(self) -> None:
-        """Stop; the file is of no use."""
+        """Stop and leave the file incomplete."""
 
 
 class FilmWriter:
-    """A film that grows picture by picture.
+    """A film that is written picture by picture.
 
-    As a context manager it finishes the film at the end, also after Ctrl-C, and drops it after any other exception.
+    The context manager finishes the film, also after Ctrl-C, and discards it after any other exception.
 
     Attributes:
-        path: where the film will be.
-        frames: taken so far.
-        only_last: whether only the last picture counts, as for a PNG.
+        path: of the finished film.
+        frames: number of pictures so far.
+        only_last: whether only the last picture is used, as for a PNG.
     """
 
     def __init__(
         self, path: str | Path, size: tuple[int, int], fps: float = FPS, view: SwarmView | None = None
     ) -> None:
-        """Begin a film; what is at ``path`` is replaced when the film is finished.
+        """Start a film, which replaces the file at ``path`` when it is finished.
 
         Args:
-            path: ends with .mp4, .gif or .png.
+            path: with the suffix .mp4, .gif or .png.
             size: width and height of the pictures, pixels.
-            fps: pictures a second.
-            view: whose pictures they are: a GIF takes its colours from it.
+            fps: pictures per second.
+            view: that draws the pictures; a GIF uses its colours.
 
         Raises:
-            FilmError: an unknown ending, a rate out of range, a folder that is missing or cannot be written to, or no
-                ffmpeg.
+            FilmError: unknown suffix, rate out of range, missing or read-only folder, or no ffmpeg.
         """
         self.path = check_film(path, fps)
         self.frames = 0
         kind = self.path.suffix.lower()
         self.only_last = kind == ".png"
-        # A name of its own in the same folder, so that renaming is one step and two films do not mix.
+        # A unique name in the same folder, for an atomic renaming and concurrent films.
         try:
             handle, name = tempfile.mkstemp(prefix=f".{self.path.stem}-", suffix=f".part{kind}", dir=self.path.parent)
         except OSError as error:
@@ -109,19 +108,19 @@ class FilmWriter:
         """Append a picture.
 
         Args:
-            picture: RGBA, shape (height, width, 4); it may be overwritten afterwards.
+            picture: RGBA, shape (height, width, 4); the array may be reused.
 
         Raises:
-            FilmError: it cannot be written, as on a full disk.
+            FilmError: it cannot be written, for example on a full disk.
         """
         self._encoder.add(picture)
         self.frames += 1
 
     def finish(self) -> None:
-        """Complete the film and put it in its place.
+        """Complete the film and move it to its path.
 
         Raises:
-            FilmError: no picture was taken, or the film cannot be written.
+            FilmError: there is no picture, or the film cannot be written.
         """
         try:
             if not self.frames:
@@ -133,7 +132,7 @@ class FilmWriter:
             raise
 
     def abandon(self) -> None:
-        """Drop the film; what was at its place stays."""
+        """Discard the film and keep an older file at its path."""
         self._encoder.abandon()
         self._part.unlink(missing_ok=True)
 
@@ -150,7 +149,7 @@ class FilmWriter:
 
 
 def check_film(path: str | Path, fps: float = FPS) -> Path:
-    """Return ``path`` if a film can be written there, before anything is flown for it.
+    """Check that a film can be written to ``path``, before anything is flown for it, and return the path.
 
     Raises:
         FilmError: see :class:`FilmWriter`.
@@ -184,22 +183,22 @@ def film(
     total: int | None = None,
     **options: Any,
 ) -> Path:
-    """Draw frames and write them as a film; return its path.
+    """Draw frames, write them as a film and return its path.
 
     Args:
-        frames: a state a picture, ``1 / fps`` apart for a film in real time. A generator may fly the swarm meanwhile.
-        path: ends with .mp4, .gif or .png (a picture of the last state with its trails).
-        fps: pictures a second.
-        progress: whether to show a progress bar; or the console to show it on.
-        view: what draws them; without it one is made for the first frame.
-        names: of the vehicles; without a view and names they are ``uav_0``, ``uav_1``, ...
-        total: number of frames, for the bar; needed only where ``frames`` has no length.
-        options: for :class:`SwarmView`: slots, edges, trails, size.
+        frames: states, ``1 / fps`` apart for a film in real time; a generator may fly the swarm meanwhile.
+        path: with the suffix .mp4, .gif or .png (a picture of the last state with trails).
+        fps: pictures per second.
+        progress: whether to show a progress bar, or the console for it.
+        view: that draws the frames; by default a new one for the first frame.
+        names: of the vehicles for a new view; by default ``uav_0``, ``uav_1``, ...
+        total: number of frames for the progress bar, if ``frames`` has no length.
+        options: of a new :class:`SwarmView`: slots, edges, trails, size.
 
     Raises:
         FilmError: see :class:`FilmWriter`; or there is no frame.
         ValueError: a frame does not fit the view.
-        KeyboardInterrupt: after the film was finished with the frames there were.
+        KeyboardInterrupt: Ctrl-C, after finishing the film with the frames so far.
     """
     check_film(path, fps)
     count = total if total is not None or not isinstance(frames, Sized) else len(frames)
@@ -229,13 +228,13 @@ def _chain(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
 
 
 def shown(frames: Iterable[Frame], total: int | None, text: str, progress: bool | Console) -> Iterator[Frame]:
-    """Yield the frames and show how many have gone: a bar on a terminal, else a line every few seconds.
+    """Yield the frames and show the progress: a bar on a terminal, otherwise a line every few seconds.
 
     Args:
-        frames: what to pass on.
-        total: how many there will be; None where that is not known.
-        text: what is being done.
-        progress: False: nothing is shown; or the console.
+        frames: to be yielded.
+        total: number of frames; None if unknown.
+        text: description of the work.
+        progress: False for no output; or the console.
     """
     if progress is False:
         yield from frames
@@ -270,14 +269,14 @@ def _with_lines(frames: Iterable[Frame], total: int | None, text: str, console: 
 
 
 def _umask() -> int:
-    """Return the process's mask for new files; it can only be read by setting it."""
+    """Return the process's mask for new files, which can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
 
 
 class _Mp4:
-    """H.264 in the 4:2:0 form that browsers play, by an ffmpeg that reads raw pictures from a pipe."""
+    """H.264 in the 4:2:0 format of browsers, by an ffmpeg process that reads raw pictures from a pipe."""
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
         self._path = path
@@ -289,8 +288,8 @@ class _Mp4:
             *("-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-c:v", "libx264", "-pix_fmt", "yuv420p"),
             *("-preset", "veryfast", "-crf", "19", "-movflags", "+faststart", "-f", "mp4", str(path)),
         ]
-        # A session of its own: Ctrl-C is for us, who then finish the film. When we are killed, its pipe ends and so
-        # does it.
+        # In a session of its own, because Ctrl-C is for this process, which then finishes the film. If this process is
+        # killed, the end of the pipe ends ffmpeg.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, start_new_session=True
         )
@@ -300,16 +299,16 @@ class _Mp4:
         try:
             self._process.stdin.write(np.ascontiguousarray(picture).data)
         except OSError as error:
-            raise FilmError(f"film: ffmpeg has ended: {self._said() or error}") from error
+            raise FilmError(f"film: ffmpeg has ended: {self._last_error() or error}") from error
 
     def finish(self) -> None:
         assert self._process.stdin is not None
         try:
             self._process.stdin.close()
         except OSError as error:
-            raise FilmError(f"film: ffmpeg has ended: {self._said() or error}") from error
+            raise FilmError(f"film: ffmpeg has ended: {self._last_error() or error}") from error
         if self._process.wait() != 0:
-            raise FilmError(f"film: ffmpeg has failed: {self._said() or f'status {self._process.returncode}'}")
+            raise FilmError(f"film: ffmpeg has failed: {self._last_error() or f'status {self._process.returncode}'}")
         self._errors.close()
 
     def abandon(self) -> None:
@@ -317,12 +316,12 @@ class _Mp4:
             self._process.kill()
         self._process.wait()
         if self._process.stdin is not None:
-            with contextlib.suppress(OSError):  # what was left in the buffer has no reader
+            with contextlib.suppress(OSError):  # the rest of the buffer has no reader
                 self._process.stdin.close()
         self._errors.close()
 
-    def _said(self) -> str:
-        """Return the last line that ffmpeg wrote on standard error."""
+    def _last_error(self) -> str:
+        """Return ffmpeg's last line on standard error."""
         self._process.kill()
         self._process.wait()
         self._errors.seek(0)
@@ -331,7 +330,10 @@ class _Mp4:
 
 
 class _Gif:
-    """A GIF with one palette, so that still parts do not flicker; of each frame only what is new is written."""
+    """A GIF with one palette, so that static parts do not flicker, and only the changed rectangle of each frame.
+
+    Pillow's own writer of films keeps all frames in memory, and its files are several times as large.
+    """
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float, view: SwarmView | None) -> None:
         self._file = path.open("wb")
@@ -350,7 +352,7 @@ class _Gif:
             raise FilmError(f"film: cannot be written: {error.strerror or error}") from error
 
     def _begin(self, picture: Picture) -> None:
-        """Write the file's head: size, the palette of 256 colours, and that the film begins anew at its end."""
+        """Write the header: size, palette of 256 colours, endless repetition."""
         if self._palette is None:
             few = Image.fromarray(np.ascontiguousarray(picture[..., :3])).quantize(_GIF_COLOURS)
             self._palette = _Palette(np.array(few.getpalette(), dtype=np.uint8).reshape(-1, 3))
@@ -358,10 +360,10 @@ class _Gif:
         self._file.write(b"\x21\xff\x0bNETSCAPE2.0" + struct.pack("<BBHB", 3, 1, 0, 0))
 
     def _append(self, picture: Picture) -> None:
-        """Write the rectangle that differs from the picture before, which stays under it."""
+        """Write the rectangle that differs from the picture before."""
         assert self._palette is not None
         index = self._palette.indices(picture)
-        rows = columns = slice(0, 1)  # nothing is new
+        rows = columns = slice(0, 1)  # no change
         if self._before is None:
             rows, columns = slice(None), slice(None)
         elif len(new := np.argwhere(index != self._before)):
@@ -369,7 +371,7 @@ class _Gif:
             rows, columns = slice(top, bottom + 1), slice(left, right + 1)
         self._before = index
         image = Image.fromarray(np.ascontiguousarray(index[rows, columns]), "P")
-        # Times are whole hundredths of a second: the sum is right, single frames are a hundredth longer.
+        # Times are multiples of 0.01 s: single frames are rounded so that their sum is exact.
         start, end = (math.floor(self._period * k + 0.5) for k in (self._number, self._number + 1))
         self._number += 1
         corner = (int(columns.start or 0), int(rows.start or 0))
@@ -390,9 +392,9 @@ class _Gif:
 
 
 class _Palette:
-    """At most 256 colours, and the nearest of them to every colour of 6 bits a channel.
+    """At most 256 colours, and the nearest one to every colour with 6 bits per channel.
 
-    Pillow's own search takes neighbouring colours for one, and white for a tint.
+    Pillow's own search confuses neighbouring colours, and white with tints.
     """
 
     def __init__(self, colours: NDArray[np.uint8]) -> None:
@@ -403,17 +405,17 @@ class _Palette:
 
     @property
     def table(self) -> bytes:
-        """Return 256 colours, three bytes each."""
+        """Return 256 colours of three bytes each."""
         return self._colours.tobytes().ljust(3 * _GIF_COLOURS, b"\0")
 
     def indices(self, picture: Picture) -> NDArray[np.uint8]:
-        """Return the number of the nearest colour of each pixel."""
+        """Return the index of the nearest colour for each pixel."""
         cell = (picture[..., :3] >> 2).astype(np.int32)
         return self._nearest[(cell[..., 0] << 12) | (cell[..., 1] << 6) | cell[..., 2]]
 
 
 def _colours_of(view: SwarmView) -> NDArray[np.uint8]:
-    """Return the colours of a view's pictures, with what they make with the white ground, shape (n, 3)."""
+    """Return the colours of a view's pictures and their mixtures with the white background, shape (n, 3)."""
     colours = np.unique(view.colours[1:], axis=0) if len(view.colours) > 1 else view.colours
     greys = np.linspace(0.08, 1.0, 40)
     tints = np.stack([greys * 0.93, greys * 0.965, greys], axis=1)  # text, grid and edges are bluish

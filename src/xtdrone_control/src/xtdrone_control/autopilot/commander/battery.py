@@ -42,7 +42,6 @@ class BatteryEstimate:
         self._since_us: int | None = None
         self._last_us: int | None = None
         self._average = get("BAT_AVRG_CURRENT")
-        self._counting = False
 
     def update(self, now_us: int, voltage: float, current: float, thrust: float, armed: bool) -> None:
         """Take a measurement; call it at about 10 Hz.

@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_control.autopilot.parameters import inert_parameters, parameter_file
+from xtdrone_control import parameter_file
+from xtdrone_control.autopilot.parameters import inert_parameters
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
 FLOAT = 9  # MAV_PARAM_TYPE_REAL32
@@ -500,7 +501,7 @@ class Parameters:
         if self._file is None:
             return
         self.reset()
-        for name, value, kind in parameter_file.read(self._file):
+        for name, value, kind in parameter_file.read_rows(self._file):
             if name in _FIXED and value != self._values[name]:
                 _log.warning("parameter file %s: %s = %s is skipped, the fleet gives it", self._file, name, value)
                 continue
@@ -517,7 +518,8 @@ class Parameters:
             (name, value, _TABLE[name].type) for name, value in self._values.items() if value != self._defaults[name]
         ]
         try:
-            parameter_file.write(self._file, changed, int(self._values["MAV_SYS_ID"]), int(self._values["MAV_COMP_ID"]))
+            system, component = int(self._values["MAV_SYS_ID"]), int(self._values["MAV_COMP_ID"])
+            parameter_file.write_changed(self._file, changed, system, component)
         except OSError as error:
             _log.warning("parameters are not saved: %s: %s", self._file, error.strerror or error)
             return False

@@ -9,7 +9,7 @@ import rospy
 from mavros_msgs.msg import ParamValue
 from mavros_msgs.srv import ParamGet, ParamPull, ParamPush, ParamSet
 
-from xtdrone_control.parameter_text import as_float32
+from xtdrone_control.parameter_file import as_float32
 
 from . import parameter_formats
 from .client import STANDARD, Mavros, ProgramError, new_parser, read_file, write_file

@@ -1,6 +1,6 @@
 """The parameter files of mavparam: QGroundControl's, Mission Planner's and MAVProxy's.
 
-QGroundControl's lines have five columns with tabs between (``parameter_text``). The other two have a name and a value,
+QGroundControl's lines have five columns with tabs between (``parameter_file``). The other two have a name and a value,
 with a comma or blanks between. ``#`` begins a comment in all of them. A value with a decimal point is a float, one
 without is an integer (MAVROS, ``mavros/src/mavros/param.py``).
 """
@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 
-from xtdrone_control.parameter_text import REAL32, ParameterFile, checked, parse, text_of, written
+from xtdrone_control.parameter_file import REAL32, ParameterFile, checked, parse, text_of, written
 
 QGC, MISSION_PLANNER, MAVPROXY = "qgc", "mp", "mavpx"
 _NAME = re.compile(r"[A-Za-z0-9_]{1,16}")

@@ -1,4 +1,4 @@
-"""Worlds from SDF files: a documented subset of what Gazebo Classic reads (see docs/worlds.md)."""
+"""Worlds in SDF files: the subset of Gazebo Classic's format in docs/worlds.md."""
 
 from xtdrone_sim.worlds.sdf.types import (
     Light,

@@ -1,4 +1,4 @@
-"""SDF worlds from their text; what is read and what is not stands in docs/worlds.md."""
+"""Reader of SDF worlds; docs/worlds.md lists the supported elements."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ from typing import Any
 from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.vehicles.visual import Collision, Visual
-from xtdrone_sim.worlds.sdf.poses import pose_of, read_pose
-from xtdrone_sim.worlds.sdf.shapes import is_ground, read_collision, read_visual
-from xtdrone_sim.worlds.sdf.tree import LARGEST, Element, parse
+from xtdrone_sim.worlds.sdf.elements import LARGEST, Element, model_folders, parse, pose_of, read_pose, resolve
+from xtdrone_sim.worlds.sdf.shapes import is_plane, read_collision, read_visual
 from xtdrone_sim.worlds.sdf.types import Light, SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory, Waypoint
-from xtdrone_sim.worlds.sdf.uris import model_folders, resolve
 
 EXTENDS = "xtdrone:extends"
 DECLINATION = "xtdrone:declination"
 GROUND = "xtdrone:ground"
 SPEED = "xtdrone:speed"
 
-_BUILT_IN = ("ground_plane", "sun")  # of Gazebo's models; the ground is always there, the sun is the light
+_BUILT_IN = ("ground_plane", "sun")  # Gazebo's models; the ground always exists, the sun is the light
 _MODEL_SILENT = ("self_collide", "allow_auto_disable", "enable_wind", "wind", "description", "author")
 _LINK_SILENT = (
     *("inertial", "self_collide", "kinematic", "gravity", "enable_wind", "must_be_base_link"),
@@ -32,19 +30,19 @@ _LINK_SILENT = (
 
 
 Extended = Callable[[Element | None], SdfWorld]
-"""Returns the world that another one extends, named by an element; for None the one that all extend."""
+"""Returns the world that another one extends, by the element that names it; None for the default world."""
 
 
 def parse_world(text: str | bytes, path: Path, extended: Extended) -> SdfWorld:
-    """Return the world that an SDF text describes.
+    """Parse an SDF world.
 
     Args:
-        text: of the file.
-        path: the file; relative paths in it begin in its folder, messages name it.
-        extended: gives what the text is silent about.
+        text: content of the file.
+        path: of the file, for messages and relative paths.
+        extended: returns the world with the defaults.
 
     Raises:
-        SdfError: something that is not allowed; the message names file, line, element, value and what is allowed.
+        SdfError: invalid content; the message names file, line, element, value and what is allowed.
     """
     root = _root(text, path)
     worlds = list(root.all("world"))
@@ -64,7 +62,7 @@ def _root(text: str | bytes, path: Path) -> Element:
 
 
 def _read_world(element: Element, extended: Extended) -> SdfWorld:
-    element.take(
+    element.warn_unknown(
         (
             *("include", "model", "actor", "light", "scene", "gravity", "magnetic_field", "wind"),
             *("spherical_coordinates", EXTENDS, DECLINATION, GROUND, "physics", "gui", "state"),
@@ -96,7 +94,7 @@ def _check_names(element: Element, names: list[str]) -> None:
 
 
 def _surroundings(element: Element) -> dict[str, Any]:
-    """Return those fields of ``SdfWorld`` that the file says."""
+    """Return the fields of ``SdfWorld`` that the file sets."""
     found: dict[str, Any] = {}
     gravity, wind, field = element.one("gravity"), element.one("wind"), element.one("magnetic_field")
     place, ground, declination = element.one("spherical_coordinates"), element.one(GROUND), element.one(DECLINATION)
@@ -106,7 +104,7 @@ def _surroundings(element: Element) -> dict[str, Any]:
             raise gravity.error(f"{gravity.text.strip()!r} is not allowed, 0 0 and a number under 0 and at least -100")
         found["gravity"] = -z
     if wind is not None:
-        wind.take(("linear_velocity",))
+        wind.warn_unknown(("linear_velocity",))
         velocity = wind.one("linear_velocity")
         if velocity is not None:
             found["wind"] = velocity.numbers((3,), -100.0, 100.0)
@@ -117,7 +115,7 @@ def _surroundings(element: Element) -> dict[str, Any]:
     if place is not None:
         found["datum"] = _datum(place)
     if ground is not None:
-        ground.take(("friction", "restitution"))
+        ground.warn_unknown(("friction", "restitution"))
         for tag, high in (("friction", 10.0), ("restitution", 1.0)):
             value = ground.one(tag)
             if value is not None:
@@ -126,7 +124,7 @@ def _surroundings(element: Element) -> dict[str, Any]:
 
 
 def _magnetic_field(element: Element) -> dict[str, Any]:
-    """Return field (from Tesla to gauss, digit by digit) and declination."""
+    """Return the field, converted from tesla to gauss in decimal digits, and the declination."""
     values = element.numbers((3,), -1e-3, 1e-3)
     east, north, up = (float(Decimal(word).scaleb(4)) for word in element.text.split())
     if math.hypot(*values) < 1e-6:
@@ -135,7 +133,7 @@ def _magnetic_field(element: Element) -> dict[str, Any]:
 
 
 def _datum(element: Element) -> Datum:
-    element.take(
+    element.warn_unknown(
         (
             *("latitude_deg", "longitude_deg", "elevation", "heading_deg"),
             *("surface_model", "world_frame_orientation"),
@@ -150,8 +148,8 @@ def _datum(element: Element) -> Datum:
         raise heading.error(f"{heading.text.strip()!r} is not allowed, 0: x is east")
     elevation = element.one("elevation")
     return Datum(
-        element.needed("latitude_deg").number(-90.0, 90.0),
-        element.needed("longitude_deg").number(-180.0, 180.0),
+        element.required("latitude_deg").number(-90.0, 90.0),
+        element.required("longitude_deg").number(-180.0, 180.0),
         0.0 if elevation is None else elevation.number(-1000.0, 20000.0),
     )
 
@@ -159,7 +157,7 @@ def _datum(element: Element) -> Datum:
 def _light(element: Element, light: Light) -> Light:
     scene = element.one("scene")
     if scene is not None:
-        scene.take(("ambient", "background", "shadows"), ("grid", "origin_visual"))
+        scene.warn_unknown(("ambient", "background", "shadows"), ("grid", "origin_visual"))
         for tag in ("ambient", "background"):
             colour = scene.one(tag)
             if colour is not None:
@@ -172,9 +170,9 @@ def _light(element: Element, light: Light) -> Light:
         if sun.attributes.get("type") == "directional":
             suns.append(sun)
         else:
-            sun.ignored(f"of type {sun.attributes.get('type')!r} is not supported and ignored")
+            sun.warn_ignored(f"of type {sun.attributes.get('type')!r} is not supported and ignored")
     for sun in suns[1:]:
-        sun.ignored("beside the first directional one is not supported and ignored")
+        sun.warn_ignored("beside the first directional one is not supported and ignored")
     return _sun(suns[0], light) if suns else light
 
 
@@ -183,7 +181,7 @@ def _with(light: Light, field: str, value: Any) -> Light:
 
 
 def _sun(sun: Element, light: Light) -> Light:
-    sun.take(("direction", "diffuse"), ("pose", "specular", "attenuation", "cast_shadows", "spot", "intensity"))
+    sun.warn_unknown(("direction", "diffuse"), ("pose", "specular", "attenuation", "cast_shadows", "spot", "intensity"))
     direction, diffuse = sun.one("direction"), sun.one("diffuse")
     if direction is not None:
         x, y, z = direction.numbers((3,))
@@ -200,7 +198,7 @@ def _sun(sun: Element, light: Light) -> Light:
 
 
 def _models(element: Element) -> list[SdfModel]:
-    """Return the world's models, in the file's order."""
+    """Return the models in document order."""
     models = []
     for child in element.children:
         if child.tag == "model":
@@ -215,8 +213,8 @@ def _models(element: Element) -> list[SdfModel]:
 
 
 def _read_include(element: Element) -> SdfModel | None:
-    element.take(("uri", "name", "pose", "static"))
-    uri = element.needed("uri")
+    element.warn_unknown(("uri", "name", "pose", "static"))
+    uri = element.required("uri")
     name, static = element.one("name"), element.one("static")
     built_in = uri.string().removeprefix("model://").strip("/")
     known = any((folder / built_in).exists() for folder in model_folders(element.file.path.parent))
@@ -235,7 +233,7 @@ def _read_include(element: Element) -> SdfModel | None:
 
 
 def _model_file(uri: Element, path: Path) -> Path:
-    """Return the SDF file of a model's folder: the last that its ``model.config`` names, else ``model.sdf``."""
+    """Return the SDF file in a model's folder: the last one in ``model.config``, or ``model.sdf``."""
     if path.is_file():
         return path
     config, file = path / "model.config", path / "model.sdf"
@@ -249,7 +247,7 @@ def _model_file(uri: Element, path: Path) -> Path:
 
 
 def _content(uri: Element, path: Path) -> bytes:
-    """Return the content of a file that ``uri`` has led to."""
+    """Read the file that ``uri`` refers to."""
     try:
         return read_bytes(path, LARGEST)
     except OSError as error:
@@ -257,15 +255,15 @@ def _content(uri: Element, path: Path) -> bytes:
 
 
 def _read_model(element: Element, static: bool | None = None) -> SdfModel | None:
-    """Return a <model>; None where it is the ground alone, which is always there."""
-    element.take(("pose", "static", "link", "joint"), _MODEL_SILENT)
+    """Read a <model>; None if it is only the ground, which always exists."""
+    element.warn_unknown(("pose", "static", "link", "joint"), _MODEL_SILENT)
     name, said = element.name(), element.one("static")
     if static is None:
         static = said is not None and said.boolean()
     if not static:
         raise element.error(f"{name!r} is not static; allowed are models with <static>true</static>: none can move")
     for joint in element.all("joint"):
-        joint.ignored("has no meaning in a static model and is ignored")
+        joint.warn_ignored("has no meaning in a static model and is ignored")
     links = [_read_link(link) for link in element.all("link")]
     pose = read_pose(element)
     is_built_in = name in _BUILT_IN
@@ -275,11 +273,11 @@ def _read_model(element: Element, static: bool | None = None) -> SdfModel | None
 
 
 def _is_plain_ground(link: Element) -> bool:
-    return all(is_ground(shape) for shape in link.children if shape.tag in {"visual", "collision"})
+    return all(is_plane(shape) for shape in link.children if shape.tag in {"visual", "collision"})
 
 
 def _read_link(element: Element) -> SdfLink:
-    element.take(("pose", "visual", "collision"), _LINK_SILENT)
+    element.warn_unknown(("pose", "visual", "collision"), _LINK_SILENT)
     visuals: list[Visual] = []
     collisions: list[Collision] = []
     for child in element.all("visual"):
@@ -287,7 +285,7 @@ def _read_link(element: Element) -> SdfLink:
         if visual is not None:
             visuals.append(visual)
     for child in element.all("collision"):
-        if is_ground(child):
+        if is_plane(child):
             child.info("of a <plane> is ignored: the ground z = 0 is always there")
             continue
         collision = read_collision(child)
@@ -300,7 +298,7 @@ def _read_link(element: Element) -> SdfLink:
 
 
 def _read_actor(element: Element) -> SdfActor:
-    element.take(("skin", "pose", "script", "animation", SPEED), ("static", "link"))
+    element.warn_unknown(("skin", "pose", "script", "animation", SPEED), ("static", "link"))
     for animation in element.all("animation"):
         animation.info("is ignored: people walk and stand by themselves")
     skin, script, speed = element.one("skin"), element.one("script"), element.one(SPEED)
@@ -314,24 +312,24 @@ def _read_actor(element: Element) -> SdfActor:
 
 
 def _skin(element: Element) -> str:
-    element.take(("filename",), ("scale",))
-    name = element.needed("filename").string()
+    element.warn_unknown(("filename",), ("scale",))
+    name = element.required("filename").string()
     if "." in name:
-        element.ignored(f"{name!r} is not supported, skins are names of people; some person takes its place")
+        element.warn_ignored(f"{name!r} is not supported, skins are names of people; some person takes its place")
         return ""
     return name
 
 
 def _trajectory(script: Element) -> Trajectory | None:
-    script.take(("loop", "delay_start", "auto_start", "trajectory"))
+    script.warn_unknown(("loop", "delay_start", "auto_start", "trajectory"))
     found = script.one("trajectory")
     if found is None:
         return None
-    found.take(("waypoint",))
+    found.warn_unknown(("waypoint",))
     waypoints = []
     for element in found.all("waypoint"):
-        time = element.needed("time")
-        waypoints.append(Waypoint(time.number(0.0), pose_of(element.needed("pose"))))
+        time = element.required("time")
+        waypoints.append(Waypoint(time.number(0.0), pose_of(element.required("pose"))))
         if len(waypoints) > 1 and waypoints[-1].time <= waypoints[-2].time:
             raise time.error(f"{time.text.strip()!r} is not allowed, more than the one before ({waypoints[-2].time:g})")
     if not waypoints:

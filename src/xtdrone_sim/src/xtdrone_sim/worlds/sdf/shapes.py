@@ -1,22 +1,30 @@
-"""Visuals and collisions of SDF links, to and from values."""
+"""Visuals and collisions of SDF links: reading, writing and bounding boxes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 from xml.sax.saxutils import escape
 
-from xtdrone_sim.vehicles.poses import compose
+import numpy as np
+from numpy.typing import NDArray
+
+from xtdrone_control.bounded_file import MB, read_text
+from xtdrone_sim.vehicles.poses import compose, rotate
 from xtdrone_sim.vehicles.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
-from xtdrone_sim.worlds.sdf.poses import read_pose, write_pose
-from xtdrone_sim.worlds.sdf.tree import Element
-from xtdrone_sim.worlds.sdf.uris import resolve, uri_of
+from xtdrone_sim.worlds.sdf.elements import Element, read_pose, resolve, uri_of, write_pose
+from xtdrone_sim.worlds.sdf.types import SdfError
+
+Array = NDArray[np.float64]
 
 TEXTURE = "xtdrone:texture"
+LARGEST_MESH = 64 * MB
 
 _FORMS = ("box", "cylinder", "sphere", "mesh", "plane")
-_THIN = 0.002  # m, thickness of what a plane becomes
+_THIN = 0.002  # m, thickness of the box that stands for a plane
 _GREY = (0.7, 0.7, 0.7, 1.0)
-# Gazebo's plain material names
+# plain materials of Gazebo
 _COLOURS = {
     "Gazebo/Grey": (0.7, 0.7, 0.7, 1.0),
     "Gazebo/DarkGrey": (0.175, 0.175, 0.175, 1.0),
@@ -37,27 +45,27 @@ _COLOURS = {
 }
 
 
-def is_ground(element: Element) -> bool:
-    """Say whether a visual or collision is a <plane>."""
+def is_plane(element: Element) -> bool:
+    """Return whether a visual or collision is a <plane>."""
     geometry = element.one("geometry")
     return geometry is not None and geometry.one("plane") is not None
 
 
 def read_visual(element: Element) -> Visual | None:
-    """Return a <visual>; None where its form is not supported, of which is warned.
+    """Read a <visual>; None, with a warning, for an unsupported shape.
 
     Raises:
-        SdfError: a value that is not allowed.
+        SdfError: invalid value.
     """
-    element.take(
+    element.warn_unknown(
         ("pose", "geometry", "material", "transparency"),
         ("cast_shadows", "laser_retro", "visibility_flags", "meta", "lighting"),
     )
     pose = read_pose(element)
-    geometry = _read_geometry(element.needed("geometry"))
+    geometry = _read_geometry(element.required("geometry"))
     if geometry is None:
         return None
-    if is_ground(element):
+    if is_plane(element):
         pose = compose(pose, Pose((0.0, 0.0, -0.5 * _THIN)))
     material, transparency = element.one("material"), element.one("transparency")
     visual = Visual(geometry, pose, _GREY) if material is None else _painted(Visual(geometry, pose, _GREY), material)
@@ -68,14 +76,14 @@ def read_visual(element: Element) -> Visual | None:
 
 
 def read_collision(element: Element) -> Collision | None:
-    """Return a <collision>; None where its form is not supported, of which is warned.
+    """Read a <collision>; None, with a warning, for an unsupported shape.
 
     Raises:
-        SdfError: a value that is not allowed.
+        SdfError: invalid value.
     """
-    element.take(("pose", "geometry"), ("surface", "max_contacts", "laser_retro"))
+    element.warn_unknown(("pose", "geometry"), ("surface", "max_contacts", "laser_retro"))
     pose = read_pose(element)
-    geometry = _read_geometry(element.needed("geometry"))
+    geometry = _read_geometry(element.required("geometry"))
     return None if geometry is None else Collision(geometry, pose)
 
 
@@ -86,24 +94,24 @@ def _read_geometry(element: Element) -> Geometry | None:
     if len(element.children) > 1:
         raise element.children[1].error("is not allowed, a <geometry> has one form")
     if form.tag == "box":
-        form.take(("size",))
-        return Box(_triple(form.needed("size").numbers((3,), 0.0)))
+        form.warn_unknown(("size",))
+        return Box(_triple(form.required("size").numbers((3,), 0.0)))
     if form.tag == "cylinder":
-        form.take(("radius", "length"))
-        return Cylinder(form.needed("radius").number(0.0), form.needed("length").number(0.0))
+        form.warn_unknown(("radius", "length"))
+        return Cylinder(form.required("radius").number(0.0), form.required("length").number(0.0))
     if form.tag == "sphere":
-        form.take(("radius",))
-        return Sphere(form.needed("radius").number(0.0))
+        form.warn_unknown(("radius",))
+        return Sphere(form.required("radius").number(0.0))
     if form.tag == "plane":
         return _read_plane(form)
     if form.tag == "mesh":
         return _read_mesh(form)
-    form.ignored()
+    form.warn_ignored()
     return None
 
 
 def _read_plane(element: Element) -> Geometry:
-    element.take(("normal", "size"))
+    element.warn_unknown(("normal", "size"))
     normal, size = element.one("normal"), element.one("size")
     if normal is not None and normal.numbers((3,))[:2] != (0.0, 0.0):
         raise normal.error(f"{normal.text.strip()!r} is not allowed, 0 0 1; turn the plane by its pose")
@@ -112,17 +120,17 @@ def _read_plane(element: Element) -> Geometry:
 
 
 def _read_mesh(element: Element) -> Geometry | None:
-    element.take(("uri", "scale"))
-    uri, scale = element.needed("uri"), element.one("scale")
+    element.warn_unknown(("uri", "scale"))
+    uri, scale = element.required("uri"), element.one("scale")
     if not uri.string().lower().endswith(".obj"):
-        uri.ignored(f"{uri.string()} is not supported and left out, meshes are Wavefront files (.obj)")
+        uri.warn_ignored(f"{uri.string()} is not supported and left out, meshes are Wavefront files (.obj)")
         return None
     path = resolve(uri)
     return Mesh(path) if scale is None else Mesh(path, _triple(scale.numbers((3,))))
 
 
 def _painted(visual: Visual, material: Element) -> Visual:
-    material.take(
+    material.warn_unknown(
         ("ambient", "diffuse", "script", TEXTURE, "pbr"),
         ("specular", "emissive", "lighting", "shader", "shininess", "double_sided", "render_order"),
     )
@@ -147,7 +155,7 @@ def _read_colour(material: Element) -> Colour | None:
     name = script.one("name")
     known = None if name is None else _COLOURS.get(name.text.strip())
     if known is None:
-        script.ignored("is not supported and ignored, but for Gazebo's plain colours (docs/worlds.md)")
+        script.warn_ignored("is not supported and ignored, but for Gazebo's plain colours (docs/worlds.md)")
     return known
 
 
@@ -163,7 +171,7 @@ def _triple(values: tuple[float, ...]) -> tuple[float, float, float]:
 
 
 def write_visual(visual: Visual, name: str) -> list[str]:
-    """Return the lines of a <visual>."""
+    """Write a <visual> as lines."""
     texture = [] if visual.texture is None else [f"<{TEXTURE}>{escape(uri_of(visual.texture))}</{TEXTURE}>"]
     colour = " ".join(map(repr, visual.colour))
     return [
@@ -175,7 +183,7 @@ def write_visual(visual: Visual, name: str) -> list[str]:
 
 
 def write_collision(collision: Collision, name: str) -> list[str]:
-    """Return the lines of a <collision>."""
+    """Write a <collision> as lines."""
     return [f'<collision name="{name}">', *_write_placed(collision.pose, collision.geometry), "</collision>"]
 
 
@@ -193,3 +201,44 @@ def _write_geometry(geometry: Geometry) -> str:
         return f"<sphere><radius>{geometry.radius!r}</radius></sphere>"
     scale = " ".join(map(repr, geometry.scale))
     return f"<mesh><uri>{escape(uri_of(geometry.path))}</uri><scale>{scale}</scale></mesh>"
+
+
+# bounding boxes
+
+
+def box_of(geometry: Geometry, pose: Pose) -> tuple[Array, Array]:
+    """Return the lowest and the highest corner (3,), m, of the axis-aligned bounding box of a shape at ``pose``.
+
+    Raises:
+        SdfError: a mesh file cannot be read.
+    """
+    if isinstance(geometry, Sphere):
+        middle = np.asarray(pose.position)
+        return middle - geometry.radius, middle + geometry.radius
+    if isinstance(geometry, Box):
+        low, high = -0.5 * np.asarray(geometry.size), 0.5 * np.asarray(geometry.size)
+    elif isinstance(geometry, Cylinder):
+        high = np.array([geometry.radius, geometry.radius, 0.5 * geometry.length])
+        low = -high
+    else:
+        scaled = _mesh_bounds(geometry.path) * np.asarray(geometry.scale)
+        low, high = scaled.min(axis=0), scaled.max(axis=0)
+    columns = [rotate(pose.orientation, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    turn = np.array(columns).T
+    middle = turn @ (0.5 * (low + high)) + np.asarray(pose.position)
+    reach = np.abs(turn) @ (0.5 * (high - low))
+    return middle - reach, middle + reach
+
+
+@lru_cache(maxsize=1024)
+def _mesh_bounds(path: Path) -> Array:
+    """Return the lowest and the highest corner (2, 3) of the vertices in a Wavefront file."""
+    try:
+        text = read_text(path, LARGEST_MESH)
+        rows = [line.split(None, 4)[1:4] for line in text.splitlines() if line.startswith("v ")]
+        points = np.array(rows, float).reshape(-1, 3)
+    except (OSError, ValueError) as error:
+        raise SdfError(f"{path}: not a Wavefront file: {error}") from error
+    if not len(points):
+        raise SdfError(f"{path}: not a Wavefront file: it has no points")
+    return np.array([points.min(axis=0), points.max(axis=0)])

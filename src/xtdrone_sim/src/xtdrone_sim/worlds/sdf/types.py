@@ -1,4 +1,4 @@
-"""A world as its file describes it: surroundings, light, standing models, actors."""
+"""The content of a world file: environment, light, static models, actors."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from xtdrone_sim.vehicles.visual import Collision, Pose, Vector, Visual
 
 
 class SdfError(ModelError):
-    """A world or model file that cannot be used; the text names file, line, element, value and what is allowed."""
+    """An invalid world or model file; the message names file, line, element, value and what is allowed."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """The sun, and the sky.
+    """Sun and sky; colours are red, green, blue in 0..1.
 
     Attributes:
-        direction: in which it shines, world ENU; not necessarily of length 1.
-        diffuse: colour of what the sun lights, red, green, blue, 0..1.
-        ambient: colour of what the sky lights.
+        direction: of the sunlight, world ENU, any length.
+        diffuse: colour of sunlight.
+        ambient: colour of skylight.
         background: colour of the sky.
-        shadows: whether things throw shadows.
+        shadows: whether objects cast shadows.
     """
 
     direction: Vector = (-0.5, 0.3, -1.0)
@@ -44,7 +44,7 @@ class SdfLink:
 
 @dataclass(frozen=True)
 class SdfModel:
-    """A thing that stands in the world; ``pose`` in the world's frame."""
+    """An object in the world; ``pose`` in the world's frame."""
 
     name: str
     pose: Pose = field(default_factory=Pose)
@@ -54,7 +54,7 @@ class SdfModel:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Where an actor is at a time of its script, s; ``pose`` of the point between its feet, in the world's frame."""
+    """Pose of an actor, of the point between its feet, in the world's frame, at a time of its script, s."""
 
     time: float
     pose: Pose
@@ -62,13 +62,13 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """An actor's way.
+    """Path of an actor.
 
     Attributes:
-        waypoints: at least one, in order of their times.
-        loop: begin anew after the last one.
-        delay_start: s of simulated time before it begins.
-        auto_start: false: it stands at its first waypoint until somebody moves it.
+        waypoints: at least one, in order of time.
+        loop: restart after the last waypoint.
+        delay_start: s of simulated time before the start.
+        auto_start: if false, the actor stands at its first waypoint until a command moves it.
     """
 
     waypoints: tuple[Waypoint, ...]
@@ -83,10 +83,10 @@ class SdfActor:
 
     Attributes:
         name: unique among models and actors.
-        skin: name of the person that it looks like; empty: any.
-        pose: of the point between its feet while nothing moves it, x ahead, world.
-        trajectory: where it walks; None: it stands.
-        speed: m/s at which it walks when it is sent somewhere and nobody says how fast.
+        skin: name of its appearance; empty for any.
+        pose: initial pose of the point between its feet, x forward, world.
+        trajectory: None for a standing actor.
+        speed: default walking speed of commands, m/s.
     """
 
     name: str
@@ -101,7 +101,7 @@ class SdfWorld:
     """A world.
 
     Attributes:
-        name: as its file calls it.
+        name: in its file.
         datum: WGS84 position of the map frame's origin.
         gravity: m/s^2, down.
         wind: m/s, ENU.
@@ -109,7 +109,7 @@ class SdfWorld:
         declination: of the magnetic field, degrees east.
         friction, restitution: of ground and models.
         light: sun and sky.
-        models: what stands there.
+        models: static objects.
         actors: people.
     """
 

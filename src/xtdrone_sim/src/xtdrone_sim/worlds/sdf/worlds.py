@@ -1,4 +1,4 @@
-"""Worlds by their names and files, SDF or YAML."""
+"""Worlds by name or file, SDF or YAML."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from xtdrone_control.bounded_file import read_bytes
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.package_files import CONFIG, PACKAGE
+from xtdrone_sim.worlds.sdf.elements import LARGEST, Element
 from xtdrone_sim.worlds.sdf.reader import parse_world
-from xtdrone_sim.worlds.sdf.tree import LARGEST, Element
 from xtdrone_sim.worlds.sdf.types import SdfError, SdfWorld
 
 WORLDS = PACKAGE / "worlds"
@@ -19,16 +19,16 @@ _ENDINGS = (".world", ".sdf")
 
 
 def world_names() -> list[str]:
-    """Return the names of all worlds that come with the package."""
+    """Return the names of the package's worlds."""
     return sorted({*available("worlds"), *(path.stem for path in WORLDS.glob("*.world"))})
 
 
 def world_path(name: str, beside: Path | None = None) -> Path | None:
-    """Return the SDF file that ``name`` means; None where it means a YAML file.
+    """Return the SDF file of a world; None for a YAML file.
 
     Args:
         name: of a world of the package, or a path.
-        beside: folder in which relative paths begin; None for the working directory.
+        beside: base folder of relative paths; None for the working directory.
     """
     if name.endswith(_ENDINGS):
         return (beside or Path()).joinpath(Path(name).expanduser()).absolute()
@@ -37,10 +37,10 @@ def world_path(name: str, beside: Path | None = None) -> Path | None:
 
 
 def world_file(name: str) -> Path:
-    """Return the absolute path of the file that ``name`` means, SDF or YAML; see ``load_world_file``.
+    """Return the absolute path of a world's file, SDF or YAML; see ``load_world_file``.
 
     Raises:
-        ModelError: there is no world of this name.
+        ModelError: unknown name.
     """
     path = world_path(name)
     if path is None and name.endswith((".yaml", ".yml")):
@@ -57,26 +57,26 @@ def _check_known(name: str) -> None:
 
 
 def load_world_file(name: str) -> SdfWorld:
-    """Return a world.
+    """Load a world.
 
     Args:
-        name: of ``worlds/*.world`` or ``config/worlds/*.yaml``, or a path that ends with .world, .sdf, .yaml or .yml.
+        name: of ``worlds/*.world`` or ``config/worlds/*.yaml``, or a path with the suffix .world, .sdf, .yaml or .yml.
 
     Raises:
-        ModelError: unknown, or something in it is not allowed.
+        ModelError: unknown name, or invalid file.
     """
     return _load(name, None, ())
 
 
 def read_world(text: str | bytes, path: Path) -> SdfWorld:
-    """Return the world that an SDF text describes.
+    """Parse an SDF world.
 
     Args:
-        text: of the file.
-        path: the file; relative paths in it begin in its folder, messages name it.
+        text: content of the file.
+        path: of the file, for messages and relative paths.
 
     Raises:
-        SdfError: something that is not allowed; the message names file, line, element, value and what is allowed.
+        SdfError: invalid content; the message names file, line, element, value and what is allowed.
     """
     return _read(text, path.absolute(), ())
 

@@ -1,4 +1,4 @@
-"""SDF text of a world, from which ``read_world`` makes the same world to the last bit."""
+"""Writer of SDF worlds; ``read_world`` restores the same world bit by bit."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from decimal import Decimal
 from xml.sax.saxutils import escape, quoteattr
 
 from xtdrone_sim.vehicles.visual import Pose
-from xtdrone_sim.worlds.sdf.poses import write_pose
+from xtdrone_sim.worlds.sdf.elements import write_pose
 from xtdrone_sim.worlds.sdf.reader import DECLINATION, GROUND, SPEED
 from xtdrone_sim.worlds.sdf.shapes import write_collision, write_visual
 from xtdrone_sim.worlds.sdf.types import SdfActor, SdfLink, SdfModel, SdfWorld, Trajectory
 
 
 def write_world(world: SdfWorld) -> str:
-    """Return the world as SDF 1.7; paths are those of this machine, but for files of ROS package xtdrone_sim."""
+    """Write a world as SDF 1.7; file paths are absolute, except in the ROS package xtdrone_sim."""
     lines = [
         "<?xml version='1.0'?>",
         "<sdf version='1.7' xmlns:xtdrone='urn:xtdrone'>",

@@ -1,4 +1,4 @@
-"""What a vehicle tells of itself, as it stands now."""
+"""The latest state of a vehicle, from its telemetry."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ TELEMETRY = (
     "ESTIMATOR_STATUS",
     "STATUSTEXT",
 )
-"""The messages that are looked at."""
+"""Messages that update the state."""
 
 _FIXES = ("no GPS", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")  # by GPS_FIX_TYPE
 _LANDED = ("", "landed", "in air", "taking off", "landing")  # by MAV_LANDED_STATE
 _AHRS = mavlink.MAV_SYS_STATUS_AHRS
 _PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 _UNKNOWN_U8, _UNKNOWN_U16 = 0xFF, 0xFFFF
-_MUST = (  # bits of ESTIMATOR_STATUS_FLAGS of which one has to be set, and what is missing without
+_REQUIRED = (  # ESTIMATOR_STATUS_FLAGS of which at least one has to be set, and the problem otherwise
     (mavlink.ESTIMATOR_ATTITUDE, "no attitude"),
     (mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_POS_HORIZ_REL, "no position"),
     (mavlink.ESTIMATOR_POS_VERT_ABS, "no height"),
 )
-_MUST_NOT = ((mavlink.ESTIMATOR_GPS_GLITCH, "GPS glitch"), (mavlink.ESTIMATOR_ACCEL_ERROR, "acceleration error"))
+_FORBIDDEN = ((mavlink.ESTIMATOR_GPS_GLITCH, "GPS glitch"), (mavlink.ESTIMATOR_ACCEL_ERROR, "acceleration error"))
 _TEXTS_KEPT = 20
 
 
 @cache
 def _ardupilot_modes(kind: int) -> dict[int, str]:
-    from pymavlink import mavutil  # takes long to load, and only ArduPilots need it
+    from pymavlink import mavutil  # slow to import, and used for ArduPilot only
 
     return dict(mavutil.mode_mapping_bynumber(kind) or {})
 
@@ -51,7 +51,7 @@ _PX4_MODES = {mode.custom_mode: mode.name for mode in reversed(modes.SUPPORTED)}
 
 
 def modes_of(autopilot: int, kind: int) -> dict[int, str]:
-    """Return the names of an autopilot's modes by ``custom_mode``; none when it is neither PX4 nor ArduPilot.
+    """Return the names of an autopilot's modes by ``custom_mode``; empty unless it is PX4 or ArduPilot.
 
     Args:
         autopilot: MAV_AUTOPILOT.
@@ -63,39 +63,39 @@ def modes_of(autopilot: int, kind: int) -> dict[int, str]:
 
 
 def _named(enumeration: str, number: int) -> str:
-    """Return the name of a MAVLink constant without its enumeration's, in lower case."""
+    """Return the lower-case name of a MAVLink constant, without the prefix of its enumeration."""
     entry = mavlink.enums[enumeration].get(number)
     return str(number) if entry is None else entry.name.removeprefix(f"{enumeration}_").lower()
 
 
 @dataclass
 class VehicleState:
-    """One vehicle; None is what it has not told (yet).
+    """State of one vehicle; None for values that have not been received.
 
     Attributes:
-        name: as it is called here.
-        system: MAVLink system id; 0 while it is not known.
-        heard: wall time of the last message, s of the monotonic clock.
-        told: the same of the last one that is neither a heartbeat nor a text.
-        kind: MAV_TYPE in words, as ``quadrotor``.
-        autopilot: MAV_AUTOPILOT in words, as ``px4``.
-        armed: whether its motors may turn.
-        ready: whether its checks before arming are passed.
-        mode: by PX4's or ArduPilot's name.
-        landed: MAV_LANDED_STATE in words.
+        name: in this ground station.
+        system: MAVLink system id; 0 if unknown.
+        heard: time of the last message, s of the monotonic clock.
+        told: time of the last message other than heartbeats and texts, s of the monotonic clock.
+        kind: name of its MAV_TYPE, such as ``quadrotor``.
+        autopilot: name of its MAV_AUTOPILOT, such as ``px4``.
+        armed: whether the vehicle is armed.
+        ready: whether the checks before arming pass.
+        mode: PX4's or ArduPilot's name.
+        landed: name of its MAV_LANDED_STATE.
         latitude, longitude: degrees.
         altitude: m AMSL.
-        height: m over home.
-        local: place in its local frame, m, ENU.
-        speed: m/s over ground.
-        climb: m/s upwards.
-        heading: degrees from north to the east.
+        height: m above home.
+        local: position in its local frame, m, ENU.
+        speed: ground speed, m/s.
+        climb: climb rate, m/s.
+        heading: degrees clockwise from north.
         battery: per cent.
         voltage: V.
         gps: kind of fix.
-        satellites: how many.
-        estimator: "ok", or what is wrong.
-        texts: the last of them, the newest last, each with its MAV_SEVERITY.
+        satellites: number of satellites.
+        estimator: "ok", or a list of problems.
+        texts: latest status texts with their MAV_SEVERITY, newest last.
     """
 
     name: str
@@ -122,18 +122,18 @@ class VehicleState:
     satellites: int | None = None
     estimator: str | None = None
     texts: list[tuple[int, str]] = field(default_factory=list)
-    _parts: tuple[int, int] = (0, 0)  # id of a text that comes in parts, and the number of the next one
+    _parts: tuple[int, int] = (0, 0)  # id of a text in several messages, and number of the next one
     _told_by_estimator: bool = False
 
-    def take(self, name: str, message: Any, now: float) -> None:
-        """Take a message of this vehicle, one of ``TELEMETRY``; ``now``: wall time, s."""
+    def update(self, name: str, message: Any, now: float) -> None:
+        """Update the state by a message out of ``TELEMETRY``; ``now``: s of the monotonic clock."""
         self.heard = now
         if name not in ("HEARTBEAT", "STATUSTEXT"):
             self.told = now
         getattr(self, f"_{name.lower()}")(message)
 
     def as_json(self, now: float) -> dict[str, Any]:
-        """Return what is known, for JSON; ``age``: s since the last message, null when there was none."""
+        """Return the state as JSON data; ``age``: s since the last message, null for none."""
         found = {key: value for key, value in asdict(self).items() if not key.startswith("_")}
         heard = found.pop("heard")
         del found["told"]
@@ -141,7 +141,7 @@ class VehicleState:
         found["texts"] = [{"severity": severity, "text": text} for severity, text in self.texts]
         return found
 
-    # one method a message
+    # one method per message
 
     def _heartbeat(self, m: Any) -> None:
         self.kind = _named("MAV_TYPE", m.type)
@@ -152,7 +152,7 @@ class VehicleState:
     def _sys_status(self, m: Any) -> None:
         self.battery = m.battery_remaining if 0 <= m.battery_remaining <= 100 else None
         self.voltage = None if m.voltage_battery in (0, _UNKNOWN_U16) else round(m.voltage_battery * 1e-3, 3)
-        if m.onboard_control_sensors_enabled & _PREARM or self.autopilot == "px4":  # which does not say that it has it
+        if m.onboard_control_sensors_enabled & _PREARM or self.autopilot == "px4":  # which does not set the bit
             self.ready = bool(m.onboard_control_sensors_health & _PREARM)
         if not self._told_by_estimator and m.onboard_control_sensors_present & _AHRS:
             self.estimator = "ok" if m.onboard_control_sensors_health & _AHRS else "unhealthy"
@@ -168,7 +168,7 @@ class VehicleState:
 
     def _local_position_ned(self, m: Any) -> None:
         self.local = (round(m.y, 3), round(m.x, 3), round(-m.z, 3))
-        if self.latitude is None:  # it may fly without a place on the globe
+        if self.latitude is None:  # no global position
             self.speed, self.climb = math.hypot(m.vx, m.vy), -m.vz
 
     def _gps_raw_int(self, m: Any) -> None:
@@ -176,15 +176,17 @@ class VehicleState:
         self.satellites = None if m.satellites_visible == _UNKNOWN_U8 else m.satellites_visible
 
     def _estimator_status(self, m: Any) -> None:
-        wrong = [text for bit, text in _MUST if not m.flags & bit] + [text for bit, text in _MUST_NOT if m.flags & bit]
+        wrong = [text for bit, text in _REQUIRED if not m.flags & bit] + [
+            text for bit, text in _FORBIDDEN if m.flags & bit
+        ]
         self.estimator = ", ".join(wrong) or "ok"
         self._told_by_estimator = True
 
     def _statustext(self, m: Any) -> None:
-        text = str(m.text).split("\0", 1)[0].rstrip("\t\r\n ")  # a tab at the end: it is told as an event, too
+        text = str(m.text).split("\0", 1)[0].rstrip("\t\r\n ")  # a trailing tab marks texts that are events, too
         text = "".join(letter if letter.isprintable() else "?" for letter in text)
-        goes_on = m.id != 0 and self._parts == (m.id, m.chunk_seq) and self.texts
-        if goes_on:
+        continued = m.id != 0 and self._parts == (m.id, m.chunk_seq) and self.texts
+        if continued:
             self.texts = [*self.texts[:-1], (m.severity, self.texts[-1][1] + text)]
         else:
             self.texts = [*self.texts, (m.severity, text)][-_TEXTS_KEPT:]

@@ -1,4 +1,4 @@
-"""``xtdrone gcs params``: parameters of vehicles, one by one and as QGroundControl's .params files."""
+"""``xtdrone gcs params``: single parameters of vehicles, and QGroundControl's .params files."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from xtdrone_control.parameter_text import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
+from xtdrone_control.parameter_file import SUFFIX, ParameterFile, ParameterFileError, Value, read, shown, write
 
-from . import parameters, station
-from .arguments import Adder, UsageError, chosen, run
-from .display import Display, tell_errors
-from .exchanges import Beat, Exchange
-from .peers import GcsError, Peer
+from ..exchanges import parameters
+from ..exchanges.protocol import Exchange, Heartbeat
+from ..peers import GcsError, Peer
+from ..station import progress_of
+from .arguments import Adder, UsageError, run, select_vehicles
+from .display import Display, print_errors
 
 _WILD = frozenset("*?[")
 
@@ -31,27 +32,27 @@ def _value(text: str) -> float:
     return value
 
 
-def _fetch(beat: Beat, names: Sequence[str]) -> Exchange[dict[str, Value]]:
-    """Return the parameters of these names, which may have wildcards; all without any."""
+def _fetch(heartbeat: Heartbeat, names: Sequence[str]) -> Exchange[dict[str, Value]]:
+    """Read parameters by names, which may have wildcards; all parameters for no names."""
     if names and not any(_WILD & set(name) for name in names):
-        return (yield from parameters.fetch(beat, names))
-    present = yield from parameters.fetch_all(beat)
+        return (yield from parameters.fetch(heartbeat, names))
+    present = yield from parameters.fetch_all(heartbeat)
     return {name: present[name] for name in sorted(present)
             if not names or any(fnmatchcase(name, pattern) for pattern in names)}  # fmt: skip
 
 
 def _get(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     results = run(dict.fromkeys(peers, partial(_fetch, names=arguments.names)), arguments)
     for peer in peers:
         found = results[peer.name]
         for name, value in ({} if isinstance(found, GcsError) else found).items():
             print(f"{peer.name}  {name:<16}  {shown(*value)}")
-    return tell_errors(results.values())
+    return print_errors(results.values())
 
 
 def _set(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     display = Display([peer.name for peer in peers])
     name = arguments.name
     results = run(dict.fromkeys(peers, partial(parameters.change, name=name, value=arguments.value)), arguments)
@@ -59,10 +60,10 @@ def _set(arguments: argparse.Namespace) -> int:
 
 
 def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> dict[str, ParameterFile]:
-    """Return what is in the file, or in that of each vehicle's name in the folder.
+    """Read the file for all vehicles, or from a folder the file of each vehicle.
 
     Raises:
-        UsageError: one is missing, or is no parameter file.
+        UsageError: a file is missing or invalid.
     """
     path: Path = arguments.file
     try:
@@ -74,7 +75,7 @@ def _files(arguments: argparse.Namespace, peers: Sequence[Peer]) -> dict[str, Pa
 
 
 def _diff(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     files = _files(arguments, peers)
     results = run(dict.fromkeys(peers, parameters.fetch_all), arguments)
     different = False
@@ -85,11 +86,11 @@ def _diff(arguments: argparse.Namespace) -> int:
         for name, (value, there) in parameters.differences(files[peer.name], found).items():
             different = True
             print(f"{peer.name}  {name:<16}  {'none' if there is None else shown(*there)}  file: {shown(*value)}")
-    return tell_errors(results.values()) or int(different)
+    return print_errors(results.values()) or int(different)
 
 
 def _load(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     files = _files(arguments, peers)
     display = Display([peer.name for peer in peers])
     jobs = {
@@ -97,7 +98,7 @@ def _load(arguments: argparse.Namespace) -> int:
             parameters.load,
             content=files[peer.name],
             of_another=arguments.of_another,
-            progress=station.progress_of(peer.name, display.watch),
+            progress=progress_of(peer.name, display.watch),
         )
         for peer in peers
     }
@@ -111,13 +112,13 @@ def _load(arguments: argparse.Namespace) -> int:
 
 
 def _save(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     path: Path = arguments.file
     into_folder = path.is_dir() or len(peers) > 1
     if into_folder and path.exists() and not path.is_dir():
         raise UsageError(f"{path}: a folder is needed for {len(peers)} vehicles")
     display = Display([peer.name for peer in peers])
-    jobs = {peer: partial(parameters.save, progress=station.progress_of(peer.name, display.watch)) for peer in peers}
+    jobs = {peer: partial(parameters.save, progress=progress_of(peer.name, display.watch)) for peer in peers}
     results: dict[str, Any] = run(jobs, arguments)
     paths = {peer.name: path / f"{peer.name}{SUFFIX}" if into_folder else path for peer in peers}
     for name, found in results.items():
@@ -134,15 +135,15 @@ def add_to(add: Adder) -> None:
     """Add these commands to the command line."""
     add_group = add.group("params", "parameters: get, set, diff, load, save")
     get = add_group("get", _get, "show parameters")
-    get.add_argument("names", nargs="*", metavar="NAME", help="names, as MPC_XY_VEL_MAX or 'MPC_*' (default: all)")
+    get.add_argument("names", nargs="*", metavar="NAME", help="names such as MPC_XY_VEL_MAX or 'MPC_*' (default: all)")
     set_ = add_group("set", _set, "set a parameter")
     set_.add_argument("name", metavar="NAME", help="its name")
     set_.add_argument("value", type=_value, metavar="VALUE", help="its value")
-    diff = add_group("diff", _diff, "show what vehicles have otherwise than a file; exit status 1 where they do")
-    load = add_group("load", _load, "give vehicles what a file holds, all of it or, if it is not theirs, nothing")
+    diff = add_group("diff", _diff, "show differences between vehicles and a file; exit status 1 if there are any")
+    load = add_group("load", _load, "set the parameters of a file, all or, if it does not fit the vehicle, none")
     load.add_argument("--of-another", action="store_true",
-                      help="also the file of another vehicle, without what says who it is")  # fmt: skip
-    save = add_group("save", _save, "write all parameters of vehicles")
+                      help="accept the file of another vehicle, without the parameters that identify it")  # fmt: skip
+    save = add_group("save", _save, "save all parameters of vehicles")
     for one in (diff, load):
         one.add_argument("file", type=Path, metavar="FILE", help="file, or folder with NAME.params for each vehicle")
     save.add_argument("file", type=Path, metavar="FILE", help="file, or folder for NAME.params of each vehicle")

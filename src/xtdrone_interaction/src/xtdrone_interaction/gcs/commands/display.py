@@ -1,4 +1,4 @@
-"""What the command line shows: lines that are redrawn in place, and how it ends with each vehicle."""
+"""Output of the command line: lines that are redrawn in place, and the result of each vehicle."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from .peers import GcsError, Peer
+from ..peers import GcsError, Peer
 
-_REDRAW = 0.05  # s between two pictures of progress
+_REDRAW = 0.05  # s between two updates of the progress
 
 
 def redraws(file: Any) -> bool:
@@ -21,7 +21,7 @@ def redraws(file: Any) -> bool:
 
 
 class Screen:
-    """Lines at the foot of a terminal, redrawn in place; as many and as much of them as it has room for."""
+    """Lines at the bottom of a terminal, redrawn in place and cut to its size."""
 
     def __init__(self, file: Any) -> None:
         """Draw nothing yet; ``file``: the terminal."""
@@ -31,23 +31,25 @@ class Screen:
 
     @property
     def columns(self) -> int:
-        """Letters that a line may have; one less than the terminal's, since a full line may wrap."""
+        """Number of characters in a line: one less than the terminal's, because a full line may wrap."""
         return max(shutil.get_terminal_size().columns - 1, 1)
 
     def draw(self, lines: Sequence[str]) -> None:
-        """Show these lines in place of those before."""
+        """Replace the lines on the screen."""
         size = shutil.get_terminal_size()
         room = max(size.lines - 1, 2)
         if len(lines) > room:
             lines = [*lines[: room - 1], f"... and {len(lines) - room + 1} more"]
-        picture = "\x1b[2J\x1b[H" if self._size not in (None, size) else self._back()  # a terminal may wrap lines anew
+        picture = (
+            "\x1b[2J\x1b[H" if self._size not in (None, size) else self._back()
+        )  # a resized terminal may have wrapped the lines
         picture += "".join(f"\x1b[2K{line[: self.columns]}\n" for line in lines)
         self._file.write(f"{picture}\x1b[J")
         self._file.flush()
         self._drawn, self._size = len(lines), size
 
     def erase(self) -> None:
-        """Show none of them any more."""
+        """Remove the lines from the screen."""
         self._file.write(f"{self._back()}\x1b[J")
         self._drawn = 0
 
@@ -56,30 +58,30 @@ class Screen:
 
 
 class Display:
-    """What is under way with each vehicle, on a terminal, and how it has ended."""
+    """Progress of each vehicle on a terminal, and the results."""
 
     def __init__(self, names: Sequence[str], file: Any = None) -> None:
-        """Show ``names`` on ``file``, standard output unless given."""
+        """Show vehicles by ``names`` on ``file``, standard output by default."""
         self._file = file or sys.stdout
         self._lines = {name: "waiting" for name in names}
         self._width = max(map(len, names), default=0) + 2
         self._screen = Screen(self._file) if redraws(self._file) else None
-        self._drawn = 0.0  # when
+        self._drawn = 0.0  # time of the last update
         self._draw()
 
     def watch(self, name: str, what: str, done: int, total: int) -> None:
-        """Take a vehicle's progress."""
+        """Show the progress of a vehicle."""
         self._lines[name] = f"{what} {done}/{total}"
         if time.monotonic() - self._drawn >= _REDRAW:
             self._draw()
 
     def results(self, peers: Sequence[Peer], results: dict[str, Any], text: Callable[[str, Any], str]) -> int:
-        """Show how it ended with each vehicle, errors on standard error; return the exit status.
+        """Print the result of each vehicle, errors to standard error, and return the exit status.
 
         Args:
             peers: the vehicles.
-            results: by name what came of it, or the error.
-            text: returns the last line of a vehicle (its name) where it went well, given what came of it.
+            results: result or error by name of the vehicle.
+            text: formats the line of a vehicle from its name and its result.
         """
         if self._screen is not None:
             self._screen.erase()
@@ -88,7 +90,7 @@ class Display:
             self._lines[peer.name] = "failed" if isinstance(result, GcsError) else text(peer.name, result)
             print(self._line(peer.name), file=self._file)
         self._file.flush()
-        return tell_errors(results.values())
+        return print_errors(results.values())
 
     def _draw(self) -> None:
         self._drawn = time.monotonic()
@@ -99,8 +101,8 @@ class Display:
         return f"{name:<{self._width}}{self._lines[name]}"
 
 
-def tell_errors(results: Iterable[Any]) -> int:
-    """Write those of ``results`` that are errors on standard error; return the exit status."""
+def print_errors(results: Iterable[Any]) -> int:
+    """Print the errors among ``results`` to standard error and return the exit status."""
     errors = [result for result in results if isinstance(result, GcsError)]
     for error in errors:
         print(f"xtdrone gcs: {error}", file=sys.stderr)

@@ -1,15 +1,20 @@
-"""QGroundControl's ``.params`` files: all parameters of one vehicle, strictly read.
+"""QGroundControl's ``.params`` files: the parameters of one vehicle.
 
 A line is ``vehicle-id <tab> component-id <tab> name <tab> value <tab> MAV_PARAM_TYPE``; ``#`` begins a comment, and the
-first comments say of which autopilot and kind of vehicle they are.
+first comments name the autopilot and the kind of vehicle.
+
+A ground station reads a file as a whole (``read``): one error rejects it. The simulated autopilot reads its own file
+row by row at boot (``read_rows``): a row with an error is skipped with a warning, so that the vehicle still starts.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import re
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,19 +32,22 @@ LIMITS = {
     5: (0, 0xFFFFFFFF),
     6: (-0x80000000, 0x7FFFFFFF),
 }
-"""Whole numbers that a MAV_PARAM_TYPE takes: the least and the largest."""
+"""Smallest and largest value of each integer MAV_PARAM_TYPE."""
 
 _COLUMNS = 5
 _NAME = re.compile(r"[A-Za-z0-9_]{1,16}")
 _STACK = re.compile(r"#\s*Stack:\s*(\S.*?)\s*")
 _LARGEST_SYSTEM = 255
+_log = logging.getLogger(__name__)
 
 Value = tuple[float, int]
-"""A parameter's value, a whole number unless the type is REAL32, and its MAV_PARAM_TYPE."""
+"""Value of a parameter (an integer unless its type is REAL32) and its MAV_PARAM_TYPE."""
+Row = tuple[str, int | float, int]
+"""Name, value and MAV_PARAM_TYPE of a parameter."""
 
 
 class ParameterFileError(ValueError):
-    """A file that is no parameter file: the message names the file, the line, the value and what is allowed."""
+    """An invalid parameter file; the message names the file, the line, the value and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,7 @@ class ParameterFile:
     Attributes:
         system: its MAVLink system id.
         values: by name.
-        stack: of which autopilot they are, as "PX4 Pro" or "ArduPilot"; empty when the file does not say.
+        stack: autopilot, "PX4 Pro" or "ArduPilot"; empty if the file does not name one.
     """
 
     system: int
@@ -58,24 +66,24 @@ class ParameterFile:
 
 
 def as_float32(value: float) -> float:
-    """Return the nearest number that MAVLink's floats hold.
+    """Round to the nearest 32-bit float, the type of values in MAVLink.
 
     Raises:
-        OverflowError: it is too large for them.
+        OverflowError: the value is out of range.
     """
     found: float = struct.unpack("<f", struct.pack("<f", value))[0]
     return found
 
 
 def checked(value: float, kind: int) -> float:
-    """Return a value as its type holds it.
+    """Convert a value to a parameter type.
 
     Args:
-        value: the number.
+        value: any number.
         kind: MAV_PARAM_TYPE.
 
     Raises:
-        ValueError: the type does not hold it; says what is allowed.
+        ValueError: the type cannot represent it; the message is the allowed range.
     """
     if kind == REAL32:
         try:
@@ -93,10 +101,10 @@ def checked(value: float, kind: int) -> float:
 
 
 def read(path: Path) -> ParameterFile:
-    """Return what a file holds.
+    """Read a file.
 
     Raises:
-        ParameterFileError: it cannot be read, or is no parameter file of one vehicle.
+        ParameterFileError: it cannot be read, or is not a valid parameter file of one vehicle.
     """
     try:
         text = read_text(path)
@@ -107,10 +115,14 @@ def read(path: Path) -> ParameterFile:
 
 
 def parse(text: str, name: str = "parameters") -> ParameterFile:
-    """Return what a file's text holds; ``name`` is what messages call it.
+    """Parse the text of a file.
+
+    Args:
+        text: content of the file.
+        name: name of the file in error messages.
 
     Raises:
-        ParameterFileError: it is no parameter file of one vehicle.
+        ParameterFileError: it is not a valid parameter file of one vehicle.
     """
     stack = ""
     systems: set[int] = set()
@@ -133,6 +145,34 @@ def parse(text: str, name: str = "parameters") -> ParameterFile:
     return ParameterFile(systems.pop(), values, stack)
 
 
+def read_rows(path: Path) -> list[Row]:
+    """Read the rows of a file that may be missing, skipping invalid rows with a warning; values are not checked."""
+    try:
+        text = read_text(path)
+    except FileNotFoundError:
+        return []
+    except (OSError, ContentError) as error:
+        _log.warning("parameter file %s cannot be read, defaults hold: %s", path, error)
+        return []
+    rows = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            rows.append(_unchecked_row(line))
+        except ValueError as error:
+            _log.warning("parameter file %s, line %d is skipped: %s", path, number, error)
+    return rows
+
+
+def _unchecked_row(line: str) -> Row:
+    columns = line.split("\t")
+    if len(columns) != _COLUMNS:
+        raise ValueError(f"{len(columns)} columns, {_COLUMNS} are needed")
+    _, _, name, value, kind = columns
+    return name, float(value), int(kind)
+
+
 def _row(line: str, where: str) -> tuple[int, str, Value]:
     columns = line.split("\t")
     if len(columns) != _COLUMNS:
@@ -153,7 +193,7 @@ def _row(line: str, where: str) -> tuple[int, str, Value]:
 
 
 def text_of(content: ParameterFile) -> str:
-    """Return a file's text, as QGroundControl writes it."""
+    """Format a file as QGroundControl writes it."""
     lines = [f"# Onboard parameters for Vehicle {content.system}", "#"]
     lines += [f"# Stack: {content.stack}", "#"] if content.stack else []
     lines += ["# Vehicle-Id Component-Id Name Value Type"]
@@ -164,24 +204,47 @@ def text_of(content: ParameterFile) -> str:
 
 
 def shown(value: float, kind: int) -> str:
-    """Return a value with as many digits as its type tells apart."""
+    """Format a value with as many digits as its type distinguishes."""
     if kind != REAL32:
         return str(int(value))
     return str(np.float32(value)).removesuffix(".0")
 
 
 def written(value: float, kind: int) -> str:
-    """Return a value as files have it: a REAL32 always with a decimal point, by which MAVROS's mavparam knows it."""
+    """Format a value for a file: a REAL32 always with a decimal point, by which MAVROS's mavparam recognises it."""
     return np.format_float_positional(np.float32(value), trim="0") if kind == REAL32 else str(int(value))
 
 
 def write(path: Path, content: ParameterFile) -> None:
-    """Replace a file; at no time is there half of one.
+    """Replace a file atomically.
 
     Raises:
         OSError: it cannot be written.
     """
+    _replace(path, text_of(content))
+
+
+def write_changed(path: Path, rows: Iterable[Row], system: int, component: int) -> None:
+    """Replace a file atomically by the parameters of an autopilot that differ from its defaults.
+
+    Args:
+        path: of the file.
+        rows: the parameters; values are written with all their digits.
+        system, component: MAVLink ids.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    lines = [
+        f"# Parameters of vehicle {system} that differ from its defaults\n",
+        "# Vehicle-Id Component-Id Name Value Type\n",
+    ]
+    lines += [f"{system}\t{component}\t{name}\t{value!r}\t{kind}\n" for name, value, kind in rows]
+    _replace(path, "".join(lines))
+
+
+def _replace(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(path.name + ".new")
-    draft.write_text(text_of(content), encoding="utf-8")
+    draft.write_text(text, encoding="utf-8")
     os.replace(draft, path)

@@ -10,19 +10,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import logs, station
-from .arguments import Adder, UsageError, chosen, run
-from .display import Display, tell_errors
-from .exchanges import Beat, Exchange, Progress, RefusalError
-from .logs import Log
-from .peers import GcsError
+from ..exchanges import logs
+from ..exchanges.logs import Log
+from ..exchanges.protocol import Exchange, Heartbeat, Progress, RefusalError
+from ..peers import GcsError
+from ..station import progress_of
+from .arguments import Adder, UsageError, run, select_vehicles
+from .display import Display, print_errors
 
 _PART = ".part"
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
-    results: dict[str, Any] = run(dict.fromkeys(peers, logs.fetch_list), arguments, logs.closing)
+    peers = select_vehicles(arguments)
+    results: dict[str, Any] = run(dict.fromkeys(peers, logs.fetch_list), arguments, logs.end_transfer)
     for peer in peers:
         found = results[peer.name]
         if found == []:
@@ -30,14 +31,14 @@ def _list(arguments: argparse.Namespace) -> int:
         for log in [] if isinstance(found, GcsError) else found:
             when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(log.time)) if log.time else "undated"
             print(f"{peer.name}  {log.number:>4}  {when:<19}  {log.size:>12} bytes")
-    return tell_errors(results.values())
+    return print_errors(results.values())
 
 
-def _wanted(found: Sequence[Log], words: Sequence[str]) -> list[Log]:
-    """Return those of a vehicle's logs that ``words`` name: numbers, ``all``, or the newest without any.
+def _select(found: Sequence[Log], words: Sequence[str]) -> list[Log]:
+    """Select logs by ``words``: numbers, ``all``, or nothing for the newest.
 
     Raises:
-        RefusalError: it has none of that number.
+        RefusalError: unknown number.
     """
     if not words:
         return list(found[-1:])
@@ -52,40 +53,40 @@ def _wanted(found: Sequence[Log], words: Sequence[str]) -> list[Log]:
     return [by_number[word] for word in dict.fromkeys(words)]
 
 
-def fetch(beat: Beat, words: Sequence[str], folder: Path, progress: Progress) -> Exchange[list[Path]]:
-    """Write logs of a vehicle into a folder, going on with what was broken off; return the files.
+def download(heartbeat: Heartbeat, words: Sequence[str], folder: Path, progress: Progress) -> Exchange[list[Path]]:
+    """Download logs of a vehicle into a folder, continuing interrupted downloads, and return the files.
 
     Args:
-        beat: of the vehicle.
-        words: which, see ``_wanted``.
-        folder: where to.
-        progress: told of it.
+        heartbeat: of the vehicle.
+        words: selection of logs, see ``_select``.
+        folder: of the files.
+        progress: callback.
 
     Raises:
-        RefusalError: the vehicle does not send one, or it cannot be written.
+        RefusalError: the vehicle does not send a log, or a file cannot be written.
     """
-    found = yield from logs.fetch_list(beat)
+    found = yield from logs.fetch_list(heartbeat)
     paths = []
-    for log in _wanted(found, words):
-        path = folder / f"{log.name}{logs.suffix_of(beat)}"
+    for log in _select(found, words):
+        path = folder / f"{log.name}{logs.suffix_of(heartbeat)}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if not path.exists() or path.stat().st_size != log.size:
-                yield from _fetch_one(beat, log, path, progress)
+                yield from _fetch_one(heartbeat, log, path, progress)
         except OSError as error:
             raise RefusalError(f"{path}: cannot be written: {error.strerror}", True) from error
         paths.append(path)
     return paths
 
 
-def _fetch_one(beat: Beat, log: Log, path: Path, progress: Progress) -> Exchange[None]:
+def _fetch_one(heartbeat: Heartbeat, log: Log, path: Path, progress: Progress) -> Exchange[None]:
     part = path.with_name(f"{path.name}.{log.size}{_PART}")  # a log of another size is another log
     with part.open("ab") as file:
         start = file.tell()
         if start > log.size:
             start = 0
             file.truncate(0)
-        yield from logs.download(beat, log, lambda data: _append(file, data), start, progress)
+        yield from logs.download(heartbeat, log, lambda data: _append(file, data), start, progress)
     os.replace(part, path)
 
 
@@ -98,26 +99,26 @@ def _download(arguments: argparse.Namespace) -> int:
     wrong = [word for word in arguments.logs if word != "all" and not word.isdecimal()]
     if wrong:
         raise UsageError(f"logs: {wrong[0]!r} is not allowed, numbers or all")
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     display = Display([peer.name for peer in peers])
     jobs = {
         peer: partial(
-            fetch,
+            download,
             words=arguments.logs,
             folder=arguments.to / peer.name,
-            progress=station.progress_of(peer.name, display.watch),
+            progress=progress_of(peer.name, display.watch),
         )
         for peer in peers
     }
-    results = run(jobs, arguments, logs.closing)
+    results = run(jobs, arguments, logs.end_transfer)
     return display.results(peers, results, lambda _, paths: ", ".join(map(str, paths)) or "it has no logs")
 
 
 def add_to(add: Adder) -> None:
     """Add these commands to the command line."""
     group = add.group("logs", "flight logs: list, download")
-    group("list", _list, "show which logs the vehicles have")
-    download = group("download", _download, "write logs into FOLDER/VEHICLE/, going on with what was broken off")
-    download.add_argument("logs", nargs="*", metavar="LOG", help="numbers, or all (default: the newest)")
-    download.add_argument("--to", type=Path, default=Path(), metavar="FOLDER",
+    group("list", _list, "list the vehicles' logs")
+    command = group("download", _download, "download logs into FOLDER/VEHICLE/, continuing interrupted downloads")
+    command.add_argument("logs", nargs="*", metavar="LOG", help="numbers, or all (default: the newest)")
+    command.add_argument("--to", type=Path, default=Path(), metavar="FOLDER",
                           help="folder to write to (default: here)")  # fmt: skip

@@ -1,4 +1,4 @@
-"""``xtdrone gcs upload``, ``download``, ``clear`` and ``check``: plans of QGroundControl to vehicles and back."""
+"""``xtdrone gcs upload``, ``download``, ``clear`` and ``check``: QGroundControl's plans for vehicles."""
 
 from __future__ import annotations
 
@@ -16,31 +16,32 @@ from xtdrone_control.geodesy import geo
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
-from . import exchanges, station
-from .arguments import Adder, UsageError, chosen, named, run
+from ..exchanges import plans as plan_exchanges
+from ..exchanges.protocol import Exchange, Heartbeat
+from ..peers import GcsError, Peer
+from ..station import progress_of
+from .arguments import Adder, UsageError, run, select_named, select_vehicles
 from .display import Display
-from .exchanges import Beat
-from .peers import GcsError, Peer
 
 _FIRST_DISTANCE = 900.0  # m, PX4's default of MIS_DIST_1WP
 
 
 def _summary(content: Plan) -> str:
-    """Return what a plan holds, in words."""
+    """Describe the content of a plan."""
     counts = [len(content.items(kind)) for kind in plan.KINDS]
     words = [f"{counts[plan.MISSION]} items"]
     words += [f"{count} of {what}" for count, what in zip(counts[1:], ("fence", "rally points"), strict=True) if count]
     return ", ".join(words)
 
 
-# ---- files
+# files
 
 
 def find_files(paths: Sequence[Path]) -> list[Path]:
-    """Return the plan files that ``paths``, files and folders, name.
+    """Return the plan files in ``paths``, files and folders.
 
     Raises:
-        UsageError: one is not there, or is a folder without any.
+        UsageError: a path does not exist, or a folder has no plan file.
     """
     found: list[Path] = []
     for path in paths:
@@ -57,17 +58,17 @@ def find_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
-    """Return the plans in files.
+    """Read plan files.
 
     Raises:
-        UsageError: one cannot be used; a line for each of those.
+        UsageError: invalid files; one line each.
     """
     plans: dict[Path, Plan] = {}
     wrong = []
     for file in files:
         try:
             plans[file] = qgc_plan.read(file)
-            too_long = exchanges.check_kinds(plans[file])
+            too_long = plan_exchanges.check_capacity(plans[file])
             wrong += [f"{file}: {too_long}"] if too_long else []
         except PlanError as error:
             wrong.append(str(error))
@@ -80,11 +81,11 @@ def read_plans(files: Sequence[Path]) -> dict[Path, Plan]:
 
 
 def assign(plans: dict[Path, Plan], vehicles: Sequence[str]) -> dict[str, Plan]:
-    """Return which vehicle gets which plan.
+    """Assign plans to vehicles.
 
     Args:
-        plans: by file; a file's name without ending is its vehicle's.
-        vehicles: only these; a single file goes to all of them whatever it is called. Empty for every file's.
+        plans: by file, which is named after its vehicle.
+        vehicles: names; a single file is for all of them, whatever its name. Empty for the vehicles of all files.
 
     Raises:
         UsageError: two files for one vehicle, or none.
@@ -103,21 +104,22 @@ def assign(plans: dict[Path, Plan], vehicles: Sequence[str]) -> dict[str, Plan]:
 
 
 def owners(plans: dict[str, Plan], arguments: argparse.Namespace) -> list[Peer]:
-    """Return the vehicles after which files are called.
+    """Return the vehicles that the files are named after.
 
     Raises:
-        UsageError: a name that leads nowhere.
+        UsageError: unknown name.
     """
     try:
-        return named(plans, arguments)
+        return select_named(plans, arguments)
     except UsageError as error:
         raise UsageError(f"{error}; a file has its vehicle's name, or --vehicle says whose it is") from error
 
 
 def problems(content: Plan) -> tuple[list[str], bool]:
-    """Return what PX4 says of a mission before it flies it from the planned home, and whether it would.
+    """Check a mission as PX4 does before it starts from the planned home position.
 
-    Warnings are said of missions that are flown, too.
+    Returns:
+        PX4's texts, which may be warnings only, and whether PX4 accepts the mission.
     """
     home = content.home
     said: list[str] = []
@@ -138,8 +140,8 @@ def problems(content: Plan) -> tuple[list[str], bool]:
     return said or ([] if good else ["the mission has no items"]), good
 
 
-def way_length(content: Plan) -> float:
-    """Return how long the mission's way is, m, from place to place, jumps not counted."""
+def path_length(content: Plan) -> float:
+    """Return the length of the mission's path, m, without jumps."""
     places = [item for item in content.mission if item.has_position]
     length = 0.0
     for a, b in pairwise(places):
@@ -147,33 +149,33 @@ def way_length(content: Plan) -> float:
     return length
 
 
-# ---- commands; each returns the exit status
+# commands; each returns the exit status
 
 
 def _upload(arguments: argparse.Namespace) -> int:
     content = read_plans(find_files(arguments.files))
-    peers = chosen(arguments) if arguments.vehicle else []
+    peers = select_vehicles(arguments) if arguments.vehicle else []
     plans = assign(content, [peer.name for peer in peers])
     peers = peers or owners(plans, arguments)
     display = Display([peer.name for peer in peers])
 
-    def store(name: str, beat: Beat) -> exchanges.Exchange[None]:
-        progress = station.progress_of(name, display.watch)
-        return exchanges.store_plan(beat.system, plans[name], progress, beat.autopilot)
+    def store(name: str, heartbeat: Heartbeat) -> Exchange[None]:
+        progress = progress_of(name, display.watch)
+        return plan_exchanges.upload_plan(heartbeat.system, plans[name], progress, heartbeat.autopilot)
 
-    results = run({peer: partial(store, peer.name) for peer in peers}, arguments, exchanges.cancel)
+    results = run({peer: partial(store, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
     return display.results(peers, results, lambda name, _: f"{_summary(plans[name])}: sent, and come back the same")
 
 
 def _download(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     folder: Path = arguments.to
     display = Display([peer.name for peer in peers])
 
-    def fetch(name: str, beat: Beat) -> exchanges.Exchange[Plan]:
-        return exchanges.fetch_plan(beat.system, station.progress_of(name, display.watch), beat.autopilot)
+    def fetch(name: str, heartbeat: Heartbeat) -> Exchange[Plan]:
+        return plan_exchanges.download_plan(heartbeat.system, progress_of(name, display.watch), heartbeat.autopilot)
 
-    results = run({peer: partial(fetch, peer.name) for peer in peers}, arguments, exchanges.cancel)
+    results = run({peer: partial(fetch, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
     for name, result in results.items():
         if isinstance(result, Plan):
             try:
@@ -185,13 +187,13 @@ def _download(arguments: argparse.Namespace) -> int:
 
 
 def _clear(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     display = Display([peer.name for peer in peers])
 
-    def clear(name: str, beat: Beat) -> exchanges.Exchange[None]:
-        return exchanges.clear(beat.system, station.progress_of(name, display.watch), beat.autopilot)
+    def clear(name: str, heartbeat: Heartbeat) -> Exchange[None]:
+        return plan_exchanges.clear_plan(heartbeat.system, progress_of(name, display.watch), heartbeat.autopilot)
 
-    results = run({peer: partial(clear, peer.name) for peer in peers}, arguments, exchanges.cancel)
+    results = run({peer: partial(clear, peer.name) for peer in peers}, arguments, plan_exchanges.cancel_transfers)
     return display.results(peers, results, lambda *_: "mission, fence and rally points are cleared")
 
 
@@ -199,7 +201,7 @@ def _check(arguments: argparse.Namespace) -> int:
     status = 0
     for file, content in read_plans(find_files(arguments.files)).items():
         said, good = problems(content)
-        print(f"{file}: {_summary(content)}; {way_length(content):.0f} m of way")
+        print(f"{file}: {_summary(content)}; {path_length(content):.0f} m of way")
         for text in said:
             print(f"{file}: {text}", file=sys.stderr)
         status = status if good else 1
@@ -208,13 +210,15 @@ def _check(arguments: argparse.Namespace) -> int:
 
 def add_to(add: Adder) -> None:
     """Add these commands to the command line."""
-    files = "plan files, or folders with some"
-    upload = add("upload", _upload, "give each vehicle the plan in the file of its name, and compare what comes back")
+    files = "plan files, or folders of them"
+    upload = add(
+        "upload", _upload, "upload plan files to the vehicles that they are named after, and compare the stored plans"
+    )
     upload.add_argument("files", type=Path, nargs="+", metavar="FILE", help=f"{files}; NAME.plan goes to vehicle NAME")
-    download = add("download", _download, "write the vehicles' plans into NAME.plan")
+    download = add("download", _download, "download the vehicles' plans into NAME.plan")
     download.add_argument(
         "--to", type=Path, default=Path(), metavar="FOLDER", help="folder to write to (default: here)"
     )
-    add("clear", _clear, "empty the vehicles' missions, fences and rally points")
-    check = add("check", _check, "read plan files and say what PX4 would say of them; no vehicle is needed", False)
+    add("clear", _clear, "clear the vehicles' missions, fences and rally points")
+    check = add("check", _check, "check plan files as PX4 does; no vehicle is needed", False)
     check.add_argument("files", type=Path, nargs="+", metavar="FILE", help=files)

@@ -1,4 +1,4 @@
-"""``xtdrone gcs arm``, ``takeoff``, ``goto`` and what else a vehicle is told in flight."""
+"""``xtdrone gcs arm``, ``takeoff``, ``goto`` and the other flight commands."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from . import flight
-from .arguments import Adder, UsageError, chosen, run
+from ..exchanges import flight
+from ..exchanges.flight import Target
+from ..exchanges.protocol import Exchange, Heartbeat
+from ..peers import Peer
+from .arguments import Adder, UsageError, run, select_vehicles
 from .display import Display
-from .exchanges import Beat, Exchange
-from .flight import Target
-from .peers import Peer
 
 _FAR = 100_000.0  # m
 _PLACES = "X Y Z, m, or --lat, --lon and one of --alt and --height"
@@ -31,12 +31,12 @@ def _number(name: str, low: float, high: float) -> Callable[[str], float]:
     return parse
 
 
-Action = Callable[[Beat], Exchange[None]]
+Action = Callable[[Heartbeat], Exchange[None]]
 
 
 def _all(arguments: argparse.Namespace, action: Action, done: str) -> int:
-    """Do it with all vehicles; return the exit status."""
-    return _each(arguments, dict.fromkeys(chosen(arguments), action), done)
+    """Run one exchange with all selected vehicles and return the exit status."""
+    return _each(arguments, dict.fromkeys(select_vehicles(arguments), action), done)
 
 
 def _each(arguments: argparse.Namespace, actions: Mapping[Peer, Action], done: str) -> int:
@@ -53,7 +53,7 @@ def _disarm(arguments: argparse.Namespace) -> int:
 
 
 def _takeoff(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     display = Display([peer.name for peer in peers])
     results = run(dict.fromkeys(peers, partial(flight.take_off, height=arguments.height)), arguments)
 
@@ -66,7 +66,7 @@ def _takeoff(arguments: argparse.Namespace) -> int:
 
 def _goto(arguments: argparse.Namespace) -> int:
     target = _target(arguments)
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     if len(peers) > 1 and arguments.spacing is None:
         raise UsageError(
             f"goto: {len(peers)} vehicles would meet there; --spacing M keeps so many metres between heights"
@@ -79,10 +79,10 @@ def _goto(arguments: argparse.Namespace) -> int:
 
 
 def _target(arguments: argparse.Namespace) -> Target:
-    """Return where the command line sends the vehicles.
+    """Return the target of ``goto``.
 
     Raises:
-        UsageError: it says it by halves, or twice.
+        UsageError: it is incomplete or ambiguous.
     """
     options = ("lat", "lon", "alt", "height")
     given = [f"--{name}" for name in options if getattr(arguments, name) is not None]
@@ -105,26 +105,26 @@ def _mode(arguments: argparse.Namespace) -> int:
 
 def add_to(add: Adder) -> None:
     """Add these commands to the command line."""
-    force = "also where the vehicle's checks speak against it"
+    force = "arm despite failed checks"
     add("arm", _arm, "arm").add_argument("--force", action="store_true", help=force)
-    force = "also in flight: the motors stop and the vehicle falls"
+    force = "disarm also in flight: the motors stop and the vehicle falls"
     add("disarm", _disarm, "disarm").add_argument("--force", action="store_true", help=force)
     takeoff = add("takeoff", _takeoff, "arm and climb straight up")
-    reached = "m over where it stands; a PX4 takes its NAV_MC_ALT_RAD below that for reached"
+    reached = "m above the ground; PX4 accepts NAV_MC_ALT_RAD below that as reached"
     takeoff.add_argument("height", type=_number("m over the ground", 0.1, _FAR), help=reached)
-    goto = add("goto", _goto, "fly to a place and stay there; the vehicle has to be in the air")
+    goto = add("goto", _goto, "go to a position and hold there; the vehicle has to be in the air")
     goto.add_argument("place", nargs="*", type=_number("m", -_FAR, _FAR), metavar="X Y Z",
                       help="m east, north, up from the local frame's origin (the simulator's map frame)")  # fmt: skip
     goto.add_argument("--lat", type=_number("degrees", -90.0, 90.0), metavar="DEG", help="latitude")
     goto.add_argument("--lon", type=_number("degrees", -180.0, 180.0), metavar="DEG", help="longitude")
-    goto.add_argument("--alt", type=_number("m over the sea", -_FAR, _FAR), metavar="M", help="m over the sea")
-    goto.add_argument("--height", type=_number("m over home", -_FAR, _FAR), metavar="M", help="m over home")
+    goto.add_argument("--alt", type=_number("m over the sea", -_FAR, _FAR), metavar="M", help="m above sea level")
+    goto.add_argument("--height", type=_number("m over home", -_FAR, _FAR), metavar="M", help="m above home")
     goto.add_argument("--speed", type=_number("m/s", 0.1, 1000.0), default=math.nan, metavar="M/S",
-                      help="over ground (default: the vehicle's own)")  # fmt: skip
+                      help="ground speed (default: the vehicle's own)")  # fmt: skip
     goto.add_argument("--spacing", type=_number("m", 0.5, 1000.0), metavar="M",
-                      help="several vehicles: each so much higher than the one before")  # fmt: skip
-    mode = add("mode", _mode, "fly in a mode, by PX4's or ArduPilot's name, as MISSION, POSCTL, GUIDED")
+                      help="for several vehicles: height of each one above the one before")  # fmt: skip
+    mode = add("mode", _mode, "set the mode by its PX4 or ArduPilot name, such as MISSION, POSCTL, GUIDED")
     mode.add_argument("name", metavar="NAME", help="the mode")
-    add("hold", lambda arguments: _all(arguments, flight.hold, "holds"), "stay where it is")
+    add("hold", lambda arguments: _all(arguments, flight.hold, "holds"), "hold the position")
     add("rtl", lambda arguments: _all(arguments, flight.rtl, "returns home"), "return home")
-    add("land", lambda arguments: _all(arguments, flight.land, "lands"), "land where it is")
+    add("land", lambda arguments: _all(arguments, flight.land, "lands"), "land at the position")

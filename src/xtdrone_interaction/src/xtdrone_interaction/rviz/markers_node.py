@@ -63,7 +63,7 @@ class MarkersNode:
         lockstep.add_reset_hook(markers.restart)
 
     def step(self) -> None:
-        """Publish all markers if there are subscribers."""
+        """Publish all markers if the topic has subscribers."""
         if self._publisher.get_num_connections():
             self._publisher.publish(self._markers.array(rospy.get_time()))
 
@@ -98,7 +98,7 @@ class MarkersNode:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Serve the fleet until shutdown.
+    """Run the node until shutdown.
 
     Raises:
         ArgumentError: invalid arguments or fleet.

@@ -1,4 +1,4 @@
-"""The program that opens rviz on the screen with a view of the vehicles that fly; see ``nodes/rviz_view.py``."""
+"""The program that opens rviz on the screen with a view of the fleet; see ``nodes/rviz_view.py``."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 
 def configuration(view: str) -> Path:
-    """Return the .rviz file of a view, after making it for the fleet where it is one of ours.
+    """Return the .rviz file of a view, generated for the fleet if it is one of SHIPPED.
 
     Args:
-        view: of SHIPPED, or an .rviz file.
+        view: one of SHIPPED, or an .rviz file.
 
     Raises:
-        ArgumentError: it is neither, or there is no fleet.
+        ArgumentError: it is neither, or no fleet is running.
     """
     if Path(view).is_file():
         return Path(view)
@@ -38,8 +38,8 @@ def configuration(view: str) -> Path:
     return path
 
 
-def tell_descriptions() -> None:
-    """Set each vehicle's description where nobody has yet: rviz looks for it once, when it starts."""
+def set_descriptions() -> None:
+    """Set missing robot descriptions, which rviz reads only once at its start."""
     for vehicle in needed_fleet(rospy.get_param("/xtdrone/fleet", None)):
         name = f"/{vehicle.name}/robot_description"
         if not rospy.has_param(name):
@@ -47,11 +47,11 @@ def tell_descriptions() -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Become rviz.
+    """Replace this process by rviz.
 
     Raises:
-        ArgumentError: an argument that is not allowed, or there is no fleet.
-        rospy.ROSInitException: there is no screen, or no rviz.
+        ArgumentError: invalid argument, or no fleet is running.
+        rospy.ROSInitException: no screen, or no rviz.
     """
     if len(arguments) != 1:
         raise ArgumentError(
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str]) -> None:
             "rviz: there is no screen, DISPLAY is not set; without one ./xtdrone record-view films the flight"
         )
     path = configuration(arguments[0])
-    tell_descriptions()
+    set_descriptions()
     names = [word for word in sys.argv[1:] if ":=" in word]  # roslaunch's, as __name:=rviz
     try:
         os.execvp("rviz", ["rviz", "-d", str(path), *names])

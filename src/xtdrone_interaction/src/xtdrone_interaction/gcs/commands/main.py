@@ -1,7 +1,6 @@
-"""``xtdrone gcs``: a ground station on the command line, over MAVLink as any other.
+"""``xtdrone gcs``: a ground station on the command line.
 
-Exit status: 0 when all was done, 1 when some vehicle has not done it, 2 for a value or file that is not allowed, 130
-after Ctrl-C.
+Exit status: 0 for success, 1 if a vehicle has failed, 2 for an invalid argument or file, 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ from collections.abc import Sequence
 
 from xtdrone_interaction import cli
 
-from . import flight_command, list_command, log_command, parameter_command, plan_command, status_command
+from ..peers import GcsError
+from . import flight, logs, parameters, plan_lists, plans, status
 from .arguments import Runner, UsageError, common
-from .peers import GcsError
 
 
 class _Commands:
-    """The commands of a parser; see ``Adder``."""
+    """The sub-commands of a parser; see ``Adder``."""
 
     def __init__(self, parser: argparse.ArgumentParser, vehicles: argparse.ArgumentParser) -> None:
         self._commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -39,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the commands."""
     parser.description = "A ground station, over MAVLink."
     commands = _Commands(parser, common())
-    for module in (status_command, flight_command, plan_command, list_command, parameter_command, log_command):
+    for module in (status, flight, plans, plan_lists, parameters, logs):
         module.add_to(commands)
 
 
@@ -51,14 +50,14 @@ def main(argv: Sequence[str]) -> int:
 def run(arguments: argparse.Namespace) -> int:
     """Run a command and return the exit status."""
     try:
-        status = int(arguments.run(arguments))
+        exit_status = int(arguments.run(arguments))
         print(end="", flush=True)
-        return status
+        return exit_status
     except (UsageError, GcsError) as error:
         for line in str(error).splitlines():
             print(f"xtdrone gcs: {line}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
-    except BrokenPipeError:  # whoever reads has enough
+    except BrokenPipeError:  # the reader has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:

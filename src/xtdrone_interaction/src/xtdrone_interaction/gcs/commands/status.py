@@ -1,4 +1,4 @@
-"""``xtdrone gcs status``: what all vehicles tell of themselves, as a table or JSON, once or again and again."""
+"""``xtdrone gcs status``: the states of vehicles as a table or JSON, once or live."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from .arguments import Adder, chosen, seconds
-from .display import Screen, redraws, tell_errors
-from .exchanges import look
-from .peers import GcsError
-from .state import VehicleState
-from .station import GroundStation
+from ..exchanges.protocol import request_state
+from ..peers import GcsError
+from ..station import GroundStation
+from ..vehicle_state import VehicleState
+from .arguments import Adder, seconds, select_vehicles
+from .display import Screen, print_errors, redraws
 
-_REDRAW = 0.25  # s between two pictures on a terminal
-_LOOK_PERIOD = 2.0  # s after which a vehicle that streams nothing is asked: its time may stand still
-_SILENT = 3.0  # s of silence that are told of
+_REDRAW = 0.25  # s between two updates on a terminal
+_REQUEST_PERIOD = 2.0  # s without telemetry before a state is requested: simulated time may stand still
+_SILENT = 3.0  # s without a message before a vehicle is shown as silent
 
 Row = tuple[str, ...]
 _TITLES: Row = ("VEHICLE", "SYS", "TYPE", "ARMED", "MODE", "X Y Z", "HEIGHT", "SPEED", "BATTERY", "GPS", "EKF", "TEXT")
@@ -35,8 +35,8 @@ _DROPPED = (
     "X Y Z",
     "BATTERY",
     "HEIGHT",
-)  # where there is no room, in turn
-_USUAL_WIDTHS = {"ARMED": 6, "MODE": 12, "X Y Z": 17, "HEIGHT": 7, "SPEED": 8, "GPS": 5}  # so that columns seldom move
+)  # columns left out of a narrow terminal, in order
+_USUAL_WIDTHS = {"ARMED": 6, "MODE": 12, "X Y Z": 17, "HEIGHT": 7, "SPEED": 8, "GPS": 5}  # so that columns rarely move
 
 
 def _told(value: Any, form: str) -> str:
@@ -50,7 +50,7 @@ def _arming(state: VehicleState) -> str:
 
 
 def row(state: VehicleState, now: float) -> Row:
-    """Return a vehicle's row of the table; ``now``: wall time, s."""
+    """Return the row of a vehicle; ``now``: s of the monotonic clock."""
     silent = now - state.heard
     if not math.isfinite(silent):
         return (state.name, _told(state.system or None, "{}"), *["-"] * 9, "nothing heard yet")
@@ -77,13 +77,13 @@ def row(state: VehicleState, now: float) -> Row:
 
 
 def table(states: Sequence[VehicleState], now: float, columns: int | None = None) -> list[str]:
-    """Return the table's lines, its titles first.
+    """Return the lines of the table.
 
     Args:
-        states: the vehicles'.
-        now: wall time, s.
-        columns: letters that there are in a line; what has no room is left out, the last texts stand below the table
-            then. None: as many as it takes.
+        states: of the vehicles.
+        now: s of the monotonic clock.
+        columns: width of the terminal; columns without room are left out, and the latest texts follow the table. None
+            for unlimited.
     """
     rows = [_TITLES, *(row(state, now) for state in states)]
     widths = {title: max(map(len, cells)) for title, cells in zip(_TITLES, zip(*rows, strict=True), strict=True)}
@@ -110,40 +110,40 @@ def _as_json(states: Sequence[VehicleState], now: float) -> str:
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments, or_all=True)
+    peers = select_vehicles(arguments, or_all=True)
     with GroundStation(peers, heartbeat=not arguments.once and not arguments.no_heartbeat) as station:
         if arguments.once:
             return _once(station, arguments)
         if station.peers:
-            tell_errors(station.errors.values())
+            print_errors(station.errors.values())
         _live(station, arguments)
     return 1
 
 
 def _once(station: GroundStation, arguments: argparse.Namespace) -> int:
-    results: dict[str, Any] = station.run(dict.fromkeys(station.peers, look), patience=arguments.patience)
+    results: dict[str, Any] = station.run(dict.fromkeys(station.peers, request_state), patience=arguments.patience)
     states, now = station.states(), time.monotonic()
     if arguments.json:
         print(_as_json(states, now))
-    else:  # who has told all was asked no more, and is not silent because others let us wait
+    else:  # a vehicle that has answered is not silent just because others have delayed the output
         told = [s if isinstance(results.get(s.name), GcsError) else replace(s, heard=now) for s in states]
         print("\n".join(table(told, now)))
-    return tell_errors([*station.errors.values(), *results.values()])
+    return print_errors([*station.errors.values(), *results.values()])
 
 
 def _live(station: GroundStation, arguments: argparse.Namespace) -> None:
-    """Show until all lines have ended."""
+    """Show the states until all connections have ended."""
     screen = Screen(sys.stdout) if redraws(sys.stdout) and not arguments.json else None
     period = _REDRAW if screen else arguments.period
     asked = dict.fromkeys(station.peers, -math.inf)
-    shown = time.monotonic() - period + _REDRAW  # the first picture as soon as something can be in it
+    shown = time.monotonic() - period + _REDRAW  # first update as soon as answers may have arrived
     while station.peers:
         now = time.monotonic()
         states = station.states()
         for peer, state in zip(station.peers, states, strict=True):
-            if now - max(state.told, asked[peer]) >= _LOOK_PERIOD:
+            if now - max(state.told, asked[peer]) >= _REQUEST_PERIOD:
                 asked[peer] = now
-                station.submit(peer, look, patience=_LOOK_PERIOD)
+                station.submit(peer, request_state, patience=_REQUEST_PERIOD)
         if now - shown >= period:
             shown = now
             if screen:
@@ -156,10 +156,10 @@ def _live(station: GroundStation, arguments: argparse.Namespace) -> None:
 
 def add_to(add: Adder) -> None:
     """Add this command to the command line."""
-    status = add("status", _status, "what the vehicles (all that are there) tell of themselves, as a live table")
-    status.add_argument("--once", action="store_true", help="show it once; nothing streams then")
-    status.add_argument("--json", action="store_true", help="a JSON list of vehicles, one line each time")
+    status = add("status", _status, "a live table of the vehicles' states (default: all that answer)")
+    status.add_argument("--once", action="store_true", help="print it once, for a simulation that may be paused")
+    status.add_argument("--json", action="store_true", help="print a JSON list of vehicles per update")
     status.add_argument("--period", type=seconds, default=1.0, metavar="S",
-                        help="time between two tables where there is no terminal (default: %(default)g s)")  # fmt: skip
+                        help="time between updates without a terminal (default: %(default)g s)")  # fmt: skip
     status.add_argument("--no-heartbeat", action="store_true",
-                        help="only look on: do not count as a ground station for PX4's NAV_DLL_ACT")  # fmt: skip
+                        help="do not count as a ground station for PX4's NAV_DLL_ACT")  # fmt: skip

@@ -1,4 +1,4 @@
-"""``xtdrone gcs fence`` and ``rally``: one list of a plan alone, the vehicle's others stay as they are."""
+"""``xtdrone gcs fence`` and ``rally``: a single list of a plan; the vehicle's other lists stay unchanged."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from xtdrone_control.autopilot.navigator.plan import Items
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.plans.qgc_plan import Plan, PlanError
 
-from . import exchanges, station
-from .arguments import Adder, Runner, UsageError, chosen, run
+from ..exchanges import plans as plan_exchanges
+from ..exchanges.plans import KINDS
+from ..exchanges.protocol import Exchange, Heartbeat
+from ..peers import GcsError, Peer
+from ..station import progress_of
+from .arguments import Adder, Runner, UsageError, run, select_vehicles
 from .display import Display
-from .exchanges import KINDS, Beat
-from .peers import GcsError, Peer
-from .plan_command import assign, find_files, owners, read_plans
+from .plans import assign, find_files, owners, read_plans
 
 
 def _store(kind: int, lists: dict[Peer, Items], arguments: argparse.Namespace, done: str) -> int:
     display = Display([peer.name for peer in lists])
 
-    def store(peer: Peer, beat: Beat) -> exchanges.Exchange[None]:
-        progress = station.progress_of(peer.name, display.watch)
-        return exchanges.store(beat.system, kind, lists[peer], progress, beat.autopilot)
+    def store(peer: Peer, heartbeat: Heartbeat) -> Exchange[None]:
+        progress = progress_of(peer.name, display.watch)
+        return plan_exchanges.upload_list(heartbeat.system, kind, lists[peer], progress, heartbeat.autopilot)
 
-    results = run({peer: partial(store, peer) for peer in lists}, arguments, exchanges.cancel)
+    results = run({peer: partial(store, peer) for peer in lists}, arguments, plan_exchanges.cancel_transfers)
     counts = {peer.name: len(items) for peer, items in lists.items()}
     return display.results(list(lists), results, lambda name, _: done.format(counts[name]))
 
@@ -38,25 +40,27 @@ def _upload(kind: int, arguments: argparse.Namespace) -> int:
     empty = [file for file, found in content.items() if not found.items(kind)]
     if empty:
         raise UsageError(f"{empty[0]}: no {KINDS[kind]} in it; 'clear' empties the vehicle's")
-    peers = chosen(arguments) if arguments.vehicle else []
+    peers = select_vehicles(arguments) if arguments.vehicle else []
     plans = assign(content, [peer.name for peer in peers])
     lists = {peer: plans[peer.name].items(kind) for peer in peers or owners(plans, arguments)}
     return _store(kind, lists, arguments, f"{{}} items of {KINDS[kind]}: sent, and come back the same")
 
 
 def _clear(kind: int, arguments: argparse.Namespace) -> int:
-    return _store(kind, dict.fromkeys(chosen(arguments), ()), arguments, f"no {KINDS[kind]} any more")
+    return _store(kind, dict.fromkeys(select_vehicles(arguments), ()), arguments, f"no {KINDS[kind]} any more")
 
 
 def _download(kind: int, arguments: argparse.Namespace) -> int:
-    peers = chosen(arguments)
+    peers = select_vehicles(arguments)
     display = Display([peer.name for peer in peers])
 
-    def fetch(name: str, beat: Beat) -> exchanges.Exchange[Items]:
-        return exchanges.fetch(beat.system, kind, station.progress_of(name, display.watch), beat.autopilot)
+    def fetch(name: str, heartbeat: Heartbeat) -> Exchange[Items]:
+        return plan_exchanges.download_list(
+            heartbeat.system, kind, progress_of(name, display.watch), heartbeat.autopilot
+        )
 
     jobs = {peer: partial(fetch, peer.name) for peer in peers}
-    results: dict[str, Any] = run(jobs, arguments, exchanges.cancel)
+    results: dict[str, Any] = run(jobs, arguments, plan_exchanges.cancel_transfers)
     for name, items in results.items():
         if not isinstance(items, GcsError):
             try:
@@ -68,10 +72,10 @@ def _download(kind: int, arguments: argparse.Namespace) -> int:
 
 
 def _write(path: Path, kind: int, items: Items) -> None:
-    """Write a list into a plan file; what else the plan that is there holds stays in it.
+    """Write a list into a plan file, keeping the other lists of an existing file.
 
     Raises:
-        PlanError, OSError: the plan that is there cannot be read, or none be written.
+        PlanError, OSError: the existing file cannot be read, or the new one not written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     content = qgc_plan.read(path) if path.exists() else Plan(())
@@ -82,14 +86,18 @@ def add_to(add: Adder) -> None:
     """Add these commands to the command line."""
     for word, kind in (("fence", plan.FENCE), ("rally", plan.RALLY)):
         what = KINDS[kind]
-        group = add.group(word, f"the {what} alone: upload, download, clear")
+        group = add.group(word, f"only the {what}: upload, download, clear")
 
         def bound(action: Any, kind: int = kind) -> Runner:
             return partial(action, kind)
 
-        upload = group("upload", bound(_upload), f"give each vehicle the {what} of the plan in the file of its name")
-        upload.add_argument("files", type=Path, nargs="+", metavar="FILE", help="plan files, or folders with some")
-        download = group("download", bound(_download), f"write the vehicles' {what} into NAME.plan, beside the rest")
+        upload = group(
+            "upload", bound(_upload), f"upload the {what} of plan files to the vehicles that the files are named after"
+        )
+        upload.add_argument("files", type=Path, nargs="+", metavar="FILE", help="plan files, or folders of them")
+        download = group(
+            "download", bound(_download), f"download the vehicles' {what} into NAME.plan, keeping its other lists"
+        )
         download.add_argument("--to", type=Path, default=Path(), metavar="FOLDER",
                               help="folder to write to (default: here)")  # fmt: skip
-        group("clear", bound(_clear), f"empty the vehicles' {what}")
+        group("clear", bound(_clear), f"clear the vehicles' {what}")

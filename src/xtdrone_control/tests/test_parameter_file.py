@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xtdrone_control import parameter_text
-from xtdrone_control.parameter_text import LIMITS, REAL32, ParameterFile, ParameterFileError
+from xtdrone_control import parameter_file
+from xtdrone_control.parameter_file import LIMITS, REAL32, ParameterFile, ParameterFileError
 
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False).map(lambda value: (value, REAL32))
 whole = st.sampled_from(sorted(LIMITS)).flatmap(
@@ -23,7 +23,7 @@ files = st.builds(
 @settings(max_examples=100, deadline=None)
 @given(files)
 def test_what_is_written_is_read_again(content):
-    assert parameter_text.parse(parameter_text.text_of(content)) == content
+    assert parameter_file.parse(parameter_file.text_of(content)) == content
 
 
 def test_a_file_of_qgroundcontrol_is_read(tmp_path):
@@ -33,7 +33,7 @@ def test_a_file_of_qgroundcontrol_is_read(tmp_path):
         "# Vehicle-Id Component-Id Name Value Type\n"
         "1\t1\tMPC_XY_VEL_MAX\t12.000000000000000000\t9\n1\t1\tSYS_AUTOSTART\t4001\t6\n"
     )
-    content = parameter_text.read(path)
+    content = parameter_file.read(path)
     assert content == ParameterFile(1, {"MPC_XY_VEL_MAX": (12.0, 9), "SYS_AUTOSTART": (4001, 6)}, "PX4 Pro")
 
 
@@ -58,18 +58,18 @@ def test_a_file_of_qgroundcontrol_is_read(tmp_path):
 )
 def test_files_that_are_none(text, message):
     with pytest.raises(ParameterFileError) as error:
-        parameter_text.parse(text, "a.params")
+        parameter_file.parse(text, "a.params")
     assert message in str(error.value)
     assert str(error.value).startswith("a.params")
 
 
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
-        parameter_text.read(tmp_path / "none.params")
+        parameter_file.read(tmp_path / "none.params")
 
 
 def test_a_file_without_an_end_is_refused(tmp_path):
     with (tmp_path / "large.params").open("wb") as file:
         file.truncate(1 << 30)
     with pytest.raises(ParameterFileError, match=r"cannot be read: it has 1024\.0 MB, at most 4 MB are allowed"):
-        parameter_text.read(tmp_path / "large.params")
+        parameter_file.read(tmp_path / "large.params")

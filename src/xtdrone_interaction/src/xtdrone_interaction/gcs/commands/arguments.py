@@ -1,4 +1,4 @@
-"""What the commands of ``xtdrone gcs`` share: which vehicles they are for, and how they are reached."""
+"""Options that all commands of ``xtdrone gcs`` share: the selection of vehicles and their addresses."""
 
 from __future__ import annotations
 
@@ -9,33 +9,34 @@ from typing import Protocol, TypeVar
 
 from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
 
-from . import station
-from .peers import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
-from .station import Job
+from .. import discovery, station
+from ..contact import AbortMessages, Job
+from ..peers import LOOPBACK, GcsError, Peer, choose_systems, numbered, numbers_of, parse_address
+from ..station import no_abort_messages
 
 T = TypeVar("T")
 Runner = Callable[[argparse.Namespace], int]
 
 
 class UsageError(ValueError):
-    """What was asked for is not allowed."""
+    """The command line has an invalid argument."""
 
 
 class Adder(Protocol):
-    """What adds a command; ``for_vehicles``: it is for vehicles, and has the options that say for which."""
+    """Adds a command to the command line; ``for_vehicles``: with the options that select vehicles."""
 
     def __call__(self, name: str, run: Runner, text: str, for_vehicles: bool = True) -> argparse.ArgumentParser:
-        """Return the command's parser."""
+        """Add a command and return its parser."""
 
     def group(self, name: str, text: str) -> Adder:
-        """Return what adds commands below one."""
+        """Add a group and return the adder of its commands."""
 
 
 def seconds(text: str) -> float:
-    """Return a number of seconds that an option gives.
+    """Parse a duration in seconds.
 
     Raises:
-        ArgumentTypeError: it is none, or not of 0.1 to 3600.
+        ArgumentTypeError: not a number from 0.1 to 3600.
     """
     try:
         value = float(text)
@@ -47,10 +48,10 @@ def seconds(text: str) -> float:
 
 
 def instance(text: str) -> int:
-    """Return the number of a simulation on a machine.
+    """Parse the number of a simulation on a machine.
 
     Raises:
-        ArgumentTypeError: there is no such instance.
+        ArgumentTypeError: not a valid instance.
     """
     try:
         return check_instance(text)
@@ -59,30 +60,30 @@ def instance(text: str) -> int:
 
 
 def common() -> argparse.ArgumentParser:
-    """Return the options that say which vehicles are meant."""
+    """Return a parser with the options that select vehicles."""
     parser = argparse.ArgumentParser(add_help=False)
     group = parser.add_argument_group("vehicles")
     group.add_argument("--vehicle", nargs="+", default=[], metavar="V",
-                       help="only these: names as iris_0, numbers as 0 2 or 0-5, or all that are there")  # fmt: skip
+                       help="names (iris_0), numbers (0 2 or 0-5), or all for every vehicle that answers")  # fmt: skip
     group.add_argument("--fleet", default="", metavar="TYPE:COUNT,...",
-                       help="the fleet that flies, needed for names where it has several types, since ports and "
+                       help="the simulated fleet; required for names if it has several types, because ports and "
                        "system ids follow from it")  # fmt: skip
     group.add_argument("--host", default=LOOPBACK, help="machine of the autopilots (default: %(default)s)")
     group.add_argument("--instance", type=instance, default=0, metavar="N",
-                       help="of that machine's simulations, which moves the ports (default: %(default)s)")  # fmt: skip
+                       help="number of the simulation there, which moves its ports (default: %(default)s)")  # fmt: skip
     group.add_argument("--connect", metavar="ADDRESS",
                        help="any autopilot: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD; "
-                       "numbers of vehicles are MAVLink system ids then")  # fmt: skip
+                       "numbers of vehicles are then MAVLink system ids")  # fmt: skip
     group.add_argument("--patience", type=seconds, default=station.PATIENCE, metavar="S",
-                       help="give a vehicle up that is silent for so long (default: %(default)g s)")  # fmt: skip
+                       help="give a vehicle up after this silence (default: %(default)g s)")  # fmt: skip
     return parser
 
 
-def named(names: Iterable[str], arguments: argparse.Namespace) -> list[Peer]:
-    """Return where the vehicles of these names are met.
+def select_named(names: Iterable[str], arguments: argparse.Namespace) -> list[Peer]:
+    """Return the vehicles with these names.
 
     Raises:
-        UsageError: a name that leads nowhere.
+        UsageError: unknown name.
     """
     try:
         return station.peers_of(names, arguments.fleet, arguments.host, arguments.instance)
@@ -90,16 +91,16 @@ def named(names: Iterable[str], arguments: argparse.Namespace) -> list[Peer]:
         raise UsageError(str(error)) from error
 
 
-def chosen(arguments: argparse.Namespace, *, or_all: bool = False) -> list[Peer]:
-    """Return the vehicles of --vehicle, else all of --fleet or --connect.
+def select_vehicles(arguments: argparse.Namespace, *, or_all: bool = False) -> list[Peer]:
+    """Return the vehicles of --vehicle, or all of --fleet or --connect.
 
     Args:
         arguments: of the command line.
-        or_all: without any of these all that are there are meant.
+        or_all: select all vehicles that answer if none of these options is given.
 
     Raises:
-        UsageError: it is not said which, or what is said leads nowhere.
-        GcsError: no vehicle is there.
+        UsageError: no selection, or an invalid one.
+        GcsError: no vehicle answers.
     """
     words = [word for text in arguments.vehicle for word in text.split(",") if word]
     if not words and not (arguments.fleet or arguments.connect or or_all):
@@ -109,34 +110,36 @@ def chosen(arguments: argparse.Namespace, *, or_all: bool = False) -> list[Peer]
     found: dict[tuple[str, str, int], Peer] = {}
     try:
         for word in words or ["all"]:
-            found.update({peer.line: peer for peer in _of_word(word, words, arguments)})
+            found.update({peer.address: peer for peer in _of_word(word, words, arguments)})
     except FleetError as error:
         raise UsageError(str(error)) from error
     return list(found.values())
 
 
 def _of_word(word: str, words: list[str], arguments: argparse.Namespace) -> list[Peer]:
-    """Return the vehicles that a word means.
+    """Return the vehicles that one word of --vehicle selects.
 
     Raises:
-        UsageError, FleetError: it leads nowhere.
-        GcsError: no vehicle is there.
+        UsageError, FleetError: invalid word.
+        GcsError: no vehicle answers.
     """
     fleet, host, instance = arguments.fleet, arguments.host, arguments.instance
     if word == "all":
-        return named([vehicle.name for vehicle in parse_fleet(fleet)], arguments) if fleet else _all(host, instance)
+        return (
+            select_named([vehicle.name for vehicle in parse_fleet(fleet)], arguments) if fleet else _all(host, instance)
+        )
     try:
         numbers = numbers_of(word)
         if numbers is not None:
             return [numbered(number, fleet, host, instance) for number in numbers]
     except GcsError as error:
         raise UsageError(str(error)) from error
-    # together, since they have to be of one type where no fleet is given
-    return named([other for other in words if other != "all" and numbers_of(other) is None], arguments)
+    # all names together, because without a fleet they have to be of one type
+    return select_named([other for other in words if other != "all" and numbers_of(other) is None], arguments)
 
 
 def _all(host: str, instance: int) -> list[Peer]:
-    peers = station.find(host, instance=instance)
+    peers = discovery.find(host, instance=instance)
     if not peers:
         first = numbered(0, instance=instance).port
         raise GcsError(f"no vehicle answers at {host}, UDP ports {first} and above; does the simulation "
@@ -152,7 +155,7 @@ def _connected(words: list[str], arguments: argparse.Namespace) -> list[Peer]:
         raise UsageError(str(error)) from error
     named_all = None not in numbers
     wanted = {system for part in numbers if part is not None for system in part} if named_all else ()
-    found = station.listen(address, wanted=wanted)
+    found = discovery.listen(address, wanted=wanted)
     if not found:
         raise GcsError(f"{arguments.connect}: no autopilot's heartbeat has come over it")
     try:
@@ -162,7 +165,7 @@ def _connected(words: list[str], arguments: argparse.Namespace) -> list[Peer]:
 
 
 def run(
-    jobs: Mapping[Peer, Job[T]], arguments: argparse.Namespace, closing: station.Closing = station.no_closing
+    jobs: Mapping[Peer, Job[T]], arguments: argparse.Namespace, on_abort: AbortMessages = no_abort_messages
 ) -> dict[str, T | GcsError]:
-    """Run exchanges with the patience that the command line says; see ``station.run``."""
-    return station.run(jobs, patience=arguments.patience, closing=closing)
+    """Run exchanges with the patience of the command line; see ``station.run``."""
+    return station.run(jobs, patience=arguments.patience, on_abort=on_abort)

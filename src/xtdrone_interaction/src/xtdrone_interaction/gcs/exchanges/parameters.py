@@ -1,0 +1,278 @@
+"""Exchanges of MAVLink's parameter protocol (https://mavlink.io/en/services/parameter.html).
+
+Messages carry every value as a float: for an integer PX4 reinterprets its bytes ("bytewise"), ArduPilot converts its
+value ("C cast"). A request for an unknown name has no answer, so it is repeated a few times and then given up.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.parameter_file import LIMITS, REAL32, ParameterFile, Value, as_float32, checked, shown
+
+from .protocol import AUTOPILOT, Exchange, Heartbeat, Progress, RefusalError, fetch_message, ignore_progress
+
+IDENTITY = ("MAV_SYS_ID", "MAV_COMP_ID", "SYSID_THISMAV", "MAV_SYSID")
+"""Parameters that identify a vehicle; they are never copied to another one."""
+STACKS = {mavlink.MAV_AUTOPILOT_PX4: "PX4 Pro", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot"}
+"""Name of an autopilot (MAV_AUTOPILOT) in QGroundControl's files."""
+
+_NO_INDEX = 0xFFFF
+_BATCH = 50  # parameters per request, or per change
+_UNANSWERED = 15  # consecutive unanswered requests before giving up
+_OTHER_ANSWERS = 5  # with another value, before a change counts as rejected
+_HEADERS = {0xFD: 10, 0xFE: 6}  # bytes before the payload, by first byte of the frame
+_CODES = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
+
+
+def decode(message: Any, bytewise: bool) -> Value:
+    """Return the value in a PARAM_VALUE message."""
+    kind = message.param_type
+    if kind not in LIMITS:
+        return as_float32(message.param_value), REAL32
+    if not bytewise:
+        return round(message.param_value), kind
+    frame = bytes(message.get_msgbuf())  # not the float: some integers are NaNs, whose bits may change
+    return struct.unpack_from(f"<{_CODES[kind]}", frame, _HEADERS[frame[0]])[0], kind
+
+
+def encode(value: Value, bytewise: bool) -> float:
+    """Return the float for a value in a PARAM_SET message."""
+    number, kind = value
+    if kind == REAL32 or not bytewise:
+        return float(number)
+    raw = struct.pack(f"<{_CODES[kind]}", int(number)).ljust(4, b"\0")
+    found: float = struct.unpack("<f", raw)[0]
+    return found
+
+
+def uses_bytewise(heartbeat: Heartbeat) -> Exchange[bool]:
+    """Return whether a vehicle encodes integers bytewise."""
+    if heartbeat.autopilot in STACKS:
+        return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4
+    version = yield from fetch_message(heartbeat.system, "AUTOPILOT_VERSION")
+    flag = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    return version is not None and bool(version.capabilities & flag)
+
+
+def _name_of(answer: Any) -> str:
+    """Return the name in a PARAM_VALUE message; empty for other messages."""
+    return str(answer.param_id) if hasattr(answer, "param_id") else ""
+
+
+def _read_message(heartbeat: Heartbeat, name: str, index: int = -1) -> Any:
+    return mavlink.MAVLink_param_request_read_message(heartbeat.system, AUTOPILOT, name.encode(), index)
+
+
+def fetch(
+    heartbeat: Heartbeat, names: Iterable[str], progress: Progress = ignore_progress
+) -> Exchange[dict[str, Value]]:
+    """Return some parameters by name.
+
+    Raises:
+        RefusalError: the vehicle does not send one of them.
+    """
+    wanted = list(dict.fromkeys(names))
+    bytewise = yield from uses_bytewise(heartbeat)
+    found: dict[str, Value] = {}
+    for start in range(0, len(wanted), _BATCH):
+        missing = dict.fromkeys(wanted[start : start + _BATCH])
+        unanswered = 0
+        outgoing = [_read_message(heartbeat, name) for name in missing]
+        while missing:
+            answer = yield outgoing
+            outgoing = []
+            if _name_of(answer) in missing:
+                found[answer.param_id] = decode(answer, bytewise)
+                del missing[answer.param_id]
+                unanswered = 0
+                progress("reading parameters", len(found), len(wanted))
+            elif answer is None:
+                unanswered += 1
+                if unanswered > _UNANSWERED:
+                    raise RefusalError(f"parameters: the vehicle tells nothing of {', '.join(missing)}", True)
+                outgoing = [_read_message(heartbeat, name) for name in missing]
+    return {name: found[name] for name in wanted}
+
+
+def fetch_all(heartbeat: Heartbeat, progress: Progress = ignore_progress) -> Exchange[dict[str, Value]]:
+    """Return all parameters by name.
+
+    Raises:
+        RefusalError: the vehicle does not send all of them.
+    """
+    bytewise = yield from uses_bytewise(heartbeat)
+    whole = [mavlink.MAVLink_param_request_list_message(heartbeat.system, AUTOPILOT)]
+    found: dict[int, tuple[str, Value]] = {}
+    count = unanswered = 0
+    listing, news = True, False  # whether the list may still be arriving; any value since the last time-out
+    asked: set[int] = set()  # indices requested one by one, after the list
+    outgoing: list[Any] = whole
+    while not count or len(found) < count:
+        answer = yield outgoing
+        outgoing = []
+        if answer is not None:
+            if not _name_of(answer) or answer.param_index == _NO_INDEX:
+                continue
+            count, news = answer.param_count, True
+            found[answer.param_index] = answer.param_id, decode(answer, bytewise)
+            asked.discard(answer.param_index)
+            progress("reading parameters", len(found), count)
+            if listing or asked:
+                continue
+        elif news:
+            unanswered, news = 0, False
+            if listing:
+                continue
+        else:
+            unanswered += 1
+        if unanswered > _UNANSWERED:
+            raise RefusalError(f"parameters: the vehicle tells {len(found)} of {count or 'them'}", True)
+        listing = not count
+        asked = set([i for i in range(count) if i not in found][:_BATCH])
+        outgoing = whole if listing else [_read_message(heartbeat, "", i) for i in sorted(asked)]
+    return dict(found.values())
+
+
+def store(
+    heartbeat: Heartbeat, values: Mapping[str, Value], progress: Progress = ignore_progress
+) -> Exchange[dict[str, str]]:
+    """Set parameters and check the vehicle's confirmations.
+
+    Args:
+        heartbeat: of the vehicle.
+        values: by name, with the vehicle's types.
+        progress: callback.
+
+    Returns:
+        Reasons of failures by name; empty for none.
+    """
+    bytewise = yield from uses_bytewise(heartbeat)
+    failed: dict[str, str] = {}
+    names = list(values)
+    for start in range(0, len(names), _BATCH):
+        missing = dict.fromkeys(names[start : start + _BATCH], 0)  # number of confirmations with another value
+        unanswered = 0
+        outgoing = [_set_message(heartbeat, name, values[name], bytewise) for name in missing]
+        while missing:
+            answer = yield outgoing
+            outgoing = []
+            name = _name_of(answer)
+            if name in missing:
+                told = decode(answer, bytewise)
+                if told[0] != values[name][0]:
+                    missing[name] += 1
+                    if missing[name] < _OTHER_ANSWERS:
+                        continue
+                    failed[name] = f"{shown(*values[name])} is not taken, {shown(*told)} stays"
+                del missing[name]
+                unanswered = 0
+                progress("setting parameters", start + _BATCH - len(missing), len(names))
+            elif answer is None:
+                unanswered += 1
+                if unanswered > _UNANSWERED:
+                    failed |= dict.fromkeys(missing, "the vehicle does not take it")
+                    break
+                outgoing = [_set_message(heartbeat, each, values[each], bytewise) for each in missing]
+    return failed
+
+
+def _set_message(heartbeat: Heartbeat, name: str, value: Value, bytewise: bool) -> Any:
+    return mavlink.MAVLink_param_set_message(
+        heartbeat.system, AUTOPILOT, name.encode(), encode(value, bytewise), value[1]
+    )
+
+
+def change(heartbeat: Heartbeat, name: str, value: float) -> Exchange[tuple[Value, Value]]:
+    """Set one parameter and return the old and the new value.
+
+    Raises:
+        RefusalError: the vehicle does not have the parameter, or rejects the value.
+    """
+    old = (yield from fetch(heartbeat, [name]))[name]
+    try:
+        new = checked(value, old[1]), old[1]
+    except ValueError as error:
+        raise RefusalError(f"{name}: {value:g} is not allowed, {error}", True) from error
+    failed = yield from store(heartbeat, {name: new})
+    if failed:
+        raise RefusalError(f"{name}: {failed[name]}", True)
+    return old, new
+
+
+# files
+
+
+def save(heartbeat: Heartbeat, progress: Progress = ignore_progress) -> Exchange[ParameterFile]:
+    """Return all parameters of a vehicle as the content of a file.
+
+    Raises:
+        RefusalError: the vehicle does not send all of them.
+    """
+    values = yield from fetch_all(heartbeat, progress)
+    return ParameterFile(heartbeat.system, values, STACKS.get(heartbeat.autopilot, ""))
+
+
+def differences(content: ParameterFile, present: Mapping[str, Value]) -> dict[str, tuple[Value, Value | None]]:
+    """Compare a file with a vehicle: differing values by name, the file's and the vehicle's (None for none)."""
+    found: dict[str, tuple[Value, Value | None]] = {}
+    for name, value in content.values.items():
+        there = present.get(name)
+        if there is None or there[0] != value[0]:
+            found[name] = value, there
+    return found
+
+
+def check(
+    content: ParameterFile, heartbeat: Heartbeat, present: Mapping[str, Value], of_another: bool
+) -> dict[str, Value]:
+    """Return the changes that make a vehicle's parameters equal to a file's.
+
+    Args:
+        content: of the file.
+        heartbeat: of the vehicle.
+        present: all parameters of the vehicle.
+        of_another: accept the file of another vehicle; ``IDENTITY`` stays unchanged then.
+
+    Raises:
+        RefusalError: the file belongs to another vehicle or autopilot, or does not fit the vehicle's parameters.
+    """
+    stack = STACKS.get(heartbeat.autopilot, "")
+    if content.stack and stack and content.stack.split()[0] != stack.split()[0]:
+        raise RefusalError(f"the file is of {content.stack}, this is {stack}", True)
+    if content.system != heartbeat.system and not of_another:
+        raise RefusalError(f"the file is of vehicle {content.system}, this is system {heartbeat.system}; "
+                           "--of-another loads it without what says who a vehicle is", True)  # fmt: skip
+    changes = differences(content, present)
+    unknown = [name for name, (_, there) in changes.items() if there is None]
+    if unknown:
+        more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
+        raise RefusalError(f"the vehicle has no {', '.join(unknown[:5])}{more}", True)
+    for name, (value, there) in changes.items():
+        if there is not None and there[1] != value[1]:
+            raise RefusalError(f"{name} is of type {value[1]} in the file, of type {there[1]} in the vehicle", True)
+    return {name: value for name, (value, _) in changes.items() if name not in IDENTITY}
+
+
+def load(
+    heartbeat: Heartbeat, content: ParameterFile, of_another: bool, progress: Progress = ignore_progress
+) -> Exchange[Any]:
+    """Set a vehicle's parameters to a file's, all of them or none; see ``check``.
+
+    Returns:
+        Old and new values of the changed parameters by name.
+
+    Raises:
+        RefusalError: the file does not fit the vehicle, or the vehicle has rejected some values; the rest are set then.
+    """
+    present = yield from fetch_all(heartbeat, progress)
+    changes = check(content, heartbeat, present, of_another)
+    failed = yield from store(heartbeat, changes, progress)
+    if failed:
+        text = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
+        raise RefusalError(f"{len(changes) - len(failed)} of {len(changes)} parameters are set; {text}", True)
+    return {name: (present[name], value) for name, value in changes.items()}

@@ -1,0 +1,361 @@
+"""Exchanges that upload, download and clear a vehicle's plan: mission, geofence and rally points.
+
+In the mission protocol (https://mavlink.io/en/services/mission.html) the sender repairs losses by repetition. A vehicle
+whose time stands still never repeats a request, so here only the ground station repeats: after a time-out it sends the
+item requested last and the one after it, because the request for that one may have been lost.
+
+ArduPilot stores its home position as the first item of a mission; a plan does not contain it. It keeps only those
+parameters of an item that its command uses, so its items are compared by command and position alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from xtdrone_control.autopilot.navigator import plan
+from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
+from xtdrone_control.mavlink.microservices import mission_items
+from xtdrone_control.plans.qgc_plan import FRAME_GLOBAL, Place, Plan
+
+from .protocol import (
+    AUTOPILOT,
+    Exchange,
+    Progress,
+    RefusalError,
+    T,
+    Unanswered,
+    fetch_message,
+    ignore_progress,
+    is_message,
+)
+
+KINDS = ("mission", "fence", "rally points")  # by MAV_MISSION_TYPE
+
+_PX4, _ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+_ATTEMPTS = 10
+_REPEATS = 8  # unanswered requests before a download starts over: the vehicle may have ended the transfer
+_RETRIED = (mavlink.MAV_MISSION_ERROR, mavlink.MAV_MISSION_INVALID_SEQUENCE, mavlink.MAV_MISSION_OPERATION_CANCELLED)
+_ALL = plan.ALL_KINDS
+_FRAMES = {0: 0, 5: 0, 3: 3, 6: 3, FRAME_MISSION: FRAME_MISSION}  # MAV_FRAME; integer frames as their float frames
+_PLACE_TOLERANCE = 1.5e-7  # degrees, one digit in a message
+_NUMBER_TOLERANCE = 1e-6  # relative, of MAVLink's floats
+
+
+def to_message(item: PlanItem, seq: int, kind: int, system: int) -> Any:
+    """Convert a plan's item to MISSION_ITEM_INT for the autopilot of ``system``."""
+    scale = 1.0 if item.frame == FRAME_MISSION else 1e7
+    return mavlink.MAVLink_mission_item_int_message(
+        system,
+        AUTOPILOT,
+        seq,
+        item.frame,
+        item.command,
+        int(seq == 0 and kind == plan.MISSION),
+        int(item.autocontinue),
+        *item.params,
+        round(item.x * scale),
+        round(item.y * scale),
+        item.z,
+        kind,
+    )
+
+
+def difference(sent: Sequence[PlanItem], found: Sequence[PlanItem], kind: int, autopilot: int = _PX4) -> str:
+    """Describe the first difference between an uploaded list and the downloaded one; empty for none.
+
+    PX4 returns only what it stores of an item, so ``sent`` is reduced to that before the comparison.
+
+    Args:
+        sent, found: uploaded and downloaded items.
+        kind: MAV_MISSION_TYPE.
+        autopilot: MAV_AUTOPILOT of the vehicle.
+    """
+    if len(sent) != len(found):
+        return f"{len(found)} items came back of {len(sent)}"
+    for seq, (item, back) in enumerate(zip(sent, found, strict=True)):
+        if autopilot == _ARDUPILOT:
+            alike = item.command == back.command and (item.frame == FRAME_MISSION or _same_place(item, back))
+        else:
+            message = to_message(item, seq, kind, 1)
+            kept = mission_items.write(mission_items.parse(message, True), seq, False, kind, True, (0, 0))
+            alike = _equal(mission_items.parse(kept, True), back, kind)
+        if not alike:
+            return f"item {seq + 1} came back as {back}, not as {item}"
+    return ""
+
+
+def _same_place(a: PlanItem, b: PlanItem) -> bool:
+    return max(abs(a.x - b.x), abs(a.y - b.y)) <= _PLACE_TOLERANCE
+
+
+def _equal(a: PlanItem, b: PlanItem, kind: int) -> bool:
+    if (a.command, _FRAMES.get(a.frame)) != (b.command, _FRAMES.get(b.frame)):
+        return False
+    if kind == plan.MISSION and a.autocontinue != b.autocontinue:
+        return False
+    if a.frame != FRAME_MISSION and not _same_place(a, b):
+        return False
+    numbers = zip((*a.params, a.z), (*b.params, b.z), strict=True)
+    return all(math.isclose(x, y, rel_tol=_NUMBER_TOLERANCE, abs_tol=1e-6) or (x != x and y != y) for x, y in numbers)
+
+
+def cancel_transfers(system: int) -> list[Any]:
+    """Return the messages that cancel all our transfers with the autopilot of ``system``."""
+    cancelled = mavlink.MAV_MISSION_OPERATION_CANCELLED
+    return [mavlink.MAVLink_mission_ack_message(system, AUTOPILOT, cancelled, kind) for kind in plan.KINDS]
+
+
+# single lists
+
+
+def _upload_once(system: int, kind: int, items: Items, progress: Progress) -> Exchange[None]:
+    """Upload a list, without retries.
+
+    Raises:
+        RefusalError: the vehicle rejects it.
+    """
+    count = len(items)
+    outgoing: list[Any] = [mavlink.MAVLink_mission_count_message(system, AUTOPILOT, count, kind)]
+    first = outgoing[0]
+    requested = sent = -1  # the item requested last, and the highest one sent
+    while True:
+        answer = yield outgoing
+        outgoing = []
+        if answer is None:
+            if requested < 0:
+                outgoing = [first]
+            else:
+                sent = min(sent + 1, count - 1)
+                outgoing = [to_message(items[seq], seq, kind, system) for seq in range(requested, sent + 1)]
+        elif getattr(answer, "mission_type", None) != kind:
+            continue
+        elif is_message(answer, "MISSION_ACK"):
+            if answer.type == mavlink.MAV_MISSION_ACCEPTED and sent == count - 1:
+                return
+            # after the last item, an error may be about an item that was sent twice: the download will show
+            if answer.type == mavlink.MAV_MISSION_ERROR and count and sent == count - 1:
+                return
+            if answer.type != mavlink.MAV_MISSION_ACCEPTED:
+                raise _refusal(answer.type, kind, requested, items)
+        elif is_message(answer, "MISSION_REQUEST", "MISSION_REQUEST_INT") and answer.seq < count:
+            requested = answer.seq
+            sent = max(sent, requested)
+            progress(f"sending {KINDS[kind]}", requested, count)
+            outgoing = [to_message(items[requested], requested, kind, system)]
+
+
+def _refusal(result: int, kind: int, requested: int, items: Items) -> RefusalError:
+    entry = mavlink.enums["MAV_MISSION_RESULT"].get(result)
+    name = entry.name if entry is not None else f"result {result}"
+    known = 0 <= requested < len(items)
+    where = f"item {requested + 1} (command {items[requested].command})" if known else f"{len(items)} items"
+    return RefusalError(f"{KINDS[kind]}: the vehicle refuses {where}: {name}", result not in _RETRIED)
+
+
+def _download_once(system: int, kind: int, progress: Progress) -> Exchange[Items]:
+    """Download a list, without retries.
+
+    Raises:
+        RefusalError: the vehicle does not send it.
+    """
+    first = mavlink.MAVLink_mission_request_list_message(system, AUTOPILOT, kind)
+    items: list[PlanItem] = []
+    count = -1
+    repeats = 0
+    outgoing = [first]
+    while count < 0 or len(items) < count:
+        answer = yield outgoing
+        outgoing = []
+        if answer is None:
+            repeats += 1
+            if repeats > _REPEATS:
+                raise RefusalError(f"{KINDS[kind]}: the vehicle has ended the transfer", False)
+            outgoing = [first if count < 0 else _request(system, len(items), kind)]
+        elif getattr(answer, "mission_type", None) != kind:
+            continue
+        elif is_message(answer, "MISSION_COUNT") and count < 0:
+            count = answer.count
+            outgoing = [_request(system, 0, kind)] if count else []
+        elif is_message(answer, "MISSION_ITEM_INT") and answer.seq == len(items) and count > 0:
+            repeats = 0
+            items.append(_parse(answer, kind))
+            progress(f"reading {KINDS[kind]}", len(items), count)
+            outgoing = [_request(system, len(items), kind)] if len(items) < count else []
+        elif is_message(answer, "MISSION_ACK") and answer.type != mavlink.MAV_MISSION_ACCEPTED:
+            raise _refusal(answer.type, kind, -1, ())
+    return tuple(items)
+
+
+def _parse(message: Any, kind: int) -> PlanItem:
+    try:
+        return mission_items.parse(message, True)
+    except mission_items.ItemError as error:
+        raise RefusalError(f"{KINDS[kind]}: item {message.seq + 1} of the vehicle: {error}", True) from error
+
+
+def _request(system: int, seq: int, kind: int) -> Any:
+    return mavlink.MAVLink_mission_request_int_message(system, AUTOPILOT, seq, kind)
+
+
+def _acceptance(system: int, kind: int) -> list[Any]:
+    return [mavlink.MAVLink_mission_ack_message(system, AUTOPILOT, mavlink.MAV_MISSION_ACCEPTED, kind)]
+
+
+def _retry(system: int, once: Callable[[], Exchange[T]]) -> Exchange[T]:
+    """Run an exchange until it succeeds, or fails finally or for the last of several times.
+
+    Raises:
+        RefusalError: from the last attempt.
+    """
+    for attempt in range(_ATTEMPTS):
+        try:
+            return (yield from once())
+        except RefusalError as error:
+            if error.final or attempt == _ATTEMPTS - 1:
+                raise
+        # cancel the transfer, and skip its messages that are still arriving
+        answer = yield cancel_transfers(system)
+        while answer is not None:
+            answer = yield []
+    raise AssertionError("unreachable")
+
+
+def _with_home(items: Items, home: Place) -> Items:
+    """Return the items of an ArduPilot mission: the home position, then the items of a plan."""
+    first = PlanItem(plan.WAYPOINT, FRAME_GLOBAL, (0.0,) * 4, *home)
+    return (first, *(_shift_jump(item, 1.0) for item in items)) if items else ()
+
+
+def _without_home(items: Items) -> Items:
+    """Return the items of a plan from an ArduPilot mission."""
+    return tuple(_shift_jump(item, -1.0) for item in items[1:])
+
+
+def _shift_jump(item: PlanItem, offset: float) -> PlanItem:
+    """Return an item; the target of a jump is moved by ``offset`` items."""
+    if item.command != plan.JUMP:
+        return item
+    return replace(item, params=(item.params[0] + offset, *item.params[1:]))
+
+
+def upload_list(
+    system: int,
+    kind: int,
+    items: Items,
+    progress: Progress = ignore_progress,
+    autopilot: int = _PX4,
+    home: Place = (0.0, 0.0, 0.0),
+) -> Exchange[None]:
+    """Replace a list of a vehicle, download it again and compare.
+
+    Args:
+        system: MAVLink system id of the vehicle.
+        kind: MAV_MISSION_TYPE.
+        items: the items of a plan.
+        progress: callback.
+        autopilot: MAV_AUTOPILOT.
+        home: latitude and longitude, degrees, and altitude, m AMSL; the first item of an ArduPilot mission.
+
+    Raises:
+        RefusalError: the vehicle rejects the list.
+    """
+    with_home = autopilot == _ARDUPILOT and kind == plan.MISSION
+    sent = _with_home(items, home) if with_home else items
+
+    def once() -> Exchange[None]:
+        yield from _upload_once(system, kind, sent, progress)
+        found = yield from _download_once(system, kind, progress)
+        yield from _send(_acceptance(system, kind))
+        wrong = difference(items, _without_home(found) if with_home else found, kind, autopilot)
+        if wrong:
+            raise RefusalError(f"{KINDS[kind]}: {wrong}", False)
+
+    yield from _retry(system, once)
+
+
+def download_list(
+    system: int, kind: int, progress: Progress = ignore_progress, autopilot: int = _PX4
+) -> Exchange[Items]:
+    """Return a list of a vehicle as the items of a plan; ``autopilot``: MAV_AUTOPILOT.
+
+    Raises:
+        RefusalError: the vehicle does not send it.
+    """
+    found = yield from _retry(system, lambda: _download_once(system, kind, progress))
+    yield from _send(_acceptance(system, kind))
+    return _without_home(found) if autopilot == _ARDUPILOT and kind == plan.MISSION else found
+
+
+def _send(messages: list[Any]) -> Exchange[None]:
+    yield Unanswered(messages)
+
+
+# whole plans
+
+
+def check_capacity(content: Plan) -> str:
+    """Describe the list of a plan that is too long for a PX4; empty for none."""
+    for kind in plan.KINDS:
+        count = len(content.items(kind))
+        if count > plan.CAPACITY[kind]:
+            return f"{KINDS[kind]}: {count} items are not allowed, at most {plan.CAPACITY[kind]}"
+    return ""
+
+
+def upload_plan(
+    system: int, content: Plan, progress: Progress = ignore_progress, autopilot: int = _PX4
+) -> Exchange[None]:
+    """Replace all three lists of a vehicle, also by empty ones, as QGroundControl does; see ``upload_list``.
+
+    Raises:
+        RefusalError: the vehicle rejects one of them.
+    """
+    for kind in plan.KINDS:
+        yield from upload_list(system, kind, content.items(kind), progress, autopilot, content.home)
+
+
+def download_plan(system: int, progress: Progress = ignore_progress, autopilot: int = _PX4) -> Exchange[Plan]:
+    """Return the plan of a vehicle; see ``download_list``.
+
+    Raises:
+        RefusalError: the vehicle does not send one of the lists.
+    """
+    lists = []
+    for kind in plan.KINDS:
+        lists.append((yield from download_list(system, kind, progress, autopilot)))
+    home = yield from _download_home(system)
+    return Plan(lists[0], lists[1], lists[2], home, firmware=autopilot if autopilot == _ARDUPILOT else _PX4)
+
+
+def _download_home(system: int) -> Exchange[Place]:
+    """Return the home position: latitude, longitude, degrees, and altitude, m AMSL; zeros for none."""
+    home = yield from fetch_message(system, "HOME_POSITION")
+    return (0.0, 0.0, 0.0) if home is None else (home.latitude * 1e-7, home.longitude * 1e-7, home.altitude * 1e-3)
+
+
+def clear_plan(system: int, progress: Progress = ignore_progress, autopilot: int = _PX4) -> Exchange[None]:
+    """Clear all lists of a vehicle; ``autopilot``: MAV_AUTOPILOT.
+
+    Raises:
+        RefusalError: the vehicle does not clear them.
+    """
+
+    def once() -> Exchange[None]:
+        ask = mavlink.MAVLink_mission_clear_all_message(system, AUTOPILOT, _ALL)
+        progress("clearing", 0, 1)
+        answer = yield [ask]
+        while not (is_message(answer, "MISSION_ACK") and answer.mission_type == _ALL):
+            answer = yield [*cancel_transfers(system), ask] if answer is None else []
+        if answer.type != mavlink.MAV_MISSION_ACCEPTED:
+            raise RefusalError(f"the vehicle does not clear its plan: result {answer.type}", False)
+
+    yield from _retry(system, once)
+    for kind in plan.KINDS:
+        left = yield from download_list(system, kind, progress, autopilot)
+        if left:
+            raise RefusalError(f"{KINDS[kind]}: {len(left)} items are left after the clearing", True)

@@ -1,0 +1,334 @@
+"""Elements of SDF files: parsing with line numbers, and the values of elements with errors that name their place.
+
+expat parses the XML, because its events carry line numbers and prefixes as written and let entities be rejected before
+anything is expanded.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+from xtdrone_control.bounded_file import MB, MOST_DEPTH, MOST_VALUES
+from xtdrone_sim.package_files import MODELS, PACKAGE
+from xtdrone_sim.vehicles.poses import from_rpy
+from xtdrone_sim.vehicles.visual import Pose, Quaternion, Vector
+from xtdrone_sim.worlds.sdf.types import SdfError
+
+_log = logging.getLogger("rosout.sdf")  # a child of ROS's logger: shown on screen and on /rosout in a ROS node
+LARGEST = 16 * MB  # of a file
+_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
+_QUATERNION = "quat_xyzw"
+_VARIABLES = ("XTDRONE_MODELS", "GAZEBO_MODEL_PATH")
+
+
+@dataclass(eq=False)
+class Element:
+    """One element of a file.
+
+    Attributes:
+        tag: name with its prefix.
+        attributes: as written.
+        line: line of its start tag, from 1.
+        children: in document order.
+        text: its own characters, without those of children.
+        file: the file that it belongs to.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    file: File
+    children: list[Element] = field(default_factory=list)
+    text: str = ""
+
+    def error(self, text: str) -> SdfError:
+        """Return an error that names file, line and element."""
+        return SdfError(f"{self.file.path}: line {self.line}: <{self.tag}>: {text}")
+
+    def all(self, tag: str) -> Iterator[Element]:
+        """Return the children with this tag."""
+        return (child for child in self.children if child.tag == tag)
+
+    def one(self, tag: str) -> Element | None:
+        """Return the only child with this tag, or None.
+
+        Raises:
+            SdfError: there are several.
+        """
+        found = list(self.all(tag))
+        if len(found) > 1:
+            raise found[1].error(f"stands here for the second time in <{self.tag}>, one is allowed")
+        return found[0] if found else None
+
+    def required(self, tag: str) -> Element:
+        """Return the only child with this tag.
+
+        Raises:
+            SdfError: there is none, or several.
+        """
+        found = self.one(tag)
+        if found is None:
+            raise self.error(f"needs a <{tag}>")
+        return found
+
+    def name(self) -> str:
+        """Return the attribute ``name``.
+
+        Raises:
+            SdfError: it is missing or empty.
+        """
+        name = self.attributes.get("name", "").strip()
+        if not name:
+            raise self.error('needs an attribute name="..." that is not empty')
+        return name
+
+    def string(self) -> str:
+        """Return the text without surrounding white space.
+
+        Raises:
+            SdfError: it is empty.
+        """
+        text = self.text.strip()
+        if not text:
+            raise self.error("is empty")
+        return text
+
+    def boolean(self) -> bool:
+        """Parse the text as a boolean: true, false, 1 or 0."""
+        text = self.text.strip().lower()
+        if text not in _BOOLEANS:
+            raise self.error(f"{self.text.strip()!r} is not allowed, true or false")
+        return _BOOLEANS[text]
+
+    def number(self, low: float = -math.inf, high: float = math.inf) -> float:
+        """Parse the text as a finite number within limits."""
+        return self.numbers((1,), low, high)[0]
+
+    def numbers(self, counts: Sequence[int], low: float = -math.inf, high: float = math.inf) -> tuple[float, ...]:
+        """Parse the text as finite numbers within limits; ``counts``: allowed numbers of them."""
+        text = self.text.strip()
+        try:
+            values = tuple(float(word) for word in text.split())
+        except ValueError:
+            values = ()
+        if len(values) not in counts or not all(math.isfinite(value) and low <= value <= high for value in values):
+            many = " or ".join(str(count) for count in counts)
+            limits = "".join(
+                f", {word} {limit:g}" for word, limit in (("at least", low), ("at most", high)) if not math.isinf(limit)
+            )
+            raise self.error(f"{text!r} is not allowed, {many} finite number{'s' * (many != '1')}{limits}")
+        return values
+
+    def warn_unknown(self, known: Sequence[str], silent: Sequence[str] = ()) -> None:
+        """Warn of children that are neither supported (``known``) nor ignored on purpose (``silent``)."""
+        for child in self.children:
+            if child.tag not in known and child.tag not in silent:
+                child.warn_ignored()
+
+    def warn_ignored(self, why: str = "is not supported and ignored") -> None:
+        """Log a warning about this element, once per file and tag."""
+        self.file.note(logging.WARNING, self, why)
+
+    def info(self, text: str) -> None:
+        """Log a remark about this element, once per file and tag."""
+        self.file.note(logging.INFO, self, text)
+
+
+@dataclass(eq=False)
+class File:
+    """A file that is being read.
+
+    Attributes:
+        path: of the file.
+        told: tags and texts that have been logged.
+    """
+
+    path: Path
+    told: set[tuple[str, str]] = field(default_factory=set)
+
+    def note(self, level: int, element: Element, text: str) -> None:
+        """Log ``text`` once per tag."""
+        if (element.tag, text) not in self.told:
+            self.told.add((element.tag, text))
+            _log.log(level, "%s: line %d: <%s> %s", self.path, element.line, element.tag, text)
+
+
+def parse(text: str | bytes, path: Path) -> Element:
+    """Parse an XML text and return its root.
+
+    Args:
+        text: content of the file.
+        path: of the file, for messages and relative paths.
+
+    Raises:
+        SdfError: malformed XML, an entity, too many elements, or too deep nesting.
+    """
+    file = File(path)
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    count = 0
+    stack: list[Element] = []
+    roots: list[Element] = []
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > MOST_VALUES or len(stack) >= MOST_DEPTH:
+            many = f"{MOST_VALUES} elements" if count > MOST_VALUES else f"{MOST_DEPTH} elements within each other"
+            raise SdfError(f"{path}: line {parser.CurrentLineNumber}: more than {many}")
+        element = Element(tag, attributes, parser.CurrentLineNumber, file)
+        (stack[-1].children if stack else roots).append(element)
+        stack.append(element)
+
+    def end(_tag: str) -> None:
+        stack.pop()
+
+    def characters(data: str) -> None:
+        stack[-1].text += data
+
+    def entity(name: str, *_: object) -> None:
+        raise SdfError(
+            f"{path}: line {parser.CurrentLineNumber}: <!ENTITY {name}> is not allowed: write out what it stands for"
+        )
+
+    parser.EntityDeclHandler = entity
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = characters
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise SdfError(f"{path}: line {error.lineno}: not an XML file: {expat.ErrorString(error.code)}") from error
+    except ValueError as error:  # an encoding that expat does not support
+        raise SdfError(f"{path}: not an XML file: {error}") from error
+    return roots[0]
+
+
+# poses: x y z, and roll pitch yaw or a quaternion x y z w
+
+
+def angles(q: Quaternion) -> Vector:
+    """Convert a quaternion (x, y, z, w) to roll, pitch, yaw, rad; ``from_rpy`` inverts it up to sign and rounding."""
+    x, y, z, w = q
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+def read_pose(parent: Element) -> Pose:
+    """Read the <pose> of an element; the identity if it has none.
+
+    Raises:
+        SdfError: it is relative to another frame, or does not have six numbers (seven with a quaternion).
+    """
+    element = parent.one("pose")
+    return Pose() if element is None else pose_of(element)
+
+
+def pose_of(element: Element) -> Pose:
+    """Parse the text of an element as a pose; see ``read_pose``."""
+    frame = element.attributes.get("relative_to") or element.attributes.get("frame")
+    if frame and frame not in {"world", "__model__"}:
+        raise element.error(f"relative to {frame!r} is not allowed, poses are in the frame of what holds them")
+    if element.attributes.get("degrees", "false") not in {"false", "0"}:
+        raise element.error("degrees are not allowed, angles are in rad")
+    form = element.attributes.get("rotation_format", "euler_rpy")
+    if form not in {"euler_rpy", _QUATERNION}:
+        raise element.error(f"rotation_format {form!r} is not allowed, euler_rpy or {_QUATERNION}")
+    if not element.text.strip():
+        return Pose()
+    values = element.numbers((7,) if form == _QUATERNION else (6,))
+    x, y, z = values[:3]
+    if form != _QUATERNION:
+        roll, pitch, yaw = values[3:]
+        return Pose((x, y, z), from_rpy(roll, pitch, yaw))
+    qx, qy, qz, qw = values[3:]
+    length = math.hypot(qx, qy, qz, qw)
+    if abs(length - 1.0) > 1e-3:
+        raise element.error(f"quaternion of length {length:g} is not allowed, of length 1")
+    return Pose((x, y, z), (qx, qy, qz, qw))
+
+
+def write_pose(pose: Pose, tag: str = "pose") -> str:
+    """Write a pose as an element that ``pose_of`` reads bit by bit the same.
+
+    It has angles, which Gazebo Classic supports, where they are exact, otherwise a quaternion.
+    """
+    place = " ".join(map(repr, pose.position))
+    for digits in (4, 6, 9, 12, 15):
+        rounded = [round(angle, digits) + 0.0 for angle in angles(pose.orientation)]
+        if from_rpy(*rounded) == pose.orientation:
+            return f"<{tag}>{place} {' '.join(map(repr, rounded))}</{tag}>"
+    turn = " ".join(map(repr, pose.orientation))
+    return f'<{tag} rotation_format="{_QUATERNION}">{place} {turn}</{tag}>'
+
+
+# files of worlds, models, meshes and textures
+
+
+def model_folders(folder: Path) -> Iterator[Path]:
+    """Return the search path of models: the folder of the world, those of the environment, the package's."""
+    yield folder
+    yield folder / "models"
+    for variable in _VARIABLES:
+        for name in os.environ.get(variable, "").split(":"):
+            if name:
+                yield Path(name).expanduser()
+    yield MODELS
+
+
+def resolve(element: Element) -> Path:
+    """Return the existing file or folder for the URI in an element.
+
+    ``model://NAME/...`` is searched in ``model_folders``, ``package://NAME/...`` in a ROS package; ``file://PATH`` and
+    a plain path may be relative to the folder of the element's file.
+
+    Raises:
+        SdfError: it does not exist.
+    """
+    uri = element.string()
+    beside = element.file.path.parent
+    kind, _, rest = uri.rpartition("://")
+    if kind == "model":
+        folders = list(model_folders(beside))
+        for folder in folders:
+            if (folder / rest).exists():
+                return (folder / rest).absolute()
+        raise element.error(f"{uri!r} is in none of {', '.join(dict.fromkeys(map(str, folders)))} (XTDRONE_MODELS)")
+    if kind == "package":
+        path = _package(element, uri, rest)
+    elif kind in {"", "file"}:
+        path = (beside / rest).absolute()
+    else:
+        raise element.error(f"{uri!r} is not allowed, model://, package://, file:// or a path")
+    if not path.exists():
+        raise element.error(f"{uri!r}: {path} does not exist")
+    return path
+
+
+def _package(element: Element, uri: str, rest: str) -> Path:
+    name, _, inner = rest.partition("/")
+    if name == "xtdrone_sim":
+        return PACKAGE / inner
+    import rospkg  # needed for other packages only
+
+    try:
+        return Path(rospkg.RosPack().get_path(name)) / inner
+    except rospkg.ResourceNotFound as error:
+        raise element.error(f"{uri!r}: no ROS package {name!r} is found") from error
+
+
+def uri_of(path: Path) -> str:
+    """Return a URI that ``resolve`` maps back to a file, independent of the current folder."""
+    path = path.absolute()
+    if path.is_relative_to(PACKAGE):
+        return f"package://xtdrone_sim/{path.relative_to(PACKAGE)}"
+    return f"file://{path}"
