@@ -35,6 +35,7 @@ ROOMS = {
     "mavlink": {"autopilot", "geodesy", "lockstep"},
     "plans": {"autopilot", "mavlink"},
     "communication": {"autopilot", "lockstep"},
+    "drone": {"autopilot", "communication", "lockstep"},
     "mavros": {"autopilot", "geodesy", "plans", "lockstep", "mavlink", "communication"},
 }
 """Folders of xtdrone_control, and the other folders that each may import."""

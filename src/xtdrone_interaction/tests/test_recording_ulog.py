@@ -14,8 +14,9 @@ from xtdrone_control.autopilot.logger.ulog import UlogWriter, data_template, log
 from xtdrone_interaction import cli
 from xtdrone_interaction.metrics.tracking import spectrum, tracking, trackings
 from xtdrone_interaction.metrics.vehicle import summarise_log
+from xtdrone_interaction.recording.open import log_recording
 from xtdrone_interaction.recording.series import Series
-from xtdrone_interaction.recording.ulog import LogError, euler, log_recording, read_log
+from xtdrone_interaction.recording.ulog import LogError, euler, read_log
 
 SECONDS, RATE = 20.0, 250.0
 PITCHING, LATE, AMPLITUDE = 3.0, 0.048, 0.4  # Hz, s, rad/s

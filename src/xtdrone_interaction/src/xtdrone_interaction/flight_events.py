@@ -51,6 +51,18 @@ class EventsFile:
                 file.close()
 
 
+def parse_event(text: str) -> Any:
+    """Return an event from its JSON, a phase under its present name.
+
+    Raises:
+        ValueError: it is not JSON.
+    """
+    event = json.loads(text)
+    if isinstance(event, dict) and event.get("phase") == "take-off":  # as older recordings spell it
+        event["phase"] = "takeoff"
+    return event
+
+
 def read_events(path: Path) -> list[dict[str, Any]]:
     """Return the events in a file, none if the file does not exist.
 
@@ -60,4 +72,4 @@ def read_events(path: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         return []
     lines = path.read_text(encoding="utf-8").splitlines()
-    return [json.loads(line) for line in lines if line.endswith("}")]  # the last line may be cut off
+    return [parse_event(line) for line in lines if line.endswith("}")]  # the last line may be cut off

@@ -19,6 +19,8 @@ from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
+from .effects import Effect, Effects
+
 
 class Simulation:
     """A fleet in a world.
@@ -29,6 +31,7 @@ class Simulation:
         world: bodies; ``world.plant`` is the truth.
         gimbals: what holds their cameras.
         landing_gears: what they stand on.
+        effects: forces and torques added to the rotors'; None if there are none.
         autopilots: who flies them.
         time_us: simulated time, microseconds.
         step_us: one step.
@@ -46,6 +49,7 @@ class Simulation:
         shared_datum: bool = True,
         places: Sequence[tuple[float, float, float]] | None = None,
         autopilots: AutopilotFactory = BuiltinAutopilot,
+        effects: Sequence[Effect] = (),
     ) -> None:
         """Place the fleet on the ground.
 
@@ -57,8 +61,10 @@ class Simulation:
             shared_datum: every local frame starts at the world's origin; otherwise at each vehicle's first GPS fix.
             places: (x, y, z) m ENU a vehicle instead of the grid.
             autopilots: makes who flies the vehicles.
+            effects: forces and torques on the vehicles besides those of rotors and drag, see ``effects``.
 
         Raises:
+            EffectError: an effect that cannot be applied.
             ModelError: unknown vehicle type or world.
             FleetError: a bad number of rows.
         """
@@ -71,13 +77,16 @@ class Simulation:
         self.models = models
         self._spawn = spawn
         self._seed = seed
+        self.effects = Effects(effects) if effects else None
         self.autopilots = autopilots(fleet, models, model, model.datum if shared_datum else None)
         self._begin(0)
 
     def _begin(self, time_us: int) -> None:
         """Make world, sensors and autopilots as they are at the start, at simulated time ``time_us``."""
         self.time_us = time_us
-        self.world = World(self._model, self.models, self._spawn, STEP_US * 1e-6)
+        self.world = World(self._model, self.models, self._spawn, STEP_US * 1e-6, self.effects)
+        if self.effects is not None:
+            self.effects.begin(self.world.plant, self.world.models, time_us=time_us, step_us=STEP_US, seed=self._seed)
         self.autopilots.begin(self.world, time_us)
         self.sensors = Sensors(self.world, self.autopilot, self._seed)
         self.gimbals = Gimbals(self.models)

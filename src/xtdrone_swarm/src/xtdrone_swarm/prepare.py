@@ -11,6 +11,10 @@ from xtdrone_swarm import NetworkOptions, Swarm
 _POOR = NetworkOptions(range=50.0, delay=0.05, loss=0.1, burst=0.1, bandwidth=1e6)
 
 
+def _no_effect(*_: object) -> None:
+    """Apply no force; the simulation then uses the kernels for effects."""
+
+
 def main() -> None:
     """Fly two vehicles that stand on the ground for a moment, then simplified ones; every kernel is used.
 
@@ -25,6 +29,10 @@ def main() -> None:
         links = Links([vehicle.name for vehicle in simulation.fleet], simulation.models)
         links.place(simulation.world.plant, simulation.gimbals.records, simulation.landing_gears.records)
         simulation.close()
+    print("effects", flush=True)
+    simulation = Simulation(parse_fleet("iris:1"), effects=[_no_effect])
+    simulation.step()
+    simulation.close()
     for network in (None, _POOR):
         print("simplified vehicles" if network is None else "simplified vehicles, poor radio", flush=True)
         swarm = Swarm(9, network=network)

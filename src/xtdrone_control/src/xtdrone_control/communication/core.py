@@ -149,8 +149,23 @@ class MultirotorCore:
         self._confirmed = False  # mavros/state has shown the commanded state since
 
     @property
+    def mode(self) -> str:
+        """Flight mode in mavros/state; empty before the first message."""
+        return self._mode or ""
+
+    @property
+    def armed(self) -> bool:
+        """Arming state in mavros/state; False before the first message."""
+        return bool(self._armed)
+
+    @property
+    def pose(self) -> tuple[Vector, float] | None:
+        """Local position, m ENU, and yaw, rad ENU; None before the first pose."""
+        return self._pose
+
+    @property
     def holding(self) -> bool:
-        """Whether ``setpoint`` is a pose of the vehicle's own, to stay where it is, and none that was asked for."""
+        """Whether the vehicle is holding position rather than following a commanded setpoint."""
         return self.hovering or (self._idle and self._pose is not None)
 
     # what the vehicle tells

@@ -18,8 +18,9 @@ topic                                  type                        meaning
 from __future__ import annotations
 
 import threading
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from functools import partial
+from queue import SimpleQueue
 
 import rospy
 from geometry_msgs.msg import Pose, PoseStamped, Twist
@@ -63,15 +64,20 @@ class _Services:
     def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
         self._arm = rospy.ServiceProxy(f"/{vehicle}/mavros/cmd/arming", CommandBool)
         self._set_mode = rospy.ServiceProxy(f"/{vehicle}/mavros/set_mode", SetMode)
-        self._executor = None if in_lockstep else ThreadPoolExecutor(max_workers=1)  # one: in order of the commands
         self._calls: list[tuple[Request, Future[tuple[bool, str]]]] = []
+        self._queue: SimpleQueue[tuple[Future[tuple[bool, str]], Request] | None] | None = None
+        if not in_lockstep:
+            self._queue = SimpleQueue()
+            # One thread: calls are made in the order of the commands. A daemon also works while the program exits.
+            threading.Thread(target=self._work, args=(self._queue,), name=f"{vehicle} services", daemon=True).start()
 
     def submit(self, request: Request) -> None:
         """Start a call; its outcome comes from :meth:`finished`."""
-        if self._executor is not None:
-            self._calls.append((request, self._executor.submit(self._call, request)))
-            return
         call: Future[tuple[bool, str]] = Future()
+        if self._queue is not None:
+            self._calls.append((request, call))
+            self._queue.put((call, request))
+            return
         thread = threading.Thread(target=self._make, args=(call, request), daemon=True)
         thread.start()
         thread.join(_ANSWER_LIMIT)
@@ -89,9 +95,18 @@ class _Services:
         return ended
 
     def close(self) -> None:
-        """Let no further call begin."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=False, cancel_futures=True)
+        """Cancel the calls that have not begun, and end the thread."""
+        if self._queue is not None:
+            for _, call in self._calls:
+                call.cancel()
+            self._queue.put(None)
+
+    def _work(self, queue: SimpleQueue[tuple[Future[tuple[bool, str]], Request] | None]) -> None:
+        """Make the calls of a node outside the lockstep, one after the other."""
+        while (item := queue.get()) is not None:
+            call, request = item
+            if call.set_running_or_notify_cancel():
+                self._make(call, request)
 
     def _make(self, call: Future[tuple[bool, str]], request: Request) -> None:
         try:
@@ -110,28 +125,26 @@ class _Services:
         return bool(response.success), "" if response.success else f"MAV_RESULT {response.result}"
 
 
-class MultirotorCommunication:
-    """Topics of one vehicle around a :class:`MultirotorCore`.
+class MavrosLink:
+    """One vehicle's MAVROS around a :class:`MultirotorCore`: state and pose in, setpoints and service calls out.
 
     Create it between ``lockstep.init_node`` and ``lockstep.start``, then call :meth:`step` at 30 Hz.
+
+    Attributes:
+        vehicle: name, as ``iris_0``.
+        core: computes the setpoint.
     """
 
-    def __init__(
-        self, vehicle: str, *, hover_speed: float = HOVER_SPEED, cmd_timeout: float = 0.0, in_lockstep: bool = False
-    ) -> None:
+    def __init__(self, vehicle: str, core: MultirotorCore, *, in_lockstep: bool) -> None:
         """Declare the topics.
 
         Args:
             vehicle: name, as ``iris_0``.
-            hover_speed: see :class:`MultirotorCore`.
-            cmd_timeout: see :class:`MultirotorCore`.
+            core: the vehicle's.
             in_lockstep: whether a simulator holds time while this node works.
-
-        Raises:
-            ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
         """
         self.vehicle = vehicle
-        self.core = MultirotorCore(vehicle, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
+        self.core = core
         self._services = _Services(vehicle, in_lockstep=in_lockstep)
         self._message = PositionTarget()
         self._encoded: Setpoint | None = None
@@ -139,23 +152,13 @@ class MultirotorCommunication:
         lockstep.Subscriber(f"/{vehicle}/mavros/state", State, self._on_state)
         lockstep.Subscriber(f"/{vehicle}/mavros/local_position/pose", PoseStamped, self._on_pose)
         lockstep.add_reset_hook(self.core.restart)  # the vehicle is as at the start, and times of before are to come
-        base = f"/xtdrone/{vehicle}"
-        lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
-        for frame, body in (("enu", False), ("flu", True)):
-            for kind, message, callback in (
-                ("pose", Pose, self._on_target_pose),
-                ("vel", Twist, self._on_target_velocity),
-                ("accel", Twist, self._on_target_acceleration),
-            ):
-                topic = f"{base}/cmd_{kind}_{frame}"
-                lockstep.Subscriber(topic, message, partial(callback, topic, body))
 
     def step(self) -> None:
-        """Publish the setpoint and take the outcome of service calls; 30 Hz."""
+        """Publish the setpoint and evaluate finished service calls; 30 Hz."""
         now = rospy.Time.now()
         seconds = now.to_sec()
         for request, accepted, reason in self._services.finished():
-            self.core.on_result(request, accepted, reason, seconds)
+            self._on_result(request, accepted, reason, seconds)
         setpoint = self.core.tick(seconds)
         if setpoint is not self._encoded:
             fill(self._message, setpoint)
@@ -172,6 +175,40 @@ class MultirotorCommunication:
 
     def _on_pose(self, message: PoseStamped) -> None:
         self.core.on_pose(*_pose(message.pose))
+
+    def _on_result(self, request: Request, accepted: bool, reason: str, now: float) -> None:
+        self.core.on_result(request, accepted, reason, now)
+
+
+class MultirotorCommunication(MavrosLink):
+    """XTDrone's command topics of one vehicle, carried out over its MAVROS."""
+
+    def __init__(
+        self, vehicle: str, *, hover_speed: float = HOVER_SPEED, cmd_timeout: float = 0.0, in_lockstep: bool = False
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            vehicle: name, as ``iris_0``.
+            hover_speed: see :class:`MultirotorCore`.
+            cmd_timeout: see :class:`MultirotorCore`.
+            in_lockstep: whether a simulator holds time while this node works.
+
+        Raises:
+            ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
+        """
+        core = MultirotorCore(vehicle, RosLog(), hover_speed=hover_speed, cmd_timeout=cmd_timeout)
+        super().__init__(vehicle, core, in_lockstep=in_lockstep)
+        base = f"/xtdrone/{vehicle}"
+        lockstep.Subscriber(f"{base}/cmd", String, self._on_command)
+        for frame, body in (("enu", False), ("flu", True)):
+            for kind, message, callback in (
+                ("pose", Pose, self._on_target_pose),
+                ("vel", Twist, self._on_target_velocity),
+                ("accel", Twist, self._on_target_acceleration),
+            ):
+                topic = f"{base}/cmd_{kind}_{frame}"
+                lockstep.Subscriber(topic, message, partial(callback, topic, body))
 
     def _on_command(self, message: String) -> None:
         request = self.core.on_command(message.data, rospy.Time.now().to_sec())

@@ -8,7 +8,6 @@ as it is; dates count from the beginning of the recording.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from xtdrone_interaction.bags.decode import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
 from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.bags.sources import Layouts, Losses, Source, by_connection, large_batches, open_sources
-from xtdrone_interaction.flight_events import EVENTS_FILE, read_events
+from xtdrone_interaction.flight_events import EVENTS_FILE, parse_event, read_events
 from xtdrone_interaction.formation_geometry import (
     EVENTS_TOPIC,
     PATTERN_TOPIC,
@@ -369,7 +368,7 @@ class _Collector:
             return
         for text in self._decoded(connection, layout, batch, "data")[0].texts("data"):
             try:
-                event = json.loads(text)
+                event = parse_event(text)
             except ValueError:
                 continue
             if isinstance(event, dict) and "event" in event and "time" in event:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_interaction.bags.ros1bag import BagError
+from xtdrone_interaction.flight_events import parse_event
 from xtdrone_interaction.formation_geometry import (
     ESTIMATE,
     EVENTS_TOPIC,
@@ -299,7 +300,7 @@ def read_archive(path: Path) -> Recording:
                 truth_source=str(data["source"]),
                 patterns=[Change(t, value) for t, value in zip(times, data["offsets"], strict=True)],
                 topologies=[Change(t, value) for t, value in zip(times, data["topology"], strict=True)],
-                events=json.loads(str(data["events"])),
+                events=[parse_event(json.dumps(event)) for event in json.loads(str(data["events"]))],
                 collisions=json.loads(str(data["collisions"])),
             )
     except (OSError, KeyError, ValueError, zipfile.BadZipFile, EOFError) as error:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import NDArray
 
 from xtdrone_interaction.formation_geometry import TRUTH
 from xtdrone_interaction.recording.series import Series
-
-if TYPE_CHECKING:
-    from xtdrone_interaction.recording.ulog import FlightLog
+from xtdrone_interaction.recording.ulog import FlightLog
 
 LOG_TOPIC = "/rosout"
 

@@ -14,7 +14,7 @@ from xtdrone_interaction.recording.bag import read_bag
 from xtdrone_interaction.recording.formation import read_archive
 from xtdrone_interaction.recording.model import RecordError, Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Series
-from xtdrone_interaction.recording.ulog import NAMELESS, LogError, is_log, log_recording, read_log
+from xtdrone_interaction.recording.ulog import NAMELESS, FlightLog, LogError, is_log, read_log
 
 COLUMNS = ("time", "x", "y", "z")
 """Columns of a table, in s and m ENU; and ``vehicle`` if there are several."""
@@ -72,3 +72,20 @@ def read_table(path: Path) -> Recording:
         recording.vehicles.append(VehicleRecord(name, {"pose": Series(table[:, 0], table[:, 1:])}))
         recording.duration = max(recording.duration, float(table[-1, 0]))
     return recording
+
+
+def log_recording(log: FlightLog) -> Recording:
+    """Return a flight log as a recording of one vehicle, from the first arming to the last disarming, ENU."""
+    vehicle = VehicleRecord(str(log.info.get("vehicle_name") or NAMELESS), modes=log.modes, armed=log.armed)
+    to_enu = np.array([1.0, 1.0, -1.0])
+    position = log.flown_series("vehicle_local_position", "y", "x", "z")
+    velocity = log.flown_series("vehicle_local_position", "vy", "vx", "vz")
+    voltage = log.series("battery_status", "voltage_v")
+    if position is not None:
+        vehicle.series["pose"] = Series(position.time, position.value * to_enu)
+    if velocity is not None:
+        vehicle.series["velocity"] = Series(velocity.time, velocity.value * to_enu)
+    if voltage is not None:
+        unknown = np.full((len(voltage), 2), np.nan)
+        vehicle.series["battery"] = Series(voltage.time, np.hstack([voltage.value, unknown]))
+    return Recording(log.path, log.size, log.notes, log.cut, duration=log.duration, vehicles=[vehicle], flight_log=log)

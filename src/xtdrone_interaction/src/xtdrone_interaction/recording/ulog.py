@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from xtdrone_control.autopilot import modes
-from xtdrone_interaction.recording.model import Recording, VehicleRecord
 from xtdrone_interaction.recording.series import Array, Series, armed_span
 
 NAMELESS = "vehicle"
@@ -166,23 +165,6 @@ def read_log(path: Path, topics: Collection[str] = TOPICS) -> FlightLog:
     log.cut = whole < len(data) and not damaged
     _fill(log, raw, topics)
     return log
-
-
-def log_recording(log: FlightLog) -> Recording:
-    """Return a flight log as a recording of one vehicle, from the first arming to the last disarming, ENU."""
-    vehicle = VehicleRecord(str(log.info.get("vehicle_name") or NAMELESS), modes=log.modes, armed=log.armed)
-    to_enu = np.array([1.0, 1.0, -1.0])
-    position = log.flown_series("vehicle_local_position", "y", "x", "z")
-    velocity = log.flown_series("vehicle_local_position", "vy", "vx", "vz")
-    voltage = log.series("battery_status", "voltage_v")
-    if position is not None:
-        vehicle.series["pose"] = Series(position.time, position.value * to_enu)
-    if velocity is not None:
-        vehicle.series["velocity"] = Series(velocity.time, velocity.value * to_enu)
-    if voltage is not None:
-        unknown = np.full((len(voltage), 2), np.nan)
-        vehicle.series["battery"] = Series(voltage.time, np.hstack([voltage.value, unknown]))
-    return Recording(log.path, log.size, log.notes, log.cut, duration=log.duration, vehicles=[vehicle], flight_log=log)
 
 
 def whole_part(data: bytes) -> tuple[int, bool]:

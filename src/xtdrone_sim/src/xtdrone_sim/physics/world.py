@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_sim.effects import Effects, drive_rotors, integrate_all
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics import plant as dynamics
 from xtdrone_sim.physics.bullet import connect, pybullet
@@ -167,6 +168,7 @@ class World:
         vehicles: Sequence[VehicleModel],
         places: Sequence[tuple[float, float, float]],
         time_step: float,
+        effects: Effects | None = None,
     ) -> None:
         """Place the vehicles.
 
@@ -175,9 +177,11 @@ class World:
             vehicles: one model a vehicle.
             places: (x, y, z) in m ENU of the ground under each vehicle's belly.
             time_step: s.
+            effects: further forces and torques; their ``begin`` is called with ``plant`` before the first step.
         """
         count = len(vehicles)
         self.model = model
+        self._effects = effects
         self.time_step = time_step
         self.plant = np.zeros(count, PLANT)
         self.models = np.zeros(count, MODEL)
@@ -229,7 +233,13 @@ class World:
         if self._steps % _CHECK_STEPS == 0:
             self._sort_contacts(armed)
         self._steps += 1
-        touching = dynamics.step_all(self.plant, self.models, actuators, armed, self.model.gravity, self.time_step)
+        gravity, dt = self.model.gravity, self.time_step
+        if self._effects is None:
+            touching = dynamics.step_all(self.plant, self.models, actuators, armed, gravity, dt)
+        else:
+            drive_rotors(self.plant, self.models, actuators, armed, dt)
+            self._effects.apply(armed)
+            touching = integrate_all(self.plant, self.models, armed, gravity, dt)
         if touching:
             self._step_bullet()
 

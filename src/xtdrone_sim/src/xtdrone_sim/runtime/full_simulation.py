@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import rospy
+import yaml
 from gazebo_msgs.msg import ModelStates
 
 from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
@@ -18,6 +19,7 @@ from xtdrone_control.settings import setting
 from xtdrone_sim.autopilots.backend import AutopilotFactory, BuiltinAutopilot
 from xtdrone_sim.autopilots.datagrams import Datagrams
 from xtdrone_sim.autopilots.hil import Hil
+from xtdrone_sim.effects import Effect, load_effects
 from xtdrone_sim.runtime.backend import Idle
 from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
@@ -34,6 +36,8 @@ class FullSettings(NodeSettings):
 
     Attributes:
         fleet: vehicles (``~fleet`` or ``/xtdrone/fleet``), on the ports of instance ``/xtdrone/instance``.
+        effects: forces and torques added to the vehicles in this order (``~effects``: a list, or its YAML as text; each
+            entry ``FILE.py:NAME``, ``module:NAME`` or ``{FILE.py:NAME: {ARGUMENT: VALUE, ...}}``).
     """
 
     fleet: tuple[Vehicle, ...]
@@ -50,6 +54,7 @@ class FullSettings(NodeSettings):
     )
     params: str = setting("", text="folder that keeps changed vehicle parameters, empty for none")
     log_dir: str = setting("", text="folder for ULogs of the vehicles, empty for none")
+    effects: tuple[Effect, ...] = ()
 
 
 def read_settings() -> FullSettings:
@@ -60,7 +65,24 @@ def read_settings() -> FullSettings:
     """
     fleet = str(rospy.get_param("~fleet", rospy.get_param("/xtdrone/fleet", "iris:1")))
     instance = check_instance(rospy.get_param("/xtdrone/instance", 0))
-    return FullSettings.from_parameters(rospy.get_param, fleet=parse_fleet(fleet, instance))
+    return FullSettings.from_parameters(
+        rospy.get_param, fleet=parse_fleet(fleet, instance), effects=_effects("~effects")
+    )
+
+
+def _effects(name: str) -> tuple[Effect, ...]:
+    """Return the effects that a parameter lists.
+
+    Raises:
+        ValueError: it is malformed, or an effect cannot be loaded.
+    """
+    value, resolved = rospy.get_param(name, []), rospy.resolve_name(name)
+    if isinstance(value, str):
+        try:
+            value = yaml.safe_load(value) or []
+        except yaml.YAMLError as error:
+            raise ValueError(f"{resolved}: {value!r} is not allowed, a list in YAML: {error}") from error
+    return tuple(load_effects(value, resolved))
 
 
 class FullSimulation:
@@ -82,7 +104,10 @@ class FullSimulation:
             seed=settings.seed,
             shared_datum=settings.shared_datum,
             autopilots=self._factory(settings),
+            effects=settings.effects,
         )
+        if self._simulation.effects is not None:
+            rospy.loginfo("simulator: effects on the vehicles: %s", ", ".join(self._simulation.effects.names))
         rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
         rospy.set_param("/xtdrone/shared_origin", self._origin_for_px4s(settings))
         self.step_us = self._simulation.step_us
