@@ -181,7 +181,7 @@ def test_arming_without_a_gps_fix(needed, result):
 def test_arming_may_need_a_mission():
     flight = Flight(COM_ARM_MIS_REQ=1)
     assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
-    assert flight.commander.arming_obstacle() == "No valid mission available"
+    assert flight.commander.arming_denial() == "No valid mission available"
 
 
 def test_force_does_not_arm_without_an_attitude(flight):

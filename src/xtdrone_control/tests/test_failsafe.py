@@ -176,7 +176,7 @@ def test_offboard_loss_actions(action, expected):
     assert mode_fallback(modes.AUTO_LOITER, Flags(offboard_lost=True), get) == Action.NONE
 
 
-NO_PLACE = {"position_invalid": True, "place_invalid": True}
+NO_PLACE = {"position_invalid": True, "relaxed_position_invalid": True}
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def test_rejected(items, text):
     flight = MissionFlight()
     flight.load(*items)
     assert flight.texts() == [text]
-    assert flight.commander.navigator.mission_obstacle() == "No valid mission available"
+    assert flight.commander.navigator.mission_denial() == "No valid mission available"
     assert flight.texts() == []
     flight.commander.request(modes.AUTO_MISSION)
     assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED
@@ -56,20 +56,20 @@ def test_required_items(required, items, text):
     flight = MissionFlight(MIS_TKO_LAND_REQ=required)
     flight.load(*items)
     assert flight.texts() == [text] * bool(text)
-    assert (flight.commander.navigator.mission_obstacle() == "") is (not text)
+    assert (flight.commander.navigator.mission_denial() == "") is (not text)
 
 
 def test_a_waypoint_below_home_is_only_warned_of():
     flight = MissionFlight()
     flight.load(TAKEOFF, at(20, 0, -5.0))
     assert flight.texts() == ["Warning: Waypoint 2 below home"]
-    assert flight.commander.navigator.mission_obstacle() == ""
+    assert flight.commander.navigator.mission_denial() == ""
 
 
 def test_things_to_do_may_come_before_the_takeoff():
     flight = MissionFlight()
     flight.load(do(plan.CHANGE_SPEED, 1, 3), do(plan.GIMBAL_PITCHYAW, -45, 0), TAKEOFF, GOOD)
-    assert flight.commander.navigator.mission_obstacle() == ""
+    assert flight.commander.navigator.mission_denial() == ""
 
 
 def test_waypoints_must_be_inside_the_fence():
@@ -81,21 +81,21 @@ def test_waypoints_must_be_inside_the_fence():
     flight.load(TAKEOFF, at(40, 0))
     assert flight.texts() == ["Geofence violation for waypoint 2"]
     flight.load(kind=plan.FENCE)
-    assert flight.commander.navigator.mission_obstacle() == ""
+    assert flight.commander.navigator.mission_denial() == ""
 
 
 def test_the_first_distance_can_be_any():
     flight = MissionFlight(MIS_DIST_1WP=-1)
     flight.load(at(5000, 0))
-    assert flight.commander.navigator.mission_obstacle() == ""
+    assert flight.commander.navigator.mission_denial() == ""
 
 
 def test_a_mission_waits_for_home():
     flight = MissionFlight()
     flight.commander.navigator.home = None
     flight.load(TAKEOFF, GOOD)
-    assert flight.commander.navigator.mission_obstacle()
+    assert flight.commander.navigator.mission_denial()
     assert flight.texts() == []
     flight.run(0.1)
     assert flight.commander.home is not None
-    assert flight.commander.navigator.mission_obstacle() == ""
+    assert flight.commander.navigator.mission_denial() == ""

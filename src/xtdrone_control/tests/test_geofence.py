@@ -112,4 +112,4 @@ def test_items_make_areas():
 )
 def test_what_makes_no_area_is_left_out_with_a_warning(items, caplog):
     assert geofence.build(items[:2], plane).areas == ()
-    assert "left out" in caplog.text
+    assert "skipped" in caplog.text

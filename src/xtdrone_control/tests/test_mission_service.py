@@ -340,7 +340,7 @@ def test_a_reached_item_is_told_eleven_times(served):
 
 
 def test_camera_triggers_are_told(served):
-    served.commander.navigator.payload.obey(plan.START_IMAGES, (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
+    served.commander.navigator.payload.execute(plan.START_IMAGES, (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
     upload(served, [item(0)])
     found = [m.seq for _, name, m in run(served, 0.2) if name == "CAMERA_TRIGGER"]
     assert found == [1]

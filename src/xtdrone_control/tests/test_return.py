@@ -135,7 +135,7 @@ def test_the_source_can_be_the_gps():
 
 
 def see(flight, north, east):
-    flight.commander.navigator.see_landing_target((north, east, 0.0))
+    flight.commander.navigator.set_landing_target((north, east, 0.0))
 
 
 def test_a_target_is_approached_and_landed_on():

@@ -73,7 +73,7 @@ def test_items_for_the_payload_without_numbers(flight):
     payload = flight.commander.navigator.payload
     for value in (math.inf, -math.inf, NAN):
         for command in (plan.TRIGGER_INTERVAL, plan.START_IMAGES, plan.TRIGGER_DISTANCE, plan.SET_ACTUATOR):
-            assert payload.obey(command, [value] * 7)
+            assert payload.execute(command, [value] * 7)
     flight.run(0.3)
     assert payload.gimbal == pytest.approx((NAN,) * 3, nan_ok=True)
 

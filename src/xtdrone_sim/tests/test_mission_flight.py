@@ -118,4 +118,4 @@ def test_a_plan_outlives_a_reboot(flown):
     assert len(before) == 5
     assert navigator.plans.mission == before
     simulation.run_until(3_000_000)
-    assert navigator.mission_obstacle() == ""
+    assert navigator.mission_denial() == ""

@@ -161,7 +161,7 @@ class CoreVehicles:
         commander = self.simulation.commanders[index]
         name = self.names[index]
         if request.arm is not None:
-            obstacle = commander.arming_obstacle() if request.arm else "Not landed"
+            obstacle = commander.arming_denial() if request.arm else "Not landed"
             done = commander.arm_disarm(request.arm) is Result.ACCEPTED
             word = "arming" if request.arm else "disarming"
             return "" if done else f"{name}: {word} denied: {obstacle or 'the autopilot was terminated'}"
@@ -173,7 +173,7 @@ class CoreVehicles:
             return f"{name}: mode {request.command} is not flown; there are: {', '.join(_MODES)}"
         if commander.request(mode) is Result.ACCEPTED:
             return ""
-        reason = commander.mode_obstacle(mode)
+        reason = commander.mode_denial(mode)
         return f"{name}: {request.command} is not available now" + (f": {reason}" if reason else "")
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:

@@ -25,7 +25,7 @@ class Mode:
         sub: PX4 sub mode, of AUTO modes and ORBIT; else 0.
         flags: base_mode without the armed bit.
         needs: what it cannot be flown without, of "attitude", "altitude", "position" (the exact horizontal estimate),
-            "place" (any horizontal estimate), "home", "mission", "offboard".
+            "relaxed_position" (any horizontal estimate), "home", "mission", "offboard".
         sticks: a pilot steers it; cannot be chosen without manual control.
         prevents_arming: it is left by disarming and cannot be armed in.
         attitude_control: whether the attitude is controlled, and a limit on it makes sense.
@@ -50,7 +50,7 @@ class Mode:
     @property
     def needs_position(self) -> bool:
         """Whether it flies by the horizontal estimate, OFFBOARD by most setpoints."""
-        return not self.needs.isdisjoint(("position", "place", "offboard"))
+        return not self.needs.isdisjoint(("position", "relaxed_position", "offboard"))
 
     @property
     def auto(self) -> bool:
@@ -62,7 +62,7 @@ _STICKS = _CUSTOM | _STABILISED | _MANUAL
 _PILOT = _CUSTOM | _STABILISED | _GUIDED | _AUTO
 _ATTITUDE = frozenset({"attitude"})
 _HEIGHT = _ATTITUDE | {"altitude"}
-_ABOUT = _HEIGHT | {"place"}
+_ABOUT = _HEIGHT | {"relaxed_position"}
 _EXACT = _HEIGHT | {"position"}
 
 MANUAL = Mode("MANUAL", "MANUAL", 0, 1, 0, _STICKS, _ATTITUDE, sticks=True)

@@ -1,7 +1,7 @@
-"""Health and arming checks: which modes may be armed in, and what stands against it (PX4 v1.14).
+"""Health and arming checks, modelled on PX4 v1.14: the modes that allow arming and the reasons against it.
 
-Each failing check is an event of PX4; a ground station that knows their texts shows them. The summaries tell it which
-components fail and which modes are possible.
+Each failing check is reported as the corresponding PX4 event, which a ground station shows with its own text. Summary
+events list the failing components and the available modes.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ _ALL_MODES = 0xFFFFFFFF
 _STICKS_DISABLED = 4  # COM_RC_IN_MODE
 _REPORT_INTERVAL_US = 2_000_000
 _SMOOTHING = 0.05  # of the innovation test ratios, at 10 Hz
-_LARGEST_RATIO = 1e4  # more, or what is no number, comes of senseless parameters
+_MAX_RATIO = 1e4  # larger or non-finite ratios result from invalid parameters
 _FIX_3D = 3
 
 
 class Check(NamedTuple):
-    """One failing check.
+    """Failing check.
 
     Attributes:
-        name: PX4's name of its event.
-        text: PX4's text of it.
-        level: log level, ``events.ERROR`` and so on.
+        name: name of PX4's event.
+        text: PX4's text of the event.
+        level: log level, for example ``events.ERROR``.
         component: bit number of PX4's health_component_t.
-        modes: navigation states, a bit each, that it keeps from arming; 0 for none: it only warns.
+        modes: bit mask of the navigation states in which the check prevents arming; 0 for a mere warning.
     """
 
     name: str
@@ -55,12 +55,12 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class Report:
-    """What the checks found.
+    """Result of the checks.
 
     Attributes:
         failures: failing checks.
-        can_arm: navigation states, a bit each, in which arming is possible.
-        can_run: navigation states, a bit each, that can be flown.
+        can_arm: bit mask of the navigation states that allow arming.
+        can_run: bit mask of the navigation states that can be flown.
     """
 
     failures: tuple[Check, ...]
@@ -72,11 +72,11 @@ class Report:
         return bool(self.can_arm >> mode.state & 1)
 
     def reason(self, mode: Mode) -> str:
-        """Return why the vehicle cannot be armed in ``mode``, or an empty text."""
+        """Return the reason why the vehicle cannot be armed in ``mode``, or an empty string."""
         return next((check.text for check in self.failures if check.modes >> mode.state & 1), "")
 
     def component_bits(self, *, warnings: bool) -> int:
-        """Return the components (health_component_t) with a warning, or with an error."""
+        """Return the bit mask of components (health_component_t) with a warning, or else with an error."""
         bits = 0
         for check in self.failures:
             if warnings is (check.level > events.ERROR) and check.level <= events.WARNING:
@@ -91,24 +91,24 @@ def _mask(chosen: Iterable[Mode]) -> int:
     return bits
 
 
-def _needing(what: str) -> int:
-    return _mask(mode for mode in modes.ALL if what in mode.needs)
+def _needing(need: str) -> int:
+    return _mask(mode for mode in modes.ALL if need in mode.needs)
 
 
-_BY_NEED = {what: _needing(what) for what in ("attitude", "altitude", "position", "home", "mission", "offboard")}
-_POSITIONED = _BY_NEED["position"] | _needing("place")
+_BY_NEED = {need: _needing(need) for need in ("attitude", "altitude", "position", "home", "mission", "offboard")}
+_POSITIONED = _BY_NEED["position"] | _needing("relaxed_position")
 _BY_STICKS = _mask(mode for mode in modes.ALL if mode.sticks)
 _UNARMABLE = _mask(mode for mode in modes.ALL if mode.prevents_arming)
 
 
 @lru_cache(maxsize=256)
 def _flyable(flags: Flags) -> int:
-    """Return the modes that can be flown, a bit each."""
+    """Return the bit mask of the modes that can be flown."""
     return _mask(mode for mode in modes.ALL if can_run(mode, flags) and not (mode.sticks and flags.manual_lost))
 
 
 def _mode_checks(flags: Flags, get: Get) -> list[Check]:
-    """What modes need, as PX4's ModeChecks."""
+    """Return the unmet needs of the modes, as PX4's ModeChecks."""
     found = []
     if flags.attitude_invalid:
         found.append(
@@ -127,7 +127,7 @@ def _mode_checks(flags: Flags, get: Get) -> list[Check]:
                 "No valid local position estimate",
                 events.ERROR,
                 events.LOCAL_POSITION,
-                _POSITIONED if flags.place_invalid else _BY_NEED["position"],
+                _POSITIONED if flags.relaxed_position_invalid else _BY_NEED["position"],
             )
         )
     if flags.altitude_invalid:
@@ -209,14 +209,19 @@ def _failure_checks(flags: Flags) -> list[Check]:
 
 
 def _root(ratio: float) -> float:
-    return math.sqrt(min(ratio, _LARGEST_RATIO)) if ratio > 0.0 else 0.0
+    return math.sqrt(min(ratio, _MAX_RATIO)) if ratio > 0.0 else 0.0
 
 
 class ArmingChecks:
-    """The checks of one vehicle, and when they are told."""
+    """Arming checks of one vehicle and their reporting."""
 
     def __init__(self, view: VehicleView, get: Get) -> None:
-        """Check ``view``; ``get`` returns a parameter by name."""
+        """Start with nothing reported.
+
+        Args:
+            view: access to the vehicle's autopilot records.
+            get: returns a parameter by name.
+        """
         self._view = view
         self._get = get
         self._ratios = [0.0, 0.0, 0.0, 0.0]
@@ -224,22 +229,22 @@ class ArmingChecks:
         self._reported_us = -_REPORT_INTERVAL_US
 
     def follow_innovations(self) -> None:
-        """Take the innovation test ratios; call it at 10 Hz while the vehicle is disarmed.
+        """Filter the innovation test ratios; call at 10 Hz while the vehicle is disarmed.
 
-        The limits hold for innovations over their gates, of which the estimator's ratios are the squares. They are
-        smoothed: a single innovation as large as its noise comes near to the limits where the noise is known well.
+        The limits apply to the ratio of innovation and gate, of which the estimator's test ratios are the squares. The
+        ratios are low-pass filtered, because with well-known noise a single ordinary innovation comes close to a limit.
         """
         e = self._view.estimator
-        for place, field in enumerate(("test_ratio_vel", "test_ratio_pos", "test_ratio_hgt", "test_ratio_mag")):
-            self._ratios[place] += _SMOOTHING * (_root(float(e[field])) - self._ratios[place])
+        for index, field in enumerate(("test_ratio_vel", "test_ratio_pos", "test_ratio_hgt", "test_ratio_mag")):
+            self._ratios[index] += _SMOOTHING * (_root(float(e[field])) - self._ratios[index])
 
     def report(self, flags: Flags, mode: Mode, armed: bool) -> Report:
-        """Return what stands against arming.
+        """Run the checks.
 
         Args:
-            flags: what is wrong.
-            mode: the mode that was asked for.
-            armed: whether motors run already.
+            flags: health flags.
+            mode: requested mode.
+            armed: whether the vehicle is armed already.
         """
         found = []
         if not armed and mode.prevents_arming:
@@ -287,12 +292,12 @@ class ArmingChecks:
         return found
 
     def events(self, report: Report, now_us: int, *, force: bool = False) -> list[Event]:
-        """Return the events that tell ``report``, when it differs from the last one or with ``force``.
+        """Return the events for ``report`` when it differs from the last one reported.
 
         Args:
-            report: what the checks found.
+            report: result of the checks.
             now_us: simulated time, microseconds.
-            force: tell it again: somebody has been refused.
+            force: return the events in any case, for example after a rejected request to arm.
         """
         key = (report.failures, report.can_arm, report.can_run)
         if not force and (key == self._reported or now_us - self._reported_us < _REPORT_INTERVAL_US):

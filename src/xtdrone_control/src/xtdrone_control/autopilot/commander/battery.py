@@ -1,4 +1,4 @@
-"""PX4's estimate of the battery from voltage and current (v1.14 ``lib/battery``), one vehicle."""
+"""Battery estimate from voltage and current, modelled on PX4 v1.14's ``lib/battery``."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from xtdrone_control.autopilot.commander.failsafe import BATTERY_CRITICAL, BATTE
 
 Get = Callable[[str], float]
 
-UNKNOWN_CURRENT = -1.0  # A, as PX4 has it
-_LEAST_VOLTAGE = 2.1  # V; less is no battery
-_SETTLING_US = 2_000_000  # after it has been plugged in
-_VOLTAGE_WEIGHT = 3e-3  # per update at 10 Hz, where the charge is counted: how much an empty voltage pulls it down
-_AVERAGE_TIME = 50.0  # s, of the current for the time that remains
+UNKNOWN_CURRENT = -1.0  # A, PX4's value for an unmeasured current
+_MIN_VOLTAGE = 2.1  # V; a lower voltage means no battery
+_SETTLING_US = 2_000_000  # after connection
+_VOLTAGE_WEIGHT = 3e-3  # weight of the voltage estimate in the counted charge per update, at an empty battery
+_AVERAGE_TIME = 50.0  # s, time constant of the average current for the remaining time
 
 
 class BatteryEstimate:
-    """What is known of the battery.
+    """Battery state of one vehicle.
 
     Attributes:
-        connected: there is one.
+        connected: whether a battery is connected.
         voltage: V.
-        current: A, -1 when it is not measured.
-        discharged: mAh since start, 0 when the current is not measured.
-        remaining: 0..1.
+        current: A, -1 if not measured.
+        discharged: charge used since start, mAh; 0 if the current is not measured.
+        remaining: remaining charge, 0..1.
         warning: BATTERY_OK, _LOW, _CRITICAL or _EMERGENCY.
-        time_remaining: s, NaN when the capacity (BAT1_CAPACITY) is not known.
+        time_remaining: s, NaN if the capacity (BAT1_CAPACITY) is unknown.
     """
 
     def __init__(self, get: Get) -> None:
@@ -44,17 +44,17 @@ class BatteryEstimate:
         self._average = get("BAT_AVRG_CURRENT")
 
     def update(self, now_us: int, voltage: float, current: float, thrust: float, armed: bool) -> None:
-        """Take a measurement; call it at about 10 Hz.
+        """Process a measurement; call at about 10 Hz.
 
         Args:
             now_us: simulated time, microseconds.
-            voltage: V; less than 2.1 means that there is no battery.
-            current: A; -1 when it is not measured.
-            thrust: collective thrust, 0..1, by which the voltage is taken to drop when the current is not known.
-            armed: whether motors run.
+            voltage: V; less than 2.1 means no battery.
+            current: A; -1 if not measured.
+            thrust: collective thrust, 0..1, for the load compensation of the voltage without a measured current.
+            armed: whether the vehicle is armed.
         """
         self.voltage, self.current = voltage, current
-        self.connected = voltage >= _LEAST_VOLTAGE
+        self.connected = voltage >= _MIN_VOLTAGE
         if not self.connected:
             self._since_us = None
             return
@@ -64,15 +64,15 @@ class BatteryEstimate:
         self._last_us = now_us
         used = current * elapsed / 3.6 if current >= 0.0 else 0.0  # mAh
         self.discharged += used
-        by_voltage = self._by_voltage(thrust)
+        by_voltage = self._charge_by_voltage(thrust)
         capacity = self._get("BAT1_CAPACITY")
-        self._estimate(by_voltage, used, capacity, now_us)
+        self._update_charge(by_voltage, used, capacity, now_us)
         if now_us - self._since_us >= _SETTLING_US:
             self.warning = self._warning()
-        self._estimate_time(elapsed, capacity, armed)
+        self._update_time_remaining(elapsed, capacity, armed)
 
-    def _by_voltage(self, thrust: float) -> float:
-        """Return the charge by the voltage that a cell would have without load."""
+    def _charge_by_voltage(self, thrust: float) -> float:
+        """Return the charge, 0..1, for the load-compensated cell voltage."""
         get = self._get
         cell = self.voltage / max(get("BAT1_N_CELLS"), 1)
         resistance = get("BAT1_R_INTERNAL")
@@ -83,7 +83,7 @@ class BatteryEstimate:
         empty, full = get("BAT1_V_EMPTY"), get("BAT1_V_CHARGED")
         return min(max((cell - empty) / (full - empty), 0.0), 1.0) if full > empty else 0.0
 
-    def _estimate(self, by_voltage: float, used: float, capacity: float, now_us: int) -> None:
+    def _update_charge(self, by_voltage: float, used: float, capacity: float, now_us: int) -> None:
         assert self._since_us is not None
         if capacity <= 0.0 or now_us - self._since_us < _SETTLING_US:
             self.remaining = by_voltage
@@ -100,7 +100,7 @@ class BatteryEstimate:
             return BATTERY_CRITICAL
         return BATTERY_LOW if self.remaining < get("BAT_LOW_THR") else BATTERY_OK
 
-    def _estimate_time(self, elapsed: float, capacity: float, armed: bool) -> None:
+    def _update_time_remaining(self, elapsed: float, capacity: float, armed: bool) -> None:
         if capacity <= 0.0:
             self.time_remaining = math.nan
             return

@@ -1,7 +1,7 @@
-"""Arming, flight modes, failsafes and home of one vehicle, as PX4 v1.14's commander.
+"""Arming, flight modes, failsafes and home position of one vehicle, modelled on PX4 v1.14's commander.
 
-All times are simulated. ``update`` is called at about 10 Hz; commands and setpoints act at once. What the operator is
-told waits in ``texts`` and ``events`` until a link takes it.
+All times are simulated. ``update`` runs at about 10 Hz; commands and setpoints take effect immediately. Messages for
+the operator queue in ``texts`` and ``events`` until a link sends them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from xtdrone_control.autopilot.commander.flight_commands import FlightCommands, 
 from xtdrone_control.autopilot.commander.health import Health
 from xtdrone_control.autopilot.commander.inputs import OffboardInput
 from xtdrone_control.autopilot.commander.manual_control import ManualControl, Request, Sticks
-from xtdrone_control.autopilot.commander.manual_flight import MANUAL_THRUST, HandFlight
+from xtdrone_control.autopilot.commander.manual_flight import MANUAL_THRUST, ManualFlight
 from xtdrone_control.autopilot.commander.motors import ArmReason, MotorSwitch
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import CRITICAL, INFO, WARNING, Announcements
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 __all__ = ["CRITICAL", "INFO", "WARNING", "ArmReason", "Commander", "Result"]
 
 _NEVER_US = -(1 << 60)
-_REFUSAL_INTERVAL_US = 1_000_000
-_GRACE_US = 5_000_000  # after disarming, in which arming asks for no checks
+_REJECTION_INTERVAL_US = 1_000_000
+_GRACE_US = 5_000_000  # after disarming in flight, during which arming skips the checks
 _CHECK_INTERVAL_US = 1_000_000
 _OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
-_THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # of the stick, above and below which arming looks at it
+_THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # stick positions above which arming is denied, by kind of mode
 _STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 3, 4, 5, 8, 0  # MAV_STATE
 _GEAR_HEIGHT = 2.0  # m above home
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
@@ -54,31 +54,31 @@ _REASONS = {"stick": ArmReason.STICK, "switch": ArmReason.SWITCH, "button": ArmR
 
 
 class Commander(FlightCommands):
-    """The state machine of one vehicle.
+    """State machine of one vehicle.
 
     Attributes:
-        vehicle: which vehicle.
-        parameters: its parameters.
-        view: its records.
-        navigator: its AUTO modes.
-        health: what is wrong with it.
-        manual: its pilot.
-        on_command: called with each MAV_CMD that has come, when it is not None: number, parameters 1 to 7, sender
-            (system, component), MAV_RESULT or None where there is no answer. The logger.
-        rebooting: a reboot was asked for; whoever holds the commander carries it out.
-        gear_up: whether the landing gear, if there is one, is to be up.
-        armed: whether it is armed; motors run unless it has been killed or terminated.
-        flights: how often it has been armed and disarmed.
+        vehicle: the vehicle's name, type and ids.
+        parameters: the vehicle's parameters.
+        view: access to the vehicle's autopilot records.
+        navigator: AUTO modes.
+        health: health monitoring.
+        manual: manual control input.
+        on_command: listener of received MAV_CMDs, used by the logger; None for no listener. Arguments: number,
+            parameters 1 to 7, sender (system, component), MAV_RESULT or None for a command without an answer.
+        rebooting: a reboot was requested; the owner of the commander performs it.
+        gear_up: whether a retractable landing gear should be up.
+        armed: whether the vehicle is armed; its motors run unless killed or terminated.
+        flights: number of completed cycles of arming and disarming.
     """
 
     def __init__(self, vehicle: Vehicle, autopilot: Autopilot, parameters: Parameters, index: int) -> None:
         """Start disarmed in AUTO.LOITER.
 
         Args:
-            vehicle: which vehicle.
-            autopilot: holder of the records.
-            parameters: the vehicle's parameters; they are written into the autopilot's record.
-            index: place in the records.
+            vehicle: the vehicle's name, type and ids.
+            autopilot: owner of the records.
+            parameters: the vehicle's parameters; written into the autopilot's parameter record.
+            index: row of the vehicle in the records.
         """
         self.vehicle = vehicle
         self.parameters = parameters
@@ -89,7 +89,7 @@ class Commander(FlightCommands):
         self.manual = ManualControl(get)
         self._offboard = OffboardInput(self.view)
         self.health = Health(self.view, get, self.navigator, self._offboard, self.manual, self._announcements)
-        self._hand_flight = HandFlight(self.view, get)
+        self._manual_flight = ManualFlight(self.view, get)
         self._failsafe = Failsafe(get, modes.AUTO_LOITER, lambda: parameters.changes)
         self._checks = ArmingChecks(self.view, get)
         self._reported: tuple[Flags, Mode, bool] | None = None
@@ -99,30 +99,30 @@ class Commander(FlightCommands):
         self.armed = False
         self.gear_up = False
         self.flights = 0
-        self._mode = modes.AUTO_LOITER  # what was asked for
+        self._mode = modes.AUTO_LOITER  # requested
         self._mode_after_disarming = modes.AUTO_LOITER
-        self._mode_chosen = False  # somebody has asked for a mode
-        self._flown = modes.AUTO_LOITER
-        self._followed: Mode | None = None  # what the cascade follows; nothing while disarmed
+        self._mode_chosen = False  # whether any mode has been requested yet
+        self._active_mode = modes.AUTO_LOITER
+        self._cascade_mode: Mode | None = None  # mode started in the control cascade; None while disarmed
         self._motors = MotorSwitch(self.view)
         self._armed_us = 0
         self._disarmed_us = _NEVER_US
         self._took_off = False
         self._was_landed = True
         self._landed_us = 0
-        self._last_refusal_us = _NEVER_US
+        self._last_rejection_us = _NEVER_US
         parameters.write_to(autopilot.params[index])
 
-    # what the heartbeat and its like say
+    # state for telemetry
 
     @property
     def texts(self) -> deque[tuple[int, str]]:
-        """(MAV_SEVERITY, text) that no link has taken yet; the oldest are dropped beyond 64."""
+        """Unsent texts as (MAV_SEVERITY, text); beyond 64 the oldest are dropped."""
         return self._announcements.texts
 
     @property
     def on_text(self) -> Callable[[int, str], None] | None:
-        """What is called with every text, besides: the logger."""
+        """Listener called with the severity and text of every message, used by the logger."""
         return self._announcements.on_text
 
     @on_text.setter
@@ -131,50 +131,50 @@ class Commander(FlightCommands):
 
     @property
     def events(self) -> deque[Event]:
-        """Events that no link has taken yet; the oldest are dropped beyond 64."""
+        """Unsent events; beyond 64 the oldest are dropped."""
         return self._announcements.events
 
     @property
     def mode(self) -> Mode:
-        """The mode that is flown: the failsafe's while one acts."""
-        return self._flown
+        """Active mode: the failsafe's while a failsafe acts, otherwise the requested one."""
+        return self._active_mode
 
     @property
     def failsafe(self) -> bool:
-        """Whether a failsafe has taken the vehicle out of its mode."""
+        """Whether a failsafe overrides the requested mode."""
         return self._failsafe.outcome.active
 
     @property
     def failsafe_outcome(self) -> Outcome:
-        """What the failsafes do, and why."""
+        """Action of the failsafes and its cause."""
         return self._failsafe.outcome
 
     @property
     def battery(self) -> BatteryEstimate:
-        """What is known of the battery."""
+        """Battery estimate."""
         return self.health.battery
 
     @property
     def requested_mode(self) -> Mode:
-        """The mode that was asked for, whatever a failsafe has made of it."""
+        """Requested mode, even while a failsafe overrides it."""
         return self._mode
 
     @property
     def base_mode(self) -> int:
         """HEARTBEAT.base_mode."""
-        return self._flown.flags | (modes.ARMED_FLAG if self.armed else 0)
+        return self._active_mode.flags | (modes.ARMED_FLAG if self.armed else 0)
 
     @property
     def custom_mode(self) -> int:
         """HEARTBEAT.custom_mode."""
-        return self._flown.custom_mode
+        return self._active_mode.custom_mode
 
     @property
     def system_status(self) -> int:
         """HEARTBEAT.system_status: a MAV_STATE."""
         if not self.view.initialised:
             return _UNINIT
-        if self._motors.stopped or self._flown is modes.TERMINATION:
+        if self._motors.stopped or self._active_mode is modes.TERMINATION:
             return _TERMINATED
         if not self.armed:
             return _STANDBY
@@ -185,7 +185,7 @@ class Commander(FlightCommands):
         """EXTENDED_SYS_STATE.landed_state: a MAV_LANDED_STATE."""
         if self.view.landed:
             return _ON_GROUND
-        if self.navigator.landing or self._flown is modes.DESCEND:
+        if self.navigator.landing or self._active_mode is modes.DESCEND:
             return _LANDING
         return _TAKEOFF if self.navigator.taking_off else _IN_AIR
 
@@ -196,15 +196,15 @@ class Commander(FlightCommands):
 
     @property
     def ready_to_arm(self) -> bool:
-        """Whether arming would be accepted in the present mode."""
-        return not self.armed and not self.arming_obstacle()
+        """Whether arming would be accepted in the current mode."""
+        return not self.armed and not self.arming_denial()
 
     def say(self, severity: int, text: str) -> None:
         """Queue a text for the operator (``severity``: MAV_SEVERITY)."""
         self._announcements.say(severity, text)
 
     def tell(self, severity: int, text: str, name: str, *values: float, level: int | None = None) -> None:
-        """Queue a text for the operator, and the event that says the same; see ``Announcements.tell``."""
+        """Queue a text for the operator and its equivalent event; see ``Announcements.tell``."""
         self._announcements.tell(severity, text, name, *values, level=level)
 
     def warn(self, text: str) -> None:
@@ -214,32 +214,32 @@ class Commander(FlightCommands):
     # arming
 
     def arm_disarm(self, arm: bool, force: bool = False) -> Result:
-        """Arm or disarm by command; ``force`` passes over the checks, even in the air."""
+        """Arm or disarm by command; ``force`` skips the checks, even in flight."""
         done = self._arm(ArmReason.COMMAND, force) if arm else self._disarm_unless_flying(ArmReason.COMMAND, force)
         return Result.ACCEPTED if done else Result.TEMPORARILY_REJECTED
 
-    def arming_obstacle(self) -> str:
-        """Return why the vehicle may not be armed now in the present mode, or an empty text."""
-        flags = self.health.look(self._mode, self.armed)
+    def arming_denial(self) -> str:
+        """Return the reason why arming in the current mode would be denied, or an empty string."""
+        flags = self.health.evaluate(self._mode, self.armed)
         return self._checks.report(flags, self._mode, self.armed).reason(self._mode)
 
-    def mode_obstacle(self, mode: Mode) -> str:
-        """Return why ``mode`` cannot be flown now, or an empty text."""
-        flags = self.health.look(mode, self.armed)
+    def mode_denial(self, mode: Mode) -> str:
+        """Return the reason why ``mode`` cannot be flown now, or an empty string."""
+        flags = self.health.evaluate(mode, self.armed)
         return self._checks.report(flags, mode, self.armed).reason(mode)
 
     def _arm(self, reason: ArmReason, force: bool = False) -> bool:
-        """Arm, unless something stands against it; return whether the vehicle is armed."""
+        """Arm if the checks allow it; return whether the vehicle is armed."""
         if self.armed:
             return True
         if self._motors.terminated:
             self.say(CRITICAL, "Arming denied: flight was terminated, reboot the autopilot")
             return False
         if not self.view.initialised:
-            self._refuse_arming()
+            self._report_arming_rejection()
             return False
         in_grace = self.view.time_us - self._disarmed_us < _GRACE_US and not self.view.landed
-        if not force and not in_grace and self._arming_refused(reason):
+        if not force and not in_grace and self._arming_rejected(reason):
             return False
         self.armed = True
         self._armed_us = self.view.time_us
@@ -250,10 +250,10 @@ class Commander(FlightCommands):
         self._motors.apply(self.armed)
         number, words = reason.value
         self._announcements.tell(INFO, f"Armed by {words}", "commander_armed_by", number)
-        self._decide(changed=True)
+        self._update_mode(changed=True)
         return True
 
-    def _arming_refused(self, reason: ArmReason) -> bool:
+    def _arming_rejected(self, reason: ArmReason) -> bool:
         sticks = self.manual.sticks
         if self._mode.sticks and sticks is not None:
             if self._mode in MANUAL_THRUST:
@@ -270,14 +270,14 @@ class Commander(FlightCommands):
             text = "Arming denied: switch to manual mode first"
             self._announcements.tell(CRITICAL, text, "commander_arm_denied_not_manual")
             return True
-        if self.arming_obstacle():
-            self._refuse_arming()
+        if self.arming_denial():
+            self._report_arming_rejection()
             return True
         return False
 
-    def _refuse_arming(self) -> None:
-        """Tell why arming is refused: PX4 does so by events alone."""
-        flags = self.health.look(self._mode, self.armed)
+    def _report_arming_rejection(self) -> None:
+        """Emit the failing checks as events only, as PX4 does."""
+        flags = self.health.evaluate(self._mode, self.armed)
         report = self._checks.report(flags, self._mode, self.armed)
         self._announcements.emit(self._checks.events(report, self.view.time_us, force=True))
 
@@ -285,7 +285,7 @@ class Commander(FlightCommands):
         if not self.armed:
             return True
         on_ground = self.view.landed or bool(self.view.control["maybe_landed"])
-        by_pilot = self._flown in MANUAL_THRUST and reason in _BY_PILOT
+        by_pilot = self._active_mode in MANUAL_THRUST and reason in _BY_PILOT
         if not on_ground and not by_pilot and not force:
             if reason is not ArmReason.STICK:
                 text = "Disarming denied! Not landed"
@@ -301,17 +301,17 @@ class Commander(FlightCommands):
         self._motors.apply(self.armed)
         self.navigator.deactivate()
         self.navigator.mission.reset()
-        self._followed = None
+        self._cascade_mode = None
         self.view.start_task(TASK_IDLE)
         number, words = reason.value
         self._announcements.tell(INFO, f"Disarmed by {words}", "commander_disarmed_by", number)
         self._mode = self._mode_after_disarming
-        self._decide()
+        self._update_mode()
 
     # kill and termination
 
     def kill(self, stop: bool) -> None:
-        """Stop the motors at once, as a kill switch does, or let them run again; it disarms after COM_KILL_DISARM."""
+        """Stop the motors immediately, or release them; a killed vehicle disarms after COM_KILL_DISARM."""
         if stop is self._motors.killed:
             return
         self._motors.killed = stop
@@ -323,7 +323,7 @@ class Commander(FlightCommands):
         self._motors.apply(self.armed)
 
     def flight_termination(self, level: float) -> Result:
-        """Obey MAV_CMD_DO_FLIGHTTERMINATION: stop the motors for good (1) or as a test (2), or let them run (0)."""
+        """Execute MAV_CMD_DO_FLIGHTTERMINATION: 0 releases the motors, 1 stops them for good, 2 as a test."""
         if math.isnan(level):
             return Result.DENIED
         if level > 1.5:
@@ -335,8 +335,8 @@ class Commander(FlightCommands):
         self._motors.apply(self.armed)
         return Result.ACCEPTED
 
-    def _disarm_killed(self) -> bool:
-        """Disarm a vehicle whose motors have stood still for COM_KILL_DISARM; return whether it was."""
+    def _disarm_after_kill(self) -> bool:
+        """Disarm once the motors have been stopped for COM_KILL_DISARM; return whether that happened now."""
         reason = self._motors.disarming(self.parameters.get("COM_KILL_DISARM"))
         if reason is not None:
             self._disarm(reason)
@@ -345,7 +345,7 @@ class Commander(FlightCommands):
     # modes
 
     def set_mode(self, base_mode: int, custom_mode: int) -> Result:
-        """Go to the mode of PX4's ``custom_mode``, or, when ``base_mode`` does not say that it is one, to its own."""
+        """Switch to the mode of PX4's ``custom_mode``, or of ``base_mode`` when its custom-mode flag is not set."""
         if not base_mode & modes.CUSTOM_FLAG:
             return self.request(modes.from_base_mode(base_mode))
         mode = modes.from_custom_mode(custom_mode)
@@ -357,24 +357,24 @@ class Commander(FlightCommands):
             return Result.TEMPORARILY_REJECTED
         if modes.is_main_mode(custom_mode >> 16 & 0xFF):
             return Result.TEMPORARILY_REJECTED
-        return Result.ACCEPTED  # as PX4: nothing is done
+        return Result.ACCEPTED  # PX4 accepts an unknown main mode and ignores it
 
     def request(self, mode: Mode) -> Result:
-        """Go to a mode. A disarmed vehicle goes to any; an armed one only to one that it can fly."""
+        """Switch to a mode; an armed vehicle rejects a mode that it cannot fly."""
         if self.armed and not self._can_choose(mode):
-            if self.view.time_us - self._last_refusal_us > _REFUSAL_INTERVAL_US:
-                self._last_refusal_us = self.view.time_us
+            if self.view.time_us - self._last_rejection_us > _REJECTION_INTERVAL_US:
+                self._last_rejection_us = self.view.time_us
                 self._announcements.mode_refused(mode)
             return Result.TEMPORARILY_REJECTED
         self._mode_chosen = True
-        self._intend(mode)
-        self._decide(changed=True)
+        self._set_intended_mode(mode)
+        self._update_mode(changed=True)
         return Result.ACCEPTED
 
     def _can_choose(self, mode: Mode) -> bool:
-        if self._flown is modes.TERMINATION:
+        if self._active_mode is modes.TERMINATION:
             return False
-        flags = self.health.look(mode, self.armed)
+        flags = self.health.evaluate(mode, self.armed)
         if mode.sticks and flags.manual_lost:
             return False
         if can_run(mode, flags):
@@ -382,44 +382,44 @@ class Commander(FlightCommands):
         falls_back = mode is modes.POSCTL and int(self.parameters.get("COM_POSCTL_NAVL")) == 0
         return falls_back and can_run(modes.ALTCTL, flags)
 
-    def _intend(self, mode: Mode) -> None:
+    def _set_intended_mode(self, mode: Mode) -> None:
         self._mode = mode
         if not mode.prevents_arming:
             self._mode_after_disarming = mode
 
-    def _decide(self, *, changed: bool = False, sticks: bool = False, flags: Flags | None = None) -> None:
-        """Let the failsafes look at what was asked for, and fly what comes of it.
+    def _update_mode(self, *, changed: bool = False, sticks: bool = False, flags: Flags | None = None) -> None:
+        """Run the failsafes on the requested mode and fly the resulting mode.
 
         Args:
-            changed: a mode was asked for.
-            sticks: the pilot wants to take over.
-            flags: what is wrong, when it is known.
+            changed: a mode was requested.
+            sticks: the pilot takes over with the sticks.
+            flags: health flags; None evaluates them now.
         """
         if flags is None:
-            flags = self.health.look(self._mode, self.armed)
-        before, flown_before = self._failsafe.outcome, self._flown
+            flags = self.health.evaluate(self._mode, self.armed)
+        before, mode_before = self._failsafe.outcome, self._active_mode
         outcome = self._failsafe.update(
             self.view.time_us, self.armed, self._mode, flags, changed=changed, sticks=sticks
         )
         if outcome is before:
             return
         if outcome.intended is not self._mode:
-            self._intend(outcome.intended)
+            self._set_intended_mode(outcome.intended)
         if outcome.notify:
             self._announcements.failsafe(outcome)
         if outcome.takeover and not before.takeover:
             self._announcements.tell(INFO, "Pilot took over using sticks", "failsafe_rc_override")
-        self._flown = outcome.mode
-        self._act(outcome, before)
-        if self._flown is not flown_before and self._flown is modes.AUTO_RTL:
+        self._active_mode = outcome.mode
+        self._perform_action(outcome, before)
+        if self._active_mode is not mode_before and self._active_mode is modes.AUTO_RTL:
             self._announcements.tell(INFO, "RTL HOME activated", "navigator_rtl_home_activated")
-        anew = changed and not outcome.active
-        stops = outcome.active and not before.active and self._flown is modes.AUTO_LOITER  # whatever it flew to
-        if self.armed and (anew or stops or self._flown is not self._followed):
-            self._fly(self._flown)
+        reactivated = changed and not outcome.active
+        must_stop = outcome.active and not before.active and self._active_mode is modes.AUTO_LOITER
+        if self.armed and (reactivated or must_stop or self._active_mode is not self._cascade_mode):
+            self._start_mode(self._active_mode)
 
-    def _act(self, outcome: Outcome, before: Outcome) -> None:
-        """Do what is no mode: stop the motors."""
+    def _perform_action(self, outcome: Outcome, before: Outcome) -> None:
+        """Stop the motors for an action that is not a flight mode."""
         if outcome.action is before.action:
             return
         if outcome.action is Action.TERMINATE:
@@ -428,16 +428,16 @@ class Commander(FlightCommands):
         elif outcome.action is Action.DISARM and self.armed:
             self._disarm(ArmReason.FAILSAFE)
 
-    def _fly(self, mode: Mode) -> None:
-        """Let the cascade follow ``mode``; the vehicle is armed."""
-        self._followed = mode
+    def _start_mode(self, mode: Mode) -> None:
+        """Start ``mode`` in the control cascade of an armed vehicle."""
+        self._cascade_mode = mode
         if mode.auto:
             self.navigator.activate(mode)
         else:
             self.navigator.deactivate()
-            self._fly_by_hand(mode)
+            self._start_mode_task(mode)
 
-    def _fly_by_hand(self, mode: Mode) -> None:
+    def _start_mode_task(self, mode: Mode) -> None:
         if mode is modes.OFFBOARD:
             self._offboard.write()
         elif mode is modes.TERMINATION:
@@ -447,161 +447,168 @@ class Commander(FlightCommands):
         else:
             self.view.start_task(TASK_DESCEND)
 
-    # the pilot
+    # manual control
 
     def manual_control(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Take a joystick's sticks, each -1..1: forward, right, up (0 is the middle), clockwise.
+        """Process joystick input, each axis -1..1: forward, right, up (0 is centred), clockwise.
 
         Raises:
-            SetpointError: a value that is not finite.
+            SetpointError: a value is not finite.
         """
         self.manual.joystick(Sticks(x, y, z, yaw), self.view.time_us)
-        self._follow_pilot()
+        self._apply_sticks()
 
     def radio_control(self, channels: Sequence[int]) -> None:
-        """Take the pulse widths (us) of a radio's channels, see ``ManualControl.radio``."""
+        """Process RC channels, pulse widths in us; see ``ManualControl.radio``."""
         self.manual.radio(channels, self.view.time_us)
-        self._follow_pilot()
+        self._apply_sticks()
 
-    def _follow_pilot(self) -> None:
-        if self.armed and self._flown.sticks:
+    def _apply_sticks(self) -> None:
+        if self.armed and self._active_mode.sticks:
             self._steer()
 
     def _steer(self, *, restart: bool = False) -> None:
-        self._hand_flight.steer(self._flown, self.manual.sticks, self.health.flags.place_invalid, restart=restart)
+        self._manual_flight.steer(
+            self._active_mode, self.manual.sticks, self.health.flags.relaxed_position_invalid, restart=restart
+        )
 
-    def _obey_pilot(self) -> None:
-        """Do what the pilot asks for by gesture or switch."""
+    def _handle_pilot_requests(self) -> None:
+        """Execute the pilot's requests by stick gesture or switch."""
         self.manual.receiver_works = self.view.failures["rc_signal"] != FAILURE_OFF
         for request in self.manual.update(self.view.time_us):
-            self._obey(request)
+            self._handle_request(request)
 
-    def _obey(self, request: Request) -> None:
-        if request.what in ("kill", "unkill"):
-            self.kill(request.what == "kill")
+    def _handle_request(self, request: Request) -> None:
+        if request.action in ("kill", "unkill"):
+            self.kill(request.action == "kill")
             return
-        if request.what == "mode":
+        if request.action == "mode":
             mode = modes.from_number(request.mode)
             if mode is not None:
                 self.request(mode)
             return
         reason = _REASONS[request.origin]
-        if request.what == "arm" or (request.what == "toggle" and not self.armed):
+        if request.action == "arm" or (request.action == "toggle" and not self.armed):
             self._arm(reason)
         else:
             self._disarm_unless_flying(reason)
 
-    def _look_at_sticks(self) -> bool:
-        """Let moved sticks end AUTO and OFFBOARD flight; return whether they are to end a failsafe."""
+    def _check_stick_override(self) -> bool:
+        """End AUTO or OFFBOARD flight when the pilot moves a stick; return whether that should end a failsafe."""
         if self.manual.sticks is None:
             return False
         if not self.armed:
-            # a pilot who comes first, with nobody having asked for a mode, gets the one he can fly
+            # the first manual input selects a manual mode unless a mode has been requested before
             if not self._mode_chosen and not (self.manual.by_radio and int(self.parameters.get("RC_MAP_FLTMODE"))):
                 self._mode_chosen = True
-                self._intend(modes.POSCTL)
+                self._set_intended_mode(modes.POSCTL)
             return False
-        if self.view.landed or self._flown.sticks or self._flown is modes.TERMINATION or not self.manual.moving:
+        if (
+            self.view.landed
+            or self._active_mode.sticks
+            or self._active_mode is modes.TERMINATION
+            or not self.manual.moving
+        ):
             return False
-        bit = _OVERRIDE_OFFBOARD if self._flown is modes.OFFBOARD else _OVERRIDE_AUTO
+        bit = _OVERRIDE_OFFBOARD if self._active_mode is modes.OFFBOARD else _OVERRIDE_AUTO
         if not int(self.parameters.get("COM_RC_OVERRIDE")) & bit:
             return False
         if self.failsafe:
             return True
         if self._can_choose(modes.POSCTL):
-            self._intend(modes.POSCTL)
+            self._set_intended_mode(modes.POSCTL)
             self._announcements.tell(INFO, "Pilot took over using sticks", "commander_rc_override")
         return False
 
-    # steering from outside
+    # OFFBOARD setpoints
 
     def offboard_trajectory(
         self, position: Vector, velocity: Vector, acceleration: Vector, yaw: float, yaw_rate: float
     ) -> None:
-        """Take a trajectory setpoint of the OFFBOARD stream: local NED, NaN is not controlled.
+        """Process an OFFBOARD trajectory setpoint: local NED, NaN leaves a value uncontrolled.
 
-        It feeds the stream's watchdog in every mode and is flown in OFFBOARD.
+        It feeds the setpoint watchdog in every mode and is followed in OFFBOARD only.
 
         Raises:
             SetpointError: see ``OffboardInput.set_trajectory``.
         """
         self._offboard.set_trajectory(position, velocity, acceleration, yaw, yaw_rate)
-        self._follow_offboard()
+        self._apply_offboard_setpoint()
 
     def offboard_attitude(self, attitude: Sequence[float], yaw_rate: float, thrust: float) -> None:
-        """Take an attitude setpoint of the OFFBOARD stream.
+        """Process an OFFBOARD attitude setpoint.
 
         Raises:
             SetpointError: see ``OffboardInput.set_attitude``.
         """
         self._offboard.set_attitude(attitude, yaw_rate, thrust)
-        self._follow_offboard()
+        self._apply_offboard_setpoint()
 
     def offboard_rates(self, rates: Sequence[float], thrust: float) -> None:
-        """Take a body-rate setpoint of the OFFBOARD stream.
+        """Process an OFFBOARD body-rate setpoint.
 
         Raises:
             SetpointError: see ``OffboardInput.set_rates``.
         """
         self._offboard.set_rates(rates, thrust)
-        self._follow_offboard()
+        self._apply_offboard_setpoint()
 
     @property
     def offboard_incomplete(self) -> bool:
-        """Whether the last setpoint leaves an axis without control, and the vehicle stops and waits instead."""
+        """Whether the last setpoint leaves an axis uncontrolled, so that the vehicle stops and holds instead."""
         return self._offboard.incomplete
 
-    def _follow_offboard(self) -> None:
-        if self.armed and self._flown is modes.OFFBOARD:
+    def _apply_offboard_setpoint(self) -> None:
+        if self.armed and self._active_mode is modes.OFFBOARD:
             self._offboard.write()
 
     def gcs_heartbeat(self) -> None:
-        """Note that a ground station is there."""
+        """Record a heartbeat from a ground station."""
         self.health.gcs_heartbeat()
 
-    # what goes on by itself
+    # periodic update
 
     def update(self) -> None:
-        """Look at pilot, landing, failsafes and the AUTO modes' progress; call at about 10 Hz."""
+        """Update manual control, land detection, failsafes and the active mode; call at about 10 Hz."""
         view = self.view
-        self._obey_pilot()
-        flags = self.health.update(self._mode, self._flown, self.armed)
+        self._handle_pilot_requests()
+        flags = self.health.update(self._mode, self._active_mode, self.armed)
         if self.home is None and view.global_valid:
             self._set_home_here()
         if self.armed:
             landed = view.landed
             if landed != self._was_landed:
-                self._note_landing(landed)
-            if (landed and self._auto_disarm()) or self._disarm_killed():
+                self._record_landing(landed)
+            if (landed and self._auto_disarm()) or self._disarm_after_kill():
                 return
         else:
             self._checks.follow_innovations()
-        take_over = self._look_at_sticks()
-        self._decide(sticks=take_over, flags=flags)
+        take_over = self._check_stick_override()
+        self._update_mode(sticks=take_over, flags=flags)
         self._move_gear()
-        self._tell_checks(flags)
+        self._report_checks(flags)
         if self.armed:
-            self._go_on()
+            self._run_mode()
 
     def _move_gear(self) -> None:
-        """Have the landing gear up in AUTO modes well above home and down to land, else as it is (FlightTaskAuto)."""
+        """Raise the landing gear in AUTO modes well above home and lower it for landing (PX4 ``FlightTaskAuto``)."""
         if self.landed_state in (_ON_GROUND, _LANDING):
             self.gear_up = False
-        elif self._flown.auto and self.home is not None:
+        elif self._active_mode.auto and self.home is not None:
             height = self.home.position[2] - self.view.position[2]
             self.gear_up = self.gear_up or height > _GEAR_HEIGHT
 
-    def _go_on(self) -> None:
-        """Let pilot and navigator go on with the mode that is flown."""
-        if self._flown.sticks:
+    def _run_mode(self) -> None:
+        """Advance the active mode."""
+        if self._active_mode.sticks:
             self._steer()
         following = self.navigator.update()
-        if following is not None:  # never while a failsafe acts: what it flies does not end
-            self._intend(following)
-            self._decide(changed=True)
+        if following is not None:  # never during a failsafe: its modes have no successor
+            self._set_intended_mode(following)
+            self._update_mode(changed=True)
 
-    def _tell_checks(self, flags: Flags) -> None:
-        """Tell by events what stands against arming, when that has changed."""
+    def _report_checks(self, flags: Flags) -> None:
+        """Emit the arming checks as events when their result has changed."""
         key = (flags, self._mode, self.armed)
         now_us = self.view.time_us
         due = not self.armed and now_us - self._checked_us >= _CHECK_INTERVAL_US
@@ -611,7 +618,7 @@ class Commander(FlightCommands):
         report = self._checks.report(flags, self._mode, self.armed)
         self._announcements.emit(self._checks.events(report, now_us))
 
-    def _note_landing(self, landed: bool) -> None:
+    def _record_landing(self, landed: bool) -> None:
         self._was_landed = landed
         self._took_off = True
         self._landed_us = self.view.time_us

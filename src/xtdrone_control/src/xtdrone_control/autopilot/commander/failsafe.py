@@ -1,7 +1,8 @@
-"""Failsafes: what a vehicle does of its own accord, decided from flags and parameters (PX4 v1.14's failsafe framework).
+"""Failsafe actions chosen from health flags and parameters, modelled on PX4 v1.14's failsafe framework.
 
-``triggered`` says, without memory, which conditions ask for which action. ``Failsafe`` remembers which of them still
-hold, waits COM_FAIL_ACT_T before what a pilot may prevent, lets a pilot take over, and falls back to what can be flown.
+``triggered`` maps the current conditions to actions and has no state. ``Failsafe`` tracks the active conditions, delays
+an action that the pilot may prevent by COM_FAIL_ACT_T, handles pilot takeover, and falls back to a mode that the
+vehicle can fly.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from xtdrone_control.autopilot.modes import Mode
 
 Get = Callable[[str], float]
 
-FLIGHT_TERMINATION_KEY = 121212  # CBRK_FLIGHTTERM: the attitude limit only warns
-_SHORTEST_DELAY_US = 100_000
+FLIGHT_TERMINATION_KEY = 121212  # CBRK_FLIGHTTERM: exceeding the attitude limit only warns
+_MIN_DELAY_US = 100_000
 _STICKS_DISABLED = 4  # COM_RC_IN_MODE
 _EXCEPT_MISSION, _EXCEPT_HOLD, _EXCEPT_OFFBOARD = 1, 2, 4  # COM_RCL_EXCEPT
 
@@ -25,7 +26,7 @@ BATTERY_OK, BATTERY_LOW, BATTERY_CRITICAL, BATTERY_EMERGENCY = range(4)
 
 
 class Action(enum.IntEnum):
-    """What is done, the later the more severe; the numbers are PX4's failsafe_action_t."""
+    """Failsafe action in ascending severity; values of PX4's failsafe_action_t."""
 
     NONE = 0
     WARN = 1
@@ -41,7 +42,7 @@ class Action(enum.IntEnum):
 
 
 class Cause(enum.IntEnum):
-    """Why; the numbers are PX4's failsafe_cause_t."""
+    """Cause of a failsafe action; values of PX4's failsafe_cause_t."""
 
     GENERIC = 0
     MANUAL_CONTROL_LOSS = 1
@@ -52,47 +53,47 @@ class Cause(enum.IntEnum):
 
 
 class Clear(enum.Enum):
-    """When an action ends whose condition has passed."""
+    """When an action ends after its condition has cleared."""
 
-    AT_ONCE = "at once"
-    MODE_CHANGE = "with the next mode change or disarming"
+    CONDITION_CLEARED = "immediately"
+    MODE_CHANGE = "at the next mode change or disarming"
     NEVER = "never"
 
 
 class Takeover(enum.IntEnum):
-    """Whether a pilot may take over, the later the less."""
+    """How a pilot may take over, in ascending restriction."""
 
     ALWAYS = 0
     MODE_SWITCH = 1
-    AUTO = 2  # after the delay that COM_FAIL_ACT_T gives him
+    AUTO = 2  # resolved to ALWAYS or MODE_SWITCH, depending on COM_FAIL_ACT_T
     NEVER = 3
 
 
 class Flags(NamedTuple):
-    """What is wrong with a vehicle. All false or zero: nothing is.
+    """Health flags of a vehicle; all false or zero for a healthy vehicle.
 
     Attributes:
         attitude_invalid: no attitude estimate.
-        altitude_invalid: no height estimate.
-        position_invalid: no horizontal estimate that is exact enough for an AUTO mode.
-        place_invalid: no horizontal estimate at all.
+        altitude_invalid: no altitude estimate.
+        position_invalid: no horizontal position estimate accurate enough for AUTO modes.
+        relaxed_position_invalid: no horizontal position estimate at all.
         home_missing: no home position.
-        mission_missing: no mission that can be flown.
-        offboard_lost: no setpoints that OFFBOARD could follow.
-        manual_lost: no pilot's sticks.
-        gcs_lost: no ground station.
-        geofence: a geofence is breached.
+        mission_missing: no feasible mission.
+        offboard_lost: OFFBOARD setpoint stream missing or unusable.
+        manual_lost: no manual control input.
+        gcs_lost: no ground station connection.
+        geofence: geofence breached.
         battery: BATTERY_OK, _LOW, _CRITICAL or _EMERGENCY.
-        battery_unhealthy: no battery is seen.
+        battery_unhealthy: no battery detected.
         attitude_failure: roll or pitch beyond its limit for too long.
-        motor_failure: a motor does not turn.
-        flight_time_exceeded: COM_FLT_TIME_MAX has passed since takeoff.
+        motor_failure: at least one motor has stopped.
+        flight_time_exceeded: more than COM_FLT_TIME_MAX since takeoff.
     """
 
     attitude_invalid: bool = False
     altitude_invalid: bool = False
     position_invalid: bool = False
-    place_invalid: bool = False
+    relaxed_position_invalid: bool = False
     home_missing: bool = False
     mission_missing: bool = False
     offboard_lost: bool = False
@@ -107,13 +108,13 @@ class Flags(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What the vehicle is about.
+    """Flight state that the failsafe conditions depend on.
 
     Attributes:
-        armed: whether motors run.
-        mode: the mode that was asked for.
-        starting: COM_SPOOLUP_TIME and COM_LKDOWN_TKO since arming have not passed yet.
-        manual_needed: manual control was there at arming or has been since.
+        armed: whether the vehicle is armed.
+        mode: requested mode.
+        starting: less than COM_SPOOLUP_TIME + COM_LKDOWN_TKO since arming.
+        manual_needed: manual control was available at arming or has been since.
     """
 
     armed: bool
@@ -124,10 +125,10 @@ class Situation(NamedTuple):
 
 @dataclass(frozen=True)
 class Option:
-    """What a condition asks for."""
+    """Response to a condition."""
 
     action: Action
-    clear: Clear = Clear.AT_ONCE
+    clear: Clear = Clear.CONDITION_CLEARED
     takeover: Takeover = Takeover.AUTO
     cause: Cause = Cause.GENERIC
 
@@ -172,7 +173,7 @@ _OFFBOARD_ACTIONS: dict[int, tuple[Action, Mode]] = {
     6: (Action.TERMINATE, modes.TERMINATION),
     7: (Action.DISARM, modes.OFFBOARD),
 }
-# COM_LOW_BAT_ACT: what a critical and what an emergency battery asks for
+# COM_LOW_BAT_ACT: actions for a critical and for an emergency battery level
 _BATTERY_ACTIONS = {
     0: (Action.WARN, Action.WARN),
     1: (Action.RETURN, Action.RETURN),
@@ -197,12 +198,12 @@ def can_run(mode: Mode, flags: Flags) -> bool:
 
 
 def missing(mode: Mode, flags: Flags) -> set[str]:
-    """Return what ``mode`` needs (see ``Mode.needs``) and the vehicle does not have."""
+    """Return the needs of ``mode`` (see ``Mode.needs``) that the vehicle does not meet."""
     lacking = {
         "attitude": flags.attitude_invalid,
         "altitude": flags.altitude_invalid,
         "position": flags.position_invalid,
-        "place": flags.place_invalid,
+        "relaxed_position": flags.relaxed_position_invalid,
         "home": flags.home_missing,
         "mission": flags.mission_missing,
         "offboard": flags.offboard_lost,
@@ -241,7 +242,7 @@ def _attitude_option(situation: Situation, get: Get) -> Option:
 
 
 def mode_fallback(mode: Mode, flags: Flags, get: Get) -> Action:
-    """Return what is done because ``mode`` cannot be flown, ``Action.NONE`` when it can."""
+    """Return the action that replaces ``mode`` when it cannot be flown, ``Action.NONE`` when it can."""
     action = Action.NONE
     if mode is modes.OFFBOARD and flags.offboard_lost:
         action, mode = _OFFBOARD_ACTIONS.get(int(get("COM_OBL_RC_ACT")), _OFFBOARD_ACTIONS[0])
@@ -260,12 +261,12 @@ def mode_fallback(mode: Mode, flags: Flags, get: Get) -> Action:
 
 
 def triggered(situation: Situation, flags: Flags, get: Get) -> dict[str, Option]:
-    """Return what each condition that holds asks for, by the condition's name.
+    """Return the response to each condition that holds, keyed by the condition's name.
 
     Args:
-        situation: what the vehicle is about.
-        flags: what is wrong.
-        get: parameter by name.
+        situation: flight state.
+        flags: health flags.
+        get: returns a parameter by name.
     """
     found: dict[str, Option] = {}
     if flags.manual_lost and not _manual_loss_ignored(situation, get):
@@ -293,7 +294,7 @@ def triggered(situation: Situation, flags: Flags, get: Get) -> dict[str, Option]
 
 
 def possible(action: Action, flags: Flags) -> Action:
-    """Return ``action``, or the next more severe one that can be done."""
+    """Return ``action``, or the next more severe action that the vehicle can perform."""
     if action < Action.POSCTL or action is Action.DISARM:
         return action
     for candidate in list(Action)[action : Action.DISARM]:
@@ -302,8 +303,8 @@ def possible(action: Action, flags: Flags) -> Action:
     return Action.TERMINATE
 
 
-def _already_as_safe(action: Action, delayed: Action, mode: Mode, flags: Flags) -> bool:
-    """Return whether the vehicle is landing by itself, so that ``action`` would be no gain."""
+def _already_landing(action: Action, delayed: Action, mode: Mode, flags: Flags) -> bool:
+    """Return whether the vehicle is landing already, which makes ``action`` unnecessary."""
     if not can_run(mode, flags):
         return False
     if mode is modes.AUTO_LAND:
@@ -319,17 +320,17 @@ class _Active:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the framework has decided.
+    """Decision of the failsafe framework.
 
     Attributes:
-        action: what is done.
-        delayed: what will be done when COM_FAIL_ACT_T has passed; NONE outside that delay.
-        delay: seconds until then.
-        cause: why.
-        mode: what is to be flown.
-        intended: the mode that was asked for, or that the pilot's sticks ask for.
-        notify: whether the operator is to be told.
-        takeover: a pilot has taken over.
+        action: current action.
+        delayed: action that follows the delay of COM_FAIL_ACT_T; NONE outside the delay.
+        delay: remaining delay, s.
+        cause: cause of the action.
+        mode: mode to fly.
+        intended: requested mode, or the one selected by the pilot's takeover.
+        notify: whether to notify the operator.
+        takeover: whether the pilot has taken over.
     """
 
     action: Action
@@ -343,24 +344,24 @@ class Outcome:
 
     @property
     def active(self) -> bool:
-        """Whether the vehicle does something else than it was told."""
+        """Whether the action overrides the requested mode."""
         return self.action > Action.WARN
 
 
 class Failsafe:
-    """The failsafe framework of one vehicle.
+    """Failsafe framework of one vehicle.
 
     Attributes:
         outcome: the last decision.
     """
 
     def __init__(self, get: Get, mode: Mode, changes: Callable[[], int] = int) -> None:
-        """Start with nothing wrong.
+        """Start without any active condition.
 
         Args:
-            get: parameter by name.
-            mode: the mode that was asked for.
-            changes: returns how often a parameter has changed.
+            get: returns a parameter by name.
+            mode: requested mode.
+            changes: returns the number of parameter changes so far.
         """
         self._get = get
         self._changes = changes
@@ -371,9 +372,9 @@ class Failsafe:
         self._manual_needed = False
         self._last_us: int | None = None
         self._last_mode = mode
-        self._delay_us = 0.0  # until a delayed action
+        self._delay_us = 0.0  # remaining time before a delayed action
         self._start_delay_us = self._configured_delay_us()
-        self._quiet: tuple[bool, Mode, Flags, int] | None = None  # with this nothing is to be done
+        self._idle_key: tuple[bool, Mode, Flags, int] | None = None  # input that needs no action
         self.outcome = Outcome(Action.NONE, Action.NONE, 0.0, Cause.GENERIC, mode, mode)
 
     def _configured_delay_us(self) -> float:
@@ -382,40 +383,40 @@ class Failsafe:
     def update(
         self, now_us: int, armed: bool, mode: Mode, flags: Flags, *, changed: bool = False, sticks: bool = False
     ) -> Outcome:
-        """Decide.
+        """Return the decision for the current flags and requested mode.
 
         Args:
             now_us: simulated time, microseconds.
-            armed: whether motors run.
-            mode: the mode that was asked for.
-            flags: what is wrong.
-            changed: somebody has asked for a mode since the last call, be it the same one.
-            sticks: a pilot moves the sticks and wants to take over.
+            armed: whether the vehicle is armed.
+            mode: requested mode.
+            flags: health flags.
+            changed: a mode, even the same one, was requested since the last call.
+            sticks: the pilot takes over with the sticks.
         """
         key = (armed, mode, flags, self._changes())
-        if key == self._quiet and not changed and not sticks:
+        if key == self._idle_key and not changed and not sticks:
             self._last_us = now_us
             return self.outcome
         elapsed = 0 if self._last_us is None else now_us - self._last_us
         changed = changed or mode is not self._last_mode
-        self._forget(armed, changed)
+        self._drop_ended(armed, changed)
         situation = self._situation(now_us, armed, mode, flags)
         self._delay_us = max(self._delay_us - elapsed, 0.0)
-        added = self._note(triggered(situation, flags, self._get))
+        added = self._update_active(triggered(situation, flags, self._get))
         if self.outcome.action > Action.HOLD or self._takeover or not can_run(modes.AUTO_LOITER, flags):
             self._delay_us = 0.0
         outcome = self._select(armed, mode, flags, changed, sticks)
-        self._recharge(elapsed, outcome.delayed is not Action.NONE)
+        self._restore_delay(elapsed, outcome.delayed is not Action.NONE)
         worse = outcome.action > self.outcome.action or (added and outcome.action is not Action.NONE)
         self.outcome = replace(outcome, notify=False)
         self._takeover = outcome.takeover
         self._last_us, self._last_mode = now_us, outcome.intended
         at_rest = not self._active and self._start_delay_us >= self._configured_delay_us()
-        self._quiet = key if at_rest and outcome.mode is mode and not sticks else None
+        self._idle_key = key if at_rest and outcome.mode is mode and not sticks else None
         return replace(outcome, notify=worse)
 
-    def _forget(self, armed: bool, changed: bool) -> None:
-        """Drop the actions that arming, disarming or a mode change ends, unless their condition still holds."""
+    def _drop_ended(self, armed: bool, changed: bool) -> None:
+        """Drop actions ended by arming, disarming or a mode change, unless their condition still holds."""
         turned = armed is not self._armed
         if turned:
             self._takeover = False
@@ -435,36 +436,36 @@ class Failsafe:
         starting = armed and now_us - self._armed_us < window * 1e6
         return Situation(armed, mode, starting, self._manual_needed)
 
-    def _note(self, found: dict[str, Option]) -> bool:
-        """Remember the conditions that hold; return whether the operator has to hear of a new warning."""
+    def _update_active(self, found: dict[str, Option]) -> bool:
+        """Update the active conditions; return whether a new warning must be announced."""
         for name, active in list(self._active.items()):
             active.failing = name in found
-            if not active.failing and active.option.clear is Clear.AT_ONCE:
+            if not active.failing and active.option.clear is Clear.CONDITION_CLEARED:
                 del self._active[name]
         warned = False
         for name, option in found.items():
             if name in self._active:
-                # what is done may change with the mode or a parameter, the rest stays
+                # a mode or parameter change may alter the action; takeover and end condition stay
                 self._active[name].option = replace(self._active[name].option, action=option.action)
                 continue
-            self._active[name] = _Active(self._delayed(option))
+            self._active[name] = _Active(self._with_delay(option))
             warned = warned or option.action is Action.WARN
             if option.action >= Action.HOLD:
                 self._takeover = False
         return warned
 
-    def _delayed(self, option: Option) -> Option:
-        """Start the delay before what a pilot may prevent, and say how he may."""
+    def _with_delay(self, option: Option) -> Option:
+        """Start the delay of an action that the pilot may prevent; return the action with its takeover resolved."""
         if option.takeover is not Takeover.AUTO:
             return option
-        if self._configured_delay_us() <= _SHORTEST_DELAY_US:
+        if self._configured_delay_us() <= _MIN_DELAY_US:
             return replace(option, takeover=Takeover.MODE_SWITCH)
         if option.action is not Action.WARN and self._delay_us == 0.0:
             self._delay_us = self._start_delay_us
         return replace(option, takeover=Takeover.ALWAYS)
 
-    def _recharge(self, elapsed: float, delaying: bool) -> None:
-        """Let the next delay grow slower than it shrinks, so that a condition that comes and goes acts at last."""
+    def _restore_delay(self, elapsed: float, delaying: bool) -> None:
+        """Restore the delay more slowly than it elapses, so that a flickering condition triggers its action."""
         if delaying:
             self._start_delay_us = max(self._start_delay_us - elapsed, 0.0)
         else:
@@ -472,15 +473,15 @@ class Failsafe:
 
     def _select(self, armed: bool, mode: Mode, flags: Flags, changed: bool, sticks: bool) -> Outcome:
         if self.outcome.action is Action.TERMINATE:
-            return replace(self.outcome, intended=mode)  # it never ends
+            return replace(self.outcome, intended=mode)  # termination is final
         if not armed:
             return Outcome(Action.NONE, Action.NONE, 0.0, Cause.GENERIC, mode, mode)
-        action, cause, allowed = self._worst()
+        action, cause, allowed = self._most_severe()
         delayed = Action.NONE
         waiting = self._delay_us > 0 and not self._takeover and allowed <= Takeover.MODE_SWITCH
         if waiting and Action.WARN < action < Action.DISARM:
             action, delayed, allowed = Action.HOLD, action, Takeover.MODE_SWITCH
-        takeover = self._taken_over(action, allowed, changed, sticks)
+        takeover = self._pilot_takes_over(action, allowed, changed, sticks)
         if takeover:
             if sticks and not self._takeover:
                 mode = modes.POSCTL
@@ -488,11 +489,11 @@ class Failsafe:
         feasible = possible(action, flags)
         if feasible is not action:
             action, cause = feasible, Cause.GENERIC
-        if _already_as_safe(action, delayed, mode, flags):
+        if _already_landing(action, delayed, mode, flags):
             action, delayed = Action.WARN, Action.NONE
         return Outcome(action, delayed, self._delay_us * 1e-6, cause, _MODES.get(action, mode), mode, takeover=takeover)
 
-    def _worst(self) -> tuple[Action, Cause, Takeover]:
+    def _most_severe(self) -> tuple[Action, Cause, Takeover]:
         action, cause, allowed = Action.NONE, Cause.GENERIC, Takeover.ALWAYS
         for active in self._active.values():
             allowed = max(allowed, active.option.takeover)
@@ -500,9 +501,9 @@ class Failsafe:
                 action, cause = active.option.action, active.option.cause
         return action, cause, allowed
 
-    def _taken_over(self, action: Action, allowed: Takeover, changed: bool, sticks: bool) -> bool:
+    def _pilot_takes_over(self, action: Action, allowed: Takeover, changed: bool, sticks: bool) -> bool:
         if not Action.HOLD <= action <= Action.DESCEND:
-            return False  # stick modes need no takeover, and nothing ends the others
+            return False  # manual modes need no takeover; disarming and termination allow none
         switched = changed and self.outcome.action is action
         if allowed is Takeover.ALWAYS:
             return self._takeover or switched or sticks

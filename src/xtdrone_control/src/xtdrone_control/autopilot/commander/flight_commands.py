@@ -1,4 +1,4 @@
-"""What commands ask a vehicle to do: take off, land, return, fly somewhere, set home (PX4's ``handle_command``)."""
+"""Flight commands: takeoff, landing, return, reposition, home position and others (PX4's ``handle_command``)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from xtdrone_control.geodesy import geo
 
 
 class Result(enum.IntEnum):
-    """MAV_RESULT: what a command's acknowledgement says."""
+    """MAV_RESULT of a command's acknowledgement."""
 
     ACCEPTED = 0
     TEMPORARILY_REJECTED = 1
@@ -28,12 +28,12 @@ class Result(enum.IntEnum):
 
 
 class FlightCommands(ABC):
-    """The commands of one vehicle, in terms of its modes.
+    """Flight commands of one vehicle, implemented as mode changes.
 
     Attributes:
-        view: its records.
-        navigator: its AUTO modes.
-        armed: whether it is armed.
+        view: access to the vehicle's autopilot records.
+        navigator: AUTO modes.
+        armed: whether the vehicle is armed.
     """
 
     view: VehicleView
@@ -44,26 +44,26 @@ class FlightCommands(ABC):
     @property
     @abstractmethod
     def mode(self) -> Mode:
-        """The mode that is flown."""
+        """Active mode."""
 
     @abstractmethod
     def request(self, mode: Mode) -> Result:
-        """Go to a mode, if that is possible."""
+        """Switch to a mode if possible."""
 
     @abstractmethod
     def _arm(self, reason: ArmReason, force: bool = False) -> bool:
-        """Arm, unless something stands against it; return whether the vehicle is armed."""
+        """Arm if the checks allow it; return whether the vehicle is armed."""
 
     @property
     def home(self) -> Home | None:
-        """Where AUTO.RTL goes to."""
+        """Home position, None until it is set."""
         return self.navigator.home
 
     def takeoff(self, altitude: float, yaw: float) -> Result:
-        """Go to AUTO.TAKEOFF.
+        """Take off in AUTO.TAKEOFF.
 
         Args:
-            altitude: m AMSL; NaN for MIS_TAKEOFF_ALT over home.
+            altitude: m AMSL; NaN for MIS_TAKEOFF_ALT above home.
             yaw: rad; NaN keeps the heading.
         """
         if math.isinf(altitude) or math.isinf(yaw):
@@ -73,24 +73,24 @@ class FlightCommands(ABC):
         return self.request(modes.AUTO_TAKEOFF)
 
     def land(self) -> Result:
-        """Go to AUTO.LAND."""
+        """Land in AUTO.LAND."""
         return self._go(modes.AUTO_LAND, "Landing at current position", "commander_landing_current_pos")
 
     def precision_land(self) -> Result:
-        """Go to AUTO.PRECLAND."""
+        """Land on the landing target in AUTO.PRECLAND."""
         return self._go(modes.AUTO_PRECLAND, "Precision landing", "commander_landing_prec_land")
 
     def return_to_launch(self) -> Result:
-        """Go to AUTO.RTL."""
+        """Return in AUTO.RTL."""
         return self._go(modes.AUTO_RTL, "Returning to launch", "commander_rtl")
 
     def start_mission(self, first: float) -> Result:
-        """Fly the mission from an item on, and arm for it.
+        """Arm and fly the mission.
 
         Args:
-            first: index of the item; -1 for the current one.
+            first: index of the item to start with; -1 for the current one.
         """
-        if self.navigator.mission_obstacle():
+        if self.navigator.mission_denial():
             text = "Mission start denied! No valid mission"
             self._announcements.tell(CRITICAL, text, "commander_mission_start_denied_no_mission")
             return Result.DENIED
@@ -109,36 +109,36 @@ class FlightCommands(ABC):
             self._announcements.tell(INFO, text, name)
         return result
 
-    def set_home(self, place: Vector | None) -> Result:
-        """Set home to (latitude, longitude, altitude), degrees and m AMSL, or to where the vehicle is (None)."""
-        if place is None:
+    def set_home(self, location: Vector | None) -> Result:
+        """Set the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's (None)."""
+        if location is None:
             if not self.view.global_valid:
                 return Result.TEMPORARILY_REJECTED
             self._set_home_here()
             return Result.ACCEPTED
-        if not geo.is_place(*place):
+        if not geo.is_place(*location):
             return Result.DENIED
         if not self.view.global_valid:
             return Result.TEMPORARILY_REJECTED
-        position = self.view.to_local(*place)
-        self.navigator.home = Home(*place, position, self.view.yaw, self.view.time_us)
+        position = self.view.to_local(*location)
+        self.navigator.home = Home(*location, position, self.view.yaw, self.view.time_us)
         return Result.ACCEPTED
 
     def _set_home_here(self) -> None:
         position = self.view.position
-        place = self.view.to_global(position)
-        self.navigator.home = Home(*place, position, self.view.yaw, self.view.time_us)
+        location = self.view.to_global(position)
+        self.navigator.home = Home(*location, position, self.view.yaw, self.view.time_us)
 
-    def reposition(self, place: Vector, yaw: float, speed: float) -> Result:
-        """Fly to a place in AUTO.LOITER.
+    def reposition(self, location: Vector, yaw: float, speed: float) -> Result:
+        """Fly to a position in AUTO.LOITER.
 
         Args:
-            place: latitude and longitude in degrees, m AMSL; NaN keeps the present one.
-            yaw: rad; NaN looks where it flies.
-            speed: m/s; NaN or not positive: MPC_XY_CRUISE.
+            location: latitude and longitude in degrees, altitude in m AMSL; NaN keeps the current value.
+            yaw: rad; NaN turns towards a goal beyond NAV_ACC_RAD.
+            speed: m/s; NaN, 0 or less for MPC_XY_CRUISE.
         """
         here = self.view.to_global(self.view.position)
-        target = tuple(h if math.isnan(p) else p for p, h in zip(place, here, strict=True))
+        target = tuple(h if math.isnan(p) else p for p, h in zip(location, here, strict=True))
         if not geo.is_place(*target) or math.isinf(yaw) or math.isinf(speed):
             return Result.DENIED
         able = self.armed and not self.view.landed and self.view.has_origin
@@ -146,9 +146,9 @@ class FlightCommands(ABC):
             self._announcements.tell(CRITICAL, "Reposition command rejected", "commander_reposition_rejected")
             return Result.TEMPORARILY_REJECTED
         if self.mode is not modes.AUTO_LOITER:
-            return Result.ACCEPTED  # a failsafe flies something else
+            return Result.ACCEPTED  # a failsafe overrides the mode
         position = self.view.to_local(*target)
-        if self.navigator.fenced_off(position):  # PX4's commander has accepted by then: it stays where it is
+        if self.navigator.geofence_forbids(position):  # PX4 accepts the command before this check
             text = "Reposition is outside geofence"
             self._announcements.tell(CRITICAL, text, "navigator_reposition_outside_geofence", level=events.ERROR)
             return Result.ACCEPTED
@@ -157,18 +157,18 @@ class FlightCommands(ABC):
         self.navigator.reposition(position, yaw)
         return Result.ACCEPTED
 
-    def orbit(self, radius: float, speed: float, yaw_behaviour: float, place: Vector) -> Result:
-        """Fly a circle in ORBIT; for the arguments see :meth:`.orbit.Orbit.command`."""
-        if any(math.isinf(value) for value in (radius, speed, yaw_behaviour, *place)):
+    def orbit(self, radius: float, speed: float, yaw_behaviour: float, location: Vector) -> Result:
+        """Fly a circle in ORBIT; see :meth:`.orbit.Orbit.command` for the arguments."""
+        if any(math.isinf(value) for value in (radius, speed, yaw_behaviour, *location)):
             return Result.DENIED
-        self.navigator.orbit.command(radius, speed, yaw_behaviour, place)
+        self.navigator.orbit.command(radius, speed, yaw_behaviour, location)
         result = self.request(modes.ORBIT)
         if result is not Result.ACCEPTED:
             self._announcements.say(CRITICAL, "Orbit command rejected")
         return result
 
     def change_altitude(self, altitude: float) -> Result:
-        """Climb or sink to ``altitude`` (m AMSL) in AUTO.LOITER."""
+        """Climb or descend to ``altitude`` (m AMSL) in AUTO.LOITER."""
         if not math.isfinite(altitude):
             return Result.DENIED
         if not self.view.has_origin or self.request(modes.AUTO_LOITER) is not Result.ACCEPTED:
@@ -181,8 +181,8 @@ class FlightCommands(ABC):
         """Set the speed of AUTO modes until the next mode.
 
         Args:
-            kind: SPEED_TYPE: 0 and 1 horizontal, 2 climbing, 3 sinking.
-            speed: m/s; -1 leaves it, other negative values go back to the parameter's.
+            kind: SPEED_TYPE: 0 and 1 horizontal, 2 climb, 3 descent.
+            speed: m/s; -1 keeps the current speed, 0 and other negative values restore the parameter's.
         """
         field = {0: "cruise_speed", 1: "cruise_speed", 2: "climb_speed", 3: "descend_speed"}.get(kind)
         if field is None or not math.isfinite(speed):

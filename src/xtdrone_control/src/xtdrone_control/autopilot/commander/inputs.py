@@ -1,4 +1,4 @@
-"""What comes from outside to steer by: the OFFBOARD setpoint stream, and the shape of sticks."""
+"""Control inputs: the OFFBOARD setpoint stream and the shaping of sticks."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _NEVER_US = -(1 << 60)
 
 
 class SetpointError(ValueError):
-    """A setpoint that cannot be flown; it is not stored and does not count for the stream's watchdog."""
+    """Invalid setpoint; it is not stored and does not feed the watchdog of the stream."""
 
 
 def _finite(value: float) -> float:
-    """Return ``value``, NaN in place of an infinite one."""
+    """Return ``value``, with NaN for an infinite one."""
     return value if math.isfinite(value) else _NAN
 
 
 def _can_be_flown(parts: Sequence[Sequence[float]]) -> bool:
-    """Say whether position, velocity and acceleration control every axis, and x and y only in pairs.
+    """Return whether position, velocity and acceleration together control every axis, with x and y only in pairs.
 
     Source: PX4 ``PositionControl::_inputValid``.
     """
@@ -37,10 +37,10 @@ def _collective(thrust: float) -> float:
 
 
 class OffboardInput:
-    """The last setpoint of the OFFBOARD stream and the watchdog over the stream.
+    """Last setpoint of the OFFBOARD stream and watchdog of the stream.
 
     Attributes:
-        incomplete: the last setpoint leaves an axis without control, and the vehicle stops and waits instead.
+        incomplete: the last setpoint leaves an axis uncontrolled, so that the vehicle stops and holds instead.
     """
 
     def __init__(self, view: VehicleView) -> None:
@@ -54,15 +54,15 @@ class OffboardInput:
 
     @property
     def needs_position(self) -> bool:
-        """Whether the last setpoint is flown by the horizontal estimate."""
+        """Whether the last setpoint requires the horizontal position estimate."""
         return self._task == TASK_TRAJECTORY
 
     def fresh(self, limit: float) -> bool:
-        """Return whether a setpoint came within the last ``limit`` seconds."""
+        """Return whether the last setpoint arrived within ``limit`` seconds."""
         return self._view.time_us - self._last_us <= limit * 1e6
 
     def steady(self, limit: float) -> bool:
-        """Return whether the last two setpoints came within ``limit`` seconds of each other, and of now."""
+        """Return whether the last setpoint and the one before it each arrived within ``limit`` seconds."""
         return self.fresh(limit) and self._last_us - self._previous_us <= limit * 1e6
 
     def set_trajectory(
@@ -73,9 +73,9 @@ class OffboardInput:
         yaw: float,
         yaw_rate: float,
     ) -> None:
-        """Store a trajectory setpoint; what is not finite is not controlled.
+        """Store a trajectory setpoint; non-finite values are uncontrolled.
 
-        One that cannot be flown, since an axis is left without control, lets the vehicle stop and wait, as in PX4.
+        A setpoint that leaves an axis uncontrolled makes the vehicle stop and hold, as in PX4.
 
         Args:
             position: m, local NED, 3 values.
@@ -85,7 +85,7 @@ class OffboardInput:
             yaw_rate: rad/s.
 
         Raises:
-            SetpointError: nothing is given but NaN.
+            SetpointError: position, velocity and acceleration are all NaN.
         """
         given = (position, velocity, acceleration)
         if all(math.isnan(value) for part in given for value in part):
@@ -109,12 +109,12 @@ class OffboardInput:
         """Store an attitude setpoint.
 
         Args:
-            attitude: quaternion (w, x, y, z), body to local; it is normalised.
+            attitude: quaternion (w, x, y, z), body FRD to local NED; normalised on storage.
             yaw_rate: rad/s, NaN for none.
-            thrust: collective, cut to 0..1; none when it is not finite.
+            thrust: collective thrust, clamped to 0..1; 0 if not finite.
 
         Raises:
-            SetpointError: a quaternion that is not finite, or near zero.
+            SetpointError: the quaternion is not finite, or its norm is close to zero.
         """
         norm = math.sqrt(sum(c * c for c in attitude))
         if not 1e-3 < norm < 1e6:
@@ -123,9 +123,11 @@ class OffboardInput:
         self._store(TASK_ATTITUDE, attitude_q=[c / norm for c in attitude], rates=rates, thrust=_collective(thrust))
 
     def set_rates(self, rates: Sequence[float], thrust: float) -> None:
-        """Store a setpoint of body rates (rad/s, FRD; what is not finite is not controlled) and collective thrust.
+        """Store a setpoint of body rates and collective thrust.
 
-        Thrust is cut to 0..1, and none when it is not finite.
+        Args:
+            rates: body rates FRD, rad/s; non-finite values are uncontrolled.
+            thrust: collective thrust, clamped to 0..1; 0 if not finite.
         """
         self._store(TASK_RATES, rates=tuple(map(_finite, rates)), thrust=_collective(thrust))
 
@@ -137,7 +139,7 @@ class OffboardInput:
         self._last_us = self._view.time_us
 
     def write(self) -> None:
-        """Let the cascade follow the last setpoint."""
+        """Write the last setpoint to the control cascade."""
         fields = self._view.setpoint_fields
         for name, value in self._fields.items():
             fields[name][:] = value
@@ -146,7 +148,7 @@ class OffboardInput:
 
 
 def shaped(value: float, dead_zone: float, expo: float) -> float:
-    """Return a stick's value (-1..1) past its dead zone, on a curve between straight (expo 0) and cubic (1)."""
+    """Return a stick value (-1..1) after dead zone and exponential curve, linear (expo 0) to cubic (expo 1)."""
     value = min(max(value, -1.0), 1.0)
     size = abs(value) - dead_zone
     if size <= 0.0 or dead_zone >= 1.0:

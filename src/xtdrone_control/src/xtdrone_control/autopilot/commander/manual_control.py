@@ -1,7 +1,7 @@
-"""Manual control: sticks and switches of a pilot, by joystick (MANUAL_CONTROL) or radio (RC_CHANNELS_OVERRIDE).
+"""Manual control input from a joystick (MANUAL_CONTROL) or an RC transmitter (RC_CHANNELS_OVERRIDE).
 
-After PX4 v1.14's ``manual_control`` and ``rc_update``: COM_RC_IN_MODE says which source counts, COM_RC_LOSS_T when it
-is lost; RCn_* scale the channels and RC_MAP_* give them their meaning.
+Modelled on PX4 v1.14's ``manual_control`` and ``rc_update``. COM_RC_IN_MODE selects the source and COM_RC_LOSS_T its
+timeout. RCn_* calibrate the channels and RC_MAP_* assign their functions.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from xtdrone_control.autopilot.commander.inputs import SetpointError
 Get = Callable[[str], float]
 
 CHANNELS = 18
-_UNUSED = 0xFFFF  # UINT16_MAX: this channel is not overridden
-_MANDATORY_CHANNELS = 8  # beyond them 0 means not overridden, too
+_UNUSED = 0xFFFF  # UINT16_MAX: channel is not overridden
+_MANDATORY_CHANNELS = 8  # in later channels 0 also means not overridden
 _NEVER_US = -(1 << 60)
-_MEMORY = 1.0  # s over which stick movements add up for COM_RC_STICK_OV
+_MEMORY = 1.0  # s, window over which stick movements accumulate for COM_RC_STICK_OV
 _STICKS_CENTRED, _YAW_CORNER, _THROTTLE_LOW = 0.1, 0.9, -0.8  # of the arming gesture
 _SLOTS = 6  # COM_FLTMODE1..6
-_RC_ONLY, _JOYSTICK_ONLY, _EITHER, _FIRST = range(4)  # COM_RC_IN_MODE; 4 takes nothing
+_RC_ONLY, _JOYSTICK_ONLY, _EITHER, _FIRST = range(4)  # COM_RC_IN_MODE; 4 disables all input
 
 
 class Sticks(NamedTuple):
-    """Stick positions, each -1..1: forward, right, up (0 is the middle), clockwise."""
+    """Stick positions, each -1..1: forward, right, up (0 is centred), clockwise."""
 
     x: float
     y: float
@@ -39,21 +39,21 @@ CENTRED = Sticks(0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Request:
-    """What a pilot asks for by stick or switch.
+    """Request made by a stick gesture or a switch.
 
     Attributes:
-        what: "arm", "disarm", "toggle" (arm or disarm), "kill", "unkill" or "mode".
-        origin: "stick" or "switch" or "button".
-        mode: number of the mode, as in COM_FLTMODE1; -1 for none. "mode" only.
+        action: "arm", "disarm", "toggle" (arm or disarm), "kill", "unkill" or "mode".
+        origin: "stick", "switch" or "button".
+        mode: mode number as in COM_FLTMODE1, -1 for none; for the action "mode" only.
     """
 
-    what: str
+    action: str
     origin: str
     mode: int = -1
 
 
 class _Source:
-    """The last sticks of one source."""
+    """Latest stick positions of one source."""
 
     def __init__(self) -> None:
         self.sticks = CENTRED
@@ -63,72 +63,72 @@ class _Source:
         return now_us - self.time_us <= limit_us
 
 
-class _Held:
-    """Whether something has held for a while."""
+class _HoldTimer:
+    """Timer that triggers once after a condition has held long enough."""
 
     def __init__(self) -> None:
         self._since_us: int | None = None
-        self._told = False
+        self._triggered = False
 
-    def rises(self, holds: bool, now_us: int, delay_us: float) -> bool:
-        """Return true once when ``holds`` has been true for ``delay_us``."""
+    def triggers(self, holds: bool, now_us: int, delay_us: float) -> bool:
+        """Return True once, as soon as ``holds`` has been true for ``delay_us``."""
         if not holds:
-            self._since_us, self._told = None, False
+            self._since_us, self._triggered = None, False
             return False
         if self._since_us is None:
             self._since_us = now_us
-        if self._told or now_us - self._since_us < delay_us:
+        if self._triggered or now_us - self._since_us < delay_us:
             return False
-        self._told = True
+        self._triggered = True
         return True
 
 
 class ManualControl:
-    """The pilot of one vehicle.
+    """Manual control input of one vehicle.
 
     Attributes:
-        channels: pulse widths, us, of the radio's last message, without those that it leaves out at the end.
-        switches: RC switches by name ("kill", "arm", "return", "loiter", "offboard": on or off; "slot": 1..6).
-        receiver_works: whether the radio's receiver has not failed.
+        channels: RC pulse widths of the last message, us, without unused channels at the end.
+        switches: RC switches by name: 0 or 1 for "kill", "arm", "return", "loiter" and "offboard", 1..6 for "slot".
+        receiver_works: False after a failure of the RC receiver.
     """
 
     def __init__(self, get: Get) -> None:
-        """Start without a pilot; ``get`` returns a parameter by name."""
+        """Start without input; ``get`` returns a parameter by name."""
         self._get = get
         self._rc, self._joystick = _Source(), _Source()
-        self._chosen: _Source | None = None
+        self._selected: _Source | None = None
         self._first: _Source | None = None
         self._moved = [0.0] * 4
         self._last: Sticks | None = None
         self._last_us = 0
-        self._arm_gesture, self._disarm_gesture = _Held(), _Held()
+        self._arm_gesture, self._disarm_gesture = _HoldTimer(), _HoldTimer()
         self._switches_before: dict[str, int] | None = None
         self._last_slot_mode = -1
         self.channels: tuple[int, ...] = ()
         self.switches: dict[str, int] = {}
         self.receiver_works = True
 
-    # what comes in
+    # input
 
     def joystick(self, sticks: Sticks, now_us: int) -> None:
-        """Take the sticks of a MANUAL_CONTROL.
+        """Store the sticks of a MANUAL_CONTROL message.
 
         Raises:
-            SetpointError: a value that is not finite.
+            SetpointError: a value is not finite.
         """
         if not all(map(math.isfinite, sticks)):
             raise SetpointError(f"sticks are {tuple(sticks)}, not finite numbers")
         self._joystick.sticks = Sticks(*(min(max(value, -1.0), 1.0) for value in sticks))
         self._joystick.time_us = now_us
-        self._choose(now_us)
-        self._watch_movement(self._joystick, now_us)
+        self._select_source(now_us)
+        self._track_movement(self._joystick, now_us)
 
     def radio(self, channels: Sequence[int], now_us: int) -> None:
-        """Take the channels of an RC_CHANNELS_OVERRIDE.
+        """Store the channels of an RC_CHANNELS_OVERRIDE message.
 
         Args:
-            channels: pulse widths, us, channel 1 first; 65535 leaves a channel out, as 0 does beyond the eighth. When
-                all are left out the override has been released, which is the same as silence.
+            channels: pulse widths, us, from channel 1; 65535 marks a channel as unused, as does 0 after the eighth.
+                A message with unused channels only releases the override and counts as no input.
             now_us: simulated time, microseconds.
         """
         count = channel_count(channels)
@@ -139,20 +139,20 @@ class ManualControl:
         self._rc.sticks = sticks
         self._rc.time_us = now_us
         self.switches = self._radio_switches(channels, count)
-        self._choose(now_us)
-        self._watch_movement(self._rc, now_us)
+        self._select_source(now_us)
+        self._track_movement(self._rc, now_us)
 
     def _radio_sticks(self, channels: Sequence[int], count: int) -> Sticks | None:
         values = []
         for axis, sign in (("PITCH", 1.0), ("ROLL", 1.0), ("THROTTLE", 1.0), ("YAW", 1.0)):
             number = int(self._get(f"RC_MAP_{axis}"))
             if not 1 <= number <= count:
-                return None  # a stick without a channel: PX4 takes no manual control from such a radio
+                return None  # a stick without a channel: PX4 ignores such a transmitter
             values.append(sign * self._scaled(channels, number))
         return Sticks(*values)
 
     def _scaled(self, channels: Sequence[int], number: int) -> float:
-        """Return a channel's position, -1..1, past its dead zone."""
+        """Return a channel's position, -1..1, after calibration and dead zone."""
         get = self._get
         low, trim, high = (get(f"RC{number}_{end}") for end in ("MIN", "TRIM", "MAX"))
         dead = get(f"RC{number}_DZ")
@@ -160,7 +160,7 @@ class ManualControl:
         above, below = pulse - trim - dead, trim - dead - pulse
         if above > 0.0:
             value = above / (high - trim - dead)
-        elif below > 0.0 and low < trim - dead:  # not so in a calibration that makes no sense
+        elif below > 0.0 and low < trim - dead:  # false for an inconsistent calibration
             value = -min(below / (trim - dead - low), 1.0)
         else:
             value = 0.0
@@ -185,13 +185,13 @@ class ManualControl:
 
     @staticmethod
     def _switched(value: float, threshold: float) -> int:
-        """Return 1 for on; a negative threshold turns the switch round."""
+        """Return 1 for on; a negative threshold inverts the switch."""
         share = 0.5 * value + 0.5
         return int(share > threshold) if threshold >= 0 else int(share < -threshold)
 
-    # who is listened to
+    # selection of the source
 
-    def _choose(self, now_us: int) -> None:
+    def _select_source(self, now_us: int) -> None:
         limit_us = self._get("COM_RC_LOSS_T") * 1e6
         sources = (self._rc, self._joystick) if self.receiver_works else (self._joystick,)
         fresh = [source for source in sources if source.fresh(now_us, limit_us)]
@@ -206,28 +206,28 @@ class ManualControl:
             fresh = [source for source in fresh if source is self._first]
         elif kind != _EITHER:
             fresh = []
-        if self._chosen not in fresh:
-            self._chosen = fresh[0] if fresh else None
+        if self._selected not in fresh:
+            self._selected = fresh[0] if fresh else None
             self._last = None
 
     @property
     def sticks(self) -> Sticks | None:
-        """The pilot's sticks as of the last ``update``, None while there is no pilot."""
-        return None if self._chosen is None else self._chosen.sticks
+        """Sticks of the selected source, None without manual control."""
+        return None if self._selected is None else self._selected.sticks
 
     @property
     def by_radio(self) -> bool:
-        """Whether the pilot's sticks come by radio."""
-        return self._chosen is self._rc
+        """Whether the selected source is the RC transmitter."""
+        return self._selected is self._rc
 
     @property
     def moving(self) -> bool:
-        """Whether the pilot has moved a stick by COM_RC_STICK_OV within about a second."""
+        """Whether a stick has moved by more than COM_RC_STICK_OV within about a second."""
         return max(self._moved) > 0.01 * self._get("COM_RC_STICK_OV")
 
-    def _watch_movement(self, source: _Source, now_us: int) -> None:
-        """Add up the movements of each stick, forgetting them over a second."""
-        if source is not self._chosen:
+    def _track_movement(self, source: _Source, now_us: int) -> None:
+        """Accumulate the movements of each stick, with linear decay over one second."""
+        if source is not self._selected:
             return
         if self._last is None:
             self._moved = [0.0] * 4
@@ -237,19 +237,19 @@ class ManualControl:
                 self._moved[axis] = abs(source.sticks[axis] - self._last[axis]) + keep * self._moved[axis]
         self._last, self._last_us = source.sticks, now_us
 
-    # what it asks for
+    # requests
 
     def update(self, now_us: int) -> list[Request]:
-        """Look who is there; return what the pilot asks for by gesture or switch since the last call."""
-        if self._chosen is None and not self._joystick.time_us > 0 and not self._rc.time_us > 0:
-            return []  # nobody has ever been there
-        self._choose(now_us)
-        if self._chosen is None:
+        """Update the selected source; return the requests by gesture or switch since the last call."""
+        if self._selected is None and not self._joystick.time_us > 0 and not self._rc.time_us > 0:
+            return []  # no input so far
+        self._select_source(now_us)
+        if self._selected is None:
             self._moved = [0.0] * 4
             self._switches_before = None
             return []
-        found = self._gestures(self._chosen.sticks, now_us)
-        if self._chosen is self._rc:
+        found = self._gestures(self._selected.sticks, now_us)
+        if self._selected is self._rc:
             found += self._switch_requests()
         else:
             self._switches_before = None
@@ -260,19 +260,19 @@ class ManualControl:
             return []
         ready = (
             abs(sticks.x) < _STICKS_CENTRED and abs(sticks.y) < _STICKS_CENTRED and sticks.z < _THROTTLE_LOW
-        )  # throttle down, right stick in the middle
+        )  # throttle down, right stick centred
         delay_us = self._get("COM_RC_ARM_HYST") * 1e3
         found = []
-        if self._arm_gesture.rises(ready and sticks.yaw > _YAW_CORNER, now_us, delay_us):
+        if self._arm_gesture.triggers(ready and sticks.yaw > _YAW_CORNER, now_us, delay_us):
             found.append(Request("arm", "stick"))
-        if self._disarm_gesture.rises(ready and sticks.yaw < -_YAW_CORNER, now_us, delay_us):
+        if self._disarm_gesture.triggers(ready and sticks.yaw < -_YAW_CORNER, now_us, delay_us):
             found.append(Request("disarm", "stick"))
         return found
 
     def _switch_requests(self) -> list[Request]:
         before, now = self._switches_before, self.switches
         self._switches_before = dict(now)
-        if before is None:  # the radio has just come: only its mode switch counts
+        if before is None:  # new source: only its mode switch takes effect
             return self._slot_request(now)
         found = []
         if now.get("slot") != before.get("slot"):
@@ -284,7 +284,7 @@ class ManualControl:
                 found.append(Request("mode", "switch", number if now[name] else self._last_slot_mode))
         if "kill" in now and now["kill"] != before.get("kill", 0):
             found.append(Request("kill" if now["kill"] else "unkill", "switch"))
-        return [request for request in found if request.what != "mode" or request.mode >= 0]
+        return [request for request in found if request.action != "mode" or request.mode >= 0]
 
     def _arm_switch(self, on: int) -> list[Request]:
         if int(self._get("COM_ARM_SWISBTN")):
@@ -298,7 +298,7 @@ class ManualControl:
 
 
 def channel_count(channels: Sequence[int]) -> int:
-    """Return how many channels an override has: up to the last one that is not left out."""
+    """Return the number of channels up to the last one in use."""
     for index in range(len(channels) - 1, -1, -1):
         left_out = channels[index] == _UNUSED or (index >= _MANDATORY_CHANNELS and channels[index] == 0)
         if not left_out:
@@ -307,7 +307,7 @@ def channel_count(channels: Sequence[int]) -> int:
 
 
 def mode_slot(value: float) -> int:
-    """Return the slot, 1..6, of a mode switch at ``value`` (-1..1): six equal ranges, as PX4 cuts them."""
+    """Return the slot, 1..6, of a mode switch at ``value`` (-1..1), with PX4's six equal ranges."""
     low, high, half = -1.05, 1.05, 1.0 / _SLOTS
     slot = int(((value - low) * _SLOTS + half) / (high - low) + half) + 1
     return min(slot, _SLOTS)

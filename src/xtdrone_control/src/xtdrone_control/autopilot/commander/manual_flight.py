@@ -1,4 +1,4 @@
-"""Flight by hand: what the cascade follows in the modes that a pilot steers."""
+"""Manual flight: stick input for the control cascade in manual modes."""
 
 from __future__ import annotations
 
@@ -30,32 +30,37 @@ _TASKS = {
     modes.MANUAL: TASK_MANUAL,
     modes.ACRO: TASK_ACRO,
 }
-# where the throttle stick is thrust, not climb rate
+# modes in which the throttle stick commands thrust instead of climb rate
 MANUAL_THRUST = (modes.STABILIZED, modes.MANUAL, modes.ACRO)
 
 
-class HandFlight:
-    """Hands one vehicle's sticks to the cascade."""
+class ManualFlight:
+    """Stick control of one vehicle."""
 
     def __init__(self, view: VehicleView, get: Get) -> None:
-        """Steer ``view``; ``get`` returns a parameter by name."""
+        """Prepare the stick control.
+
+        Args:
+            view: access to the vehicle's autopilot records.
+            get: returns a parameter by name.
+        """
         self._view = view
         self._get = get
 
     def steer(self, mode: Mode, sticks: Sticks | None, blind: bool, *, restart: bool = False) -> None:
-        """Let the cascade follow the sticks, centred ones where there are none.
+        """Write the sticks to the control cascade, with centred sticks in place of missing ones.
 
-        In POSCTL and ALTCTL without a pilot the vehicle stops and sinks, as PX4's flight tasks fail then.
+        Without manual control in POSCTL or ALTCTL the vehicle stops and descends, because PX4's flight tasks fail then.
 
         Args:
-            mode: one of the modes that a pilot steers.
-            sticks: the pilot's; None when there is no pilot.
-            blind: there is no horizontal estimate.
-            restart: the mode begins.
+            mode: manual mode.
+            sticks: stick positions; None without manual control.
+            blind: whether the horizontal position estimate is missing.
+            restart: whether the mode has just started.
         """
         task = _TASKS[mode]
         if sticks is None and mode not in MANUAL_THRUST:
-            self._sink(blind, restart)
+            self._descend(blind, restart)
             return
         self._write(sticks or CENTRED, mode)
         if restart or self._view.setpoint["task"] != task:
@@ -66,7 +71,7 @@ class HandFlight:
         if mode not in MANUAL_THRUST:
             get = self._get
             dead_zone, expo = get("MPC_HOLD_DZ"), get("MPC_XY_MAN_EXPO")
-            if mode is modes.POSCTL:  # in ALTCTL the tilt goes straight with the stick
+            if mode is modes.POSCTL:  # in ALTCTL the tilt is proportional to the stick
                 x, y = shaped(x, dead_zone, expo), shaped(y, dead_zone, expo)
             z = shaped(z, dead_zone, get("MPC_Z_MAN_EXPO"))
             yaw = shaped(yaw, dead_zone, get("MPC_YAW_EXPO"))
@@ -74,8 +79,8 @@ class HandFlight:
         for name, value in (("stick_x", x), ("stick_y", y), ("stick_z", z), ("stick_yaw", yaw)):
             fields[name][0] = value
 
-    def _sink(self, blind: bool, restart: bool) -> None:
-        """Stop and sink at MPC_LAND_SPEED, keeping the heading; level where the horizontal estimate is lost."""
+    def _descend(self, blind: bool, restart: bool) -> None:
+        """Stop and descend at MPC_LAND_SPEED with constant heading; level if the horizontal estimate is missing."""
         setpoint = self._view.setpoint
         task = TASK_DESCEND if blind else TASK_TRAJECTORY
         if not restart and setpoint["task"] == task:

@@ -1,4 +1,4 @@
-"""Whether a vehicle's motors may run: arming, kill switch, lockdown, termination (PX4's ``actuator_armed``)."""
+"""Conditions under which the motors run: arming, kill switch, lockdown, termination (PX4's ``actuator_armed``)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from xtdrone_control.autopilot.vehicle_view import VehicleView
 
 
 class ArmReason(enum.Enum):
-    """Why a vehicle is armed or disarmed: PX4's number (arm_disarm_reason_t) and its words."""
+    """Reason for arming or disarming: PX4's number (arm_disarm_reason_t) and text."""
 
     STICK = (1, "RC")
     SWITCH = (2, "RC (switch)")
@@ -23,27 +23,27 @@ class ArmReason(enum.Enum):
 
 
 class MotorSwitch:
-    """What stops an armed vehicle's motors; it stays armed.
+    """Motor stops that leave the vehicle armed.
 
     Attributes:
-        killed: by a kill switch.
-        locked: by MAV_CMD_DO_FLIGHTTERMINATION's test.
-        terminated: the flight has been ended for good.
+        killed: stopped by the kill switch.
+        locked: stopped by the test of MAV_CMD_DO_FLIGHTTERMINATION.
+        terminated: stopped by flight termination.
     """
 
     def __init__(self, view: VehicleView) -> None:
-        """Start with nothing that stops the motors of ``view``."""
+        """Start without any stop; ``view`` gives access to the vehicle's autopilot records."""
         self._view = view
         self._since_us: int | None = None
         self.killed = self.locked = self.terminated = False
 
     @property
     def stopped(self) -> bool:
-        """Whether something stops the motors."""
+        """Whether any stop is active."""
         return self.killed or self.locked or self.terminated
 
     def apply(self, armed: bool) -> None:
-        """Let the motors of an armed vehicle run, unless something stops them; call it when any of this changes."""
+        """Run the motors of an armed vehicle unless a stop is active; call after every change of either."""
         self._view.setpoint["armed"] = int(armed and not self.stopped)
         if not armed or not (self.killed or self.locked):
             self._since_us = None
@@ -51,7 +51,10 @@ class MotorSwitch:
             self._since_us = self._view.time_us
 
     def disarming(self, delay: float) -> ArmReason | None:
-        """Return why the vehicle is to be disarmed: killed or locked for ``delay`` seconds (0 or less: never)."""
+        """Return the reason to disarm after ``delay`` seconds of kill or lockdown, else None.
+
+        A delay of 0 or less disables disarming.
+        """
         if self._since_us is None or delay <= 0.0 or self._view.time_us - self._since_us < delay * 1e6:
             return None
         return ArmReason.KILLED if self.killed else ArmReason.LOCKDOWN

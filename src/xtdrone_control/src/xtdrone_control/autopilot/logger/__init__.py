@@ -1,1 +1,1 @@
-"""PX4's logger: flights written as ULog files."""
+"""PX4's logger: flight logs in ULog format."""

@@ -1,4 +1,4 @@
-"""Where one vehicle's logs lie: files named as PX4 names them, and their list."""
+"""Log folder of one vehicle, with PX4's file names."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _FILE = re.compile(r"(\d{4}-\d\d-\d\d)/(\d\d_\d\d_\d\d)(_\d+)?\.ulg")
 
 @dataclass(frozen=True)
 class LogEntry:
-    """A log.
+    """Log file.
 
     Attributes:
-        path: the file.
-        time_utc: when it was begun, in seconds since 1970, by simulated time; as its name says.
-        size: bytes.
+        path: path of the file.
+        time_utc: start of the log by simulated time, from the file name, s since 1970.
+        size: file size, bytes.
     """
 
     path: Path
@@ -28,30 +28,30 @@ class LogEntry:
 
 
 def log_name(utc_s: int) -> str:
-    """Return PX4's name of a log begun at ``utc_s`` (seconds since 1970): date, and time of day."""
+    """Return PX4's name of a log started at ``utc_s`` (s since 1970): ``<date>/<hour>_<minute>_<second>.ulg``."""
     return time.strftime("%Y-%m-%d/%H_%M_%S.ulg", time.gmtime(utc_s))
 
 
 class LogFolder:
-    """The logs of one vehicle: ``<root>/<date>/<hour>_<minute>_<second>.ulg``.
+    """Logs of one vehicle: ``<root>/<date>/<hour>_<minute>_<second>.ulg``.
 
     Attributes:
-        root: the vehicle's folder; it need not exist yet.
-        current: the log that is being written, None when none is.
+        root: the vehicle's log folder; need not exist yet.
+        current: log being written, or None.
     """
 
     def __init__(self, root: Path) -> None:
-        """Look at ``root``."""
+        """Use the folder ``root``."""
         self.root = root
         self.current: Path | None = None
 
     def create(self, name: str) -> tuple[Path, BinaryIO]:
-        """Make a new file for ``name``, a log's name, and return it opened.
+        """Create and open a log file named ``name``.
 
-        A file that is there stays: the new one's name gets a number, ``_1`` and so on.
+        An existing file is kept; the new name then gets a suffix ``_1``, ``_2`` and so on.
 
         Raises:
-            OSError: it cannot be made.
+            OSError: the file cannot be created.
         """
         wanted = self.root / name
         wanted.parent.mkdir(parents=True, exist_ok=True)
@@ -64,7 +64,7 @@ class LogFolder:
                 number += 1
 
     def entries(self) -> list[LogEntry]:
-        """Return the logs, the oldest first; links and other files are not among them."""
+        """Return the logs, oldest first, without symbolic links and other files."""
         found: list[LogEntry] = []
         for path in self.root.glob("*/*.ulg"):
             match = _FILE.fullmatch(path.relative_to(self.root).as_posix())
@@ -73,15 +73,15 @@ class LogFolder:
             try:
                 begun = calendar.timegm(time.strptime(match[1] + match[2], "%Y-%m-%d%H_%M_%S"))
                 found.append(LogEntry(path, begun, path.stat().st_size))
-            except (ValueError, OSError):  # no such day, or somebody has just removed it
+            except (ValueError, OSError):  # invalid date, or removed in the meantime
                 continue
         return sorted(found, key=lambda entry: (entry.time_utc, len(entry.path.name), entry.path.name))
 
     def erase(self) -> None:
-        """Remove all logs but the one that is being written.
+        """Delete all logs except the one being written.
 
         Raises:
-            OSError: one cannot be removed.
+            OSError: a log cannot be deleted.
         """
         for entry in self.entries():
             if entry.path != self.current:

@@ -1,12 +1,12 @@
-"""PX4's logger: one ULog per vehicle and arming, for a whole fleet at the cost of a few copies a step.
+"""PX4's logger: one ULog file per vehicle and flight, for a whole fleet at the cost of a few copies per step.
 
-At each step the records of all vehicles are copied as they are; once a simulated second what was copied becomes
-messages, topic by topic for all vehicles at once (``topics``), and is appended to the vehicles' files. So a file lags
-by a second at most, and holds whole messages only: what a crash leaves is a log. In a file a topic's messages rise in
-time; of different topics those of one second lie in blocks.
+Each step copies the records of all vehicles unchanged. Once per simulated second the copies are converted to messages,
+topic by topic for all vehicles together (``topics``), and appended to the vehicles' files. A file therefore lags by at
+most one second and holds complete messages only, so that it stays readable after a crash. Timestamps increase within
+each topic; the messages of different topics are interleaved in blocks of one second.
 
-When a log is written says SDLOG_MODE: -1 never, 0 while armed, 1 from boot until disarming and then while armed, 2 from
-boot until the end, 4 from the first arming until the end. A log ends a second after disarming.
+SDLOG_MODE selects when to log: -1 never, 0 while armed, 1 from boot until disarming and then while armed, 2 from boot
+until shutdown, 4 from the first arming until shutdown. A log ends one second after disarming.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from xtdrone_control.autopilot.commander.commander import Commander, CommandListener
 
 STEP_US = 4000
-BASE_PERIOD_US = 20_000  # shortest period of all topics but those of the sensors
+BASE_PERIOD_US = 20_000  # shortest period of all topics except sensor topics
 _FLUSH_US = 1_000_000
 _STOP_DELAY_US = 1_000_000
 _FAST_ROWS = _FLUSH_US // STEP_US
@@ -44,24 +44,24 @@ _BASE_ROWS = _FLUSH_US // BASE_PERIOD_US
 
 _NEVER, _WHILE_ARMED, _BOOT_UNTIL_DISARM, _BOOT_UNTIL_END, _ARMED_UNTIL_END = -1, 0, 1, 2, 4  # SDLOG_MODE
 _INFO, _CRITICAL = 6, 2  # MAV_SEVERITY
-_VERSION = 0x010E03FF  # 1.14.3 release: whose topics these are
-_NO_HASH = "0" * 40  # of the sources: not one of PX4's
+_VERSION = 0x010E03FF  # release 1.14.3, which defines the logged topics
+_NO_HASH = "0" * 40  # source revision: this is no build of PX4
 
 _log = logging.getLogger("rosout.logger")
 
 
 class _Schedule:
-    """Which of the copies topics take that are sampled alike: the first in each period."""
+    """Sampling of topics with the same period: the first copy in each period is logged."""
 
     def __init__(self, period_us: int, fresh: str) -> None:
-        """Take a sample each ``period_us`` (0: each), of those in which the field ``fresh`` of SENSORS is set."""
+        """Sample once per ``period_us`` (0: every step) among the copies whose SENSORS field ``fresh`` is set."""
         self.fast = period_us == 0 or bool(fresh)
         self.fresh = fresh
         self._period_us = period_us
         self._last_slot = -1
 
     def rows(self, time_us: NDArray[np.int64], fresh: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-        """Return the rows taken of ``time_us``; ``fresh`` says where there are samples, None: everywhere."""
+        """Return the rows of ``time_us`` to log; ``fresh`` marks rows with a new sample (None: all rows)."""
         rows = np.arange(len(time_us)) if fresh is None else np.flatnonzero(fresh)
         if self._period_us and len(rows):
             slots = time_us[rows] // self._period_us
@@ -70,8 +70,8 @@ class _Schedule:
         return rows
 
 
-class _Sampled:
-    """A sampled topic in the making."""
+class _SampledTopic:
+    """Message builder of one sampled topic."""
 
     def __init__(self, topic: Topic, message_id: int) -> None:
         self.topic = topic
@@ -95,7 +95,7 @@ class _Sampled:
 
 
 def _as_slice(rows: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """Return evenly spaced rows as a slice, which takes no copy."""
+    """Return evenly spaced rows as a slice, to index without a copy."""
     if len(rows) == 1:
         return slice(int(rows[0]), int(rows[0]) + 1)
     steps = np.diff(rows)
@@ -105,7 +105,7 @@ def _as_slice(rows: NDArray[np.int64]) -> slice | NDArray[np.int64]:
 
 
 def _write_parameter(writer: UlogWriter, parameters: Parameters, name: str) -> None:
-    """Write a parameter's value, and those of its defaults from which it differs, as PX4 does."""
+    """Write a parameter and, as PX4 does, those of its defaults that differ from its value."""
     value = parameters.get(name)
     writer.add_parameter(name, value)
     system, setup = type(value)(describe(name).default), parameters.default(name)
@@ -120,22 +120,22 @@ def _write_parameter(writer: UlogWriter, parameters: Parameters, name: str) -> N
 
 
 class _Ring:
-    """Copies of one array at successive times."""
+    """Buffer of copies of one array at successive times."""
 
     def __init__(self, source: np.ndarray, rows: int) -> None:
         self.copies: Any = np.zeros((rows, *source.shape), source.dtype)
         if source.dtype.names is None:
             self._rows, self._source = self.copies, source
-        else:  # as bytes: numpy copies records field by field
+        else:  # copied as bytes, because numpy copies structured arrays field by field
             self._rows = self.copies.view(np.uint8).reshape(rows, -1)
             self._source = source.view(np.uint8).reshape(-1)
 
-    def keep(self, row: int) -> None:
+    def store(self, row: int) -> None:
         self._rows[row] = self._source
 
 
 class _PartRing:
-    """Copies of a record array without one of its fields, which is large."""
+    """Buffer of copies of a structured array without one large field."""
 
     def __init__(self, source: np.ndarray, left_out: str, rows: int) -> None:
         dtype = source.dtype
@@ -144,14 +144,14 @@ class _PartRing:
         end = start + dtype.fields[left_out][0].itemsize
         size = dtype.itemsize - (end - start)
         names = [name for name in dtype.fields if name != left_out]
-        places = [dtype.fields[name][1] for name in names]
+        offsets = [dtype.fields[name][1] for name in names]
         self.copies: Any = np.zeros(
             (rows, len(source)),
             np.dtype(
                 {
                     "names": names,
                     "formats": [dtype.fields[name][0] for name in names],
-                    "offsets": [place if place < start else place - (end - start) for place in places],
+                    "offsets": [offset if offset < start else offset - (end - start) for offset in offsets],
                     "itemsize": size,
                 }
             ),
@@ -160,13 +160,13 @@ class _PartRing:
         whole = source.view(np.uint8).reshape(len(source), -1)
         self._halves = ((copied[:, :, :start], whole[:, :start]), (copied[:, :, start:], whole[:, end:]))
 
-    def keep(self, row: int) -> None:
+    def store(self, row: int) -> None:
         for copied, source in self._halves:
             copied[row] = source
 
 
 class _VehicleLog:
-    """The log of one vehicle that is being written."""
+    """Open log of one vehicle."""
 
     def __init__(self, path: Path, file: BinaryIO, start_us: int) -> None:
         self.path = path
@@ -176,33 +176,33 @@ class _VehicleLog:
         self._file = file
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):  # a disk that is full has been told of
+        with contextlib.suppress(OSError):  # a write error has been reported already
             self._file.close()
 
 
 class Logger:
-    """Writes the logs of all vehicles.
+    """Writer of the logs of all vehicles.
 
-    ``step`` after each step of the autopilot, ``update`` at 10 Hz, ``close`` at the end.
+    Call ``step`` after each step of the autopilot, ``update`` at 10 Hz and ``close`` at the end.
 
     Attributes:
-        folders: where each vehicle's logs lie.
+        folders: log folder of each vehicle.
     """
 
     def __init__(self, autopilot: Autopilot, commanders: Sequence[Commander], folder: Path) -> None:
-        """Prepare to log; with SDLOG_MODE 1 or 2 the first ``update`` begins.
+        """Prepare to log; with SDLOG_MODE 1 or 2 the first ``update`` starts the logs.
 
         Args:
-            autopilot: holder of the records.
-            commanders: one a vehicle.
-            folder: each vehicle gets a folder of its name in it.
+            autopilot: owner of the records.
+            commanders: one commander per vehicle.
+            folder: parent of the vehicles' log folders, which bear their names.
         """
         self._autopilot = autopilot
         self._commanders = list(commanders)
         count = len(self._commanders)
         self.folders = [LogFolder(folder / c.vehicle.name) for c in self._commanders]
-        self._sampled = [_Sampled(topic, i) for i, topic in enumerate(TOPICS)]
-        schedules: dict[tuple[int, str], list[_Sampled]] = {}
+        self._sampled = [_SampledTopic(topic, i) for i, topic in enumerate(TOPICS)]
+        schedules: dict[tuple[int, str], list[_SampledTopic]] = {}
         for sampled in self._sampled:
             schedules.setdefault((sampled.topic.period_us, sampled.topic.fresh), []).append(sampled)
         self._schedules = [(_Schedule(*key), topics) for key, topics in schedules.items()]
@@ -210,7 +210,7 @@ class Logger:
         self._status = [StatusTopics(commander, self._ids) for commander in self._commanders]
         self._logs: list[_VehicleLog | None] = [None] * count
         self._has_armed = [False] * count  # since boot
-        self._given_up = [False] * count  # could not be written
+        self._unwritable = [False] * count  # after a write error
         self._texts: list[list[tuple[int, int, str]]] = [[] for _ in range(count)]
         self._active = 0
         self._fast_count = self._base_count = 0
@@ -226,68 +226,68 @@ class Logger:
         ]
         self._rotors = np.array([autopilot.rotor_count(i) for i in range(count)], np.int64)
         for i in range(count):
-            self._listen(i)
+            self._attach_listeners(i)
 
-    def _listen(self, index: int) -> None:
+    def _attach_listeners(self, index: int) -> None:
         commander = self._commanders[index]
-        commander.on_text = self._text_taker(index)
-        commander.on_command = self._command_taker(index)
-        commander.parameters.on_change = self._parameter_taker(index)
+        commander.on_text = self._text_listener(index)
+        commander.on_command = self._command_listener(index)
+        commander.parameters.on_change = self._parameter_listener(index)
 
     def reboot(self, index: int, commander: Commander) -> None:
-        """Go on with a vehicle whose autopilot was rebooted: its log ends; with SDLOG_MODE 1 or 2 another one begins.
+        """End the log of a rebooted vehicle; with SDLOG_MODE 1 or 2 the next ``update`` starts a new one.
 
         Args:
-            index: which vehicle.
-            commander: its new one.
+            index: index of the vehicle.
+            commander: the vehicle's new commander.
         """
         self.flush()
-        self._end(index)
+        self._end_log(index)
         self._commanders[index] = commander
         self._status[index] = StatusTopics(commander, self._ids)
-        self._has_armed[index] = self._given_up[index] = False
+        self._has_armed[index] = self._unwritable[index] = False
         self._texts[index].clear()
-        self._listen(index)
+        self._attach_listeners(index)
 
     def close(self) -> None:
-        """Write what is left, and end all logs."""
+        """Flush and end all logs, and detach the listeners."""
         self.flush()
         for i, commander in enumerate(self._commanders):
-            self._end(i)
+            self._end_log(i)
             commander.on_text = commander.on_command = None
             commander.parameters.on_change = None
 
-    # what is told
+    # listeners
 
-    def _text_taker(self, index: int) -> Callable[[int, str], None]:
-        def take(severity: int, text: str) -> None:
-            # a text with a tab has an event, for which readers of a log leave it out; the log has no events
+    def _text_listener(self, index: int) -> Callable[[int, str], None]:
+        def record(severity: int, text: str) -> None:
+            # log readers skip a text that ends with a tab in favour of its event, but this log has no events
             self._texts[index].append((severity, self._autopilot.time_us, text.rstrip("\t")))
 
-        return take
+        return record
 
-    def _parameter_taker(self, index: int) -> Callable[[str, int | float], None]:
-        def take(name: str, value: int | float) -> None:
+    def _parameter_listener(self, index: int) -> Callable[[str, int | float], None]:
+        def record(name: str, value: int | float) -> None:
             log = self._logs[index]
             if log is None:
                 return
-            self.flush()  # a parameter has no time of its own in a log: it counts from the message before it
+            self.flush()  # a parameter message has no timestamp and takes effect after the preceding message
             log.writer.add_parameter(name, value)
             self._status[index].parameter_changed(self._autopilot.time_us)
 
-        return take
+        return record
 
-    def _command_taker(self, index: int) -> CommandListener:
-        def take(number: int, params: Sequence[float], sender: tuple[int, int], result: int | None) -> None:
+    def _command_listener(self, index: int) -> CommandListener:
+        def record(number: int, params: Sequence[float], sender: tuple[int, int], result: int | None) -> None:
             if self._logs[index] is not None:
                 self._status[index].command(number, params, sender, result, self._autopilot.time_us)
 
-        return take
+        return record
 
-    # when
+    # start and end of logs
 
     def update(self) -> None:
-        """Begin and end logs, and take what changes slowly; call at 10 Hz."""
+        """Start and end logs, and log the status topics; call at 10 Hz."""
         now_us = self._autopilot.time_us
         for i, commander in enumerate(self._commanders):
             self._start_or_stop(i, commander, now_us)
@@ -295,7 +295,7 @@ class Logger:
             if log is None:
                 self._texts[i].clear()
                 continue
-            if now_us > 0:  # a reader takes 0 for no time at all
+            if now_us > 0:  # log readers treat a timestamp of 0 as missing
                 self._status[i].update(now_us)
 
     def _start_or_stop(self, index: int, commander: Commander, now_us: int) -> None:
@@ -303,7 +303,7 @@ class Logger:
         wanted = self._wanted(index, commander)
         if log is None:
             if wanted:
-                self._begin(index, commander, now_us)
+                self._start_log(index, commander, now_us)
             return
         if wanted:
             log.stop_us = None
@@ -311,10 +311,10 @@ class Logger:
             log.stop_us = now_us + _STOP_DELAY_US
         elif now_us >= log.stop_us:
             self.flush()
-            self._end(index)
+            self._end_log(index)
 
     def _wanted(self, index: int, commander: Commander) -> bool:
-        if self._given_up[index]:
+        if self._unwritable[index]:
             return False
         mode = int(commander.parameters.get("SDLOG_MODE"))
         if commander.armed:
@@ -324,14 +324,16 @@ class Logger:
             return True
         return mode == (_ARMED_UNTIL_END if self._has_armed[index] else _BOOT_UNTIL_DISARM)
 
-    def _begin(self, index: int, commander: Commander, now_us: int) -> None:
-        self.flush()  # what was copied up to now is not for this one
+    def _start_log(self, index: int, commander: Commander, now_us: int) -> None:
+        self.flush()  # earlier copies do not belong to this log
         offset_s = 60 * int(commander.parameters.get("SDLOG_UTC_OFFSET"))
         name = log_name((EPOCH_US + now_us) // 1_000_000 + offset_s)
         try:
             path, file = self.folders[index].create(name)
         except OSError as error:
-            self._failed(index, f"log cannot be begun in {self.folders[index].root}: {error}")
+            self._give_up(
+                index, f"cannot create a log in {self.folders[index].root}, logging is off until the next boot: {error}"
+            )
             return
         log = self._logs[index] = _VehicleLog(path, file, now_us)
         self.folders[index].current = path
@@ -339,11 +341,11 @@ class Logger:
         self._status[index].restart()
         self._write_definitions(log.writer, commander, offset_s)
         self._write(index)
-        # the name as it is without an older log in its way: what goes out must not depend on what lies on the disk
+        # announce the name without a number for duplicates: MAVLink output must not depend on files on the disk
         begun = (int(part) for part in re.findall(r"\d+", name))
         commander.tell(_INFO, f"[logger] ./log/{name}", "logger_open_file_time", *begun)
 
-    def _end(self, index: int) -> None:
+    def _end_log(self, index: int) -> None:
         log = self._logs[index]
         if log is not None:
             log.close()
@@ -351,12 +353,12 @@ class Logger:
             self.folders[index].current = None
             self._active -= 1
 
-    def _failed(self, index: int, text: str) -> None:
-        """Give up on a vehicle's logs until the next boot; the flight goes on."""
+    def _give_up(self, index: int, text: str) -> None:
+        """Stop logging of a vehicle until its next boot; the flight continues."""
         commander = self._commanders[index]
         _log.error("%s: %s", commander.vehicle.name, text)
-        self._given_up[index] = True
-        self._end(index)
+        self._unwritable[index] = True
+        self._end_log(index)
         commander.say(_CRITICAL, "[logger] failed to write the log")
 
     def _write_definitions(self, writer: UlogWriter, commander: Commander, offset_s: int) -> None:
@@ -383,28 +385,28 @@ class Logger:
         for number, layout in formats:
             writer.subscribe(number, layout)
 
-    # what
+    # sampling
 
     def step(self) -> None:
-        """Copy the records of this step."""
+        """Copy the records of the current step."""
         if not self._active:
             return
         now_us = self._autopilot.time_us
         row = self._fast_count
         self._fast_us[row] = now_us
-        self._fast.keep(row)
+        self._fast.store(row)
         self._fast_count = row + 1
         if now_us % BASE_PERIOD_US == 0:
             row = self._base_count
             self._base_us[row] = now_us
             for ring in self._base:
-                ring.keep(row)
+                ring.store(row)
             self._base_count = row + 1
         if self._fast_count == _FAST_ROWS or self._base_count == _BASE_ROWS:
             self.flush()
 
     def flush(self) -> None:
-        """Write what has been copied since the last time."""
+        """Write the copies made since the last flush."""
         if not self._active:
             return
         if self._fast_count:
@@ -428,18 +430,18 @@ class Logger:
             chosen = _as_slice(rows)
             parts = [source[chosen] for source in sources]
             samples = Samples(time_us[chosen], parts[0], parts[1], parts[2], parts[3], parts[4], self._rotors)
-            there = None if fresh is None or fresh[chosen].all() else fresh[chosen]
+            valid = None if fresh is None or fresh[chosen].all() else fresh[chosen]
             for sampled in topics:
-                self._add_messages(sampled.messages(samples), there, logs)
+                self._add_messages(sampled.messages(samples), valid, logs)
 
     @staticmethod
     def _add_messages(
-        messages: np.ndarray, there: NDArray[np.bool_] | None, logs: list[tuple[int, UlogWriter]]
+        messages: np.ndarray, valid: NDArray[np.bool_] | None, logs: list[tuple[int, UlogWriter]]
     ) -> None:
-        """Give each log its vehicle's messages, those that are ``there`` (times, vehicles), None: all."""
-        if there is not None:
+        """Add each vehicle's messages to its log; ``valid`` (times, vehicles) selects them, None for all."""
+        if valid is not None:
             for i, writer in logs:
-                writer.add_messages(messages[i][there[:, i]].tobytes())
+                writer.add_messages(messages[i][valid[:, i]].tobytes())
             return
         data = memoryview(messages.tobytes())
         size = messages.shape[1] * messages.itemsize
@@ -462,4 +464,4 @@ class Logger:
         try:
             writer.flush()
         except OSError as error:
-            self._failed(index, f"{log.path} cannot be written any more, the log ends: {error}")
+            self._give_up(index, f"cannot write {log.path}, logging is off until the next boot: {error}")

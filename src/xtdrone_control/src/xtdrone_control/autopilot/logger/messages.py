@@ -1,7 +1,7 @@
-"""PX4 v1.14's messages that are logged: fields and how they lie in a log.
+"""Logged messages of PX4 v1.14: their fields and binary layout.
 
-Names, types and order are those of PX4's ``msg/*.msg``. In memory, and so in a log, PX4 sorts a message's fields by
-size, largest first, nested messages last, and pads it to a multiple of eight bytes.
+Names, types and order follow PX4's ``msg/*.msg``. In memory, and therefore in a log, PX4 sorts the fields of a message
+by descending size, with nested messages last, and pads the message to a multiple of eight bytes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from .ulog import TYPES, Field, Format
 
-# one line a message; a type with [n] is an array
+# fields of each message in declaration order; type[n] is an array
 _MESSAGES: dict[str, str] = {
     "actuator_armed": (
         "uint64 timestamp, bool armed, bool prearmed, bool ready_to_arm, bool lockdown, bool manual_lockdown, "
@@ -233,7 +233,7 @@ _MESSAGES: dict[str, str] = {
     "vehicle_torque_setpoint": "uint64 timestamp, uint64 timestamp_sample, float32[3] xyz",
 }
 
-# topics that are another topic's message under a name of their own
+# topics that share another topic's message type
 _ALIASES = {
     "vehicle_gps_position": "sensor_gps",
     "estimator_innovation_test_ratios": "estimator_innovations",
@@ -244,7 +244,7 @@ _ALIASES = {
 
 _C_TYPES = {"float32": "float", "float64": "double", "bool": "bool", "char": "char"}
 _ENTRY = re.compile(r"(\w+?)(?:\[(\d+)\])? (\w+)")
-_WORD = 8  # bytes, what PX4 pads to
+_WORD = 8  # bytes, PX4's alignment of message sizes
 
 
 def _field(text: str) -> Field:
@@ -257,18 +257,18 @@ def _field(text: str) -> Field:
 
 
 def _size(field: Field) -> int:
-    """Return the size by which PX4 sorts: of one element; 0 for a nested message."""
+    """Return the element size by which PX4 sorts the fields; 0 for a nested message."""
     return np.dtype(TYPES[field.type]).itemsize if field.type in TYPES else 0
 
 
 def message_format(name: str) -> Format:
-    """Return topic ``name``'s format as PX4 v1.14 logs it.
+    """Return the format in which PX4 v1.14 logs topic ``name``.
 
     Raises:
-        KeyError: no such topic is logged.
+        KeyError: the topic is not logged.
     """
     fields = [_field(text) for text in _MESSAGES[_ALIASES.get(name, name)].split(", ")]
-    fields.sort(key=_size, reverse=True)  # stable, as PX4's generator does it
+    fields.sort(key=_size, reverse=True)  # stable, like PX4's message generator
     nested = tuple(message_format(kind) for kind in dict.fromkeys(f.type for f in fields if f.type not in TYPES))
     size = Format(name, tuple(fields), nested).inner_dtype.itemsize
     if size % _WORD:

@@ -1,4 +1,4 @@
-"""The topics of one vehicle that are published at changes: status, modes, home, setpoints of the AUTO modes."""
+"""Topics of one vehicle published on change: status, modes, home position, setpoints of the AUTO modes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from xtdrone_control.autopilot.commander.failsafe import Flags
     from xtdrone_control.autopilot.commander.manual_control import Sticks
 
-STATUS_PERIOD_US = 500_000  # PX4's commander publishes its state this often without a change
+STATUS_PERIOD_US = 500_000  # period at which PX4's commander publishes an unchanged state
 _BATTERY_PERIOD_US = 200_000
 _MANUAL_PERIOD_US = 200_000
 
@@ -46,12 +46,12 @@ NAMES = (
     "vehicle_command",
     "vehicle_command_ack",
 )
-# failsafe_flags' masks of the modes that need something, by what they need
+# mode masks in failsafe_flags and the corresponding entries of ``Mode.needs``
 _NEEDS = (
     ("mode_req_attitude", "attitude"),
     ("mode_req_local_alt", "altitude"),
     ("mode_req_local_position", "position"),
-    ("mode_req_local_position_relaxed", "place"),
+    ("mode_req_local_position_relaxed", "relaxed_position"),
     ("mode_req_mission", "mission"),
     ("mode_req_offboard_signal", "offboard"),
     ("mode_req_home_position", "home"),
@@ -60,10 +60,15 @@ FORMATS: dict[str, Format] = {name: message_format(name) for name in NAMES}
 
 
 class StatusTopics:
-    """Makes the messages of one vehicle, as bytes for its log."""
+    """Encoder of the status messages of one vehicle."""
 
     def __init__(self, commander: Commander, ids: dict[str, int]) -> None:
-        """Look at ``commander``'s vehicle; ``ids`` has the topics' message ids."""
+        """Create the message templates.
+
+        Args:
+            commander: the vehicle's commander.
+            ids: message id of each topic.
+        """
         self._commander = commander
         self._messages = {name: data_template(FORMATS[name], ids[name]) for name in NAMES}
         self._records: dict[str, Any] = {name: message["record"] for name, message in self._messages.items()}
@@ -82,19 +87,19 @@ class StatusTopics:
         self._armed_us = self._took_off_us = self._nav_state_us = 0
 
     def take(self) -> bytes:
-        """Return the messages made since the last call."""
+        """Return the encoded messages since the last call."""
         data = b"".join(self._out)
         self._out.clear()
         return data
 
     def _emit(self, name: str, now_us: int) -> None:
         record = self._records[name]
-        # a topic's times must rise; two commands may come at once
+        # timestamps of a topic must increase, but two commands may arrive in the same step
         record["timestamp"] = max(now_us, int(record["timestamp"]) + 1)
         self._out.append(self._messages[name].tobytes())
 
     def restart(self) -> None:
-        """Begin with everything, for a new log."""
+        """Publish all topics again, for a new log."""
         self._out.clear()
         self._turn = False
         self._state = self._goal = self._mission = ()
@@ -102,11 +107,11 @@ class StatusTopics:
         self._status_due_us = self._battery_due_us = self._manual_due_us = 0
 
     def update(self, now_us: int) -> None:
-        """Make what is due or has changed; called at 10 Hz. What changes slowly has every other turn."""
+        """Publish topics that are due or have changed; call at 10 Hz. Slow topics are checked on every other call."""
         c = self._commander
         state = (c.armed, c.mode, c.failsafe, c.view.landed, c.health.flags)
         if state != self._state:
-            self._note(state, now_us)
+            self._record_times(state, now_us)
             self._publish_state(now_us)
         elif now_us >= self._status_due_us:
             self._publish_state(now_us)
@@ -125,12 +130,12 @@ class StatusTopics:
             self._publish_mission(now_us)
         if c.home is not self._home:
             self._publish_home(now_us)
-        goal = self._present_goal()
+        goal = self._current_goal()
         if goal != self._goal:
             self._goal = goal
             self._publish_goal(now_us)
 
-    def _note(self, state: tuple[Any, ...], now_us: int) -> None:
+    def _record_times(self, state: tuple[Any, ...], now_us: int) -> None:
         armed, mode, _, landed, _ = state
         before = self._state or (False, None, None, True, None)
         if armed and not before[0]:
@@ -180,7 +185,7 @@ class StatusTopics:
         r["local_altitude_invalid"] = flags.altitude_invalid
         r["local_position_invalid"] = flags.position_invalid
         r["global_position_invalid"] = flags.position_invalid or not self._commander.view.global_valid
-        r["local_position_invalid_relaxed"] = r["local_velocity_invalid"] = flags.place_invalid
+        r["local_position_invalid_relaxed"] = r["local_velocity_invalid"] = flags.relaxed_position_invalid
         r["home_position_invalid"] = flags.home_missing
         r["auto_mission_missing"] = flags.mission_missing
         r["offboard_control_signal_lost"] = flags.offboard_lost
@@ -266,7 +271,7 @@ class StatusTopics:
 
     # setpoints of the AUTO modes
 
-    def _present_goal(self) -> tuple[Any, ...]:
+    def _current_goal(self) -> tuple[Any, ...]:
         c = self._commander
         task = int(c.view.setpoint["task"])
         if not c.armed or task not in (TASK_GOTO, TASK_LAND):
@@ -287,9 +292,11 @@ class StatusTopics:
         else:
             goal = s["goal_position"].tolist()
             here = c.view.position
-            place = tuple(h if math.isnan(g) else g for g, h in zip(goal, here, strict=True))
+            position = tuple(h if math.isnan(g) else g for g, h in zip(goal, here, strict=True))
             if c.view.has_origin:
-                current["lat"], current["lon"], current["alt"] = c.view.to_global((place[0], place[1], place[2]))
+                current["lat"], current["lon"], current["alt"] = c.view.to_global(
+                    (position[0], position[1], position[2])
+                )
             current["valid"] = True
             current["type"] = self._goal_type(int(s["task"]))
             current["yaw"] = s["goal_yaw"]
@@ -306,10 +313,10 @@ class StatusTopics:
             return _SETPOINT_TAKEOFF
         return _SETPOINT_LOITER if mode is modes.AUTO_LOITER else _SETPOINT_POSITION
 
-    # what others tell
+    # notifications
 
     def parameter_changed(self, now_us: int) -> None:
-        """Note that a parameter has another value."""
+        """Publish a parameter change."""
         self._parameter_count += 1
         r = self._records["parameter_update"]
         r["instance"] = r["set_count"] = self._parameter_count
@@ -318,7 +325,7 @@ class StatusTopics:
     def command(
         self, number: int, params: Sequence[float], sender: tuple[int, int], result: int | None, now_us: int
     ) -> None:
-        """Note a MAV_CMD that has come from ``sender`` (system, component), and what it was answered."""
+        """Publish a MAV_CMD from ``sender`` (system, component) and its acknowledgement, if it was answered."""
         system = self._commander.vehicle.system_id
         r = self._records["vehicle_command"]
         for i, value in enumerate(params, 1):
@@ -336,7 +343,7 @@ class StatusTopics:
         self._emit("vehicle_command_ack", now_us)
 
     def written(self, kilobytes: float, rate: float, now_us: int) -> None:
-        """Note how much has been written: kB in all, and kB/s of late."""
+        """Publish the size of the log, kB, and its current write rate, kB/s."""
         r = self._records["logger_status"]
         r["backend"] = 1  # a file
         r["total_written_kb"], r["write_rate_kb_s"] = kilobytes, rate

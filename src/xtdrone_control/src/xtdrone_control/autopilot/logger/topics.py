@@ -1,8 +1,8 @@
-"""The topics that are sampled at a rate: how each is filled from the autopilot's records, for all vehicles at once.
+"""Topics sampled at a fixed rate, each filled from the autopilot's records of all vehicles together.
 
-The logger keeps copies of the records as they were at many times; a topic's ``fill`` turns those into columns of the
-topic's message by a few operations of numpy over all vehicles and times. Local NED, body FRD, quaternions (w, x, y, z),
-SI units, as PX4 has them.
+The logger stores copies of the records at successive times. The ``fill`` function of a topic converts them to the
+fields of its messages with a few numpy operations over all vehicles and times. As in PX4: local NED, body FRD,
+quaternions (w, x, y, z), SI units.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from xtdrone_control.autopilot.state import HEIGHT_BARO, HEIGHT_GPS, HEIGHT_RANGE, HEIGHT_VISION, MAX_ROTORS
 from xtdrone_control.geodesy import geo
 
-EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0, as the telemetry has it
+EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0, as in telemetry
 
 _NAN = np.nan
 _PI = np.pi
 _GAS_CONSTANT = 287.1  # J/(kg K), dry air
 _KELVIN = 273.15
-_DISARMED_PULSE, _LEAST_PULSE, _PULSE_RANGE = 900.0, 1000.0, 1000.0  # us, as SERVO_OUTPUT_RAW has them
+_DISARMED_PULSE, _MIN_PULSE, _PULSE_RANGE = 900.0, 1000.0, 1000.0  # us, as in SERVO_OUTPUT_RAW
 
-# one device of each kind; PX4's ids are not zero, for zero is "none"
+# one device of each kind, with nonzero ids, because PX4 uses 0 for "no device"
 _IMU_DEVICE, _MAG_DEVICE, _BARO_DEVICE, _GPS_DEVICE = 1310988, 197388, 6620172, 11469044
 
-# bits of estimator_status' control_mode_flags, in order of the cs_* of estimator_status_flags
+# bits of control_mode_flags in estimator_status, in the order of the cs_* fields of estimator_status_flags
 _CS_TILT_ALIGN, _CS_YAW_ALIGN, _CS_GPS, _CS_OPT_FLOW, _CS_MAG_HDG, _CS_IN_AIR = 0, 1, 2, 3, 4, 7
 _CS_BARO_HGT, _CS_RNG_HGT, _CS_GPS_HGT, _CS_EV_POS, _CS_EV_YAW, _CS_EV_HGT = 9, 10, 11, 12, 13, 14
 _CS_MAG_DISTURBED, _CS_MAG_FAULT, _CS_EV_VEL, _CS_DEAD_RECKONING = 16, 18, 24, 29
@@ -39,16 +39,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Samples:
-    """Records of all vehicles at several times, arrays of shape (times, vehicles) but for ``time_us``.
+    """Records of all vehicles at several times; arrays of shape (times, vehicles) unless noted.
 
     Attributes:
         time_us: (times,) simulated time, microseconds.
         sensors: ``state.SENSORS``.
-        estimator: ``state.ESTIMATOR`` but for its covariance.
-        variances: (times, vehicles, states), the covariance's diagonal.
+        estimator: ``state.ESTIMATOR`` without its covariance.
+        variances: (times, vehicles, states), diagonal of the covariance.
         setpoint: ``state.SETPOINT``.
         control: ``state.CONTROL``.
-        rotors: (vehicles,) how many rotors each has.
+        rotors: (vehicles,) number of rotors.
     """
 
     time_us: NDArray[np.int64]
@@ -66,16 +66,16 @@ class Samples:
 
     @cached_property
     def horizontal_accuracy(self) -> Array:
-        """One standard deviation of the horizontal position, m."""
+        """Standard deviation of the horizontal position, m."""
         return _root(self.variances[..., 6] + self.variances[..., 7])
 
     @cached_property
     def vertical_accuracy(self) -> Array:
-        """One standard deviation of the height, m."""
+        """Standard deviation of the height, m."""
         return _root(self.variances[..., 8])
 
     @cached_property
-    def places(self) -> tuple[Array, Array]:
+    def coordinates(self) -> tuple[Array, Array]:
         """Estimated latitude and longitude, degrees."""
         e = self.estimator
         return reproject(e["position"][..., 0], e["position"][..., 1], e["origin_lat"], e["origin_lon"])
@@ -86,7 +86,7 @@ def _root(variance: Array) -> Array:
 
 
 def euler(q: Array) -> tuple[Array, Array, Array]:
-    """Return roll, pitch and yaw, rad, of quaternions of shape (..., 4)."""
+    """Return roll, pitch and yaw, rad, of quaternions (w, x, y, z) of shape (..., 4)."""
     w, x, y, z = np.moveaxis(q, -1, 0)
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
@@ -95,10 +95,13 @@ def euler(q: Array) -> tuple[Array, Array, Array]:
 
 
 def reproject(north: Array, east: Array, latitude: Array, longitude: Array) -> tuple[Array, Array]:
-    """Return latitude and longitude, degrees, of places ``north``, ``east`` m of an origin: ``geo.reproject``."""
+    """Return latitude and longitude, degrees, of points ``north`` and ``east`` of an origin, m.
+
+    Vectorised form of ``geo.reproject``.
+    """
     x, y = north / geo.EARTH_RADIUS, east / geo.EARTH_RADIUS
     angle = np.hypot(x, y)
-    share = np.sinc(angle / _PI)  # sin(angle) / angle, 1 at the origin itself
+    share = np.sinc(angle / _PI)  # sin(angle) / angle, 1 at the origin
     phi0 = np.radians(latitude)
     phi = np.arcsin(np.clip(np.cos(angle) * np.sin(phi0) + x * share * np.cos(phi0), -1.0, 1.0))
     turn = np.arctan2(y * share, np.cos(phi0) * np.cos(angle) - x * share * np.sin(phi0))
@@ -110,15 +113,15 @@ Fill = Callable[[np.ndarray, Samples], None]
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic that is sampled.
+    """Sampled topic.
 
     Attributes:
-        name: PX4's.
-        period_us: least time between two messages, microseconds; 0: every step.
-        fill: writes the message's fields that vary. It gets records of shape (times, vehicles), zero but for the
-            timestamps and ``constants``, and the samples.
-        constants: fields that are the same in every message.
-        fresh: field of ``SENSORS`` that says whether there is a new sample; empty: there always is.
+        name: PX4's name of the topic.
+        period_us: minimum interval between messages, microseconds; 0 for every step.
+        fill: writes the variable fields of the messages. Arguments: message records of shape (times, vehicles), zero
+            except for timestamps and ``constants``, and the samples.
+        constants: fields with the same value in every message.
+        fresh: field of ``SENSORS`` that marks a new sample; empty if every step has one.
     """
 
     name: str
@@ -191,7 +194,7 @@ _topic("sensor_gps", 1000, fresh="gps_fresh", **_GPS_CONSTANTS)(_gps)
 @_topic("vehicle_attitude", 40)
 def _attitude(m: np.ndarray, s: Samples) -> None:
     m["q"] = s.estimator["q"]
-    half = 0.5 * s.estimator["delta_heading"]  # only the heading is ever reset
+    half = 0.5 * s.estimator["delta_heading"]  # resets affect the heading only
     m["delta_q_reset"][..., 0], m["delta_q_reset"][..., 3] = np.cos(half), np.sin(half)
     m["quat_reset_counter"] = s.estimator["reset_counter_heading"] & 0xFF
 
@@ -231,7 +234,7 @@ def _local_position(m: np.ndarray, s: Samples) -> None:
 @_topic("vehicle_global_position", 200, terrain_alt=_NAN)
 def _global_position(m: np.ndarray, s: Samples) -> None:
     e = s.estimator
-    m["lat"], m["lon"] = s.places
+    m["lat"], m["lon"] = s.coordinates
     m["alt"] = m["alt_ellipsoid"] = e["origin_alt"] - e["position"][..., 2]
     m["lat_lon_reset_counter"] = e["reset_counter_xy"] & 0xFF
     m["alt_reset_counter"] = e["reset_counter_z"] & 0xFF
@@ -318,7 +321,7 @@ def _innovations(m: np.ndarray, s: Samples) -> None:
 @_topic("estimator_innovation_test_ratios", 200)
 def _test_ratios(m: np.ndarray, s: Samples) -> None:
     e = s.estimator
-    m["gps_hvel"][..., 0] = e["test_ratio_vel"]  # a vector's ratio stands in its first element
+    m["gps_hvel"][..., 0] = e["test_ratio_vel"]  # the ratio of a vector is its first element
     m["gps_hpos"][..., 0] = e["test_ratio_pos"]
     m["gps_vpos"], m["baro_vpos"] = e["test_ratio_gps_hgt"], e["test_ratio_baro"]
     m["ev_hvel"][..., 0], m["ev_hpos"][..., 0] = e["test_ratio_vision_vel"], e["test_ratio_vision_pos"]
@@ -354,7 +357,7 @@ def _land_detected(m: np.ndarray, s: Samples) -> None:
         m[name] = s.control[name]
 
 
-# what the controllers follow
+# setpoints and actuators
 
 
 @_topic("trajectory_setpoint", 200, jerk=_NAN)
@@ -413,12 +416,12 @@ def _motors(m: np.ndarray, s: Samples) -> None:
 @_topic("actuator_outputs", 100)
 def _outputs(m: np.ndarray, s: Samples) -> None:
     armed = (s.setpoint["armed"] != 0)[..., None]
-    pulses = np.where(armed, _LEAST_PULSE + _PULSE_RANGE * s.control["actuators"], _DISARMED_PULSE)
+    pulses = np.where(armed, _MIN_PULSE + _PULSE_RANGE * s.control["actuators"], _DISARMED_PULSE)
     m["noutputs"] = s.rotors
     m["output"][..., :MAX_ROTORS] = np.where(np.arange(MAX_ROTORS) < s.rotors[:, None], pulses, 0.0)
 
 
 @_topic("takeoff_status", 1000)
 def _takeoff_status(m: np.ndarray, s: Samples) -> None:
-    m["takeoff_state"] = s.control["takeoff_state"] + 1  # PX4 counts from 1, 0 is "not initialised"
+    m["takeoff_state"] = s.control["takeoff_state"] + 1  # PX4 counts from 1; 0 means "not initialised"
     m["tilt_limit"] = s.control["tilt_limit"]

@@ -1,10 +1,10 @@
-"""The ULog file format: its messages as bytes, and a writer that keeps them in order.
+"""ULog file format: encoding of its messages, and a writer that enforces their order.
 
 Source: docs.px4.io, "ULog File Format" (version 1 of the file, with flag bits). Little endian throughout. A file is a
 header, then definitions (flag bits, info, formats, parameters), then data, which begins with the first subscription.
 A message is its size (uint16, without these three bytes), its type (one character) and its payload.
 
-Nothing here knows the time of day or the autopilot: the same calls give the same bytes.
+The module uses neither the wall clock nor the autopilot, so that the same calls give the same bytes.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import numpy as np
 FILE_MAGIC = b"ULog\x01\x12\x35\x01"
 SYNC_MAGIC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 HEADER_SIZE = 16
-LARGEST_MESSAGE = 0xFFFF  # bytes after the three of the message's header
-_LARGEST_KEY = 0xFF
-_LARGEST_ARRAY = 0xFFFF
+LARGEST_MESSAGE = 0xFFFF  # bytes of payload after the 3-byte message header
+_MAX_KEY_SIZE = 0xFF
+_MAX_ARRAY_LENGTH = 0xFFFF
 
-SYSTEM_DEFAULT, SETUP_DEFAULT = 1, 2  # what a default parameter is a default of: the firmware, the airframe
+SYSTEM_DEFAULT, SETUP_DEFAULT = 1, 2  # default of the firmware, default of the airframe
 
-# ULog's name of a basic type to numpy's
+# ULog's basic types and their numpy equivalents
 TYPES: dict[str, str] = {
     "int8_t": "<i1",
     "uint8_t": "<u1",
@@ -51,7 +51,7 @@ _PADDING = "_padding"
 
 
 class UlogError(ValueError):
-    """Something that cannot be written as ULog."""
+    """Content that ULog cannot represent."""
 
 
 @dataclass(frozen=True)
@@ -70,17 +70,17 @@ class Field:
 
     @classmethod
     def parse(cls, text: str) -> Field:
-        """Read ``type name`` or ``type[length] name``.
+        """Parse ``type name`` or ``type[length] name``.
 
         Raises:
-            UlogError: ``text`` is neither.
+            UlogError: ``text`` has another form or a length out of range.
         """
         match = _FIELD.fullmatch(text)
         if match is None:
             raise UlogError(f"field {text!r} is not allowed, 'type name' or 'type[length] name'")
         length = 0 if match["length"] is None else int(match["length"])
-        if match["length"] is not None and not 1 <= length <= _LARGEST_ARRAY:
-            raise UlogError(f"field {text!r}: length {length} is not allowed, 1 to {_LARGEST_ARRAY}")
+        if match["length"] is not None and not 1 <= length <= _MAX_ARRAY_LENGTH:
+            raise UlogError(f"field {text!r}: length {length} is not allowed, 1 to {_MAX_ARRAY_LENGTH}")
         return cls(match["type"], length, match["name"])
 
     def __str__(self) -> str:
@@ -89,13 +89,13 @@ class Field:
 
 @dataclass(frozen=True)
 class Format:
-    """The layout of a message: fields one after the other, without gaps.
+    """Layout of a message: consecutive fields without gaps.
 
     Attributes:
-        name: the message's name.
-        fields: its fields. Those at the end whose name begins with ``_padding`` are announced but not written, as PX4
-            does; a reader must know.
-        nested: the formats that fields are made of.
+        name: name of the message.
+        fields: fields in order. Trailing fields whose name begins with ``_padding`` are declared but not written, a
+            convention of PX4 that readers must follow.
+        nested: formats used as types of fields.
     """
 
     name: str
@@ -104,35 +104,35 @@ class Format:
 
     def __post_init__(self) -> None:
         if not _MESSAGE_NAME.fullmatch(self.name):
-            raise UlogError(f"format {self.name!r}: the name may have letters, digits, '_', '-' and '/' only")
+            raise UlogError(f"format {self.name!r}: name is not allowed, only letters, digits, '_', '-' and '/'")
         names = [f.name for f in self.fields]
         doubled = next((name for name in names if names.count(name) > 1), None)
         if doubled is not None:
-            raise UlogError(f"format {self.name}: field {doubled} is there twice")
+            raise UlogError(f"format {self.name}: field {doubled} is defined twice")
         known = {*TYPES, *(inner.name for inner in self.nested)}
         for f in self.fields:
             if f.type not in known:
-                raise UlogError(f"format {self.name}: field {f.name}: type {f.type!r} is not known")
+                raise UlogError(f"format {self.name}: field {f.name}: unknown type {f.type!r}")
         if not self.dtype.itemsize:
-            raise UlogError(f"format {self.name} has no field that is written")
+            raise UlogError(f"format {self.name} has no fields besides padding")
 
     @classmethod
     def parse(cls, name: str, fields: str, nested: Sequence[Format] = ()) -> Format:
-        """Make a format of ``type name;type[length] name;...``.
+        """Parse fields in the form ``type name;type[length] name;...``.
 
         Raises:
-            UlogError: it is no valid format; the message names what is wrong.
+            UlogError: invalid format; the text names the error.
         """
         return cls(name, tuple(Field.parse(text) for text in fields.rstrip(";").split(";")), tuple(nested))
 
     @cached_property
     def definition(self) -> str:
-        """The text of the format message."""
+        """Text of the format message."""
         return f"{self.name}:" + "".join(f"{f};" for f in self.fields)
 
     @cached_property
     def dtype(self) -> np.dtype:
-        """The packed numpy type of what is written; ``char`` is a uint8, a nested message a nested type."""
+        """Packed numpy type of the written fields; ``char`` maps to uint8, a nested message to a nested type."""
         fields = list(self.fields)
         while fields and fields[-1].name.startswith(_PADDING):
             fields.pop()
@@ -140,7 +140,7 @@ class Format:
 
     @cached_property
     def inner_dtype(self) -> np.dtype:
-        """The packed numpy type of this message inside another one: with the padding at its end."""
+        """Packed numpy type of the message nested in another one, including its trailing padding."""
         return self._dtype_of(self.fields)
 
     def _dtype_of(self, fields: Sequence[Field]) -> np.dtype:
@@ -153,7 +153,7 @@ class Format:
 
     @cached_property
     def has_timestamp(self) -> bool:
-        """Whether it can be logged: one of its fields is ``uint64_t timestamp``."""
+        """Whether the message can be logged, which requires a field ``uint64_t timestamp``."""
         return Field("uint64_t", 0, "timestamp") in self.fields
 
 
@@ -164,26 +164,26 @@ def _message(kind: bytes, payload: bytes, what: str) -> bytes:
 
 
 def header(start_us: int) -> bytes:
-    """Return the file's first 16 bytes; ``start_us`` is the time at which logging began, microseconds."""
+    """Return the file header, 16 bytes; ``start_us`` is the start time of the log, microseconds."""
     return FILE_MAGIC + struct.pack("<Q", start_us)
 
 
 def flag_bits() -> bytes:
-    """Return the flag bits: default parameters may come, nothing else is special; no appended data."""
+    """Return the flag bits message: default parameters are used, no data are appended."""
     compatible = bytes([1, 0, 0, 0, 0, 0, 0, 0])
     return _message(b"B", compatible + bytes(8) + struct.pack("<3Q", 0, 0, 0), "flag bits")
 
 
 def _key_value(kind: str, key: str, value: str | int | float | bytes, what: str) -> bytes:
-    """Return a value with its type and name, as info and parameter messages have it.
+    """Return the key-value payload of info and parameter messages.
 
-    ``kind`` is one of the numeric ``TYPES``; ``char`` writes a text or bytes as ``char[length]``.
+    ``kind`` is one of the numeric ``TYPES``, or ``char`` to write text or bytes as ``char[length]``.
     """
     if not _NAME.fullmatch(key):
-        raise UlogError(f"{what} {key!r}: the name may have letters, digits and '_' only")
+        raise UlogError(f"{what} {key!r}: name is not allowed, only letters, digits and '_'")
     if kind == "char":
         if not isinstance(value, (str, bytes)):
-            raise UlogError(f"{what} {key}: {value!r} is no text")
+            raise UlogError(f"{what} {key}: {value!r} is not text")
         data = value.encode() if isinstance(value, str) else value
         kind = f"char[{len(data)}]"
     elif kind not in _STRUCT_CODES:
@@ -192,45 +192,45 @@ def _key_value(kind: str, key: str, value: str | int | float | bytes, what: str)
         try:
             data = struct.pack("<" + _STRUCT_CODES[kind], value)
         except (struct.error, OverflowError) as error:
-            raise UlogError(f"{what} {key}: {value!r} is no {kind}: {error}") from error
+            raise UlogError(f"{what} {key}: {value!r} is not a valid {kind}: {error}") from error
     name = f"{kind} {key}".encode()
-    if len(name) > _LARGEST_KEY:
-        raise UlogError(f"{what} {key}: type and name have {len(name)} bytes, at most {_LARGEST_KEY}")
+    if len(name) > _MAX_KEY_SIZE:
+        raise UlogError(f"{what} {key}: type and name have {len(name)} bytes, at most {_MAX_KEY_SIZE}")
     return bytes([len(name)]) + name + data
 
 
 def info(kind: str, key: str, value: str | int | float) -> bytes:
-    """Return an info message: ``kind`` is one of ``TYPES``, where ``char`` takes a text.
+    """Return an info message; ``kind`` is one of ``TYPES``, with ``char`` for text.
 
     Raises:
-        UlogError: a value that the type cannot hold, or a bad name.
+        UlogError: the value does not fit the type, or the key is invalid.
     """
     return _message(b"I", _key_value(kind, key, value, "info"), f"info {key}")
 
 
 def multi_info(key: str, value: str, *, continued: bool = False) -> bytes:
-    """Return one piece of an info text that comes in several; ``continued``: it goes on with the piece before.
+    """Return one part of a multi-part info text; ``continued`` appends it to the preceding part.
 
     Raises:
-        UlogError: a bad name, or too long a text.
+        UlogError: the key is invalid, or the text is too long.
     """
     return _message(b"M", bytes([continued]) + _key_value("char", key, value, "multi info"), f"multi info {key}")
 
 
 def parameter(name: str, value: int | float) -> bytes:
-    """Return a parameter's value: an int is written as int32_t, a float as float.
+    """Return a parameter message; an int is written as int32_t, a float as float.
 
     Raises:
-        UlogError: a value that the type cannot hold, or a bad name.
+        UlogError: the value does not fit the type, or the name is invalid.
     """
     return _message(b"P", _parameter(name, value, "parameter"), f"parameter {name}")
 
 
 def default_parameter(name: str, value: int | float, kinds: int) -> bytes:
-    """Return a parameter's default; ``kinds`` is SYSTEM_DEFAULT, SETUP_DEFAULT, or both of them added.
+    """Return a default parameter message; ``kinds`` is SYSTEM_DEFAULT, SETUP_DEFAULT or their sum.
 
     Raises:
-        UlogError: another kind, a value that the type cannot hold, or a bad name.
+        UlogError: the kind is unknown, the value does not fit the type, or the name is invalid.
     """
     if kinds not in (SYSTEM_DEFAULT, SETUP_DEFAULT, SYSTEM_DEFAULT | SETUP_DEFAULT):
         raise UlogError(f"default parameter {name}: kind {kinds} is not allowed, 1 (system), 2 (setup) or 3 (both)")
@@ -242,20 +242,20 @@ def _parameter(name: str, value: int | float, what: str) -> bytes:
 
 
 def format_message(layout: Format) -> bytes:
-    """Return the message that announces ``layout``; those nested in it must be announced, too."""
+    """Return the format message of ``layout``; its nested formats need messages of their own."""
     return _message(b"F", layout.definition.encode(), f"format {layout.name}")
 
 
 def subscription(message_id: int, name: str, instance: int = 0) -> bytes:
-    """Return the message that says which message ``message_id`` stands for.
+    """Return the subscription message that binds ``message_id`` to a format.
 
     Args:
-        message_id: 0 to 65535, new in the file.
-        name: the format's name.
-        instance: number of the sensor or the like, 0 to 255.
+        message_id: 0 to 65535, unique in the file.
+        name: name of the format.
+        instance: instance of the topic, for example one of several sensors, 0 to 255.
 
     Raises:
-        UlogError: a number out of range.
+        UlogError: a number is out of range.
     """
     if not 0 <= message_id <= 0xFFFF:
         raise UlogError(f"subscription of {name}: message id {message_id} is not allowed, 0 to 65535")
@@ -265,10 +265,10 @@ def subscription(message_id: int, name: str, instance: int = 0) -> bytes:
 
 
 def logged_string(level: int, time_us: int, text: str) -> bytes:
-    """Return a text with its severity (``level``: syslog's, 0 emergency to 7 debug) and time in microseconds.
+    """Return a logged string message; ``level`` is the syslog severity, 0 (emergency) to 7 (debug).
 
     Raises:
-        UlogError: another level.
+        UlogError: the level is out of range.
     """
     if not 0 <= level <= 7:
         raise UlogError(f"logged string {text!r}: level {level} is not allowed, 0 to 7")
@@ -276,15 +276,15 @@ def logged_string(level: int, time_us: int, text: str) -> bytes:
 
 
 def sync() -> bytes:
-    """Return a message by which a reader finds its place again in a damaged file."""
+    """Return a sync message, at which a reader of a damaged file can resume."""
     return _message(b"S", SYNC_MAGIC, "sync")
 
 
 def dropout(milliseconds: int) -> bytes:
-    """Return a message that says for how long data could not be written.
+    """Return a dropout message with the duration of missing data, ms.
 
     Raises:
-        UlogError: not 0 to 65535.
+        UlogError: the duration is not 0 to 65535.
     """
     if not 0 <= milliseconds <= 0xFFFF:
         raise UlogError(f"dropout: {milliseconds} ms are not allowed, 0 to 65535")
@@ -292,12 +292,12 @@ def dropout(milliseconds: int) -> bytes:
 
 
 def data_dtype(layout: Format) -> np.dtype:
-    """Return the packed numpy type of a whole data message of ``layout``: an array of it is what the file has.
+    """Return the packed numpy type of a data message of ``layout``, byte for byte as in the file.
 
-    Its fields: ``size``, ``kind``, ``id`` and ``record``; see ``data_template``.
+    Its fields are ``size``, ``kind``, ``id`` and ``record``; see ``data_template``.
 
     Raises:
-        UlogError: it has no timestamp, or is too large for a message.
+        UlogError: the format has no timestamp, or exceeds the size of a message.
     """
     if not layout.has_timestamp:
         raise UlogError(f"format {layout.name} cannot be logged: it has no field 'uint64_t timestamp'")
@@ -308,7 +308,7 @@ def data_dtype(layout: Format) -> np.dtype:
 
 
 def data_template(layout: Format, message_id: int) -> np.ndarray:
-    """Return one data message of ``layout`` as an array of shape (), its record all zeros.
+    """Return one data message of ``layout`` with a zeroed record, as an array of shape ().
 
     Raises:
         UlogError: see ``data_dtype``.
@@ -322,24 +322,24 @@ def data_template(layout: Format, message_id: int) -> np.ndarray:
 
 class _Sink(Protocol):
     def write(self, data: bytes, /) -> object:
-        """Take ``data``."""
+        """Write ``data``."""
 
     def flush(self) -> object:
-        """Pass on all that was taken."""
+        """Flush buffered data."""
 
 
 class UlogWriter:
-    """Writes one ULog, and sees to the order of its parts.
+    """Writer of one ULog that enforces the order of its sections.
 
-    Messages are collected and handed to the sink by ``flush``, whole. What has been handed over is a readable log,
-    whatever happens next.
+    Messages are buffered, and ``flush`` writes complete messages to the sink. The file is a readable log after every
+    flush.
 
     Attributes:
-        written: bytes handed over so far.
+        written: bytes written to the sink so far.
     """
 
     def __init__(self, sink: _Sink, start_us: int) -> None:
-        """Begin the definitions; ``start_us`` is the time at which logging begins, microseconds."""
+        """Start the definitions section; ``start_us`` is the start time of the log, microseconds."""
         self._sink = sink
         self._parts: list[bytes | memoryview] = [header(start_us), flag_bits()]
         self._formats: dict[str, Format] = {}
@@ -348,7 +348,7 @@ class UlogWriter:
 
     @property
     def in_data(self) -> bool:
-        """Whether the definitions are over."""
+        """Whether the data section has begun."""
         return bool(self._subscribed)
 
     def add_info(self, kind: str, key: str, value: str | int | float) -> None:
@@ -356,11 +356,11 @@ class UlogWriter:
         self._parts.append(info(kind, key, value))
 
     def add_multi_info(self, key: str, value: str, *, continued: bool = False) -> None:
-        """Add one piece of an info text; see ``multi_info``."""
+        """Add one part of an info text; see ``multi_info``."""
         self._parts.append(multi_info(key, value, continued=continued))
 
     def add_parameter(self, name: str, value: int | float) -> None:
-        """Add a parameter: its value at the start, or in the data its new one."""
+        """Add a parameter: its initial value in the definitions, its changed value in the data."""
         self._parts.append(parameter(name, value))
 
     def add_default_parameter(self, name: str, value: int | float, kinds: int) -> None:
@@ -368,31 +368,31 @@ class UlogWriter:
         self._parts.append(default_parameter(name, value, kinds))
 
     def add_format(self, layout: Format) -> None:
-        """Announce ``layout`` and what is nested in it, what is not announced yet.
+        """Define ``layout`` and its nested formats unless they are defined already.
 
         Raises:
-            UlogError: another layout has that name, or the data have begun.
+            UlogError: another format has the same name, or the data section has begun.
         """
         known = self._formats.get(layout.name)
         if known == layout:
             return
         if known is not None:
-            raise UlogError(f"format {layout.name} is announced already, with other fields: {known.definition}")
+            raise UlogError(f"format {layout.name} is already defined with other fields: {known.definition}")
         if self.in_data:
-            raise UlogError(f"format {layout.name} comes too late: the data have begun")
+            raise UlogError(f"format {layout.name} is too late, the data section has begun")
         for inner in layout.nested:
             self.add_format(inner)
         self._formats[layout.name] = layout
         self._parts.append(format_message(layout))
 
     def subscribe(self, message_id: int, layout: Format, instance: int = 0) -> None:
-        """Let ``message_id`` stand for ``layout``; the first one ends the definitions.
+        """Bind ``message_id`` to ``layout``; the first subscription begins the data section.
 
         Raises:
-            UlogError: the format is not announced, cannot be logged, or the number is taken.
+            UlogError: the format is not defined or cannot be logged, or the id is in use.
         """
         if self._formats.get(layout.name) != layout:
-            raise UlogError(f"subscription of {layout.name}: its format is not announced")
+            raise UlogError(f"subscription of {layout.name}: its format is not defined")
         if message_id in self._subscribed:
             taken = self._subscribed[message_id]
             raise UlogError(f"subscription of {layout.name}: message id {message_id} is taken by {taken}")
@@ -401,29 +401,29 @@ class UlogWriter:
         self._subscribed[message_id] = layout.name
 
     def add_messages(self, messages: bytes | memoryview) -> None:
-        """Add whole messages: data (arrays of ``data_dtype``), logged strings, parameters."""
+        """Add complete messages: data (arrays of ``data_dtype``), logged strings, parameters."""
         self._parts.append(messages)
 
     def add_data(self, message_id: int, layout: Format, values: Mapping[str, object]) -> None:
-        """Add one data message; a field that ``values`` does not name is zero.
+        """Add one data message; fields missing from ``values`` are zero.
 
         Raises:
-            UlogError: nobody has subscribed the number to the layout, or a field is unknown.
+            UlogError: ``message_id`` is not subscribed to ``layout``, or a field is unknown.
         """
         if self._subscribed.get(message_id) != layout.name:
             raise UlogError(f"data of {layout.name}: message id {message_id} is not subscribed to it")
         template = data_template(layout, message_id)
         for name, value in values.items():
             if name not in (layout.dtype.names or ()):
-                raise UlogError(f"data of {layout.name}: it has no field {name}")
+                raise UlogError(f"data of {layout.name}: unknown field {name}")
             template["record"][name] = value
         self._parts.append(template.tobytes())
 
     def flush(self) -> None:
-        """Hand over what has been collected.
+        """Write the buffered messages to the sink.
 
         Raises:
-            OSError: the sink cannot take it.
+            OSError: the sink rejects the data.
         """
         if self._parts:
             data = b"".join(self._parts)

@@ -1,4 +1,4 @@
-"""Whether a mission can be flown: PX4 v1.14's checks for a multicopter, with its texts (``FeasibilityChecker``)."""
+"""Mission feasibility checks with the texts of PX4 v1.14's ``FeasibilityChecker`` for multicopters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
 from xtdrone_control.geodesy import geo
 
-_FLOWN = plan.POSITION_COMMANDS | {
+_SUPPORTED = plan.POSITION_COMMANDS | {
     plan.RETURN,
     plan.DELAY,
     plan.CONDITION_GATE,
@@ -48,27 +48,27 @@ _FLOWN = plan.POSITION_COMMANDS | {
 }
 _VTOL = (plan.VTOL_TAKEOFF, plan.VTOL_LAND, plan.VTOL_TRANSITION)
 _TAKEOFFS = (plan.TAKEOFF, plan.VTOL_TAKEOFF)
-# items before a takeoff that do not make it late: all that are flown but those with a place, and the odd ones out
-_BEFORE_TAKEOFF = _FLOWN - plan.POSITION_COMMANDS - {plan.RETURN, plan.CONDITION_GATE, plan.SET_ACTUATOR}
+# commands allowed before a takeoff: those without a position, with PX4's three exceptions
+_BEFORE_TAKEOFF = _SUPPORTED - plan.POSITION_COMMANDS - {plan.RETURN, plan.CONDITION_GATE, plan.SET_ACTUATOR}
 _EPSILON = 1e-6
-_LEAST_GATE_DISTANCE = 0.05  # m
+_MIN_GATE_DISTANCE = 0.05  # m
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What the checks need to know of the vehicle.
+    """Vehicle state and settings for the checks.
 
     Attributes:
-        home_altitude: m AMSL; NaN without a home.
-        place: latitude and longitude, degrees.
-        landed: whether it stands on the ground.
+        home_altitude: altitude of the home position, m AMSL; NaN without one.
+        location: latitude and longitude of the vehicle, degrees.
+        landed: whether the vehicle is on the ground.
         first_distance: MIS_DIST_1WP, m.
         required: MIS_TKO_LAND_REQ.
-        fence_allows: whether the geofence allows a place: latitude, longitude, m AMSL.
+        fence_allows: returns whether the geofence allows a latitude, longitude (degrees) and altitude (m AMSL).
     """
 
     home_altitude: float
-    place: tuple[float, float]
+    location: tuple[float, float]
     landed: bool
     first_distance: float
     required: int
@@ -76,32 +76,32 @@ class Situation:
 
 
 class Problem:
-    """What speaks against a mission: PX4's text, and the event that says the same with its arguments."""
+    """Reason to reject a mission: PX4's text and the equivalent event."""
 
     def __init__(self, text: str, name: str, *values: float) -> None:
-        """Keep what is to be told."""
+        """Store ``text`` and the event's ``name`` and arguments ``values``."""
         self._text = text
         self._name = name
         self._values = values
 
-    def tell(self, tell: Callable[..., None]) -> None:
-        """Tell it, see ``check``."""
+    def announce(self, tell: Callable[..., None]) -> None:
+        """Announce the problem through ``tell``; see ``check``."""
         tell(CRITICAL, self._text, self._name, *self._values, level=ERROR)
 
 
-def _distance(a: PlanItem, place: tuple[float, float]) -> float:
+def _distance(a: PlanItem, location: tuple[float, float]) -> float:
     if not (math.isfinite(a.x) and math.isfinite(a.y)):
         return math.inf
-    return math.hypot(*geo.project(a.x, a.y, *place))
+    return math.hypot(*geo.project(a.x, a.y, *location))
 
 
-def _invalid(items: Items, now: Situation) -> Problem | None:
-    """Return what makes an item of ``items`` no item at all."""
+def _check_items(items: Items, now: Situation) -> Problem | None:
+    """Return the first problem that makes an item invalid, None if all are valid."""
     for i, item in enumerate(items):
         if item.has_position and item.relative and math.isnan(now.home_altitude):
             text = f"Mission rejected: No home pos, WP {i + 1} uses rel alt"
             return Problem(text, "navigator_mis_no_home_rel_alt", i + 1)
-        if item.command not in _FLOWN:
+        if item.command not in _SUPPORTED:
             text = f"Mission rejected: item {i + 1}: unsupported cmd: {item.command}"
             return Problem(text, "navigator_mis_unsup_cmd", i + 1, item.command)
     if items[0].command == plan.LAND and now.landed:
@@ -109,34 +109,34 @@ def _invalid(items: Items, now: Situation) -> Problem | None:
     return None
 
 
-def _gate(items: Items, _now: Situation) -> Problem | None:
+def _check_gates(items: Items, _now: Situation) -> Problem | None:
     before: PlanItem | None = None
     for item in items:
         if not item.has_position and item.command != plan.CONDITION_GATE:
             continue
         if before is not None and plan.CONDITION_GATE in (item.command, before.command):
             distance = _distance(item, (before.x, before.y))
-            if distance < _LEAST_GATE_DISTANCE:
+            if distance < _MIN_GATE_DISTANCE:
                 text = f"Distance between waypoint and gate too close: {int(distance)} meters"
-                return Problem(text, "navigator_mis_wp_gate_too_close", distance, _LEAST_GATE_DISTANCE)
+                return Problem(text, "navigator_mis_wp_gate_too_close", distance, _MIN_GATE_DISTANCE)
         before = item
     return None
 
 
-def _first(items: Items, now: Situation) -> Problem | None:
+def _check_first_waypoint(items: Items, now: Situation) -> Problem | None:
     item = next((item for item in items if item.has_position), None)
     if item is None or now.first_distance <= _EPSILON:
         return None
-    distance = _distance(item, now.place)
+    distance = _distance(item, now.location)
     if distance < now.first_distance:
         return None
-    if math.isnan(distance):  # nobody knows where the vehicle is
+    if math.isnan(distance):  # the vehicle's position is unknown
         return None
     text = f"First waypoint too far away: {math.floor(min(distance, 2e9))}m, {int(now.first_distance)} max"
     return Problem(text, "navigator_mis_first_wp_too_far", distance, now.first_distance)
 
 
-def _takeoff(items: Items, now: Situation) -> Problem | None:
+def _check_takeoff(items: Items, now: Situation) -> Problem | None:
     late = False
     for item in items:
         if item.command in _TAKEOFFS:
@@ -150,14 +150,14 @@ def _takeoff(items: Items, now: Situation) -> Problem | None:
     return None
 
 
-def _vtol(items: Items, _now: Situation) -> Problem | None:
+def _check_vtol(items: Items, _now: Situation) -> Problem | None:
     if any(item.command in _VTOL for item in items):
         text = "Mission rejected: Mission contains VTOL items but vehicle is not a VTOL"
         return Problem(text, "navigator_mis_vtol")
     return None
 
 
-def _required(items: Items, now: Situation) -> Problem | None:
+def _check_required(items: Items, now: Situation) -> Problem | None:
     takeoff = any(item.command in _TAKEOFFS for item in items)
     landing = any(item.command == plan.LAND for item in items)
     if now.required == 1 and not takeoff:
@@ -176,29 +176,29 @@ def _required(items: Items, now: Situation) -> Problem | None:
     return None
 
 
-def _fence(items: Items, now: Situation) -> Problem | None:
+def _check_fence(items: Items, now: Situation) -> Problem | None:
     for i, item in enumerate(items):
         if item.has_position and not now.fence_allows(item.x, item.y, item.altitude(now.home_altitude)):
             return Problem(f"Geofence violation for waypoint {i + 1}", "navigator_mis_geofence_violation", i + 1)
     return None
 
 
-_CHECKS = (_gate, _first, _takeoff, _vtol, _required, _fence)
+_CHECKS = (_check_gates, _check_first_waypoint, _check_takeoff, _check_vtol, _check_required, _check_fence)
 
 
 def check(items: Items, now: Situation, tell: Callable[..., None]) -> bool:
-    """Return whether the mission ``items`` can be flown.
+    """Return whether the mission ``items`` can be flown, and announce every problem.
 
     Args:
-        items: the mission.
-        now: what the vehicle is about.
-        tell: takes what speaks against it, as ``Announcements.tell``.
+        items: mission items.
+        now: vehicle state and settings.
+        tell: announces a problem, with the signature of ``Announcements.tell``.
     """
     if not items:
         return False
-    invalid = _invalid(items, now)
+    invalid = _check_items(items, now)
     if invalid is not None:
-        invalid.tell(tell)
+        invalid.announce(tell)
         return False
     for i, item in enumerate(items):
         if item.has_position and item.altitude(now.home_altitude) < now.home_altitude:
@@ -206,5 +206,5 @@ def check(items: Items, now: Situation, tell: Callable[..., None]) -> bool:
             tell(CRITICAL, text, "navigator_mis_wp_below_home", i + 1, level=WARNING)
     found = [problem for problem in (one(items, now) for one in _CHECKS) if problem is not None]
     for problem in found:
-        problem.tell(tell)
+        problem.announce(tell)
     return not found

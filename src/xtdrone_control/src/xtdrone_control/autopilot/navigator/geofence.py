@@ -1,7 +1,7 @@
-"""Geofences: polygons and circles that must not be left, or not be entered. Plane geometry, free of everything else.
+"""Geofences of inclusion and exclusion areas, polygons or circles, in plane geometry.
 
-PX4's rule (``Geofence::checkPolygons``): a place is allowed when it is in some inclusion area, if there are any, and in
-no exclusion area. Only the horizontal place counts.
+PX4's rule (``Geofence::checkPolygons``): a position is allowed inside at least one inclusion area, if any is defined,
+and outside all exclusion areas. The rule ignores altitude.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Point = tuple[float, float]
 _log = logging.getLogger(__name__)
 _POLYGONS = (plan.FENCE_INCLUSION, plan.FENCE_EXCLUSION)
 _CIRCLES = (plan.FENCE_CIRCLE_INCLUSION, plan.FENCE_CIRCLE_EXCLUSION)
-_LEAST_VERTICES = 3
+_MIN_VERTICES = 3
 
 
 def in_polygon(vertices: Sequence[Point], point: Point) -> bool:
-    """Return whether ``point`` lies in a polygon, by counting the edges that a ray from it crosses (even-odd rule)."""
+    """Return whether ``point`` lies in a polygon (even-odd rule: count the edges crossed by a ray)."""
     x, y = point
     inside = False
     x1, y1 = vertices[-1]
     for x2, y2 in vertices:
-        # half-open in y, so that a ray through a vertex crosses one of its two edges
+        # half-open in y, so that a ray through a vertex crosses exactly one of its two edges
         if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
             inside = not inside
         x1, y1 = x2, y2
@@ -37,7 +37,7 @@ def in_polygon(vertices: Sequence[Point], point: Point) -> bool:
 
 @dataclass(frozen=True)
 class Polygon:
-    """A closed polygon; ``vertices`` in m."""
+    """Closed polygon; ``vertices`` in m."""
 
     vertices: tuple[Point, ...]
     inclusion: bool
@@ -49,7 +49,7 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle; centre and radius in m."""
+    """Circle; centre and radius in m."""
 
     centre: Point
     radius: float
@@ -62,12 +62,12 @@ class Circle:
 
 @dataclass(frozen=True)
 class Fence:
-    """The areas of a geofence."""
+    """Areas of a geofence."""
 
     areas: tuple[Polygon | Circle, ...] = ()
 
     def allows(self, point: Point) -> bool:
-        """Return whether a vehicle may be at ``point`` (m)."""
+        """Return whether the fence allows ``point`` (m)."""
         included, wanted = False, False
         for area in self.areas:
             if area.inclusion:
@@ -79,14 +79,14 @@ class Fence:
 
 
 def build(items: Sequence[PlanItem], to_plane: Callable[[float, float], Point]) -> Fence:
-    """Return the fence that ``items`` describe.
+    """Return the fence defined by ``items``.
 
-    What makes no area is left out, with a warning: a polygon with too few or missing vertices, another command. Return
-    points are taken and have no effect, as in PX4.
+    Polygons with too few or missing vertices and unsupported commands are skipped with a warning. Return points are
+    accepted without effect, as in PX4.
 
     Args:
-        items: of the fence list.
-        to_plane: latitude and longitude in degrees to a point in m.
+        items: items of the fence list.
+        to_plane: converts latitude and longitude, degrees, to a point in m.
     """
     areas: list[Polygon | Circle] = []
     i = 0
@@ -99,18 +99,18 @@ def build(items: Sequence[PlanItem], to_plane: Callable[[float, float], Point]) 
         elif item.command in _POLYGONS:
             count = max(vertex_count(item), 1)
             corners = items[i : i + count]
-            if count < _LEAST_VERTICES or any(c.command != item.command for c in corners) or len(corners) < count:
-                _log.warning("geofence: item %d: %d vertices do not make a polygon, left out", i, len(corners))
+            if count < _MIN_VERTICES or any(c.command != item.command for c in corners) or len(corners) < count:
+                _log.warning("geofence: item %d skipped: %d vertices do not form a polygon", i, len(corners))
             else:
                 vertices = tuple(to_plane(c.x, c.y) for c in corners)
                 areas.append(Polygon(vertices, item.command == plan.FENCE_INCLUSION))
         elif item.command != plan.FENCE_RETURN_POINT:
-            _log.warning("geofence: item %d: command %d is not for a fence, left out", i, item.command)
+            _log.warning("geofence: item %d skipped: command %d does not define a fence", i, item.command)
         i += count
     return Fence(tuple(areas))
 
 
 def vertex_count(item: PlanItem) -> int:
-    """Return of how many vertices a polygon's item says that it is one; 0 when it says nothing sensible."""
+    """Return the number of polygon vertices declared by ``item``; 0 for an invalid number."""
     count = item.params[0]
     return int(count + 0.5) if 0.0 <= count <= plan.CAPACITY[plan.FENCE] else 0

@@ -1,8 +1,8 @@
-"""Where a gimbal is told to look, and who may say so: PX4's gimbal manager (MAVLink's gimbal protocol v2).
+"""Gimbal setpoint and control authority: PX4's gimbal manager (MAVLink gimbal protocol v2).
 
-https://mavlink.io/en/services/gimbal_v2.html. Angles are roll, pitch, yaw in rad: roll and pitch from the horizon,
-pitch positive up, yaw from the heading. The gimbal keeps roll and pitch level by itself, so the protocol's locks of
-those two axes hold always; yaw follows the vehicle unless it is locked, then it keeps its direction over the ground.
+Source: https://mavlink.io/en/services/gimbal_v2.html. Angles are roll, pitch, yaw in rad: roll and pitch from the
+horizon, pitch positive up, yaw from the heading. Roll and pitch are always stabilised, so their lock flags are always
+set. Yaw follows the vehicle, or keeps its direction over the ground while yaw lock is set.
 """
 
 from __future__ import annotations
@@ -13,73 +13,73 @@ from collections.abc import Sequence
 from xtdrone_control.autopilot.vehicle_view import Vector, VehicleView
 
 Controller = tuple[int, int]
-"""MAVLink system and component id; (0, 0) for nobody."""
+"""MAVLink system and component id; (0, 0) for no controller."""
 
-NOBODY: Controller = (0, 0)
+NO_CONTROLLER: Controller = (0, 0)
 RETRACT, NEUTRAL, ROLL_LOCK, PITCH_LOCK, YAW_LOCK = 1, 2, 4, 8, 16  # GIMBAL_MANAGER_FLAGS
 YAW_IN_VEHICLE_FRAME, YAW_IN_EARTH_FRAME = 32, 64
 _LOCKED = YAW_LOCK | YAW_IN_EARTH_FRAME
 
 _LEVEL: Vector = (0.0, 0.0, 0.0)
-_UNTOLD: Vector = (math.nan, math.nan, math.nan)
-_STEEPEST = 0.5 * math.pi  # rad, of a pitch that is turned at a rate
-_MODE_RETRACT, _MODE_NEUTRAL, _MODE_ANGLES, _MODE_PLACE = 0, 1, 2, 4  # MAV_MOUNT_MODE
-_UNCHANGED, _MYSELF, _GIVE_BACK = (0, -1), -2, -3  # of DO_GIMBAL_MANAGER_CONFIGURE
-_LARGEST_ID = 255
+_UNSET: Vector = (math.nan, math.nan, math.nan)
+_MAX_PITCH = 0.5 * math.pi  # rad, limit of a pitch setpoint that changes at a rate
+_MODE_RETRACT, _MODE_NEUTRAL, _MODE_ANGLES, _MODE_LOCATION = 0, 1, 2, 4  # MAV_MOUNT_MODE
+_UNCHANGED, _SENDER, _RELEASE = (0, -1), -2, -3  # of DO_GIMBAL_MANAGER_CONFIGURE
+_MAX_ID = 255
 
 
 class GimbalManager:
-    """The setpoint of one vehicle's gimbal.
+    """Gimbal setpoint of one vehicle.
 
     Attributes:
-        primary, secondary: who may steer it by the protocol's second version. Missions and DO_MOUNT_CONTROL, which
-            know no such thing, always may.
-        flags: GIMBAL_MANAGER_FLAGS that hold.
+        primary, secondary: controllers under gimbal protocol v2. Missions and DO_MOUNT_CONTROL predate the protocol
+            and need no control authority.
+        flags: current GIMBAL_MANAGER_FLAGS.
     """
 
     def __init__(self, view: VehicleView) -> None:
-        """Start with nothing told."""
+        """Start without a setpoint and without a controller."""
         self._view = view
-        self.primary = self.secondary = NOBODY
+        self.primary = self.secondary = NO_CONTROLLER
         self.flags = ROLL_LOCK | PITCH_LOCK
-        self._angles = _UNTOLD
+        self._angles = _UNSET
         self._rates = (0.0, 0.0)  # of pitch and yaw, rad/s
         self._since_us = 0
-        self._place: Vector | None = None  # to look at, m, local NED
+        self._tracked: Vector | None = None  # target to track, m, local NED
 
     @property
     def angles(self) -> Vector:
-        """The setpoint as it is now; NaN while nothing has been told."""
-        if self._place is not None:
-            return self._towards(self._place)
-        roll, pitch, yaw = self._turned()
+        """Current setpoint of roll, pitch and yaw, rad; NaN before the first setpoint."""
+        if self._tracked is not None:
+            return self._angles_towards(self._tracked)
+        roll, pitch, yaw = self._advanced_angles()
         if self.flags & YAW_LOCK:
             yaw -= self._view.yaw
         return roll, pitch, math.remainder(yaw, 2.0 * math.pi)
 
-    def _turned(self) -> Vector:
-        """Return the angles that were told, as far as the rates have brought them; yaw from north when it is locked."""
+    def _advanced_angles(self) -> Vector:
+        """Return the commanded angles advanced by the commanded rates, rad; yaw from north while locked."""
         roll, pitch, yaw = self._angles
         seconds = (self._view.time_us - self._since_us) * 1e-6
         pitch_rate, yaw_rate = self._rates
         if pitch_rate != 0.0:
-            pitch = min(max(pitch + pitch_rate * seconds, -_STEEPEST), _STEEPEST)
+            pitch = min(max(pitch + pitch_rate * seconds, -_MAX_PITCH), _MAX_PITCH)
         return roll, pitch, yaw + yaw_rate * seconds
 
-    def _towards(self, place: Vector) -> Vector:
-        north, east, down = (a - b for a, b in zip(place, self._view.position, strict=True))
+    def _angles_towards(self, position: Vector) -> Vector:
+        north, east, down = (a - b for a, b in zip(position, self._view.position, strict=True))
         bearing = math.atan2(east, north)
         return 0.0, math.atan2(-down, math.hypot(north, east)), math.remainder(bearing - self._view.yaw, 2.0 * math.pi)
 
-    # what it is told
+    # setpoints
 
     def look(self, angles: Vector, flags: int = 0, rates: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Take a setpoint.
+        """Set the angles and rates.
 
         Args:
-            angles: roll, pitch, yaw, rad; yaw from north with YAW_LOCK. Not finite: as it is now.
+            angles: roll, pitch, yaw, rad; yaw from north with YAW_LOCK. A non-finite angle keeps its current value.
             flags: GIMBAL_MANAGER_FLAGS.
-            rates: of pitch and yaw, rad/s, from ``angles`` on; not finite for none.
+            rates: rates of pitch and yaw starting from ``angles``, rad/s; non-finite for none.
         """
         now = tuple(0.0 if math.isnan(angle) else angle for angle in self.angles)
         lock = bool(flags & _LOCKED)
@@ -94,60 +94,60 @@ class GimbalManager:
         pitch_rate, yaw_rate = (rate if math.isfinite(rate) else 0.0 for rate in rates)
         self._rates = pitch_rate, yaw_rate
         self._since_us = self._view.time_us
-        self._place = None
+        self._tracked = None
 
-    def look_at(self, place: Vector | None) -> None:
-        """Look at a place (m, local NED) from now on; None: look where it does now, from the vehicle."""
-        if place is None:
-            if self._place is not None:
+    def look_at(self, position: Vector | None) -> None:
+        """Track a position (m, local NED), or hold the current angles relative to the vehicle (None)."""
+        if position is None:
+            if self._tracked is not None:
                 self.look(self.angles)
-        elif all(map(math.isfinite, place)):
-            self._place = place
+        elif all(map(math.isfinite, position)):
+            self._tracked = position
 
     def mount(self, p: Sequence[float]) -> bool:
-        """Take DO_MOUNT_CONTROL's seven parameters, all finite; say whether its mode is one that is known."""
+        """Execute DO_MOUNT_CONTROL with seven finite parameters; return whether its mode is supported."""
         mode = round(p[6])
         if mode in (_MODE_RETRACT, _MODE_NEUTRAL):
             self.look(_LEVEL, NEUTRAL)
         elif mode == _MODE_ANGLES:
             self.look((math.radians(p[1]), math.radians(p[0]), math.radians(p[2])))
-        elif mode == _MODE_PLACE:
+        elif mode == _MODE_LOCATION:
             self.look_at(self._view.to_local(p[4], p[5], p[3]))
         else:
             return False
         return True
 
     def pitch_yaw(self, p: Sequence[float]) -> None:
-        """Take DO_GIMBAL_MANAGER_PITCHYAW's parameters: degrees, degrees/s, flags; NaN where they are not given."""
+        """Execute DO_GIMBAL_MANAGER_PITCHYAW; parameters in degrees, degrees/s and flags, NaN where omitted."""
         pitch, yaw, pitch_rate, yaw_rate = (math.radians(value) for value in p[:4])
         flags = int(p[4]) if math.isfinite(p[4]) and 0.0 <= p[4] < 1 << 31 else 0
         self.look((0.0, pitch, yaw), flags, (pitch_rate, yaw_rate))
 
-    # who may tell it
+    # control authority
 
     def configure(self, sender: Controller, p: Sequence[float]) -> None:
-        """Obey DO_GIMBAL_MANAGER_CONFIGURE: who has primary and who has secondary control.
+        """Execute DO_GIMBAL_MANAGER_CONFIGURE, which assigns primary and secondary control.
 
         Args:
-            sender: who asks.
-            p: its parameters: system and component of the primary, then of the secondary controller; -1 leaves one as
-                it is, -2 is the sender, -3 takes it from the sender if he has it.
+            sender: sender of the command.
+            p: parameters of the command: system and component id of the primary, then of the secondary controller. As
+                system id, -1 keeps the controller, -2 selects the sender, and -3 releases the sender's control.
         """
-        self.primary = _chosen(self.primary, sender, p[0], p[1])
-        self.secondary = _chosen(self.secondary, sender, p[2], p[3])
+        self.primary = _new_controller(self.primary, sender, p[0], p[1])
+        self.secondary = _new_controller(self.secondary, sender, p[2], p[3])
 
     def controlled_by(self, sender: Controller) -> bool:
         """Return whether ``sender`` has primary control."""
-        return sender == self.primary and sender != NOBODY
+        return sender == self.primary and sender != NO_CONTROLLER
 
 
-def _chosen(present: Controller, sender: Controller, system: float, component: float) -> Controller:
-    """Return who is in control after a request."""
+def _new_controller(present: Controller, sender: Controller, system: float, component: float) -> Controller:
+    """Return the controller after a request from ``sender``."""
     ids = [round(value) if math.isfinite(value) else -1 for value in (system, component)]
-    if ids[0] == _GIVE_BACK:
-        return NOBODY if present == sender else present
-    if ids[0] == _MYSELF:
+    if ids[0] == _RELEASE:
+        return NO_CONTROLLER if present == sender else present
+    if ids[0] == _SENDER:
         return sender
-    if ids[0] in _UNCHANGED or not all(0 <= number <= _LARGEST_ID for number in ids):
+    if ids[0] in _UNCHANGED or not all(0 <= number <= _MAX_ID for number in ids):
         return present
     return ids[0], ids[1]

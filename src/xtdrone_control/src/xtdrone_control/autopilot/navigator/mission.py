@@ -1,4 +1,4 @@
-"""Flies a mission item by item, as PX4 v1.14's navigator does it on a multicopter (``Mission``, ``MissionBlock``)."""
+"""Mission execution, modelled on PX4 v1.14's navigator for multicopters (``Mission``, ``MissionBlock``)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem, Plans
 from xtdrone_control.autopilot.navigator.precision_landing import PrecisionLanding
 from xtdrone_control.autopilot.vehicle_view import Vector
 
-_MAX_JUMPS = 10  # in a row; more is a circle
+_MAX_JUMPS = 10  # consecutive; more are treated as a cycle
 _NEEDS_TAKEOFF = (plan.TAKEOFF, plan.WAYPOINT, plan.LOITER_TIME, plan.LOITER_UNLIM)
 _PAYLOAD_WAITS = (plan.GRIPPER, plan.WINCH)
 _LOITERS = (plan.LOITER_TIME, plan.LOITER_UNLIM, plan.LOITER_TO_ALT)
@@ -23,8 +23,8 @@ _SPEED_FIELDS = {0: "cruise_speed", 1: "cruise_speed", 2: "climb_speed", 3: "des
 _ROI_NONE, _ROI_NEXT, _ROI_LOCATION = 0, 1, 3  # MAV_ROI
 
 
-class _Work(enum.Enum):
-    """What is done of an item: what comes before it, or the item itself."""
+class _Stage(enum.Enum):
+    """Stage of the current item: a preparatory manoeuvre or the item itself."""
 
     ITEM = enum.auto()
     TAKEOFF = enum.auto()
@@ -33,16 +33,18 @@ class _Work(enum.Enum):
 
 
 class Mission:
-    """The mission of one vehicle.
+    """Mission of one vehicle.
 
     Attributes:
-        reached: index of the item that was reached last, -1 for none.
-        returning: the mission has come to an item that ends it with a return.
-        set_home: sets home to a place (latitude, longitude, altitude) or to where the vehicle is (None).
+        plans: mission, geofence and rally points.
+        reached: index of the item reached last, -1 for none.
+        returning: whether the mission has reached an item that commands a return.
+        set_home: sets the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's
+            current position (None).
     """
 
     def __init__(self, course: Course, payload: Payload, landing: PrecisionLanding) -> None:
-        """Take what the mission flies with; nothing happens until ``activate``."""
+        """Prepare an inactive mission; ``activate`` starts it."""
         self._course = course
         self._view = course.view
         self._get = course.parameters.get
@@ -52,31 +54,31 @@ class Mission:
         self.plans = Plans()
         self.reached = -1
         self.returning = False
-        self.set_home: Callable[[Vector | None], None] = lambda _place: None
+        self.set_home: Callable[[Vector | None], None] = lambda _location: None
         self._active = False
         self._flown = False
         self._item: PlanItem | None = None
-        self._place: Vector = (0.0, 0.0, 0.0)
+        self._target: Vector = (0.0, 0.0, 0.0)
         self._yaw = NAN
-        self._work = _Work.ITEM
+        self._stage = _Stage.ITEM
         self._need_takeoff = True
         self._jumps: dict[int, int] = {}
-        self._there = False
-        self._turned = False
-        self._there_us: int | None = None
+        self._reached_target = False
+        self._reached_heading = False
+        self._reached_us: int | None = None
         self._climb_speed = NAN
         self._roi_kind = _ROI_NONE
         self._roi: Vector | None = None
         self._roi_offset = 0.0
 
-    # from outside
+    # control by the navigator
 
     def activate(self) -> bool:
-        """Begin, or go on where it was paused; return whether there is nothing left to fly."""
+        """Start or resume the mission; return whether it has no item left to fly."""
         self._active = self._flown = True
         self.returning = False
         self.reached = -1
-        self._work = _Work.ITEM
+        self._stage = _Stage.ITEM
         self._item = None
         self._climb_speed = NAN
         if self._view.landed:
@@ -85,26 +87,26 @@ class Mission:
         return not self._set_item()
 
     def deactivate(self) -> None:
-        """Pause: the present item starts anew with the next ``activate``."""
+        """Pause the mission; the next ``activate`` restarts the current item."""
         if not self._active:
             return
         self._active = False
-        self._work = _Work.ITEM
+        self._stage = _Stage.ITEM
         self._landing.stop()
         self._payload.pause(True)
 
     def reset(self) -> None:
-        """Start from the first item with the next flight, if the mission was flown."""
+        """Rewind a mission that has been flown to its first item."""
         if self._flown:
             self._flown = False
             self.plans.current = 0
             self._jumps.clear()
 
     def load(self, current: int) -> None:
-        """Take note that the plan has changed.
+        """Adopt a changed plan.
 
         Args:
-            current: index of the item to begin with; -1 keeps the present one as far as there is such an item.
+            current: index of the item to start with; -1 keeps the current index if the plan still has such an item.
         """
         count = len(self.plans.mission)
         if 0 <= current < count:
@@ -112,37 +114,40 @@ class Mission:
         elif self.plans.current >= count:
             self.plans.current = 0
         self.reached = -1
-        self._work = _Work.ITEM
+        self._stage = _Stage.ITEM
         self._roi_kind = _ROI_NONE
 
-    def forget_jumps(self) -> None:
-        """Count the jumps of a new list from the beginning."""
+    def reset_jump_counts(self) -> None:
+        """Reset the repetition counts of all DO_JUMP items."""
         self._jumps.clear()
 
     def restart_item(self) -> bool:
-        """Fly the item that is the current one now; return whether there is nothing left to fly."""
+        """Start the current item if the mission is active; return whether an active mission has no item left to fly."""
         return self._active and not self._set_item()
 
     def update(self) -> bool:
-        """Go on to the next item when the present one is done; return whether there is nothing left to fly."""
+        """Advance to the next item when the current one is complete; return whether the mission has ended."""
         if self._item is None:
             return True
         if self._landing.active:
             self._landing.update()
         if self._done():
-            if self._work is not _Work.TAKEOFF:
+            if self._stage is not _Stage.TAKEOFF:
                 self.reached = self.plans.current
-            if self._item.autocontinue or self._work in (_Work.TAKEOFF, _Work.MOVE_TO_LAND):
-                if self._work is _Work.ITEM or self._work is _Work.PRECISION_LAND:
+            if self._item.autocontinue or self._stage in (_Stage.TAKEOFF, _Stage.MOVE_TO_LAND):
+                if self._stage is _Stage.ITEM or self._stage is _Stage.PRECISION_LAND:
                     self.plans.current += 1
-                    self._work = _Work.ITEM
+                    self._stage = _Stage.ITEM
                 return not self._set_item()
             return False
         self._update_heading()
         return False
 
-    def landing_place(self) -> tuple[PlanItem, int] | None:
-        """Return the mission's landing item and where its landing begins, None when it has none with a place."""
+    def landing_item(self) -> tuple[PlanItem, int] | None:
+        """Return the mission's landing item and the index at which its landing begins.
+
+        None for a mission without a landing item that names a position.
+        """
         items = self.plans.mission
         start = None
         for i, item in enumerate(items):
@@ -152,10 +157,10 @@ class Mission:
                 return item, i if start is None else start
         return None
 
-    # the list
+    # access to the items
 
     def _read(self, index: int, count_jumps: bool) -> tuple[int, PlanItem] | None:
-        """Return the item at ``index``, or where jumps lead from there, with its index; None past the end."""
+        """Return index and item at ``index`` after following jumps; None past the end."""
         items = self.plans.mission
         for _ in range(_MAX_JUMPS):
             if not 0 <= index < len(items):
@@ -189,7 +194,7 @@ class Mission:
         return index + 1
 
     def _next_position(self) -> PlanItem | None:
-        """Return the item with a place that comes after the present one."""
+        """Return the next item with a position after the current one."""
         index = self.plans.current + 1
         for _ in range(len(self.plans.mission)):
             found = self._read(index, count_jumps=False)
@@ -201,18 +206,18 @@ class Mission:
             index += 1
         return None
 
-    # the present item
+    # current item
 
     def _set_item(self) -> bool:
-        """Start the current item; return whether there is one."""
+        """Start the current item; return False when the mission has ended."""
         found = self._read(self.plans.current, count_jumps=True)
         if found is None:
             self._finish()
             return False
         self.plans.current, item = found
         self._item = item
-        self._there = self._turned = False
-        self._there_us = None
+        self._reached_target = self._reached_heading = False
+        self._reached_us = None
         if self._landing.active:
             self._landing.stop()
         if item.has_position:
@@ -228,16 +233,16 @@ class Mission:
         self._item = None
         landed = self._view.landed
         if flown:
-            what, name = ("landed", "mission_finished") if landed else ("loitering", "mission_finished_loiter")
-            self._tell(INFO, f"Mission finished, {what}", name)
+            outcome, name = ("landed", "mission_finished") if landed else ("loitering", "mission_finished_loiter")
+            self._tell(INFO, f"Mission finished, {outcome}", name)
         else:
-            what, name = "loitering", "mission_not_valid_loiter"
+            outcome, name = "loitering", "mission_not_valid_loiter"
             if landed:
-                what, name = "refusing takeoff", "mission_not_valid_refuse"
-            self._tell(CRITICAL, f"No valid mission available, {what}", name, level=ERROR)
+                outcome, name = "refusing takeoff", "mission_not_valid_refuse"
+            self._tell(CRITICAL, f"No valid mission available, {outcome}", name, level=ERROR)
 
     def _locate(self, item: PlanItem) -> Vector:
-        """Return an item's place, m, local NED; where it names none, the vehicle's."""
+        """Return an item's position, m, local NED, completed by the vehicle's where the item leaves it open."""
         x, y, z = self._view.position
         home = self._course.home
         altitude = item.altitude(NAN if home is None else home.altitude)
@@ -248,40 +253,40 @@ class Mission:
         return x, y, z
 
     def _fly(self, item: PlanItem) -> None:
-        place = self._locate(item)
+        position = self._locate(item)
         self._yaw = item.yaw if math.isfinite(item.yaw) else NAN
-        if self._work is _Work.ITEM and self._takeoff_first(item, place):
-            self._take_off(place)
+        if self._stage is _Stage.ITEM and self._takeoff_first(item, position):
+            self._take_off(position)
             return
-        moved = self._work is _Work.MOVE_TO_LAND
-        if self._work is _Work.TAKEOFF:
+        moved = self._stage is _Stage.MOVE_TO_LAND
+        if self._stage is _Stage.TAKEOFF:
             self._view.setpoint["climb_speed"] = self._climb_speed
-        self._work = _Work.ITEM
-        self._place = place
+        self._stage = _Stage.ITEM
+        self._target = position
         if item.command == plan.LAND:
-            self._fly_landing(item, place, moved)
+            self._fly_landing(item, position, moved)
             return
         if item.command == plan.TAKEOFF:
-            self._yaw = NAN  # as PX4: the heading mode takes over
+            self._yaw = NAN  # the heading mode decides, as in PX4
         if item.command == plan.LOITER_TO_ALT:
-            place = self._place = (place[0], place[1], self._view.position[2])
-        self._go(place, self._onward(item))
+            position = self._target = (position[0], position[1], self._view.position[2])
+        self._go(position, self._onward(item))
 
-    def _go(self, place: Vector, onward: Vector) -> None:
-        self._course.fly_to(place, self._yaw, onward=onward, radius=self._radius())
+    def _go(self, position: Vector, onward: Vector) -> None:
+        self._course.fly_to(position, self._yaw, onward=onward, radius=self._radius())
         if math.isnan(self._yaw):
             self._course.free_heading()
 
     def _onward(self, item: PlanItem) -> Vector:
-        """Return the place that the vehicle flies on to without a stop, NaN when it stops at ``item``."""
+        """Return the position to fly to after ``item`` without stopping, m, local NED; NaN when the vehicle stops."""
         if not item.autocontinue or item.time_inside > 0.0 or item.command in _LOITERS:
             return UNSET
         following = self._next_position()
         return UNSET if following is None else self._locate(following)
 
-    def _takeoff_first(self, item: PlanItem, place: Vector) -> bool:
+    def _takeoff_first(self, item: PlanItem, position: Vector) -> bool:
         """Return whether the vehicle must climb before it flies to ``item``."""
-        height = self._takeoff_height(place)
+        height = self._takeoff_height(position)
         if self._view.landed:
             self._need_takeoff = True
         elif self._view.position[2] < height + self._get("NAV_MC_ALT_RAD"):
@@ -293,45 +298,45 @@ class Mission:
         self._need_takeoff = False
         return True
 
-    def _takeoff_height(self, place: Vector) -> float:
-        """Return the height to take off to, m, local NED: the item's, at least MIS_TAKEOFF_ALT over the ground."""
+    def _takeoff_height(self, position: Vector) -> float:
+        """Return the z of the takeoff, m, local NED: the item's, at least MIS_TAKEOFF_ALT above the ground."""
         ground = self._view.position[2] if self._view.landed else self._course.ground
-        return min(place[2], ground - self._get("MIS_TAKEOFF_ALT"))
+        return min(position[2], ground - self._get("MIS_TAKEOFF_ALT"))
 
-    def _take_off(self, place: Vector) -> None:
-        self._work = _Work.TAKEOFF
+    def _take_off(self, position: Vector) -> None:
+        self._stage = _Stage.TAKEOFF
         x, y, _ = self._view.position
-        height = self._takeoff_height(place)
+        height = self._takeoff_height(position)
         over = self._course.ground - height
         self._tell(INFO, f"Takeoff to {over:.1f} meters above home", "mission_takeoff_to", over)
-        self._place = (x, y, height)
+        self._target = (x, y, height)
         self._yaw = self._view.yaw
-        self._course.take_off(self._place, self._yaw)
+        self._course.take_off(self._target, self._yaw)
 
-    def _fly_landing(self, item: PlanItem, place: Vector, moved: bool) -> None:
+    def _fly_landing(self, item: PlanItem, position: Vector, moved: bool) -> None:
         self._yaw = NAN
-        if not moved and self._course.distance_to(place) > self._get("NAV_ACC_RAD"):
-            self._work = _Work.MOVE_TO_LAND
-            self._place = (place[0], place[1], self._present_height())
-            self._go(self._place, UNSET)
+        if not moved and self._course.distance_to(position) > self._get("NAV_ACC_RAD"):
+            self._stage = _Stage.MOVE_TO_LAND
+            self._target = (position[0], position[1], self._current_height())
+            self._go(self._target, UNSET)
         elif item.params[1] in _PRECISE:
-            self._work = _Work.PRECISION_LAND
-            self._landing.start(place, int(item.params[1]))
+            self._stage = _Stage.PRECISION_LAND
+            self._landing.start(position, int(item.params[1]))
         else:
-            self._course.land(place)
+            self._course.land(position)
         self._need_takeoff = self._need_takeoff or self._course.landing
 
-    def _present_height(self) -> float:
-        """Return the height of the goal that was flown to, or the vehicle's when it is not near it."""
+    def _current_height(self) -> float:
+        """Return the z of the previous goal, m, local NED, or the vehicle's when it is not near that height."""
         z = self._course.goal[2]
         return z if self._course.at_height(z) else self._view.position[2]
 
-    # whether it is done
+    # completion of the current item
 
     def _done(self) -> bool:
         item = self._item
         assert item is not None
-        if self._work in (_Work.TAKEOFF, _Work.MOVE_TO_LAND):
+        if self._stage in (_Stage.TAKEOFF, _Stage.MOVE_TO_LAND):
             return self._arrived(item)
         if item.command == plan.LAND:
             return self._view.landed
@@ -348,31 +353,31 @@ class Mission:
         return self._arrived(item) and self._waited(item.time_inside)
 
     def _waited(self, seconds: float) -> bool:
-        """Return whether ``seconds`` have passed since this was asked first of the present item."""
-        if self._there_us is None:
-            self._there_us = self._view.time_us
-        return self._view.time_us - self._there_us >= seconds * 1e6
+        """Return whether ``seconds`` have passed since the current item was reached or first waited for."""
+        if self._reached_us is None:
+            self._reached_us = self._view.time_us
+        return self._view.time_us - self._reached_us >= seconds * 1e6
 
     def _arrived(self, item: PlanItem) -> bool:
         if self._view.landed:
             return False
-        if not self._there and self._near(item):
-            self._there = True
-            self._there_us = self._view.time_us
-        if self._there and not self._turned:
-            self._turned = self._heading_reached()
-        return self._there and self._turned
+        if not self._reached_target and self._near(item):
+            self._reached_target = True
+            self._reached_us = self._view.time_us
+        if self._reached_target and not self._reached_heading:
+            self._reached_heading = self._heading_reached()
+        return self._reached_target and self._reached_heading
 
     def _near(self, item: PlanItem) -> bool:
         z = self._view.position[2]
-        if self._work is _Work.TAKEOFF:
-            return z < self._place[2] + self._takeoff_margin()
-        if item.command == plan.LOITER_TO_ALT and self._work is _Work.ITEM:
+        if self._stage is _Stage.TAKEOFF:
+            return z < self._target[2] + self._takeoff_margin()
+        if item.command == plan.LOITER_TO_ALT and self._stage is _Stage.ITEM:
             return self._near_loiter_height(item)
-        return self._course.distance_to(self._place) <= self._radius() and self._course.at_height(self._place[2])
+        return self._course.distance_to(self._target) <= self._radius() and self._course.at_height(self._target[2])
 
     def _takeoff_margin(self) -> float:
-        height = self._course.ground - self._place[2]
+        height = self._course.ground - self._target[2]
         margin = float(self._get("NAV_MC_ALT_RAD"))
         return 0.5 * height if 0.0 < height < margin else margin
 
@@ -380,40 +385,40 @@ class Mission:
         radius = item.params[1]
         if not math.isfinite(radius) or radius == 0.0:
             radius = self._get("NAV_LOITER_RAD")
-        if self._course.distance_to(self._place) > self._get("NAV_ACC_RAD") + abs(radius):
+        if self._course.distance_to(self._target) > self._get("NAV_ACC_RAD") + abs(radius):
             return False
         wanted = self._locate(item)[2]
-        if self._place[2] != wanted:  # over its place: now the height
-            self._place = (self._place[0], self._place[1], wanted)
-            self._course.fly_to(self._place)
+        if self._target[2] != wanted:  # above the position: change the height next
+            self._target = (self._target[0], self._target[1], wanted)
+            self._course.fly_to(self._target)
             return False
         return self._course.at_height(wanted)
 
     def _radius(self) -> float:
-        """Return the present item's acceptance radius, m."""
+        """Return the acceptance radius of the current item, m."""
         item = self._item
         given = item.params[1] if item is not None and item.command == plan.WAYPOINT else NAN
         return given if math.isfinite(given) and given > 0.0 else float(self._get("NAV_ACC_RAD"))
 
     def _heading_reached(self) -> bool:
-        if math.isnan(self._yaw) or self._work is _Work.TAKEOFF:
+        if math.isnan(self._yaw) or self._stage is _Stage.TAKEOFF:
             return True
         if self._get("MIS_YAW_TMT") > 0.0:
-            return True  # nothing here forces a heading
+            return True  # a heading timeout waives the heading check
         error = math.remainder(self._yaw - self._view.yaw, 2.0 * math.pi)
         return abs(error) < math.radians(self._get("MIS_YAW_ERR"))
 
     def _through_gate(self, item: PlanItem) -> bool:
-        """Return whether the vehicle is past the plane through the gate, at right angles to the way to the goal."""
+        """Return whether the vehicle has passed the vertical plane through the gate, normal to the line to the goal."""
         gate = self._locate(item)
         goal = self._course.goal
         x, y, _ = self._view.position
         return (x - gate[0]) * (goal[0] - gate[0]) + (y - gate[1]) * (goal[1] - gate[1]) >= 0.0
 
-    # what items without a place ask for
+    # items without a position
 
     def _issue(self, item: PlanItem) -> None:
-        self._work = _Work.ITEM
+        self._stage = _Stage.ITEM
         params = (*item.params, item.x, item.y, item.z)
         if item.command == plan.CONDITION_GATE:
             following = self._next_position()
@@ -426,7 +431,7 @@ class Mission:
             self.set_home(None if params[0] == 1.0 else params[4:7])
         elif item.command == plan.RETURN:
             self.returning = True
-        elif not self._payload.obey(item.command, params):
+        elif not self._payload.execute(item.command, params):
             self.set_roi(item)
 
     def _change_speed(self, kind: float, speed: float) -> None:
@@ -438,7 +443,7 @@ class Mission:
             self._climb_speed = float(self._view.setpoint[field])
 
     def set_roi(self, item: PlanItem) -> None:
-        """Look at the place or the next waypoint that a DO_SET_ROI* item names while a mission is flown, or no more."""
+        """Set or clear the region of interest of a DO_SET_ROI* item, a location or the next waypoint."""
         if item.command == plan.SET_ROI_LOCATION or (item.command == plan.SET_ROI and item.params[0] == _ROI_LOCATION):
             self._roi_kind, self._roi = _ROI_LOCATION, self._locate(item)
         elif item.command == plan.SET_ROI_NEXT:
@@ -450,13 +455,13 @@ class Mission:
         self._payload.gimbal_manager.look_at(self._roi if self._roi_kind == _ROI_LOCATION else None)
 
     def _update_heading(self) -> None:
-        """Look at the region of interest, or where the heading mode says."""
+        """Point the vehicle at the region of interest, or follow the heading mode without one."""
         item = self._item
-        if self._roi_kind == _ROI_NONE or self._work is _Work.TAKEOFF or (item and item.command == plan.LAND):
+        if self._roi_kind == _ROI_NONE or self._stage is _Stage.TAKEOFF or (item and item.command == plan.LAND):
             self._course.update_heading()
             return
-        place = self._course.goal if self._roi_kind == _ROI_NEXT else self._roi
+        position = self._course.goal if self._roi_kind == _ROI_NEXT else self._roi
         offset = self._roi_offset if self._roi_kind == _ROI_NEXT else 0.0
-        if place is not None and self._course.distance_to(place) > self._get("NAV_ACC_RAD"):
-            self._yaw = self._course.bearing_to(place) + offset
+        if position is not None and self._course.distance_to(position) > self._get("NAV_ACC_RAD"):
+            self._yaw = self._course.bearing_to(position) + offset
             self._course.look(self._yaw)

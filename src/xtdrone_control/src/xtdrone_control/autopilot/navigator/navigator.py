@@ -1,4 +1,4 @@
-"""What AUTO modes ask of the cascade: goals, speeds, and when they are reached (PX4's navigator, multirotors)."""
+"""AUTO modes: goals and speeds for the control cascade, and their completion (PX4's navigator for multirotors)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from xtdrone_control.autopilot.flight_tasks.orbit import Orbit
 from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.navigator import feasibility, geofence, plan
 from xtdrone_control.autopilot.navigator.geofence import Fence
-from xtdrone_control.autopilot.navigator.gimbal import NOBODY
+from xtdrone_control.autopilot.navigator.gimbal import NO_CONTROLLER
 from xtdrone_control.autopilot.navigator.mission import Mission
 from xtdrone_control.autopilot.navigator.payload import Payload
 from xtdrone_control.autopilot.navigator.plan import PlanItem, Plans
@@ -33,25 +33,25 @@ _GEOFENCE_WARNS = 1  # GF_ACTION
 
 
 class Navigator:
-    """The AUTO modes of one vehicle.
+    """AUTO modes of one vehicle.
 
     Attributes:
-        takeoff_altitude: m AMSL that a takeoff was asked for; NaN for MIS_TAKEOFF_ALT over home.
-        takeoff_yaw: rad, NaN keeps the heading.
-        mission: what flies the mission.
-        payload: camera, gimbal and actuators that a mission commands.
-        precision_landing: takes the landing target that somebody sees.
-        orbit: what flies circles.
-        follow_target: what follows a target that reports where it is.
+        takeoff_altitude: altitude of the next takeoff, m AMSL; NaN for MIS_TAKEOFF_ALT above home.
+        takeoff_yaw: heading of the next takeoff, rad; NaN keeps the current one.
+        mission: mission execution.
+        payload: camera, gimbal and actuators.
+        precision_landing: landing on a detected target.
+        orbit: circular flight.
+        follow_target: flight relative to a target that reports its position.
     """
 
     def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
-        """Prepare; nothing is asked of the cascade until ``activate``.
+        """Prepare the AUTO modes; ``activate`` starts one.
 
         Args:
-            view: the vehicle.
-            parameters: its parameters.
-            announcements: takes what the operator is told.
+            view: access to the vehicle's autopilot records.
+            parameters: the vehicle's parameters.
+            announcements: receives messages for the operator.
         """
         self._view = view
         self._parameters = parameters
@@ -69,13 +69,13 @@ class Navigator:
         self._checked: tuple[object, ...] = ()
         self._valid = False
         self._fence = Fence()
-        self._fence_for: tuple[object, ...] = ()
+        self._fence_key: tuple[object, ...] = ()
         self.takeoff_altitude = NAN
         self.takeoff_yaw = NAN
 
     @property
     def home(self) -> Home | None:
-        """Where a return goes to; set by the commander, None until the first valid position."""
+        """Home position, set by the commander; None until the first valid position estimate."""
         return self._course.home
 
     @home.setter
@@ -84,12 +84,12 @@ class Navigator:
 
     @property
     def landing(self) -> bool:
-        """Whether the vehicle is on its way to the ground."""
+        """Whether the vehicle is landing."""
         return self._course.landing
 
     @property
     def taking_off(self) -> bool:
-        """Whether the vehicle climbs to where a takeoff ends."""
+        """Whether the vehicle is climbing to its takeoff altitude."""
         return self._course.taking_off
 
     @property
@@ -100,9 +100,9 @@ class Navigator:
     # modes
 
     def activate(self, mode: Mode) -> None:
-        """Begin ``mode``, one of the AUTO modes, for an armed vehicle."""
+        """Start the AUTO mode ``mode`` on an armed vehicle."""
         self._stop()
-        if mode is not self._mode:  # a speed that was commanded holds until the next mode
+        if mode is not self._mode:  # a commanded speed applies until the next mode change
             for field in ("cruise_speed", "climb_speed", "descend_speed"):
                 self._view.setpoint[field] = NAN
         self._mode = mode
@@ -113,7 +113,7 @@ class Navigator:
         elif mode is modes.AUTO_FOLLOW_TARGET:
             self.follow_target.start()
         elif self._view.landed:
-            self._view.start_task(TASK_IDLE)  # these modes do not leave the ground
+            self._view.start_task(TASK_IDLE)  # the remaining modes cannot take off
         elif mode is modes.AUTO_LAND:
             self._course.land(self._course.stopping_place())
         elif mode is modes.AUTO_PRECLAND:
@@ -136,11 +136,11 @@ class Navigator:
         self._course.landing = self._course.taking_off = False
 
     def update(self) -> Mode | None:
-        """Go on to the mode's next phase when the present one is done; call at 10 Hz.
+        """Advance the active mode; call at 10 Hz.
 
         Returns:
-            The mode to go on with, when the present one has come to its end: a takeoff that has reached its height
-            goes on in AUTO.LOITER, as does a mission that is done.
+            The next mode when the active one has ended, for example AUTO.LOITER after a takeoff or a mission; None
+            otherwise.
         """
         self.payload.update()
         mode = self._mode
@@ -163,7 +163,7 @@ class Navigator:
     def _follow_on(self) -> None:
         self.follow_target.update()
         gimbal, pitch = self.payload.gimbal_manager, self.follow_target.camera_pitch()
-        if gimbal.primary == NOBODY and math.isfinite(pitch):  # yaw: the vehicle faces the target
+        if gimbal.primary == NO_CONTROLLER and math.isfinite(pitch):  # no yaw: the vehicle faces the target
             gimbal.look((0.0, pitch, 0.0))
 
     def _update_mission(self) -> Mode | None:
@@ -177,31 +177,31 @@ class Navigator:
     # plans
 
     def restore(self, plans: Plans) -> None:
-        """Take the plans of before a reboot; what is changed from now on is changed in them."""
+        """Adopt the plans from before a reboot; later changes apply to the same object."""
         self.mission.plans = plans
 
     def set_plan(self, kind: int, items: Sequence[PlanItem], current: int = -1) -> None:
         """Replace the mission, the geofence or the rally points.
 
-        A mission that is being flown goes on with the new items, from the same index as far as there is one.
+        An active mission continues with the new items at the current index if that is still valid.
 
         Args:
             kind: ``plan.MISSION``, ``FENCE`` or ``RALLY``.
-            items: in order.
-            current: index of the mission item to begin with; -1 for none in particular.
+            items: items in order.
+            current: index of the mission item to start with; -1 keeps the current index.
 
         Raises:
             ValueError: too many items.
         """
         self.plans.replace(kind, items)
         if kind == plan.MISSION:
-            self.mission.forget_jumps()
+            self.mission.reset_jump_counts()
             self._begin_at(current)
         else:
             self._checked = ()
 
     def set_current(self, index: int) -> bool:
-        """Fly mission item ``index`` next; return whether there is such an item."""
+        """Set the current mission item to ``index``; return whether the index is valid."""
         if not 0 <= index < len(self.plans.mission):
             return False
         self._begin_at(index)
@@ -218,13 +218,13 @@ class Navigator:
         self._tell(INFO, "Mission finished, loitering", "mission_finished_loiter")
         return True
 
-    def mission_obstacle(self) -> str:
-        """Return why AUTO.MISSION cannot be flown, or an empty text."""
+    def mission_denial(self) -> str:
+        """Return the reason why AUTO.MISSION cannot be flown, or an empty string."""
         self._check()
         return "" if self._valid else _NO_MISSION
 
     def _check(self) -> None:
-        """Look once at every new mission whether it can be flown; not before there is a home, as PX4."""
+        """Validate each new mission once, after the home position is known, as PX4 does."""
         home = self.home
         wanted = (id(self.plans), *self.plans.changes, home is None)
         if wanted == self._checked:
@@ -245,35 +245,35 @@ class Navigator:
         )
         self._valid = feasibility.check(self.plans.mission, now, self._tell)
 
-    def _set_home(self, place: Vector | None) -> None:
-        """Set home as an item of the mission says: to latitude, longitude, m AMSL, or to where the vehicle is."""
-        if place is not None and not geo.is_place(*place):
+    def _set_home(self, location: Vector | None) -> None:
+        """Set the home position to (latitude, longitude, altitude), degrees and m AMSL, or to the vehicle's (None)."""
+        if location is not None and not geo.is_place(*location):
             return
-        position = self._view.position if place is None else self._view.to_local(*place)
-        where = self._view.to_global(position) if place is None else place
+        position = self._view.position if location is None else self._view.to_local(*location)
+        where = self._view.to_global(position) if location is None else location
         if all(map(math.isfinite, where)):
             self.home = Home(*where, position, self._view.yaw, self._view.time_us)
 
     # geofence
 
     def geofence_breach(self) -> str:
-        """Return by what the vehicle breaks its geofence, or an empty text."""
+        """Return a description of the current geofence breach, or an empty string."""
         if not self._parameters.get("GF_ACTION") or not self._view.has_origin:
             return ""
         return self._breach(self._fence_position)
 
-    def fenced_off(self, position: Vector) -> bool:
-        """Return whether a geofence that does more than warn keeps the vehicle from ``position`` (m, local NED)."""
+    def geofence_forbids(self, position: Vector) -> bool:
+        """Return whether a geofence with an action beyond a warning excludes ``position`` (m, local NED)."""
         acts = self._parameters.get("GF_ACTION") > _GEOFENCE_WARNS and self._view.has_origin
         return acts and bool(self._breach(lambda: position))
 
-    def _breach(self, place: Callable[[], Vector]) -> str:
+    def _breach(self, get_position: Callable[[], Vector]) -> str:
         get = self._parameters.get
-        fence = self._present_fence()
+        fence = self._current_fence()
         horizontal, vertical = get("GF_MAX_HOR_DIST"), get("GF_MAX_VER_DIST")
         if not fence.areas and horizontal <= 0.0 and vertical <= 0.0:
             return ""
-        position = place()
+        position = get_position()
         home = self.home
         if home is not None:
             away = math.hypot(position[0] - home.position[0], position[1] - home.position[1])
@@ -285,7 +285,7 @@ class Navigator:
         return "" if fence.allows(position[:2]) else "Geofence violation"
 
     def _fence_position(self) -> Vector:
-        """Return the place that GF_SOURCE and GF_PREDICT want to be inside: m, local NED."""
+        """Return the position to check against the geofence by GF_SOURCE and GF_PREDICT, m, local NED."""
         get = self._parameters.get
         position = self._view.position
         if get("GF_SOURCE") == _GPS:
@@ -294,18 +294,18 @@ class Navigator:
         if not get("GF_PREDICT"):
             return position
         vx, vy, vz = self._view.velocity
-        # half of it, times v: where the vehicle stops when it brakes now
+        # under constant deceleration the stopping distance is half the braking time times the speed
         ahead = 0.5 * braking_time(math.hypot(vx, vy), get("MPC_ACC_HOR"))
         up = 0.5 * braking_time(abs(vz), get("MPC_ACC_DOWN_MAX" if vz < 0.0 else "MPC_ACC_UP_MAX"))
         return position[0] + vx * ahead, position[1] + vy * ahead, position[2] + vz * up
 
-    def _present_fence(self) -> Fence:
+    def _current_fence(self) -> Fence:
         items = self.plans.items[plan.FENCE]
         if not items and not self._fence.areas:
             return self._fence
         wanted = (id(self.plans), self.plans.changes[plan.FENCE], self._view.origin)
-        if wanted != self._fence_for:
-            self._fence_for = wanted
+        if wanted != self._fence_key:
+            self._fence_key = wanted
             self._fence = geofence.build(items, self._to_plane)
         return self._fence
 
@@ -315,63 +315,65 @@ class Navigator:
         return self._view.to_local(latitude, longitude, 0.0)[:2]
 
     def _fence_allows(self, latitude: float, longitude: float, altitude: float) -> bool:
-        """Return whether a place (degrees, m AMSL) is inside the geofence."""
+        """Return whether the geofence allows a position (degrees, m AMSL)."""
         x, y = self._to_plane(latitude, longitude)
         position = (x, y, self._view.origin[2] - altitude)
         return not self._breach(lambda: position)
 
     # precision landing
 
-    def see_landing_target(self, position: Vector) -> None:
-        """Note where the landing target was seen, m, local NED; what is not finite is not noted."""
+    def set_landing_target(self, position: Vector) -> None:
+        """Store the position of the landing target, m, local NED; ignore it unless finite."""
         if all(map(math.isfinite, position)):
             self.precision_landing.see(position)
 
-    def see_landing_target_at(self, x: float, y: float, distance: float) -> None:
-        """Note at which angles the landing target was seen from above.
+    def set_landing_target_angles(self, x: float, y: float, distance: float) -> None:
+        """Store the position of a landing target observed at the given angles.
 
         Args:
-            x: rad, forwards from straight down.
-            y: rad, to the right.
-            distance: m to the target; not positive: the ground is as high as home.
+            x: angle forward from straight down, rad.
+            y: angle to the right from straight down, rad.
+            distance: distance to the target, m; 0 or less if unknown, which assumes the ground at home altitude.
         """
-        place = self._view.position
-        height = distance if distance > 0.0 else self._course.ground - place[2]
-        self.see_landing_target(from_angles(x, y, height, place, self._view.yaw))
+        position = self._view.position
+        height = distance if distance > 0.0 else self._course.ground - position[2]
+        self.set_landing_target(from_angles(x, y, height, position, self._view.yaw))
 
-    # what commands ask for
+    # commands
 
     def hold(self) -> None:
-        """Stop, and stay there."""
+        """Stop and hold position."""
         self._course.hold()
 
     def reposition(self, position: Vector, yaw: float) -> None:
-        """Fly to ``position`` (m, local NED) with heading ``yaw`` (rad; NaN: look where it goes)."""
+        """Fly to ``position`` (m, local NED) with heading ``yaw`` (rad; NaN: towards a goal beyond NAV_ACC_RAD)."""
         if math.isnan(yaw) and self._course.distance_to(position) > self._parameters.get("NAV_ACC_RAD"):
             yaw = self._course.bearing_to(position)
         self._course.fly_to(position, yaw)
 
     def change_altitude(self, z: float) -> None:
-        """Climb or sink to ``z`` (m, local NED) over the present goal."""
+        """Climb or descend to ``z`` (m, local NED) at the current goal."""
         x, y, _ = self._course.goal
         self._course.fly_to((x, y, z))
 
     def set_speed(self, field: str, speed: float) -> None:
-        """Set cruise_speed, climb_speed or descend_speed (m/s) until the next mode; NaN for the parameter's."""
+        """Set cruise_speed, climb_speed or descend_speed (m/s) until the next mode; NaN restores the parameter's."""
         self._view.setpoint[field] = speed
 
     def _start_takeoff(self) -> None:
         x, y, z = self._view.position
         ground = self._course.ground
-        least = self._parameters.get("MIS_TAKEOFF_ALT")
+        min_altitude = self._parameters.get("MIS_TAKEOFF_ALT")
         wanted = self._view.origin[2] - self.takeoff_altitude if self._view.has_origin else NAN
-        goal = ground - least if math.isnan(wanted) else min(wanted, ground - least)
+        goal = ground - min_altitude if math.isnan(wanted) else min(wanted, ground - min_altitude)
         if z < goal and not self._view.landed:
             self._tell(
                 CRITICAL, "Already higher than takeoff altitude", "navigator_takeoff_already_higher", level=ERROR
             )
             goal = z
         elif goal != wanted:
-            self._tell(INFO, f"Using minimum takeoff altitude: {least:.2f} m", "navigator_takeoff_min_alt", least)
+            self._tell(
+                INFO, f"Using minimum takeoff altitude: {min_altitude:.2f} m", "navigator_takeoff_min_alt", min_altitude
+            )
         self._course.take_off((x, y, goal), self.takeoff_yaw)
         self.takeoff_altitude = self.takeoff_yaw = NAN

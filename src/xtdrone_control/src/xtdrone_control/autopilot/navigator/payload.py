@@ -1,7 +1,6 @@
-"""What a mission tells the payload: camera, gimbal, actuators. It is kept, told on and counted; nothing here moves.
+"""Payload commands: camera trigger, gimbal setpoint and actuator outputs, stored for the devices.
 
-A camera or a gimbal of the simulator (or a driver of a real one) reads ``gimbal`` and ``actuators`` and hangs itself on
-``on_camera_trigger``.
+A simulated device or the driver of a real one reads ``gimbal`` and ``actuators`` and registers ``on_camera_trigger``.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ _SHOTS_UNLIMITED = -1
 
 @dataclass(frozen=True)
 class Shot:
-    """One trigger of the camera.
+    """Camera trigger.
 
     Attributes:
-        number: counts from 1.
+        number: sequence number, from 1.
         time_us: simulated time, microseconds.
-        position: m, local NED.
+        position: position of the vehicle, m, local NED.
     """
 
     number: int
@@ -40,14 +39,14 @@ class Payload:
     """Camera trigger, gimbal setpoint and actuators of one vehicle.
 
     Attributes:
-        gimbal_manager: where the gimbal is told to look, and who may say so.
-        gimbal_attitude: where the camera points, as the simulator or a driver writes it: roll and pitch from the
-            horizon, yaw from the heading, rad; None when no gimbal is fitted.
+        gimbal_manager: gimbal setpoint and its control authority.
+        gimbal_attitude: measured attitude written by the simulator or a driver: roll and pitch from the horizon, yaw
+            from the heading, rad; None without a gimbal.
         actuators: outputs of DO_SET_ACTUATOR, -1..1, NaN until set.
-        recording: a video is being taken.
-        on_camera_trigger: called with every shot; None when there is no camera.
-        shots: those that no link has told yet; the oldest are dropped beyond 64.
-        count: shots so far.
+        recording: whether video recording is on.
+        on_camera_trigger: called with every shot; None without a camera.
+        shots: shots not yet reported by a link; beyond 64 the oldest are dropped.
+        count: number of shots so far.
     """
 
     def __init__(self, view: VehicleView) -> None:
@@ -61,22 +60,26 @@ class Payload:
         self.shots: deque[Shot] = deque(maxlen=_MAX_WAITING)
         self.count = 0
         self._distance = 0.0
-        self._last: Vector | None = None
+        self._last_position: Vector | None = None
         self._interval_us = 0
         self._next_us = _NEVER_US
-        self._left = _SHOTS_UNLIMITED
+        self._shots_left = _SHOTS_UNLIMITED
         self._paused = False
 
     @property
     def gimbal(self) -> Vector:
-        """Roll, pitch, yaw setpoint of now, rad; pitch positive up, yaw from the heading. NaN: not controlled."""
+        """Setpoint of roll, pitch and yaw, rad: pitch positive up, yaw from the heading; NaN: not controlled."""
         return self.gimbal_manager.angles
 
-    def obey(self, command: int, params: Sequence[float]) -> bool:
-        """Obey a command for the payload; ``params`` are its seven, of which those that are not finite count as 0.
+    def execute(self, command: int, params: Sequence[float]) -> bool:
+        """Execute a payload command.
+
+        Args:
+            command: MAV_CMD.
+            params: parameters 1 to 7; non-finite values count as 0.
 
         Returns:
-            Whether it is one.
+            Whether the command is a payload command.
         """
         handler = _HANDLERS.get(command)
         if handler is None:
@@ -85,32 +88,32 @@ class Payload:
         return True
 
     def pause(self, paused: bool) -> None:
-        """Let the camera wait while no mission is flown."""
+        """Suspend or resume camera triggering."""
         self._paused = paused
 
     def update(self) -> None:
-        """Trigger what is due; call at about 10 Hz."""
+        """Trigger the camera when a shot is due; call at about 10 Hz."""
         if self._paused:
             return
-        if self._distance > 0.0 and self._far_enough():
-            self._shoot()
+        if self._distance > 0.0 and self._distance_reached():
+            self._trigger()
         if self._view.time_us >= self._next_us:
-            self._shoot()
+            self._trigger()
             self._next_us += self._interval_us
-            self._left -= self._left > 0
-            if self._left == 0:
+            self._shots_left -= self._shots_left > 0
+            if self._shots_left == 0:
                 self._next_us = _NEVER_US
 
-    def _far_enough(self) -> bool:
-        if self._last is None:
+    def _distance_reached(self) -> bool:
+        if self._last_position is None:
             return True
         x, y, _ = self._view.position
-        return math.hypot(x - self._last[0], y - self._last[1]) >= self._distance
+        return math.hypot(x - self._last_position[0], y - self._last_position[1]) >= self._distance
 
-    def _shoot(self) -> None:
+    def _trigger(self) -> None:
         self.count += 1
-        self._last = self._view.position
-        shot = Shot(self.count, self._view.time_us, self._last)
+        self._last_position = self._view.position
+        shot = Shot(self.count, self._view.time_us, self._last_position)
         self.shots.append(shot)
         if self.on_camera_trigger is not None:
             self.on_camera_trigger(shot)
@@ -119,13 +122,13 @@ class Payload:
 
     def _set_distance(self, p: Sequence[float]) -> None:
         self._distance = max(p[0], 0.0)
-        self._last = self._view.position
+        self._last_position = self._view.position
         if p[2] == 1.0:
-            self._shoot()
+            self._trigger()
 
     def _repeat(self, interval: float, shots: int) -> None:
         self._interval_us = max(round(interval * 1e6), 1)
-        self._left = shots
+        self._shots_left = shots
         self._next_us = self._view.time_us
 
     def _set_interval(self, p: Sequence[float]) -> None:
@@ -136,7 +139,7 @@ class Payload:
 
     def _start_images(self, p: Sequence[float]) -> None:
         if p[2] == 1.0 or p[1] <= 0.0:
-            self._shoot()
+            self._trigger()
         else:
             self._repeat(p[1], round(p[2]) if p[2] > 0.0 else _SHOTS_UNLIMITED)
 
@@ -146,7 +149,7 @@ class Payload:
 
     def _digicam(self, p: Sequence[float]) -> None:
         if p[4] == 1.0:
-            self._shoot()
+            self._trigger()
 
     def _trigger_control(self, p: Sequence[float]) -> None:
         if p[2] in (0.0, 1.0):
@@ -168,8 +171,8 @@ class Payload:
     def _record(self, recording: bool) -> None:
         self.recording = recording
 
-    def _nothing(self, _p: Sequence[float]) -> None:
-        """Take a command that has nothing to act on here: a camera's zoom, a gimbal's configuration."""
+    def _ignore(self, _p: Sequence[float]) -> None:
+        """Accept a command without an effect here, for example camera zoom."""
 
 
 _HANDLERS: dict[int, Callable[[Payload, Sequence[float]], None]] = {
@@ -196,6 +199,6 @@ _HANDLERS: dict[int, Callable[[Payload, Sequence[float]], None]] = {
             plan.GRIPPER,
             plan.WINCH,
         ),
-        Payload._nothing,
+        Payload._ignore,
     ),
 }

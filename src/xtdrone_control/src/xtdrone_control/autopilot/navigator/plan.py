@@ -1,7 +1,7 @@
-"""What a ground station lays down for a vehicle: a mission, a geofence and rally points, and where they are kept.
+"""Plans of a vehicle: mission, geofence and rally points (https://mavlink.io/en/services/mission.html).
 
-Items are kept as they came by MAVLink, their content unjudged: PX4 stores what it can parse and looks at a mission's
-sense before it starts. https://mavlink.io/en/services/mission.html
+Items are stored as received by MAVLink, without validation of their content: like PX4, the navigator stores every item
+that it can parse and checks a mission for feasibility before flight.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ MISSION, FENCE, RALLY = 0, 1, 2
 KINDS = (MISSION, FENCE, RALLY)
 ALL_KINDS = 255
 
-# how many items PX4 v1.14's simulator build takes, by kind
+# capacity of PX4 v1.14's simulator build, items by kind
 CAPACITY = (0xFFFF - 1, 63, 31)
 
 # MAV_CMD of mission items
@@ -43,16 +43,16 @@ _YAW_COMMANDS = frozenset((WAYPOINT, LOITER_UNLIM, LOITER_TIME, LAND, TAKEOFF, V
 
 @dataclass(frozen=True, slots=True)
 class PlanItem:
-    """One item of a mission, a geofence or the rally points.
+    """Item of a mission, a geofence or the rally points.
 
     Attributes:
         command: MAV_CMD.
-        frame: MAV_FRAME it came in: 0, 3, 5, 6, or 2 for an item without a place.
-        params: param1..param4, NaN where they mean nothing.
+        frame: MAV_FRAME as received: 0, 3, 5, 6, or 2 for an item without a position.
+        params: param1..param4, NaN where unused.
         x: latitude, degrees; param5 in frame 2.
         y: longitude, degrees; param6 in frame 2.
-        z: altitude, m AMSL or over home, see ``relative``; param7 in frame 2.
-        autocontinue: go on with the next item when this one is done.
+        z: altitude, m AMSL or above home, see ``relative``; param7 in frame 2.
+        autocontinue: continue with the next item after this one.
     """
 
     command: int
@@ -65,26 +65,26 @@ class PlanItem:
 
     @property
     def has_position(self) -> bool:
-        """Whether the vehicle flies to its place."""
+        """Whether the vehicle flies to the item's position."""
         return self.command in POSITION_COMMANDS
 
     @property
     def relative(self) -> bool:
-        """Whether the altitude is over home."""
+        """Whether the altitude is relative to home."""
         return self.frame in _RELATIVE_FRAMES
 
     def altitude(self, home: float) -> float:
-        """Return the altitude in m AMSL, with a home at ``home`` m AMSL."""
+        """Return the altitude, m AMSL, for a home altitude of ``home``, m AMSL."""
         return self.z + home if self.relative else self.z
 
     @property
     def yaw(self) -> float:
-        """Heading to have there, rad from north; NaN for none."""
+        """Heading at the item, rad from north; NaN for none."""
         return math.radians(self.params[3]) if self.command in _YAW_COMMANDS else math.nan
 
     @property
     def time_inside(self) -> float:
-        """Seconds to stay."""
+        """Time to stay at the item, s."""
         if self.command not in (WAYPOINT, LOITER_TIME, DELAY) or math.isnan(self.params[0]):
             return 0.0
         return max(self.params[0], 0.0)
@@ -95,12 +95,12 @@ Items = tuple[PlanItem, ...]
 
 @dataclass
 class Plans:
-    """The three lists of one vehicle, which outlive a reboot of its autopilot.
+    """Mission, geofence and rally points of one vehicle; they survive a reboot of its autopilot.
 
     Attributes:
-        items: one list a kind, ``items[MISSION]`` and so on.
-        changes: how often each was changed.
-        current: index of the mission item that is flown or comes next.
+        items: one list per kind, for example ``items[MISSION]``.
+        changes: number of changes per kind.
+        current: index of the active or next mission item.
     """
 
     items: list[Items] = field(default_factory=lambda: [(), (), ()])
@@ -109,11 +109,11 @@ class Plans:
 
     @property
     def mission(self) -> Items:
-        """The mission."""
+        """Items of the mission."""
         return self.items[MISSION]
 
     def replace(self, kind: int, items: Sequence[PlanItem]) -> None:
-        """Put ``items`` in place of the list ``kind``.
+        """Replace the list ``kind`` by ``items``.
 
         Raises:
             ValueError: more items than ``CAPACITY`` allows.

@@ -1,6 +1,6 @@
-"""Landing on a target that something on board sees, as PX4 v1.14's precland: approach, descend, search, or land anyway.
+"""Precision landing on a detected target, modelled on PX4 v1.14's precland: approach, descent, search and fallback.
 
-The target comes as LANDING_TARGET messages; PLD_* parameters say how patient the vehicle is.
+The target position arrives in LANDING_TARGET messages; the PLD_* parameters set tolerances and timeouts.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from xtdrone_control.autopilot.flight_tasks.auto_setpoint import CRITICAL, INFO, NAN, Course
 from xtdrone_control.autopilot.vehicle_view import Vector
 
-OPPORTUNISTIC, REQUIRED = 1, 2  # land_precision of an item, RTL_PLD_MD
-_CONFIRMATION_US = 1_000_000  # of being over the target before the descent
+OPPORTUNISTIC, REQUIRED = 1, 2  # mode of a landing item's param2 and of RTL_PLD_MD
+_CONFIRMATION_US = 1_000_000  # time above the target before the descent
 
 
 class _State(enum.Enum):
@@ -27,11 +27,11 @@ class _State(enum.Enum):
 
 @dataclass(frozen=True)
 class LandingTarget:
-    """Where the target was seen.
+    """Observation of the landing target.
 
     Attributes:
         position: m, local NED.
-        time_us: when, simulated microseconds.
+        time_us: simulated time, microseconds.
     """
 
     position: Vector
@@ -39,56 +39,56 @@ class LandingTarget:
 
 
 class PrecisionLanding:
-    """One vehicle's precision landing.
+    """Precision landing of one vehicle.
 
     Attributes:
-        target: where the target was seen last; None before.
-        active: a precision landing is under way.
+        target: last observation of the target, None before the first.
+        active: whether a precision landing is in progress.
     """
 
     def __init__(self, course: Course) -> None:
-        """Prepare; nothing happens until ``start``."""
+        """Prepare an inactive precision landing on ``course``."""
         self._course = course
         self._get = course.parameters.get
         self.target: LandingTarget | None = None
         self.active = False
         self._mode = REQUIRED
         self._state = _State.START
-        self._place: Vector = (0.0, 0.0, 0.0)
+        self._landing_position: Vector = (0.0, 0.0, 0.0)
         self._height = 0.0
         self._searches = 0
         self._since_us = 0
         self._over_us: int | None = None
 
     def see(self, position: Vector) -> None:
-        """Note the target at ``position`` (m, local NED)."""
+        """Store an observation of the target at ``position`` (m, local NED)."""
         self.target = LandingTarget(position, self._course.view.time_us)
 
-    def start(self, place: Vector, mode: int = REQUIRED) -> None:
-        """Begin over ``place`` (m, local NED).
+    def start(self, position: Vector, mode: int = REQUIRED) -> None:
+        """Start a precision landing.
 
         Args:
-            place: where to land when there is no target, and where to look for it.
-            mode: ``OPPORTUNISTIC`` lands at once without a target, ``REQUIRED`` searches for it.
+            position: position of the search and of a landing without a target, m, local NED.
+            mode: without a target, ``OPPORTUNISTIC`` lands immediately and ``REQUIRED`` searches for it.
         """
         self.active = True
         self._mode = mode
-        self._place = place
+        self._landing_position = position
         self._height = self._course.view.position[2]
         self._searches = 0
         self._state = _State.START
-        self._course.fly_to((place[0], place[1], self._height))
+        self._course.fly_to((position[0], position[1], self._height))
         if self._seen:
             self._approach()
         elif mode == OPPORTUNISTIC:
             self._fall_back("No landing target visible, landing normally")
 
     def stop(self) -> None:
-        """End it, whatever was going on."""
+        """Stop the precision landing."""
         self.active = False
 
     def update(self) -> None:
-        """Go on; call at 10 Hz while it is active."""
+        """Advance the state machine; call at 10 Hz while active."""
         step = {
             _State.START: self._wait_at_start,
             _State.APPROACH: self._update_approach,
@@ -100,7 +100,7 @@ class PrecisionLanding:
 
     @property
     def _seen(self) -> LandingTarget | None:
-        """The target, if it was seen within PLD_BTOUT."""
+        """The target if its last observation is no older than PLD_BTOUT."""
         target = self.target
         fresh = target is not None and self._course.view.time_us - target.time_us <= self._get("PLD_BTOUT") * 1e6
         return target if fresh else None
@@ -113,7 +113,7 @@ class PrecisionLanding:
     def _wait_at_start(self) -> None:
         if self._seen:
             self._approach()
-        elif self._course.distance_to(self._place) < self._get("NAV_ACC_RAD"):
+        elif self._course.distance_to(self._landing_position) < self._get("NAV_ACC_RAD"):
             self._search_or_land()
 
     def _approach(self) -> None:
@@ -164,7 +164,9 @@ class PrecisionLanding:
         self._enter(_State.SEARCH)
         self._course.announcements.say(INFO, "Precision land: searching for the target")
         height = self._course.ground - self._get("PLD_SRCH_ALT")
-        self._course.fly_to((self._place[0], self._place[1], min(height, self._course.view.position[2])))
+        self._course.fly_to(
+            (self._landing_position[0], self._landing_position[1], min(height, self._course.view.position[2]))
+        )
 
     def _update_search(self) -> None:
         if self._seen:
@@ -175,24 +177,24 @@ class PrecisionLanding:
     def _fall_back(self, text: str) -> None:
         self._enter(_State.FALLBACK)
         self._course.announcements.say(CRITICAL, text)
-        self._course.land((*self._course.stopping_place()[:2], self._place[2]))
+        self._course.land((*self._course.stopping_place()[:2], self._landing_position[2]))
 
 
-def from_angles(x: float, y: float, height: float, place: Vector, yaw: float) -> Vector:
-    """Return where a target is that a camera looking down sees at angles ``x``, ``y``.
+def from_angles(x: float, y: float, height: float, position: Vector, yaw: float) -> Vector:
+    """Return the position of a target observed by a downward camera.
 
     Args:
-        x: rad, forwards from straight down.
-        y: rad, to the right.
-        height: m over the target.
-        place: of the vehicle, m, local NED.
-        yaw: its heading, rad.
+        x: angle forward from straight down, rad.
+        y: angle to the right from straight down, rad.
+        height: height of the vehicle above the target, m.
+        position: position of the vehicle, m, local NED.
+        yaw: heading of the vehicle, rad.
 
     Returns:
-        m, local NED; NaN where the angles show no ground.
+        Position of the target, m, local NED; NaN for angles at or above the horizon.
     """
     if not (abs(x) < 0.5 * math.pi and abs(y) < 0.5 * math.pi):
         return NAN, NAN, NAN
     ahead, right = height * math.tan(x), height * math.tan(y)
     cos, sin = math.cos(yaw), math.sin(yaw)
-    return place[0] + cos * ahead - sin * right, place[1] + sin * ahead + cos * right, place[2] + height
+    return position[0] + cos * ahead - sin * right, position[1] + sin * ahead + cos * right, position[2] + height

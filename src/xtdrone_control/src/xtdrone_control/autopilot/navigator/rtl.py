@@ -1,4 +1,4 @@
-"""The return: climb, fly back, descend, wait, land; to home, a rally point or the mission's landing (PX4's RTL)."""
+"""PX4's RTL mode: climb, return, descend, loiter and land at home, a rally point or the mission landing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _Phase(enum.Enum):
 
 @dataclass(frozen=True)
 class _Destination:
-    """Where to land: m, local NED, how the text calls it, and the event that says so."""
+    """Landing position, m, local NED, with its name in texts and the event that announces it."""
 
     position: Vector
     name: str
@@ -35,10 +35,16 @@ class _Destination:
 
 
 class Return:
-    """One vehicle's return."""
+    """Return flight of one vehicle."""
 
     def __init__(self, course: Course, mission: Mission, landing: PrecisionLanding) -> None:
-        """Prepare; nothing happens until ``start``."""
+        """Prepare an inactive return.
+
+        Args:
+            course: goals of the vehicle.
+            mission: source of the mission landing and the rally points.
+            landing: precision landing for RTL_PLD_MD.
+        """
         self._course = course
         self._get = course.parameters.get
         self._tell = course.announcements.tell
@@ -49,7 +55,7 @@ class Return:
         self._until_us = 0
 
     def start(self) -> None:
-        """Begin from where the vehicle is; there must be a home."""
+        """Start the return at the current position; requires a home position."""
         self._to = self._choose()
         self._tell(INFO, f"RTL: landing at {self._to.name}.", self._to.event)
         x, y, z = self._course.view.position
@@ -59,7 +65,7 @@ class Return:
         self._course.fly_to((x, y, height))
 
     def update(self) -> None:
-        """Go on with the next phase when the present one is done; call at 10 Hz in the air."""
+        """Advance to the next phase when the current one is complete; call at 10 Hz in flight."""
         to = self._to.position
         goal = self._course.goal[2]
         if self._phase is _Phase.CLIMB and self._course.at_height(goal):
@@ -99,24 +105,24 @@ class Return:
             self._course.land(self._to.position)
 
     def _choose(self) -> _Destination:
-        """Return the destination that RTL_TYPE asks for (PX4 ``RTL::find_RTL_destination``)."""
+        """Return the destination selected by RTL_TYPE (PX4 ``RTL::find_RTL_destination``)."""
         home = self._course.home
-        assert home is not None, "the commander checks that there is a home"
+        assert home is not None, "the commander checks for a home position"
         kind = self._get("RTL_TYPE")
         best = _Destination(home.position, "home position", "rtl_land_at_home")
-        landing = self._mission.landing_place()
+        landing = self._mission.landing_item()
         if landing is not None and kind in (_MISSION_LANDING, _MISSION_REVERSED, _CLOSEST):
-            place = _Destination(self._local(landing[0], home.altitude), "mission landing", "rtl_land_at_mission")
-            if kind != _CLOSEST or self._distance(place) < self._distance(best):
-                best = place
+            candidate = _Destination(self._local(landing[0], home.altitude), "mission landing", "rtl_land_at_mission")
+            if kind != _CLOSEST or self._distance(candidate) < self._distance(best):
+                best = candidate
         if kind == _MISSION_REVERSED:
             return best
         for item in self._mission.plans.items[plan.RALLY]:
             if item.command != plan.RALLY_POINT or not all(map(math.isfinite, (item.x, item.y, item.z))):
                 continue
-            place = _Destination(self._local(item, home.altitude), "safe landing point", "rtl_land_at_safe_point")
-            if self._distance(place) < self._distance(best):
-                best = place
+            candidate = _Destination(self._local(item, home.altitude), "safe landing point", "rtl_land_at_safe_point")
+            if self._distance(candidate) < self._distance(best):
+                best = candidate
         return best
 
     def _local(self, item: plan.PlanItem, home_altitude: float) -> Vector:
@@ -126,7 +132,7 @@ class Return:
         return self._course.distance_to(to.position)
 
     def _height(self) -> float:
-        """Return the height over the destination (m) to fly back at: RTL_RETURN_ALT, lower inside the cone over it."""
+        """Return the return height above the destination, m: RTL_RETURN_ALT, or less inside the cone above it."""
         full = self._get("RTL_RETURN_ALT")
         distance = self._distance(self._to)
         radius = self._get("NAV_ACC_RAD")
@@ -138,8 +144,8 @@ class Return:
         inside = distance / math.tan(math.radians(min(max(cone, 1), 89)))
         return float(max(min(inside, full), 2.0 * radius))
 
-    def _announce(self, what: str, name: str, z: float) -> None:
+    def _announce(self, phase: str, name: str, z: float) -> None:
         over = self._to.position[2] - z
         altitude = self._course.view.origin[2] - z
-        text = f"RTL: {what} {altitude:.0f} m ({over:.0f} m above destination)"
+        text = f"RTL: {phase} {altitude:.0f} m ({over:.0f} m above destination)"
         self._tell(INFO, text, name, round(altitude), round(over))

@@ -245,7 +245,7 @@ class CommandHandler:
 
     def _start_landing(self, command: Command, link: Link) -> Result:
         """Fly the mission from where its landing begins; accepted without one too, as in PX4."""
-        landing = self._commander.navigator.mission.landing_place()
+        landing = self._commander.navigator.mission.landing_item()
         if landing is not None:
             self._start_mission(replace(command, params=(float(landing[1]), *command.params[1:])), link)
         return Result.ACCEPTED
@@ -257,7 +257,7 @@ class CommandHandler:
         return Result.ACCEPTED
 
     def _set_actuators(self, command: Command, _link: Link) -> Result:
-        self._commander.navigator.payload.obey(command.number, command.params)
+        self._commander.navigator.payload.execute(command.number, command.params)
         return Result.ACCEPTED
 
     # the gimbal; without one nothing is acknowledged, as by a PX4 that does not run its driver

@@ -130,7 +130,7 @@ def problems(content: Plan) -> tuple[list[str], bool]:
     fence = geofence.build(content.fence, to_plane)
     now = Situation(
         home_altitude=home[2],
-        place=home[:2],
+        location=home[:2],
         landed=True,
         first_distance=_FIRST_DISTANCE,
         required=0,
