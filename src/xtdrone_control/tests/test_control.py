@@ -84,7 +84,7 @@ def test_rotor_counts_are_limited(count):
 
 
 def test_uncontrollable_rotors_are_refused():
-    with pytest.raises(ValueError, match="without control"):
+    with pytest.raises(ValueError, match="cannot control all four axes"):
         control_allocator.mixing_matrix(IRIS, np.zeros(4))
 
 

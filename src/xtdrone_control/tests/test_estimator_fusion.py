@@ -68,7 +68,7 @@ def test_magnetic_heading(angles):
         x, y, _ = rotate(state["q"][0], *(s["mag"][0] - state["mag_bias"][0]))
         return math.atan2(y, x)
 
-    fusion.follow_field(e[0], s[0])
+    fusion.track_field(e[0], s[0])
     innovation, attitude, bias, found = fusion.magnetic_heading(e[0], s[0], DECLINATION)
     assert found
     assert innovation == pytest.approx(math.remainder(DECLINATION - angle(e), math.tau))
@@ -149,7 +149,7 @@ def test_heading_update_reads_its_parameters():
     Parameters({"EKF2_MAG_DECL": math.degrees(DECLINATION), "EKF2_HEAD_NOISE": 0.1}).write_to(p[0])
     s["mag"][0] = np.array(rotate_inverse(e["q"][0], *FIELD)) + e["mag_bias"][0]
     s["time_us"] = 5
-    fusion.follow_field(e[0], s[0])
+    fusion.track_field(e[0], s[0])
     fusion.fuse_heading(e[0], s[0], p[0], np.zeros((2, N_STATES)))
     assert e["innov_yaw"][0] == pytest.approx(DECLINATION - math.atan2(FIELD[1], FIELD[0]))
     assert 0.0 < e["test_ratio_mag"][0] < 1.0

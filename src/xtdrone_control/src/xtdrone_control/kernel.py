@@ -1,8 +1,8 @@
-"""Compilation of the inner loops: ``@kernel`` is numba's njit with a cache on disk that can be trusted.
+"""Compilation of the inner loops: ``@kernel`` is numba's njit with a reliable cache on disk.
 
-numba keys its cache on the file of the function itself, so a change in a function that it calls from another file
-goes unnoticed. Here the cache lies in a folder named after the contents of every source file that holds kernels, and
-of what those import from the packages that hold kernels: any change there starts a new, empty one.
+numba's cache depends only on the file of the compiled function, so that it misses changes to callees in other files.
+Here the name of the cache folder is a hash of all source files that contain kernels and of the modules that they import
+from the same packages. Any change to these starts a new, empty cache.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from numba import config as _config_module
 from numba import njit
 from numba.core import event
 
-_config: Any = _config_module  # its options are set at run time
+_config: Any = _config_module  # numba sets its options at run time
 _PACKAGE = Path(__file__).resolve().parent
 
 
 def _modules(package: Path) -> dict[str, Path]:
-    """Return the source files of a package and its sub-packages by their dotted module names."""
+    """Return dotted module name to source file of a package and its sub-packages."""
     modules = {}
     for path in package.rglob("*.py"):
         parts = path.relative_to(package.parent).with_suffix("").parts
@@ -35,7 +35,7 @@ def _modules(package: Path) -> dict[str, Path]:
 
 
 def _imported(name: str, is_package: bool, source: bytes) -> set[str]:
-    """Return the dotted names that a module imports from, modules and what may be modules."""
+    """Return the dotted names of imported modules, and of imported attributes, which may be modules."""
     names: set[str] = set()
     parents = name.split(".") if is_package else name.split(".")[:-1]
     for node in ast.walk(ast.parse(source)):
@@ -49,7 +49,7 @@ def _imported(name: str, is_package: bool, source: bytes) -> set[str]:
 
 
 def sources(packages: Iterable[Path]) -> list[Path]:
-    """Return, sorted, the files of ``packages`` (folders) that hold kernels, and their imports, recursively."""
+    """Return the sorted files in ``packages`` (folders) that contain kernels, with their imports, recursively."""
     modules = {name: path for package in packages for name, path in _modules(package).items()}
     contents = {name: path.read_bytes() for name, path in modules.items()}
     waiting = [name for name, source in contents.items() if b"@kernel" in source]
@@ -64,7 +64,7 @@ def sources(packages: Iterable[Path]) -> list[Path]:
 
 
 def cache_folder(*packages: Path) -> Path:
-    """Return the kernel cache's folder for the present contents of ``packages``, see ``sources``."""
+    """Return the folder of the kernel cache for the present contents of ``packages``, see ``sources``."""
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sources(packages):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -73,7 +73,7 @@ def cache_folder(*packages: Path) -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Return whether kernels can be kept in a folder, which is made if it is not there."""
+    """Create a folder if it is missing; return whether kernels can be written to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -82,37 +82,38 @@ def _usable(folder: Path) -> bool:
 
 
 class Announcer(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Tells which kernels are compiled, as against read from the cache.
+    """Reports kernels that are compiled rather than loaded from the cache.
 
-    Compiling the whole set takes minutes on a slow machine, in which the program that needs it does nothing else.
+    Compiling all of them takes minutes on a slow machine and blocks the program.
     """
 
     def __init__(self, begins: Callable[[str], None], ends: Callable[[str, float], None]) -> None:
-        """Tell nothing yet.
+        """Store the callbacks; ``register`` starts the reports.
 
         Args:
-            begins: called with the kernel's name. Kernels that one needs are compiled with it and not told of.
-            ends: called with its name and the wall time that it took, s.
+            begins: called with the name of a kernel at the start of its compilation. Callees compiled with it are not
+                reported.
+            ends: called with its name and the wall time of its compilation, s.
         """
         self._begins = begins
         self._ends = ends
-        self._thread = threading.local()  # each thread has kernels of its own under way
+        self._thread = threading.local()  # threads compile independently
 
     def on_start(self, event: Any) -> None:
-        """Tell of a kernel that is no other one's part."""
+        """Report the start, unless the kernel is compiled as a callee of another."""
         began = self._thread.__dict__.setdefault("began", [])
         began.append(time.monotonic())
         if len(began) == 1:
             self._begins(_name(event))
 
     def on_end(self, event: Any) -> None:
-        """Tell that it is done."""
+        """Report the end of such a compilation."""
         began = self._thread.__dict__["began"].pop()
         if not self._thread.__dict__["began"]:
             self._ends(_name(event), time.monotonic() - began)
 
     def register(self) -> None:
-        """Begin to tell, for as long as the process lives."""
+        """Start reporting, until the process ends."""
         event.register("numba:compile", self)
 
 
@@ -122,21 +123,21 @@ def _name(compiled: Any) -> str:
 
 
 def cache_words() -> str:
-    """Say where kernels are kept, or that they cannot be."""
+    """Return a phrase on how often kernels are compiled and where they are cached, for a log line."""
     folder = cache_folder(_PACKAGE)
     if _usable(folder):
-        return f"once for this version, kept in {folder.parent}"
-    return f"at every start, for {folder.parent} cannot be written"
+        return f"once for this version, cached in {folder.parent}"
+    return f"at every start, as {folder.parent} cannot be written"
 
 
 def compiler(*packages: Path) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles kernels and caches them under the contents of ``packages``.
 
-    ``packages`` names every folder whose functions the kernels call. Division by zero gives inf or NaN as in numpy;
-    the arithmetic is never reordered, so results are the same in every run.
+    ``packages`` must contain every folder with functions that the kernels call. Division by zero gives inf or NaN as in
+    numpy. Floating-point operations are not reordered, so that results are the same in every run.
     """
     folder = str(cache_folder(*packages))
-    # numba's own choice where the folder cannot be written is beside the sources, where a change goes unnoticed
+    # without write access do not cache: numba would cache beside the sources and miss changes to callees
     cached = _usable(Path(folder))
 
     def compile_kernel(function: Callable[..., Any]) -> Any:

@@ -1,6 +1,6 @@
-"""Rotations by unit quaternions (w, x, y, z) that turn body vectors into the local frame; scalars and tuples.
+"""Rotations by unit quaternions (w, x, y, z) from the body to the local frame, on scalars and tuples.
 
-Plain functions of floats: ``rotation_kernels`` compiles the same source for the inner loops. For arrays use
+Functions of plain floats, which ``rotation_kernels`` compiles for the inner loops. For arrays use
 scipy.spatial.transform.Rotation, whose quaternions are (x, y, z, w).
 """
 
@@ -59,7 +59,7 @@ def exponential(x: float, y: float, z: float) -> Quaternion:
     """Return the quaternion of the rotation vector (x, y, z), rad."""
     angle = math.sqrt(x * x + y * y + z * z)
     half = 0.5 * angle
-    # sin(half)/angle, by its series where the quotient loses digits
+    # sin(half)/angle; its series for small angles, where the quotient loses digits
     scale = math.sin(half) / angle if angle > 1e-4 else 0.5 - angle * angle / 48.0
     return math.cos(half), x * scale, y * scale, z * scale
 

@@ -1,4 +1,4 @@
-"""``rotation`` compiled for the inner loops, and what writes into records; quaternions are (w, x, y, z)."""
+"""``rotation`` compiled for the inner loops, and kernels that write to records; quaternions are (w, x, y, z)."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from_axes = kernel(rotation.from_axes)
 
 @kernel
 def conjugate_multiply(a, b):
-    """Return ``conj(a) b`` as a tuple: the turn from a to b, seen in a."""
+    """Return ``conj(a) b`` as a tuple: the rotation from a to b, expressed in a."""
     return multiply((a[0], -a[1], -a[2], -a[3]), b)
 
 
 @kernel
 def rotate_inverse(q, x, y, z):
-    """Return the local vector (x, y, z) turned into the body frame, as a tuple."""
+    """Return the local vector (x, y, z) in the body frame, as a tuple."""
     return rotate((q[0], -q[1], -q[2], -q[3]), x, y, z)
 
 
 @kernel
 def integrate(q, x, y, z):
-    """Turn the record field ``q`` in place by the body rotation vector (x, y, z) in radians, and normalise it."""
+    """Rotate the record field ``q`` in place by the body rotation vector (x, y, z), rad, and normalise it."""
     assign_unit(q, multiply(q, exponential(x, y, z)))
 
 
 @kernel
 def assign_unit(q, value):
-    """Write the quaternion ``value`` (tuple), made of length 1, into the record field ``q``."""
+    """Write the quaternion ``value`` (tuple), normalised, to the record field ``q``."""
     w, i, j, k = value
     norm = 1.0 / math.sqrt(w * w + i * i + j * j + k * k)
     q[0] = w * norm

@@ -1,7 +1,7 @@
-"""The autopilot's inner loops for all vehicles: estimator, control cascade, allocation, land detection, at 250 Hz.
+"""Inner loops of all vehicles at 250 Hz: estimator, flight task, control cascade, allocation and land detection.
 
-Free of ROS, MAVLink and mode logic. Commander and navigator write ``setpoint``; sensors are written before each step;
-``control["actuators"]`` is what the motors get.
+Independent of ROS, MAVLink and mode logic. Sensor models write ``sensors`` before each step, commander and navigator
+write ``setpoint``; the motor commands are in ``control["actuators"]``.
 """
 
 from __future__ import annotations
@@ -56,24 +56,24 @@ from .state import (
 )
 
 STEP_US = 4000  # PX4's SITL lockstep period
-TASK_STEPS = 5  # steps between two runs of the flight task: 50 Hz
-POSITION_STEPS = 3  # of position control: 83 Hz, as PX4's estimator tells a position
+TASK_STEPS = 5  # steps per run of the flight task: 50 Hz
+POSITION_STEPS = 3  # steps per run of position control: 83 Hz, the rate of PX4's position estimate
 _MIXER_PERIOD_US = 20_000
-_NO_THRUST = 100.0  # m/s^2 downwards: no thrust at all
-_TILT_SLEW = 0.2  # rad/s, of the tilt limit after takeoff
+_NO_THRUST = 100.0  # m/s^2 downwards, which leaves no thrust
+_TILT_SLEW = 0.2  # rad/s, slew rate of the tilt limit
 
 
 @dataclass(frozen=True)
 class RotorLayout:
-    """Rotor places (n, 3) in body FRD, m, and their moment-to-thrust ratios (n,), m, positive counter-clockwise."""
+    """Rotor positions (n, 3), m, body FRD, and moment-to-thrust ratios (n,), m, positive for counter-clockwise."""
 
     positions: NDArray[np.float64]
     moment_ratios: NDArray[np.float64]
 
 
 @kernel
-def _no_thrust(c):
-    """Ask for no thrust and no torque, and forget the integrals."""
+def _zero_thrust(c):
+    """Set thrust and torque setpoints to 0 and reset the integrators."""
     for i in range(3):
         c.velocity_integral[i] = 0.0
         c.rate_integral[i] = 0.0
@@ -84,9 +84,9 @@ def _no_thrust(c):
 
 
 @kernel
-def _stop(c, p):
-    """Disarmed: motors off."""
-    _no_thrust(c)
+def _stop_motors(c, p):
+    """Stop the motors of a disarmed vehicle and reset its hover thrust."""
+    _zero_thrust(c)
     for i in range(MAX_ROTORS):
         c.actuators[i] = 0.0
     reset_hover_thrust(c, p)
@@ -95,15 +95,15 @@ def _stop(c, p):
 
 @kernel
 def _hold_on_ground(c, e):
-    """Armed on the ground: motors idle, the attitude setpoint is the present attitude."""
-    _no_thrust(c)
+    """Keep the motors of an armed vehicle on the ground idle, with the present attitude as setpoint."""
+    _zero_thrust(c)
     for i in range(4):
         c.sp_q[i] = e.q[i]
 
 
 @kernel
-def _ask_for_ground(c):
-    """Ask for nothing but the way down, and forget what was learnt in flight."""
+def _suppress_thrust(c):
+    """Replace the setpoint by a large downward acceleration, which gives no thrust; reset the velocity integrator."""
     for i in range(3):
         c.sp_position[i] = math.nan
         c.sp_velocity[i] = math.nan
@@ -115,7 +115,7 @@ def _ask_for_ground(c):
 
 @kernel
 def _control_position(c, e, p, dt):
-    """Position and velocity loops: the task's setpoint to an attitude and a thrust."""
+    """Run the position and velocity loops: from the task's setpoint to an attitude and a thrust setpoint."""
     flying = c.takeoff_state == TAKEOFF_FLIGHT
     if not flying:
         c.hover_thrust = p.mpc_thr_hover
@@ -123,9 +123,9 @@ def _control_position(c, e, p, dt):
         use_hover_thrust(c, c.hover_estimate)
     start_loops(c)
     if not flying:
-        c.sp_acceleration[2] = math.nan  # the ramp alone is to lift the vehicle
+        c.sp_acceleration[2] = math.nan  # the takeoff ramp alone lifts the vehicle
     if c.takeoff_state < TAKEOFF_RAMPUP or (flying and c.ground_contact):
-        _ask_for_ground(c)
+        _suppress_thrust(c)
     tilt = math.radians(p.mpc_tiltmax_air if flying else p.mpc_tiltmax_lnd)
     step = _TILT_SLEW * dt
     c.tilt_limit += min(max(tilt - c.tilt_limit, -step), step)
@@ -137,13 +137,13 @@ def _control_position(c, e, p, dt):
 
 @kernel
 def _control_attitude(c, s, e, p, dt):
-    """Fill c.sp_rates and c.sp_thrust for the tasks without a position loop, from its attitude for the others."""
+    """Update c.sp_rates from the attitude setpoint, and c.sp_thrust for tasks without a position loop."""
     if s.task == TASK_ACRO:
         stick_rates(c, s, p)
     elif s.task == TASK_RATES:
         c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
         for i in range(3):
-            # a rate that is not controlled is let go on as it is
+            # an axis without a setpoint keeps its present rate
             c.sp_rates[i] = e.rates[i] if math.isnan(s.rates[i]) else s.rates[i]
     elif s.task == TASK_ATTITUDE:
         c.sp_thrust = min(max(s.thrust, 0.0), 1.0)
@@ -162,20 +162,20 @@ def _control_attitude(c, s, e, p, dt):
 
 
 @kernel
-def _climb_controlled(task):
+def _controls_climb_rate(task):
     return task != TASK_MANUAL and task != TASK_ACRO and task != TASK_ATTITUDE and task != TASK_RATES
 
 
 @kernel
 def _run_slow_loops(c, s, e, p, dt, climb_controlled):
-    """Flight task at 50 Hz, position control at 83 Hz, as PX4 has them."""
+    """Run the flight task at 50 Hz and position control at 83 Hz, the rates of PX4."""
     if c.tick % TASK_STEPS == 0 or s.task_changed:
         generate_setpoint(c, s, e, p, dt * TASK_STEPS)
     if c.tick % POSITION_STEPS != 0:
         return
     slow = dt * POSITION_STEPS
-    wants = c.want_takeoff == 1 and s.task != TASK_IDLE
-    update_takeoff(c, s.armed, p, wants, s.task != TASK_IDLE and not climb_controlled)
+    wants_takeoff = c.want_takeoff == 1 and s.task != TASK_IDLE
+    update_takeoff(c, s.armed, p, wants_takeoff, s.task != TASK_IDLE and not climb_controlled)
     if not s.armed:
         return
     if climb_controlled and s.task != TASK_IDLE:
@@ -186,14 +186,14 @@ def _run_slow_loops(c, s, e, p, dt, climb_controlled):
 
 @kernel
 def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
-    climb_controlled = _climb_controlled(s.task)
+    climb_controlled = _controls_climb_rate(s.task)
     c.armed_time = c.armed_time + dt if s.armed else 0.0
     follow_resets(c, e)
     _run_slow_loops(c, s, e, p, dt, climb_controlled)
     c.tick += 1
     update_throttle_limits(c, p, s.armed, dt)
     if not s.armed:
-        _stop(c, p)
+        _stop_motors(c, p)
     elif s.task == TASK_IDLE or c.takeoff_state < TAKEOFF_RAMPUP:
         _hold_on_ground(c, e)
         allocate(c, mix, unmix, rotors, 0)
@@ -208,14 +208,14 @@ def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
 
 @kernel
 def step_all(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt, work):
-    """Run one step of every vehicle.
+    """Advance every vehicle by one step.
 
     Args:
-        sensors, estimator, setpoint, control, params: record arrays, shape (n,).
+        sensors, estimator, setpoint, control, params: record arrays of ``state`` and ``parameters``, shape (n,).
         mix: (n, 4, MAX_ROTORS) mixers, see ``control_allocator.allocate``.
-        unmix: (n, 4, MAX_ROTORS) their pseudo-inverses.
+        unmix: (n, 4, MAX_ROTORS) pseudo-inverses of the mixers.
         rotors: (n,) rotor counts.
-        dt: s.
+        dt: length of the step, s.
         work: (2, N_STATES) scratch.
     """
     for i in range(sensors.shape[0]):
@@ -229,22 +229,22 @@ def step_all(sensors, estimator, setpoint, control, params, mix, unmix, rotors, 
 
 
 class Autopilot:
-    """State and inner loops of ``count`` vehicles.
+    """Records and inner loops of ``count`` vehicles.
 
     Attributes:
         sensors, estimator, setpoint, control, failures, params: record arrays of ``state`` and ``parameters``, shape
             (count,).
-        rotors: how many motors each vehicle has, shape (count,).
+        rotors: number of rotors of each vehicle, shape (count,).
         time_us: simulated time, microseconds, of the last step.
-        logs: where each vehicle's logs lie; empty when none are written.
+        logs: log folder of each vehicle; empty without logging.
     """
 
     def __init__(self, layouts: Sequence[RotorLayout], datum: Datum | None) -> None:
-        """Make the state of ``len(layouts)`` vehicles.
+        """Create the records of ``len(layouts)`` vehicles.
 
         Args:
-            layouts: one rotor layout a vehicle.
-            datum: the local frame's origin that all vehicles share; None lets each start at its first GPS fix.
+            layouts: one rotor layout per vehicle.
+            datum: common origin of the local frames; with None each vehicle's origin is its first GPS fix.
         """
         self.count = len(layouts)
         self.time_us = 0
@@ -256,9 +256,9 @@ class Autopilot:
         self.failures = records(FAILURES, self.count)
         self.params = records(PARAMS, self.count)
         self._datum = datum
-        self._prepare(slice(None))
+        self._initialise_records(slice(None))
         self._layouts = list(layouts)
-        self._failed = np.zeros(self.count, np.int32)
+        self._failed_rotors = np.zeros(self.count, np.int32)
         self._mix = np.zeros((self.count, 4, MAX_ROTORS))
         self._unmix = np.zeros((self.count, 4, MAX_ROTORS))
         self.rotors = np.array([len(layout.positions) for layout in layouts], np.int64)
@@ -266,8 +266,8 @@ class Autopilot:
             self._set_mixer(i)
         self._work = np.zeros((2, N_STATES))
 
-    def _prepare(self, which: slice) -> None:
-        """Put what the records hold that is not 0 at the start into those of some vehicles."""
+    def _initialise_records(self, which: slice) -> None:
+        """Set the initial values other than 0 in the records of the vehicles ``which``."""
         self.estimator["q"][which, 0] = 1.0
         self.control["landed"][which] = 1
         self.control["sp_q"][which, 0] = 1.0
@@ -285,39 +285,39 @@ class Autopilot:
             self.control[field][which] = np.nan
 
     def reboot(self, index: int) -> None:
-        """Put the records of vehicle ``index`` back to their start; sensors and parameters stay as they are."""
+        """Reset the records of vehicle ``index`` except sensors and parameters."""
         which = slice(index, index + 1)
         for record in (self.estimator, self.setpoint, self.control, self.failures):
             record[which] = np.zeros(1, record.dtype)
-        self._prepare(which)
+        self._initialise_records(which)
         self.start_control(which)
 
     def rotor_count(self, index: int) -> int:
-        """Return how many rotors vehicle ``index`` has."""
+        """Return the number of rotors of vehicle ``index``."""
         return int(self.rotors[index])
 
     def _set_mixer(self, i: int) -> None:
-        """Make vehicle ``i``'s mixer for the rotors that work."""
+        """Compute the mixer of vehicle ``i`` for its working rotors."""
         layout, rotors = self._layouts[i], self.rotors[i]
-        mix = mixing_matrix(layout.positions, layout.moment_ratios, int(self._failed[i]))
+        mix = mixing_matrix(layout.positions, layout.moment_ratios, int(self._failed_rotors[i]))
         self._mix[i, :, :rotors] = mix.T
         self._unmix[i, :, :rotors] = np.linalg.pinv(mix)
 
     def _update_mixers(self) -> None:
-        """Make the mixers of vehicles anew whose failed rotors are others than before."""
+        """Recompute the mixers of vehicles whose set of failed rotors has changed."""
         failed = self.setpoint["failed_rotors"]
-        for i in np.flatnonzero(failed != self._failed):
-            self._failed[i] = failed[i]
+        for i in np.flatnonzero(failed != self._failed_rotors):
+            self._failed_rotors[i] = failed[i]
             self._set_mixer(i)
 
     def start_control(self, which: slice = slice(None)) -> None:
-        """Take over what the parameters of some vehicles fix at start."""
+        """Initialise hover thrust and tilt limit of the vehicles ``which`` from their parameters."""
         self.control["hover_thrust"][which] = self.params["mpc_thr_hover"][which]
         self.control["hover_estimate"][which] = self.params["mpc_thr_hover"][which]
         self.control["tilt_limit"][which] = np.radians(self.params["mpc_tiltmax_lnd"][which])
 
     def step(self) -> None:
-        """Advance every vehicle by one step of ``STEP_US`` over the samples in ``sensors``."""
+        """Advance every vehicle by ``STEP_US`` with the samples in ``sensors``."""
         self.time_us += STEP_US
         if self.time_us % _MIXER_PERIOD_US == 0:
             self._update_mixers()

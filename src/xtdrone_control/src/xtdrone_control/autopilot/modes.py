@@ -1,5 +1,7 @@
-"""Flight modes: PX4's custom modes by MAVROS's names, and what each needs (PX4 ``px4_custom_mode.h``, v1.14's
-``mode_requirements.cpp`` for a multirotor)."""
+"""Flight modes: PX4's custom modes with MAVROS's names and the requirements of each mode.
+
+After PX4 v1.14's ``px4_custom_mode.h`` and, for a multirotor, ``mode_requirements.cpp``.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +17,20 @@ _MANUAL, _STABILISED, _GUIDED, _AUTO, _CUSTOM = 64, 16, 8, 4, CUSTOM_FLAG
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A flight mode; every mode is one object.
+    """A flight mode; modes are singletons and compared by identity.
 
     Attributes:
-        name: MAVROS's name, as AUTO.LOITER.
-        label: PX4's name in its texts, as AUTO_LOITER.
+        name: MAVROS's name, such as AUTO.LOITER.
+        label: PX4's name in its texts, such as AUTO_LOITER.
         state: PX4's navigation state.
         main: PX4 main mode.
-        sub: PX4 sub mode, of AUTO modes and ORBIT; else 0.
+        sub: PX4 sub mode of AUTO modes and ORBIT; 0 for others.
         flags: base_mode without the armed bit.
-        needs: what it cannot be flown without, of "attitude", "altitude", "position" (the exact horizontal estimate),
-            "relaxed_position" (any horizontal estimate), "home", "mission", "offboard".
-        sticks: a pilot steers it; cannot be chosen without manual control.
-        prevents_arming: it is left by disarming and cannot be armed in.
-        attitude_control: whether the attitude is controlled, and a limit on it makes sense.
+        needs: requirements of the mode: "attitude", "altitude", "position" (accurate horizontal estimate), "relaxed_position"
+            (any horizontal estimate), "home", "mission", "offboard".
+        sticks: whether the pilot flies by stick; such a mode requires manual control.
+        prevents_arming: whether arming is rejected in this mode; disarming leaves it.
+        attitude_control: whether the attitude is controlled, so that the failure detector's limits apply.
     """
 
     name: str
@@ -44,17 +46,17 @@ class Mode:
 
     @property
     def custom_mode(self) -> int:
-        """Number in the heartbeat's custom_mode."""
+        """HEARTBEAT.custom_mode of the mode."""
         return self.main << 16 | self.sub << 24
 
     @property
     def needs_position(self) -> bool:
-        """Whether it flies by the horizontal estimate, OFFBOARD by most setpoints."""
-        return not self.needs.isdisjoint(("position", "relaxed_position", "offboard"))
+        """Whether the mode needs a horizontal estimate, which OFFBOARD does for most setpoints."""
+        return not self.needs.isdisjoint(("position", "place", "offboard"))
 
     @property
     def auto(self) -> bool:
-        """Whether it is one of the modes that the navigator flies."""
+        """Whether the navigator flies the mode."""
         return self is ORBIT or (self.main == MAIN_AUTO and self is not DESCEND)
 
 
@@ -87,7 +89,7 @@ AUTO_FOLLOW_TARGET = Mode(
 ORBIT = Mode("ORBIT", "ORBIT", 21, 3, 1, _CUSTOM | _STABILISED, _EXACT)
 AUTO_PRECLAND = Mode("AUTO.PRECLAND", "AUTO_PRECLAND", 20, MAIN_AUTO, 9, _PILOT, _EXACT, prevents_arming=True)
 
-# modes that a client may ask for and that are flown
+# modes that a client can select
 SUPPORTED = (
     MANUAL,
     ALTCTL,
@@ -106,14 +108,14 @@ SUPPORTED = (
 ALL = (*SUPPORTED, ORBIT, DESCEND, TERMINATION)
 _BY_CUSTOM_MODE = {mode.custom_mode: mode for mode in SUPPORTED}
 _BY_STATE = {mode.state: mode for mode in SUPPORTED}
-# PX4's numbers of a flight mode in COM_FLTMODE1..6 and in events (navigation_mode_t), by navigation state
+# navigation state to PX4's mode number in COM_FLTMODE1..6 and in events (navigation_mode_t)
 _NUMBERS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 10: 6, 14: 7, 15: 8, 17: 10, 18: 11, 19: 12, 20: 13, 21: 14}
 _BY_NUMBER = {number: _BY_STATE[state] for state, number in _NUMBERS.items() if state in _BY_STATE}
 UNKNOWN_NUMBER = 255
 
 
 def from_custom_mode(custom_mode: int) -> Mode | None:
-    """Return the mode with that number, or None; AUTO without a sub mode is AUTO.MISSION, as in PX4."""
+    """Return the mode of HEARTBEAT.custom_mode, or None; AUTO without a sub mode is AUTO.MISSION, as in PX4."""
     if custom_mode == MAIN_AUTO << 16:
         return AUTO_MISSION
     return _BY_CUSTOM_MODE.get(custom_mode)
@@ -125,7 +127,7 @@ def is_main_mode(main: int) -> bool:
 
 
 def from_base_mode(base_mode: int) -> Mode:
-    """Return the mode that MAV_MODE_FLAG bits without the custom one stand for in PX4."""
+    """Return the mode that PX4 selects for MAV_MODE_FLAG bits without the custom bit."""
     if base_mode & _AUTO:
         return AUTO_MISSION
     if base_mode & _GUIDED:
@@ -134,12 +136,12 @@ def from_base_mode(base_mode: int) -> Mode:
 
 
 def from_number(number: int) -> Mode | None:
-    """Return the mode that a COM_FLTMODE parameter names, or None."""
+    """Return the mode for a value of COM_FLTMODE1..6, or None."""
     return _BY_NUMBER.get(number)
 
 
 def number_of(mode: Mode) -> int:
-    """Return PX4's navigation_mode_t of ``mode`` for an event's argument."""
+    """Return PX4's navigation_mode_t of ``mode``, used as an event argument."""
     return _NUMBERS.get(mode.state, UNKNOWN_NUMBER)
 
 
@@ -148,4 +150,4 @@ PX4_MODES = {mode.name: mode.custom_mode for mode in SUPPORTED} | {
     "AUTO.READY": MAIN_AUTO << 16 | 1 << 24,
     "AUTO.RTGS": MAIN_AUTO << 16 | 7 << 24,
 }
-"""Custom mode of every PX4 mode that MAVROS names; the last three are accepted by name only."""
+"""MAVROS mode name to custom mode; the last three are accepted as names only."""

@@ -1,4 +1,4 @@
-"""One vehicle's records, for the slow logic and the telemetry."""
+"""Access to one vehicle's records for commander, navigator and telemetry."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Vector = tuple[float, float, float]
 
 
 class VehicleView:
-    """One vehicle's records of an ``Autopilot``; the attributes write through.
+    """View of one vehicle's records in an ``Autopilot``; writes change the records.
 
     Attributes:
         sensors, estimator, setpoint, control, failures: the vehicle's elements of the record arrays.
-        setpoint_fields: setpoint field to an array over it, for what is written often.
+        setpoint_fields: name of a setpoint field to an array over it, for frequent writes.
     """
 
     def __init__(self, autopilot: Autopilot, index: int) -> None:
-        """Look at vehicle ``index`` of ``autopilot``."""
+        """View vehicle ``index`` of ``autopilot``."""
         self._autopilot = autopilot
         self.sensors: Any = autopilot.sensors[index]
         self.estimator: Any = autopilot.estimator[index]
@@ -44,7 +44,7 @@ class VehicleView:
 
     @property
     def landed(self) -> bool:
-        """What the land detector says."""
+        """Whether the land detector reports landed."""
         return bool(self.control["landed"])
 
     @property
@@ -54,17 +54,17 @@ class VehicleView:
 
     @property
     def position_valid(self) -> bool:
-        """Whether horizontal position and height can be used."""
+        """Whether horizontal position and height are valid."""
         return bool(self.estimator["position_valid"]) and bool(self.estimator["altitude_valid"])
 
     @property
     def has_origin(self) -> bool:
-        """Whether the local frame's place on Earth is known; without it ``to_local`` and ``to_global`` mean nothing."""
+        """Whether the local frame has an origin, which ``to_local`` and ``to_global`` require."""
         return bool(self.estimator["origin_set"])
 
     @property
     def global_valid(self) -> bool:
-        """Whether it is known where on Earth the vehicle is, and how high."""
+        """Whether global position and height are valid."""
         return bool(self.estimator["global_valid"]) and bool(self.estimator["altitude_valid"])
 
     @property
@@ -81,17 +81,17 @@ class VehicleView:
 
     @property
     def yaw(self) -> float:
-        """Estimated heading, rad, from north to east, -pi..pi."""
+        """Estimated heading, rad, clockwise from north, -pi..pi."""
         return rotation.yaw_of(self.estimator["q"].tolist())
 
     @property
     def origin(self) -> Vector:
-        """The local frame's origin: latitude and longitude in degrees, m AMSL."""
+        """Origin of the local frame: latitude and longitude in degrees, altitude in m AMSL."""
         e = self.estimator
         return float(e["origin_lat"]), float(e["origin_lon"]), float(e["origin_alt"])
 
     def to_local(self, latitude: float, longitude: float, altitude: float) -> Vector:
-        """Return the local position (m, NED) of a place in degrees and m AMSL."""
+        """Return the local position (m, NED) of a global one in degrees and m AMSL."""
         origin_lat, origin_lon, origin_alt = self.origin
         north, east = geo.project(latitude, longitude, origin_lat, origin_lon)
         return north, east, origin_alt - altitude
@@ -103,6 +103,6 @@ class VehicleView:
         return latitude, longitude, origin_alt - position[2]
 
     def start_task(self, task: int) -> None:
-        """Let the cascade follow ``task`` (``state.TASK_*``) from now on."""
+        """Start the flight task ``task`` (``state.TASK_*``)."""
         self.setpoint["task"] = task
         self.setpoint["task_changed"] = 1

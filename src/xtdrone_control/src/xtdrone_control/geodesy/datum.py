@@ -1,4 +1,4 @@
-"""The origin of a local frame on Earth."""
+"""Origin of a local frame on Earth."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Datum:
     altitude: float
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """Return latitude and longitude, degrees, of a point in the local frame, m ENU."""
+        """Return (latitude, longitude), degrees, of a point ``x``, ``y`` in the local frame, m ENU."""
         return geo.reproject(y, x, self.latitude, self.longitude)
 
     def local(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """Return east and north, m, of a latitude and longitude in degrees."""
+        """Return (east, north), m, of a latitude and longitude in degrees."""
         north, east = geo.project(latitude, longitude, self.latitude, self.longitude)
         return east, north

@@ -1,7 +1,7 @@
-"""Latitude and longitude to metres and back: the azimuthal equidistant projection on a sphere, as PX4's geo library.
+"""Azimuthal equidistant projection of latitude and longitude on a sphere, as in PX4's geo library.
 
-J. P. Snyder, "Map Projections: A Working Manual", USGS 1987, chapter 25. Plain functions of floats, so that kernels
-can compile them.
+J. P. Snyder, "Map Projections: A Working Manual", USGS 1987, chapter 25. Functions of plain floats, which
+kernels compile.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ GRAVITY = 9.80665  # m/s^2, standard gravity (CONSTANTS_ONE_G of PX4's geo libra
 
 
 def project(latitude: float, longitude: float, origin_latitude: float, origin_longitude: float) -> tuple[float, float]:
-    """Return (north, east) in metres of a place, seen from the origin.
+    """Return (north, east), m, of a position relative to the origin.
 
     Args:
-        latitude: degrees, as all the others.
+        latitude: degrees.
         longitude: degrees.
         origin_latitude: degrees.
         origin_longitude: degrees.
     """
     phi, phi0 = math.radians(latitude), math.radians(origin_latitude)
     turn = math.radians(longitude - origin_longitude)
-    # the haversine keeps its accuracy at short distance, where the arc cosine of the textbook loses it
+    # the haversine is accurate at short distances, where the textbook's arc cosine is not
     half_north, half_east = math.sin(0.5 * (phi - phi0)), math.sin(0.5 * turn)
     chord = half_north * half_north + math.cos(phi0) * math.cos(phi) * half_east * half_east
-    angle = 2.0 * math.asin(math.sqrt(min(max(chord, 0.0), 1.0)))  # rounding may lead beyond
+    angle = 2.0 * math.asin(math.sqrt(min(max(chord, 0.0), 1.0)))  # rounding may exceed the range
     scale = EARTH_RADIUS
     if angle > 1e-12:
         scale *= angle / math.sin(angle)
-    # cos(phi0) sin(phi) - sin(phi0) cos(phi) cos(turn), without the difference of nearly equal products
+    # cos(phi0) sin(phi) - sin(phi0) cos(phi) cos(turn), rewritten without cancellation
     north = scale * (math.sin(phi - phi0) + 2.0 * math.sin(phi0) * math.cos(phi) * half_east * half_east)
     east = scale * math.cos(phi) * math.sin(turn)
     return north, east
 
 
 def reproject(north: float, east: float, origin_latitude: float, origin_longitude: float) -> tuple[float, float]:
-    """Return (latitude, longitude) in degrees of a place ``north``, ``east`` metres from the origin (degrees)."""
+    """Return (latitude, longitude), degrees, of a position ``north``, ``east`` (m) of the origin (degrees)."""
     x, y = north / EARTH_RADIUS, east / EARTH_RADIUS
     angle = math.hypot(x, y)
     if angle < 1e-15:
@@ -51,5 +51,5 @@ def reproject(north: float, east: float, origin_latitude: float, origin_longitud
 
 
 def is_place(latitude: float, longitude: float, altitude: float) -> bool:
-    """Return whether latitude and longitude (degrees) lie on the globe and the altitude is finite."""
+    """Return whether latitude and longitude (degrees) are in range and the altitude is finite."""
     return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)

@@ -1,9 +1,9 @@
-"""Height of the geoid over the WGS84 ellipsoid by EGM96, which turns heights above mean sea level into GPS heights.
+"""EGM96 height of the geoid above the WGS84 ellipsoid, to convert heights above mean sea level to ellipsoidal heights.
 
-``egm96.xz`` holds the figures of the 15-minute grid WW15MGH.DAC of the US National Geospatial-Intelligence Agency
-(public domain): int16, cm, 721 rows from 90 deg N to 90 deg S, 1440 columns from 0 deg E; of each the difference to its
-left neighbour, of these the difference to the one above, little-endian, LZMA. Interpolated by cubics it is within
-0.17 m of the model (C. Karney, GeographicLib, "Geoid height"); real MAVROS interpolates the 5-minute grid.
+``egm96.xz`` contains the 15-minute grid WW15MGH.DAC of the US National Geospatial-Intelligence Agency (public domain):
+heights in cm, 721 rows from 90 deg N to 90 deg S, 1440 columns from 0 deg E. The values are differenced along rows,
+then along columns, and stored as little-endian int16 with LZMA compression. Cubic interpolation is within 0.17 m of the
+model (C. Karney, GeographicLib, "Geoid height"); the original MAVROS interpolates the 5-minute grid.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _patch(row: int, column: int) -> tuple[tuple[float, ...], ...]:
 
 
 def _height(row: int, column: int) -> float:
-    """Return the height at a node, m; beyond a pole the meridian goes on on the other side."""
+    """Return the height at a node, m; rows beyond a pole continue on the opposite meridian."""
     if not 0 <= row < _ROWS:
         row = -row if row < 0 else 2 * (_ROWS - 1) - row
         column += _COLUMNS // 2
@@ -44,7 +44,7 @@ def _height(row: int, column: int) -> float:
 
 
 def _weights(t: float) -> tuple[float, float, float, float]:
-    """Return the weights of the cubic through four nodes at -1, 0, 1, 2 (Lagrange) at ``t`` in 0..1."""
+    """Return the weights at ``t`` in 0..1 of the Lagrange cubic through nodes at -1, 0, 1 and 2."""
     return (
         -t * (t - 1.0) * (t - 2.0) / 6.0,
         (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
@@ -54,17 +54,17 @@ def _weights(t: float) -> tuple[float, float, float, float]:
 
 
 def undulation(latitude: float, longitude: float) -> float:
-    """Return the height of the geoid over the ellipsoid, m, positive where the geoid is above.
+    """Return the height of the geoid above the ellipsoid, m.
 
     Args:
         latitude: deg, -90..90.
-        longitude: deg, any turn.
+        longitude: deg, finite.
 
     Raises:
-        ValueError: no such place.
+        ValueError: latitude or longitude out of range.
     """
     if not (abs(latitude) <= 90.0 and math.isfinite(longitude)):
-        raise ValueError(f"geoid: latitude {latitude}, longitude {longitude}: -90..90 and finite are allowed")
+        raise ValueError(f"geoid: latitude {latitude}, longitude {longitude} are not allowed, -90..90 and finite")
     y, x = (90.0 - latitude) * _PER_DEGREE, (longitude % 360.0) * _PER_DEGREE
     row, column = min(int(y), _ROWS - 2), int(x)
     patch, across = _patch(row, column % _COLUMNS), _weights(x - column)

@@ -1,7 +1,7 @@
-"""Attitude control of one vehicle: attitude setpoint to body rate setpoints.
+"""Attitude control: attitude setpoint to body rate setpoints.
 
 D. Brescianini, M. Hehn, R. D'Andrea, "Nonlinear quadrocopter attitude control", ETH Zurich 2013, with the yaw weight
-of PX4's mc_att_control: tilt is corrected first, heading with less authority.
+of PX4's mc_att_control: tilt has priority over heading.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from xtdrone_control.rotation_kernels import conjugate_multiply, constrain, mult
 
 @kernel
 def attitude_control(c, e, p):
-    """Fill c.sp_rates (rad/s, body) from c.sp_q, the estimate's q and the yaw-rate feed-forward c.sp_yaw_rate."""
+    """Update c.sp_rates (rad/s, body) from c.sp_q, e.q and the feed-forward c.sp_yaw_rate."""
     q = e.q
-    # the turn that takes only the thrust axis (body z) where it should be
+    # reduced attitude: the shortest rotation that aligns only the thrust axis (body z)
     ex, ey, ez = rotate(q, 0.0, 0.0, 1.0)
     dx, dy, dz = rotate(c.sp_q, 0.0, 0.0, 1.0)
     dot = ex * dx + ey * dy + ez * dz
@@ -27,7 +27,7 @@ def attitude_control(c, e, p):
         cx, cy, cz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
         norm = math.sqrt(w * w + cx * cx + cy * cy + cz * cz)
         reduced = multiply((w / norm, cx / norm, cy / norm, cz / norm), (q[0], q[1], q[2], q[3]))
-    # what is left is a turn about the thrust axis: weigh it
+    # the remaining rotation is about the thrust axis; weight it
     mix = conjugate_multiply(reduced, c.sp_q)
     weight = p.mc_yaw_weight
     half = weight * math.atan2(mix[3], mix[0]) if mix[0] >= 0.0 else weight * math.atan2(-mix[3], -mix[0])

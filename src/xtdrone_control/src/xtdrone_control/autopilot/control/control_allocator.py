@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.kernel import kernel
 
-_LEAST_SHARE = 0.1  # of the mean thrust in hover, with which a rotor has room to give torques
+_LEAST_SHARE = 0.1  # least hover thrust of a rotor, relative to the mean, that leaves room for torques
 
 
 def effectiveness(positions: NDArray[np.float64], moment_ratios: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what each rotor's thrust does, shape (4, n): roll, pitch and yaw torque, and thrust upwards.
+    """Return the effectiveness of each rotor's thrust, shape (4, n): roll, pitch and yaw torque, and upward thrust.
 
     Args:
-        positions: (n, 3) rotor places, body FRD, m, relative to the centre of mass.
-        moment_ratios: (n,) torque about body z per thrust, m (CA_ROTORn_KM): positive for counter-clockwise rotors
-            seen from above, whose reaction turns the body clockwise, PX4's sign.
+        positions: (n, 3) rotor positions, m, body FRD, relative to the centre of mass.
+        moment_ratios: (n,) torque about body z per thrust, m (CA_ROTORn_KM). As in PX4, positive for a rotor that turns
+            counter-clockwise seen from above and whose reaction turns the body clockwise.
 
     Raises:
-        ValueError: fewer than 4 or more than ``MAX_ROTORS`` rotors, or rotors that cannot control all four axes.
+        ValueError: fewer than 4 or more than ``MAX_ROTORS`` rotors, or the rotors cannot control all four axes.
     """
     count = len(positions)
     if not 4 <= count <= MAX_ROTORS:
@@ -33,7 +33,7 @@ def effectiveness(positions: NDArray[np.float64], moment_ratios: NDArray[np.floa
     # thrust along -z: torque = r x (0, 0, -1) + km (0, 0, 1)
     matrix = np.stack([-positions[:, 1], positions[:, 0], moment_ratios, np.ones(count)])
     if np.linalg.matrix_rank(matrix) < 4:
-        raise ValueError("rotors: the arrangement leaves an axis without control")
+        raise ValueError("rotors: the arrangement cannot control all four axes")
     return matrix
 
 
@@ -45,8 +45,8 @@ def mixing_matrix(
     Args:
         positions: see ``effectiveness``.
         moment_ratios: see ``effectiveness``.
-        failed: bit i is set when rotor i is not to be used. The others share its work if they hover with all axes in
-            hand; if not, yaw is given up.
+        failed: bit i is set for a failed rotor i. The others replace it if they can hover and control all four axes;
+            otherwise yaw is not controlled.
 
     Raises:
         ValueError: see ``effectiveness``.
@@ -56,16 +56,16 @@ def mixing_matrix(
     mix = np.zeros((len(positions), 4))
     axes = np.array([0, 1, 2, 3] if _hovers(matrix[:, works]) else [0, 1, 3])
     mix[np.ix_(works, axes)] = np.linalg.pinv(matrix[axes][:, works])
-    mix[:, 3] = np.maximum(mix[:, 3], 0.0)  # no rotor pulls down
+    mix[:, 3] = np.maximum(mix[:, 3], 0.0)  # no rotor can produce downward thrust
     _scale(mix[works], mix)
     mix[np.abs(mix) < 1e-3] = 0.0
     return mix
 
 
 def _hovers(matrix: NDArray[np.float64]) -> bool:
-    """Return whether rotors hover with all four axes in hand: each carries a share of the weight that can be taken off.
+    """Return whether the rotors can hover and control all four axes, each with thrust to spare.
 
-    A hexacopter whose rotors turn in alternation does not once one of them has failed: the opposite one stands still.
+    A hexacopter with alternating rotor directions cannot after one failure: the opposite rotor hovers at zero thrust.
     """
     if np.linalg.matrix_rank(matrix) < 4:
         return False
@@ -74,7 +74,7 @@ def _hovers(matrix: NDArray[np.float64]) -> bool:
 
 
 def _scale(used: NDArray[np.float64], mix: NDArray[np.float64]) -> None:
-    """Scale the columns of ``mix`` as PX4 does, by those of its rows that take part."""
+    """Scale the columns of ``mix`` in place as PX4 does, by the rows ``used`` of working rotors."""
     roll_pitch = max(_rms_scale(used[:, 0]), _rms_scale(used[:, 1]))
     for axes, scale in (([0, 1], roll_pitch), ([2], np.max(np.abs(used[:, 2]))), ([3], np.mean(used[:, 3]))):
         if scale > 0.0:
@@ -82,7 +82,7 @@ def _scale(used: NDArray[np.float64], mix: NDArray[np.float64]) -> None:
 
 
 def _rms_scale(column: NDArray[np.float64]) -> float:
-    """Return PX4's norm of a roll or pitch column: sqrt(sum of squares over half of the rotors that take part)."""
+    """Return PX4's norm of a roll or pitch column: sqrt(sum of squares / (half of the rotors that contribute))."""
     used = np.count_nonzero(np.abs(column) > 1e-3)
     return float(np.sqrt(np.sum(column**2) / (used / 2.0))) if used else 0.0
 
@@ -108,7 +108,7 @@ def _gain_to_limits(u, direction, count, low, high):
 
 @kernel
 def _desaturate(u, direction, count, low, high, only_decrease):
-    """Move ``u`` along ``direction`` until limits are met as well as can be (two passes, the second by halves)."""
+    """Move ``u`` along ``direction`` to reduce saturation, in a full and a half step, as in PX4."""
     k = _gain_to_limits(u, direction, count, low, high)
     if only_decrease and k > 0.0:
         return
@@ -123,7 +123,7 @@ def _desaturate(u, direction, count, low, high, only_decrease):
 
 @kernel
 def _mix_yaw(u, c, mix, count):
-    """Add yaw, which may use a little more than the range before it is cut (15 % in PX4); then thrust gives way."""
+    """Add yaw, reduced where it exceeds the upper limit by over 15 % as in PX4; then reduce the thrust."""
     for i in range(count):
         u[i] += mix[2, i] * c.sp_torque[2]
     _desaturate(u, mix[2], count, 0.0, 1.15, False)
@@ -132,7 +132,7 @@ def _mix_yaw(u, c, mix, count):
 
 @kernel
 def _note_unallocated(c, unmix, count):
-    """Flag the torque axes that got less than was asked for, by the sign of what is missing."""
+    """Flag the torque axes whose setpoint was not reached, by the sign of the unallocated torque."""
     for axis in range(3):
         given = 0.0
         for i in range(count):
@@ -144,14 +144,14 @@ def _note_unallocated(c, unmix, count):
 
 @kernel
 def allocate(c, mix, unmix, count, airmode):
-    """Fill c.actuators (0..1) from c.sp_torque and c.sp_thrust, and the saturation flags of the torque axes.
+    """Update c.actuators (0..1) and the saturation flags from c.sp_torque and c.sp_thrust.
 
     Args:
         c: ``CONTROL`` record.
         mix: (4, MAX_ROTORS) transposed mixer, so that each axis is a contiguous row.
         unmix: (4, MAX_ROTORS) pseudo-inverse of the mixer: motor commands to torques and thrust.
         count: number of rotors.
-        airmode: MC_AIRMODE: 0 thrust may only fall for the torques, 1 also rise for roll and pitch, 2 for yaw too.
+        airmode: MC_AIRMODE: to reach the torques, thrust may 0 only fall, 1 rise for roll and pitch, 2 also for yaw.
     """
     u = c.actuators
     for i in range(count):

@@ -1,7 +1,7 @@
-"""The thrust that holds the vehicle, estimated in flight (PX4 mc_hover_thrust_estimator).
+"""Hover thrust estimation in flight (PX4 mc_hover_thrust_estimator).
 
-A Kalman filter of one constant state h: acceleration upwards = g (thrust / h - 1), linearised about h; the noise of
-the acceleration is learnt from what remains.
+A Kalman filter with the constant state h: upward acceleration = g (thrust / h - 1), linearised about h. The noise of
+the acceleration is estimated from the residuals.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain
 
 _RESIDUAL_TAU = 1.0  # s
-_NOISE_TAU = 2.0  # s, in which the noise is learnt
+_NOISE_TAU = 2.0  # s, of the noise estimate
 _FIRST_NOISE = 5.0  # m^2/s^4
-_STUCK = 0.2  # low-passed test ratio from which the estimate is taken for wrong
+_STUCK = 0.2  # low-passed test ratio above which the variance is raised
 _SMALL_VARIANCE = 0.001  # below which the estimate is used
-_VALID_TIME = 2.0  # s for which the variance must have been that small
+_VALID_TIME = 2.0  # s for which the variance must have been small
 
 
 @kernel
 def reset_hover_thrust(c, p):
-    """Forget the estimate: MPC_THR_HOVER, as uncertain as HTE_HT_ERR_INIT says."""
+    """Reset the estimate to MPC_THR_HOVER with the standard deviation HTE_HT_ERR_INIT."""
     c.hover_estimate = p.mpc_thr_hover
     c.hover_variance = p.hte_ht_err_init * p.hte_ht_err_init
     c.hover_noise = _FIRST_NOISE
@@ -34,7 +34,7 @@ def reset_hover_thrust(c, p):
 
 @kernel
 def estimate_hover_thrust(c, e, p, thrust, dt):
-    """Advance the filter of a vehicle in the air by ``dt`` s; ``thrust`` (0..1) is the vertical part of the command."""
+    """Update the filter in the air after ``dt`` s; ``thrust`` (0..1) is the vertical part of the thrust setpoint."""
     h = c.hover_estimate
     acceleration = -e.acceleration[2]
     fast_z = max(abs(e.velocity[2]) - p.hte_vz_thr + 1.0, 1.0)

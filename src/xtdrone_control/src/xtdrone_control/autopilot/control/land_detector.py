@@ -1,4 +1,4 @@
-"""Land detection of one vehicle: ground contact, maybe landed, landed (PX4 MulticopterLandDetector)."""
+"""Land detection: ground contact, maybe landed, landed (PX4 MulticopterLandDetector)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 from xtdrone_control.kernel import kernel
 
 _FREEFALL_ACCELERATION = 2.0  # m/s^2 of specific force, LNDMC_FFALL_THR
-_FREEFALL_TIME = 0.3  # s for which it must last
-_LOW_THRUST, _LOW_THRUST_BY_ESTIMATE = 0.3, 0.6  # share between least and hover thrust that counts as low
-_LEAST_THRUST = 0.1  # likewise, as hardly any
-_DESCENT = 0.9  # share of MPC_LAND_CRWL from which a descent is wanted
-_STICK_MARGIN = 0.01  # of thrust over MPC_MANTHR_MIN
-_JUST_LANDED, _WIDER = 2.0, 2.5  # for these seconds limits of motion are that much wider
+_FREEFALL_TIME = 0.3  # s, required duration
+_LOW_THRUST, _LOW_THRUST_BY_ESTIMATE = 0.3, 0.6  # of the range from least to hover thrust
+_LEAST_THRUST = 0.1  # of the same range
+_DESCENT = 0.9  # of MPC_LAND_CRWL, least speed of a commanded descent
+_STICK_MARGIN = 0.01  # thrust above MPC_MANTHR_MIN
+_JUST_LANDED, _WIDER = 2.0, 2.5  # s after touch-down, and factor on the motion limits during it
 
 
 @kernel
@@ -22,12 +22,12 @@ def _hold(seconds, condition, dt):
 
 @kernel
 def _ground_contact(c, e, p, climb_controlled, factor):
-    """Return whether thrust is low, a descent is wanted (where there is a wanted one) and nothing moves."""
+    """Return whether thrust is low, the vehicle is still and, with a controlled climb rate, a descent is commanded."""
     share = _LOW_THRUST_BY_ESTIMATE if c.hover_valid else _LOW_THRUST
     hover = c.hover_estimate if c.hover_valid else p.mpc_thr_hover
     low = c.sp_thrust <= p.mpc_thr_min + share * (hover - p.mpc_thr_min)
     if climb_controlled and not (c.maybe_landed or c.landed):
-        # written so that NaN, a climb rate that is not controlled, is no descent
+        # a comparison with NaN (not controlled) is false: no descent
         down = c.sp_velocity[2] >= _DESCENT * max(p.mpc_land_crwl, 0.1) or c.sp_acceleration[2] >= 100.0
         low = low and down
     slow = abs(e.velocity[2]) < p.lndmc_z_vel_max * factor
@@ -36,7 +36,7 @@ def _ground_contact(c, e, p, climb_controlled, factor):
 
 @kernel
 def _maybe_landed(c, e, p, climb_controlled, factor, dt):
-    """Return whether there is hardly any thrust and no rotation, on the ground as far as that can be told."""
+    """Return whether thrust is minimal and the vehicle does not rotate, with ground contact."""
     hover = c.hover_estimate if c.hover_valid else p.mpc_thr_hover
     least = p.mpc_thr_min + _LEAST_THRUST * (hover - p.mpc_thr_min)
     if not climb_controlled:
@@ -50,19 +50,19 @@ def _maybe_landed(c, e, p, climb_controlled, factor, dt):
 
 @kernel
 def detect_landing(c, s, e, sensors, p, dt, climb_controlled):
-    """Advance the three stages; each must hold for a third of LNDMC_TRIG_TIME before the next.
+    """Update the three stages; each must hold for a third of LNDMC_TRIG_TIME.
 
     Args:
         c, s, e, sensors, p: records.
-        dt: s.
-        climb_controlled: whether the present task controls the climb rate.
+        dt: time since the last call, s.
+        climb_controlled: whether the flight task controls the climb rate.
     """
     third = p.lndmc_trig_time / 3.0
     force = math.sqrt(sensors.accel[0] ** 2 + sensors.accel[1] ** 2 + sensors.accel[2] ** 2)
     c.freefall_time = _hold(c.freefall_time, force < _FREEFALL_ACCELERATION, dt)
     c.freefall = 1 if c.freefall_time >= _FREEFALL_TIME else 0
     if not s.armed:
-        # motors are off: at rest means on the ground
+        # with stopped motors, a vehicle at rest is on the ground
         still = abs(e.velocity[2]) < p.lndmc_z_vel_max and not c.freefall
         still = still and math.hypot(e.velocity[0], e.velocity[1]) < p.lndmc_xy_vel_max
         c.landed_time = _hold(c.landed_time, still, dt)

@@ -1,7 +1,8 @@
-"""Position and velocity control of one vehicle: setpoints in the local frame to a thrust vector and an attitude.
+"""Position and velocity control: setpoints in the local frame to a thrust vector and an attitude.
 
-The cascade of PX4 v1.14's mc_pos_control/PositionControl: P on position, PID on velocity to a wanted acceleration,
-acceleration to a thrust vector under tilt and thrust limits, thrust vector and yaw to an attitude.
+The cascade of PX4 v1.14's mc_pos_control/PositionControl: P on position to a velocity, PID on
+velocity to an acceleration, acceleration to a thrust vector within tilt and thrust limits, thrust vector and yaw to an
+attitude.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from xtdrone_control.rotation_kernels import constrain, from_axes, yaw_of
 
 @kernel
 def _limit_horizontal(first_x, first_y, second_x, second_y, limit):
-    """Return first + second with norm <= limit, the first vector having priority (PX4 ControlMath::constrainXY)."""
+    """Return first + second limited to the norm ``limit``, with priority to first (PX4 ControlMath::constrainXY)."""
     sx, sy = first_x + second_x, first_y + second_y
     if sx * sx + sy * sy <= limit * limit:
         return sx, sy
@@ -33,7 +34,7 @@ def _limit_horizontal(first_x, first_y, second_x, second_y, limit):
 
 @kernel
 def start_loops(c):
-    """Take over the task's setpoint; the loops turn it into what is told as setpoint and into thrust."""
+    """Copy the task's setpoint to c.sp_*, which the loops complete in place."""
     for i in range(3):
         c.sp_position[i] = c.task_position[i]
         c.sp_velocity[i] = c.task_velocity[i]
@@ -44,10 +45,10 @@ def start_loops(c):
 
 @kernel
 def position_loop(c, e, p, speed_up, speed_down):
-    """Fill c.sp_velocity from c.sp_position (P) and the velocity feed-forward that stands in c.sp_velocity.
+    """Update c.sp_velocity from c.sp_position (P) and the feed-forward in c.sp_velocity.
 
-    NaN in either means "not controlled"; a velocity stays NaN only when both are. Horizontally the part from the
-    position error has priority over the feed-forward.
+    NaN means "not controlled"; a velocity stays NaN if its position is NaN too. Horizontally the position error has
+    priority over the feed-forward.
     """
     fx = (c.sp_position[0] - e.position[0]) * p.mpc_xy_p
     fy = (c.sp_position[1] - e.position[1]) * p.mpc_xy_p
@@ -65,22 +66,22 @@ def position_loop(c, e, p, speed_up, speed_down):
     if not math.isnan(fz):
         vz = fz if math.isnan(vz) else fz + vz
     if not math.isnan(vz):
-        # at the start of a takeoff the upper limit lies below the lower one, and holds
+        # at the start of a takeoff the upper limit is below the lower one and has priority
         c.sp_velocity[2] = -speed_up if vz < -speed_up else min(vz, max(speed_down, -speed_up))
 
 
 @kernel
 def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
-    """Fill c.sp_acceleration and c.sp_thrust_vector from c.sp_velocity (PID) and the acceleration feed-forward.
+    """Update c.sp_acceleration and c.sp_thrust_vector from c.sp_velocity (PID) and the acceleration feed-forward.
 
     Args:
         c, e, p: records.
-        dt: s since the last call.
-        tilt_max: rad.
+        dt: time since the last call, s.
+        tilt_max: largest tilt, rad.
         thrust_min: least collective thrust, 0..1.
     """
     integral = c.velocity_integral
-    thrust_min, thrust_max = max(thrust_min, 1e-3), p.mpc_thr_max  # a vector of some length tells the attitude
+    thrust_min, thrust_max = max(thrust_min, 1e-3), p.mpc_thr_max  # a zero vector would leave the attitude undefined
     error_x = c.sp_velocity[0] - e.velocity[0]
     error_y = c.sp_velocity[1] - e.velocity[1]
     error_z = c.sp_velocity[2] - e.velocity[2]
@@ -97,11 +98,11 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
     _acceleration_to_thrust(c, tilt_max, thrust_min)
     thrust = c.sp_thrust_vector
 
-    # vertical anti-windup: no further up while at full thrust, no further down while at least thrust
+    # vertical anti-windup: stop integrating upwards at full thrust and downwards at least thrust
     if (thrust[2] >= -thrust_min and error_z >= 0.0) or (thrust[2] <= -thrust_max and error_z <= 0.0):
         error_z = 0.0
 
-    # vertical thrust first, but a margin is kept for the horizontal axes
+    # vertical thrust has priority, except for a margin kept for the horizontal axes
     horizontal = math.hypot(thrust[0], thrust[1])
     allocated = min(horizontal, p.mpc_thr_xy_marg)
     vertical_limit = math.sqrt(max(thrust_max * thrust_max - allocated * allocated, 0.0))
@@ -111,7 +112,7 @@ def velocity_loop(c, e, p, dt, tilt_max, thrust_min):
         thrust[0] *= horizontal_limit / horizontal
         thrust[1] *= horizontal_limit / horizontal
 
-    # horizontal anti-windup by what was not produced (tracking anti-windup)
+    # horizontal tracking anti-windup: feed back the acceleration that was not produced
     produced_x = thrust[0] * GRAVITY / c.hover_thrust
     produced_y = thrust[1] * GRAVITY / c.hover_thrust
     wanted = math.hypot(c.sp_acceleration[0], c.sp_acceleration[1])
@@ -135,9 +136,9 @@ def _add_ignoring_nan(value, addition):
 
 @kernel
 def _acceleration_to_thrust(c, tilt_max, thrust_min):
-    """Turn c.sp_acceleration into the normalised thrust vector (local) by the hover thrust, under a tilt limit."""
+    """Convert c.sp_acceleration to c.sp_thrust_vector (normalised, local) by hover thrust, within the tilt limit."""
     ax, ay, az = c.sp_acceleration[0], c.sp_acceleration[1], c.sp_acceleration[2]
-    # thrust points up along -z of the body; gravity is what a level hover produces
+    # thrust is along body -z; in a level hover it balances gravity
     bx, by, bz = -ax, -ay, GRAVITY
     norm = math.sqrt(bx * bx + by * by + bz * bz)
     bx, by, bz = bx / norm, by / norm, bz / norm
@@ -156,13 +157,13 @@ def _acceleration_to_thrust(c, tilt_max, thrust_min):
 
 @kernel
 def thrust_to_attitude(c, e):
-    """Fill c.sp_q and c.sp_thrust from the thrust vector and c.sp_yaw (PX4 ControlMath::thrustToAttitude)."""
+    """Update c.sp_q and c.sp_thrust from c.sp_thrust_vector and c.sp_yaw (PX4 ControlMath::thrustToAttitude)."""
     tx, ty, tz = c.sp_thrust_vector[0], c.sp_thrust_vector[1], c.sp_thrust_vector[2]
     norm = math.sqrt(tx * tx + ty * ty + tz * tz)
     c.sp_thrust = norm
     z = (0.0, 0.0, 1.0) if norm < 1e-6 else (-tx / norm, -ty / norm, -tz / norm)
     yaw = yaw_of(e.q) if math.isnan(c.sp_yaw) else c.sp_yaw
-    # x axis of the body: in the vertical plane of the heading, at right angles to z
+    # body x: perpendicular to z, in the vertical plane of the heading
     yx, yy = -math.sin(yaw), math.cos(yaw)
     xx, xy, xz = yy * z[2], -yx * z[2], yx * z[1] - yy * z[0]
     if z[2] < 0.0:  # upside down: keep the nose on the heading
@@ -177,9 +178,9 @@ def thrust_to_attitude(c, e):
 
 @kernel
 def use_hover_thrust(c, estimate):
-    """Make accelerations thrust by ``estimate`` (0..1) from now on, without a step in the thrust.
+    """Use ``estimate`` (0..1) as hover thrust without a step in the thrust.
 
-    PX4 PositionControl::updateHoverThrust: the velocity integral takes up the difference.
+    As in PX4's PositionControl::updateHoverThrust, the velocity integral absorbs the difference.
     """
     before = c.hover_thrust
     if estimate == before or math.isnan(c.sp_acceleration[2]):

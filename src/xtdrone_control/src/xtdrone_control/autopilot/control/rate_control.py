@@ -1,4 +1,4 @@
-"""Rate control of one vehicle: body rate setpoints to normalised torques (PX4 lib/rate_control)."""
+"""Rate control: body rate setpoints to normalised torques (PX4 lib/rate_control)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xtdrone_control.rotation_kernels import constrain
 
 @kernel
 def _axis(c, e, i, gain_k, gain_p, gain_i, gain_d, gain_ff, limit, dt, integrate):
-    """Return the torque of axis ``i`` and advance its integral, which stands still where the allocator saturates."""
+    """Return the torque of axis ``i`` and update its integral, which does not grow while the allocator saturates."""
     setpoint = c.sp_rates[i]
     error = setpoint - e.rates[i]
     torque = gain_k * (gain_p * error + gain_ff * setpoint - gain_d * e.angular_acceleration[i]) + c.rate_integral[i]
@@ -20,7 +20,7 @@ def _axis(c, e, i, gain_k, gain_p, gain_i, gain_d, gain_ff, limit, dt, integrate
         error = min(error, 0.0)
     if c.saturation_neg[i]:
         error = max(error, 0.0)
-    # fade the integral's growth with large errors: less bounce after flips (400 deg/s as in PX4)
+    # slow the integral for large errors, for less bounce-back after flips (400 deg/s as in PX4)
     fade = error / math.radians(400.0)
     fade = max(0.0, 1.0 - fade * fade)
     c.rate_integral[i] = constrain(c.rate_integral[i] + fade * gain_k * gain_i * error * dt, -limit, limit)
@@ -29,7 +29,7 @@ def _axis(c, e, i, gain_k, gain_p, gain_i, gain_d, gain_ff, limit, dt, integrate
 
 @kernel
 def rate_control(c, e, p, dt, integrate):
-    """Fill c.sp_torque (normalised, body) from c.sp_rates; ``integrate`` is false on the ground."""
+    """Update c.sp_torque (normalised, body) from c.sp_rates; ``integrate`` is false on the ground."""
     c.sp_torque[0] = _axis(
         c, e, 0, p.mc_rollrate_k, p.mc_rollrate_p, p.mc_rollrate_i, p.mc_rollrate_d, p.mc_rollrate_ff,
         p.mc_rr_int_lim, dt, integrate,

@@ -1,4 +1,4 @@
-"""Takeoff of one vehicle: spool-up, ramp of the upward speed limit, flight (PX4 mc_pos_control/Takeoff)."""
+"""Takeoff: spool-up, ramp of the upward speed limit, flight (PX4 mc_pos_control/Takeoff)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from xtdrone_control.kernel import kernel
 
 
 @kernel
-def update_takeoff(c, armed, p, wants, skip):
-    """Advance c.takeoff_state.
+def update_takeoff(c, armed, p, wants_takeoff, skip):
+    """Update c.takeoff_state.
 
     Args:
         c: ``CONTROL`` record.
-        armed: whether motors run.
+        armed: whether the vehicle is armed.
         p: ``PARAMS`` record.
-        wants: the setpoint asks the vehicle to leave the ground.
-        skip: nothing controls the climb rate, so nothing is ramped up: the pilot's thrust lifts the vehicle.
+        wants_takeoff: whether the setpoint leads off the ground.
+        skip: whether to skip the ramp, as the pilot sets the thrust directly.
     """
     if not armed:
         c.takeoff_state = TAKEOFF_DISARMED
@@ -34,7 +34,7 @@ def update_takeoff(c, armed, p, wants, skip):
         c.takeoff_state = TAKEOFF_SPOOLUP if c.landed else TAKEOFF_FLIGHT
     if c.takeoff_state == TAKEOFF_SPOOLUP and c.armed_time >= p.com_spoolup_time:
         c.takeoff_state = TAKEOFF_READY
-    if c.takeoff_state == TAKEOFF_READY and wants:
+    if c.takeoff_state == TAKEOFF_READY and wants_takeoff:
         c.takeoff_state = TAKEOFF_RAMPUP
         c.ramp_progress = 0.0
     if c.takeoff_state == TAKEOFF_RAMPUP and c.ramp_progress >= 1.0:
@@ -45,8 +45,8 @@ def update_takeoff(c, armed, p, wants, skip):
 
 @kernel
 def update_ramp(c, p, speed_up, dt):
-    """Advance c.ramp_speed, the upward speed limit (m/s), which ends at ``speed_up`` after MPC_TKO_RAMP_T."""
-    # it begins with the downward speed whose error takes all thrust away, so that thrust rises from zero
+    """Update c.ramp_speed, the upward speed limit (m/s), which rises to ``speed_up`` within MPC_TKO_RAMP_T."""
+    # start at the downward speed whose error cancels the hover thrust, so that thrust rises from zero
     start = -GRAVITY / max(p.mpc_z_vel_p_acc, 0.01)
     c.ramp_speed = speed_up
     if c.takeoff_state < TAKEOFF_RAMPUP:

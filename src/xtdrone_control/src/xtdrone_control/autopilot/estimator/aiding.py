@@ -1,9 +1,10 @@
-"""Which measurement the estimator uses when: starts, stops, checks, time-outs, resets, and what may be relied on.
+"""Aiding control of the estimator: start, stop, check, time out and reset each source, and update the validity flags.
 
 After PX4 v1.14's EKF2 (gps_control, gps_checks, ev_*_control, optical_flow_control, range_height_control,
-baro_height_control, mag_control, fake_pos_control, ekf_helper). One height counts (EKF2_HGT_REF), the others follow it
-with an offset of their own and take over, with that offset, when it is lost. GPS needs a heading from north. Vision
-in its own frame (VISION_FRD) brings its own heading, and then the magnetometer and GPS are left out.
+baro_height_control, mag_control, fake_pos_control, ekf_helper). EKF2_HGT_REF selects the height reference. Every other
+height source tracks the reference with an estimated offset and replaces it, keeping that offset, when the reference
+times out. GPS fusion needs a heading aligned with north. Vision in a frame that is not aligned with north (VISION_FRD)
+also sets the heading; the magnetometer and GPS are then not used.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from xtdrone_control.autopilot.estimator.fusion import (
     POS,
     VEL,
     YAW_UNKNOWN_STD,
-    follow_field,
     fuse_flow,
     fuse_heading,
     fuse_state,
@@ -26,6 +26,7 @@ from xtdrone_control.autopilot.estimator.fusion import (
     reset_velocity,
     reset_vertical_velocity,
     reset_yaw,
+    track_field,
 )
 from xtdrone_control.autopilot.state import (
     HEIGHT_BARO,
@@ -42,24 +43,24 @@ from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, multiply, rotate, wrap_pi, yaw_of
 
 _STATUS_PERIOD_US = 40_000
-_AIDING_US = 1_000_000  # without aiding for longer it is dead reckoning (PX4: no_aid_timeout_max)
-_RESET_US = 7_000_000  # a source that is refused for longer sets the state (PX4: reset_timeout_max)
+_AIDING_US = 1_000_000  # without aiding for longer: dead reckoning (PX4: no_aid_timeout_max)
+_RESET_US = 7_000_000  # a source rejected for longer resets the state (PX4: reset_timeout_max)
 _HEIGHT_RESET_US = 5_000_000  # PX4: hgt_fusion_timeout_max
-_GPS_STOP_US = 10_000_000  # GPS silence until its use ends; sooner when there is another horizontal source
+_GPS_STOP_US = 10_000_000  # GPS timeout; _SENSOR_STOP_US with another horizontal source
 _VISION_STOP_US = 400_000  # PX4: twice EV_MAX_INTERVAL
 _SENSOR_STOP_US = 1_000_000
 _IMU_STOP_US = 200_000
 _MAG_PERIOD_US = 60_000  # PX4: SENS_MAG_RATE 15 Hz, rounded to the magnetometer's 50 Hz
-_MAG_START_US = 1_000_000  # the field must have been sound for as long (PX4: min_mag_health_time)
+_MAG_START_US = 1_000_000  # required duration of an undisturbed field (PX4: min_mag_health_time)
 _BARO_PERIOD_US = 50_000  # PX4: SENS_BARO_RATE 20 Hz
-_BARO_START_US = 1_000_000  # the barometer waits so long for the height that counts
+_BARO_START_US = 1_000_000  # time for which the barometer waits for the height reference
 _HOLD_PERIOD_US = 200_000  # PX4: fake position at 5 Hz
 _FIELD_STRENGTH, _FIELD_TOLERANCE = 0.45, 0.25  # gauss; PX4's average over the Earth
-_OFFSET_GAIN = 0.02  # share of an innovation by which a height's offset follows
+_OFFSET_GAIN = 0.02  # share of each innovation added to a source's offset
 _LEAST_TERRAIN_VARIANCE = 1e-4  # m^2
-_TERRAIN_RATE = 0.01  # s; EKF2_TERR_NOISE holds for PX4's filter period
-_LEVEL_COSINE = 0.7  # of the tilt up to which the range finder's height is used (PX4: EKF2_RNG_CTRL's 45 deg)
-_HEADING_LIMIT = 0.3  # rad, 1 sigma of a heading that is good
+_TERRAIN_RATE = 0.01  # s, PX4's filter period, for which EKF2_TERR_NOISE is defined
+_LEVEL_COSINE = 0.7  # of the largest tilt at which range and flow are fused (PX4: 45 deg)
+_HEADING_LIMIT = 0.3  # rad, largest 1 sigma of a good heading
 
 # EKF2_GPS_CHECK
 _CHECK_SATELLITES, _CHECK_PDOP, _CHECK_EPH, _CHECK_EPV, _CHECK_SPEED = 1, 2, 4, 8, 16
@@ -82,8 +83,8 @@ _reproject = kernel(geo.reproject)
 
 
 @kernel
-def note_imu(e, s):
-    """Return whether there is an IMU sample in this step."""
+def update_imu_time(e, s):
+    """Store the time of this step's IMU sample; return whether there is one."""
     if s.imu_missing:
         return False
     e.time_imu_us = s.time_us
@@ -91,33 +92,33 @@ def note_imu(e, s):
 
 
 @kernel
-def _within(now_us, then_us, limit_us):
-    """Return whether ``then_us`` is a time (not 0) and at most ``limit_us`` ago."""
+def _is_recent(now_us, then_us, limit_us):
+    """Return whether ``then_us`` is set (not 0) and at most ``limit_us`` before ``now_us``."""
     return then_us > 0 and now_us - then_us <= limit_us
 
 
 @kernel
 def fuse_sources(e, s, p, work):
-    """Fuse every sample that is fresh."""
+    """Process every fresh sample of this step."""
     if s.mag_fresh and s.time_us - e.time_mag_us >= _MAG_PERIOD_US:
-        _take_mag(e, s, p, work)
+        _process_mag(e, s, p, work)
     if s.gps_fresh:
-        _take_gps(e, s, p, work)
+        _process_gps(e, s, p, work)
     if s.baro_fresh and s.time_us - e.time_baro_us >= _BARO_PERIOD_US:
-        _take_baro(e, s, p, work)
+        _process_baro(e, s, p, work)
     if s.vision_fresh:
-        _take_vision(e, s, p, work)
+        _process_vision(e, s, p, work)
     if s.range_fresh:
-        _take_range(e, s, p, work)
+        _process_range(e, s, p, work)
     if s.flow_fresh:
-        _take_flow(e, s, p, work)
+        _process_flow(e, s, p, work)
 
 
-# heading by magnetometer
+# magnetometer
 
 
 @kernel
-def _take_mag(e, s, p, work):
+def _process_mag(e, s, p, work):
     e.time_mag_us = s.time_us
     if not e.in_air:
         e.mag_fault = 0
@@ -125,38 +126,39 @@ def _take_mag(e, s, p, work):
         e.mag_used = 0
         e.test_ratio_mag = 0.0
         return
-    follow_field(e, s)
+    track_field(e, s)
     if not e.heading_aligned:
         e.mag_resets = 1
-        _head_north(e, s, p, work)
+        _reset_heading_to_mag(e, s, p, work)
         return
     if not e.mag_used:
         e.mag_used = e.mag_resets = 1
         e.time_heading_fuse_us = s.time_us
     fuse_heading(e, s, p, work)
-    if not _within(s.time_us, e.time_heading_fuse_us, _RESET_US):
-        _mag_refused(e, s, p, work)
+    if not _is_recent(s.time_us, e.time_heading_fuse_us, _RESET_US):
+        _recover_mag(e, s, p, work)
 
 
 @kernel
 def _mag_usable(e, s, p):
-    """Return whether the magnetometer's heading is wanted and may be believed; keep ``mag_good``."""
+    """Update ``mag_good``; return whether the magnetic heading is enabled and plausible."""
     strength = math.sqrt(s.mag[0] ** 2 + s.mag[1] ** 2 + s.mag[2] ** 2)
     disturbed = abs(strength - _FIELD_STRENGTH) > _FIELD_TOLERANCE
     if disturbed:
         e.time_mag_disturbed_us = s.time_us
     e.mag_good = not disturbed and not e.mag_fault
     kind = int(p.ekf2_mag_type)
-    refused = int(p.ekf2_mag_check) & 1 and _within(s.time_us, e.time_mag_disturbed_us, _MAG_START_US)
+    rejected = int(p.ekf2_mag_check) & 1 and _is_recent(s.time_us, e.time_mag_disturbed_us, _MAG_START_US)
     first_only = kind == _MAG_INIT and e.heading_aligned
-    return not (kind == _MAG_NONE or refused or first_only or e.mag_fault or e.vision_yaw_used)
+    return not (kind == _MAG_NONE or rejected or first_only or e.mag_fault or e.vision_yaw_used)
 
 
 @kernel
-def _mag_refused(e, s, p, work):
-    """Believe a magnetometer that has been refused for long, in the air only once: it is faulty when that was no help.
+def _recover_mag(e, s, p, work):
+    """Reset the heading and the bias to a magnetometer that has been rejected for ``_RESET_US``.
 
-    As PX4's mag_heading_control. Its bias is learnt anew.
+    In the air this happens once; a magnetometer that is rejected again is declared faulty until landing, as in PX4's
+    mag_heading_control.
     """
     if e.in_air and not e.mag_resets:
         e.mag_fault = 1
@@ -164,17 +166,17 @@ def _mag_refused(e, s, p, work):
         e.test_ratio_mag = 0.0
         return
     reset_mag_bias(e, p.ekf2_mag_noise**2)
-    _head_north(e, s, p, work)
+    _reset_heading_to_mag(e, s, p, work)
     if e.in_air:
         e.mag_resets -= 1
 
 
 @kernel
-def _head_north(e, s, p, work):
-    """Turn the heading to what the magnetometer shows; what the position was counted by is void then.
+def _reset_heading_to_mag(e, s, p, work):
+    """Reset the heading to the magnetic heading.
 
-    The heading is unknown and then measured, so that it has the error of that sample and of the bias, correlated with
-    what else shares them.
+    The heading is first declared unknown and then measured. Its variance therefore contains the errors of the sample
+    and of the bias, with the right correlations to the other states.
     """
     innovation, _, _, found = magnetic_heading(e, s, math.radians(p.ekf2_mag_decl))
     if not found:
@@ -190,7 +192,7 @@ def _head_north(e, s, p, work):
 
 @kernel
 def _check_gps(e, s, p):
-    """Keep ``gps_good``: the fixes have passed the checks for long enough."""
+    """Update ``gps_good``: whether fixes have passed all enabled checks for EKF2_REQ_GPS_H."""
     bits = int(p.ekf2_gps_check)
     fails = s.gps_fix < 3
     fails = fails or (bits & _CHECK_SATELLITES and s.gps_satellites < p.ekf2_req_nsats)
@@ -199,28 +201,28 @@ def _check_gps(e, s, p):
     fails = fails or (bits & _CHECK_EPH and s.gps_eph > p.ekf2_req_eph)
     fails = fails or (bits & _CHECK_EPV and s.gps_epv > p.ekf2_req_epv)
     fails = fails or (bits & _CHECK_SPEED and s.gps_speed_accuracy > p.ekf2_req_sacc)
-    # PX4's hold time counts from its start, as here from the first fix
+    # the first fix starts the hold time, as the start of the filter does in PX4
     if fails or e.time_gps_fail_us == 0:
         e.time_gps_fail_us = s.time_us
     e.gps_good = s.time_us - e.time_gps_fail_us >= p.ekf2_req_gps_h * 1e6
 
 
 @kernel
-def _other_horizontal(e):
-    """Return whether something else than GPS aids the horizontal state."""
+def _other_horizontal_aiding(e):
+    """Return whether a source other than GPS aids the horizontal state."""
     return e.vision_position_used or e.vision_velocity_used or e.flow_used
 
 
 @kernel
-def _take_gps(e, s, p, work):
+def _process_gps(e, s, p, work):
     e.time_last_gps_us = s.time_us
     _check_gps(e, s, p)
     control = int(p.ekf2_gps_ctrl)
     if not control & (_GPS_POSITION | _GPS_VELOCITY | _GPS_ALTITUDE) or not e.heading_aligned:
         e.gps_used = 0
         return
-    if s.gps_fix < 3 or (not e.gps_good and (not e.gps_used or _other_horizontal(e))):
-        e.gps_used = e.gps_used and not _other_horizontal(e)
+    if s.gps_fix < 3 or (not e.gps_good and (not e.gps_used or _other_horizontal_aiding(e))):
+        e.gps_used = e.gps_used and not _other_horizontal_aiding(e)
         return
     if not e.origin_set:
         _set_origin(e, s)
@@ -236,18 +238,18 @@ def _take_gps(e, s, p, work):
     if not e.gps_used:
         e.gps_used = 1
         e.time_gps_fuse_us = s.time_us
-        if not _other_horizontal(e) and not (e.located and e.position_valid):
+        if not _other_horizontal_aiding(e) and not (e.located and e.position_valid):
             _reset_to_gps(e, s, p, north, east)
             return
     _fuse_gps_velocity(e, s, p, control, work)
     _fuse_gps_position(e, s, p, control, north, east, work)
-    if not _within(s.time_us, e.time_gps_fuse_us, _RESET_US):
+    if not _is_recent(s.time_us, e.time_gps_fuse_us, _RESET_US):
         _reset_to_gps(e, s, p, north, east)
 
 
 @kernel
 def _set_origin(e, s):
-    """Put the origin where the vehicle's local position is 0, as GPS sees it now."""
+    """Set the origin so that the present GPS fix agrees with the present local position."""
     e.origin_lat, e.origin_lon, e.origin_alt = s.gps_lat, s.gps_lon, s.gps_alt
     if e.located:
         e.origin_lat, e.origin_lon = _reproject(-e.position[0], -e.position[1], s.gps_lat, s.gps_lon)
@@ -287,19 +289,19 @@ def _fuse_gps_position(e, s, p, control, north, east, work):
 
 @kernel
 def _reset_to_gps(e, s, p, north, east):
-    """Set the horizontal state, and the vertical velocity, to a fix."""
+    """Reset the horizontal state and the vertical velocity to a GPS fix."""
     variance = max(p.ekf2_gps_v_noise, s.gps_speed_accuracy) ** 2
     reset_position(e, north, east, max(p.ekf2_gps_p_noise, s.gps_eph) ** 2)
     if int(p.ekf2_gps_ctrl) & _GPS_VELOCITY:
         reset_velocity(e, s.gps_vel[0], s.gps_vel[1], variance)
         reset_vertical_velocity(e, s.gps_vel[2], variance)
-    _located(e, s)
+    _mark_located(e, s)
     e.time_gps_fuse_us = s.time_us
 
 
 @kernel
-def _located(e, s):
-    """Take note that the horizontal position has been set by a source of it."""
+def _mark_located(e, s):
+    """Mark the horizontal state as valid and fused now, after a reset to a source."""
     e.located = e.position_valid = e.velocity_valid = 1
     e.time_last_pos_fuse_us = e.time_last_vel_fuse_us = s.time_us
 
@@ -309,25 +311,25 @@ def _located(e, s):
 
 @kernel
 def _fuse_height(e, s, p, source, down, variance, gate, work):
-    """Fuse a height, or start with it.
+    """Fuse a height, or start fusing its source.
 
     Args:
         e, s, p: the vehicle's records.
         source: ``HEIGHT_*``.
-        down: m, the down coordinate that it measures, its offset not yet added.
+        down: measured down coordinate without the source's offset, m.
         variance: m^2.
-        gate: SD.
-        work: scratch.
+        gate: innovation gate, standard deviations.
+        work: (2, N_STATES) scratch.
 
     Returns:
-        Its test ratio.
+        The innovation test ratio; 0 on a start.
     """
-    counts = int(p.ekf2_hgt_ref) == source
+    is_reference = int(p.ekf2_hgt_ref) == source
     now = s.time_us
     if not e.height_used[source]:
         e.height_used[source] = 1
         e.time_height_fuse_us[source] = now
-        if counts and source != HEIGHT_BARO:
+        if is_reference and source != HEIGHT_BARO:
             e.height_offset[source] = 0.0
             reset_height(e, down, variance)
         else:
@@ -342,13 +344,18 @@ def _fuse_height(e, s, p, source, down, variance, gate, work):
     e.test_ratio_hgt = ratio
     e.innov_hgt = innovation
     reference = int(p.ekf2_hgt_ref)
-    known = 0 <= reference < len(e.height_used)  # a parameter may be anything
-    if known and not counts and e.height_used[reference] and _within(now, e.time_height_fuse_us[reference], _AIDING_US):
+    known = 0 <= reference < len(e.height_used)  # a parameter may be out of range
+    if (
+        known
+        and not is_reference
+        and e.height_used[reference]
+        and _is_recent(now, e.time_height_fuse_us[reference], _AIDING_US)
+    ):
         e.height_offset[source] -= _OFFSET_GAIN * constrain(innovation, -1.0, 1.0)
     if ratio <= 1.0:
         e.time_height_fuse_us[source] = e.time_last_hgt_fuse_us = now
     elif now - e.time_height_fuse_us[source] > _HEIGHT_RESET_US:
-        if counts or now - e.time_last_hgt_fuse_us > _HEIGHT_RESET_US:
+        if is_reference or now - e.time_last_hgt_fuse_us > _HEIGHT_RESET_US:
             reset_height(e, down + e.height_offset[source], variance)
             e.time_last_hgt_fuse_us = now
         else:
@@ -358,14 +365,14 @@ def _fuse_height(e, s, p, source, down, variance, gate, work):
 
 
 @kernel
-def _take_baro(e, s, p, work):
+def _process_baro(e, s, p, work):
     e.time_baro_us = s.time_us
     if not int(p.ekf2_baro_ctrl):
         e.height_used[HEIGHT_BARO] = 0
         return
-    counts = int(p.ekf2_hgt_ref) == HEIGHT_BARO
-    # let the height that counts come first, so that nothing has to be reset
-    if not e.altitude_valid and not counts and s.time_us - e.time_aligned_us < _BARO_START_US:
+    is_reference = int(p.ekf2_hgt_ref) == HEIGHT_BARO
+    # wait for the height reference, which would otherwise reset the height
+    if not e.altitude_valid and not is_reference and s.time_us - e.time_aligned_us < _BARO_START_US:
         return
     down = e.origin_alt - s.baro_alt
     e.test_ratio_baro = _fuse_height(e, s, p, HEIGHT_BARO, down, p.ekf2_baro_noise**2, p.ekf2_baro_gate, work)
@@ -375,15 +382,14 @@ def _take_baro(e, s, p, work):
 
 
 @kernel
-def _range_cosine(e):
-    """Return the cosine of the tilt."""
+def _tilt_cosine(e):
     return 1.0 - 2.0 * (e.q[1] * e.q[1] + e.q[2] * e.q[2])
 
 
 @kernel
-def _take_range(e, s, p, work):
+def _process_range(e, s, p, work):
     usable = s.range_quality != 0 and s.range_least <= s.range_distance <= s.range_largest
-    cosine = _range_cosine(e)
+    cosine = _tilt_cosine(e)
     since = constrain((s.time_us - e.time_range_us) * 1e-6, 0.0, 1.0)
     e.time_range_us = s.time_us
     e.range_good = usable
@@ -392,11 +398,11 @@ def _take_range(e, s, p, work):
     hagl = max(s.range_distance * cosine, p.ekf2_min_rng)
     variance = (p.ekf2_rng_noise**2 + (p.ekf2_rng_sfe * s.range_distance) ** 2) * cosine * cosine
     _fuse_terrain(e, s, p, hagl, variance, since)
-    counts = int(p.ekf2_hgt_ref) == HEIGHT_RANGE
+    is_reference = int(p.ekf2_hgt_ref) == HEIGHT_RANGE
     control = int(p.ekf2_rng_ctrl)
     speed = math.sqrt(e.velocity[0] ** 2 + e.velocity[1] ** 2)
     low_and_slow = hagl < p.ekf2_rng_a_hmax and speed < p.ekf2_rng_a_vmax
-    if control == 0 or not (counts or control == 2 or low_and_slow):
+    if control == 0 or not (is_reference or control == 2 or low_and_slow):
         e.height_used[HEIGHT_RANGE] = 0
         return
     e.innov_range = e.height_offset[HEIGHT_RANGE] - hagl - e.position[2]
@@ -405,10 +411,10 @@ def _take_range(e, s, p, work):
 
 @kernel
 def _fuse_terrain(e, s, p, hagl, variance, since):
-    """Follow the ground below by a filter of its own, as PX4 v1.14 does."""
+    """Update the scalar Kalman filter of the terrain's down coordinate, as in PX4 v1.14."""
     measured = e.position[2] + hagl
     noise = variance + e.P[8, 8]
-    if not _within(s.time_us, e.time_terrain_fuse_us, _HEIGHT_RESET_US):
+    if not _is_recent(s.time_us, e.time_terrain_fuse_us, _HEIGHT_RESET_US):
         e.terrain = measured
         e.terrain_variance = noise
         e.time_terrain_fuse_us = s.time_us
@@ -426,11 +432,11 @@ def _fuse_terrain(e, s, p, hagl, variance, since):
 
 
 @kernel
-def _take_flow(e, s, p, work):
+def _process_flow(e, s, p, work):
     e.time_flow_us = s.time_us
     e.flow_good = s.flow_quality >= p.ekf2_of_qmin
-    known = _within(s.time_us, e.time_terrain_fuse_us, _HEIGHT_RESET_US)
-    if not int(p.ekf2_of_ctrl) or not e.flow_good or not known or _range_cosine(e) < _LEVEL_COSINE:
+    known = _is_recent(s.time_us, e.time_terrain_fuse_us, _HEIGHT_RESET_US)
+    if not int(p.ekf2_of_ctrl) or not e.flow_good or not known or _tilt_cosine(e) < _LEVEL_COSINE:
         return
     hagl = max(e.terrain - e.position[2], p.ekf2_min_rng)
     share = (s.flow_quality - p.ekf2_of_qmin) / max(255.0 - p.ekf2_of_qmin, 1.0)
@@ -446,28 +452,28 @@ def _take_flow(e, s, p, work):
     e.test_ratio_flow = fuse_flow(e, x, y, hagl, noise**2 + speed_error, p.ekf2_of_gate, work)
     if e.test_ratio_flow <= 1.0:
         e.time_flow_fuse_us = e.time_last_vel_fuse_us = s.time_us
-    elif not _within(s.time_us, e.time_flow_fuse_us, _RESET_US):
+    elif not _is_recent(s.time_us, e.time_flow_fuse_us, _RESET_US):
         e.flow_used = 0
 
 
 @kernel
 def _start_flow(e, s, x, y, hagl, noise):
-    """Begin with optical flow; where nothing else aids, it sets the velocity, and the position goes on from here."""
+    """Start fusing optical flow; without another horizontal source, reset the velocity to it and keep the position."""
     e.flow_used = 1
     e.time_flow_fuse_us = s.time_us
     if e.gps_used or e.vision_position_used or e.vision_velocity_used:
         return
-    reach = hagl / _range_cosine(e)
-    north, east = _level(e, y * reach, -x * reach)
+    reach = hagl / _tilt_cosine(e)
+    north, east = _heading_to_local(e, y * reach, -x * reach)
     reset_velocity(e, north, east, (noise * reach) ** 2)
     if not e.located:
         reset_position(e, e.position[0], e.position[1], _LEAST_TERRAIN_VARIANCE)
-    _located(e, s)
+    _mark_located(e, s)
 
 
 @kernel
-def _level(e, forward, right):
-    """Return a vector of the body's heading (forward, right) as (north, east)."""
+def _heading_to_local(e, forward, right):
+    """Return (north, east) of a horizontal vector given as (forward, right) of the heading."""
     yaw = yaw_of(e.q)
     cos, sin = math.cos(yaw), math.sin(yaw)
     return cos * forward - sin * right, sin * forward + cos * right
@@ -477,22 +483,22 @@ def _level(e, forward, right):
 
 
 @kernel
-def _take_vision(e, s, p, work):
+def _process_vision(e, s, p, work):
     control = int(p.ekf2_ev_ctrl)
-    first = not _within(s.time_us, e.time_vision_us, _VISION_STOP_US)
+    first = not _is_recent(s.time_us, e.time_vision_us, _VISION_STOP_US)
     jumped = not first and s.vision_reset_counter != e.vision_reset_counter
     good = p.ekf2_ev_qmin <= 0.0 or s.vision_quality >= p.ekf2_ev_qmin
     e.vision_reset_counter = s.vision_reset_counter
     e.time_vision_us = s.time_us
     e.vision_good = good
     if not good:
-        if jumped:  # what it counts by has changed and cannot be taken over now
+        if jumped:  # the frame has changed, and a sample of bad quality cannot reset to it
             _stop_vision(e)
         return
     had_yaw = e.vision_yaw_used
     _vision_yaw(e, s, p, control, jumped, work)
     turned = jumped or had_yaw != e.vision_yaw_used
-    q = _vision_turn(e, s)
+    q = _vision_rotation(e, s)
     _vision_velocity(e, s, p, control, jumped, q, work)
     _vision_position(e, s, p, control, turned, q, work)
     if control & _EV_HEIGHT and not math.isnan(s.vision_position[2]):
@@ -511,15 +517,15 @@ def _stop_vision(e):
 
 @kernel
 def _vision_variance(given, noise, p):
-    """Return the variance to use: the message's, at least the parameter's; the latter alone when there is none."""
+    """Return the larger of the message's and the parameter's variance; only the latter by EKF2_EV_NOISE_MD or NaN."""
     if int(p.ekf2_ev_noise_md) or math.isnan(given):
         return noise * noise
     return max(given, noise * noise)
 
 
 @kernel
-def _vision_turn(e, s):
-    """Return the quaternion that turns vision's frame into the local one."""
+def _vision_rotation(e, s):
+    """Return the quaternion (w, x, y, z) that rotates vision's frame into the local frame."""
     if s.vision_frame == VISION_NED or e.vision_yaw_used or math.isnan(s.vision_q[0]):
         return (1.0, 0.0, 0.0, 0.0)
     inverse = (s.vision_q[0], -s.vision_q[1], -s.vision_q[2], -s.vision_q[3])
@@ -553,7 +559,7 @@ def _fuse_vision_yaw(e, s, p, innovation, variance, work):
     e.test_ratio_vision_yaw = fuse_yaw(e, innovation, variance, p.ekf2_hdg_gate, work)
     if e.test_ratio_vision_yaw <= 1.0:
         e.time_vision_fuse_us[2] = e.time_heading_fuse_us = s.time_us
-    elif e.vision_yaw_used and not _within(s.time_us, e.time_vision_fuse_us[2], _AIDING_US):
+    elif e.vision_yaw_used and not _is_recent(s.time_us, e.time_vision_fuse_us[2], _AIDING_US):
         reset_yaw(e, innovation, variance)
         e.time_vision_fuse_us[2] = s.time_us
 
@@ -565,14 +571,14 @@ def _vision_velocity(e, s, p, control, jumped, q, work):
     if not control & _EV_VELOCITY or math.isnan(v[0] + v[1] + v[2]) or not in_frame:
         e.vision_velocity_used = 0
         return
-    turn = q
+    rotation = q
     if s.vision_velocity_frame == VISION_BODY:
-        turn = (e.q[0], e.q[1], e.q[2], e.q[3])
+        rotation = (e.q[0], e.q[1], e.q[2], e.q[3])
     elif s.vision_velocity_frame == VISION_NED:
-        turn = (1.0, 0.0, 0.0, 0.0)
-    x, y, z = rotate(turn, v[0], v[1], v[2])
+        rotation = (1.0, 0.0, 0.0, 0.0)
+    x, y, z = rotate(rotation, v[0], v[1], v[2])
     measured = (x, y, z)
-    variances = _turned_variances(s.vision_velocity_variance, turn, p.ekf2_evv_noise, p)
+    variances = _rotated_variances(s.vision_velocity_variance, rotation, p.ekf2_evv_noise, p)
     if not e.vision_velocity_used or jumped:
         alone = not e.gps_used and not e.flow_used and not (e.vision_position_used and not jumped)
         e.vision_velocity_used = 1
@@ -580,7 +586,7 @@ def _vision_velocity(e, s, p, control, jumped, q, work):
         if alone:
             reset_velocity(e, x, y, variances[0])
             reset_vertical_velocity(e, z, variances[2])
-            _located(e, s)
+            _mark_located(e, s)
             return
     e.test_ratio_vision_vel = 0.0
     for i in range(3):
@@ -589,15 +595,15 @@ def _vision_velocity(e, s, p, control, jumped, q, work):
         e.test_ratio_vision_vel = max(e.test_ratio_vision_vel, ratio)
     if e.test_ratio_vision_vel <= 1.0:
         e.time_vision_fuse_us[1] = e.time_last_vel_fuse_us = s.time_us
-    elif not _within(s.time_us, e.time_vision_fuse_us[1], _AIDING_US):
+    elif not _is_recent(s.time_us, e.time_vision_fuse_us[1], _AIDING_US):
         reset_velocity(e, x, y, variances[0])
         reset_vertical_velocity(e, z, variances[2])
         e.time_vision_fuse_us[1] = e.time_last_vel_fuse_us = s.time_us
 
 
 @kernel
-def _turned_variances(given, q, noise, p):
-    """Return the variances of a vector with independent components once ``q`` has turned it."""
+def _rotated_variances(given, q, noise, p):
+    """Return the variances of a vector with independent components after its rotation by ``q``."""
     vx = _vision_variance(given[0], noise, p)
     vy = _vision_variance(given[1], noise, p)
     vz = _vision_variance(given[2], noise, p)
@@ -613,20 +619,20 @@ def _turned_variances(given, q, noise, p):
 
 @kernel
 def _vision_position(e, s, p, control, jumped, q, work):
-    place = s.vision_position
+    position = s.vision_position
     in_frame = s.vision_frame == VISION_FRD or e.heading_aligned
-    if not control & _EV_POSITION or math.isnan(place[0] + place[1]) or not in_frame:
+    if not control & _EV_POSITION or math.isnan(position[0] + position[1]) or not in_frame:
         e.vision_position_used = 0
         return
-    down = 0.0 if math.isnan(place[2]) else place[2]
-    north, east, _ = rotate(q, place[0], place[1], down)
-    variances = _turned_variances(s.vision_position_variance, q, p.ekf2_evp_noise, p)
+    down = 0.0 if math.isnan(position[2]) else position[2]
+    north, east, _ = rotate(q, position[0], position[1], down)
+    variances = _rotated_variances(s.vision_position_variance, q, p.ekf2_evp_noise, p)
     variance = max(variances[0], variances[1])
     if e.gps_used:
         variance = max(variance, p.ekf2_gps_p_noise**2)
     if not e.vision_position_used or jumped:
         e.vision_position_used = 1
-        _begin_vision_position(e, s, north, east, variance)
+        _start_vision_position(e, s, north, east, variance)
         return
     e.test_ratio_vision_pos = 0.0
     measured = (north - e.vision_offset[0], east - e.vision_offset[1])
@@ -638,13 +644,13 @@ def _vision_position(e, s, p, control, jumped, q, work):
             e.vision_offset[i] += _OFFSET_GAIN * constrain(e.innov_vision_pos[i], -1.0, 1.0)
     if e.test_ratio_vision_pos <= 1.0:
         e.time_vision_fuse_us[0] = e.time_last_pos_fuse_us = s.time_us
-    elif not _within(s.time_us, e.time_vision_fuse_us[0], _AIDING_US):
-        _begin_vision_position(e, s, north, east, variance)
+    elif not _is_recent(s.time_us, e.time_vision_fuse_us[0], _AIDING_US):
+        _start_vision_position(e, s, north, east, variance)
 
 
 @kernel
-def _begin_vision_position(e, s, north, east, variance):
-    """Take vision's frame for the local one, or learn where it lies when GPS sets that."""
+def _start_vision_position(e, s, north, east, variance):
+    """Reset the position to vision; while GPS sets the local frame, set vision's offset instead."""
     e.time_vision_fuse_us[0] = s.time_us
     if e.gps_used and e.position_valid:
         e.vision_offset[0], e.vision_offset[1] = north - e.position[0], east - e.position[1]
@@ -653,35 +659,35 @@ def _begin_vision_position(e, s, north, east, variance):
     reset_position(e, north, east, variance)
     if not e.vision_velocity_used and not e.located:
         reset_velocity(e, 0.0, 0.0, 1.0)
-    _located(e, s)
+    _mark_located(e, s)
 
 
-# what holds now
+# status
 
 
 @kernel
 def update_status(e, s, p, work):
-    """Stop what has fallen silent, and say what can be relied on; acts 25 times a second."""
+    """Stop sources that have timed out and update the validity flags, at 25 Hz."""
     now = s.time_us
     if now % _STATUS_PERIOD_US:
         return
-    _stop_silent(e, now)
+    _stop_timed_out(e, now)
     horizontal = max(e.time_last_pos_fuse_us, e.time_last_vel_fuse_us)
-    aided = _within(now, horizontal, _AIDING_US)
+    aided = _is_recent(now, horizontal, _AIDING_US)
     e.dead_reckoning = not aided
     if aided:
         e.last_position[0], e.last_position[1] = e.position[0], e.position[1]
-    if not (e.gps_used or _other_horizontal(e)):
+    if not (e.gps_used or _other_horizontal_aiding(e)):
         _hold_position(e, now, p, work)
-    _note_faults(e, now)
+    _update_faults(e, now)
     sound = e.fault_flags & (FAULT_NOT_FINITE | FAULT_NO_IMU) == 0
     e.attitude_valid = sound
-    e.velocity_valid = sound and _within(now, horizontal, p.ekf2_noaid_tout)
+    e.velocity_valid = sound and _is_recent(now, horizontal, p.ekf2_noaid_tout)
     e.position_valid = e.velocity_valid and e.located
-    e.altitude_valid = sound and _within(now, e.time_last_hgt_fuse_us, p.ekf2_noaid_tout)
+    e.altitude_valid = sound and _is_recent(now, e.time_last_hgt_fuse_us, p.ekf2_noaid_tout)
     e.global_valid = e.position_valid and e.origin_set and e.heading_aligned
-    e.terrain_valid = _within(now, e.time_terrain_fuse_us, _HEIGHT_RESET_US)
-    yaw_variance = _vertical_variance(e)
+    e.terrain_valid = _is_recent(now, e.time_terrain_fuse_us, _HEIGHT_RESET_US)
+    yaw_variance = _yaw_variance(e)
     e.heading_good = sound and e.heading_aligned and yaw_variance < _HEADING_LIMIT**2
     e.eph = math.sqrt(max(e.P[6, 6] + e.P[7, 7], 0.0))
     e.epv = math.sqrt(max(e.P[8, 8], 0.0))
@@ -691,7 +697,7 @@ def update_status(e, s, p, work):
 
 
 @kernel
-def _vertical_variance(e):
+def _yaw_variance(e):
     vx, vy, vz = rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), 0.0, 0.0, 1.0)
     v = (vx, vy, vz)
     total = 0.0
@@ -702,27 +708,27 @@ def _vertical_variance(e):
 
 
 @kernel
-def _stop_silent(e, now):
-    gps_limit = _SENSOR_STOP_US if _other_horizontal(e) else _GPS_STOP_US
-    if not _within(now, e.time_last_gps_us, gps_limit):
+def _stop_timed_out(e, now):
+    gps_limit = _SENSOR_STOP_US if _other_horizontal_aiding(e) else _GPS_STOP_US
+    if not _is_recent(now, e.time_last_gps_us, gps_limit):
         e.gps_used = 0
-    if not _within(now, e.time_last_gps_us, _SENSOR_STOP_US):
+    if not _is_recent(now, e.time_last_gps_us, _SENSOR_STOP_US):
         e.gps_good = 0
-        e.time_gps_fail_us = now  # the hold time starts anew
+        e.time_gps_fail_us = now  # restart the hold time
         e.height_used[HEIGHT_GPS] = 0
-    if not _within(now, e.time_vision_us, _VISION_STOP_US):
+    if not _is_recent(now, e.time_vision_us, _VISION_STOP_US):
         e.vision_good = 0
         _stop_vision(e)
-    if not _within(now, e.time_flow_fuse_us, _RESET_US) or not _within(now, e.time_flow_us, _SENSOR_STOP_US):
+    if not _is_recent(now, e.time_flow_fuse_us, _RESET_US) or not _is_recent(now, e.time_flow_us, _SENSOR_STOP_US):
         e.flow_used = 0
-    if not _within(now, e.time_flow_us, _SENSOR_STOP_US):
+    if not _is_recent(now, e.time_flow_us, _SENSOR_STOP_US):
         e.flow_good = 0
-    if not _within(now, e.time_range_us, _SENSOR_STOP_US):
+    if not _is_recent(now, e.time_range_us, _SENSOR_STOP_US):
         e.range_good = e.height_used[HEIGHT_RANGE] = 0
-    e.baro_good = _within(now, e.time_baro_us, _SENSOR_STOP_US)
+    e.baro_good = _is_recent(now, e.time_baro_us, _SENSOR_STOP_US)
     if not e.baro_good:
         e.height_used[HEIGHT_BARO] = 0
-    if not _within(now, e.time_mag_us, _SENSOR_STOP_US):
+    if not _is_recent(now, e.time_mag_us, _SENSOR_STOP_US):
         e.mag_good = e.mag_used = 0
         e.test_ratio_mag = 0.0
     _clear_ratios(e)
@@ -730,7 +736,7 @@ def _stop_silent(e, now):
 
 @kernel
 def _clear_ratios(e):
-    """What is not fused has no test ratio."""
+    """Set the test ratios of the sources that are not fused to 0."""
     if not e.gps_used:
         e.test_ratio_vel = e.test_ratio_pos = 0.0
     if not e.height_used[HEIGHT_GPS]:
@@ -753,7 +759,7 @@ def _clear_ratios(e):
 
 @kernel
 def _hold_position(e, now, p, work):
-    """Without any aiding, hold the place loosely, so that the tilt does not wander (PX4's fake position)."""
+    """Fuse the last position loosely while no source aids, which bounds the tilt error (PX4's fake position)."""
     if not e.dead_reckoning or now % _HOLD_PERIOD_US:
         return
     variance = p.ekf2_noaid_noise**2
@@ -764,7 +770,7 @@ def _hold_position(e, now, p, work):
 
 
 @kernel
-def _note_faults(e, now):
+def _update_faults(e, now):
     faults = 0
     total = 0.0
     for i in range(N_STATES):
@@ -782,7 +788,7 @@ def _note_faults(e, now):
 
 @kernel
 def _flags(e):
-    """Return ESTIMATOR_STATUS_FLAGS, as PX4's get_ekf_soln_status."""
+    """Return ESTIMATOR_STATUS_FLAGS as PX4's get_ekf_soln_status does."""
     sound = e.fault_flags & (FAULT_NOT_FINITE | FAULT_NO_IMU) == 0
     if not sound:
         return _CONSTANT_POSITION

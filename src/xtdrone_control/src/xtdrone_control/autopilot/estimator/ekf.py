@@ -1,23 +1,23 @@
-"""Error-state extended Kalman filter over the IMU and whatever else measures the vehicle's state; one vehicle a call.
+"""Error-state extended Kalman filter over the IMU and the aiding sensors, for one vehicle per call.
 
 The nominal state is attitude, velocity, position and the biases of gyroscope, accelerometer and magnetometer; the error
 state is the 18-vector ``(dtheta, dv, dp, dbg, dba, dbm)`` with dtheta a rotation vector in the body frame, so that
 q_true = q * exp(dtheta) (J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, chapters 5 and 6).
-The nominal state is propagated with every IMU sample, the covariance every ``COVARIANCE_PERIOD`` with the increments
-summed in between, as PX4's EKF2 does at its own rate; measurements are fused as scalars in sequence, each with an
-innovation gate: the updates are in ``estimator_fusion``, which sensor is used when is in ``estimator_sources``.
+The nominal state is propagated with every IMU sample, the covariance every ``COVARIANCE_PERIOD`` with the accumulated
+increments, as in PX4's EKF2. Measurements are fused sequentially as scalars, each with an innovation gate: ``fusion``
+has the measurement updates, ``aiding`` selects the sensors to fuse.
 
-Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused when they come, so the
-EKF2_*_DELAY have no counterpart; there is one filter, not one an IMU; no wind, drag, side-slip or air-speed; the
-magnetometer's heading is fused, its bias estimated with it, never its three axes; GPS drift on the ground is not
-checked (EKF2_GPS_CHECK bits 32 to 256).
+Parameters have the names and meaning of PX4 v1.14's EKF2. Differences: measurements are fused on arrival, without the
+EKF2_*_DELAY parameters; one filter runs per vehicle, not one per IMU; wind, drag, sideslip and airspeed are not
+modelled; the magnetometer is fused as a heading with an estimated bias, not as three axes; GPS drift on the ground is
+not checked (EKF2_GPS_CHECK bits 32 to 256).
 """
 
 from __future__ import annotations
 
 import math
 
-from xtdrone_control.autopilot.estimator.aiding import fuse_sources, note_imu, update_status
+from xtdrone_control.autopilot.estimator.aiding import fuse_sources, update_imu_time, update_status
 from xtdrone_control.autopilot.estimator.fusion import BA, BG, BM, POS, THETA, VEL, YAW_UNKNOWN_STD, set_yaw_variance
 from xtdrone_control.autopilot.state import N_STATES
 from xtdrone_control.geodesy.geo import GRAVITY
@@ -26,13 +26,13 @@ from xtdrone_control.rotation_kernels import assign_unit, constrain, exponential
 
 COVARIANCE_PERIOD = 0.012  # s; PX4: EKF2_PREDICT_US = 10 ms, rounded up to whole IMU samples
 ALIGNMENT_SAMPLES = 100  # IMU samples averaged at rest before the first attitude
-_LONGEST_ALIGNMENT = 500  # IMU samples after which it goes on without a magnetometer
+_LONGEST_ALIGNMENT = 500  # IMU samples after which alignment ends without a magnetometer
 _MIN_MAG_SAMPLES = 5
 
 
 @kernel
 def align(e, s, p):
-    """Average IMU and magnetometer at rest; set attitude and covariance once there are enough samples."""
+    """Average IMU and magnetometer samples at rest; initialise attitude and covariance after enough samples."""
     for i in range(3):
         e.accel_mean[i] += s.accel[i]
     e.samples += 1
@@ -67,10 +67,10 @@ def align(e, s, p):
 
 @kernel
 def _first_covariance(e, p):
-    """Set the covariance after the alignment.
+    """Initialise the covariance after the alignment.
 
-    An accelerometer bias b tilts the aligned attitude by (d x b) / g^2, d the specific force at rest in the body frame:
-    both are one error seen twice, and must be correlated from the start.
+    An accelerometer bias b tilts the aligned attitude by (d x b) / g^2, where d is the specific force at rest in the
+    body frame. Tilt error and bias are therefore correlated from the start.
     """
     for i in range(N_STATES):
         for j in range(N_STATES):
@@ -95,14 +95,14 @@ def _first_covariance(e, p):
 
 @kernel
 def propagate(e, s, p, dt):
-    """Advance the nominal state by one IMU sample and the filtered rates that the controllers use."""
+    """Propagate the nominal state by one IMU sample, and update the filtered rates for the controllers."""
     gx = s.gyro[0] - e.gyro_bias[0]
     gy = s.gyro[1] - e.gyro_bias[1]
     gz = s.gyro[2] - e.gyro_bias[2]
     ax = s.accel[0] - e.accel_bias[0]
     ay = s.accel[1] - e.accel_bias[1]
     az = s.accel[2] - e.accel_bias[2]
-    # specific force turned at the middle of the step, so that a constant rate brings no bias
+    # rotate the specific force by the mid-step attitude, so that a constant rate causes no bias
     half = exponential(0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
     middle = multiply(e.q, half)
     fx, fy, fz = rotate(middle, ax, ay, az)
@@ -125,7 +125,7 @@ def propagate(e, s, p, dt):
 
 @kernel
 def _low_pass(cutoff_hz, dt):
-    """Return the gain of a discrete first-order low-pass (PX4's AlphaFilter); 0 Hz switches it off."""
+    """Return the gain of a discrete first-order low-pass (PX4's AlphaFilter); 1 (no filtering) for 0 Hz."""
     step = 2.0 * math.pi * cutoff_hz * dt
     return step / (1.0 + step) if cutoff_hz > 0.0 else 1.0
 
@@ -145,16 +145,16 @@ def _filter_for_control(e, gx, gy, gz, p, dt):
 
 @kernel
 def predict_covariance(e, p):
-    """P <- Phi P Phi' + Q over the increments summed since the last call.
+    """Update P <- Phi P Phi' + Q over the increments accumulated since the last call.
 
-    Phi has identity blocks but for d(theta)/d(theta) = I - [da]x, d(theta)/d(bg) = -I dt, d(v)/d(theta) = -R [dv]x,
-    d(v)/d(ba) = -R dt, d(p)/d(v) = I dt; the products below visit only those blocks.
+    Phi is the identity except for d(theta)/d(theta) = I - [da]x, d(theta)/d(bg) = -I dt, d(v)/d(theta) = -R [dv]x,
+    d(v)/d(ba) = -R dt, d(p)/d(v) = I dt; the products below use only those blocks.
     """
     dt = e.since_predict
     P = e.P
     dax, day, daz = e.delta_angle[0], e.delta_angle[1], e.delta_angle[2]
     dvx, dvy, dvz = e.delta_velocity[0], e.delta_velocity[1], e.delta_velocity[2]
-    # columns of R, and of M = -R [dv]x = R [-dv]x
+    # columns of R and of M = -R [dv]x = R [-dv]x
     r00, r10, r20 = rotate(e.q, 1.0, 0.0, 0.0)
     r01, r11, r21 = rotate(e.q, 0.0, 1.0, 0.0)
     r02, r12, r22 = rotate(e.q, 0.0, 0.0, 1.0)
@@ -162,7 +162,7 @@ def predict_covariance(e, p):
     m01, m11, m21 = rotate(e.q, dvz, 0.0, -dvx)
     m02, m12, m22 = rotate(e.q, -dvy, dvx, 0.0)
 
-    # rows: P <- Phi P, position first because it uses the old velocity, velocity before attitude likewise
+    # rows: P <- Phi P; position first, as it needs the old velocity, and velocity before attitude likewise
     for j in range(N_STATES):
         t0, t1, t2 = P[0, j], P[1, j], P[2, j]
         P[6, j] += dt * P[3, j]
@@ -175,7 +175,7 @@ def predict_covariance(e, p):
         P[0, j] = t0 + daz * t1 - day * t2 - dt * P[9, j]
         P[1, j] = t1 - daz * t0 + dax * t2 - dt * P[10, j]
         P[2, j] = t2 + day * t0 - dax * t1 - dt * P[11, j]
-    # columns: P <- P Phi'. Phi leaves the biases as they are, so their rows are the columns that the rows have left
+    # columns: P <- P Phi'; Phi does not change the biases, whose rows follow from the symmetry of P
     for i in range(BG):
         t0, t1, t2 = P[i, 0], P[i, 1], P[i, 2]
         P[i, 6] += dt * P[i, 3]
@@ -218,16 +218,16 @@ def _limit_biases(e, p):
 
 @kernel
 def update(e, s, p, dt, work):
-    """Run the filter of one vehicle for one IMU sample.
+    """Advance the filter of one vehicle by one step.
 
     Args:
         e: ``ESTIMATOR`` record.
-        s: ``SENSORS`` record with this step's samples; the flags of flow, range and vision are cleared.
+        s: ``SENSORS`` record with this step's samples; its fresh flags of flow, range and vision are cleared.
         p: ``PARAMS`` record.
-        dt: s since the last sample.
+        dt: time since the last IMU sample, s.
         work: (2, N_STATES) scratch.
     """
-    if note_imu(e, s):
+    if update_imu_time(e, s):
         if e.initialised:
             propagate(e, s, p, dt)
             if e.since_predict >= COVARIANCE_PERIOD - 1e-9:

@@ -1,9 +1,9 @@
 """Measurement updates and resets of the estimator's state, one scalar at a time.
 
-Every measurement is a scalar with an innovation (measured less predicted), a row H of its derivative by the error
-state, a variance and a gate in standard deviations. The test ratio is innovation^2 / (gate^2 (H P H' + R)); a
-measurement is fused when it is at most 1. The error state and its meaning are those of ``estimator``: the attitude
-error is a rotation vector in the body frame, q_true = q * exp(dtheta).
+Every measurement is a scalar with an innovation (measured minus predicted), a Jacobian row H with respect to the error
+state, a variance R and a gate in standard deviations. The test ratio is innovation^2 / (gate^2 (H P H' + R)); a
+measurement is fused when the ratio is at most 1. The error state is that of ``ekf``: the attitude error is a rotation
+vector in the body frame, q_true = q * exp(dtheta).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from xtdrone_control.rotation_kernels import integrate, multiply, rotate, wrap_p
 
 THETA, VEL, POS, BG, BA, BM = 0, 3, 6, 9, 12, 15
 YAW_UNKNOWN_STD = 1.0  # rad, before the magnetometer has been fused
-_FIELD_SAMPLES = 1000  # over which the magnetic field is smoothed
-_LEVEL_LIMIT = 1e-4  # squared sine of the angle to the vertical under which there is no heading
+_FIELD_SAMPLES = 1000  # number of samples of the magnetic field's moving average
+_LEVEL_LIMIT = 1e-4  # squared sine of the angle to the vertical below which the heading is undefined
 
 
 @kernel
 def correct(e, gain, row, innovation, variance):
-    """Kalman update by a scalar: ``row`` = H P (N_STATES,), ``variance`` = H P H' + R; ``gain`` is scratch."""
+    """Apply a scalar Kalman update: ``row`` = H P (N_STATES,), ``variance`` = H P H' + R; ``gain`` is scratch."""
     P = e.P
     inverse = 1.0 / variance
     for i in range(N_STATES):
@@ -46,7 +46,7 @@ def correct(e, gain, row, innovation, variance):
 
 @kernel
 def fuse_state(e, index, innovation, noise_variance, gate, work):
-    """Fuse a direct measurement of error state ``index``; return its innovation test ratio (fused when <= 1)."""
+    """Fuse a direct measurement of error state ``index``; return its test ratio."""
     variance = e.P[index, index] + noise_variance
     ratio = innovation * innovation / (gate * gate * variance)
     if ratio > 1.0:
@@ -59,7 +59,7 @@ def fuse_state(e, index, innovation, noise_variance, gate, work):
 
 @kernel
 def _fuse_two_blocks(e, first, a, second, b, innovation, noise_variance, gate, work):
-    """Fuse a scalar with H = ``a`` (3-tuple) from error state ``first`` on, ``b`` from ``second``; return its ratio."""
+    """Fuse a scalar whose H is ``a`` (3-tuple) at index ``first`` and ``b`` at ``second``; return its test ratio."""
     row = work[1]
     for i in range(N_STATES):
         row[i] = (
@@ -81,17 +81,17 @@ def _fuse_two_blocks(e, first, a, second, b, innovation, noise_variance, gate, w
 
 @kernel
 def magnetic_heading(e, s, declination):
-    """Return how far the magnetic field is from ``declination`` (rad), and that angle's derivatives.
+    """Return the innovation of the magnetic heading against ``declination`` (rad), and its Jacobian.
 
-    The field less its bias, turned by the present attitude, points to the declination when all is right. The
-    derivatives are those for the field that was to be expected, smoothed (``follow_field``) and at the declination, not
-    for the sample: at a constant heading yaw and bias are not told apart, and must not seem so. Derivatives with the
-    sample's noise in their direction drive both along together for ever, as the innovation has the same noise and the
-    product of both a mean; with it in their length each sample seems to see another share of the bias.
+    Without errors the sample minus the bias, rotated by the attitude into the local frame, points to the declination.
+    The Jacobian is evaluated at the smoothed field (``track_field``) in the direction of the declination, not at the
+    sample. At a constant heading yaw and bias are not separately observable, and noise in the Jacobian would make them
+    appear so: noise in its direction is correlated with the innovation and makes both states drift; noise in its length
+    makes each sample appear to observe a different share of the bias.
 
     Returns:
-        innovation (rad); derivative by the attitude error (3-tuple); by the bias (3-tuple); 0 when the field is
-        vertical and has no heading, else 1.
+        The innovation (rad); its derivatives with respect to the attitude error and to the bias (3-tuples); 1, or 0 for
+        a vertical field, which has no heading.
     """
     bx, by, bz = s.mag[0] - e.mag_bias[0], s.mag[1] - e.mag_bias[1], s.mag[2] - e.mag_bias[2]
     mx, my, mz = rotate(e.q, bx, by, bz)
@@ -102,7 +102,7 @@ def magnetic_heading(e, s, declination):
     cos, sin = math.cos(declination), math.sin(declination)
     w, x, y, z = e.q[0], -e.q[1], -e.q[2], -e.q[3]
     bx, by, bz = rotate((w, x, y, z), strength * cos, strength * sin, e.field[1])
-    # the angle's derivative by a change of the local field is (-sin, cos, 0) / strength; in the body frame:
+    # the angle's derivative with respect to the local field is (-sin, cos, 0) / strength; in the body frame:
     gx, gy, gz = rotate((w, x, y, z), -sin / strength, cos / strength, 0.0)
     # an attitude error changes the local field by R (dtheta x b), hence g . (dtheta x b) = (b x g) . dtheta
     attitude = (by * gz - bz * gy, bz * gx - bx * gz, bx * gy - by * gx)
@@ -110,8 +110,8 @@ def magnetic_heading(e, s, declination):
 
 
 @kernel
-def follow_field(e, s):
-    """Let ``field`` follow the sample, slowly: noise in it would pass for knowledge."""
+def track_field(e, s):
+    """Update the moving average ``field``: its horizontal strength and downward component (gauss)."""
     mx, my, mz = rotate(e.q, s.mag[0] - e.mag_bias[0], s.mag[1] - e.mag_bias[1], s.mag[2] - e.mag_bias[2])
     e.field_samples = min(e.field_samples + 1, _FIELD_SAMPLES)
     e.field[0] += (math.sqrt(mx * mx + my * my) - e.field[0]) / e.field_samples
@@ -120,7 +120,7 @@ def follow_field(e, s):
 
 @kernel
 def fuse_heading(e, s, p, work):
-    """Fuse the heading that the magnetometer shows, if it shows one."""
+    """Fuse the magnetic heading, unless the field is vertical."""
     innovation, attitude, bias, found = magnetic_heading(e, s, math.radians(p.ekf2_mag_decl))
     if not found:
         return
@@ -134,7 +134,7 @@ def fuse_heading(e, s, p, work):
 
 @kernel
 def yaw_derivative(q):
-    """Return the derivatives (y, z) of the Euler yaw by the attitude error; the one by x is 0. Zeros at a pole."""
+    """Return the derivatives of the Euler yaw by the attitude error's y and z (by x: 0); zeros near gimbal lock."""
     r00 = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
     r10 = 2.0 * (q[1] * q[2] + q[0] * q[3])
     r01 = 2.0 * (q[1] * q[2] - q[0] * q[3])
@@ -164,13 +164,14 @@ def body_velocity(e):
 
 @kernel
 def flow_prediction(e, hagl):
-    """Return what a flow sensor that looks down should see once its own rotation is taken off, and its derivatives.
+    """Return the predicted flow of a downward sensor without the part caused by rotation, and its Jacobian.
 
-    Signs as in OPTICAL_FLOW_RAD: x = -v_y / range, y = v_x / range with the body's velocity and the range along its z
-    axis to level ground ``hagl`` (m) below: range = hagl / R33.
+    Signs as in OPTICAL_FLOW_RAD: x = -v_y / range, y = v_x / range, with the velocity in the body frame and the range
+    along body z to level ground ``hagl`` (m) below: range = hagl / R33.
 
     Returns:
-        (x, y) rad/s; derivative of x by attitude and by velocity (3-tuples); of y likewise.
+        The flow (x, y) in rad/s; the derivatives of x with respect to attitude error and velocity (3-tuples); those of
+        y.
     """
     q = e.q
     vx, vy, vz = body_velocity(e)
@@ -182,7 +183,7 @@ def flow_prediction(e, hagl):
     dx, dy = -r21 / hagl, r20 / hagl
     x_attitude = (-vz * near - vy * dx, -vy * dy, vx * near)
     y_attitude = (vx * dx, -vz * near + vx * dy, vy * near)
-    # rows of R' are the body axes in the local frame
+    # the rows of R' are the body axes in the local frame
     c0 = rotate(q, 1.0, 0.0, 0.0)
     c1 = rotate(q, 0.0, 1.0, 0.0)
     x_velocity = (-near * c1[0], -near * c1[1], -near * c1[2])
@@ -192,7 +193,7 @@ def flow_prediction(e, hagl):
 
 @kernel
 def fuse_flow(e, x, y, hagl, noise_variance, gate, work):
-    """Fuse a flow (rad/s, rotation taken off, signs as in ``flow_prediction``); return the larger test ratio."""
+    """Fuse a rotation-compensated flow (rad/s, signs as in ``flow_prediction``); return the larger test ratio."""
     predicted, attitude, velocity, _, _ = flow_prediction(e, hagl)
     e.innov_flow[0] = x - predicted[0]
     first = _fuse_two_blocks(e, THETA, attitude, VEL, velocity, e.innov_flow[0], noise_variance, gate, work)
@@ -203,8 +204,8 @@ def fuse_flow(e, x, y, hagl, noise_variance, gate, work):
 
 
 @kernel
-def _forget(e, index, count, variance):
-    """Set the variance of ``count`` error states from ``index`` on, and their correlations with all others to 0."""
+def _reset_covariance(e, index, count, variance):
+    """Set the variance of ``count`` error states from ``index`` on, and clear their correlations."""
     for i in range(index, index + count):
         for j in range(N_STATES):
             e.P[i, j] = 0.0
@@ -214,11 +215,11 @@ def _forget(e, index, count, variance):
 
 @kernel
 def reset_position(e, north, east, variance):
-    """Set the horizontal position (m) and its variance (m^2)."""
+    """Reset the horizontal position (m, local) and its variance (m^2)."""
     e.delta_xy[0], e.delta_xy[1] = north - e.position[0], east - e.position[1]
     e.position[0], e.position[1] = north, east
     e.last_position[0], e.last_position[1] = north, east
-    _forget(e, POS, 2, variance)
+    _reset_covariance(e, POS, 2, variance)
     if e.located:
         e.reset_counter_xy += 1
         e.reset_counter += 1
@@ -226,10 +227,10 @@ def reset_position(e, north, east, variance):
 
 @kernel
 def reset_velocity(e, north, east, variance):
-    """Set the horizontal velocity (m/s) and its variance."""
+    """Reset the horizontal velocity (m/s, local) and its variance (m^2/s^2)."""
     e.delta_vxy[0], e.delta_vxy[1] = north - e.velocity[0], east - e.velocity[1]
     e.velocity[0], e.velocity[1] = north, east
-    _forget(e, VEL, 2, variance)
+    _reset_covariance(e, VEL, 2, variance)
     if e.located:
         e.reset_counter_vxy += 1
         e.reset_counter += 1
@@ -237,11 +238,11 @@ def reset_velocity(e, north, east, variance):
 
 @kernel
 def reset_height(e, down, variance):
-    """Set the vertical position (m, down) and its variance. The ground stays where it is below the vehicle."""
+    """Reset the vertical position (m, down) and its variance (m^2), keeping the height above terrain."""
     e.delta_z = down - e.position[2]
     e.position[2] = down
     e.terrain += e.delta_z
-    _forget(e, POS + 2, 1, variance)
+    _reset_covariance(e, POS + 2, 1, variance)
     if e.altitude_valid:
         e.reset_counter_z += 1
         e.reset_counter += 1
@@ -249,10 +250,10 @@ def reset_height(e, down, variance):
 
 @kernel
 def reset_vertical_velocity(e, down, variance):
-    """Set the vertical velocity (m/s, down) and its variance."""
+    """Reset the vertical velocity (m/s, down) and its variance (m^2/s^2)."""
     e.delta_vz = down - e.velocity[2]
     e.velocity[2] = down
-    _forget(e, VEL + 2, 1, variance)
+    _reset_covariance(e, VEL + 2, 1, variance)
     if e.located:
         e.reset_counter_vz += 1
         e.reset_counter += 1
@@ -260,7 +261,7 @@ def reset_vertical_velocity(e, down, variance):
 
 @kernel
 def set_yaw_variance(e, variance):
-    """Let the attitude error about the local vertical have ``variance`` (rad^2) and no correlations."""
+    """Set the variance (rad^2) of the attitude error about the local vertical, and clear its correlations."""
     vx, vy, vz = rotate((e.q[0], -e.q[1], -e.q[2], -e.q[3]), 0.0, 0.0, 1.0)
     for i in range(N_STATES):
         along = vx * e.P[0, i] + vy * e.P[1, i] + vz * e.P[2, i]
@@ -276,7 +277,7 @@ def set_yaw_variance(e, variance):
     for i in range(3):
         for j in range(3):
             e.P[i, j] += v[i] * v[j] * variance
-    for i in range(3):  # rounding of the two projections
+    for i in range(3):  # symmetrise after the two projections
         for j in range(i):
             value = 0.5 * (e.P[i, j] + e.P[j, i])
             e.P[i, j] = value
@@ -285,15 +286,15 @@ def set_yaw_variance(e, variance):
 
 @kernel
 def reset_mag_bias(e, variance):
-    """Forget the magnetometer's bias; ``variance`` (gauss^2) is its uncertainty then."""
+    """Reset the magnetometer's bias to 0 with ``variance`` (gauss^2)."""
     for i in range(3):
         e.mag_bias[i] = 0.0
-    _forget(e, BM, 3, variance)
+    _reset_covariance(e, BM, 3, variance)
 
 
 @kernel
 def reset_yaw(e, turn, variance):
-    """Turn the attitude by ``turn`` (rad) about the local vertical, and set the heading's variance."""
+    """Rotate the attitude by ``turn`` (rad) about the local vertical, and set the heading's variance (rad^2)."""
     w, x, y, z = multiply((math.cos(0.5 * turn), 0.0, 0.0, math.sin(0.5 * turn)), e.q)
     e.q[0], e.q[1], e.q[2], e.q[3] = w, x, y, z
     set_yaw_variance(e, variance)

@@ -1,4 +1,4 @@
-"""The local frame's origin, set from outside, as PX4 v1.14's Ekf::setEkfGlobalOrigin."""
+"""Changes of the local frame's origin by command, as in PX4 v1.14's Ekf::setEkfGlobalOrigin."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ _LOWEST, _HIGHEST = -12_000.0, 100_000.0  # m AMSL: a deep-sea trench, the edge 
 
 
 def is_origin(latitude: float, longitude: float, altitude: float) -> bool:
-    """Return whether a place (degrees, m AMSL) can be an origin."""
+    """Return whether a position (degrees, m AMSL) is valid as an origin."""
     return abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and _LOWEST < altitude < _HIGHEST
 
 
 def move_origin(e: Any, latitude: float, longitude: float, altitude: float) -> None:
     """Set the origin of an ``ESTIMATOR`` record.
 
-    Where the place of the vehicle is known, it stays, and its local position changes: that counts as a reset. Else the
-    local position stays, and the origin gives it a place.
+    With a valid global position, that position stays and the local position is reset to match the new origin. Without
+    one, the local position stays and the origin defines the global position.
 
     Args:
-        e: the record.
+        e: ``ESTIMATOR`` record.
         latitude: degrees.
         longitude: degrees.
         altitude: m AMSL.
 
     Raises:
-        ValueError: not a place.
+        ValueError: the position is not valid as an origin.
     """
     if not is_origin(latitude, longitude, altitude):
-        raise ValueError(f"origin {latitude}, {longitude}, {altitude} m is no place")
+        raise ValueError(f"origin: {latitude}, {longitude}, {altitude} m is not a position on Earth")
     if e["origin_set"] and e["position_valid"]:
         x, y, _ = e["position"].tolist()
-        place = geo.reproject(x, y, float(e["origin_lat"]), float(e["origin_lon"]))
-        north, east = geo.project(*place, latitude, longitude)
+        vehicle = geo.reproject(x, y, float(e["origin_lat"]), float(e["origin_lon"]))
+        north, east = geo.project(*vehicle, latitude, longitude)
         _shift(e, north - x, east - y, altitude - float(e["origin_alt"]))
     e["origin_lat"], e["origin_lon"], e["origin_alt"] = latitude, longitude, altitude
     e["origin_set"] = 1
@@ -46,7 +46,7 @@ def _shift(e: Any, north: float, east: float, down: float) -> None:
     e["position"] += (north, east, down)
     e["last_position"] += (north, east)
     e["vision_offset"] -= (north, east)
-    for source in (HEIGHT_RANGE, HEIGHT_VISION):  # barometer and GPS measure over sea, so they follow by themselves
+    for source in (HEIGHT_RANGE, HEIGHT_VISION):  # barometer and GPS measure AMSL and need no correction
         e["height_offset"][source] += down
     e["terrain"] += down
     e["delta_xy"] = (north, east)

@@ -1,4 +1,4 @@
-"""How much the inertial sensors shake: PX4's metrics, as VIBRATION and vehicle_imu_status have them."""
+"""Vibration metrics of the inertial sensors, as in PX4's VIBRATION message and vehicle_imu_status."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ import math
 
 from xtdrone_control.kernel import kernel
 
-_KEEP = 0.99  # of a metric from one sample to the next, as in PX4's vehicle_imu
+_KEEP = 0.99  # low-pass coefficient per sample, as in PX4's vehicle_imu
 
 
 @kernel
 def update_vibration(e, s, dt):
-    """Filter three lengths: of delta angle x the delta angle before, of the changes of rates and of specific force.
+    """Update the low-passed metrics: coning, and the change per sample of body rates and of specific force.
+
+    Coning is the norm of the cross product of two consecutive delta angles.
 
     Args:
-        e: ESTIMATOR record; ``vibration*`` are written.
-        s: SENSORS record.
-        dt: s between samples.
+        e: ``ESTIMATOR`` record; its ``vibration*`` fields are written.
+        s: ``SENSORS`` record.
+        dt: time between samples, s.
     """
     g, a, before_g, before_a = s.gyro, s.accel, e.vibration_gyro, e.vibration_accel
     coning = 0.0

@@ -1,7 +1,7 @@
-"""What a vehicle tells its operators: texts and events.
+"""Announcements of a vehicle to its operators: texts (STATUSTEXT) and events.
 
-PX4 tells most things twice, as a text for those who do not know events and as an event. Such a text ends with a tab, by
-which a ground station that knows events tells that it may leave it out.
+As PX4 does, most announcements are sent both as an event and as a text for ground stations without event support. Such
+a text ends with a tab; ground stations that support events do not show it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _WARNING_INTERVAL_US = 1_000_000
 _NEVER_US = -(1 << 60)
 _UINT16 = 0xFFFF
 
-# name, level and internal level of the event of a failsafe that only warns, by cause
+# event name and log level of a failsafe that only warns, by cause
 _BATTERY_WARNINGS = {
     Cause.BATTERY_LOW: ("commander_failsafe_enter_low_bat", events.WARNING),
     Cause.BATTERY_CRITICAL: ("commander_failsafe_enter_crit_bat_warn", events.CRITICAL),
@@ -32,16 +32,16 @@ _BATTERY_WARNINGS = {
 
 
 class Announcements:
-    """Texts and events of one vehicle.
+    """Queues of one vehicle's texts and events.
 
     Attributes:
-        texts: (MAV_SEVERITY, text) that no link has taken yet; the oldest are dropped beyond 64.
-        events: events that no link has taken yet, likewise.
-        on_text: called with every text, when it is not None.
+        texts: (MAV_SEVERITY, text) not yet sent; beyond 64 the oldest are dropped.
+        events: events not yet sent, likewise.
+        on_text: callback for every text, with severity and text; may be None.
     """
 
     def __init__(self, view: VehicleView) -> None:
-        """Start with nothing to tell; ``view`` knows the time."""
+        """Create empty queues; ``view`` provides the simulated time."""
         self._view = view
         self.texts: deque[tuple[int, str]] = deque(maxlen=_MAX_TEXTS)
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
@@ -49,13 +49,13 @@ class Announcements:
         self._last_warning_us = _NEVER_US
 
     def say(self, severity: int, text: str) -> None:
-        """Queue a text (``severity``: MAV_SEVERITY)."""
+        """Queue a text of a MAV_SEVERITY."""
         self.texts.append((severity, text))
         if self.on_text is not None:
             self.on_text(severity, text)
 
     def warn(self, text: str) -> None:
-        """Queue a warning, at most one a second."""
+        """Queue a warning text, at most one per second."""
         if self._view.time_us - self._last_warning_us >= _WARNING_INTERVAL_US:
             self._last_warning_us = self._view.time_us
             self.say(WARNING, text)
@@ -65,27 +65,27 @@ class Announcements:
         self.events.extend(found)
 
     def tell(self, severity: int, text: str, name: str, *values: float, level: int | None = None) -> None:
-        """Queue a text and the event ``name`` that says the same.
+        """Queue a text and its event.
 
         Args:
             severity: MAV_SEVERITY of the text.
-            text: the text without the tab.
+            text: text without the trailing tab.
             name: PX4's name of the event.
-            values: the event's arguments.
-            level: the event's log level; the text's severity when it is not given.
+            values: arguments of the event.
+            level: log level of the event; None for the text's severity.
         """
         self.say(severity, text + "\t")
         level = severity if level is None else level
         self.events.append(event(name, level, self._view.time_us, *values))
 
     def mode_refused(self, mode: Mode) -> None:
-        """Tell that ``mode`` cannot be flown now."""
+        """Announce that switching to ``mode`` was rejected."""
         text = f"Switching to {mode.label} is currently not available"
         number = modes.number_of(mode)
         self.tell(CRITICAL, text, "commander_modeswitch_not_avail", mode.custom_mode, number)
 
     def failsafe(self, outcome: Outcome) -> None:
-        """Tell that a failsafe acts, or warns."""
+        """Announce a failsafe action or warning."""
         mode = outcome.intended.custom_mode
         if outcome.action is Action.HOLD and outcome.delayed is not Action.NONE:
             self._delayed_failsafe(outcome, mode)

@@ -1,7 +1,8 @@
-"""Every event that the autopilot can emit: its arguments, and its words for a ground station.
+"""Catalogue of the autopilot's events: their arguments, and their messages for ground stations.
 
-Names are PX4 v1.14's, by which an event gets its number, and so are types and order of the arguments. The words are
-ours, in libevents' notation: ``{2}`` is the second argument, ``{1:.1m_v}`` the first with one decimal as a height.
+Names, which determine the event numbers, and types and order of the arguments are PX4 v1.14's. The messages are written
+for this project in libevents' notation: ``{2}`` is the second argument, ``{1:.1m_v}`` the first as a height with one
+decimal.
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ ENUM_TYPES = {
     "arm_disarm_reason_t": "uint8_t",
 }
 DEFAULT, ARMING_CHECK, HEALTH = "default", "arming_check", "health"
-MAX_ARGUMENTS = 25  # bytes, PX4's event.msg
+MAX_ARGUMENTS = 25  # bytes of arguments in PX4's event.msg
 
 _SUMMARY = "summary"
-WITH_CHECKS = "append_health_and_arming_messages"  # the ground station adds what stands against the mode
+WITH_CHECKS = "append_health_and_arming_messages"  # the ground station appends the failed checks of the mode
 
 
 @dataclass(frozen=True)
 class Definition:
-    """What is known of one event.
+    """Definition of an event.
 
     Attributes:
         name: PX4's name.
-        message: its words.
-        arguments: name and type of each.
+        message: message text.
+        arguments: (name, type) of each argument.
         group: libevents' group: "default", "arming_check" or "health".
         kind: libevents' type within the group, empty for none.
-        description: more words, empty for none.
-        layout: how the arguments lie on the wire.
+        description: additional text, empty for none.
+        layout: binary layout of the arguments.
     """
 
     name: str
@@ -59,10 +60,10 @@ class Definition:
 def _define(
     name: str, message: str, arguments: str = "", group: str = DEFAULT, kind: str = "", description: str = ""
 ) -> Definition:
-    """Make a definition; ``arguments`` are ``name:type`` with spaces between.
+    """Return a definition; ``arguments`` are ``name:type``, separated by spaces.
 
     Raises:
-        ValueError: more arguments than an event holds.
+        ValueError: the arguments exceed MAX_ARGUMENTS bytes.
     """
     fields = [part.split(":") for part in arguments.split()]
     parsed = tuple((label, of_type) for label, of_type in fields)

@@ -1,4 +1,4 @@
-"""Events in words, for those who have no ground station that knows them."""
+"""Event messages as plain text, for clients without event support."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from xtdrone_control.autopilot.commander.failsafe import Action, Cause
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, Definition
 from xtdrone_control.autopilot.events.events import event_id
 
-# a short name, and words
+# short name and label
 MODES = {
     modes.MANUAL: ("manual", "manual"),
     modes.ALTCTL: ("altctl", "altitude"),
@@ -48,27 +48,27 @@ CAUSES = {
     Cause.BATTERY_CRITICAL: "critical battery",
     Cause.BATTERY_EMERGENCY: "an almost empty battery",
 }
-_WORDS: dict[str, dict[int, str]] = {
+_LABELS: dict[str, dict[int, str]] = {
     "navigation_mode_t": {modes.number_of(mode): words for mode, (_, words) in MODES.items()},
     "failsafe_action_t": {int(action): words for action, words in ACTIONS.items()},
     "failsafe_cause_t": {int(cause): words for cause, words in CAUSES.items()},
 }
-_PLACE = re.compile(r"\{(\d+)\}")
+_PLACEHOLDER = re.compile(r"\{(\d+)\}")
 _BY_NUMBER = {event_id(name): definition for name, definition in CATALOGUE.items()}
 
 
 def definition_of(number: int) -> Definition | None:
-    """Return what is known of the event with that number (EVENT.id), None for nothing."""
+    """Return the definition of the event with the number EVENT.id, or None."""
     return _BY_NUMBER.get(number)
 
 
-def told(definition: Definition, values: Sequence[float]) -> str:
-    """Return an event's words with its arguments' ``values`` in their places; numbers as they are, without a unit."""
+def render_message(definition: Definition, values: Sequence[float]) -> str:
+    """Return the message of an event with ``values`` inserted for its arguments, without units."""
 
     def value(match: re.Match[str]) -> str:
         index = int(match[1]) - 1
         _, of_type = definition.arguments[index]
         found = values[index]
-        return _WORDS.get(of_type, {}).get(int(found), f"{found:g}")
+        return _LABELS.get(of_type, {}).get(int(found), f"{found:g}")
 
-    return _PLACE.sub(value, definition.message)
+    return _PLACEHOLDER.sub(value, definition.message)

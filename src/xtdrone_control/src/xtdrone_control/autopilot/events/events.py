@@ -1,8 +1,8 @@
-"""Events: what PX4 tells as numbers (MAVLink EVENT), for a ground station that knows their texts.
+"""Events (MAVLink EVENT): numbered messages whose texts are defined in ``event_catalogue``.
 
-An event's number is its component (1: autopilot) and a hash of its name (PX4's events interface, ``events::ID``);
-its arguments lie packed, little endian, without gaps. A check's event begins with the modes that it concerns (uint32,
-one bit a navigation state) and the component that it is about (uint8). ``event_catalogue`` has them all.
+An event number consists of the component (1: autopilot) and a hash of the event's name (PX4's events interface,
+``events::ID``). The arguments are packed little-endian without padding. Those of an arming check start with the
+affected modes (uint32, one bit per navigation state) and the health component (uint8).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import lru_cache
 
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE
 
-# Log levels (PX4 events::Log), the external and the internal one of an event.
+# Log levels (PX4 events::Log). An event has an external and an internal one.
 EMERGENCY, ALERT, CRITICAL, ERROR, WARNING, NOTICE, INFO, DEBUG, PROTOCOL = range(9)
 
 _COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
@@ -22,14 +22,14 @@ _FNV_OFFSET, _FNV_PRIME, _MASK_32 = 0x811C9DC5, 0x01000193, 0xFFFFFFFF
 _MASK_24 = 0xFFFFFF
 _FLOAT_MAX = 3.4028234e38
 
-# Bits of the arguments of checks: PX4's health_component_t.
+# Bit numbers of PX4's health_component_t.
 GPS, REMOTE_CONTROL, MOTORS, BATTERY, LINKS = 3, 7, 8, 11, 12
 ATTITUDE_ESTIMATE, LOCAL_POSITION, SYSTEM, GLOBAL_POSITION = 16, 17, 20, 24
 
 
 @lru_cache(maxsize=512)
 def event_id(name: str) -> int:
-    """Return the event's number: component in the top byte, FNV-1a of ``name`` in the lower 24 bits."""
+    """Return the number of an event: component in the top byte, FNV-1a of ``name`` in the lower 24 bits."""
     value = _FNV_OFFSET
     for byte in name.encode():
         value = (value ^ byte) * _FNV_PRIME & _MASK_32
@@ -38,7 +38,7 @@ def event_id(name: str) -> int:
 
 @dataclass(frozen=True)
 class Event:
-    """One event.
+    """An event with its packed arguments.
 
     Attributes:
         name: PX4's name.
@@ -54,17 +54,17 @@ class Event:
 
     @property
     def number(self) -> int:
-        """The event's number, EVENT.id."""
+        """Event number, EVENT.id."""
         return event_id(self.name)
 
     @property
     def log_levels(self) -> int:
-        """EVENT.log_levels: external level in the lower four bits, internal one in the upper."""
+        """EVENT.log_levels: external level in the lower four bits, internal level in the upper four."""
         return self.levels[1] << 4 | self.levels[0]
 
 
 def _fitting(code: str, value: float) -> float:
-    """Return ``value`` as a ``struct`` type takes it."""
+    """Return ``value`` limited to the range of the ``struct`` type ``code``."""
     if code == "f":
         return value if abs(value) < _FLOAT_MAX else math.copysign(math.inf, value)
     if math.isnan(value):
@@ -75,18 +75,18 @@ def _fitting(code: str, value: float) -> float:
 
 
 def event(name: str, level: int, time_us: int, *values: float, internal: int | None = None) -> Event:
-    """Make an event.
+    """Return an event with packed arguments.
 
     Args:
         name: PX4's name.
         level: external log level.
         time_us: simulated time, microseconds.
-        values: the arguments, as the catalogue has them; what is beyond a type's range becomes its limit.
-        internal: internal log level; the external one when it is not given.
+        values: arguments in the order of the catalogue, clipped to the range of their types.
+        internal: internal log level; None for the external one.
 
     Raises:
-        KeyError: the catalogue has no such event.
-        ValueError: more or less arguments than the catalogue has.
+        KeyError: the event is not in the catalogue.
+        ValueError: the number of arguments differs from the catalogue.
     """
     definition = CATALOGUE[name]
     codes = definition.layout.format[1:]

@@ -1,4 +1,4 @@
-"""The goal that the cascade flies to, and where the vehicle is seen from it: what all AUTO modes are made of."""
+"""Goals of the AUTO modes: write them to the setpoint, and measure the vehicle's position relative to them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ INFO, CRITICAL = 6, 2  # MAV_SEVERITY
 # MPC_YAW_MODE
 _TOWARDS_HOME, _AWAY_FROM_HOME, _ALONG_TRAJECTORY = 1, 2, 3
 _BRAKING_DELAY = 0.6  # s
-_LEAST_SPEED = 0.3  # m/s, below which a velocity tells no heading
-_LEAST_BRAKING = 2.0  # m/s^2, the least sensible value of PX4's MPC_ACC_*; parameters may be anything
+_LEAST_SPEED = 0.3  # m/s, least velocity that defines a heading
+_LEAST_BRAKING = 2.0  # m/s^2, minimum of PX4's MPC_ACC_*; parameters may be out of range
 
 
 def braking_time(speed: float, deceleration: float) -> float:
-    """Return the seconds that it takes to brake from ``speed`` (m/s) at ``deceleration`` (m/s^2), at least 2."""
+    """Return the time (s) to brake from ``speed`` (m/s) at ``deceleration`` (m/s^2, at least 2)."""
     return speed / max(deceleration, _LEAST_BRAKING)
 
 
 @dataclass(frozen=True)
 class Home:
-    """Where a return goes to.
+    """A home position.
 
     Attributes:
         latitude: degrees.
@@ -36,7 +36,7 @@ class Home:
         altitude: m AMSL.
         position: m, local NED.
         yaw: rad.
-        time_us: when it was set.
+        time_us: simulated time of its setting, microseconds.
     """
 
     latitude: float
@@ -53,15 +53,15 @@ class Course:
     Attributes:
         view: the vehicle.
         parameters: its parameters.
-        announcements: what the operator is told.
+        announcements: texts and events for the operator.
         home: None until the first valid position.
         goal: m, local NED.
-        landing: the vehicle is on its way to the ground.
-        taking_off: it climbs to where a takeoff ends.
+        landing: whether the present goal is a landing.
+        taking_off: whether the present goal is the end of a takeoff.
     """
 
     def __init__(self, view: VehicleView, parameters: Parameters, announcements: Announcements) -> None:
-        """Prepare; nothing is asked of the cascade."""
+        """Initialise without a goal; the setpoint is not changed."""
         self.view = view
         self.parameters = parameters
         self.announcements = announcements
@@ -85,9 +85,9 @@ class Course:
 
         Args:
             position: m, local NED.
-            yaw: rad; NaN keeps the heading, see ``free_heading``.
-            onward: where it goes from there without a stop, m, local NED; NaN to stop there.
-            radius: m from ``position`` at which the way onward begins.
+            yaw: rad; NaN keeps the heading, see also ``free_heading``.
+            onward: next goal, reached without a stop at ``position``, m, local NED; NaN to stop.
+            radius: acceptance radius of ``position``, m; NaN for NAV_ACC_RAD.
         """
         self.goal = position
         self.landing = self.taking_off = False
@@ -106,7 +106,7 @@ class Course:
         self.taking_off = True
 
     def land(self, place: Vector) -> None:
-        """Land at ``place`` (m, local NED), whose height is that of home when there is one."""
+        """Land at ``place`` (m, local NED); the ground is assumed at home's height, or at ``place`` without a home."""
         ground = place[2] if self.home is None else self.home.position[2]
         self.goal = (place[0], place[1], ground)
         self.landing = True
@@ -118,25 +118,25 @@ class Course:
         self.view.start_task(TASK_LAND)
 
     def hold(self) -> None:
-        """Stop, and stay there."""
+        """Brake and hold the position reached."""
         self.fly_to(self.stopping_place())
 
     def shift(self, north: float, east: float) -> None:
-        """Move the present goal to ``north``, ``east`` (m, local), at its height."""
+        """Move the present goal horizontally to ``north``, ``east`` (m, local)."""
         self.goal = (north, east, self.goal[2])
         self.view.setpoint["goal_position"] = self.goal
 
     def look(self, yaw: float) -> None:
-        """Have heading ``yaw`` (rad) on the way to the present goal."""
+        """Set the heading ``yaw`` (rad) for the flight to the present goal."""
         self.view.setpoint["goal_yaw"] = yaw
 
     def free_heading(self) -> None:
-        """Let MPC_YAW_MODE say where the vehicle looks on the way to the present goal."""
+        """Set the heading by MPC_YAW_MODE during the flight to the present goal."""
         self._heading_free = True
         self.update_heading()
 
     def update_heading(self) -> None:
-        """Look where MPC_YAW_MODE says; within the acceptance radius the heading stays."""
+        """Update the heading by MPC_YAW_MODE; within the acceptance radius keep it."""
         if not self._heading_free or self.distance_to(self.goal) <= self.parameters.get("NAV_ACC_RAD"):
             return
         mode = self.parameters.get("MPC_YAW_MODE")
@@ -152,18 +152,18 @@ class Course:
             return
         self.look(self.bearing_to(self.goal))
 
-    # where the vehicle is
+    # geometry
 
     def stopping_place(self) -> Vector:
-        """Return the place where the vehicle comes to rest when it brakes now, at its height.
+        """Return the position (m, local NED) at which the vehicle comes to rest if it brakes now, at its height.
 
-        That is v^2 / 2a ahead, and what it flies while its deceleration rises (PX4 computeBrakingDistanceFromVelocity).
+        That is v^2 / 2a ahead, plus the distance flown while the deceleration builds up (PX4
+        computeBrakingDistanceFromVelocity).
         """
         x, y, z = self.view.position
         vx, vy, _ = self.view.velocity
-        # times v
-        ahead = 0.5 * braking_time(math.hypot(vx, vy), self.parameters.get("MPC_ACC_HOR")) + _BRAKING_DELAY
-        return x + vx * ahead, y + vy * ahead, z
+        seconds = 0.5 * braking_time(math.hypot(vx, vy), self.parameters.get("MPC_ACC_HOR")) + _BRAKING_DELAY
+        return x + vx * seconds, y + vy * seconds, z
 
     def distance_to(self, position: Vector) -> float:
         """Return the horizontal distance to ``position``, m."""
@@ -171,7 +171,7 @@ class Course:
         return math.hypot(position[0] - x, position[1] - y)
 
     def bearing_to(self, position: Vector) -> float:
-        """Return the bearing of ``position``, rad from north to east."""
+        """Return the bearing of ``position``, rad, clockwise from north."""
         x, y, _ = self.view.position
         return math.atan2(position[1] - y, position[0] - x)
 
@@ -181,5 +181,5 @@ class Course:
 
     @property
     def ground(self) -> float:
-        """Height of home, m, local NED; the vehicle's own while there is no home."""
+        """Down coordinate of home, m, local NED; the vehicle's while no home is set."""
         return self.view.position[2] if self.home is None else self.home.position[2]

@@ -1,8 +1,7 @@
-"""Keeps the smoothed path where the vehicle is when the estimator resets its state, as PX4's flight tasks do.
+"""Shifts of the smoothed path by resets of the estimator, as in PX4's flight tasks.
 
-What the vehicle holds or follows by itself (``CONTROL.smooth_*``) jumps with the estimate, so that nothing is to be
-caught up with. Goals and OFFBOARD setpoints stay as they were given: they are places, and the vehicle flies there on
-its smoothed path.
+A held position or smoothed path (``CONTROL.smooth_*``) moves with the estimate, so that a reset causes no motion. Goals
+and OFFBOARD setpoints are not shifted; the vehicle flies to them on its smoothed path.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from xtdrone_control.rotation_kernels import wrap_pi
 
 @kernel
 def follow_resets(c, e):
-    """Shift the smoothed path by the resets since the last call.
+    """Shift the smoothed path by the estimator's resets since the last call.
 
     Args:
         c: ``CONTROL`` record.

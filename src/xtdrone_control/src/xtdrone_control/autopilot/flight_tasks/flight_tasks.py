@@ -1,9 +1,9 @@
-"""From what the flight mode wants (``SETPOINT``) to the trajectory setpoints that the position controller follows.
+"""Flight tasks: from the flight mode's goal (``SETPOINT``) to the trajectory setpoint of the position controller.
 
-One function a task, after PX4 v1.14's flight tasks: OFFBOARD trajectories pass as they are, goals are approached on a
-jerk-limited path along the leg between two places, landing follows PX4's speed profile, sticks command accelerations,
-tilts or climb rates. Each fills task_position, task_velocity, task_acceleration (NaN: not controlled), task_yaw,
-task_yaw_rate and want_takeoff of ``CONTROL``.
+One function per task, after PX4 v1.14's flight tasks: OFFBOARD trajectories are passed on unchanged, goals are
+approached on a jerk-limited path along the leg between two waypoints, landing follows PX4's speed profile, and sticks
+command accelerations, velocities, tilts or climb rates. Each task writes task_position, task_velocity,
+task_acceleration (NaN: not controlled), task_yaw, task_yaw_rate and want_takeoff of ``CONTROL``.
 """
 
 from __future__ import annotations
@@ -31,15 +31,20 @@ from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, wrap_pi, yaw_of
 
 _NAN = math.nan
-_NO_LEG, _BEHIND, _AHEAD, _OFF = 0, 1, 2, 3  # leg_state: on the way, goal is behind, start is ahead, off the leg
-_LEAD = 5.0  # m, least distance ahead on the leg to which a turn is steered (L1 guidance)
-_WAIT_SPEED = 0.7  # m/s downwards, from which the smoothing of the height starts at takeoff, as in PX4
-_TAKEOFF_CLIMB = 0.3  # m/s of wanted climb that begins a takeoff
-_TAKEOFF_STICK = 0.3  # of the throttle stick, likewise
-_YAW_TAU = 0.2  # s, filter of the yaw rate that belongs to a moving heading
-_BRAKE_TAU = 0.8  # s, in which braking by a centred stick grows
+_NO_LEG, _BEHIND, _AHEAD, _OFF = (
+    0,
+    1,
+    2,
+    3,
+)  # leg_state: on the leg (or none), past the goal, before the start, beside the leg
+_LEAD = 5.0  # m, least lookahead distance in turns (L1 guidance)
+_WAIT_SPEED = 0.7  # m/s downwards, initial vertical speed of the smoothed path at takeoff, as in PX4
+_TAKEOFF_CLIMB = 0.3  # m/s, climb rate above which a takeoff starts
+_TAKEOFF_STICK = 0.3  # throttle stick above which a takeoff starts
+_YAW_TAU = 0.2  # s, time constant of the yaw rate feed-forward
+_BRAKE_TAU = 0.8  # s, time constant of the braking factor with centred sticks
 _YAW_STILL = 0.001  # rad/s, below which the heading is held
-_OVERSPEED = 1.3  # times the speed limits: brake first
+_OVERSPEED = 1.3  # factor on the speed limits above which the vehicle brakes first
 
 
 @kernel
@@ -59,7 +64,7 @@ def clear_task(c):
 
 
 @kernel
-def _start_smoothing(c, i, position, velocity, acceleration):
+def _reset_smoothing(c, i, position, velocity, acceleration):
     c.smooth_position[i] = position
     c.smooth_velocity[i] = velocity
     c.smooth_acceleration[i] = acceleration
@@ -68,13 +73,13 @@ def _start_smoothing(c, i, position, velocity, acceleration):
         c.smooth_times[i, k] = 0.0
 
 
-# the leg that is flown
+# legs
 
 
 @kernel
-def _set_leg(c, s, e):
-    """Take a new goal: its leg begins at the goal before when that led on to it, else where the vehicle is."""
-    onwards = True  # NaN, no onward place, makes it false
+def _start_leg(c, s, e):
+    """Start the leg to a new goal: from the previous goal if that led on to this one, else from the vehicle."""
+    onwards = True  # false for NaN, no onward waypoint
     for i in range(3):
         onwards = onwards and abs(c.leg_onward[i] - s.goal_position[i]) < 1e-3
     for i in range(3):
@@ -89,7 +94,7 @@ def _leg_changed(c, s):
     for i in range(3):
         if not abs(c.leg_goal[i] - s.goal_position[i]) < 1e-3:
             return True
-        # both NaN is no change
+        # NaN in both is no change
         same = c.leg_onward[i] == s.onward_position[i] or (
             math.isnan(c.leg_onward[i]) and math.isnan(s.onward_position[i])
         )
@@ -100,7 +105,7 @@ def _leg_changed(c, s):
 
 @kernel
 def _state_on_leg(c, e, radius):
-    """Return where the vehicle is seen from its leg, and the nearest place on it (tuple)."""
+    """Return the state on the leg, and the north and east (m, local) of the nearest point on its line."""
     dx, dy = c.leg_goal[0] - c.leg_start[0], c.leg_goal[1] - c.leg_start[1]
     length = math.hypot(dx, dy)
     if length < 1e-6:
@@ -119,11 +124,11 @@ def _state_on_leg(c, e, radius):
 
 
 @kernel
-def _update_way(c, s, e, radius):
-    """Fill way_*: the leg, or the way back to it (PX4 FlightTaskAuto::_updateInternalWaypoints)."""
+def _update_internal_leg(c, s, e, radius):
+    """Update way_*: the leg, or a leg back to it (PX4 FlightTaskAuto::_updateInternalWaypoints)."""
     changed = _leg_changed(c, s)
     if changed:
-        _set_leg(c, s, e)
+        _start_leg(c, s, e)
     state, nx, ny = _state_on_leg(c, e, radius)
     if not (changed or state != c.leg_state or state == _OFF):
         return
@@ -142,7 +147,7 @@ def _update_way(c, s, e, radius):
 
 @kernel
 def _turning(c, radius):
-    """Return whether the path turns: it moves, but not towards the goal."""
+    """Return whether the smoothed path is in a turn: it moves, but not towards the goal."""
     vx, vy = c.smooth_velocity[0], c.smooth_velocity[1]
     gx, gy = c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1]
     speed, distance = math.hypot(vx, vy), math.hypot(gx, gy)
@@ -151,7 +156,7 @@ def _turning(c, radius):
 
 @kernel
 def _lead_point(c, radius):
-    """Return the point on the leg that a turn is steered to: some way ahead of the nearest one (L1 guidance)."""
+    """Return the point (m, local) on the leg to steer to in a turn, ahead of the nearest point (L1 guidance)."""
     ux, uy, uz = c.way_goal[0] - c.way_start[0], c.way_goal[1] - c.way_start[1], c.way_goal[2] - c.way_start[2]
     length = math.sqrt(ux * ux + uy * uy + uz * uz)
     if length > 0.0:
@@ -168,22 +173,22 @@ def _lead_point(c, radius):
 
 @kernel
 def _speed_through(c, p, radius, cruise):
-    """Return the horizontal speed (m/s) at the goal, from where it goes on to way_onward; 0 to stop there.
+    """Return the horizontal speed (m/s) at the goal on the way to way_onward; 0 to stop there.
 
-    A circle of the acceptance radius joins the two legs, flown with a share of MPC_ACC_HOR (PX4
-    trajectory::computeStartXYSpeedFromWaypoints). Where the height changes the vehicle stops.
+    A circle within the acceptance radius joins the two legs, flown with the share MPC_XY_TRAJ_P of MPC_ACC_HOR (PX4
+    trajectory::computeStartXYSpeedFromWaypoints). The vehicle stops at waypoints where the height changes.
     """
     ox, oy = c.way_onward[0] - c.way_goal[0], c.way_onward[1] - c.way_goal[1]
     gx, gy = c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1]
     onward, distance = math.hypot(ox, oy), math.hypot(gx, gy)
-    # written so that NaN, no onward place, stops
+    # a comparison with NaN (no onward waypoint) is false: stop
     if not (onward >= radius and onward > 1e-3 and distance > 1e-6):
         return 0.0
     if abs(c.way_goal[2] - c.smooth_position[2]) >= p.nav_mc_alt_rad:
         return 0.0
     if abs(c.way_onward[2] - c.way_goal[2]) >= p.nav_mc_alt_rad:
         return 0.0
-    # legs meet at this angle, pi straight on
+    # angle between the legs, pi for straight on
     angle = math.acos(constrain(-(ox * gx + oy * gy) / (onward * distance), -1.0, 1.0))
     leaving = min(cruise, stopping_speed(onward, p.mpc_acc_hor, p.mpc_jerk_auto, 0.0))
     return min(turning_speed(angle, p.mpc_xy_traj_p * p.mpc_acc_hor, radius), leaving, cruise)
@@ -202,7 +207,7 @@ def _horizontal_speed(c, p, radius, cruise):
 
 @kernel
 def _clamp(vx, vy, vz, speed_xy, speed_z):
-    """Return the velocity, shortened so that neither part exceeds its speed; small parts are shortened alone."""
+    """Return the velocity scaled to the horizontal and vertical speed limits; small parts are scaled separately."""
     norm = math.hypot(vx, vy)
     if norm > speed_xy and norm > 1e-7:
         scale = speed_xy / norm
@@ -220,7 +225,7 @@ def _clamp(vx, vy, vz, speed_xy, speed_z):
 
 @kernel
 def _wanted_velocity(c, p, radius, cruise, height_speed):
-    """Return the velocity (tuple, m/s, local) that leads from the smoothed place to the goal."""
+    """Return the velocity (tuple, m/s, local) from the smoothed position to the goal."""
     speed = _horizontal_speed(c, p, radius, cruise)
     if _turning(c, radius):
         px, py, pz = _lead_point(c, radius)
@@ -236,7 +241,7 @@ def _wanted_velocity(c, p, radius, cruise, height_speed):
 
 @kernel
 def _wanted_horizontal(c, p, radius, cruise):
-    """Return the horizontal velocity (tuple, m/s, local) that leads to the goal."""
+    """Return the horizontal velocity (tuple, m/s, local) from the smoothed position to the goal."""
     speed = _horizontal_speed(c, p, radius, cruise)
     if _turning(c, radius):
         px, py, _ = _lead_point(c, radius)
@@ -249,19 +254,19 @@ def _wanted_horizontal(c, p, radius, cruise):
     return dx / norm * speed, dy / norm * speed
 
 
-# AUTO
+# AUTO modes
 
 
 @kernel
 def _vertical_limits(c, s, e, p):
-    """Return the largest speed and acceleration of the height's path, m/s and m/s^2; a takeoff begins slowly."""
+    """Return the largest vertical speed (m/s) and acceleration (m/s^2) of the path; lower at takeoff."""
     if c.unsmoothed_climb >= 0.0:
         return _or_default(s.descend_speed, p.mpc_z_v_auto_dn), p.mpc_acc_down_max
     speed, accel = _or_default(s.climb_speed, p.mpc_z_v_auto_up), p.mpc_acc_up_max
     if c.goal_from_ground and c.ground_z - e.position[2] < p.mpc_land_alt1:
         speed = _or_default(s.climb_speed, p.mpc_tko_speed)
         accel = min(accel, p.mpc_tko_speed / max(p.mpc_tko_ramp_t, 1e-3))
-        # the path stays at the vehicle's height, so that its start does not lead into the ground
+        # keep the path at the vehicle's height, so that it does not start below the ground
         c.smooth_position[2] = e.position[2]
     return speed, accel
 
@@ -280,7 +285,7 @@ def _update_braking(c, p):
 
 @kernel
 def _lag_stretch(c, e, p):
-    """Return how much slower time passes on the path: it waits for a vehicle that is behind it."""
+    """Return the time factor of the path, 0..1, which slows down for a vehicle that lags behind."""
     dx, dy = c.smooth_position[0] - e.position[0], c.smooth_position[1] - e.position[1]
     if dx * c.smooth_velocity[0] + dy * c.smooth_velocity[1] < 0.0:
         return 1.0
@@ -289,10 +294,10 @@ def _lag_stretch(c, e, p):
 
 @kernel
 def _smooth(c, s, e, p, wanted, dt):
-    """Move the smoothed path on, plan it towards ``wanted`` (tuple, m/s) and make it the setpoint."""
+    """Advance the smoothed path, replan it to the velocity ``wanted`` (tuple, m/s) and write it to the setpoint."""
     speed_z, accel_z = _vertical_limits(c, s, e, p)
     accel_xy, jerk = p.mpc_acc_hor, p.mpc_jerk_auto
-    c.speed_down = max(p.mpc_z_vel_max_dn, 1.2 * p.mpc_z_v_auto_dn)  # room for corrections of the height
+    c.speed_down = max(p.mpc_z_vel_max_dn, 1.2 * p.mpc_z_v_auto_dn)  # margin for height corrections
     if c.braking:
         wanted = (0.0, 0.0, 0.0)
         accel_xy = accel_z = jerk = GRAVITY
@@ -310,7 +315,7 @@ def _smooth(c, s, e, p, wanted, dt):
 
 @kernel
 def _smooth_yaw(c, wanted, p, dt):
-    """Turn the heading towards ``wanted`` (rad; NaN: no turn) at MPC_YAWRAUTO_MAX at most, with its yaw rate."""
+    """Slew the heading to ``wanted`` (rad; NaN: keep it) at up to MPC_YAWRAUTO_MAX, with a yaw rate feed-forward."""
     limit = math.radians(p.mpc_yawrauto_max)
     turn = 0.0
     if not math.isnan(wanted):
@@ -327,20 +332,20 @@ def _goal_radius(s, p):
 
 
 @kernel
-def _wait_on_ground(c, e):
-    """Before the takeoff ramps up the path stays at the vehicle."""
+def _keep_path_at_vehicle(c, e):
+    """Keep the smoothed path at the vehicle until the takeoff ramp starts."""
     for i in range(3):
-        _start_smoothing(c, i, e.position[i], _WAIT_SPEED if i == 2 else 0.0, 0.0)
+        _reset_smoothing(c, i, e.position[i], _WAIT_SPEED if i == 2 else 0.0, 0.0)
 
 
 @kernel
 def goto_task(c, s, e, p, dt):
-    """Fly to goal_position on a smoothed path, and on to onward_position without a stop if there is one."""
+    """Fly to goal_position on a smoothed path, without a stop if there is an onward_position."""
     radius = _goal_radius(s, p)
     cruise = min(_or_default(s.cruise_speed, p.mpc_xy_cruise), p.mpc_xy_vel_max)
-    _update_way(c, s, e, radius)
+    _update_internal_leg(c, s, e, radius)
     if c.takeoff_state < TAKEOFF_RAMPUP:
-        _wait_on_ground(c, e)
+        _keep_path_at_vehicle(c, e)
     _update_braking(c, p)
     speed_z, accel_z = _vertical_limits(c, s, e, p)
     distance = abs(c.way_goal[2] - c.smooth_position[2])
@@ -353,7 +358,7 @@ def goto_task(c, s, e, p, dt):
 
 @kernel
 def _landing_speed(height, p):
-    """Return PX4's descent speed (m/s) at ``height`` m: the largest over ALT1, MPC_LAND_SPEED under ALT2."""
+    """Return PX4's descent speed (m/s) at ``height`` m: the largest above ALT1, MPC_LAND_SPEED below ALT2."""
     upper = max(p.mpc_land_alt1, p.mpc_land_alt2)
     if height >= upper:
         return p.mpc_z_vel_max_dn
@@ -365,12 +370,12 @@ def _landing_speed(height, p):
 
 @kernel
 def land_task(c, s, e, p, dt):
-    """Stay over the goal's xy and descend; goal_position[2] is the height of the ground, as far as known."""
+    """Descend at the goal's xy; goal_position[2] is the assumed down coordinate of the ground."""
     radius = _goal_radius(s, p)
     cruise = min(_or_default(s.cruise_speed, p.mpc_xy_cruise), p.mpc_xy_vel_max)
-    _update_way(c, s, e, radius)
+    _update_internal_leg(c, s, e, radius)
     if c.takeoff_state < TAKEOFF_RAMPUP:
-        _wait_on_ground(c, e)
+        _keep_path_at_vehicle(c, e)
     _update_braking(c, p)
     x, y = _wanted_horizontal(c, p, radius, cruise)
     _smooth(c, s, e, p, (x, y, _landing_speed(s.goal_position[2] - e.position[2], p)), dt)
@@ -379,7 +384,7 @@ def land_task(c, s, e, p, dt):
 
 @kernel
 def descend_task(c, p):
-    """Descend with a level attitude: nothing is known of the horizontal motion."""
+    """Descend with a level attitude, without a horizontal estimate."""
     c.task_acceleration[0] = 0.0
     c.task_acceleration[1] = 0.0
     c.task_velocity[2] = p.mpc_land_speed
@@ -401,7 +406,7 @@ def _orbit_heading(s, x, y):
 
 @kernel
 def orbit_task(c, s, e, p, dt):
-    """Fly along the circle, and back onto it at 1 m/s a metre (PX4 FlightTaskOrbit::generate_circle_setpoints)."""
+    """Fly along the circle, returning to it at 1 m/s per metre (PX4 FlightTaskOrbit::generate_circle_setpoints)."""
     x, y = e.position[0] - s.orbit_centre[0], e.position[1] - s.orbit_centre[1]
     distance = math.hypot(x, y)
     x, y = (x / distance, y / distance) if distance > 1e-6 else (1.0, 0.0)
@@ -422,9 +427,9 @@ def orbit_task(c, s, e, p, dt):
 
 @kernel
 def trajectory_task(c, s, e):
-    """OFFBOARD: the given position, velocity and acceleration; with no heading given the present one is kept.
+    """Pass on OFFBOARD's position, velocity, acceleration, yaw and yaw rate.
 
-    As in PX4 a yaw rate alone turns the vehicle, it holds no heading: ``task_yaw`` is NaN then.
+    As in PX4, a yaw rate without a yaw leaves ``task_yaw`` NaN: the vehicle turns and holds no heading.
     """
     for i in range(3):
         c.task_position[i] = s.position[i]
@@ -436,12 +441,12 @@ def trajectory_task(c, s, e):
     c.want_takeoff = 1 if z < e.position[2] or vz < 0.0 or az < 0.0 else 0
 
 
-# by stick
+# stick modes
 
 
 @kernel
 def _stick_yaw(c, s, e, p, dt):
-    """Turn by stick, past a first-order filter; hold the heading when the stick is centred."""
+    """Command a low-passed yaw rate by stick; hold the heading when the stick is centred."""
     wanted = s.stick_yaw * math.radians(p.mpc_man_y_max)
     c.smooth_yaw_rate += dt / (p.mpc_man_y_tau + dt) * (wanted - c.smooth_yaw_rate)
     if abs(c.smooth_yaw_rate) > _YAW_STILL:
@@ -454,7 +459,7 @@ def _stick_yaw(c, s, e, p, dt):
 
 @kernel
 def _stick_height(c, s, e, p, dt):
-    """Climb or sink by stick under limits of jerk and acceleration; a centred stick brakes, then holds the height."""
+    """Command a jerk-limited climb rate by stick; a centred stick brakes, then holds the height."""
     wanted = -s.stick_z * (p.mpc_z_vel_max_up if s.stick_z > 0.0 else p.mpc_z_vel_max_dn)
     height = c.ground_z - e.position[2]
     if wanted > 0.0:
@@ -464,7 +469,7 @@ def _stick_height(c, s, e, p, dt):
         share = constrain((height - lower) / max(upper - lower, 1e-3), 0.0, 1.0)
         wanted = max(wanted, -(p.mpc_tko_speed + share * (p.mpc_z_vel_max_up - p.mpc_tko_speed)))
     if c.takeoff_state < TAKEOFF_RAMPUP:
-        _start_smoothing(c, 2, e.position[2], 0.0, 0.0)
+        _reset_smoothing(c, 2, e.position[2], 0.0, 0.0)
     accel = p.mpc_acc_up_max if wanted < c.smooth_velocity[2] else p.mpc_acc_down_max
     follow(c, 2, p.mpc_jerk_max, dt)
     plan_axis(c, 2, wanted, accel, p.mpc_jerk_max)
@@ -482,29 +487,29 @@ def _stick_height(c, s, e, p, dt):
 
 
 @kernel
-def _turned(c, e, x, y):
-    """Return (x, y) turned from the heading's frame into the local one, as a tuple."""
+def _heading_to_local(c, e, x, y):
+    """Return (x, y) of the heading frame rotated into the local frame, as a tuple."""
     yaw = yaw_of(e.q) if math.isnan(c.smooth_yaw) else c.smooth_yaw
     cos, sin = math.cos(yaw), math.sin(yaw)
     return cos * x - sin * y, sin * x + cos * y
 
 
 @kernel
-def _unit_limited(x, y):
+def _limit_to_unit(x, y):
     norm = max(math.hypot(x, y), 1.0)
     return x / norm, y / norm
 
 
 @kernel
 def altitude_task(c, s, e, p, dt):
-    """ALTCTL: sticks tilt the vehicle up to MPC_MAN_TILT_MAX and command a climb rate."""
+    """Fly ALTCTL: sticks command a tilt up to MPC_MAN_TILT_MAX and a climb rate."""
     _stick_yaw(c, s, e, p, dt)
-    x, y = _unit_limited(s.stick_x, s.stick_y)
+    x, y = _limit_to_unit(s.stick_x, s.stick_y)
     keep = dt / (p.mc_man_tilt_tau + dt)
     c.stick_acceleration[0] += keep * (x - c.stick_acceleration[0])
     c.stick_acceleration[1] += keep * (y - c.stick_acceleration[1])
     most = math.tan(math.radians(min(p.mpc_man_tilt_max, 89.0))) * GRAVITY
-    x, y = _turned(c, e, c.stick_acceleration[0], c.stick_acceleration[1])
+    x, y = _heading_to_local(c, e, c.stick_acceleration[0], c.stick_acceleration[1])
     c.task_acceleration[0] = x * most
     c.task_acceleration[1] = y * most
     _stick_height(c, s, e, p, dt)
@@ -512,24 +517,24 @@ def altitude_task(c, s, e, p, dt):
 
 @kernel
 def _drag(c, p, centred, dt):
-    """Return the deceleration (tuple, m/s^2) that limits the speed by stick, and brakes with a centred one."""
+    """Return the deceleration (tuple, m/s^2) that limits the speed, and brakes when the sticks are centred."""
     boost = max(2.0, math.sqrt(p.mpc_vel_manual)) if centred else 1.0
     c.brake_boost += dt / (_BRAKE_TAU + dt) * (boost - c.brake_boost)
     speed = math.hypot(c.smooth_velocity[0], c.smooth_velocity[1])
     if speed < 1e-9:
         return 0.0, 0.0
-    shaped = speed if speed > 1.0 else math.sqrt(speed)  # stronger below 1 m/s, so that it stops
+    shaped = speed if speed > 1.0 else math.sqrt(speed)  # stronger below 1 m/s, to reach standstill
     gain = 2.0 * p.mpc_acc_hor / p.mpc_vel_manual * c.brake_boost * shaped / speed
     return gain * c.smooth_velocity[0], gain * c.smooth_velocity[1]
 
 
 @kernel
 def _stick_accelerations(c, s, e, p, dt):
-    """Integrate what the horizontal sticks ask for to a velocity; once that is 0 the place is held (MPC_POS_MODE 4)."""
-    x, y = _unit_limited(s.stick_x, s.stick_y)
-    x, y = _turned(c, e, x, y)
+    """Integrate accelerations by stick to a velocity; hold the position at zero velocity (MPC_POS_MODE 4)."""
+    x, y = _limit_to_unit(s.stick_x, s.stick_y)
+    x, y = _heading_to_local(c, e, x, y)
     step = p.mpc_jerk_max * dt
-    most = 2.0 * p.mpc_acc_hor  # the mean is half of it, because of the drag
+    most = 2.0 * p.mpc_acc_hor  # twice the mean acceleration, because of the drag
     c.stick_acceleration[0] += constrain(x * most - c.stick_acceleration[0], -step, step)
     c.stick_acceleration[1] += constrain(y * most - c.stick_acceleration[1], -step, step)
     ax, ay = c.stick_acceleration[0], c.stick_acceleration[1]
@@ -546,7 +551,7 @@ def _stick_accelerations(c, s, e, p, dt):
     moving = vx * vx + vy * vy > 1e-7
     if moving and c.hold_xy:
         c.hold_xy = 0
-        vx, vy = c.sp_velocity[0], c.sp_velocity[1]  # no jump for what the position loop has asked for
+        vx, vy = c.sp_velocity[0], c.sp_velocity[1]  # continue the velocity of the position loop
     elif not moving and not c.hold_xy:
         c.hold_xy = 1
         c.smooth_position[0], c.smooth_position[1] = e.position[0], e.position[1]
@@ -556,9 +561,9 @@ def _stick_accelerations(c, s, e, p, dt):
 
 @kernel
 def _stick_velocities(c, s, e, p, dt):
-    """Sticks command velocities under limits of acceleration and jerk (MPC_POS_MODE other than 4)."""
-    x, y = _unit_limited(s.stick_x, s.stick_y)
-    x, y = _turned(c, e, x, y)
+    """Command jerk-limited velocities by stick (MPC_POS_MODE other than 4)."""
+    x, y = _limit_to_unit(s.stick_x, s.stick_y)
+    x, y = _heading_to_local(c, e, x, y)
     for i in range(2):
         follow(c, i, p.mpc_jerk_max, dt)
         c.task_acceleration[i] = c.smooth_acceleration[i]
@@ -573,11 +578,11 @@ def _stick_velocities(c, s, e, p, dt):
 
 @kernel
 def sticks_task(c, s, e, p, dt):
-    """POSCTL: sticks steer in the heading's frame; a centred stick brakes and then holds the place."""
+    """Fly POSCTL: sticks command motion in the heading frame; centred sticks brake, then hold the position."""
     _stick_yaw(c, s, e, p, dt)
     if c.takeoff_state < TAKEOFF_RAMPUP:
         for i in range(2):
-            _start_smoothing(c, i, e.position[i], 0.0, 0.0)
+            _reset_smoothing(c, i, e.position[i], 0.0, 0.0)
             c.stick_acceleration[i] = 0.0
     if p.mpc_pos_mode >= 3.5:
         _stick_accelerations(c, s, e, p, dt)
@@ -591,25 +596,25 @@ def sticks_task(c, s, e, p, dt):
 
 
 @kernel
-def _auto(task):
+def _is_goal_task(task):
     return task in (TASK_GOTO, TASK_LAND)
 
 
 @kernel
-def _begin_task(c, s, e):
-    """Start a new kind of task where the vehicle is, or where the task before has led it."""
-    go_on = _auto(c.last_task) or c.last_task in (TASK_STICKS, TASK_ALTITUDE, TASK_ORBIT)
+def _start_task(c, s, e):
+    """Initialise a task of a new kind from the vehicle's state, or from the last setpoint of a smoothed task."""
+    continues = _is_goal_task(c.last_task) or c.last_task in (TASK_STICKS, TASK_ALTITUDE, TASK_ORBIT)
     for i in range(3):
         x, v, a = c.task_position[i], c.task_velocity[i], c.task_acceleration[i]
-        if not go_on or math.isnan(x):
+        if not continues or math.isnan(x):
             x = e.position[i]
-        if not go_on or math.isnan(v):
+        if not continues or math.isnan(v):
             v = e.velocity[i]
-        if not go_on or math.isnan(a):
+        if not continues or math.isnan(a):
             a = 0.0
-        _start_smoothing(c, i, x, v, a)
+        _reset_smoothing(c, i, x, v, a)
     heading = c.task_yaw
-    c.smooth_yaw = heading if go_on and not math.isnan(heading) else yaw_of(e.q)
+    c.smooth_yaw = heading if continues and not math.isnan(heading) else yaw_of(e.q)
     c.smooth_yaw_rate = 0.0
     c.braking = 0
     c.hold_xy = 0
@@ -628,10 +633,10 @@ def _begin_task(c, s, e):
 
 @kernel
 def generate_setpoint(c, s, e, p, dt):
-    """Fill the trajectory setpoint of ``c`` for the present task, ``dt`` s after the last call."""
+    """Update the trajectory setpoint in ``c`` by the present task, ``dt`` s after the last call."""
     if s.task_changed and c.last_task != s.task:
-        if not (_auto(c.last_task) and _auto(s.task)):
-            _begin_task(c, s, e)
+        if not (_is_goal_task(c.last_task) and _is_goal_task(s.task)):
+            _start_task(c, s, e)
         c.last_task = s.task
     clear_task(c)
     c.want_takeoff = 0

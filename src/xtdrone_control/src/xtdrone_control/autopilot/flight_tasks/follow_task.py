@@ -1,8 +1,8 @@
-"""The setpoint of a vehicle that follows a target (PX4 v1.14's FlightTaskAutoFollowTarget), for ``flight_tasks``.
+"""Flight task that follows a target (PX4 v1.14's FlightTaskAutoFollowTarget).
 
-``SETPOINT.target_*`` has the estimate of the target's motion, see ``follow_target``. It goes through a second-order
-filter; the vehicle's place is FLW_TGT_DST from the filtered target, at the angle FLW_TGT_FA clockwise from its course,
-and goes round it to that angle on a jerk-limited path with at most FLW_TGT_MAX_VEL.
+``SETPOINT.target_*`` is the estimate of the target's motion, see ``follow_target``. A second-order filter smooths it.
+The vehicle flies at the distance FLW_TGT_DST from the filtered target and at the angle FLW_TGT_FA clockwise from its
+course, and moves around the target to that angle on a jerk-limited path at up to FLW_TGT_MAX_VEL.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import wrap_pi
 
 _NAN = math.nan
-_FREQUENCY, _DAMPING = 1.0, 0.7071  # rad/s and share, of the filter over the target's motion
-_COURSE_SPEED = 1.0  # m/s, below which a velocity tells no course
-_MAX_JERK, _MAX_ACCELERATION = 4.0, 2.0  # m/s^3 and m/s^2, along the circle round the target
-_LEAST_DISTANCE = 1.0  # m, FLW_TGT_DST's minimum; parameters may be anything
-_HEIGHT_WINDOW = 3.0  # m from the wanted height, within which the vehicle moves horizontally
-_LEAST_HEIGHT = 1.0  # m over the ground, below which it only climbs
-_ASCENT = 0.5  # m/s, at which it does
-_FACING_DISTANCE = 1.0  # m from the target, from which the vehicle turns to it
-_TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s of wanted climb that begin a takeoff
+_FREQUENCY, _DAMPING = 1.0, 0.7071  # rad/s and damping ratio of the filter of the target's motion
+_COURSE_SPEED = 1.0  # m/s, least velocity that defines a course
+_MAX_JERK, _MAX_ACCELERATION = 4.0, 2.0  # m/s^3 and m/s^2, along the circle around the target
+_LEAST_DISTANCE = 1.0  # m, minimum of FLW_TGT_DST; parameters may be out of range
+_HEIGHT_WINDOW = 3.0  # m, largest height error at which the vehicle moves horizontally
+_LEAST_HEIGHT = 1.0  # m above ground, below which the vehicle only climbs
+_ASCENT = 0.5  # m/s, climb rate near the ground
+_FACING_DISTANCE = 1.0  # m, least distance from the target at which the vehicle faces it
+_TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s, climb above which a takeoff starts
 OVER_GROUND, OVER_TARGET = 1, 2  # FLW_TGT_ALT_M
 
-# the angle round the target as the one axis of a smoothed path, as ``trajectory`` wants it
+# view of the angle around the target as a one-axis smoothed path for ``trajectory``
 _AnglePath = namedtuple(
     "_AnglePath", ("smooth_position", "smooth_velocity", "smooth_acceleration", "smooth_times", "smooth_direction")
 )
@@ -34,7 +34,7 @@ _AnglePath = namedtuple(
 
 @kernel
 def start_following(c):
-    """Forget the target; its course is taken for north until it moves, and the vehicle's place begins there."""
+    """Reset the filtered target and the angle; the target's course is north until it moves."""
     for i in range(3):
         c.followed_position[i] = _NAN
         c.followed_velocity[i] = 0.0
@@ -46,9 +46,9 @@ def start_following(c):
 
 @kernel
 def _filter_target(c, s, dt):
-    """Move the filtered target on by ``dt`` s towards the estimate; the first estimate is taken as it is.
+    """Advance the filtered target by ``dt`` s; initialise it with the first estimate.
 
-    The error is taken at the end of the step, so that there is none behind a target of constant velocity.
+    The error is evaluated at the end of the step, so that a target of constant velocity is followed without lag.
     """
     age = c.armed_time - s.target_time
     for i in range(3):
@@ -66,7 +66,7 @@ def _filter_target(c, s, dt):
 
 @kernel
 def _update_course(c, s):
-    """Take the filtered velocity's direction, unless the target is slow: the filter swings back when it stops."""
+    """Update the course from the filtered velocity, unless the target is slow, as the filter overshoots at a stop."""
     north, east = c.followed_velocity[0], c.followed_velocity[1]
     moves = math.hypot(s.target_velocity[0], s.target_velocity[1]) >= _COURSE_SPEED
     if moves and math.hypot(north, east) >= _COURSE_SPEED:
@@ -74,8 +74,8 @@ def _update_course(c, s):
 
 
 @kernel
-def _go_round(c, p, distance, dt):
-    """Move the angle round the target on by ``dt`` s towards FLW_TGT_FA from its course, on the shorter way."""
+def _update_angle(c, p, distance, dt):
+    """Advance the angle around the target by ``dt`` s towards FLW_TGT_FA, in the shorter direction."""
     left = wrap_pi(c.followed_course + math.radians(p.flw_tgt_fa) - c.angle_position[0])
     accel, jerk = _MAX_ACCELERATION / distance, _MAX_JERK / distance
     rate = min(stopping_speed(abs(left), accel, jerk, 0.0), max(p.flw_tgt_max_vel, 0.0) / distance)
@@ -86,13 +86,13 @@ def _go_round(c, p, distance, dt):
 
 @kernel
 def _ground(s, e):
-    """Return the down coordinate (m, local) of the ground below as far as measured, else of home."""
+    """Return the down coordinate (m, local) of the ground if measured, else of home."""
     return e.terrain if e.terrain_valid else s.home_z
 
 
 @kernel
 def _wanted_height(c, s, e, p):
-    """Return the down coordinate (m, local) to fly at."""
+    """Return the commanded down coordinate (m, local) by FLW_TGT_ALT_M."""
     mode = int(p.flw_tgt_alt_m)
     if mode == OVER_GROUND:
         return _ground(s, e) - p.flw_tgt_ht
@@ -102,8 +102,8 @@ def _wanted_height(c, s, e, p):
 
 
 @kernel
-def _go_beside(c, e, distance):
-    """Fill the horizontal setpoint: the place on the circle round the target, and how it moves."""
+def _fly_beside_target(c, e, distance):
+    """Write the horizontal setpoint: a point that moves on the circle around the target."""
     x, y = math.cos(c.angle_position[0]), math.sin(c.angle_position[0])
     along, faster = c.angle_velocity[0] * distance, c.angle_acceleration[0] * distance
     inwards = along * along / distance
@@ -117,7 +117,7 @@ def _go_beside(c, e, distance):
 
 @kernel
 def _face_target(c, e):
-    """Turn to the target, unless it is right below."""
+    """Point the heading at the target, unless the vehicle is almost above it."""
     north, east = c.followed_position[0] - e.position[0], c.followed_position[1] - e.position[1]
     if math.hypot(north, east) > _FACING_DISTANCE:
         c.smooth_yaw = math.atan2(east, north)
@@ -125,7 +125,7 @@ def _face_target(c, e):
 
 @kernel
 def _climb_first(c, e):
-    """Climb slowly, and do nothing else: the ground is near."""
+    """Climb slowly without horizontal motion, as the ground is near."""
     for i in range(2):
         c.task_position[i] = _NAN
         c.task_velocity[i] = 0.0
@@ -136,10 +136,10 @@ def _climb_first(c, e):
 
 @kernel
 def follow_task(c, s, e, p, dt):
-    """Keep distance, height and angle to the target and face it; stop while no target is known.
+    """Keep distance, height and angle to the target and face it; stop without a target.
 
-    Away from the wanted height the vehicle stops horizontally and climbs or sinks first. (PX4 does not let it stop but
-    leaves the last velocity in the setpoint.)
+    Far from the commanded height the vehicle stops horizontally and first climbs or descends. PX4 instead leaves the
+    last velocity in the setpoint.
     """
     if math.isnan(s.target_position[0]):
         for i in range(3):
@@ -148,14 +148,14 @@ def follow_task(c, s, e, p, dt):
         return
     distance = max(p.flw_tgt_dst, _LEAST_DISTANCE)
     _filter_target(c, s, dt)
-    _go_round(c, p, distance, dt)
+    _update_angle(c, p, distance, dt)
     _face_target(c, e)
     c.task_yaw = c.smooth_yaw
     c.task_position[2] = _wanted_height(c, s, e, p)
     if _ground(s, e) - e.position[2] < _LEAST_HEIGHT:
         _climb_first(c, e)
     elif abs(c.task_position[2] - e.position[2]) < _HEIGHT_WINDOW:
-        _go_beside(c, e, distance)
+        _fly_beside_target(c, e, distance)
     else:
         c.task_position[0], c.task_position[1] = e.position[0], e.position[1]
     rises = c.task_position[2] < e.position[2] - _TAKEOFF_RISE or c.task_velocity[2] < -_TAKEOFF_CLIMB

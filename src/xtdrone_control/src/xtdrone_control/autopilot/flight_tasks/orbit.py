@@ -1,4 +1,4 @@
-"""The ORBIT mode: a circle round a place, reached on the shortest way (PX4 v1.14's FlightTaskOrbit)."""
+"""ORBIT mode: a circle around a point, entered at its nearest point (PX4 v1.14's FlightTaskOrbit)."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ LEAST_RADIUS = 1.0  # m
 _LARGEST_SPEED = 10.0  # m/s
 _LARGEST_ACCELERATION = 2.0  # m/s^2, towards the centre
 _DEFAULT_SPEED = 1.0  # m/s
-_REACHED = 0.5  # of the radius, at most; m from the circle at which the approach ends
+_REACHED = 0.5  # of the radius, largest distance from the circle at which the approach ends
 
 
 class Orbit:
-    """The circle that one vehicle flies.
+    """Orbit of one vehicle.
 
     Attributes:
         centre: north and east, m, local NED.
         radius: m.
-        speed: m/s along the circle, positive clockwise as seen from above.
+        speed: m/s along the circle, positive clockwise seen from above.
         yaw_behaviour: MAVLink ORBIT_YAW_BEHAVIOUR.
         circling: whether the circle has been reached.
     """
 
     def __init__(self, course: Course) -> None:
-        """Prepare; nothing is asked of the cascade until ``start``."""
+        """Initialise; the setpoint is not changed until ``start``."""
         self._course = course
         self._commanded = False
         self._altitude = math.nan
@@ -42,16 +42,16 @@ class Orbit:
         self.circling = False
 
     def command(self, radius: float, speed: float, yaw_behaviour: float, place: Sequence[float]) -> None:
-        """Store what DO_ORBIT asks for; NaN keeps what was flown before. ``start`` flies it.
+        """Store the parameters of MAV_CMD_DO_ORBIT for ``start``; NaN keeps the previous value.
 
-        A radius outside its limits is announced and cut, and a speed that needs more than 2 m/s^2 towards the centre is
-        lowered.
+        A radius outside its limits is announced and clipped; the speed is limited to a centripetal acceleration of
+        2 m/s^2.
 
         Args:
-            radius: m, positive clockwise, 1 m to MC_ORBIT_RAD_MAX.
+            radius: m, positive clockwise; absolute value from 1 to MC_ORBIT_RAD_MAX.
             speed: m/s along the circle, up to 10.
             yaw_behaviour: MAVLink ORBIT_YAW_BEHAVIOUR.
-            place: the centre's latitude and longitude in degrees, and the altitude to fly at, m AMSL.
+            place: latitude and longitude of the centre in degrees, and the altitude to fly at, m AMSL.
         """
         view = self._course.view
         clockwise = self.speed > 0.0 if math.isnan(radius) else radius > 0.0
@@ -73,7 +73,7 @@ class Orbit:
         self._altitude = place[2]
 
     def start(self) -> None:
-        """Fly to the nearest place on the circle, looking there."""
+        """Fly to the nearest point on the circle, heading towards it."""
         view = self._course.view
         x, y, z = self._course.stopping_place()
         if self._next_centre is None and not self._commanded:
@@ -94,7 +94,7 @@ class Orbit:
         self._course.fly_to(goal, self._course.bearing_to(goal))
 
     def update(self) -> None:
-        """Begin to circle once the circle is reached; call at 10 Hz."""
+        """Start circling once the circle is reached; call at 10 Hz."""
         if self.circling:
             return
         near = min(self._course.parameters.get("NAV_ACC_RAD"), _REACHED * self.radius)

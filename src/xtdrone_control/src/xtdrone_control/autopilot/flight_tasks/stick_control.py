@@ -1,6 +1,6 @@
-"""Flight by stick without estimates of place or height: tilt and thrust, or body rates and thrust.
+"""Stick control without position or height estimates: tilt and thrust, or body rates and thrust.
 
-PX4 v1.14's mc_att_control (STABILIZED, MANUAL) and mc_rate_control (ACRO). Sticks are raw, -1..1.
+After PX4 v1.14's mc_att_control (STABILIZED, MANUAL) and mc_rate_control (ACRO). Sticks are raw, -1..1.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import math
 from xtdrone_control.kernel import kernel
 from xtdrone_control.rotation_kernels import constrain, multiply, wrap_pi, yaw_of
 
-_LEAST_THRUST_SLEW = 0.05  # 1/s
-_LARGEST_THRUST_SLEW = 0.5  # 1/s, after the spool-up
-_YAW_THROTTLE = -0.9  # of the stick, below which the heading stays: the vehicle may stand on the ground
+_LEAST_THRUST_SLEW = 0.05  # 1/s, of c.throttle_min
+_LARGEST_THRUST_SLEW = 0.5  # 1/s, of c.throttle_max after the spool-up
+_YAW_THROTTLE = -0.9  # throttle stick below which the heading is kept, as the vehicle may be on the ground
 
 
 @kernel
 def update_throttle_limits(c, p, armed, dt):
-    """Advance c.throttle_min and c.throttle_max, between which the throttle stick moves the thrust."""
+    """Update c.throttle_min and c.throttle_max, the limits of the thrust by stick."""
     least = 0.0 if c.landed else p.mpc_manthr_min
     step = _LEAST_THRUST_SLEW * dt
     c.throttle_min += constrain(least - c.throttle_min, -step, step)
@@ -29,7 +29,7 @@ def update_throttle_limits(c, p, armed, dt):
 
 @kernel
 def stick_thrust(c, p, throttle):
-    """Return the thrust (0..1) for ``throttle`` (0..1) by MPC_THR_CURVE."""
+    """Return the thrust (0..1) for the stick ``throttle`` (0..1), by MPC_THR_CURVE."""
     throttle = constrain(throttle, 0.0, 1.0)
     if p.mpc_thr_curve > 0.5:
         thrust = c.throttle_min + throttle * (p.mpc_thr_max - c.throttle_min)
@@ -42,7 +42,7 @@ def stick_thrust(c, p, throttle):
 
 @kernel
 def stick_attitude(c, s, e, p, dt):
-    """Fill c.sp_q, c.sp_yaw_rate and c.sp_thrust: sticks give direction and size of the tilt, yaw rate and thrust."""
+    """Update c.sp_q, c.sp_yaw_rate and c.sp_thrust: sticks command tilt, yaw rate and thrust."""
     share = dt / (p.mc_man_tilt_tau + dt)
     c.stick_acceleration[0] += share * (s.stick_x - c.stick_acceleration[0])
     c.stick_acceleration[1] += share * (s.stick_y - c.stick_acceleration[1])
@@ -71,14 +71,14 @@ def stick_attitude(c, s, e, p, dt):
 
 @kernel
 def _superexpo(value, expo, steepening):
-    """Return the stick's curve: between straight and cubic by ``expo``, steeper to its ends by ``steepening``."""
+    """Return the stick curve: ``expo`` blends linear to cubic, ``steepening`` raises the slope towards the ends."""
     x = constrain(value, -1.0, 1.0)
     return ((1.0 - expo) * x + expo * x * x * x) * (1.0 - steepening) / (1.0 - abs(x) * steepening)
 
 
 @kernel
 def stick_rates(c, s, p):
-    """Fill c.sp_rates and c.sp_thrust: sticks give body rates, the throttle stick the thrust itself."""
+    """Update c.sp_rates and c.sp_thrust: sticks command body rates, the throttle stick the thrust directly."""
     expo, steep = p.mc_acro_expo, p.mc_acro_supexpo
     c.sp_rates[0] = _superexpo(s.stick_y, expo, steep) * math.radians(p.mc_acro_r_max)
     c.sp_rates[1] = _superexpo(-s.stick_x, expo, steep) * math.radians(p.mc_acro_p_max)

@@ -1,9 +1,9 @@
-"""Jerk-limited smoothing of a velocity setpoint, and the speeds from which a stop or a turn is still possible.
+"""Jerk-limited smoothing of a velocity setpoint, and the largest speeds before a stop or a turn.
 
-The profile of PX4's motion_planning library: in each axis the acceleration rises, stays and falls again, so that the
-wanted velocity is reached in the least time under limits of acceleration and jerk; axes that would be faster wait for
-the slowest. State and plan live in ``CONTROL``: smooth_position, smooth_velocity, smooth_acceleration, and smooth_times
-with smooth_direction, the plan that is followed until the next call of ``plan``.
+The profile of PX4's motion_planning library: in each axis the acceleration rises, stays constant and falls, so that the
+wanted velocity is reached in the least time within the limits of acceleration and jerk. Faster axes are stretched to
+the duration of the slowest. ``CONTROL`` holds the state (smooth_position, smooth_velocity, smooth_acceleration) and the
+plan that is followed until the next call of ``plan`` (smooth_times, smooth_direction).
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _EPSILON = 1.1920929e-07  # PX4's FLT_EPSILON
 
 @kernel
 def stopping_speed(distance, accel, jerk, final):
-    """Return the speed, m/s, from which ``distance`` m suffice to slow down to ``final`` m/s.
+    """Return the largest speed, m/s, from which the vehicle can slow down to ``final`` m/s within ``distance`` m.
 
-    From v^2 + (4 a^2 / j) v = 2 a d + v_final^2: braking at ``accel`` m/s^2 after a rise of the deceleration under
-    ``jerk`` m/s^3 that is counted twice, to be careful.
+    From v^2 + (4 a^2 / j) v = 2 a d + v_final^2: braking at ``accel`` m/s^2, with the rise of the deceleration at
+    ``jerk`` m/s^3 counted twice as a margin.
     """
     b = 4.0 * accel * accel / jerk
     c = 2.0 * accel * distance + final * final
@@ -30,9 +30,9 @@ def stopping_speed(distance, accel, jerk, final):
 
 @kernel
 def turning_speed(angle, accel, radius):
-    """Return the speed, m/s, of a circle that touches both legs ``radius`` m from the corner, under ``accel`` m/s^2.
+    """Return the speed, m/s, on the circle that touches both legs ``radius`` m from the corner, at ``accel`` m/s^2.
 
-    ``angle`` (rad) lies between the legs: pi goes straight on.
+    ``angle`` (rad) is the angle between the legs, pi for straight on.
     """
     return math.sqrt(accel * radius * math.tan(0.5 * min(angle, math.pi - _EPSILON)))
 
@@ -44,7 +44,7 @@ def _sign(value):
 
 @kernel
 def _direction(a, v, wanted, jerk):
-    """Return the sign of the first jerk: towards ``wanted`` from the velocity at which the acceleration has gone."""
+    """Return the sign of the first jerk, towards ``wanted`` from the velocity after the acceleration has reached 0."""
     settled = v
     if abs(a) > _EPSILON:
         time = abs(a) / jerk
@@ -55,7 +55,7 @@ def _direction(a, v, wanted, jerk):
 
 @kernel
 def _saturate(a, j, time, accel):
-    """Return the time for which the acceleration may rise from ``a`` under ``j`` before it exceeds ``accel``."""
+    """Return ``time`` limited so that the acceleration, from ``a`` at jerk ``j``, stays within ``accel``."""
     reached = a + j * time
     if reached > accel:
         return (accel - a) / j
@@ -66,7 +66,7 @@ def _saturate(a, j, time, accel):
 
 @kernel
 def _rise_time(a, dv, j, accel):
-    """Return how long the jerk ``j`` lasts for a velocity change of ``dv`` in the least time."""
+    """Return the duration of the jerk ``j`` for a velocity change of ``dv`` in the least time."""
     delta = 2.0 * a * a + 4.0 * j * dv
     if delta < 0.0:
         return 0.0
@@ -82,7 +82,7 @@ def _rise_time(a, dv, j, accel):
 
 @kernel
 def _rise_time_within(total, a, dv, j, accel):
-    """Return how long the jerk ``j`` lasts for a velocity change of ``dv`` in ``total`` s."""
+    """Return the duration of the jerk ``j`` for a velocity change of ``dv`` in ``total`` s."""
     b = j * total - a
     delta = total * total * j * j + 2.0 * total * a * j - a * a - 4.0 * j * dv
     if delta < 0.0:
@@ -99,7 +99,7 @@ def _rise_time_within(total, a, dv, j, accel):
 
 @kernel
 def plan_axis(c, i, wanted, accel, jerk):
-    """Plan axis ``i`` towards the velocity ``wanted``, m/s, for itself; return the time that its plan takes, s."""
+    """Plan axis ``i`` independently to the velocity ``wanted``, m/s; return the duration of the plan, s."""
     a, v = c.smooth_acceleration[i], c.smooth_velocity[i]
     direction = _direction(a, v, wanted, jerk)
     times = c.smooth_times[i]
@@ -121,7 +121,7 @@ def plan_axis(c, i, wanted, accel, jerk):
 
 @kernel
 def _stretch_axis(c, i, wanted, accel, jerk, total):
-    """Plan axis ``i`` anew so that it takes ``total`` s."""
+    """Replan axis ``i`` for the duration ``total``, s."""
     direction = c.smooth_direction[i]
     if direction == 0.0:
         return
@@ -135,12 +135,12 @@ def _stretch_axis(c, i, wanted, accel, jerk, total):
 
 @kernel
 def plan(c, wanted, speeds, accels, jerk):
-    """Plan all axes from the present state towards the velocities ``wanted``, m/s, so that they arrive together.
+    """Plan all axes from the present state to the velocities ``wanted``, reached at the same time.
 
     Args:
         c: ``CONTROL`` record.
-        wanted, speeds, accels: tuples of 3: velocities, largest speeds and accelerations.
-        jerk: m/s^3.
+        wanted, speeds, accels: 3-tuples: velocities (m/s), largest speeds (m/s) and accelerations (m/s^2).
+        jerk: largest jerk, m/s^3.
     """
     x, y, z = (
         constrain(wanted[0], -speeds[0], speeds[0]),
@@ -165,7 +165,7 @@ def plan(c, wanted, speeds, accels, jerk):
 
 @kernel
 def _coast(c, i, j, time):
-    """Move axis ``i`` on by ``time`` s under the jerk ``j``."""
+    """Advance axis ``i`` by ``time`` s at the constant jerk ``j``."""
     a, v = c.smooth_acceleration[i], c.smooth_velocity[i]
     c.smooth_acceleration[i] = a + j * time
     c.smooth_velocity[i] = v + a * time + 0.5 * j * time * time
@@ -174,7 +174,7 @@ def _coast(c, i, j, time):
 
 @kernel
 def follow(c, i, jerk, dt):
-    """Move axis ``i`` on along its plan by ``dt`` s."""
+    """Advance axis ``i`` along its plan by ``dt`` s."""
     times = c.smooth_times[i]
     j = c.smooth_direction[i] * jerk
     time = min(dt, times[0])

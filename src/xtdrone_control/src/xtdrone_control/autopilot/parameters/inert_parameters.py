@@ -1,8 +1,7 @@
-"""PX4 v1.14's parameters that nothing here reads: stored, listed and saved, so that scripts for a real PX4 run.
+"""PX4 v1.14's parameters without effect here: stored, listed and saved, for compatibility with scripts for a real PX4.
 
-A name leaves this table when something begins to read the parameter: then it gets a row in ``parameters``. Names,
-types, defaults, ranges and units are those of a PX4 v1.14.3 SITL build (its parameter metadata; ``docs/parameters.md``
-lists the groups).
+A parameter that becomes effective moves from this table to ``parameters``. Names, types, defaults, ranges and units are
+those of a PX4 v1.14.3 SITL build (its parameter metadata; ``docs/parameters.md`` lists the groups).
 """
 
 from __future__ import annotations
@@ -269,8 +268,8 @@ _ROWS: tuple[Row, ...] = (
     ("WV_YRATE_MAX", 90.0, 0.0, 120.0, "deg/s"),
 )  # fmt: skip
 
-_CALIBRATED = {"ACC": 3, "GYRO": 3, "MAG": 2}  # instances of a sensor that SITL has
-_SLOTS = 4  # instances that PX4 has parameters for
+_CALIBRATED = {"ACC": 3, "GYRO": 3, "MAG": 2}  # sensor instances in SITL
+_SLOTS = 4  # sensor instances with PX4 parameters
 _ROTATION = (-1, -1, 40, "")
 _MAIN_OUTPUTS = 16
 _RADIO_SWITCHES = (
@@ -280,7 +279,7 @@ _RADIO_SWITCHES = (
 
 
 def _calibration_rows() -> Iterator[Row]:
-    """Yield the calibration of the inertial sensors, magnetometers and barometers."""
+    """Yield the calibration parameters of inertial sensors, magnetometers and barometers."""
     for sensor in ("ACC", "BARO", "GYRO", "MAG"):
         for slot in range(_SLOTS):
             yield f"CAL_{sensor}{slot}_ID", 0, -_INF, _INF, ""
@@ -305,7 +304,7 @@ def _axis_rows(sensor: str, slot: int) -> Iterator[Row]:
 
 
 def _allocation_rows() -> Iterator[Row]:
-    """Yield the geometry of the rotors and the slew rates; here the vehicle's description has the geometry."""
+    """Yield rotor geometry and slew rates; here the vehicle's description defines the geometry instead."""
     yield "CA_ROTOR_COUNT", 0, 0, 12, ""
     yield "CA_R_REV", 0, 0, 4095, ""
     for rotor in range(12):
@@ -330,5 +329,5 @@ def _radio_rows() -> Iterator[Row]:
 
 
 def rows() -> tuple[Row, ...]:
-    """Return every parameter that is stored only, in no particular order."""
+    """Return the rows of all parameters without effect, unsorted."""
     return (*_ROWS, *_calibration_rows(), *_allocation_rows(), *_output_rows(), *_radio_rows())

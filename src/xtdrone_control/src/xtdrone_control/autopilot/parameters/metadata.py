@@ -1,8 +1,8 @@
-"""What a ground station can be told of our events and parameters, as JSON.
+"""Metadata of events and parameters for ground stations, as JSON.
 
-Formats: mavlink.io, "Component Metadata Protocol" (parameters: mavlink's ``parameter.schema.json``; the file that names
-the others: ``general.schema.json``) and libevents' definitions. The bytes depend on the code and the vehicle's defaults
-alone, so that a ground station may keep them by their checksum.
+Formats: mavlink.io, "Component Metadata Protocol" (``general.schema.json`` for the index of all files,
+``parameter.schema.json`` for parameters) and libevents' definitions. The bytes depend only on the code and the
+vehicle's defaults, so that ground stations can cache them by checksum.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, Parame
 
 GENERAL, PARAMETER, EVENTS = 0, 1, 4  # COMP_METADATA_TYPE
 
-_AUTOPILOT = "1"  # component in an event's number
+_AUTOPILOT = "1"  # component id of the events
 _SUB_ID = 0xFFFFFF
-_COMPONENT_WORDS = {
+_COMPONENT_LABELS = {
     events.GPS: ("gps", "GPS"),
     events.REMOTE_CONTROL: ("remote_control", "manual control"),
     events.MOTORS: ("motors_escs", "motors"),
@@ -83,18 +83,18 @@ _RADIO = "Radio"
 _MOST_DECIMALS = 7
 
 
-def _dumped(content: Mapping[str, Any]) -> bytes:
+def _to_json(content: Mapping[str, Any]) -> bytes:
     return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
 
 
 def general(files: Mapping[int, tuple[str, int]]) -> bytes:
-    """Return the file that names the others.
+    """Return the general metadata file, which lists the other files.
 
     Args:
-        files: COMP_METADATA_TYPE to URI and checksum.
+        files: COMP_METADATA_TYPE to URI and CRC-32.
     """
     types = [{"type": kind, "uri": uri, "fileCrc": crc} for kind, (uri, crc) in files.items()]
-    return _dumped({"version": 1, "vendorName": "XTDrone", "modelName": "PX4 v1.14 simulated", "metadataTypes": types})
+    return _to_json({"version": 1, "vendorName": "XTDrone", "modelName": "PX4 v1.14 simulated", "metadataTypes": types})
 
 
 # events
@@ -102,7 +102,7 @@ def general(files: Mapping[int, tuple[str, int]]) -> bytes:
 
 @cache
 def event_definitions() -> bytes:
-    """Return libevents' definitions of every event that the autopilot can emit."""
+    """Return libevents' definitions of all events of the autopilot."""
     groups: dict[str, Any] = {}
     for definition in CATALOGUE.values():
         found = groups.setdefault(definition.group, {"events": {}})["events"]
@@ -112,10 +112,10 @@ def event_definitions() -> bytes:
         "enums": _enums(),
         "event_groups": groups,
         "supported_protocols": ["health_and_arming_check"],
-        # which arming checks a mode, by its number in the heartbeat, has: each its own
+        # group of arming checks of each mode, by custom_mode: one group per mode
         "navigation_mode_groups": {"groups": {str(mode.state): [mode.custom_mode] for mode in MODES}},
     }
-    return _dumped({"version": 2, "components": {_AUTOPILOT: component}})
+    return _to_json({"version": 2, "components": {_AUTOPILOT: component}})
 
 
 def _event(definition: Definition) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def _event(definition: Definition) -> dict[str, Any]:
 
 def _enums() -> dict[str, Any]:
     groups = {1 << mode.state: words for mode, words in MODES.items()}
-    components = {1: ("none", "none"), **{1 << bit: words for bit, words in _COMPONENT_WORDS.items()}}
+    components = {1: ("none", "none"), **{1 << bit: words for bit, words in _COMPONENT_LABELS.items()}}
     numbers = {modes.number_of(mode): words for mode, words in MODES.items()}
     numbers[modes.UNKNOWN_NUMBER] = ("unknown", "unknown")
     reasons = {reason.value[0]: (_lower(reason), reason.value[1]) for reason in ArmReason}
@@ -163,9 +163,9 @@ def _enum(name: str, entries: Mapping[int, tuple[str, str]], *, bits: bool = Fal
 
 
 def parameter_definitions(parameters: Parameters) -> bytes:
-    """Return what is known of every parameter, with the vehicle's defaults."""
+    """Return the definitions of all parameters, with the vehicle's defaults."""
     entries = [_parameter(describe(name), parameters.default(name)) for name in NAMES]
-    return _dumped({"version": 1, "parameters": entries})
+    return _to_json({"version": 1, "parameters": entries})
 
 
 def _parameter(entry: Parameter, default: float) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def _group(name: str) -> str:
 
 
 def _decimals(value: float) -> int:
-    """Return how many decimals show ``value``, at most 7."""
+    """Return the number of decimals needed for ``value``, at most 7."""
     if not math.isfinite(value):
         return 0
     return len(f"{value:.{_MOST_DECIMALS}f}".rstrip("0").split(".")[1])

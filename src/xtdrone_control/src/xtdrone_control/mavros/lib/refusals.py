@@ -102,7 +102,7 @@ class Refusals:
 
     def _tell(self, event: Any, definition: Definition, now_ns: int) -> list[Line]:
         values = definition.layout.unpack_from(bytes(event.arguments))
-        words, level = event_words.told(definition, values), event.log_levels & 0xF
+        words, level = event_words.render_message(definition, values), event.log_levels & 0xF
         if definition.kind != WITH_CHECKS:
             return [(level, words)]
         mode = modes.from_custom_mode(values[0])
