@@ -26,8 +26,8 @@ class Mode:
         main: PX4 main mode.
         sub: PX4 sub mode of AUTO modes and ORBIT; 0 for others.
         flags: base_mode without the armed bit.
-        needs: requirements of the mode: "attitude", "altitude", "position" (accurate horizontal estimate), "relaxed_position"
-            (any horizontal estimate), "home", "mission", "offboard".
+        needs: requirements of the mode: "attitude", "altitude", "position" (accurate horizontal estimate),
+            "relaxed_position" (any horizontal estimate), "home", "mission", "offboard".
         sticks: whether the pilot flies by stick; such a mode requires manual control.
         prevents_arming: whether arming is rejected in this mode; disarming leaves it.
         attitude_control: whether the attitude is controlled, so that the failure detector's limits apply.
@@ -52,7 +52,7 @@ class Mode:
     @property
     def needs_position(self) -> bool:
         """Whether the mode needs a horizontal estimate, which OFFBOARD does for most setpoints."""
-        return not self.needs.isdisjoint(("position", "place", "offboard"))
+        return not self.needs.isdisjoint(("position", "relaxed_position", "offboard"))
 
     @property
     def auto(self) -> bool:
