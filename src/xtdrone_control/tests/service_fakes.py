@@ -11,7 +11,7 @@ from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.streams.rare_telemetry import Reports
+from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.streams import GCS_RATES, Streams
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGES
@@ -22,7 +22,7 @@ SYSTEM = FIRST_ID + 1
 class FakeLink:
     """A client's link, and its port, that keeps what it is given, decoded."""
 
-    def __init__(self, telemetry: Reports, system_id: int) -> None:
+    def __init__(self, telemetry: VehicleTelemetry, system_id: int) -> None:
         self.telemetry = telemetry
         self.streams = Streams(telemetry, GCS_RATES)
         self.system_id = system_id
@@ -74,7 +74,7 @@ class Served:
         self.vehicle = Vehicle("iris", 0, system - 1)
         self.parameters = parameters or Parameters({"MAV_SYS_ID": system})
         self.commander = Commander(self.vehicle, self.autopilot, self.parameters, 0)
-        telemetry = Reports(self.commander, self.autopilot, 0)
+        telemetry = VehicleTelemetry(self.commander, self.autopilot, 0)
         self.link, self.other = (FakeLink(telemetry, system) for _ in range(2))
         self.receiver = Receiver(self.commander, self.autopilot, 0, lambda: [self.link, self.other])
         self.commander.update()
@@ -86,7 +86,7 @@ class Served:
         link.sent.clear()
         frame = message if isinstance(message, bytes) else bytes(message.pack(link.client))
         sender, now_us = ("127.0.0.1", 14550), self.autopilot.time_us
-        self.receiver.take(link, frame, sender, now_us, participant=participant)
+        self.receiver.handle_datagram(link, frame, sender, now_us, participant=participant)
         return [answer for _, answer in link.sent]
 
     def command(self, number: int, *params: float, link: FakeLink | None = None) -> tuple[int | None, list[str]]:

@@ -280,10 +280,10 @@ def test_a_report_by_mavlink(served):
 def test_a_participants_report_waits_for_the_end_of_the_tick(served):
     receiver, link = served.receiver, served.link
     frame = bytes(message().pack(link.client))
-    receiver.hold()
-    receiver.take(link, frame, ("127.0.0.1", 14550), served.autopilot.time_us, participant=True)
+    receiver.hold_setpoints()
+    receiver.handle_datagram(link, frame, ("127.0.0.1", 14550), served.autopilot.time_us, participant=True)
     assert np.isnan(estimated(served)[0])
-    receiver.release()
+    receiver.release_setpoints()
     assert not np.isnan(estimated(served)[0])
 
 

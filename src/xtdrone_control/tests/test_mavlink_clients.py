@@ -18,8 +18,8 @@ from test_mavlink_server import Client, World, heartbeat, named
 from xtdrone_control.autopilot.autopilot import STEP_US
 from xtdrone_control.fleet import GCS_REMOTE_PORT
 from xtdrone_control.mavlink.port import CLIENTS, MAX_CLIENTS, VEHICLE_CLIENTS
+from xtdrone_control.mavlink.rate_limit import CLIENT_CREDIT, MAX_CLIENT_CREDIT, MAX_CREDIT, STEP_CREDIT, VEHICLE_CREDIT
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.turns import OWN_EARNINGS, OWN_SAVINGS, SAVINGS, STEP_EARNINGS, VEHICLE_EARNINGS
 from xtdrone_control.mavlink.wire.codec import decoder, split
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.packing import Format, as_version_1
@@ -237,13 +237,13 @@ class Flooder:
 def acted(monkeypatch):
     """Senders of the datagrams that were acted on."""
     senders = []
-    take = Receiver.take
+    handle_datagram = Receiver.handle_datagram
 
     def note(self, port, datagram, sender, now_us, **options):
         senders.append(sender)
-        take(self, port, datagram, sender, now_us, **options)
+        handle_datagram(self, port, datagram, sender, now_us, **options)
 
-    monkeypatch.setattr(Receiver, "take", note)
+    monkeypatch.setattr(Receiver, "handle_datagram", note)
     return senders
 
 
@@ -269,8 +269,8 @@ def test_frames_that_are_acted_on_in_a_step_are_bounded_whoever_sends_them(world
         world.autopilot.time_us += STEP_US
         world.server.send_streams(world.autopilot.time_us)
         flooder.drain()
-    own_purses = count * (OWN_SAVINGS + _STEPS * OWN_EARNINGS)
-    assert 0 < len(acted) <= SAVINGS + _STEPS * (STEP_EARNINGS + VEHICLE_EARNINGS) + own_purses + 2
+    own_credit = count * (MAX_CLIENT_CREDIT + _STEPS * CLIENT_CREDIT)
+    assert 0 < len(acted) <= MAX_CREDIT + _STEPS * (STEP_CREDIT + VEHICLE_CREDIT) + own_credit + 2
     flooder.close()
 
 
@@ -370,7 +370,7 @@ class TestParticipants:
         numbers = []
         port = world.client.socket.getsockname()[1]
         vehicle = world.server._vehicles[0]
-        vehicle.receiver.take = lambda port, datagram, *_, **__: numbers.append(datagram[0])
+        vehicle.receiver.handle_datagram = lambda port, datagram, *_, **__: numbers.append(datagram[0])
         for number, peers in enumerate([{}, {port: {"127.0.0.1"}}, {port: {"127.0.0.1"}}, {}, {}]):
             world.client.socket.sendto(bytes([number]), world.client.remote)
             world.server.reserve(peers)

@@ -9,6 +9,7 @@ import pytest
 from mavros_fakes import free_udp_port, udp_socket
 from pymavlink.dialects.v20 import common as mavlink
 
+from xtdrone_control.autopilot.modes import PX4_MODES
 from xtdrone_control.mavlink.wire import codec
 from xtdrone_control.mavros.lib import px4_modes
 from xtdrone_control.mavros.lib.params import ParamError, Params
@@ -125,7 +126,7 @@ def test_a_flipped_bit_is_found(packer):
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (lambda f: f[:-1], "cut off"),
+        (lambda f: f[:-1], "is truncated"),
         (lambda f: b"\x00" + f, "begins no MAVLink frame"),
         (lambda f: f[:2] + b"\x02" + f[3:], "incompatibility flags 0x02"),
         (lambda f: f[:5], "begins no MAVLink frame"),
@@ -158,7 +159,7 @@ def test_mode_numbers_are_px4s(name, number):
 
 
 def test_every_mode_comes_back_by_name():
-    for name in px4_modes.MODES:
+    for name in PX4_MODES:
         assert px4_modes.mode_name(1, px4_modes.mode_number(name)) == name
 
 

@@ -119,7 +119,11 @@ ITEM = ("mission", "items", 0)
         (("mission", "items"), {}, r"^p: mission: items: {} is not allowed, a list$"),
         ((*ITEM, "type"), "Item", r'^p: mission: items: item 1: type: "Item" is not allowed, "SimpleItem" or "Complex'),
         ((*ITEM, "frame"), 10, r"items: item 1: frame: 10 is not allowed, 0 or 2 or 3 or 5 or 6$"),
-        ((*ITEM, "command"), 183, r"items: item 1: command: 183 is not allowed, a MAV_CMD that PX4 takes with a place"),
+        (
+            (*ITEM, "command"),
+            183,
+            r"items: item 1: command: 183 is not allowed, a MAV_CMD that PX4 accepts with a pos",
+        ),
         ((*ITEM, "params"), [0] * 6, r"items: item 1: params: .* is not allowed, a list of 7$"),
         ((*ITEM, "params", 4), None, r"item 1: params: param 5: null is not allowed, a number from -90 to 90$"),
         ((*ITEM, "params", 5), 190, r"item 1: params: param 6: 190 is not allowed, a number from -180 to 180$"),

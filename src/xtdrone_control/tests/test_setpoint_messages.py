@@ -165,7 +165,7 @@ def test_a_global_place_is_taken_whole_or_not():
         (place(0b111111000, frame=3), True, "invalid coordinate frame 3"),
         (place(0b1000000000), True, "force not supported"),
         (place(0b111111000, frame=11), False, "terrain"),
-        (place(0b111111000, lat=91.0), False, "no place"),
+        (place(0b111111000, lat=91.0), False, "not allowed"),
     ],
 )
 def test_global_targets_that_are_refused(message, aloud, text):

@@ -95,10 +95,10 @@ def test_who_is_counted_waits_for_simulated_time(world, clock, station):
     port = station.socket.getsockname()[1]
     station.send(mavlink.MAVLink_param_request_list_message(world.fleet[0].system_id, 1))
     assert len(wait(world, clock, station, 1.0, {port})) == 1
-    assert world.server.patience == pytest.approx(_PERIOD)
+    assert world.server.keep_alive_delay == pytest.approx(_PERIOD)
     world.run(1.0)
     assert len([m for m in station.receive() if m.get_type() == "PARAM_VALUE"]) == len(NAMES) + 1
-    assert world.server.patience > _PERIOD
+    assert world.server.keep_alive_delay > _PERIOD
 
 
 def test_metadata_by_ftp_bursts(world, clock, station):

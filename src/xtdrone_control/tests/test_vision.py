@@ -158,8 +158,8 @@ def test_range_finder(world, orientation, signal, quality):
 def test_samples_wait_for_their_turn(world):
     """What comes from topics acts after the commands of the same tick."""
     world.vehicle.participant = True
-    world.vehicle.hold()
+    world.vehicle.hold_setpoints()
     world.odometry(1, 12)
     assert not world.sensors["vision_fresh"]
-    world.vehicle.release()
+    world.vehicle.release_setpoints()
     assert world.sensors["vision_fresh"]

@@ -19,7 +19,7 @@ from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, describe
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.receiver import Receiver
-from xtdrone_control.mavlink.streams.rare_telemetry import Reports
+from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.streams import GCS_RATES, Streams
 from xtdrone_sim.simulation import Simulation
 
@@ -49,7 +49,7 @@ FENCE_COMMANDS = (plan.FENCE_INCLUSION, plan.FENCE_EXCLUSION, plan.FENCE_CIRCLE_
 class Pipe:
     """A client's link that counts what it is given, and its own port."""
 
-    def __init__(self, telemetry: Reports, system_id: int) -> None:
+    def __init__(self, telemetry: VehicleTelemetry, system_id: int) -> None:
         self.telemetry = telemetry
         self.streams = Streams(telemetry, GCS_RATES)
         self.sender = (255, 190)
@@ -104,14 +104,16 @@ class Client:
         self.simulation = simulation
         self.commander = simulation.commanders[self.index]
         self.system = self.commander.vehicle.system_id
-        telemetry = Reports(self.commander, simulation.autopilot, self.index)
+        telemetry = VehicleTelemetry(self.commander, simulation.autopilot, self.index)
         self.links = [Pipe(telemetry, self.system) for _ in range(2)]
         self.receiver = Receiver(self.commander, simulation.autopilot, self.index, lambda: self.links)
         self.until_us = 0
 
     def send(self, message: Any, link: Pipe | None = None) -> None:
         link = link or self.rng.choice(self.links)
-        self.receiver.take(link, bytes(message.pack(link.client)), ("127.0.0.1", 14550), self.simulation.time_us)
+        self.receiver.handle_datagram(
+            link, bytes(message.pack(link.client)), ("127.0.0.1", 14550), self.simulation.time_us
+        )
 
     def update(self) -> None:
         now_us = self.simulation.time_us

@@ -1,8 +1,8 @@
-"""Reading files that users name, within bounds of size, number of values and depth.
+"""Reading of files named by users, with limits of size, number of values and depth.
 
-A file may be a device without an end, a pipe that no process writes to, or a few lines that unfold into gigabytes. What
-is read here is a regular file of a size that is looked at first, and what is parsed has at most as many values, and is
-nested at most as deep, as the callers' formats need.
+A file may be an endless device, a pipe without a writer, or a few lines that expand to gigabytes. Only regular files
+are read, after a check of their size, and parsed content is limited to the number of values and the depth that the
+formats of the callers need.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ import yaml
 
 MB = 1 << 20
 MOST_TEXT = 4 * MB
-"""Bytes of a file of YAML, JSON or rows of text, unless its reader allows more."""
+"""Default size limit of YAML, JSON and text files, bytes."""
 MOST_VALUES = 200_000
-"""Values of a YAML file, and elements of an XML file; an alias counts as all that it stands for."""
+"""Limit of the values of a YAML file and the elements of an XML file; an alias counts as all its values."""
 MOST_JSON_VALUES = 500_000
 MOST_DEPTH = 100
-"""Lists, mappings or elements within each other."""
+"""Limit of the nesting of lists, mappings or elements."""
 
 
 class ContentError(ValueError):
-    """A text that is malformed or has too many values; the message is one line and says where."""
+    """A malformed text or one with too many values; the message is one line with the position."""
 
 
 def read_bytes(path: str | Path, most: int) -> bytes:
@@ -36,22 +36,22 @@ def read_bytes(path: str | Path, most: int) -> bytes:
 
     Args:
         path: the file; links are followed.
-        most: the largest size that is allowed, bytes.
+        most: largest size allowed, bytes.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or is larger; ``strerror`` says which.
+        OSError: the file cannot be read, is not a regular file, or is larger; ``strerror`` gives the reason.
     """
-    check(path, most)  # before it is opened: to open a pipe would wait for a writer
+    check(path, most)  # before opening: opening a pipe would wait for a writer
     with open(path, "rb") as file:
         _check(os.fstat(file.fileno()), path, most)
         data = file.read(most + 1)
-    if len(data) > most:  # it grows
+    if len(data) > most:  # the file is growing
         raise _too_large(path, len(data), most)
     return data
 
 
 def check(path: str | Path, most: int) -> None:
-    """Check a file that another library opens.
+    """Check a file before another library opens it.
 
     Raises:
         OSError: see :func:`read_bytes`.
@@ -60,15 +60,15 @@ def check(path: str | Path, most: int) -> None:
 
 
 def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
-    r"""Return the content of a regular file in UTF-8, with ``\n`` at the lines' ends.
+    r"""Return the content of a regular file in UTF-8, with ``\n`` line endings.
 
     Args:
         path: the file; links are followed.
-        most: the largest size that is allowed, bytes.
+        most: largest size allowed, bytes.
 
     Raises:
         OSError: see :func:`read_bytes`.
-        ContentError: it is not UTF-8.
+        ContentError: the file is not UTF-8.
     """
     try:
         text = read_bytes(path, most).decode("utf-8")
@@ -78,10 +78,10 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
 
 
 def load_yaml(text: str) -> Any:
-    """Return what a YAML text holds, of the types that ``yaml.safe_load`` knows.
+    """Return the content of a YAML text, in the types of ``yaml.safe_load``.
 
     Raises:
-        ContentError: it is no YAML, or has too many values.
+        ContentError: the text is not valid YAML, or has too many values.
     """
     try:
         return _Loader(text).get_single_data()
@@ -89,25 +89,25 @@ def load_yaml(text: str) -> Any:
         raise
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        raise ContentError(f"{_place(mark)}{error.problem or error.context}") from error
+        raise ContentError(f"{_located(mark)}{error.problem or error.context}") from error
     except yaml.reader.ReaderError as error:
         raise ContentError(f"character {error.position}: {error.reason}") from error
-    except (yaml.YAMLError, ValueError, OverflowError) as error:  # such as a day that no month has
+    except (yaml.YAMLError, ValueError, OverflowError) as error:  # such as an impossible date
         raise ContentError(f"a value is not allowed: {type(error).__name__}") from error
 
 
 def load_json(text: str, parse_constant: Callable[[str], Any] | None = None) -> Any:
-    """Return what a JSON text holds.
+    """Return the content of a JSON text.
 
     Args:
         text: the text.
         parse_constant: see ``json.loads``.
 
     Raises:
-        ContentError: it has too many values, or is nested too deeply.
-        ValueError: it is no JSON.
+        ContentError: the text has too many values, or is nested too deeply.
+        ValueError: the text is not valid JSON.
     """
-    if text.count(",") + text.count("[") + text.count("{") > MOST_JSON_VALUES:  # at least one of them for each value
+    if text.count(",") + text.count("[") + text.count("{") > MOST_JSON_VALUES:  # each value has at least one
         raise ContentError(f"more than {MOST_JSON_VALUES} values")
     try:
         return json.loads(text, parse_constant=parse_constant)
@@ -116,26 +116,26 @@ def load_json(text: str, parse_constant: Callable[[str], Any] | None = None) -> 
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML's safe loader that counts what it composes."""
+    """Safe YAML loader with limits of values and depth."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self._values = 0
         self._depth = 0
-        self._sizes: dict[str | None, int] = {}  # of what has an anchor: how many values
+        self._sizes: dict[str | None, int] = {}  # number of values by anchor
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         event = self.peek_event()
         anchor: str | None = getattr(event, "anchor", None)
         before = self._values
         if isinstance(event, yaml.AliasEvent):
-            within_itself = anchor in self.anchors and anchor not in self._sizes
-            self._count(event, MOST_VALUES if within_itself else self._sizes.get(anchor, 0))
+            recursive = anchor in self.anchors and anchor not in self._sizes
+            self._count(event, MOST_VALUES if recursive else self._sizes.get(anchor, 0))
             return super().compose_node(parent, index)
         self._count(event, 1)
         self._depth += 1
         if self._depth > MOST_DEPTH:
-            raise ContentError(f"{_place(event.start_mark)}nested more than {MOST_DEPTH} deep")
+            raise ContentError(f"{_located(event.start_mark)}nested more than {MOST_DEPTH} deep")
         node = super().compose_node(parent, index)
         self._depth -= 1
         if anchor is not None:
@@ -145,10 +145,10 @@ class _Loader(yaml.SafeLoader):
     def _count(self, event: yaml.Event, values: int) -> None:
         self._values += values
         if self._values > MOST_VALUES:
-            raise ContentError(f"{_place(event.start_mark)}more than {MOST_VALUES} values, those of aliases included")
+            raise ContentError(f"{_located(event.start_mark)}more than {MOST_VALUES} values, those of aliases included")
 
 
-def _place(mark: Any) -> str:
+def _located(mark: Any) -> str:
     return "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
 
 

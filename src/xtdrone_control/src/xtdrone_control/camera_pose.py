@@ -1,8 +1,8 @@
-"""Where a camera on a gimbal is and where it looks, from what a vehicle tells of itself.
+"""Pose of a camera on a gimbal, from the vehicle's pose and the gimbal's orientation.
 
-The gimbal's orientation is MAVROS's ``mount_control/orientation``: the turn from the camera (x ahead, y right, z down)
-to the level frame along the vehicle's heading (x ahead, y right, z down), so pitch is positive upwards and yaw positive
-to the right, both as MAVLink's MOUNT_ORIENTATION has them. Quaternions are (x, y, z, w) in every function here.
+The orientation is MAVROS's ``mount_control/orientation``: the rotation from the camera (x ahead, y right, z down) to
+the level frame along the vehicle's heading (x ahead, y right, z down). As in MAVLink's MOUNT_ORIENTATION, pitch is
+positive upwards and yaw positive to the right. Quaternions are (x, y, z, w) in all functions of this module.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class CameraPose(NamedTuple):
 
     Attributes:
         position: m.
-        orientation: (x, y, z, w), turns the frame's vectors into map's.
+        orientation: (x, y, z, w), rotation from the camera frame to ``map``.
     """
 
     position: Vector
@@ -33,17 +33,17 @@ def camera_link_pose(position: Vector, attitude: Quaternion, mount: Quaternion, 
     """Return the pose of the camera's link (x ahead, y left, z up).
 
     Args:
-        position: of the vehicle's base_link in map, m, ENU.
-        attitude: of base_link (FLU) in map, a unit quaternion.
-        mount: the gimbal's orientation, a unit quaternion.
-        offset: of the camera from base_link, m, FLU.
+        position: position of base_link in ``map``, m, ENU.
+        attitude: attitude of base_link (FLU) in ``map``, a unit quaternion.
+        mount: orientation of the gimbal, a unit quaternion.
+        offset: offset of the camera from base_link, m, FLU.
     """
     body = _to_wxyz(attitude)
     shift = frames.rotate(body, offset)
     heading = frames.quaternion_from_rpy(0.0, 0.0, frames.yaw_from_quaternion(body))
     x, y, z, w = mount
-    place = (position[0] + shift[0], position[1] + shift[1], position[2] + shift[2])
-    return CameraPose(place, _to_xyzw(rotation.multiply(heading, (w, x, -y, -z))))
+    camera = (position[0] + shift[0], position[1] + shift[1], position[2] + shift[2])
+    return CameraPose(camera, _to_xyzw(rotation.multiply(heading, (w, x, -y, -z))))
 
 
 def optical_pose(link: CameraPose) -> CameraPose:
@@ -52,7 +52,7 @@ def optical_pose(link: CameraPose) -> CameraPose:
 
 
 def mount_orientation(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Return the gimbal's orientation of its angles, rad; pitch negative looks down, yaw from the heading."""
+    """Return the gimbal's orientation for angles in rad; negative pitch looks down, yaw is relative to the heading."""
     return _to_xyzw(frames.quaternion_from_rpy(roll, pitch, yaw))
 
 

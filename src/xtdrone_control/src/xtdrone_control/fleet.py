@@ -1,10 +1,10 @@
-"""Which vehicles fly: names, MAVLink ids and UDP ports, as upstream XTDrone numbers them.
+"""Vehicles of a fleet: names, MAVLink ids and UDP ports, numbered as in upstream XTDrone.
 
-A fleet is written ``"iris:9"`` or ``"iris:3,typhoon_h480:2"``. A vehicle's name is ``<type>_<index in its type>``;
-its global index runs over all types and fixes its MAVLink system id and its ports.
+A fleet is described as ``"iris:9"`` or ``"iris:3,typhoon_h480:2"``. The name of a vehicle is ``<type>_<index in its
+type>``; its global index counts over all types and determines its MAVLink system id and ports.
 
-Several simulations run side by side on one machine as *instances*: instance N has every port N times
-``INSTANCE_STEP`` higher than instance 0, which has upstream's. MAVLink system ids are the same in all of them.
+Several simulations can run side by side on one machine as *instances*: the ports of instance N are N times
+``INSTANCE_STEP`` higher than those of instance 0, which are upstream's. MAVLink system ids are the same in all of them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-MAX_VEHICLES = 250  # MAVLink system ids are 1..255; 255 is the ground station's
+MAX_VEHICLES = 250  # MAVLink system ids are 1..255; ground stations use 255
 
 _OFFBOARD_LOCAL_PORT = 34580  # the autopilot's end of the offboard link
 _OFFBOARD_REMOTE_PORT = 24540  # MAVROS's end
@@ -23,17 +23,17 @@ _SIMULATOR_TCP_PORT = 4560
 GCS_REMOTE_PORT = 14550  # of instance 0
 
 INSTANCE_STEP = 540
-"""Ports between one instance and the next: with it no port of any instance's 250 vehicles is another's."""
+"""Offset of the ports between instances; the ports of 250 vehicles in each instance never collide."""
 
 MAX_INSTANCE = 7
 
 
 class FleetError(ValueError):
-    """A fleet description that cannot be flown."""
+    """An invalid description of a fleet, or an invalid instance."""
 
 
 def instance_port(port: int, instance: int) -> int:
-    """Return the port that takes the place of instance 0's ``port`` in ``instance``."""
+    """Return the port in ``instance`` that corresponds to ``port`` in instance 0."""
     return port + INSTANCE_STEP * instance
 
 
@@ -41,7 +41,7 @@ def check_instance(value: object) -> int:
     """Return the number of an instance, given as a number or as text.
 
     Raises:
-        FleetError: it is no whole number from 0 to MAX_INSTANCE.
+        FleetError: not a whole number in 0..MAX_INSTANCE.
     """
     text = str(value).strip()
     if isinstance(value, bool) or not (text.isascii() and text.isdecimal() and int(text) <= MAX_INSTANCE):
@@ -55,9 +55,9 @@ class Vehicle:
 
     Attributes:
         type: model name, as ``iris``.
-        index: number within its type, from 0.
-        id: number over all types, from 0.
-        instance: of the simulations on this machine.
+        index: index within its type, from 0.
+        id: index over all types, from 0.
+        instance: number of the simulation on this machine.
     """
 
     type: str
@@ -92,7 +92,7 @@ class Vehicle:
 
     @property
     def gcs_remote_port(self) -> int:
-        """UDP port of the ground station to which the autopilot speaks first; all vehicles of an instance share it."""
+        """UDP port of the ground station, to which the autopilot streams from the start; shared by all vehicles."""
         return instance_port(GCS_REMOTE_PORT, self.instance)
 
     @property
@@ -102,7 +102,7 @@ class Vehicle:
 
     @property
     def payload_remote_port(self) -> int:
-        """UDP port of the payload's end of that link."""
+        """UDP port that the payload binds for the payload link."""
         return instance_port(_PAYLOAD_REMOTE_PORT + self.id, self.instance)
 
     @property
@@ -120,11 +120,11 @@ def parse_fleet(text: str, instance: int = 0) -> tuple[Vehicle, ...]:
     """Return the vehicles that ``text`` describes, in order of their global index.
 
     Args:
-        text: comma-separated ``type:count``, as ``"iris:9"``; a bare ``type`` counts one.
-        instance: of the simulations on this machine, which moves the ports.
+        text: comma-separated ``type:count``, as ``"iris:9"``; ``type`` alone means one.
+        instance: number of the simulation on this machine, which offsets the ports.
 
     Raises:
-        FleetError: a malformed entry, a count that is not in 1..250 in all, a type named twice, or no such instance.
+        FleetError: a malformed entry, a total not in 1..250, a type named twice, or an invalid instance.
     """
     check_instance(instance)
     vehicles: list[Vehicle] = []
@@ -144,21 +144,21 @@ def parse_fleet(text: str, instance: int = 0) -> tuple[Vehicle, ...]:
 
 
 def spawn_grid(fleet: tuple[Vehicle, ...], rows: int) -> list[tuple[float, float, float]]:
-    """Return each vehicle's spawn place on upstream's grid, in metres ENU (x, y, z).
+    """Return the spawn position of each vehicle on upstream's grid, in metres ENU (x, y, z).
 
     x = 3 (rows before this type + index mod rows), y = 3 (index div rows + 1), z = 0, where ``rows`` vehicles stand
-    side by side along x and each type starts a block of its own.
+    side by side along x and each type starts a separate block.
 
     Raises:
         FleetError: ``rows`` is less than 1.
     """
     if rows < 1:
         raise FleetError(f"rows: {rows} is not allowed, at least 1")
-    places = []
+    positions = []
     types = list(dict.fromkeys(v.type for v in fleet))
     for vehicle in fleet:
         before = types.index(vehicle.type) * rows
         x = 3.0 * (before + vehicle.index % rows)
         y = 3.0 * (vehicle.index // rows + 1)
-        places.append((x, y, 0.0))
-    return places
+        positions.append((x, y, 0.0))
+    return positions

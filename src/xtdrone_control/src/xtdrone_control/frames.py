@@ -1,11 +1,11 @@
-"""Changes of frame between ROS (ENU, FLU) and the autopilot (NED, FRD), on plain floats.
+"""Frame conversions between ROS (ENU, FLU) and the autopilot (NED, FRD), on plain floats.
 
 Local frames: ENU is x east, y north, z up; NED is x north, y east, z down. Body frames: FLU is x forward, y left,
-z up (``base_link``); FRD is x forward, y right, z down. Both changes are their own inverse.
+z up (``base_link``); FRD is x forward, y right, z down. Both conversions are self-inverse.
 
-Quaternions are (w, x, y, z) in every function here and turn body vectors into local ones; ROS messages keep them as
-x, y, z, w and MAVLink as w, x, y, z. Positions are in metres, angles in radians unless a name says otherwise.
-Nothing here uses numpy: on three floats plain Python is ten times faster.
+Quaternions are (w, x, y, z) in all functions of this module and rotate body vectors to the local frame; ROS messages
+order them x, y, z, w and MAVLink w, x, y, z. Positions are in metres, angles in radians unless a name says otherwise.
+No function uses numpy: for three floats plain Python is ten times faster.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ _HALF_SQRT = sqrt(0.5)
 _WGS84_A = 6378137.0  # m, equatorial radius
 _WGS84_F = 1.0 / 298.257223563
 _WGS84_E2 = _WGS84_F * (2.0 - _WGS84_F)
-_LATITUDE_STEPS = 6  # of the iteration; each is 300 times as close as the last
+_LATITUDE_STEPS = 6  # iterations; each reduces the error by a factor of 300
 
 
 def enu_to_ned(x: float, y: float, z: float) -> Vector:
-    """Return an ENU vector in NED."""
+    """Convert a vector from ENU to NED."""
     return y, x, -z
 
 
 def ned_to_enu(x: float, y: float, z: float) -> Vector:
-    """Return a NED vector in ENU."""
+    """Convert a vector from NED to ENU."""
     return y, x, -z
 
 
 def flu_to_frd(x: float, y: float, z: float) -> Vector:
-    """Return a FLU vector in FRD."""
+    """Convert a vector from FLU to FRD."""
     return x, -y, -z
 
 
 def frd_to_flu(x: float, y: float, z: float) -> Vector:
-    """Return a FRD vector in FLU."""
+    """Convert a vector from FRD to FLU."""
     return x, -y, -z
 
 
@@ -50,17 +50,17 @@ def _permuted(covariance: Sequence[float], order: Sequence[int], signs: Sequence
 
 
 def covariance_enu_to_ned(covariance: Sequence[float]) -> list[float]:
-    """Return a 6x6 covariance (x, y, z, turns about x, y, z; row by row) of ENU in NED, or of NED in ENU."""
+    """Convert a 6x6 covariance (x, y, z, rotations about x, y, z; row by row) between ENU and NED (self-inverse)."""
     return _permuted(covariance, (1, 0, 2, 4, 3, 5), (1.0, 1.0, -1.0, 1.0, 1.0, -1.0))
 
 
 def covariance_flu_to_frd(covariance: Sequence[float]) -> list[float]:
-    """Return a 6x6 covariance (x, y, z, turns about x, y, z; row by row) of FLU in FRD, or of FRD in FLU."""
+    """Convert a 6x6 covariance (x, y, z, rotations about x, y, z; row by row) between FLU and FRD (self-inverse)."""
     return _permuted(covariance, range(6), (1.0, -1.0, -1.0, 1.0, -1.0, -1.0))
 
 
 def upper_triangle(covariance: Sequence[float]) -> list[float]:
-    """Return the upper triangle of a 6x6 matrix, both row by row, as MAVLink has it (21 values)."""
+    """Return the upper triangle of a 6x6 matrix, both row by row, as in MAVLink (21 values)."""
     return [covariance[6 * i + j] for i in range(6) for j in range(i, 6)]
 
 
@@ -71,7 +71,7 @@ def from_upper_triangle(values: Sequence[float]) -> list[float]:
 
 
 def wrap_pi(angle: float) -> float:
-    """Return ``angle`` (rad, finite) in [-pi, pi)."""
+    """Wrap ``angle`` (rad, finite) to [-pi, pi)."""
     wrapped = fmod(angle + pi, 2.0 * pi)
     return wrapped + pi if wrapped < 0.0 else wrapped - pi
 
@@ -89,8 +89,8 @@ def yaw_ned_to_enu(yaw: float) -> float:
 def attitude_ned_to_enu(w: float, x: float, y: float, z: float) -> Quaternion:
     """Return the FLU-to-ENU attitude of a FRD-to-NED attitude.
 
-    It is the product q_ned_to_enu q q_flu_to_frd multiplied out, with the sign that makes a level vehicle heading
-    north (0.707, 0, 0, 0.707). The map is its own inverse.
+    The result is the product q_ned_to_enu q q_flu_to_frd, with the sign for which a level vehicle heading north has
+    (0.707, 0, 0, 0.707). The conversion is self-inverse.
     """
     return _HALF_SQRT * (w + z), _HALF_SQRT * (x + y), _HALF_SQRT * (x - y), _HALF_SQRT * (w - z)
 
@@ -101,12 +101,12 @@ def attitude_enu_to_ned(w: float, x: float, y: float, z: float) -> Quaternion:
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:
-    """Return the body vector ``v`` in the local frame, for the unit attitude ``q``."""
+    """Rotate ``v`` from the body frame to the local frame by the unit attitude ``q``."""
     return rotation.rotate(q, *v)
 
 
 def rotate_inverse(q: Quaternion, v: Vector) -> Vector:
-    """Return the local vector ``v`` in the body frame, for the unit attitude ``q``."""
+    """Rotate ``v`` from the local frame to the body frame by the unit attitude ``q``."""
     return rotation.rotate_inverse(q, *v)
 
 
@@ -116,7 +116,7 @@ yaw_from_quaternion = rotation.yaw_of
 
 
 def geodetic_to_ecef(latitude: float, longitude: float, altitude: float) -> Vector:
-    """Return the earth-centred place (m) of WGS84 latitude, longitude (deg) and height over the ellipsoid (m)."""
+    """Return the ECEF position (m) of WGS84 latitude, longitude (deg) and height above the ellipsoid (m)."""
     sin_lat, cos_lat = sin(radians(latitude)), cos(radians(latitude))
     normal = _WGS84_A / sqrt(1.0 - _WGS84_E2 * sin_lat * sin_lat)
     horizontal = (normal + altitude) * cos_lat
@@ -127,9 +127,9 @@ def geodetic_to_ecef(latitude: float, longitude: float, altitude: float) -> Vect
     )
 
 
-def geodetic_to_enu(place: Vector, origin: Vector) -> Vector:
-    """Return ``place`` in metres ENU from ``origin``; both are (latitude deg, longitude deg, height m), WGS84."""
-    px, py, pz = geodetic_to_ecef(*place)
+def geodetic_to_enu(position: Vector, origin: Vector) -> Vector:
+    """Return ``position`` relative to ``origin``, m ENU; both are (latitude deg, longitude deg, height m), WGS84."""
+    px, py, pz = geodetic_to_ecef(*position)
     ox, oy, oz = geodetic_to_ecef(*origin)
     dx, dy, dz = px - ox, py - oy, pz - oz
     sin_lat, cos_lat = sin(radians(origin[0])), cos(radians(origin[0]))
@@ -139,9 +139,9 @@ def geodetic_to_enu(place: Vector, origin: Vector) -> Vector:
 
 
 def ecef_to_geodetic(x: float, y: float, z: float) -> Vector:
-    """Return WGS84 latitude, longitude (deg) and height over the ellipsoid (m) of an earth-centred place (m).
+    """Return WGS84 latitude, longitude (deg) and height above the ellipsoid (m) of an ECEF position (m).
 
-    Exact to below a micrometre for places that are not near the earth's centre.
+    Accurate to below a micrometre except near the centre of the earth.
     """
     horizontal = hypot(x, y)
     latitude = atan2(z, horizontal * (1.0 - _WGS84_E2))
@@ -155,7 +155,7 @@ def ecef_to_geodetic(x: float, y: float, z: float) -> Vector:
 
 
 def enu_to_geodetic(position: Vector, origin: Vector) -> Vector:
-    """Return the place (latitude deg, longitude deg, height m) at ``position`` (m, ENU) from ``origin``; WGS84."""
+    """Return (latitude deg, longitude deg, height m), WGS84, of ``position`` (m, ENU) relative to ``origin``."""
     east, north, up = position
     ox, oy, oz = geodetic_to_ecef(*origin)
     sin_lat, cos_lat = sin(radians(origin[0])), cos(radians(origin[0]))

@@ -1,4 +1,4 @@
-"""A node's log on its standard output, which may be a file on a full disk: there rospy's handler raises."""
+"""Log of a node on standard output when that is a file on a full disk, where rospy's handler raises errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rosgraph.roslogging import RosStreamHandler
 
 
 def survive_full_disk() -> None:
-    """Have log lines that standard output does not take dropped; call it after ``rospy.init_node``."""
+    """Drop log lines that cannot be written to standard output; call it after ``rospy.init_node``."""
     for name in ("", "rosout"):
         for handler in logging.getLogger(name or None).handlers:
             if isinstance(handler, RosStreamHandler):

@@ -1,7 +1,7 @@
-"""The pinhole camera without distortion: intrinsics, projection, viewing rays.
+"""Pinhole camera without distortion: intrinsics, projection, viewing rays.
 
-The optical frame is REP 103's: x right, y down, z ahead. Pixel coordinates count from the left and upper edge of the
-picture, so the middle of the upper left pixel is (0.5, 0.5) and the principal point (width / 2, height / 2).
+The optical frame is that of REP 103: x right, y down, z ahead. Pixel coordinates start at the left and upper edge of
+the image, so the centre of the upper left pixel is (0.5, 0.5) and the principal point (width / 2, height / 2).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from .settings import check_range
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A camera's picture.
+    """Intrinsics of a camera.
 
     Attributes:
         width, height: pixels.
         fx, fy: focal lengths, pixels.
-        cx, cy: principal point, pixels from the left and upper edge of the picture.
+        cx, cy: principal point, pixels from the left and upper edge of the image.
     """
 
     width: int
@@ -34,14 +34,14 @@ class Pinhole:
 
     @staticmethod
     def of_view(width: int, height: int, horizontal_fov: float) -> Pinhole:
-        """Return the camera with square pixels and the principal point in the middle.
+        """Return the camera with square pixels and the principal point at the image centre.
 
         Args:
             width, height: pixels, 1 to 8192.
             horizontal_fov: angle between left and right edge, rad, 0.01 to 3.1.
 
         Raises:
-            ValueError: one is out of range.
+            ValueError: an argument is out of range.
         """
         check_range("width", width, 1, 8192, "px")
         check_range("height", height, 1, 8192, "px")
@@ -50,7 +50,7 @@ class Pinhole:
         return Pinhole(int(width), int(height), focal, focal, 0.5 * width, 0.5 * height)
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where points are seen, (n, 2) pixels from the left and upper edge; NaN for those not ahead.
+        """Project points to the image, (n, 2) pixels from the left and upper edge; NaN for points behind the camera.
 
         Args:
             points: (n, 3) m, optical frame.
@@ -62,7 +62,7 @@ class Pinhole:
         )
 
     def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return directions of pixels, (n, 3), optical frame, z = 1.
+        """Return the viewing rays of pixels, (n, 3), optical frame, z = 1.
 
         Args:
             pixels: (n, 2) from the left and upper edge.

@@ -1,5 +1,5 @@
-"""The XTDrone communication layer: one small set of commands for every kind of vehicle, on top of MAVROS.
+"""XTDrone communication layer on top of MAVROS: one small set of commands for all kinds of vehicles.
 
-``setpoint`` and ``core`` hold the logic and know no ROS; ``multirotor`` is the node's class; ``arguments`` reads
-command lines of programs that serve one vehicle or many.
+``setpoint`` and ``core`` hold the logic, independent of ROS; ``multirotor`` is the class of the node; ``arguments``
+parses the command lines of programs that serve one or more vehicles.
 """

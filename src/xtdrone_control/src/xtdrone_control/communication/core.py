@@ -1,7 +1,7 @@
-"""What the multirotor communication node decides, without ROS: inputs in, one setpoint and service requests out.
+"""Logic of the multirotor communication node, independent of ROS: from inputs to a setpoint and service requests.
 
-The rules are XTDrone's: the last input is the setpoint until the next one; a velocity or acceleration inside the dead
-zone means HOVER, which freezes the pose of that moment; a command that is none of ours goes to set_mode as it is.
+As in XTDrone, the last input is the setpoint until the next one; a velocity or acceleration inside the dead zone means
+HOVER, which holds the present pose; commands other than ``OWN_COMMANDS`` are passed to set_mode unchanged.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ HOVER_SPEED = 0.001  # m/s (m/s^2 for accelerations), on each axis: a tenth of a
 HOVER_YAW_RATE = 0.005  # rad/s
 STATE_GRACE = 2.5  # s; mavros/state follows the 1 Hz heartbeat, one of which may be lost
 
-# modes that PX4 enters by itself when the commanded one has done its work: still the commanded state
+# modes that PX4 enters when the commanded one is complete: they count as the commanded state
 _SUCCESSORS = {"AUTO.TAKEOFF": ("AUTO.LOITER",)}
 
 _TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.z")
@@ -65,13 +65,13 @@ class CommandSettings(Settings):
 
 
 class Log(Protocol):
-    """Where messages for the user go."""
+    """Destination of log messages."""
 
     def info(self, text: str) -> None:
-        """Say what was done."""
+        """Log a completed action."""
 
     def warning(self, text: str) -> None:
-        """Say what was refused or failed."""
+        """Log a rejection or a failure."""
 
     def stream_warning(self, text: str) -> None:
         """Warn about a stream of messages; identical texts are throttled."""
@@ -79,7 +79,7 @@ class Log(Protocol):
 
 @dataclass(frozen=True)
 class Request:
-    """A service call that a command asks for.
+    """A service call requested by a command.
 
     Attributes:
         command: the command string as received.
@@ -98,16 +98,16 @@ class Request:
 class MultirotorCore:
     """Setpoint and commands of one multirotor.
 
-    OFFBOARD needs a stream of setpoints before it can be entered, so there is always one. Before any input it holds
-    the vehicle where it is: the present pose, followed until OFFBOARD is entered and frozen from then on; velocity
-    zero as long as no pose is known.
+    OFFBOARD can be entered only with a stream of setpoints, so one is always published. Before any input it holds the
+    vehicle at its present pose, which is updated until OFFBOARD is entered and fixed from then on; before the first
+    pose it is velocity zero.
 
-    A repeated command is ignored only while the state it asked for holds: it is sent again after a refusal, and when
-    mavros/state shows that the vehicle is no longer in that state (as after a failsafe).
+    A repeated command is ignored only while the vehicle is in the commanded state: it is sent again after a rejection,
+    and when mavros/state shows that the vehicle has left that state (after a failsafe, for example).
 
     Attributes:
-        setpoint: what to publish now.
-        hovering: whether ``setpoint`` is a captured pose, so that further zero velocities change nothing.
+        setpoint: the setpoint to publish.
+        hovering: whether ``setpoint`` is a captured pose, which further zero velocities do not change.
         mission: the one-character mission label of the last ``mission?`` command, empty before.
     """
 
@@ -115,11 +115,11 @@ class MultirotorCore:
         """Start holding.
 
         Args:
-            name: the vehicle, as ``iris_0``, for messages.
-            log: where messages go.
-            hover_speed: m/s (m/s^2 for accelerations), see :class:`CommandSettings`. XTDrone's 0.02 swallows the first
-                two presses of its keyboard and freezes a formation up to 2 cm per axis and layer of the topology away
-                from its slots; with 0 only exactly zero means HOVER.
+            name: name of the vehicle, as ``iris_0``, for messages.
+            log: destination of log messages.
+            hover_speed: m/s (m/s^2 for accelerations), see :class:`CommandSettings`. XTDrone's 0.02 ignores the first
+                two key presses of its keyboard and stops a formation up to 2 cm per axis and layer of the topology
+                away from its slots; with 0 only exactly zero means HOVER.
             cmd_timeout: s, see :class:`CommandSettings`.
 
         Raises:
@@ -133,7 +133,7 @@ class MultirotorCore:
         self.restart()
 
     def restart(self) -> None:
-        """Hold, and know of no input: as at the start."""
+        """Reset to the initial state: hold, without any input."""
         self.setpoint = velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False)
         self.hovering = False
         self.mission = ""
@@ -142,7 +142,7 @@ class MultirotorCore:
         self._moving_since: float | None = None  # time of the last velocity or acceleration, while it is the setpoint
         self._mode: str | None = None
         self._armed: bool | None = None
-        self._request: Request | None = None  # the last command that asked for a service
+        self._request: Request | None = None  # the last command with a service call
         self._last = ""  # the last command of any kind
         self._pending = False
         self._accepted_at: float | None = None
@@ -168,10 +168,10 @@ class MultirotorCore:
         """Whether the vehicle is holding position rather than following a commanded setpoint."""
         return self.hovering or (self._idle and self._pose is not None)
 
-    # what the vehicle tells
+    # vehicle state
 
     def on_pose(self, position: Vector, quaternion: tuple[float, float, float, float]) -> None:
-        """Take the local pose: m ENU, quaternion (x, y, z, w). One that is not finite is refused."""
+        """Store the local pose: m ENU, quaternion (x, y, z, w). Non-finite poses are ignored."""
         bad = first_bad_field(_POSE_FIELDS, (*position, *quaternion))
         if bad is not None:
             self._log.stream_warning(f"/{self.name}/mavros/local_position/pose: {bad}; pose ignored")
@@ -181,15 +181,15 @@ class MultirotorCore:
             self.setpoint = pose_setpoint(*self._pose, body=False)
 
     def on_state(self, mode: str, armed: bool) -> None:
-        """Take mode and arming of mavros/state."""
+        """Store mode and arming state of mavros/state."""
         self._mode, self._armed = mode, armed
         if self._accepted_at is not None and self._matches():
             self._confirmed = True
 
-    # what the user commands
+    # commands of the user
 
     def on_command(self, text: str, now: float) -> Request | None:
-        """Take a string of the cmd topic; return the service call to make, if any.
+        """Handle a string of the cmd topic; return the service call to make, if any.
 
         Args:
             text: the command.
@@ -210,12 +210,12 @@ class MultirotorCore:
         return self._request
 
     def on_result(self, request: Request, accepted: bool, reason: str, now: float) -> None:
-        """Take the outcome of a service call.
+        """Handle the result of a service call.
 
         Args:
-            request: what was asked.
-            accepted: the response's own success field (not merely that there was a response).
-            reason: why not, or empty.
+            request: the request.
+            accepted: success field of the response (not merely that a response was received).
+            reason: reason of a rejection, or empty.
             now: s, ROS time.
         """
         if request is self._request:
@@ -223,7 +223,7 @@ class MultirotorCore:
             self._accepted_at = now if accepted else None
         if accepted:
             if request.arm is None:
-                self.hovering = False  # the vehicle moves on its own now: a later hover must be captured anew
+                self.hovering = False  # the new mode moves the vehicle: a later HOVER must capture its pose again
             self._log.info(f"{self.name}: {request.command} accepted")
             return
         text = f"{self.name}: {request.command} refused by {request.service}"
@@ -236,21 +236,21 @@ class MultirotorCore:
     def on_target_pose(
         self, topic: str, position: Vector, quaternion: tuple[float, float, float, float], *, body: bool
     ) -> None:
-        """Take a cmd_pose message: m, ENU or FLU offset; quaternion (x, y, z, w)."""
-        if self._sound(topic, _POSE_FIELDS, (*position, *quaternion)):
+        """Apply a cmd_pose message: m, ENU or FLU offset; quaternion (x, y, z, w)."""
+        if self._is_valid(topic, _POSE_FIELDS, (*position, *quaternion)):
             self._set(pose_setpoint(position, yaw_of(*quaternion), body=body), moving_since=None)
 
     def on_target_velocity(self, topic: str, velocity: Vector, yaw_rate: float, now: float, *, body: bool) -> None:
-        """Take a cmd_vel message: m/s ENU or FLU, rad/s; inside the dead zone it means HOVER."""
-        if self._sound(topic, _TWIST_FIELDS, (*velocity, yaw_rate)) and not self._dead_zone(velocity, yaw_rate):
+        """Apply a cmd_vel message: m/s ENU or FLU, rad/s; inside the dead zone it means HOVER."""
+        if self._is_valid(topic, _TWIST_FIELDS, (*velocity, yaw_rate)) and not self._dead_zone(velocity, yaw_rate):
             self._set(velocity_setpoint(velocity, yaw_rate, body=body), moving_since=now)
 
     def on_target_acceleration(
         self, topic: str, acceleration: Vector, yaw_rate: float, now: float, *, body: bool
     ) -> None:
-        """Take a cmd_accel message: m/s^2 ENU or FLU, rad/s; inside the dead zone it means HOVER."""
+        """Apply a cmd_accel message: m/s^2 ENU or FLU, rad/s; inside the dead zone it means HOVER."""
         values = (*acceleration, yaw_rate)
-        if self._sound(topic, _TWIST_FIELDS, values) and not self._dead_zone(acceleration, yaw_rate):
+        if self._is_valid(topic, _TWIST_FIELDS, values) and not self._dead_zone(acceleration, yaw_rate):
             self._set(acceleration_setpoint(acceleration, yaw_rate, body=body), moving_since=now)
 
     def tick(self, now: float) -> Setpoint:
@@ -261,7 +261,7 @@ class MultirotorCore:
         self._check_late_state(now)
         return self.setpoint
 
-    # how
+    # internals
 
     def _set(self, setpoint: Setpoint, moving_since: float | None) -> None:
         self.setpoint = setpoint
@@ -270,7 +270,7 @@ class MultirotorCore:
         self._moving_since = moving_since
 
     def _hover(self) -> bool:
-        """Freeze the present pose, or stop if none is known; return whether a pose was captured."""
+        """Hold the present pose, or velocity zero before the first pose; return whether a pose was captured."""
         if self._pose is None:
             self._set(velocity_setpoint((0.0, 0.0, 0.0), 0.0, body=False), moving_since=None)
             return False
@@ -288,7 +288,7 @@ class MultirotorCore:
             )
 
     def _dead_zone(self, vector: Vector, yaw_rate: float) -> bool:
-        """Return whether the input means HOVER; capture the pose if that is new."""
+        """Return whether the input means HOVER; capture the pose unless already hovering."""
         x, y, z = vector
         limit = self._hover_speed
         if abs(x) > limit or abs(y) > limit or abs(z) > limit or abs(yaw_rate) > HOVER_YAW_RATE:
@@ -297,7 +297,7 @@ class MultirotorCore:
             self._hover()
         return True
 
-    def _sound(self, topic: str, names: tuple[str, ...], values: tuple[float, ...]) -> bool:
+    def _is_valid(self, topic: str, names: tuple[str, ...], values: tuple[float, ...]) -> bool:
         bad = first_bad_field(names, values)
         if bad is not None:
             self._log.stream_warning(f"{topic}: {bad}; message ignored, finite values within +-{LARGEST:g} are allowed")
@@ -309,7 +309,7 @@ class MultirotorCore:
         return self._accepted_at is not None and self._request is not None and self._request.command == "OFFBOARD"
 
     def _matches(self) -> bool:
-        """Return whether mavros/state shows what the last service command asked for."""
+        """Return whether mavros/state shows the state commanded last by a service call."""
         assert self._request is not None
         if self._request.arm is not None:
             return self._armed == self._request.arm
@@ -317,7 +317,7 @@ class MultirotorCore:
         return self._mode == wanted or self._mode in _SUCCESSORS.get(wanted, ())
 
     def _holds(self, now: float) -> bool:
-        """Return whether the last command's state still holds, so that repeating it would change nothing."""
+        """Return whether the vehicle is still in the state of the last command, which makes a repetition redundant."""
         if self._last == "HOVER":
             return self.hovering
         if self._request is None or self._request.command != self._last:
@@ -331,7 +331,7 @@ class MultirotorCore:
         return not self._confirmed and now - self._accepted_at <= STATE_GRACE
 
     def _check_late_state(self, now: float) -> None:
-        """Warn once if an accepted command never shows in mavros/state: MAVROS answers when it has sent, not done."""
+        """Warn once if an accepted command does not show in mavros/state: MAVROS replies on sending, not on success."""
         if self._accepted_at is None or self._confirmed or self._mode is None or self._request is None:
             return
         if now - self._accepted_at > STATE_GRACE:

@@ -1,4 +1,4 @@
-"""The communication node of multirotors: XTDrone's command topics in, MAVROS's setpoints and services out.
+"""Communication node of multirotors: from XTDrone's command topics to MAVROS's setpoints and services.
 
 For each vehicle ``T`` (as ``iris_0``):
 
@@ -6,11 +6,11 @@ For each vehicle ``T`` (as ``iris_0``):
 topic                                  type                        meaning
 =====================================  ==========================  ==================================================
 /xtdrone/T/cmd                         std_msgs/String             ARM, DISARM, HOVER, or a mode's name
-/xtdrone/T/cmd_pose_enu, cmd_pose_flu  geometry_msgs/Pose          place in the local frame, or offset from the vehicle
+/xtdrone/T/cmd_pose_enu, cmd_pose_flu  geometry_msgs/Pose          pose in the local frame, or offset from the vehicle
 /xtdrone/T/cmd_vel_enu, cmd_vel_flu    geometry_msgs/Twist         velocity, yaw rate in angular.z
 /xtdrone/T/cmd_accel_enu, .._flu       geometry_msgs/Twist         acceleration, yaw rate in angular.z
 /T/mavros/local_position/pose          geometry_msgs/PoseStamped   for HOVER and the hold before any input
-/T/mavros/state                        mavros_msgs/State           whether commands had their effect
+/T/mavros/state                        mavros_msgs/State           confirmation of commands
 /T/mavros/setpoint_raw/local           mavros_msgs/PositionTarget  out, 30 Hz
 =====================================  ==========================  ==================================================
 """
@@ -37,7 +37,7 @@ _ANSWER_LIMIT = 100.0  # s of wall time; the simulator drops a MAVROS layer that
 
 
 class RosLog:
-    """The core's messages on rosout."""
+    """Log messages of the core on rosout."""
 
     def info(self, text: str) -> None:
         """Log at INFO."""
@@ -48,17 +48,17 @@ class RosLog:
         rospy.logwarn(text)
 
     def stream_warning(self, text: str) -> None:
-        """Log at WARN, an identical text once in 5 s."""
+        """Log at WARN, identical texts once in 5 s."""
         rospy.logwarn_throttle_identical(5.0, text)
 
 
 class _Services:
-    """Calls MAVROS's services of one vehicle.
+    """Calls the MAVROS services of one vehicle.
 
-    In lockstep a call is waited for: the simulator waits, so the outcome falls into the same tick each time. In real
-    time a slow answer would interrupt the setpoint stream and end OFFBOARD, so the call goes on beside it. Either way
-    a thread of its own makes the call, since rospy waits for an answer without a limit. Meanwhile the simulator is told
-    that time is needed: a PX4 answers only then, and a MAVROS that takes no part in the lockstep cannot say so.
+    In lockstep a call blocks: the simulator waits, so the result falls into the same tick in every run. In real time a
+    slow reply would interrupt the setpoint stream and end OFFBOARD, so the call runs in the background. In both cases a
+    separate thread makes the call, since rospy waits for a reply without a timeout. During a blocking call the
+    simulator is asked to advance time: PX4 replies only then, and a MAVROS outside the lockstep cannot request it.
     """
 
     def __init__(self, vehicle: str, *, in_lockstep: bool) -> None:
@@ -72,7 +72,7 @@ class _Services:
             threading.Thread(target=self._work, args=(self._queue,), name=f"{vehicle} services", daemon=True).start()
 
     def submit(self, request: Request) -> None:
-        """Start a call; its outcome comes from :meth:`finished`."""
+        """Start a call; :meth:`finished` returns its result."""
         call: Future[tuple[bool, str]] = Future()
         if self._queue is not None:
             self._calls.append((request, call))
@@ -87,7 +87,7 @@ class _Services:
         self._calls.append((request, call))
 
     def finished(self) -> list[tuple[Request, bool, str]]:
-        """Return (request, accepted, reason) of the calls that have ended since, in order."""
+        """Return (request, accepted, reason) of the calls finished since the last call, in order."""
         ended = []
         while self._calls and self._calls[0][1].done():
             request, future = self._calls.pop(0)
@@ -95,14 +95,14 @@ class _Services:
         return ended
 
     def close(self) -> None:
-        """Cancel the calls that have not begun, and end the thread."""
+        """Cancel the calls that have not started, and end the thread."""
         if self._queue is not None:
             for _, call in self._calls:
                 call.cancel()
             self._queue.put(None)
 
     def _work(self, queue: SimpleQueue[tuple[Future[tuple[bool, str]], Request] | None]) -> None:
-        """Make the calls of a node outside the lockstep, one after the other."""
+        """Make the calls of a node outside the lockstep one after another."""
         while (item := queue.get()) is not None:
             call, request = item
             if call.set_running_or_notify_cancel():
@@ -140,8 +140,8 @@ class MavrosLink:
 
         Args:
             vehicle: name, as ``iris_0``.
-            core: the vehicle's.
-            in_lockstep: whether a simulator holds time while this node works.
+            core: setpoint and commands of the vehicle.
+            in_lockstep: whether the node is a lockstep participant.
         """
         self.vehicle = vehicle
         self.core = core
@@ -167,7 +167,7 @@ class MavrosLink:
         self._output.publish(self._message)
 
     def close(self) -> None:
-        """Stop waiting for services."""
+        """Cancel pending service calls."""
         self._services.close()
 
     def _on_state(self, message: State) -> None:
@@ -232,7 +232,7 @@ class MultirotorCommunication(MavrosLink):
 
 
 def fill(message: PositionTarget, setpoint: Setpoint) -> None:
-    """Write a setpoint into a message; the header stays."""
+    """Write a setpoint to a message, except the header."""
     message.coordinate_frame = setpoint.frame
     message.type_mask = setpoint.type_mask
     for target, (x, y, z) in (

@@ -1,7 +1,7 @@
-"""Setpoints of the communication layer as mavros_msgs/PositionTarget carries them; no ROS here.
+"""Setpoints of the communication layer, in the form of mavros_msgs/PositionTarget; independent of ROS.
 
-Frames are MAVROS's: the *number* in ``coordinate_frame`` is MAVLink's (1 LOCAL_NED, 8 BODY_NED, 9 BODY_OFFSET_NED),
-the *values* are ENU for frame 1 and FLU for frames 8 and 9; MAVROS turns them into NED and FRD.
+As in MAVROS, the *number* in ``coordinate_frame`` is MAVLink's (1 LOCAL_NED, 8 BODY_NED, 9 BODY_OFFSET_NED), but the
+*values* are ENU for frame 1 and FLU for frames 8 and 9; MAVROS converts them to NED and FRD.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ IGNORE_ACCELERATION = 64 | 128 | 256
 IGNORE_YAW = 1024
 IGNORE_YAW_RATE = 2048
 
-LARGEST = 1e6  # m, m/s, m/s^2, rad/s: MAVLink carries float32, and nothing flyable comes near
+LARGEST = 1e6  # m, m/s, m/s^2, rad/s: MAVLink carries float32, and feasible values are far smaller
 
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
@@ -51,21 +51,21 @@ class Setpoint:
 
 
 def pose_setpoint(position: Vector, yaw: float, *, body: bool) -> Setpoint:
-    """Return "go to this place with this heading": ENU in the local frame, or a FLU offset when ``body``."""
+    """Return a setpoint of position (m) and yaw (rad): ENU in the local frame, or a FLU offset if ``body``."""
     frame = FRAME_BODY_OFFSET_NED if body else FRAME_LOCAL_NED
     mask = IGNORE_VELOCITY | IGNORE_ACCELERATION | IGNORE_YAW_RATE
     return Setpoint(frame, mask, position=position, yaw=yaw)
 
 
 def velocity_setpoint(velocity: Vector, yaw_rate: float, *, body: bool) -> Setpoint:
-    """Return "fly with this velocity and turn at this rate", ENU, or FLU when ``body``."""
+    """Return a setpoint of velocity (m/s) and yaw rate (rad/s), ENU, or FLU if ``body``."""
     frame = FRAME_BODY_NED if body else FRAME_LOCAL_NED
     mask = IGNORE_POSITION | IGNORE_ACCELERATION | IGNORE_YAW
     return Setpoint(frame, mask, velocity=velocity, yaw_rate=yaw_rate)
 
 
 def acceleration_setpoint(acceleration: Vector, yaw_rate: float, *, body: bool) -> Setpoint:
-    """Return "accelerate so and turn at this rate", ENU, or FLU when ``body``."""
+    """Return a setpoint of acceleration (m/s^2) and yaw rate (rad/s), ENU, or FLU if ``body``."""
     frame = FRAME_BODY_NED if body else FRAME_LOCAL_NED
     mask = IGNORE_POSITION | IGNORE_VELOCITY | IGNORE_YAW
     return Setpoint(frame, mask, acceleration=acceleration, yaw_rate=yaw_rate)
@@ -74,13 +74,13 @@ def acceleration_setpoint(acceleration: Vector, yaw_rate: float, *, body: bool) 
 def yaw_of(x: float, y: float, z: float, w: float) -> float:
     """Return the yaw in radians of a quaternion (x, y, z, w) of any length; 0 for the all-zero one.
 
-    An unset geometry_msgs/Pose has the all-zero quaternion, and people leave it so when they mean "no turn".
+    An unset geometry_msgs/Pose has the all-zero quaternion, and users leave it unset to mean "no rotation".
     """
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def first_bad_field(names: Sequence[str], values: Sequence[float]) -> str | None:
-    """Return ``"name is value"`` for the first value that is NaN, infinite or beyond +-1e6; None if all are sound."""
+    """Return ``"name is value"`` for the first value that is NaN, infinite or beyond +-1e6; None if all are valid."""
     for name, value in zip(names, values, strict=True):
         if not abs(value) <= LARGEST:  # written so that NaN fails too
             return f"{name} is {value}"

@@ -1,5 +1,5 @@
 """The autopilot's MAVLink: UDP links of every vehicle, telemetry streams, commands, setpoints, parameters.
 
-``server`` owns the links; ``receiver`` routes what comes in to the ``services``, ``streams`` sends ``telemetry`` when
-it is due.
+``server`` owns the links; ``receiver`` routes received messages to the ``services``; ``streams`` schedules
+``telemetry``.
 """

@@ -13,7 +13,7 @@ from xtdrone_control.mavlink.streams.streams import HEARTBEAT, Payloads, Streams
 from xtdrone_control.mavlink.streams.telemetry import Telemetry, Values
 from xtdrone_control.mavlink.wire.packing import COMPONENT_ID, Format, PackingError, as_version_1
 
-from .turns import OWN_EARNINGS, OWN_SAVINGS, Purse
+from .rate_limit import CLIENT_CREDIT, MAX_CLIENT_CREDIT, Credit
 
 Address = tuple[str, int]
 
@@ -55,36 +55,35 @@ class Endpoint(Protocol):
 class Link:
     """One client of one port of one vehicle.
 
-    Several clients may speak on a port at once; each has a link, so that intervals, sequence numbers, time-outs and
-    answers are its own.
+    Each client of a port has a separate link with its stream intervals, sequence numbers, timeouts and replies.
 
-    A client that has spoken gets the streams until it is silent. A port's first client gets them unasked and for ever,
-    as PX4's default partner does; on this machine only while a socket is there to take them, which costs a heartbeat a
-    second to find out.
+    A client gets the streams from its first message until it falls silent. The first client of a port gets them
+    without a request and permanently, as PX4's default partner does; on this machine only while a socket is bound at
+    its address, which a heartbeat each second probes.
 
     Attributes:
-        name: vehicle and kind of link, for messages.
+        name: vehicle and kind of link, for log messages.
         system_id: the vehicle's MAVLink system id.
         peer: the client's address.
-        sender: MAVLink system and component id of the message that is handled; answers are addressed to it.
-        version: of MAVLink, 1 or 2: what is sent.
-        streams: what is sent by itself.
-        telemetry: what the vehicle tells.
-        received: messages of this client that were acted on.
+        sender: MAVLink system and component id of the message being handled; replies are addressed to it.
+        version: MAVLink version of sent frames, 1 or 2.
+        streams: periodic messages to the client.
+        telemetry: source of the vehicle's telemetry messages.
+        received: handled messages of this client.
         sent: messages sent to it.
-        received_bytes: of its datagrams.
-        sent_bytes: of the frames sent to it.
-        malformed: datagrams of this client that were not, or not wholly, MAVLink.
-        dropped: datagrams of this client that were not looked at, see ``turns``.
-        lost: datagrams to it that the operating system did not take.
-        constant: this is the port's first client.
-        participant: the client takes part in the lockstep: it is there whatever the network says.
-        open: whether the client is still one of the port's; what is sent over a link that is not goes nowhere.
-        purse: what the client may ask for when the others have used up what is common, see ``turns``.
+        received_bytes: bytes of its datagrams.
+        sent_bytes: bytes of the frames sent to it.
+        malformed: datagrams of this client with bytes that are not valid MAVLink.
+        dropped: datagrams of this client dropped by ``rate_limit``.
+        lost: datagrams to it that the operating system did not accept.
+        is_first: whether this is the first client of the port.
+        participant: whether the client is a lockstep participant: its streams ignore errors of the network.
+        open: False once the port has removed the client; frames sent over the link are then discarded.
+        credit: credit of this client beside the shared one, see ``rate_limit``.
     """
 
     def __init__(self, port: Endpoint, peer: Address, name: str) -> None:
-        """Serve ``peer`` over ``port``; nothing but the heartbeat is sent before a client is known to be there."""
+        """Serve ``peer`` over ``port``; only the heartbeat is sent until the client is known to be present."""
         self._port = port
         self.name = name
         self.system_id = port.system_id
@@ -98,10 +97,10 @@ class Link:
         self.received_bytes = 0
         self.sent_bytes = 0
         self.malformed = self.dropped = self.lost = 0
-        self.constant = False
+        self.is_first = False
         self.participant = False
         self.open = True
-        self.purse = Purse(OWN_EARNINGS, OWN_SAVINGS)
+        self.credit = Credit(CLIENT_CREDIT, MAX_CLIENT_CREDIT)
         self._mav = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=COMPONENT_ID)
         self._frames: deque[bytes] = deque()
         self._heard_us = _NEVER_US
@@ -118,19 +117,19 @@ class Link:
 
     @property
     def has_spoken(self) -> bool:
-        """Whether the client has said something."""
+        """Whether a valid message of the client has been received."""
         return self._heard_us != _NEVER_US
 
     @property
     def waiting(self) -> int:
-        """How many frames are queued."""
+        """Number of queued frames."""
         return len(self._frames)
 
     def reboot(self, telemetry: Telemetry, now_us: int) -> None:
-        """Start anew for an autopilot that has been rebooted: streams begin again; address and counters stay.
+        """Restart the streams for a rebooted autopilot; address and counters are kept.
 
         Args:
-            telemetry: what the rebooted vehicle tells.
+            telemetry: telemetry of the rebooted vehicle.
             now_us: simulated time, microseconds; it may have gone back.
         """
         self._heard_us = min(self._heard_us, now_us)
@@ -142,24 +141,24 @@ class Link:
         if self.participant:
             self.streams.start(now_us)
 
-    def take_part(self, participant: bool, now_us: int) -> None:
-        """Note whether the client takes part in the lockstep: its streams begin with that, in each run alike."""
+    def set_participant(self, participant: bool, now_us: int) -> None:
+        """Set whether the client is a lockstep participant; its streams start then, at the same time in every run."""
         self.participant = participant
         if participant:
             self.streams.start(now_us)
 
     def refused(self) -> None:
-        """Note that no socket takes what is sent to the client: streams stop until one does, or until it speaks."""
+        """Stop the streams because the client has no socket, until it has one or sends a message."""
         if not self.participant:
             self.streams.stop()
 
     def close(self) -> None:
-        """Forget the client. A service that still answers it does so in vain."""
+        """Close the link; later replies of services to the client are discarded."""
         self.open = False
         self._frames.clear()
 
     def heard(self, now_us: int, version: int) -> None:
-        """Note a valid frame of MAVLink ``version`` from the client: streams begin, unless they have."""
+        """Record a valid frame of MAVLink ``version`` from the client, and start its streams."""
         self.received += 1
         self._heard_us = now_us
         self._heard_wall = time.monotonic()
@@ -167,14 +166,14 @@ class Link:
         self.streams.start(now_us)
 
     def silent(self, now_us: int) -> bool:
-        """Say whether the client has not spoken for 5 s, as the port's clock counts them."""
+        """Return whether the client has been silent for 5 s by the clocks of the port."""
         if now_us - self._heard_us <= _SILENCE_US and self.has_spoken:
             return False
         return self.silent_by_wall or not self._port.by_wall
 
     @property
     def silent_by_wall(self) -> bool:
-        """Whether the client has not spoken for 5 s of wall time."""
+        """Whether the client has been silent for 5 s of wall time."""
         return time.monotonic() - self._heard_wall > _SILENCE_S
 
     def send_message(self, message: Any) -> None:
@@ -182,7 +181,7 @@ class Link:
         self._queue(message.pack(self._mav))
 
     def send_values(self, message: Format, values: Values | list[Values], now_us: int) -> None:
-        """Queue a message given by its values in wire order, or several; ``flush`` sends them."""
+        """Queue one message, or a list of them, given by values in wire order; ``flush`` sends them."""
         try:
             for one in values if isinstance(values, list) else [values]:
                 self.send_payload(message, message.payload(one))
@@ -194,7 +193,7 @@ class Link:
         self._queue(message.frame(payload, self._mav.seq, self.system_id, COMPONENT_ID))
 
     def _queue(self, frame: bytes) -> None:
-        """Queue a MAVLink 2 frame in the client's version; one that has no MAVLink 1 form is not sent in that."""
+        """Queue a MAVLink 2 frame in the client's version; frames without a MAVLink 1 form are dropped for that."""
         if self.version == 1:
             converted = as_version_1(frame)
             if converted is None:
@@ -207,17 +206,17 @@ class Link:
             self.sent_bytes += len(frame)
 
     def send_text(self, severity: int, text: str) -> None:
-        """Queue a STATUSTEXT, in numbered pieces when it is longer than one holds."""
+        """Queue a STATUSTEXT, split into numbered pieces if it is longer than one message holds."""
         data = text.encode("ascii", "replace")
         pieces, number = [data], 0
-        if len(data) > _TEXT_SIZE:  # the last piece is not full, by which it is known
+        if len(data) > _TEXT_SIZE:  # a piece that is not full marks the end
             pieces = [data[i : i + _TEXT_SIZE] for i in range(0, len(data) + 1, _TEXT_SIZE)]
             number = self._text_id = self._text_id % 0xFFFF + 1
         for i, piece in enumerate(pieces):
             self.send_message(mavlink.MAVLink_statustext_message(severity, piece, number, i))
 
     def send_due(self, now_us: int, shared: Payloads) -> None:
-        """Send the telemetry that is due, and what is queued; for ``shared`` see ``Streams.due``."""
+        """Send due telemetry and queued frames; for ``shared`` see ``Streams.due``."""
         if now_us >= self.streams.next_due_us:
             self._queue_due(now_us, shared)
         if self._frames:
@@ -232,12 +231,12 @@ class Link:
                 self.send_payload(message, payload)
 
     def _ping(self) -> Values:
-        """PING as PX4 sends it to find out how long the way is; the answer is not used."""
+        """Return PING, which PX4 sends to measure the round-trip time; the reply is ignored."""
         self._pings += 1
         return self.telemetry.time_us, self._pings & 0xFFFFFFFF, 0, 0
 
     def _node_status(self) -> Values:
-        """What has gone over this link; rates since the last time, bytes a second."""
+        """Return LINK_NODE_STATUS: counters of this link, and rates since the last message, bytes/s."""
         now_us = self.telemetry.time_us
         since, sent, received = self._measured
         self._measured = (now_us, self.sent_bytes, self.received_bytes)
@@ -258,7 +257,7 @@ class Link:
         )
 
     def _highres_imu(self) -> Values:
-        """HIGHRES_IMU with the bits of what has been sampled since the last one on this link."""
+        """Return HIGHRES_IMU, flagging the sensors with a new sample since the last message on this link."""
         s = self.telemetry.sensors
         mag, baro = s["mag"].tobytes(), float(s["baro_pressure"])
         before, self._sampled = self._sampled, (mag, baro)
@@ -267,10 +266,10 @@ class Link:
         )
 
     def keep_alive(self, now_us: int) -> None:
-        """Send a HEARTBEAT when the last one is older than a second of wall time.
+        """Send a HEARTBEAT if the last one is older than a second of wall time.
 
-        Simulated time may stand still or go slowly; a ground station, which lives by wall time, takes silence for a
-        lost link. Not for links whose datagrams are part of a flight that must be the same each time.
+        A ground station runs on wall time and reports a lost link while simulated time stands still or runs slowly.
+        Not for links of lockstep participants, whose datagrams must be the same in every run.
         """
         wall = time.monotonic()
         if wall - self._beat_wall < _BEAT_PERIOD:
@@ -283,9 +282,9 @@ class Link:
         self.flush(now_us)
 
     def flush(self, now_us: int) -> None:
-        """Send what is queued, a datagram each: real MAVROS reads no more than 296 bytes of one."""
+        """Send queued frames, one in a datagram: real MAVROS reads at most 296 bytes of a datagram."""
         frames = self._frames
-        probing = self.constant and not self.streams.active and bool(frames)
+        probing = self.is_first and not self.streams.active and bool(frames)
         while frames:
             if not self._port.send(frames.popleft(), self.peer, now_us):
                 self.lost += 1
@@ -293,5 +292,5 @@ class Link:
             self.streams.start(now_us)
 
     def warn(self, kind: str, text: str, now_us: int) -> None:
-        """Log a warning, at most one of each ``kind`` a simulated second, a wall second and port."""
+        """Log a warning, at most one of each ``kind`` and port in a simulated second and a wall second."""
         self._port.warn(kind, text, now_us, self.name)

@@ -1,12 +1,12 @@
-"""One UDP port of one vehicle, and the clients that speak on it.
+"""One UDP port of one vehicle, and its clients.
 
-A port knows its first client before it speaks: the streams go to its address from the start and for ever, as PX4's
-do; where the operating system answers that no socket is there, heartbeats alone. Every other sender becomes a further
-client with a link of its own, up to ``MAX_CLIENTS`` of them, and is forgotten when it has been silent for 5 s. When
-there is no room, newcomers are not answered; no client has to go for them.
+The address of the first client is configured: as in PX4, the port streams to it from the start and never removes it.
+While the operating system reports that no socket is bound there, only heartbeats are sent. Every other sender becomes a
+client with a separate link, up to ``MAX_CLIENTS`` on the port, and is removed after 5 s of silence. New senders beyond
+that limit get no reply; no existing client is removed for them.
 
-A participant of the lockstep has a socket of its own here (``reserve``), connected to its address: whatever others
-send, its datagrams have a buffer to themselves and are acted on at once. All others take turns, see ``turns``.
+A lockstep participant has a reserved socket (``reserve``), connected to its address. Its datagrams have a separate
+buffer, which other senders cannot fill, and are handled on arrival. For all other senders see ``rate_limit``.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from .link import Address, Link
 
 LOOPBACK = "127.0.0.1"
 MAX_CLIENTS = 16  # on one port
-CLIENTS = 16  # on all ports of a server besides each port's first client,
-VEHICLE_CLIENTS = 2  # and for each vehicle: what they are sent takes the simulator's time
-_MAX_COUNTS = 256  # remote ports whose datagrams are counted; lockstep participants may come back to theirs
-_MAX_REFUSALS = 4096  # noted at once
-_LARGEST_DATAGRAM = 8192  # what is longer is cut off, as PX4 does
+CLIENTS = 16  # on all ports of a server, not counting the first client of each,
+VEHICLE_CLIENTS = 2  # plus this many for each vehicle: streams to them cost the simulator time
+_MAX_COUNTS = 256  # remote ports whose datagrams are counted; lockstep participants may reconnect from theirs
+_MAX_REFUSALS = 4096  # read in one call
+_LARGEST_DATAGRAM = 8192  # longer ones are truncated, as by PX4
 _RECEIVE_BUFFER = 1 << 20
 _WARNING_INTERVAL_US = 1_000_000
 _WARNING_INTERVAL_S = 1.0
-_ROOM_INTERVAL_S = 0.1
-_IP_RECVERR = 11  # Linux: keep refusals with the address that refused
+_CLEANUP_INTERVAL_S = 0.1
+_IP_RECVERR = 11  # Linux: queue ICMP errors with the address that they came from
 _ICMP_ERRORS = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EPROTO)
 
 _log = logging.getLogger("rosout.mavlink")
@@ -46,56 +46,56 @@ class LinkError(OSError):
 
 
 def _share(sockets: Iterable[socket.socket], value: int) -> None:
-    """Let ``sockets`` be bound to one port together, or end that; what is bound stays so."""
+    """Allow (1) or forbid (0) further binds to the port of ``sockets``; existing binds are kept."""
     for one in sockets:
         if one.fileno() != -1:
             one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, value)
 
 
 @dataclass
-class Room:
-    """Room for clients on several ports.
+class ClientLimit:
+    """Limit of the number of clients on several ports together.
 
     Attributes:
-        left: how many more there may be, each port's first client aside.
-        ports: those that share it.
+        left: number of further clients allowed, the first client of each port not counted.
+        ports: ports that share the limit.
     """
 
     left: int
     ports: list[Port] = field(default_factory=list)
-    _next_look: float = 0.0
+    _next_check: float = 0.0
 
-    def make(self, now_us: int) -> None:
-        """Forget silent clients of all ports, at most every 0.1 s of wall time; time may stand meanwhile."""
+    def remove_silent(self, now_us: int) -> None:
+        """Remove silent clients of all ports, at most every 0.1 s of wall time, also while simulated time stands."""
         wall = time.monotonic()
-        if wall >= self._next_look:
-            self._next_look = wall + _ROOM_INTERVAL_S
+        if wall >= self._next_check:
+            self._next_check = wall + _CLEANUP_INTERVAL_S
             for port in self.ports:
-                port.forget_silent(now_us)
+                port.remove_silent(now_us)
                 if port.by_wall:
-                    port.forget_silent(now_us, by_wall_alone=True)
+                    port.remove_silent(now_us, by_wall_alone=True)
 
 
 class Port:
-    """One end of MAVLink over UDP.
+    """The autopilot's end of MAVLink over one UDP port.
 
     Attributes:
-        name: vehicle and kind of link, for messages.
+        name: vehicle and kind of link, for log messages.
         system_id: the vehicle's MAVLink system id.
         local_port: bound port.
         remote_port: port of the first client.
         default: the link to the first client.
-        telemetry: what the vehicle tells.
+        telemetry: source of the vehicle's telemetry messages.
         rates: default rates of the streams, message name to Hz.
-        by_wall: whether clients live by wall time, as a ground station does: they are silent only if they are so by
-            both clocks. Else simulated time alone counts, so that the streams are the same at any speed.
+        by_wall: whether clients run on wall time, as a ground station does: a client is silent only when it is silent
+            by both clocks. Otherwise simulated time alone counts, so that the streams are the same at any speed.
         received: datagrams read.
-        sent: datagrams sent by remote port.
-        lost: datagrams that the operating system did not take.
-        malformed: datagrams that were not, or not wholly, MAVLink.
+        sent: datagrams sent, by remote port.
+        lost: datagrams that the operating system did not accept.
+        malformed: datagrams with bytes that are not valid MAVLink.
         foreign: messages for other systems.
-        dropped: datagrams that were not looked at since there was no room left for their sender's, see ``turns``.
-        refused: messages of newcomers for whom there was no room.
+        dropped: datagrams dropped because their sender's queue was full, see ``rate_limit``.
+        refused: messages of new senders beyond the client limit.
     """
 
     def __init__(
@@ -109,23 +109,23 @@ class Port:
         host: str = LOOPBACK,
         *,
         by_wall: bool = False,
-        room: Room | None = None,
+        limit: ClientLimit | None = None,
     ) -> None:
         """Bind the port.
 
         Args:
-            vehicle: whose port this is.
-            kind: what the link is called in messages.
+            vehicle: vehicle that the port belongs to.
+            kind: name of the link in log messages.
             local_port: port to bind.
-            remote_port: port on this machine to which frames go from the start, unless ``direct`` names another.
-            telemetry: what the vehicle tells.
+            remote_port: port of the first client, on this machine unless ``direct`` sets another host.
+            telemetry: source of the vehicle's telemetry messages.
             rates: default rates of the streams, message name to Hz.
             host: address to bind; "0.0.0.0" for every network.
-            by_wall: see above.
-            room: how many more clients there may be on all ports that share it.
+            by_wall: see the attribute.
+            limit: client limit shared with other ports; ``MAX_CLIENTS`` by default.
 
         Raises:
-            LinkError: the port cannot be bound, or there is no such address here.
+            LinkError: the port cannot be bound, or ``host`` is not an address of this machine.
         """
         self.name = f"{vehicle.name} {kind} link"
         self.system_id = vehicle.system_id
@@ -142,8 +142,8 @@ class Port:
         self.dropped = 0
         self.refused = 0
         self._warned: dict[str, tuple[int, float]] = {}
-        self._room = room or Room(MAX_CLIENTS)
-        self._room.ports.append(self)
+        self._limit = limit or ClientLimit(MAX_CLIENTS)
+        self._limit.ports.append(self)
         self._next_due_us: int | None = None
         self.default = self._first_client((LOOPBACK, remote_port))
         self._links: dict[Address, Link] = {self.default.peer: self.default}
@@ -167,29 +167,29 @@ class Port:
 
     def _first_client(self, peer: Address) -> Link:
         link = Link(self, peer, self.name)
-        link.constant = True
+        link.is_first = True
         return link
 
     @property
     def links(self) -> list[Link]:
-        """The links to all clients: the first one's, then the others' in the order of their coming."""
+        """The links to all clients: the first client, then the others in order of arrival."""
         return list(self._links.values())
 
     @property
     def first_version(self) -> int:
-        """The MAVLink version in which a client is addressed that has not spoken yet (MAV_PROTO_VER)."""
+        """The MAVLink version for a client that has sent nothing yet (MAV_PROTO_VER)."""
         return 2 if self.telemetry.protocol == 2 else 1
 
     def version_for(self, spoken: int, before: int) -> int:
-        """Return the MAVLink version for a client that speaks version ``spoken``.
+        """Return the MAVLink version to send to a client whose last frame had version ``spoken``.
 
-        It is answered in MAVLink 2 once it has spoken it, else in MAVLink 1. A real PX4 sends MAVLink 2 to all clients
-        unless MAV_PROTO_VER is set otherwise, which a client that knows only MAVLink 1 could not read. With 1 in that
-        parameter all are answered in MAVLink 1.
+        MAVLink 2 once the client has sent it, MAVLink 1 before. A real PX4 sends MAVLink 2 to all clients unless
+        MAV_PROTO_VER is set otherwise, which a client limited to MAVLink 1 could not read. With MAV_PROTO_VER 1 all
+        clients get MAVLink 1.
 
         Args:
             spoken: version of the client's last frame.
-            before: what was sent to it until now; 0 when this is its first frame.
+            before: version sent to it so far; 0 when this is its first frame.
         """
         if self.telemetry.protocol == 1:
             return 1
@@ -202,10 +202,10 @@ class Port:
         self.socket.close()
 
     def reboot(self, telemetry: Telemetry, now_us: int) -> None:
-        """Start anew for an autopilot that has been rebooted: streams begin again; socket, clients, counters stay.
+        """Restart the streams for a rebooted autopilot; socket, clients and counters are kept.
 
         Args:
-            telemetry: what the rebooted vehicle tells.
+            telemetry: telemetry of the rebooted vehicle.
             now_us: simulated time, microseconds; it may have gone back.
         """
         self.telemetry = telemetry
@@ -214,7 +214,7 @@ class Port:
             link.reboot(telemetry, now_us)
 
     def direct(self, host: str, now_us: int, *, override: bool = False) -> None:
-        """Have the first client at ``host`` unless it has spoken; with ``override`` also then, for it is gone."""
+        """Set the host of the first client, if that has not sent yet; ``override`` replaces also one that has."""
         if self.default.has_spoken and not override:
             return
         peer = (host, self.remote_port)
@@ -224,27 +224,26 @@ class Port:
         self.default.close()
         known = self._links.get(peer)
         if known is not None:
-            self._room.left += 1
+            self._limit.left += 1
         self.default = known or self._first_client(peer)
-        self.default.name, self.default.constant = self.name, True
+        self.default.name, self.default.is_first = self.name, True
         self._links = {peer: self.default, **{link.peer: link for link in others}}
-        self._note_part(now_us)
+        self._update_participation(now_us)
         self._next_due_us = None
 
-    # what comes
+    # received datagrams
 
     def reserve(self, peers: Collection[Address], now_us: int) -> tuple[list[socket.socket], list[socket.socket]]:
-        """Have a socket of its own for each of ``peers``, and for no other address.
+        """Reserve a socket for each of ``peers``, and for no other address.
 
-        An address to which there is no way from here gets none; if none of ``peers`` gets one, that is warned of.
+        An unreachable address gets no socket; a warning is logged when no address gets one.
 
         Args:
-            peers: addresses.
+            peers: addresses of the lockstep participants.
             now_us: simulated time, microseconds.
 
         Returns:
-            The sockets that are new, and those that are no longer wanted, which the caller closes when it has read
-            what is in them.
+            The new sockets, and the unreserved ones, which the caller reads until they are empty and then closes.
         """
         gone = [self._reserved.pop(peer) for peer in list(self._reserved) if peer not in peers]
         new, reason = [], ""
@@ -254,23 +253,23 @@ class Port:
             try:
                 made = self._connected(peer)
             except OSError as error:
-                reason = f"no socket for {peer[0]}:{peer[1]} alone: {error.strerror or error}"
+                reason = f"cannot reserve a socket for {peer[0]}:{peer[1]}: {error.strerror or error}"
                 continue
             self._reserved[peer] = made
             new.append(made)
         self._participants = frozenset(peers)
-        self._note_part(now_us)
+        self._update_participation(now_us)
         if reason and not self._reserved:
             self.warn("reserve", reason, now_us)
         return new, gone
 
-    def _note_part(self, now_us: int) -> None:
+    def _update_participation(self, now_us: int) -> None:
         participates = self.default.peer in self._participants
         if participates != self.default.participant:
-            self.default.take_part(participates, now_us)
+            self.default.set_participant(participates, now_us)
 
     def _connected(self, peer: Address) -> socket.socket:
-        """Return a socket on the same port to which the operating system gives what ``peer`` sends."""
+        """Return a socket on the same port that is connected to ``peer`` and receives all its datagrams."""
         made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         sharing = [self.socket, *self._reserved.values(), made]
         try:
@@ -283,15 +282,15 @@ class Port:
             made.close()
             raise
         finally:
-            _share(sharing, 0)  # other programs shall not get the port besides
+            _share(sharing, 0)  # keeps other programs off the port
         return made
 
     def is_reserved(self, sender: Address) -> bool:
-        """Whether ``sender`` has a socket of its own."""
+        """Return whether ``sender`` has a reserved socket."""
         return sender in self._reserved
 
     def read(self, source: socket.socket) -> tuple[bytes, Address] | None:
-        """Return the next datagram on one of the port's sockets and its sender, None when there is none."""
+        """Return the next datagram on one of the port's sockets and its sender, None when all are read."""
         while True:
             try:
                 datagram, sender = source.recvfrom(_LARGEST_DATAGRAM)
@@ -305,85 +304,85 @@ class Port:
             self.received += 1
             return datagram, sender
 
-    def known(self, sender: Address) -> Link | None:
+    def find_link(self, sender: Address) -> Link | None:
         """Return the link to ``sender`` if it is a client."""
         return self._links.get(sender)
 
     def count_bytes(self, sender: Address, size: int) -> None:
-        """Count a datagram of ``size`` bytes that was acted on, if its sender is a client."""
+        """Count the ``size`` bytes of a handled datagram, if its sender is a client."""
         link = self._links.get(sender)
         if link is not None:
             link.received_bytes += size
 
     def drop(self, sender: Address, now_us: int) -> None:
-        """Note that a datagram of ``sender`` is not looked at, because too many wait already."""
+        """Count a datagram of ``sender`` that is dropped because its queue is full."""
         self.dropped += 1
         link = self._links.get(sender)
         if link is not None:
             link.dropped += 1
         if not self._may_warn("flood", now_us):
             return
-        who = "strangers send" if link is None else f"{sender[0]}:{sender[1]} sends"
-        self.warn("flood", f"{who} more than can be served; {self.dropped} datagrams were dropped so far", now_us)
+        source = "strangers send" if link is None else f"{sender[0]}:{sender[1]} sends"
+        self.warn("flood", f"{source} more than can be served; {self.dropped} datagrams were dropped so far", now_us)
 
     def note_malformed(self, sender: Address) -> None:
-        """Count a datagram of ``sender`` that was not, or not wholly, MAVLink."""
+        """Count a datagram of ``sender`` with bytes that are not valid MAVLink."""
         self.malformed += 1
         link = self._links.get(sender)
         if link is not None:
             link.malformed += 1
 
     def link_of(self, sender: Address, now_us: int) -> Link | None:
-        """Return the link to ``sender``, which has sent a valid message; None when there is no room for it."""
+        """Return the link to ``sender``, which has sent a valid message; None beyond the client limit."""
         link = self._links.get(sender)
         if link is not None:
             return link
-        if len(self._links) >= MAX_CLIENTS or self._room.left < 1:
-            self._room.make(now_us)
-        if len(self._links) >= MAX_CLIENTS or self._room.left < 1:
+        if len(self._links) >= MAX_CLIENTS or self._limit.left < 1:
+            self._limit.remove_silent(now_us)
+        if len(self._links) >= MAX_CLIENTS or self._limit.left < 1:
             self.refused += 1
             if not self._may_warn("room", now_us):
                 return None
-            clients = f"{MAX_CLIENTS} clients" if self._room.left > 0 else "as many clients as all ports may have"
+            clients = f"{MAX_CLIENTS} clients" if self._limit.left > 0 else "as many clients as all ports may have"
             self.warn("room", f"{sender[0]}:{sender[1]} is not served: there are {clients} already", now_us)
             return None
-        self._room.left -= 1
+        self._limit.left -= 1
         link = Link(self, sender, f"{self.name} to {sender[0]}:{sender[1]}")
         self._links[sender] = link
         self._next_due_us = None
         return link
 
-    # what goes out
+    # sent datagrams
 
     def streams_changed(self) -> None:
-        """Note that some link's streams are due at other times than before."""
+        """Recompute ``next_due_us``: the due times of a link's streams have changed."""
         self._next_due_us = None
 
     @property
     def next_due_us(self) -> int:
-        """Simulated time, microseconds, at which ``send_due`` has something to do next."""
+        """Simulated time, microseconds, of the next telemetry message."""
         if self._next_due_us is None:
             self._next_due_us = min(link.streams.next_due_us for link in self._links.values())
         return self._next_due_us
 
     def send_due(self, now_us: int, shared: Payloads) -> None:
-        """Send the telemetry that is due, and what is queued, and forget clients that are gone.
+        """Send due telemetry and queued frames, and remove silent clients.
 
         Args:
             now_us: simulated time, microseconds.
             shared: see ``Streams.due``.
         """
-        self.forget_silent(now_us)
+        self.remove_silent(now_us)
         for link in self._links.values():
             link.send_due(now_us, shared)
         self._next_due_us = None
 
-    def forget_silent(self, now_us: int, *, by_wall_alone: bool = False) -> None:
-        """Forget silent clients but the first one.
+    def remove_silent(self, now_us: int, *, by_wall_alone: bool = False) -> None:
+        """Remove silent clients, except the first one.
 
         Args:
             now_us: simulated time, microseconds.
-            by_wall_alone: those that are silent by wall time, whatever the simulated time is.
+            by_wall_alone: ignore simulated time and judge by wall time alone.
         """
         if len(self._links) == 1:
             return
@@ -395,35 +394,35 @@ class Port:
                 continue
             link.close()
             del self._links[link.peer]
-            self._room.left += 1
+            self._limit.left += 1
             self._next_due_us = None
             self._forget_counts()
 
     def _forget_counts(self) -> None:
-        """Keep the table of what was sent small: of clients that are gone, the oldest counts go first."""
+        """Bound the table of sent datagrams: remove the oldest counts of removed clients."""
         living = {link.peer[1] for link in self._links.values()}
         for port in [port for port in self.sent if port not in living][: max(len(self.sent) - _MAX_COUNTS, 0)]:
             del self.sent[port]
 
     def keep_alive(self, now_us: int, counted: Collection[int]) -> None:
-        """Send a HEARTBEAT to whom the last one was sent more than a wall second ago, save to ``counted`` ports."""
+        """Send a HEARTBEAT, at most one in a wall second, to clients that are not at ``counted`` ports."""
         for link in self._links.values():
             if link.peer[1] not in counted:
                 link.keep_alive(now_us)
 
     def flush(self, now_us: int) -> None:
-        """Send what is queued."""
+        """Send queued frames."""
         for link in self._links.values():
             link.flush(now_us)
 
     def flush_others(self, now_us: int, counted: Collection[int]) -> None:
-        """Send what is queued for clients that are not at ``counted`` ports."""
+        """Send queued frames to clients that are not at ``counted`` ports."""
         for link in self._links.values():
             if link.peer[1] not in counted:
                 link.flush(now_us)
 
     def send(self, datagram: bytes, peer: Address, now_us: int) -> bool:
-        """Send a datagram; say whether the operating system took it, and count it."""
+        """Send a datagram and count it; return whether the operating system accepted it."""
         try:
             try:
                 self.socket.sendto(datagram, peer)
@@ -440,16 +439,16 @@ class Port:
         return True
 
     def refuses(self, peer: Address) -> bool:
-        """Whether the operating system has answered that there is no socket at ``peer``, since it was last asked."""
+        """Return whether the operating system has reported since the last call that ``peer`` has no socket."""
         return peer in self._note_refusals(self.socket)
 
     def _note_refusals(self, source: socket.socket) -> set[Address]:
-        """Take what the operating system says of datagrams that found no socket; return where they went to."""
+        """Read ICMP errors of sent datagrams, notify the links concerned, and return the unreachable addresses."""
         refused: set[Address] = set()
         for _ in range(_MAX_REFUSALS):
             try:
                 _, _, _, peer = source.recvmsg(1, 1, socket.MSG_ERRQUEUE)
-            except OSError:  # there is no more
+            except OSError:  # the queue is empty
                 break
             refused.add(peer)
         for link in map(self._links.get, refused):
@@ -458,13 +457,13 @@ class Port:
         return refused
 
     def warn(self, kind: str, text: str, now_us: int, name: str = "") -> None:
-        """Log a warning, at most one of each ``kind`` a simulated second and a wall second."""
+        """Log a warning, at most one of each ``kind`` in a simulated second and a wall second."""
         if self._may_warn(kind, now_us):
             self._warned[kind] = now_us, time.monotonic()
             _log.warning("%s: %s", name or self.name, text)
 
     def _may_warn(self, kind: str, now_us: int) -> bool:
-        """Return whether the last warning of a kind is long enough ago."""
+        """Return whether the rate limit allows another warning of ``kind``."""
         last = self._warned.get(kind)
         if last is None:
             return True

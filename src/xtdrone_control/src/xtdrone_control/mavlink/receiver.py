@@ -28,10 +28,10 @@ class _Entry:
     """How one kind of message is handled.
 
     Attributes:
-        decode: frame to message.
-        handle: the service's function.
-        system_field: field of the target system, empty when the message is for everybody.
-        component_field: field of the target component, likewise.
+        decode: decoder of a frame.
+        handle: handler of the service.
+        system_field: field of the target system, empty when the message has none.
+        component_field: field of the target component, empty when the message has none.
     """
 
     decode: Callable[[bytes], Any]
@@ -46,26 +46,26 @@ def _field(name: str, *candidates: str) -> str:
 
 
 def _entry(name: str, handle: Handler) -> _Entry:
-    if name == "PING":  # its target says whether it is a question
+    if name == "PING":  # its target is 0 in a request, the recipient in a reply
         return _Entry(decoder(name), handle, "", "")
     return _Entry(decoder(name), handle, _field(name, "target_system", "target"), _field(name, "target_component"))
 
 
 class Receiver:
-    """Acts on the messages of one vehicle. Nothing that comes in raises.
+    """Handles the messages to one vehicle. No received datagram raises an error.
 
-    In a tick of the lockstep, commands and requests come when some participant's service call makes them, and
-    setpoints and home positions when the MAVROS layer has its turn: which is first, the scheduler decides. Therefore
-    the latter can be held until all are done; commands and requests, whose answers are waited for, then always come
-    first. Clients outside the lockstep are not held: what one of them sends acts in the order of sending, so that a
-    setpoint counts for the command to go to OFFBOARD that follows it. An origin (SET_GPS_GLOBAL_ORIGIN) is not held,
-    for it is answered at once with the origin that holds.
+    In a tick of the lockstep, commands and requests arrive when a participant calls a service, setpoints and home
+    positions when the MAVROS layer runs; the scheduler decides which is first. Setpoints and home positions of
+    participants can therefore be held until all participants are done, so that commands and requests, which block
+    their sender, always come first. Messages of clients outside the lockstep are handled in the order of sending: a
+    setpoint sent before the command to enter OFFBOARD counts for it. An origin (SET_GPS_GLOBAL_ORIGIN) is never held,
+    because its reply carries the resulting origin.
     """
 
     def __init__(
         self, commander: Commander, autopilot: Autopilot, index: int, clients: Callable[[], list[Link]] = list
     ) -> None:
-        """Take the vehicle's commander and its place in ``autopilot``; ``clients`` returns the links of all."""
+        """Create the services of vehicle ``index`` of ``autopilot``; ``clients`` returns the links with streams."""
         self._vehicle = Vehicle(commander, autopilot, index, clients)
         self._services = all_services(self._vehicle)
         self._transfers = [service for service in self._services if type(service).waiting is not Service.waiting]
@@ -76,15 +76,17 @@ class Receiver:
         }
         self.messages = tuple(name for service in self._services for name in service.handlers)
 
-    def take(self, port: Port, datagram: bytes, sender: Address, now_us: int, *, participant: bool = False) -> None:
-        """Act on every message in ``datagram``, which came to ``port`` from ``sender``; answers are queued there.
+    def handle_datagram(
+        self, port: Port, datagram: bytes, sender: Address, now_us: int, *, participant: bool = False
+    ) -> None:
+        """Handle every message in ``datagram``; replies are queued on the sender's link.
 
         Args:
-            port: where it came to.
+            port: port that received it.
             datagram: its content.
             sender: address of the client.
             now_us: simulated time, microseconds.
-            participant: whether the client takes part in the lockstep.
+            participant: whether the client is a lockstep participant.
         """
         self._vehicle.now_us = now_us
         self._vehicle.participant = participant
@@ -124,33 +126,33 @@ class Receiver:
 
     @property
     def next_due_us(self) -> int:
-        """Simulated time, microseconds, at which ``update`` has something to do next."""
+        """Simulated time, microseconds, at which ``update`` is due next."""
         return min(service.due_us for service in self._services)
 
     def update(self, now_us: int) -> None:
-        """Let the services go on with what takes time."""
+        """Update the services that are due."""
         self._vehicle.now_us = now_us
         for service in self._services:
             if service.due_us <= now_us:
                 service.update(now_us)
 
     @property
-    def waits(self) -> bool:
-        """Whether somebody waits for the next part of a transfer."""
+    def has_transfers(self) -> bool:
+        """Whether a transfer to a client is in progress."""
         return any(service.waiting for service in self._transfers)
 
     def send_parts(self, now_us: int, counted: Collection[int]) -> None:
-        """Queue the next part of every transfer, save those to ``counted`` ports: while time stands still."""
+        """Queue the next part of every transfer, except to ``counted`` ports, while simulated time stands still."""
         self._vehicle.now_us = now_us
         for service in self._transfers:
             for link in service.waiting:
                 if link.peer[1] not in counted:
                     service.send_part(link, now_us)
 
-    def hold(self) -> None:
-        """Queue setpoints and home positions of participants from now on until ``release``."""
-        self._vehicle.hold()
+    def hold_setpoints(self) -> None:
+        """Queue setpoints and home positions of participants until ``release_setpoints``."""
+        self._vehicle.hold_setpoints()
 
-    def release(self) -> None:
-        """Act on what was queued, in the order of arrival."""
-        self._vehicle.release()
+    def release_setpoints(self) -> None:
+        """Apply the queued setpoints and home positions in order of arrival."""
+        self._vehicle.release_setpoints()

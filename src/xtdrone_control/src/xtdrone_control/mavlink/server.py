@@ -1,7 +1,7 @@
-"""The MAVLink door of all vehicles: three UDP ports each, as upstream XTDrone's PX4 instances have them.
+"""MAVLink server of all vehicles: three UDP ports for each, as of PX4 instances in upstream XTDrone.
 
-One for MAVROS (offboard), one for ground stations, and one of low bandwidth for payloads; several clients may speak on
-each. PX4's further port for gimbals is not there: its only messages are those of PX4's gimbal manager.
+One port serves MAVROS (offboard), one ground stations, and one payloads at low bandwidth; each accepts several clients.
+PX4's fourth port, for gimbals, is left out: it carries only messages of PX4's gimbal manager.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.streams.rare_telemetry import Reports
+from xtdrone_control.mavlink.streams.rare_telemetry import VehicleTelemetry
 from xtdrone_control.mavlink.streams.streams import GCS_RATES, ONBOARD_RATES, PAYLOAD_RATES, Payloads
 
 from .link import Address, Link
-from .port import CLIENTS, LOOPBACK, VEHICLE_CLIENTS, Port, Room
+from .port import CLIENTS, LOOPBACK, VEHICLE_CLIENTS, ClientLimit, Port
+from .rate_limit import MAX_CREDIT, STEP_CREDIT, VEHICLE_CREDIT, Credit, DatagramQueues, cost
 from .receiver import Receiver
-from .turns import SAVINGS, STEP_EARNINGS, VEHICLE_EARNINGS, Purse, Turns, cost
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
 
-_MAX_DATAGRAMS = 4096  # read from one socket in a round: more than its buffer holds, and a flood must not hold us
-_NEVER = 1 << 62  # microseconds: no vehicle is served here
-_LOOK_PERIOD = 0.1  # s of wall time between two looks at whether ground stations hear enough
-_STANDSTILL = 0.1  # s of wall time from which simulated time counts as standing
-_PART_PERIOD = 0.02  # s of wall time between two parts of a transfer while it stands
-_PART_CREDIT = 32.0  # what clients may ask for in that time while a tick is held up: some participant's turn lasts
+_MAX_DATAGRAMS = 4096  # read from one socket in a round: more than its buffer holds, but bounded against a flood
+_NEVER = 1 << 62  # microseconds: the fleet is empty
+_KEEP_ALIVE_PERIOD = 0.1  # s of wall time between two checks of the heartbeats to ground stations
+_STANDSTILL = 0.1  # s of wall time after which simulated time counts as standing still
+_PART_PERIOD = 0.02  # s of wall time between two parts of a transfer during a standstill
+_PART_CREDIT = 32.0  # credit of all clients in that period while a tick waits for a slow participant
 
 
 class _Vehicle:
-    """One vehicle's ports, and what serves them."""
+    """The ports of one vehicle and the receiver of their messages."""
 
     def __init__(
-        self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str, room: Room
+        self, vehicle: Vehicle, autopilot: Autopilot, commander: Commander, index: int, host: str, limit: ClientLimit
     ) -> None:
         self.index = index
         self.commander = commander
-        telemetry = Reports(commander, autopilot, index)
+        telemetry = VehicleTelemetry(commander, autopilot, index)
         ends = (
             ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, False),
             ("ground-station", vehicle.gcs_local_port, vehicle.gcs_remote_port, GCS_RATES, True),
@@ -52,7 +52,7 @@ class _Vehicle:
         try:
             for kind, local, remote, rates, by_wall in ends:
                 self.ports.append(
-                    Port(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall, room=room)
+                    Port(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall, limit=limit)
                 )
         except OSError:
             self.close()
@@ -60,24 +60,24 @@ class _Vehicle:
         self.receiver = Receiver(commander, autopilot, index, self.clients)
 
     def clients(self) -> list[Link]:
-        """Return the links to everybody who listens, in a fixed order."""
+        """Return the links with active streams, in a fixed order."""
         return [link for port in self.ports for link in port.links if link.streams.active]
 
     @property
-    def told(self) -> int:
-        """How many messages have been sent to clients, and texts and events wait to be."""
+    def message_count(self) -> int:
+        """Number of messages sent to clients so far, plus queued texts and events."""
         sent = sum(link.sent for port in self.ports for link in port.links)
         return sent + len(self.commander.texts) + len(self.commander.events)
 
     def reboot(self, autopilot: Autopilot, commander: Commander) -> None:
         self.commander = commander
         self.receiver = Receiver(commander, autopilot, self.index, self.clients)
-        telemetry = Reports(commander, autopilot, self.index)
+        telemetry = VehicleTelemetry(commander, autopilot, self.index)
         for port in self.ports:
             port.reboot(telemetry, autopilot.time_us)
 
     def send(self, now_us: int) -> None:
-        """Send texts, telemetry, and what services have to say by ``now_us``."""
+        """Send the texts, the telemetry and the messages of services that are due by ``now_us``."""
         texts = self.commander.texts
         wanted = bool(texts)
         if self.receiver.next_due_us <= now_us:
@@ -97,11 +97,11 @@ class _Vehicle:
             port.close()
 
 
-_Place = tuple[_Vehicle, Port]
+_PortKey = tuple[_Vehicle, Port]
 
 
-class _End(NamedTuple):
-    """A socket that is read, and what it belongs to."""
+class _Socket(NamedTuple):
+    """A socket with its port and vehicle."""
 
     served: _Vehicle
     port: Port
@@ -109,7 +109,7 @@ class _End(NamedTuple):
 
 
 class MavlinkServer:
-    """MAVLink of a fleet. One thread calls everything; nothing here blocks but ``receive`` with a timeout."""
+    """MAVLink of a fleet. All calls come from one thread; only ``receive`` with a timeout blocks."""
 
     def __init__(
         self, fleet: Sequence[Vehicle], autopilot: Autopilot, commanders: Sequence[Commander], host: str = LOOPBACK
@@ -118,47 +118,47 @@ class MavlinkServer:
 
         Args:
             fleet: the vehicles, in the order of the autopilot's records.
-            autopilot: holder of the records.
-            commanders: one a vehicle; when another one takes a place in it, that vehicle's autopilot was rebooted.
+            autopilot: autopilot that holds the records.
+            commanders: one for each vehicle; a replaced element means that the vehicle's autopilot was rebooted.
             host: address to listen on; "0.0.0.0" for every network.
 
         Raises:
-            LinkError: a port is taken; the message names vehicle, link and port. No port stays bound then.
+            LinkError: a port is in use; the message names vehicle, link and port. No port stays bound then.
         """
         self._autopilot = autopilot
         self._commanders = commanders
         self._vehicles: list[_Vehicle] = []
-        self._ends: dict[int, _End] = {}  # by descriptor
-        self._common = select.epoll()  # what anybody may send to
-        self._reserved = select.epoll()  # those of single participants
+        self._sockets: dict[int, _Socket] = {}  # by descriptor
+        self._common = select.epoll()  # sockets open to every sender
+        self._reserved = select.epoll()  # sockets of single participants
         self._all = select.epoll()
-        self._hears_all = True
-        self._held = False
-        room = Room(CLIENTS + VEHICLE_CLIENTS * len(fleet))
+        self._polls_common = True
+        self._holding = False
+        limit = ClientLimit(CLIENTS + VEHICLE_CLIENTS * len(fleet))
         try:
             for index, (vehicle, commander) in enumerate(zip(fleet, commanders, strict=True)):
-                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index, host, room))
+                self._vehicles.append(_Vehicle(vehicle, autopilot, commander, index, host, limit))
         except OSError:
             self.close()
             raise
         self._ports = [port for served in self._vehicles for port in served.ports]
-        self._next_look = self._next_part = 0.0
-        self._stood = (-1, 0.0)  # simulated time at the last look, us, and wall time since which it has been that
-        self._purse = Purse(STEP_EARNINGS + VEHICLE_EARNINGS * len(self._vehicles), SAVINGS)
-        self._turns: Turns[_Place] = Turns()
-        self._places = {port: (served, port) for served in self._vehicles for port in served.ports}
-        for served, port in self._places.values():
-            self._watch(self._common, _End(served, port, port.socket))
+        self._next_keep_alive = self._next_part = 0.0
+        self._last_step = (-1, 0.0)  # simulated time at the last check, us, and wall time at which it was reached
+        self._credit = Credit(STEP_CREDIT + VEHICLE_CREDIT * len(self._vehicles), MAX_CREDIT)
+        self._queues: DatagramQueues[_PortKey] = DatagramQueues()
+        self._port_keys = {port: (served, port) for served in self._vehicles for port in served.ports}
+        for served, port in self._port_keys.values():
+            self._watch(self._common, _Socket(served, port, port.socket))
         for poll in (self._common, self._reserved):
             self._all.register(poll.fileno(), select.EPOLLIN)
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when a datagram has come that can be acted on."""
+        """Return a descriptor that is readable when a datagram can be handled."""
         return self._all.fileno()
 
     @property
     def next_due_us(self) -> int:
-        """Simulated time, microseconds, at which ``send_streams`` has something to do next."""
+        """Simulated time, microseconds, at which ``send_streams`` is due next."""
         streams = (port.next_due_us for port in self._ports)
         services = (served.receiver.next_due_us for served in self._vehicles)
         return min(chain(streams, services), default=_NEVER)
@@ -170,7 +170,7 @@ class MavlinkServer:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Names of the messages that are acted on."""
+        """Names of the handled messages."""
         return self._vehicles[0].receiver.messages
 
     @property
@@ -188,12 +188,12 @@ class MavlinkServer:
         return {port.local_port: port.received for port in self._ports}
 
     def direct(self, ports: Iterable[int], host: str, *, override: bool = False) -> None:
-        """Let what goes to one of ``ports`` from the start go to ``host``, until the client there has spoken.
+        """Set the host of first clients that have not sent yet.
 
         Args:
-            ports: ports of first clients.
-            host: address of the machine to send to.
-            override: also where the client has spoken already: it is gone.
+            ports: remote ports of the first clients.
+            host: address of their machine.
+            override: replace also clients that have sent already, because they are gone.
         """
         wanted = set(ports)
         for port in self._ports:
@@ -201,71 +201,71 @@ class MavlinkServer:
                 port.direct(host, self._autopilot.time_us, override=override)
 
     def reserve(self, peers: Mapping[int, Collection[str]]) -> None:
-        """Have sockets of their own for those whose datagrams must be acted on at once, however much others send.
+        """Reserve sockets for lockstep participants, whose datagrams are handled on arrival under any load.
 
         Args:
-            peers: the remote ports of links to the addresses from which their clients send. Who was named before and
-                is not any more is a client as others are.
+            peers: remote port to the addresses of the machines from which participants send. Addresses reserved
+                before and missing here become ordinary clients.
         """
         now_us = self._autopilot.time_us
-        for served, port in self._places.values():
+        for served, port in self._port_keys.values():
             hosts = peers.get(port.remote_port, ())
             new, gone = port.reserve([(host, port.remote_port) for host in hosts], now_us)
             for one in gone:
-                end = self._ends.pop(one.fileno())
+                entry = self._sockets.pop(one.fileno())
                 self._reserved.unregister(one.fileno())
-                self._read(end, now_us)
+                self._read(entry, now_us)
                 one.close()
             for one in new:
-                self._watch(self._reserved, _End(served, port, one))
-            if new:  # what came before comes first
-                self._read(_End(served, port, port.socket), now_us)
+                self._watch(self._reserved, _Socket(served, port, one))
+            if new:  # earlier datagrams first
+                self._read(_Socket(served, port, port.socket), now_us)
 
-    def _watch(self, poll: select.epoll, end: _End) -> None:
-        self._ends[end.socket.fileno()] = end
-        poll.register(end.socket.fileno(), select.EPOLLIN)
+    def _watch(self, poll: select.epoll, entry: _Socket) -> None:
+        self._sockets[entry.socket.fileno()] = entry
+        poll.register(entry.socket.fileno(), select.EPOLLIN)
 
     def receive(self, timeout: float = 0.0) -> int:
-        """Read all datagrams that have come, waiting up to ``timeout`` seconds of wall time for the first.
+        """Read all received datagrams, waiting up to ``timeout`` seconds of wall time for the first.
 
-        Those of participants are acted on at once; the others take turns, see ``turns``.
+        Datagrams of participants are handled on arrival, the others as ``rate_limit`` allows.
 
         Returns:
-            How many there were.
+            Number of datagrams read.
         """
         now_us = self._autopilot.time_us
-        self._earn(now_us)
+        self._accrue_credit(now_us)
         if timeout > 0.0:
             self._all.poll(0.0 if self.backlog else timeout)
         count = 0
-        for poll in (self._common, self._reserved) if self._hears_all else (self._reserved,):
+        for poll in (self._common, self._reserved) if self._polls_common else (self._reserved,):
             for descriptor, _ in poll.poll(0.0):
-                count += self._read(self._ends[descriptor], now_us)
-        if self._turns:
-            self._take_turns(now_us)
-        self._hear_all(not self._held or self._purse.left > 0.0)
+                count += self._read(self._sockets[descriptor], now_us)
+        if self._queues:
+            self._serve_queues(now_us)
+        self._poll_common(not self._holding or self._credit.left > 0.0)
         return count
 
     @property
     def backlog(self) -> bool:
-        """Whether something waits that ``receive`` would act on now."""
-        return len(self._turns) > 0 and (self._purse.left > 0.0 or not self._held)
+        """Whether ``receive`` would handle a queued datagram now."""
+        return len(self._queues) > 0 and (self._credit.left > 0.0 or not self._holding)
 
-    def _earn(self, now_us: int) -> None:
-        """Give clients credit for the time that has passed, or for time that stands while no tick is held up."""
-        if not self._purse.earn(now_us) and not self._held:
-            self._purse.fill()
+    def _accrue_credit(self, now_us: int) -> None:
+        """Add credit for elapsed time; restore all of it while time stands still between ticks."""
+        if not self._credit.accrue(now_us) and not self._holding:
+            self._credit.fill()
 
-    def _hear_all(self, wanted: bool) -> None:
-        """Be woken by everybody's datagrams, or only by those of participants."""
-        if wanted != self._hears_all:
-            self._hears_all = wanted
+    def _poll_common(self, wanted: bool) -> None:
+        """Poll the common sockets too (``wanted``), or only those of participants."""
+        if wanted != self._polls_common:
+            self._polls_common = wanted
             self._all.modify(self._common.fileno(), select.EPOLLIN if wanted else 0)
 
-    def _read(self, end: _End, now_us: int) -> int:
-        """Read what is in a socket; act on what is a participant's, and queue the rest. Return how many there were."""
-        served, port, source = end
-        count, exact = 0, False
+    def _read(self, entry: _Socket, now_us: int) -> int:
+        """Read a socket: handle datagrams of participants, queue the others. Return the number of datagrams."""
+        served, port, source = entry
+        count, from_participant = 0, False
         while count < _MAX_DATAGRAMS:
             arrived = port.read(source)
             if arrived is None:
@@ -273,102 +273,102 @@ class MavlinkServer:
             count += 1
             datagram, sender = arrived
             if source is not port.socket or port.is_reserved(sender):
-                exact = True
-                served.receiver.take(port, datagram, sender, now_us, participant=True)
+                from_participant = True
+                served.receiver.handle_datagram(port, datagram, sender, now_us, participant=True)
                 port.count_bytes(sender, len(datagram))
-            elif not self._turns.put((served, port), sender, datagram, known=port.known(sender) is not None):
+            elif not self._queues.put((served, port), sender, datagram, known=port.find_link(sender) is not None):
                 port.drop(sender, now_us)
-        if exact:
+        if from_participant:
             port.flush(now_us)
         return count
 
     @staticmethod
-    def _take(served: _Vehicle, port: Port, datagram: bytes, sender: Address, now_us: int) -> int:
-        """Act on a datagram; return what it cost."""
-        link, told = port.known(sender), served.told
+    def _handle(served: _Vehicle, port: Port, datagram: bytes, sender: Address, now_us: int) -> int:
+        """Handle a datagram; return its cost."""
+        link, total = port.find_link(sender), served.message_count
         before = 0 if link is None else link.sent
-        served.receiver.take(port, datagram, sender, now_us)
+        served.receiver.handle_datagram(port, datagram, sender, now_us)
         port.count_bytes(sender, len(datagram))
-        told = served.told - told
-        link = port.known(sender)
-        answers = 0 if link is None else link.sent - before
-        return cost(len(datagram), answers, max(told - answers, 0))
+        total = served.message_count - total
+        link = port.find_link(sender)
+        replies = 0 if link is None else link.sent - before
+        return cost(len(datagram), replies, max(total - replies, 0))
 
-    def _take_turns(self, now_us: int) -> None:
-        """Act on what waits as long as there is credit for it."""
+    def _serve_queues(self, now_us: int) -> None:
+        """Handle queued datagrams, one of each sender in turn, until the credit is used up."""
         answered: dict[Port, None] = {}
-        waiting = self._turns.waiting()
+        waiting = self._queues.waiting()
         while waiting:
             served = []
-            for place, sender in waiting:
-                purse = self._purse_for(place[1], sender, now_us)
-                if purse is None:  # nor will there be one in this round
+            for port_key, sender in waiting:
+                credit = self._credit_for(port_key[1], sender, now_us)
+                if credit is None:  # the sender waits for the next call
                     continue
-                datagram = self._turns.take(place, sender)
-                purse.left -= self._take(*place, datagram, sender, now_us)
-                answered[place[1]] = None
-                served.append((place, sender))
-            waiting = [key for key in served if self._turns.waits(*key)]
+                datagram = self._queues.pop(port_key, sender)
+                credit.left -= self._handle(*port_key, datagram, sender, now_us)
+                answered[port_key[1]] = None
+                served.append((port_key, sender))
+            waiting = [key for key in served if self._queues.is_waiting(*key)]
         for port in answered:
             port.flush(now_us)
 
-    def _purse_for(self, port: Port, sender: Address, now_us: int) -> Purse | None:
-        """Return what pays for the next datagram of ``sender``, None when it has to wait."""
-        if self._purse.left > 0.0:
-            return self._purse
-        link = port.known(sender)
+    def _credit_for(self, port: Port, sender: Address, now_us: int) -> Credit | None:
+        """Return the credit that pays for the next datagram of ``sender``, None when none is left."""
+        if self._credit.left > 0.0:
+            return self._credit
+        link = port.find_link(sender)
         if link is None:
             return None
-        link.purse.earn(now_us)
-        return link.purse if link.purse.left > 0.0 else None
+        link.credit.accrue(now_us)
+        return link.credit if link.credit.left > 0.0 else None
 
     def send_streams(self, now_us: int) -> None:
-        """Send the texts that wait, the telemetry that is due by ``now_us``, and what services have to say by then."""
+        """Send queued texts, and the telemetry and the messages of services that are due by ``now_us``."""
         for served, commander in zip(self._vehicles, self._commanders, strict=True):
             if served.commander is not commander:
                 served.reboot(self._autopilot, commander)
             served.send(now_us)
 
     def keep_alive(self, counted_ports: Callable[[], Collection[int]] = tuple) -> None:
-        """Keep clients that live by wall time going while simulated time is slow or stands still; call it now and then.
+        """Serve clients that run on wall time while simulated time is slow or stands still; call it periodically.
 
-        Ground stations hear a heartbeat each second, so that they do not take the link for lost. When time stands,
-        transfers that it paces (parameter lists, logs, files) go on, so that somebody can come to a paused simulation,
-        look around and tell it something. Nothing of it has a part in the flight.
+        Ground stations get a heartbeat each wall second, so that they do not report a lost link. During a standstill,
+        transfers paced by simulated time (parameter lists, logs, files) continue, so that a ground station can connect
+        to a paused simulation. None of this affects the flight.
 
         Args:
-            counted_ports: returns the remote ports on which lockstep participants count what comes; what goes there
-                must not depend on wall time either.
+            counted_ports: returns the remote ports at which lockstep participants count received datagrams; traffic to
+                them must not depend on wall time.
         """
         wall = time.monotonic()
-        self._go_on(wall, counted_ports)
-        if wall < self._next_look:
+        self._continue_transfers(wall, counted_ports)
+        if wall < self._next_keep_alive:
             return
-        self._next_look = wall + _LOOK_PERIOD
+        self._next_keep_alive = wall + _KEEP_ALIVE_PERIOD
         counted = counted_ports()
         for port in self._ports:
             if port.by_wall:
                 port.keep_alive(self._autopilot.time_us, counted)
 
     @property
-    def patience(self) -> float:
-        """Wall time, s, after which ``keep_alive`` is wanted again while simulated time stands."""
+    def keep_alive_delay(self) -> float:
+        """Wall time, s, after which ``keep_alive`` must be called again during a standstill."""
         if self.backlog:
             return 0.0
-        awaited = self._turns or not self._hears_all or any(served.receiver.waits for served in self._vehicles)
-        return _PART_PERIOD if awaited else _LOOK_PERIOD
+        busy = self._queues or not self._polls_common or any(served.receiver.has_transfers for served in self._vehicles)
+        return _PART_PERIOD if busy else _KEEP_ALIVE_PERIOD
 
-    def _go_on(self, wall: float, counted_ports: Callable[[], Collection[int]]) -> None:
+    def _continue_transfers(self, wall: float, counted_ports: Callable[[], Collection[int]]) -> None:
         """Send the next parts of transfers if simulated time stands still."""
         now_us = self._autopilot.time_us
-        if now_us != self._stood[0]:
-            self._stood = (now_us, wall)
-        if wall - self._stood[1] < _STANDSTILL or wall < self._next_part:
+        if now_us != self._last_step[0]:
+            self._last_step = (now_us, wall)
+        if wall - self._last_step[1] < _STANDSTILL or wall < self._next_part:
             return
         self._next_part = wall + _PART_PERIOD
-        self._purse.left = max(self._purse.left, _PART_CREDIT)
-        self._hear_all(True)
-        waiting = [served for served in self._vehicles if served.receiver.waits]
+        self._credit.left = max(self._credit.left, _PART_CREDIT)
+        self._poll_common(True)
+        waiting = [served for served in self._vehicles if served.receiver.has_transfers]
         if not waiting:
             return
         counted = counted_ports()
@@ -378,11 +378,11 @@ class MavlinkServer:
                 port.flush_others(now_us, counted)
 
     def reboot(self, autopilot: Autopilot, commanders: Sequence[Commander]) -> None:
-        """Go on with autopilots that have been rebooted: streams start anew; sockets, peers and counters stay.
+        """Switch to rebooted autopilots and restart the streams; sockets, peers and counters are kept.
 
         Args:
-            autopilot: holder of the new records; its time may be before the old one's.
-            commanders: the new ones, one a vehicle.
+            autopilot: autopilot that holds the new records; its time may be before the old one.
+            commanders: the new commanders, one for each vehicle.
         """
         self._autopilot = autopilot
         self._commanders = commanders
@@ -390,17 +390,17 @@ class MavlinkServer:
             served.reboot(autopilot, commander)
 
     def hold_setpoints(self) -> None:
-        """Begin a tick: queue what participants send until ``release_setpoints``; see :class:`Receiver`."""
-        self._held = True
+        """Begin a tick: queue setpoints of participants until ``release_setpoints``; see :class:`Receiver`."""
+        self._holding = True
         for served in self._vehicles:
-            served.receiver.hold()
+            served.receiver.hold_setpoints()
 
     def release_setpoints(self) -> None:
-        """Act on what was queued."""
-        self._held = False
-        self._hear_all(True)
+        """Apply the queued setpoints."""
+        self._holding = False
+        self._poll_common(True)
         for served in self._vehicles:
-            served.receiver.release()
+            served.receiver.release_setpoints()
 
     def close(self) -> None:
         """Close all sockets."""

@@ -1,7 +1,7 @@
-"""What the MAVLink services of one vehicle have in common.
+"""Base class of the MAVLink services of one vehicle.
 
-A service acts on the messages that belong to it and answers the client that they came from. Services know nothing of
-each other; ``receiver`` routes messages to them.
+A service handles its messages and replies to their sender. Services are independent of each other; ``receiver`` routes
+messages to them.
 """
 
 from __future__ import annotations
@@ -22,20 +22,21 @@ Handler = Callable[[Link, Any], None]
 
 
 class Vehicle:
-    """What a service needs to know of its vehicle.
+    """State of the vehicle, shared by its services.
 
     Attributes:
-        commander: the vehicle's state machine; ``commander.parameters`` and ``commander.navigator`` are reached by it.
-        autopilot: holder of the records.
-        index: the vehicle's place in them.
+        commander: the vehicle's state machine, with its ``parameters`` and ``navigator``.
+        autopilot: autopilot that holds the records.
+        index: the vehicle's index in them.
         system_id: MAVLink system id.
-        now_us: simulated time, microseconds, of the message that is handled.
-        participant: whether the message that is handled came from a participant of the lockstep.
-        clients: returns the links to everybody who listens, for what is for all.
-        on_request: message id to what answers a request for a message that is no stream; services fill it. It may
-            return False when there is nothing to tell.
+        now_us: simulated time, microseconds, of the message being handled.
+        participant: whether the message being handled came from a lockstep participant.
+        clients: returns the links with active streams, for broadcasts.
+        on_request: message id to the function that answers MAV_CMD_REQUEST_MESSAGE for a message without a stream;
+            services fill it. The function returns False if it cannot send the message.
         capabilities: MAV_PROTOCOL_CAPABILITY bits of all services.
-        files: path to the content of files that MAVLink FTP lets clients read beside the logs; services fill it.
+        files: path to a function that returns the content, of files that MAVLink FTP serves beside the logs;
+            services fill it.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class Vehicle:
         index: int,
         clients: Callable[[], list[Link]] = list,
     ) -> None:
-        """Look at vehicle ``index`` of ``autopilot``, whose commander is given."""
+        """Represent vehicle ``index`` of ``autopilot``."""
         self.commander = commander
         self.autopilot = autopilot
         self.index = index
@@ -58,55 +59,55 @@ class Vehicle:
         self.files: dict[str, Callable[[], bytes]] = {}
         self._held: list[Callable[[], None]] | None = None
 
-    def hold(self) -> None:
-        """Queue what participants give to ``in_turn`` from now on until ``release``."""
+    def hold_setpoints(self) -> None:
+        """Queue the actions that participants request through ``call_or_queue`` until ``release_setpoints``."""
         self._held = [] if self._held is None else self._held
 
-    def release(self) -> None:
-        """Act on what was queued, in the order of arrival."""
+    def release_setpoints(self) -> None:
+        """Call the queued actions in order of arrival."""
         held, self._held = self._held, None
-        for act in held or ():
-            act()
+        for action in held or ():
+            action()
 
-    def in_turn(self, act: Callable[[], None]) -> None:
-        """Call ``act`` now, or at ``release`` if a participant asks for it; see ``receiver``."""
+    def call_or_queue(self, action: Callable[[], None]) -> None:
+        """Call ``action`` now, or queue it if a participant requests it while setpoints are held; see ``receiver``."""
         if self._held is None or not self.participant:
-            act()
+            action()
         else:
-            self._held.append(act)
+            self._held.append(action)
 
 
 class Service:
     """One MAVLink microservice of one vehicle.
 
-    A subclass says in ``MESSAGES`` what it handles: message name to the handler's name. A message with a
-    ``target_system`` (or ``target``) reaches the handler only when it is for this vehicle or for all, one with a
-    ``target_component`` only when it is for the autopilot or for all.
+    ``MESSAGES`` of a subclass maps the name of each handled message to the name of the handler method. A message with
+    a ``target_system`` (or ``target``) reaches the handler only if that is this vehicle or a broadcast, one with a
+    ``target_component`` only if that is the autopilot or a broadcast.
 
-    ``CAPABILITIES`` has the MAV_PROTOCOL_CAPABILITY bits that hold because of the service.
+    ``CAPABILITIES`` holds the MAV_PROTOCOL_CAPABILITY bits that the service provides.
 
     Attributes:
         vehicle: the vehicle served.
-        due_us: simulated time, microseconds, at which ``update`` wants to be called; ``NEVER_US`` for never.
+        due_us: simulated time, microseconds, of the next ``update``; ``NEVER_US`` for none.
     """
 
     MESSAGES: ClassVar[dict[str, str]] = {}
     CAPABILITIES: ClassVar[int] = 0
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         self.vehicle = vehicle
         self.due_us = NEVER_US
         vehicle.capabilities |= self.CAPABILITIES
 
     @property
     def handlers(self) -> dict[str, Handler]:
-        """Message name to what handles it: a function of the client's link and the decoded message."""
+        """Message name to its handler, a function of the client's link and the decoded message."""
         return {message: getattr(self, name) for message, name in self.MESSAGES.items()}
 
     @property
     def waiting(self) -> list[Link]:
-        """Links with a transfer that goes on by itself: part by part in ``update``, or by ``send_part``."""
+        """Links with a transfer in progress, which ``update`` or ``send_part`` continue part by part."""
         return []
 
     def send_part(self, link: Link, now_us: int) -> None:
@@ -114,5 +115,5 @@ class Service:
         raise NotImplementedError
 
     def update(self, now_us: int) -> None:
-        """Go on with what takes time; called once ``due_us`` is reached, and sets it anew."""
+        """Continue work in progress and set the next ``due_us``; called once ``due_us`` is reached."""
         self.due_us = NEVER_US

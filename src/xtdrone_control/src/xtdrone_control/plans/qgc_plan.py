@@ -1,8 +1,8 @@
-"""QGroundControl's .plan files: mission, geofence and rally points of one vehicle, to plan items and back.
+"""QGroundControl's .plan files: conversion of mission, geofence and rally points of one vehicle to plan items and back.
 
-The format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. An item's frame and
-parameters count, its ``Altitude`` keys only help to draw it; patterns are expanded to the items they hold; DO_JUMP's
-target, a ``doJumpId`` in the file, becomes the index of an item.
+Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html. Items are read from frame and
+parameters; the ``Altitude`` keys, used for display only, are ignored. Patterns are expanded to the items that they
+contain; the target of DO_JUMP, a ``doJumpId`` in the file, becomes the index of an item.
 """
 
 from __future__ import annotations
@@ -21,58 +21,58 @@ from xtdrone_control.bounded_file import MB, ContentError, load_json, read_text
 from xtdrone_control.mavlink.microservices import mission_items
 
 SUFFIX = ".plan"
-LARGEST = 16 * MB  # some thousand items have a few
-FRAME_GLOBAL, FRAME_RELATIVE = 0, 3  # MAV_FRAME: altitude over sea level, over home
+LARGEST = 16 * MB  # several thousand items take a few MB
+FRAME_GLOBAL, FRAME_RELATIVE = 0, 3  # MAV_FRAME: altitude above sea level, above home
 
 _MAVLINK_FRAMES = {0: FRAME_GLOBAL, 5: FRAME_GLOBAL, 3: FRAME_RELATIVE, 6: FRAME_RELATIVE, 2: FRAME_MISSION}
 _ALTITUDE_MODES = {FRAME_RELATIVE: 1, FRAME_GLOBAL: 2}  # QGroundControl's: relative to launch, AMSL
 _GENERIC, _ARDUPILOT, _PX4 = 0, 3, 12  # MAV_AUTOPILOT
 _FOREIGN = {_GENERIC: "no autopilot in particular", _ARDUPILOT: "ArduPilot"}
 _MULTICOPTER = 2  # MAV_TYPE
-_PATTERNS = ("survey", "CorridorScan")  # those whose items stand in the file
+_PATTERNS = ("survey", "CorridorScan")  # patterns whose items are in the file
 _TRANSECTS = "TransectStyleComplexItem"
 _LARGEST_COMMAND = 0xFFFF
-_LARGEST_NUMBER = 3.4e38  # what MAVLink's floats hold
+_LARGEST_NUMBER = 3.4e38  # limit of MAVLink's floats
 _LEAST_CORNERS = 3
-_FAR_ALTITUDE = 100_000.0  # m, either way
-_PLACED_POLYGONS = {plan.FENCE_INCLUSION: True, plan.FENCE_EXCLUSION: False}
-_PLACED_CIRCLES = {plan.FENCE_CIRCLE_INCLUSION: True, plan.FENCE_CIRCLE_EXCLUSION: False}
+_FAR_ALTITUDE = 100_000.0  # m, above and below
+_POLYGONS = {plan.FENCE_INCLUSION: True, plan.FENCE_EXCLUSION: False}
+_CIRCLES = {plan.FENCE_CIRCLE_INCLUSION: True, plan.FENCE_CIRCLE_EXCLUSION: False}
 
-Place = tuple[float, float, float]
+Position = tuple[float, float, float]
 
 
 class PlanError(ValueError):
-    """A plan that cannot be used: the message names the file, the item, the value and what is allowed."""
+    """An invalid plan: the message names the file, the item, the value and the allowed values."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a .plan file holds for one vehicle.
+    """Content of a .plan file for one vehicle.
 
     Attributes:
-        mission: the items; DO_JUMP's param1 is the index of the item to jump to.
+        mission: mission items; param1 of DO_JUMP is the index of its target item.
         fence: FENCE_* items: corners polygon by polygon, circles, a return point.
         rally: RALLY_POINT items.
-        home: planned home: latitude, longitude, degrees, altitude, m AMSL. The vehicle's own home counts in flight.
-        cruise_speed, hover_speed: m/s, with which QGroundControl estimates times; the vehicle is not told.
-        firmware: MAV_AUTOPILOT that it was drawn for. Its items are taken as PX4 takes them, whatever that is.
+        home: planned home position: latitude, longitude, degrees, altitude, m AMSL; not used in flight.
+        cruise_speed, hover_speed: m/s, used by QGroundControl to estimate times; not sent to the vehicle.
+        firmware: MAV_AUTOPILOT that the plan was made for; its items have PX4's meaning in any case.
     """
 
     mission: Items
     fence: Items = ()
     rally: Items = ()
-    home: Place = (0.0, 0.0, 0.0)
+    home: Position = (0.0, 0.0, 0.0)
     cruise_speed: float = 15.0
     hover_speed: float = 5.0
     firmware: int = _PX4
 
     @property
     def drawn_for(self) -> str:
-        """For which autopilot it was drawn, in words; empty for PX4."""
+        """Name of the autopilot that the plan was made for; empty for PX4."""
         return _FOREIGN.get(self.firmware, "")
 
     def items(self, kind: int) -> Items:
-        """Return the list of a MAV_MISSION_TYPE: 0 mission, 1 fence, 2 rally."""
+        """Return the items of a MAV_MISSION_TYPE: 0 mission, 1 fence, 2 rally."""
         return (self.mission, self.fence, self.rally)[kind]
 
 
@@ -83,7 +83,7 @@ def read(path: str | Path) -> Plan:
     """Return the plan in a file.
 
     Raises:
-        PlanError: it cannot be read, is no plan, or holds what cannot be used.
+        PlanError: the file cannot be read, is not a plan, or has an invalid value.
     """
     try:
         text = read_text(path, LARGEST)
@@ -94,10 +94,10 @@ def read(path: str | Path) -> Plan:
 
 
 def parse(text: str, name: str = "plan") -> Plan:
-    """Return the plan that a .plan file's text describes; ``name`` is what messages call it.
+    """Return the plan in the text of a .plan file; ``name`` is its name in error messages.
 
     Raises:
-        PlanError: it is no plan, or holds what cannot be used.
+        PlanError: the text is not a plan, or has an invalid value.
     """
     try:
         content = load_json(text, _no_constant)
@@ -113,7 +113,7 @@ def parse(text: str, name: str = "plan") -> Plan:
         _read_mission(mission),
         _read_fence(file.get("geoFence", {})),
         _read_rally(file.get("rallyPoints", {})),
-        _read_place(mission.get("plannedHomePosition"), 3),
+        _read_position(mission.get("plannedHomePosition"), 3),
         mission.get("cruiseSpeed", 15.0).number(0.0, 1000.0),
         mission.get("hoverSpeed", 5.0).number(0.0, 1000.0),
         firmware,
@@ -121,29 +121,29 @@ def parse(text: str, name: str = "plan") -> Plan:
 
 
 def _no_constant(constant: str) -> float:
-    raise ValueError(f"{constant} is no number of JSON; null stands for a parameter that is not given")
+    raise ValueError(f"{constant} is not a JSON number; write null for an unset parameter")
 
 
 class _Value:
-    """A value of the file with the path that leads to it, for messages."""
+    """A value of the file with its path, for error messages."""
 
     def __init__(self, where: str, value: Any) -> None:
         self.where = where
         self.value = value
 
-    def refuse(self, allowed: str) -> PlanError:
-        """Return the error that says what would be allowed here."""
+    def not_allowed(self, allowed: str) -> PlanError:
+        """Return the error for this value; ``allowed`` describes the allowed values."""
         shown = json.dumps(self.value)
         return PlanError(f"{self.where}: {shown[:60]}{'...' * (len(shown) > 60)} is not allowed, {allowed}")
 
     def get(self, key: str, default: Any = None) -> _Value:
-        """Return what stands under ``key`` of this object, the default if nothing does.
+        """Return the value of ``key`` in this object, or the default.
 
         Raises:
-            PlanError: this is no object, or nothing stands there and there is no default.
+            PlanError: this is not an object, or the key is missing and has no default.
         """
         if not isinstance(self.value, dict):
-            raise self.refuse("an object")
+            raise self.not_allowed("an object")
         if key in self.value:
             return _Value(f"{self.where}: {key}", self.value[key])
         if default is None:
@@ -151,42 +151,42 @@ class _Value:
         return _Value(f"{self.where}: {key}", default)
 
     def list(self, name: str, length: int | None = None) -> list[_Value]:
-        """Return the elements of this list, called ``name`` and a number from 1.
+        """Return the elements of this list; their paths are ``name`` and a number from 1.
 
         Raises:
-            PlanError: this is no list, or not of ``length``.
+            PlanError: this is not a list, or not of ``length``.
         """
         if not isinstance(self.value, list) or length not in (None, len(self.value)):
-            raise self.refuse("a list" if length is None else f"a list of {length}")
+            raise self.not_allowed("a list" if length is None else f"a list of {length}")
         return [_Value(f"{self.where}: {name} {i}", value) for i, value in enumerate(self.value, 1)]
 
     def one_of(self, allowed: Sequence[Any]) -> Any:
         """Return this value, which must be one of ``allowed``."""
         if isinstance(self.value, bool) or self.value not in allowed:
-            raise self.refuse(" or ".join(json.dumps(value) for value in allowed))
+            raise self.not_allowed(" or ".join(json.dumps(value) for value in allowed))
         return self.value
 
     def whole(self, low: int, high: int) -> int:
-        """Return this whole number within limits."""
+        """Return this value, which must be an integer in ``low``..``high``."""
         if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
-            raise self.refuse(f"a whole number from {low} to {high}")
+            raise self.not_allowed(f"a whole number from {low} to {high}")
         return self.value
 
     def flag(self) -> bool:
-        """Return this truth value."""
+        """Return this value, which must be true or false."""
         if not isinstance(self.value, bool):
-            raise self.refuse("true or false")
+            raise self.not_allowed("true or false")
         return self.value
 
     def number(self, low: float, high: float) -> float:
-        """Return this number within limits."""
+        """Return this value, which must be a number in ``low``..``high``."""
         number = isinstance(self.value, (int, float)) and not isinstance(self.value, bool)
         if not number or not low <= self.value <= high:
-            raise self.refuse(f"a number from {low:g} to {high:g}")
+            raise self.not_allowed(f"a number from {low:g} to {high:g}")
         return float(self.value)
 
     def parameter(self) -> float:
-        """Return this parameter: a number, or NaN for null."""
+        """Return this value as a parameter: a number, or NaN for null."""
         return math.nan if self.value is None else self.number(-_LARGEST_NUMBER, _LARGEST_NUMBER)
 
 
@@ -200,7 +200,7 @@ def _read_mission(mission: _Value) -> Items:
 
 
 def _read_item(entry: _Value) -> list[tuple[_Value, int | None, PlanItem]]:
-    """Return an entry's items, each with where it stands and its doJumpId."""
+    """Return the items of an entry, each with its value in the file and its doJumpId."""
     if entry.get("type").one_of(("SimpleItem", "ComplexItem")) == "SimpleItem":
         return [_read_simple(entry)]
     entry.get("complexItemType").one_of(_PATTERNS)
@@ -212,13 +212,13 @@ def _read_simple(entry: _Value) -> tuple[_Value, int | None, PlanItem]:
     entry.get("type").one_of(("SimpleItem",))
     command = entry.get("command").whole(0, _LARGEST_COMMAND)
     frame = _MAVLINK_FRAMES[entry.get("frame").one_of(tuple(sorted(_MAVLINK_FRAMES)))]
-    placed = frame != FRAME_MISSION
-    if not mission_items.takes(command, placed):
-        kind = "with" if placed else "without"
-        raise entry.get("command").refuse(f"a MAV_CMD that PX4 takes {kind} a place (frame {frame})")
+    positioned = frame != FRAME_MISSION
+    if not mission_items.accepts(command, positioned):
+        kind = "with" if positioned else "without"
+        raise entry.get("command").not_allowed(f"a MAV_CMD that PX4 accepts {kind} a position (frame {frame})")
     values = entry.get("params").list("param", 7)
     params = [value.parameter() for value in values]
-    x, y, z = _read_place_of(values) if placed else [0.0 if math.isnan(value) else value for value in params[4:]]
+    x, y, z = _params_position(values) if positioned else [0.0 if math.isnan(value) else value for value in params[4:]]
     jump_id = entry.get("doJumpId").whole(0, 1 << 30) if "doJumpId" in entry.value else None
     item = PlanItem(
         command,
@@ -232,7 +232,7 @@ def _read_simple(entry: _Value) -> tuple[_Value, int | None, PlanItem]:
     return entry, jump_id, item
 
 
-def _read_place_of(params: list[_Value]) -> Place:
+def _params_position(params: list[_Value]) -> Position:
     return (
         params[4].number(-90.0, 90.0),
         params[5].number(-180.0, 180.0),
@@ -241,7 +241,7 @@ def _read_place_of(params: list[_Value]) -> Place:
 
 
 def _with_index(where: _Value, item: PlanItem, index_of: dict[int, int]) -> PlanItem:
-    """Return ``item`` with the index in place of the doJumpId if it jumps."""
+    """Return ``item``, a DO_JUMP with the index of its target instead of the doJumpId."""
     if item.command != plan.JUMP:
         return item
     target = item.params[0]
@@ -252,15 +252,15 @@ def _with_index(where: _Value, item: PlanItem, index_of: dict[int, int]) -> Plan
     return replace(item, params=(float(index), *item.params[1:]))
 
 
-def _read_place(value: _Value, length: int) -> Place:
-    """Return [latitude, longitude] or [latitude, longitude, altitude]; the altitude is 0 where there is none."""
+def _read_position(value: _Value, length: int) -> Position:
+    """Return [latitude, longitude] or [latitude, longitude, altitude]; the default altitude is 0."""
     numbers = value.list("number", length)
     altitude = numbers[2].number(-_FAR_ALTITUDE, _FAR_ALTITUDE) if length == 3 else 0.0
     return numbers[0].number(-90.0, 90.0), numbers[1].number(-180.0, 180.0), altitude
 
 
-def _placed(command: int, frame: int, param1: float, place: Place) -> PlanItem:
-    return PlanItem(command, frame, (param1, 0.0, 0.0, 0.0), *place, autocontinue=False)
+def _item(command: int, frame: int, param1: float, position: Position) -> PlanItem:
+    return PlanItem(command, frame, (param1, 0.0, 0.0, 0.0), *position, autocontinue=False)
 
 
 def _read_fence(fence: _Value) -> Items:
@@ -272,15 +272,15 @@ def _read_fence(fence: _Value) -> Items:
         command = plan.FENCE_INCLUSION if polygon.get("inclusion").flag() else plan.FENCE_EXCLUSION
         corners = polygon.get("polygon").list("corner")
         if len(corners) < _LEAST_CORNERS:
-            raise polygon.get("polygon").refuse(f"at least {_LEAST_CORNERS} corners")
-        items += [_placed(command, FRAME_GLOBAL, float(len(corners)), _read_place(corner, 2)) for corner in corners]
+            raise polygon.get("polygon").not_allowed(f"at least {_LEAST_CORNERS} corners")
+        items += [_item(command, FRAME_GLOBAL, float(len(corners)), _read_position(corner, 2)) for corner in corners]
     for entry in fence.get("circles", []).list("circle"):
         command = plan.FENCE_CIRCLE_INCLUSION if entry.get("inclusion").flag() else plan.FENCE_CIRCLE_EXCLUSION
         radius = entry.get("circle").get("radius").number(0.0, _FAR_ALTITUDE)
-        items.append(_placed(command, FRAME_GLOBAL, radius, _read_place(entry.get("circle").get("center"), 2)))
+        items.append(_item(command, FRAME_GLOBAL, radius, _read_position(entry.get("circle").get("center"), 2)))
     if fence.value.get("breachReturn"):
-        place = _read_place(fence.get("breachReturn"), 3)
-        items.append(_placed(plan.FENCE_RETURN_POINT, FRAME_RELATIVE, 0.0, place))
+        position = _read_position(fence.get("breachReturn"), 3)
+        items.append(_item(plan.FENCE_RETURN_POINT, FRAME_RELATIVE, 0.0, position))
     return tuple(items)
 
 
@@ -289,28 +289,28 @@ def _read_rally(rally: _Value) -> Items:
         return ()
     rally.get("version").one_of((1, 2))
     points = rally.get("points").list("point")
-    return tuple(_placed(plan.RALLY_POINT, FRAME_RELATIVE, 0.0, _read_place(point, 3)) for point in points)
+    return tuple(_item(plan.RALLY_POINT, FRAME_RELATIVE, 0.0, _read_position(point, 3)) for point in points)
 
 
 # ---- writing
 
 
 def write(path: str | Path, content: Plan) -> None:
-    """Write a plan into a file.
+    """Write a plan to a file.
 
     Raises:
-        PlanError: it cannot be told in this format; nothing is written.
-        OSError: it cannot be written there.
+        PlanError: the plan cannot be represented in this format; nothing is written.
+        OSError: the file cannot be written.
     """
     Path(path).write_text(text_of(content), encoding="utf-8")
 
 
 def text_of(content: Plan) -> str:
-    """Return a .plan file's text, as QGroundControl writes it.
+    """Return the text of a .plan file, in the form that QGroundControl writes.
 
     Raises:
-        PlanError: it cannot be told in this format: a number that is not finite, a jump out of the mission, corners
-            that make no polygon.
+        PlanError: the plan cannot be represented: a non-finite number, a jump out of the mission, corners that form no
+            polygon.
     """
     document = {
         "fileType": "Plan",
@@ -325,7 +325,7 @@ def text_of(content: Plan) -> str:
             "vehicleType": _MULTICOPTER,
             "version": 2,
         },
-        "rallyPoints": {"points": [list(_place(point)) for point in content.rally], "version": 2},
+        "rallyPoints": {"points": [list(_position(point)) for point in content.rally], "version": 2},
         "version": 1,
     }
     try:
@@ -334,13 +334,13 @@ def text_of(content: Plan) -> str:
         raise PlanError("plan: a number that is not finite is not allowed outside an item's parameters") from error
 
 
-def _told(value: float, where: str) -> float | None:
+def _finite_or_null(value: float, where: str) -> float | None:
     if math.isinf(value):
         raise PlanError(f"{where}: {value} is not allowed, a finite number or NaN")
     return None if math.isnan(value) else float(value)
 
 
-def _place(item: PlanItem) -> Place:
+def _position(item: PlanItem) -> Position:
     return float(item.x), float(item.y), float(item.z)
 
 
@@ -354,7 +354,7 @@ def _item_object(index: int, item: PlanItem, count: int) -> dict[str, Any]:
         if first not in range(count):
             raise PlanError(f"{where}: DO_JUMP to {first} is not allowed, the index of an item: 0 to {count - 1}")
         first += 1.0
-    params = [_told(value, where) for value in (first, *item.params[1:], *_place(item))]
+    params = [_finite_or_null(value, where) for value in (first, *item.params[1:], *_position(item))]
     found: dict[str, Any] = {}
     if item.has_position and frame in _ALTITUDE_MODES:
         found = {"AMSLAltAboveTerrain": None, "Altitude": params[6], "AltitudeMode": _ALTITUDE_MODES[frame]}
@@ -376,23 +376,23 @@ def _fence_object(fence: Items) -> dict[str, Any]:
     while i < len(fence):
         item = fence[i]
         i += 1
-        if item.command in _PLACED_POLYGONS:
+        if item.command in _POLYGONS:
             corners = _corners(fence, i - 1)
             i += len(corners) - 1
             path = [[corner.x, corner.y] for corner in corners]
-            polygons.append({"inclusion": _PLACED_POLYGONS[item.command], "polygon": path, "version": 1})
-        elif item.command in _PLACED_CIRCLES:
+            polygons.append({"inclusion": _POLYGONS[item.command], "polygon": path, "version": 1})
+        elif item.command in _CIRCLES:
             circle = {"center": [item.x, item.y], "radius": item.params[0]}
-            circles.append({"circle": circle, "inclusion": _PLACED_CIRCLES[item.command], "version": 1})
+            circles.append({"circle": circle, "inclusion": _CIRCLES[item.command], "version": 1})
         elif item.command == plan.FENCE_RETURN_POINT:
-            found["breachReturn"] = list(_place(item))
+            found["breachReturn"] = list(_position(item))
         else:
             raise PlanError(f"fence item {i}: command {item.command} is not allowed, 5000 to 5004")
     return found
 
 
 def _corners(fence: Items, start: int) -> Items:
-    """Return the corners of the polygon that begins at ``start``."""
+    """Return the corners of the polygon that starts at index ``start``."""
     first = fence[start]
     corners = fence[start : start + int(first.params[0])] if math.isfinite(first.params[0]) else ()
     alike = all(c.command == first.command and c.params[0] == first.params[0] for c in corners)

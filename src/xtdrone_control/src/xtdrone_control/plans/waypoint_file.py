@@ -1,9 +1,9 @@
-"""Mission files in the text format ``QGC WPL``, of QGroundControl's first years, Mission Planner, MAVProxy and MAVROS.
+"""Mission files in the text format ``QGC WPL`` of early QGroundControl, Mission Planner, MAVProxy and MAVROS.
 
-After the line ``QGC WPL 110`` (or 120) each line is an item: index, whether it is the current one, MAV_FRAME, MAV_CMD,
-param1 to param4, x (latitude), y (longitude), z (altitude), autocontinue; with tabs between. In a file of version 110
-the first item is home, as ArduPilot has it; 120 has no such item. ``#`` begins a comment.
-https://mavlink.io/en/file_formats/#mission_plain_text_file
+After the line ``QGC WPL 110`` (or 120) each line is an item, separated by tabs: index, current (0 or 1), MAV_FRAME,
+MAV_CMD, param1 to param4, x (latitude), y (longitude), z (altitude), autocontinue. In version 110 the first item is the
+home position, as in ArduPilot; version 120 has no such item. Lines starting with ``#`` are comments.
+Source: https://mavlink.io/en/file_formats/#mission_plain_text_file
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 
 VERSIONS = (110, 120)
 _COLUMNS = 12
-_LARGEST_FLOAT = 3.4028234663852886e38  # what MAVLink's floats hold
+_LARGEST_FLOAT = 3.4028234663852886e38  # limit of MAVLink's floats
 _NUMBERS = ("param1", "param2", "param3", "param4", "x", "y", "z")
 
 
 class WaypointFileError(ValueError):
-    """A file that cannot be read: the message names the file, the line, the value and what is allowed."""
+    """An invalid file: the message names the file, the line, the value and the allowed values."""
 
 
 class Row(NamedTuple):
     """One line.
 
     Attributes:
-        item: degrees and m, or what its command means by the seven numbers.
-        current: whether the vehicle was flying it.
+        item: plan item; positions in degrees and m.
+        current: whether it was the current item of the vehicle.
     """
 
     item: PlanItem
@@ -41,11 +41,11 @@ def read(text: str, name: str) -> list[Row]:
     """Return the items of a file.
 
     Args:
-        text: its content.
-        name: what messages call it.
+        text: content of the file.
+        name: name of the file in error messages.
 
     Raises:
-        WaypointFileError: it is no such file.
+        WaypointFileError: a line is not in this format.
     """
     rows: list[Row] = []
     version = 0
@@ -63,7 +63,7 @@ def read(text: str, name: str) -> list[Row]:
 
 
 def write(rows: Iterable[Row]) -> str:
-    """Return a file's text, of version 120 and with the line ends that MAVROS writes."""
+    """Return the text of a file of version 120 with CRLF line endings, as written by MAVROS."""
     lines = ["QGC WPL 120"]
     for index, (item, current) in enumerate(rows):
         numbers = (repr(float(value)) for value in (*item.params, item.x, item.y, item.z))

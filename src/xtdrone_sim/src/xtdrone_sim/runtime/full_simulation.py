@@ -166,7 +166,7 @@ class FullSimulation:
     @property
     def patience(self) -> float:
         """How long the MAVLink links may be left alone, wall s."""
-        return self._mavlink.patience
+        return self._mavlink.keep_alive_delay
 
     def open(self, server: LockstepServer, mailbox: Mailbox, idle: Idle) -> None:
         """Count datagrams together with the lockstep's server."""

@@ -1,8 +1,8 @@
 """COMMAND_LONG, COMMAND_INT and SET_MODE, with their acknowledgements.
 
-As in PX4 a command must name this system and its autopilot (or all components); others are passed over without a word,
-as is one that says it comes from this very autopilot. Only questions for version and capabilities may go to all
-systems. A repeated command (``confirmation`` above 0) is obeyed and acknowledged again.
+As in PX4, a command must address this system and its autopilot (or all components); other commands, and commands whose
+sender id is this autopilot, are silently ignored. Only requests of version and capabilities may be broadcast to all
+systems. A repeated command (``confirmation`` above 0) is executed and acknowledged again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FOR_ALL_SYSTEMS = (mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_RE
 
 
 class CommandService(Service):
-    """Obeys commands and acknowledges them."""
+    """Executes commands and acknowledges them."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "COMMAND_LONG": "_command_long",
@@ -41,16 +41,16 @@ class CommandService(Service):
     )
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._commands = CommandHandler(vehicle)
 
     def run(self, command: Command, link: Link) -> Result | None:
-        """Obey ``command``; return its result, None for no acknowledgement. Other answers are queued on ``link``."""
+        """Execute ``command`` and queue replies on ``link``; return its result, None for no acknowledgement."""
         result = self._commands.run(command, link)
-        note = self.vehicle.commander.on_command
-        if note is not None:
-            note(command.number, command.params, link.sender, result)
+        log_command = self.vehicle.commander.on_command
+        if log_command is not None:
+            log_command(command.number, command.params, link.sender, result)
         return result
 
     def _is_for_us(self, link: Link, m: Any) -> bool:

@@ -1,8 +1,8 @@
-"""MAV_CMD: what COMMAND_LONG and COMMAND_INT ask for, and the answer.
+"""Execution of the MAV_CMDs in COMMAND_LONG and COMMAND_INT, and their results.
 
-The results are those of a PX4 v1.14: also where it says nothing, since what would answer does not run in its simulator
-(camera and gimbal drivers, say). A command that PX4 accepts and that nothing here would obey is answered UNSUPPORTED;
-``tests/test_command_acks.py`` lists them.
+The results are those of PX4 v1.14, including commands that get no acknowledgement because their module does not run in
+PX4's simulator (camera and gimbal drivers, for example). Commands that PX4 accepts but that are not implemented here
+are rejected as UNSUPPORTED; ``tests/test_command_acks.py`` lists them.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from xtdrone_control.mavlink.service import Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 
 _NAN = math.nan
-_INT32_UNSET = 0x7FFFFFFF  # COMMAND_INT's x and y when they are not given
-_NAN_AS_INT = 0x7FF80000  # what they are when somebody has put a NaN into an integer
+_INT32_UNSET = 0x7FFFFFFF  # x and y left out of COMMAND_INT
+_NAN_AS_INT = 0x7FF80000  # x and y of a sender that has cast NaN to an integer
 _LEAST_UNSET, _MOST_UNSET = 2147483520.0, 2147483904.0  # floats next to INT32_UNSET
 _FORCE = 21196
 _CHANGE_MODE_FLAG = 1  # MAV_DO_REPOSITION_FLAGS
@@ -39,7 +39,7 @@ _ROI = (
 )
 _LARGEST_ID = 0xFFFF  # of messages, in GET_MESSAGE_INTERVAL
 
-# Left to parts that PX4's simulator does not run: it acknowledges nothing
+# Handled by modules that do not run in PX4's simulator: no acknowledgement
 _SILENT = frozenset(
     {
         mavlink.MAV_CMD_NAV_DELAY,
@@ -69,12 +69,12 @@ _SILENT = frozenset(
 
 @dataclass(frozen=True)
 class Command:
-    """A command with its parameters, as COMMAND_LONG has them.
+    """A command with its parameters, in the form of COMMAND_LONG.
 
     Attributes:
         number: MAV_CMD.
-        params: param1..param7; NaN where COMMAND_INT leaves one out.
-        frame: MAV_FRAME of the place in param5..7.
+        params: param1..param7; NaN for those left out of COMMAND_INT.
+        frame: MAV_FRAME of the position in param5..7.
     """
 
     number: int
@@ -83,54 +83,54 @@ class Command:
 
 
 class CommandError(ValueError):
-    """A command whose place is none: its sender has mixed up COMMAND_LONG's floats and COMMAND_INT's integers."""
+    """A command with an invalid position: the floats of COMMAND_LONG and the integers of COMMAND_INT are mixed up."""
 
 
 def from_command_long(number: int, params: tuple[float, float, float, float, float, float, float]) -> Command:
-    """Return COMMAND_LONG's command.
+    """Return the command of a COMMAND_LONG.
 
     Raises:
-        CommandError: param5 and param6 are what COMMAND_INT has for "not given".
+        CommandError: param5 and param6 are COMMAND_INT's values for "left out".
     """
     if all(_LEAST_UNSET <= value <= _MOST_UNSET for value in params[4:6]):
-        raise CommandError(f"command {number}: param5 and param6 are {params[4]:.0f}, NaN is what leaves them out")
+        raise CommandError(f"command {number}: param5 and param6 are {params[4]:.0f}; NaN leaves them out")
     return Command(number, params)
 
 
 def from_command_int(number: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float) -> Command:
-    """Return COMMAND_INT's command; x and y are 1e-7 degrees, but metres in local frames.
+    """Return the command of a COMMAND_INT; x and y are in 1e-7 degrees, in local frames in metres.
 
     Raises:
-        CommandError: x and y are a NaN's bits.
+        CommandError: x and y have the bits of a NaN.
     """
     if x == y == _NAN_AS_INT:
-        raise CommandError(f"command {number}: x and y are a NaN's bits, {_INT32_UNSET} is what leaves them out")
+        raise CommandError(f"command {number}: x and y have the bits of a NaN; {_INT32_UNSET} leaves them out")
     scale = 1.0 if frame in _LOCAL_FRAMES else 1e-7
-    place = [_NAN if value == _INT32_UNSET else value * scale for value in (x, y)]
-    return Command(number, (params[0], params[1], params[2], params[3], place[0], place[1], z), frame)
+    position = [_NAN if value == _INT32_UNSET else value * scale for value in (x, y)]
+    return Command(number, (params[0], params[1], params[2], params[3], position[0], position[1], z), frame)
 
 
 def _whole(value: float) -> int:
-    """Return ``value`` as an integer, -1 when it is not a whole number of 0..2^31-1."""
+    """Return ``value`` as an integer, -1 if it is not a whole number in 0..2^31-1."""
     return int(value) if 0.0 <= value < 2147483648.0 and value == int(value) else -1
 
 
 def _rounded(value: float) -> int:
-    """Return ``value`` rounded to an integer, -1 when it is not finite."""
+    """Return ``value`` rounded to an integer, -1 if it is not finite."""
     return math.floor(value + 0.5) if math.isfinite(value) else -1
 
 
 class CommandHandler:
-    """Obeys the commands of one vehicle."""
+    """Executes the commands of one vehicle."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Handle the commands of ``vehicle``."""
         self._vehicle = vehicle
         self._commander = commander = vehicle.commander
         self._handlers: dict[int, Callable[[Command, Link], Result | None]] = {
             mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda *_: commander.return_to_launch(),
             mavlink.MAV_CMD_NAV_LAND: lambda *_: commander.land(),
-            mavlink.MAV_CMD_NAV_LAND_LOCAL: lambda *_: commander.precision_land(),  # PX4's number for it
+            mavlink.MAV_CMD_NAV_LAND_LOCAL: lambda *_: commander.precision_land(),  # PX4 uses this number
             mavlink.MAV_CMD_NAV_TAKEOFF: self._takeoff,
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
             mavlink.MAV_CMD_DO_FLIGHTTERMINATION: lambda command, *_: commander.flight_termination(command.params[0]),
@@ -147,7 +147,7 @@ class CommandHandler:
             mavlink.MAV_CMD_DO_ORBIT: self._orbit,
             **dict.fromkeys(_ROI, self._set_roi),
             mavlink.MAV_CMD_MISSION_START: self._start_mission,
-            mavlink.MAV_CMD_DO_GO_AROUND: lambda *_: Result.ACCEPTED,  # for a fixed wing; PX4 accepts it all the same
+            mavlink.MAV_CMD_DO_GO_AROUND: lambda *_: Result.ACCEPTED,  # PX4 accepts it for all types
             mavlink.MAV_CMD_DO_AUTOTUNE_ENABLE: self._autotune,
             mavlink.MAV_CMD_FIXED_MAG_CAL_YAW: self._calibrate_heading,
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
@@ -155,7 +155,7 @@ class CommandHandler:
             mavlink.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
             mavlink.MAV_CMD_ACTUATOR_TEST: self._test_actuator,
-            mavlink.MAV_CMD_RUN_PREARM_CHECKS: lambda *_: Result.ACCEPTED,  # they run all the time
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: lambda *_: Result.ACCEPTED,  # they run continuously
             mavlink.MAV_CMD_INJECT_FAILURE: self._inject_failure,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
@@ -173,10 +173,10 @@ class CommandHandler:
         }
 
     def run(self, command: Command, link: Link) -> Result | None:
-        """Obey ``command`` that came over ``link``; answers other than the acknowledgement are queued there.
+        """Execute ``command`` received on ``link``; replies other than the acknowledgement are queued there.
 
         Returns:
-            What the acknowledgement says; None for none.
+            Result of the acknowledgement; None for no acknowledgement.
         """
         handler = self._handlers.get(command.number)
         if handler is not None:
@@ -199,7 +199,7 @@ class CommandHandler:
         return self._commander.set_mode(base, main << 16 | sub << 24)
 
     def _altitude(self, command: Command) -> float:
-        """Return param7 in m AMSL; NaN when it is relative to a home that is not there."""
+        """Return param7 in m AMSL; NaN if it is relative to a home that is not set."""
         altitude = command.params[6]
         if command.frame not in _RELATIVE_FRAMES:
             return altitude
@@ -207,7 +207,7 @@ class CommandHandler:
         return _NAN if home is None else home.altitude + altitude
 
     def _takeoff(self, command: Command, _link: Link) -> Result:
-        # without a place the altitude is taken for not given either: COMMAND_LONG of zeros means "just take off"
+        # without a position the altitude is ignored too: a COMMAND_LONG of zeros takes off at default values
         given = any(command.params[4:7])
         if not given:
             return self._commander.takeoff(_NAN, _NAN)
@@ -227,13 +227,13 @@ class CommandHandler:
     def _reposition(self, command: Command, _link: Link) -> Result:
         if _whole(command.params[1]) != _CHANGE_MODE_FLAG:
             return Result.UNSUPPORTED
-        place = (command.params[4], command.params[5], self._altitude(command))
-        return self._commander.reposition(place, command.params[3], command.params[0])
+        position = (command.params[4], command.params[5], self._altitude(command))
+        return self._commander.reposition(position, command.params[3], command.params[0])
 
     def _orbit(self, command: Command, _link: Link) -> Result:
         radius, speed, yaw_behaviour = command.params[:3]
-        place = (command.params[4], command.params[5], self._altitude(command))
-        return self._commander.orbit(radius, speed, yaw_behaviour, place)
+        position = (command.params[4], command.params[5], self._altitude(command))
+        return self._commander.orbit(radius, speed, yaw_behaviour, position)
 
     def _set_home(self, command: Command, _link: Link) -> Result:
         if command.params[0] > 0.5:
@@ -241,10 +241,10 @@ class CommandHandler:
         return self._commander.set_home((command.params[4], command.params[5], self._altitude(command)))
 
     def _start_mission(self, command: Command, _link: Link) -> Result:
-        return self._commander.start_mission(command.params[0])  # the last item, param2, means nothing to PX4
+        return self._commander.start_mission(command.params[0])  # PX4 ignores the last item, param2
 
     def _start_landing(self, command: Command, link: Link) -> Result:
-        """Fly the mission from where its landing begins; accepted without one too, as in PX4."""
+        """Start the mission at its landing sequence; accepted also without one, as in PX4."""
         landing = self._commander.navigator.mission.landing_item()
         if landing is not None:
             self._start_mission(replace(command, params=(float(landing[1]), *command.params[1:])), link)
@@ -260,7 +260,7 @@ class CommandHandler:
         self._commander.navigator.payload.execute(command.number, command.params)
         return Result.ACCEPTED
 
-    # the gimbal; without one nothing is acknowledged, as by a PX4 that does not run its driver
+    # gimbal; without one there is no acknowledgement, as from PX4 without the gimbal driver
 
     def _with_gimbal(self, act: Callable[[GimbalManager], Result]) -> Result | None:
         payload = self._commander.navigator.payload
@@ -289,10 +289,10 @@ class CommandHandler:
     # before flight
 
     def _calibrate(self, command: Command, _link: Link) -> Result:
-        """Accept what needs no movement of the vehicle: gyroscope, barometer, and the end of a radio's calibration.
+        """Accept calibrations without movement of the vehicle: gyroscope, barometer, and the end of a radio's.
 
-        The simulated sensors have nothing to calibrate, so it is done at once. What PX4 asks an operator to turn the
-        vehicle for (magnetometer, accelerometer, level) is unsupported.
+        The simulated sensors need no calibration, so these complete immediately. Calibrations for which the operator
+        turns the vehicle (magnetometer, accelerometer, level) are unsupported.
         """
         if self._commander.armed:
             return Result.TEMPORARILY_REJECTED
@@ -305,11 +305,11 @@ class CommandHandler:
         return Result.UNSUPPORTED if any(wanted) else Result.ACCEPTED
 
     def _calibrate_heading(self, _command: Command, _link: Link) -> Result:
-        """Accept a calibration of the magnetometer by a known heading; the simulated one is calibrated."""
+        """Accept a calibration of the magnetometer by a known heading; the simulated sensor needs none."""
         return Result.TEMPORARILY_REJECTED if self._commander.armed else Result.ACCEPTED
 
     def _autotune(self, _command: Command, _link: Link) -> Result:
-        """Set MC_AT_START, as PX4's receiver does; the module that would act on it runs with MC_AT_EN alone."""
+        """Set MC_AT_START, as PX4's receiver does; the autotune module, run only with MC_AT_EN, is not simulated."""
         self._commander.parameters.set("MC_AT_START", 1.0)
         return Result.IN_PROGRESS
 
@@ -328,9 +328,9 @@ class CommandHandler:
         return Result.ACCEPTED if parameters.save() else Result.FAILED
 
     def _reboot(self, command: Command, _link: Link) -> Result:
-        """Reboot the autopilot (1). Shutting down (2) is refused: who did it could not start the vehicle again."""
+        """Reboot the autopilot (1). Shutdown (2) is denied because the vehicle could not be started again."""
         action = _rounded(command.params[0])
-        if action == 0:  # nothing for the autopilot
+        if action == 0:  # no action on the autopilot
             return Result.ACCEPTED
         if action == 1 and not self._commander.armed:
             self._commander.rebooting = True
@@ -353,10 +353,10 @@ class CommandHandler:
         return lambda _, link: self._send(link, number)
 
     def _send(self, link: Link, number: int) -> Result:
-        """Send message ``number`` once; DENIED when there is none or nothing to tell, as in PX4."""
-        answer = self._vehicle.on_request.get(number)
-        if answer is not None:
-            return Result.DENIED if answer(link) is False else Result.ACCEPTED
+        """Send message ``number`` once; DENIED if it is unknown or has no values, as in PX4."""
+        reply = self._vehicle.on_request.get(number)
+        if reply is not None:
+            return Result.DENIED if reply(link) is False else Result.ACCEPTED
         now_us = self._vehicle.now_us
         link.telemetry.refresh(now_us)
         found = link.streams.values(number, lambda text: link.warn("packing", text, now_us))
@@ -379,5 +379,5 @@ class CommandHandler:
         if math.isnan(interval):
             interval = 0.0  # the default rate
         elif math.isinf(interval):
-            interval = -1.0  # once in eternity
+            interval = -1.0  # off
         return Result.ACCEPTED if link.streams.set_interval(number, interval, self._vehicle.now_us) else Result.FAILED

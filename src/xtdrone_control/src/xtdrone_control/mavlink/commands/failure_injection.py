@@ -1,4 +1,4 @@
-"""MAV_CMD_INJECT_FAILURE: what is told to fail, and whether it can (PX4 ``SYS_FAILURE_EN``, MAVLink FAILURE_UNIT)."""
+"""Failure injection by MAV_CMD_INJECT_FAILURE (PX4 ``SYS_FAILURE_EN``, MAVLink FAILURE_UNIT, FAILURE_TYPE)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _SENSOR = frozenset({FAILURE_OK, FAILURE_OFF, FAILURE_STUCK, FAILURE_GARBAGE, FA
 _SWITCH = frozenset({FAILURE_OK, FAILURE_OFF})
 _MOTORS = 101
 
-# FAILURE_UNIT: field of the FAILURES record, and the FAILURE_TYPEs that it knows; a unit that is not here does not
-# exist in a multicopter of ours (airspeed, servos) or cannot fail
+# FAILURE_UNIT to the field of the FAILURES record and the supported FAILURE_TYPEs; other units are not simulated
+# (airspeed sensor, servos) or cannot fail
 _UNITS: dict[int, tuple[str, frozenset[int]]] = {
     0: ("gyro", _SENSOR),
     1: ("accel", _SENSOR),
@@ -39,16 +39,16 @@ _UNITS: dict[int, tuple[str, frozenset[int]]] = {
 
 
 def inject(vehicle: Vehicle, unit: int, kind: int, instance: int) -> Result:
-    """Let a unit fail, or work again.
+    """Inject a failure into a unit, or clear it.
 
     Args:
-        vehicle: whose unit.
+        vehicle: vehicle of the unit.
         unit: FAILURE_UNIT.
-        kind: FAILURE_TYPE; 0 mends it.
-        instance: which of several, from 1; 0: all. There is one of everything but motors.
+        kind: FAILURE_TYPE; 0 clears the failure.
+        instance: number of the instance, from 1; 0: all. Only motors have more than one.
 
     Returns:
-        DENIED while SYS_FAILURE_EN is 0, UNSUPPORTED for what does not exist or cannot fail in this way.
+        ACCEPTED; DENIED while SYS_FAILURE_EN is 0; UNSUPPORTED for a unit, instance or type that is not simulated.
     """
     if not vehicle.commander.parameters.get("SYS_FAILURE_EN"):
         return Result.DENIED

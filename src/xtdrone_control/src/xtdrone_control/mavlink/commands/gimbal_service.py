@@ -1,4 +1,4 @@
-"""Messages of the gimbal protocol's second version; its commands are in ``commands``, its streams in ``reports``."""
+"""Messages of gimbal protocol v2; its commands are in ``commands``, its streams in ``streams.rare_telemetry``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _DEVICES = (0, GIMBAL_DEVICE)  # 0: all
 
 
 class GimbalService(Service):
-    """Takes setpoints of whoever has primary control, and tells what the gimbal is."""
+    """Applies setpoints of the system with primary control, and sends the device information."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "GIMBAL_MANAGER_SET_ATTITUDE": "_set_attitude",
@@ -25,13 +25,13 @@ class GimbalService(Service):
     }
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._payload = vehicle.commander.navigator.payload
-        vehicle.on_request[mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION] = self._tell_device
+        vehicle.on_request[mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_INFORMATION] = self._send_device_information
 
     def _manager(self, link: Link, m: Any) -> GimbalManager | None:
-        """Return the gimbal's manager if a setpoint of this sender counts."""
+        """Return the gimbal manager if the sender has control of the gimbal."""
         manager = self._payload.gimbal_manager
         if self._payload.gimbal_attitude is None or m.gimbal_device_id not in _DEVICES:
             return None
@@ -42,18 +42,18 @@ class GimbalService(Service):
         if manager is None:
             return
         nan = (math.nan,) * 3
-        norm = math.sqrt(sum(value * value for value in m.q))  # NaN: only the rates count
+        norm = math.sqrt(sum(value * value for value in m.q))  # NaN: only the rates are used
         angles = frames.rpy_from_quaternion(tuple(value / norm for value in m.q)) if 0.0 < norm < math.inf else nan
         rates = (m.angular_velocity_y, m.angular_velocity_z)
-        self.vehicle.in_turn(lambda: manager.look(angles, m.flags, rates))
+        self.vehicle.call_or_queue(lambda: manager.look(angles, m.flags, rates))
 
     def _set_pitch_yaw(self, link: Link, m: Any) -> None:
         manager = self._manager(link, m)
         if manager is not None:
             angles = (0.0, m.pitch, m.yaw)
-            self.vehicle.in_turn(lambda: manager.look(angles, m.flags, (m.pitch_rate, m.yaw_rate)))
+            self.vehicle.call_or_queue(lambda: manager.look(angles, m.flags, (m.pitch_rate, m.yaw_rate)))
 
-    def _tell_device(self, link: Link) -> bool:
+    def _send_device_information(self, link: Link) -> bool:
         if self._payload.gimbal_attitude is None:
             return False
         name = self.vehicle.commander.vehicle.type.encode("ascii", "replace")[:32]

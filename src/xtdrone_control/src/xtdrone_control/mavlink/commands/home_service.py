@@ -21,13 +21,13 @@ class HomeService(Service):
     MESSAGES: ClassVar[dict[str, str]] = {"SET_GPS_GLOBAL_ORIGIN": "_set_origin", "SET_HOME_POSITION": "_set_home"}
 
     def __init__(self, vehicle: Vehicle, commands: CommandService) -> None:
-        """Serve ``vehicle``; ``commands`` sends the origin back."""
+        """Register the service with ``vehicle``; ``commands`` sends the resulting origin."""
         super().__init__(vehicle)
         self._commands = commands
         self._estimator = vehicle.autopilot.estimator[vehicle.index]
 
     def _set_origin(self, link: Link, m: Any) -> None:
-        # as in PX4, an origin that comes in the air is passed over without a word
+        # as in PX4, an origin received in flight is silently ignored
         if self.vehicle.commander.view.landed:
             try:
                 move_origin(self._estimator, m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
@@ -39,8 +39,8 @@ class HomeService(Service):
         )
 
     def _set_home(self, _link: Link, m: Any) -> None:
-        self.vehicle.in_turn(lambda: self._take_home(m))
+        self.vehicle.call_or_queue(lambda: self._apply_home(m))
 
-    def _take_home(self, m: Any) -> None:
+    def _apply_home(self, m: Any) -> None:
         if self.vehicle.commander.set_home((m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)):
             self.vehicle.commander.say(WARNING, "Home position rejected")

@@ -10,11 +10,11 @@ from xtdrone_control.mavlink.link import Link
 from xtdrone_control.mavlink.service import Service
 
 _RANGE = 1000.0
-_UNUSED = 0x7FFF  # INT16_MAX: no such axis
+_UNUSED = 0x7FFF  # INT16_MAX: axis not used
 
 
 class ManualService(Service):
-    """Hands sticks and radio channels to the commander, in the turn of setpoints."""
+    """Passes sticks and radio channels to the commander; held like setpoints, see ``receiver``."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "MANUAL_CONTROL": "_manual_control",
@@ -22,12 +22,12 @@ class ManualService(Service):
     }
 
     def _manual_control(self, link: Link, m: Any) -> None:
-        """x, y, r of -1000..1000; z of 0..1000 with 500 in the middle, as PX4 takes it."""
+        """Convert x, y, r in -1000..1000 and z in 0..1000, 500 in the middle, to -1..1, as PX4 does."""
         x, y, yaw = (0.0 if value == _UNUSED else value / _RANGE for value in (m.x, m.y, m.r))
         z = 0.0 if m.z == _UNUSED else 2.0 * m.z / _RANGE - 1.0
-        self.vehicle.in_turn(lambda: self._take_sticks(link, x, y, z, yaw))
+        self.vehicle.call_or_queue(lambda: self._apply_sticks(link, x, y, z, yaw))
 
-    def _take_sticks(self, link: Link, x: float, y: float, z: float, yaw: float) -> None:
+    def _apply_sticks(self, link: Link, x: float, y: float, z: float, yaw: float) -> None:
         try:
             self.vehicle.commander.manual_control(x, y, z, yaw)
         except SetpointError as error:
@@ -35,4 +35,4 @@ class ManualService(Service):
 
     def _rc_channels_override(self, _link: Link, m: Any) -> None:
         channels = [getattr(m, f"chan{number}_raw") for number in range(1, CHANNELS + 1)]
-        self.vehicle.in_turn(lambda: self.vehicle.commander.radio_control(channels))
+        self.vehicle.call_or_queue(lambda: self.vehicle.commander.radio_control(channels))

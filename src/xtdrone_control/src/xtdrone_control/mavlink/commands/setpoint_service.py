@@ -1,4 +1,4 @@
-"""Setpoint messages of OFFBOARD."""
+"""Setpoint messages in OFFBOARD."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TEXT_INTERVAL_US = 1_000_000
 
 
 class SetpointService(Service):
-    """Hands setpoints to the commander."""
+    """Passes setpoints to the commander."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "SET_POSITION_TARGET_LOCAL_NED": "_local_target",
@@ -30,35 +30,35 @@ class SetpointService(Service):
     )
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
-        self._tell_again_us = 0
+        self._next_text_us = 0
 
     def _local_target(self, link: Link, m: Any) -> None:
-        self._steer(link, setpoints.local_target, m)
+        self._queue(link, setpoints.local_target, m)
 
     def _global_target(self, link: Link, m: Any) -> None:
-        self._steer(link, setpoints.global_target, m)
+        self._queue(link, setpoints.global_target, m)
 
     def _attitude_target(self, link: Link, m: Any) -> None:
-        self._steer(link, setpoints.attitude_target, m)
+        self._queue(link, setpoints.attitude_target, m)
 
-    def _steer(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
-        self.vehicle.in_turn(lambda: self._take_setpoint(link, take, m))
+    def _queue(self, link: Link, apply: Callable[[Commander, Any], None], m: Any) -> None:
+        self.vehicle.call_or_queue(lambda: self._apply_setpoint(link, apply, m))
 
-    def _take_setpoint(self, link: Link, take: Callable[[Commander, Any], None], m: Any) -> None:
+    def _apply_setpoint(self, link: Link, apply: Callable[[Commander, Any], None], m: Any) -> None:
         try:
-            take(self.vehicle.commander, m)
+            apply(self.vehicle.commander, m)
             if self.vehicle.commander.offboard_incomplete:
-                text = "setpoint cannot be flown: an axis has no finite value, the vehicle stops and waits"
+                text = "setpoint cannot be flown: an axis has no finite value; the vehicle stops and waits"
                 link.warn("setpoint that cannot be flown", text, self.vehicle.now_us)
         except SetpointError as error:
             if isinstance(error, setpoints.RefusedSetpointError):
-                self._tell(str(error))
+                self._send_text(str(error))
             link.warn("setpoint", f"setpoint rejected: {error}", self.vehicle.now_us)
 
-    def _tell(self, text: str) -> None:
-        """Tell the operator, at most once a second."""
-        if self.vehicle.now_us >= self._tell_again_us:
-            self._tell_again_us = self.vehicle.now_us + _TEXT_INTERVAL_US
+    def _send_text(self, text: str) -> None:
+        """Send ``text`` to the operators, at most one text in a simulated second."""
+        if self.vehicle.now_us >= self._next_text_us:
+            self._next_text_us = self.vehicle.now_us + _TEXT_INTERVAL_US
             self.vehicle.commander.say(CRITICAL, text)

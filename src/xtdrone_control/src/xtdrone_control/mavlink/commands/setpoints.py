@@ -1,11 +1,11 @@
-"""From MAVLink's setpoint messages to the commander's setpoints, as PX4 v1.14's ``mavlink_receiver.cpp`` has it.
+"""Conversion of MAVLink setpoint messages to setpoints of the commander, as in PX4 v1.14's ``mavlink_receiver.cpp``.
 
-A field that its message's mask ignores, and one that is NaN, is not controlled. Every setpoint that says something
-keeps OFFBOARD alive, also one that cannot be flown; what PX4 refuses does not. A force, which it does not
-fly, it refuses; those above (takeoff, land, loiter, idle) it does not look at, nor do we.
+Fields that the type mask ignores, and NaN, are not controlled. Every non-empty setpoint refreshes the OFFBOARD timeout,
+even an infeasible one; rejected setpoints do not. Force setpoints are rejected. As in PX4, the takeoff, land, loiter
+and idle bits of the type mask are ignored.
 
-Taken beyond PX4: BODY_OFFSET_NED, in which XTDrone's ``cmd_pose_flu`` asks for an offset from the vehicle; PX4 v1.14
-takes LOCAL_NED and BODY_NED alone. SET_ACTUATOR_CONTROL_TARGET is not taken: PX4 refuses it in lockstep with a
+BODY_OFFSET_NED is accepted beyond PX4 v1.14, which supports only LOCAL_NED and BODY_NED: XTDrone's ``cmd_pose_flu``
+uses it for an offset from the vehicle. SET_ACTUATOR_CONTROL_TARGET is not supported: PX4 rejects it in lockstep with a
 simulator.
 """
 
@@ -35,11 +35,11 @@ _GLOBAL, _RELATIVE, _TERRAIN = 5, 6, 11
 
 
 class RefusedSetpointError(SetpointError):
-    """A setpoint that PX4 refuses aloud; its text goes to the operator."""
+    """A setpoint that PX4 rejects with a STATUSTEXT; the error text is sent to the operators."""
 
 
 def _used(mask: int, bit: int, value: float) -> float:
-    """Return ``value``, NaN when ``mask`` ignores it."""
+    """Return ``value``, NaN if ``mask`` ignores it."""
     return _NAN if mask >> bit & 1 else value
 
 
@@ -48,12 +48,12 @@ def _vector(mask: int, first_bit: int, x: float, y: float, z: float) -> Vector:
 
 
 def _whole_vector(mask: int, first_bit: int, x: float, y: float, z: float) -> Vector:
-    """Return the vector, unset when ``mask`` ignores any part of it."""
+    """Return the vector, unset if ``mask`` ignores any component."""
     return _UNSET if mask >> first_bit & _ALL else (x, y, z)
 
 
-def _turned(vector: Vector, yaw: float) -> Vector:
-    """Return a vector of the heading's frame (forward, right, down) in NED."""
+def _to_ned(vector: Vector, yaw: float) -> Vector:
+    """Rotate a vector from the heading frame (forward, right, down) to NED; ``yaw`` in rad."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y, z = vector
     return cos * x - sin * y, sin * x + cos * y, z
@@ -63,11 +63,11 @@ def _is_set(vector: Vector) -> bool:
     return not all(map(math.isnan, vector))
 
 
-def _refuse_force(mask: int, acceleration: Vector, name: str) -> None:
-    """Refuse an "acceleration" that is a force.
+def _reject_force(mask: int, acceleration: Vector, name: str) -> None:
+    """Reject an acceleration that the mask declares a force.
 
     Raises:
-        RefusedSetpointError: it is one.
+        RefusedSetpointError: the setpoint is a force.
     """
     if mask >> _FORCE_BIT & 1 and _is_set(acceleration):
         raise RefusedSetpointError(f"{name} force not supported")
@@ -78,14 +78,14 @@ def _yaw_and_rate(m: Any) -> tuple[float, float]:
 
 
 def local_target(commander: Commander, m: Any) -> None:
-    """Take SET_POSITION_TARGET_LOCAL_NED.
+    """Apply SET_POSITION_TARGET_LOCAL_NED.
 
-    LOCAL_NED is as given. BODY_NED has no position; its velocity is turned by the heading, its acceleration by the
-    whole attitude, each only when all its three parts are used; its yaw counts from north. In BODY_OFFSET_NED position
-    and yaw count from the vehicle, and all is turned by the heading.
+    LOCAL_NED is used unchanged. In BODY_NED the position is ignored, velocity is rotated by the heading and
+    acceleration by the attitude, each only if all three components are used; yaw is relative to north. In
+    BODY_OFFSET_NED position and yaw are relative to the vehicle, and all vectors are rotated by the heading.
 
     Raises:
-        RefusedSetpointError: another frame, a force, or nothing set.
+        RefusedSetpointError: another frame, a force, or an empty setpoint.
     """
     name = "SET_POSITION_TARGET_LOCAL_NED"
     frame, mask = m.coordinate_frame, m.type_mask
@@ -97,66 +97,66 @@ def local_target(commander: Commander, m: Any) -> None:
     elif frame == _BODY_NED:
         q0, q1, q2, q3 = commander.view.estimator["q"].tolist()
         position = _UNSET
-        velocity = _turned(_whole_vector(mask, _VELOCITY, m.vx, m.vy, m.vz), commander.view.yaw)
+        velocity = _to_ned(_whole_vector(mask, _VELOCITY, m.vx, m.vy, m.vz), commander.view.yaw)
         acceleration = rotation.rotate((q0, q1, q2, q3), *_whole_vector(mask, _ACCELERATION, m.afx, m.afy, m.afz))
     elif frame == _BODY_OFFSET_NED:
         heading = commander.view.yaw
-        x, y, z = _turned(_vector(mask, _POSITION, m.x, m.y, m.z), heading)
+        x, y, z = _to_ned(_vector(mask, _POSITION, m.x, m.y, m.z), heading)
         here = commander.view.position
         position = (here[0] + x, here[1] + y, here[2] + z)
-        velocity = _turned(_vector(mask, _VELOCITY, m.vx, m.vy, m.vz), heading)
-        acceleration = _turned(_vector(mask, _ACCELERATION, m.afx, m.afy, m.afz), heading)
+        velocity = _to_ned(_vector(mask, _VELOCITY, m.vx, m.vy, m.vz), heading)
+        acceleration = _to_ned(_vector(mask, _ACCELERATION, m.afx, m.afy, m.afz), heading)
         yaw = math.remainder(yaw + heading, math.tau) if math.isfinite(yaw) else _NAN
     else:
         raise RefusedSetpointError(f"{name} coordinate frame {frame} unsupported")
-    _refuse_force(mask, acceleration, name)
+    _reject_force(mask, acceleration, name)
     if not (_is_set(position) or _is_set(velocity) or _is_set(acceleration)):
         raise RefusedSetpointError(f"{name} invalid")
     commander.offboard_trajectory(position, velocity, acceleration, yaw, yaw_rate)
 
 
 def global_target(commander: Commander, m: Any) -> None:
-    """Take SET_POSITION_TARGET_GLOBAL_INT: its position when no part of it is ignored, with altitude over sea or home.
+    """Apply SET_POSITION_TARGET_GLOBAL_INT; its position only if all components are used, altitude AMSL or above home.
 
     Raises:
         RefusedSetpointError: a position in another frame, or a force.
-        SetpointError: a place that is none, an altitude over what is not known, or nothing set.
+        SetpointError: an invalid position, an unknown altitude reference, or an empty setpoint.
     """
     name = "SET_POSITION_TARGET_GLOBAL_INT"
     mask = m.type_mask
     position = _UNSET if mask >> _POSITION & _ALL else _global_position(commander, m, name)
     velocity = _vector(mask, _VELOCITY, m.vx, m.vy, m.vz)
     acceleration = _vector(mask, _ACCELERATION, m.afx, m.afy, m.afz)
-    _refuse_force(mask, acceleration, name)
+    _reject_force(mask, acceleration, name)
     commander.offboard_trajectory(position, velocity, acceleration, *_yaw_and_rate(m))
 
 
 def _global_position(commander: Commander, m: Any, name: str) -> Vector:
     frame, altitude = m.coordinate_frame, m.alt
     if not commander.view.has_origin:
-        raise SetpointError(f"{name}: where the local frame lies on Earth is not known")
+        raise SetpointError(f"{name}: the global origin of the local frame is unknown")
     if frame == _RELATIVE:
         if commander.home is None:
-            raise SetpointError(f"{name}: altitude over home, and there is no home yet")
+            raise SetpointError(f"{name}: altitude above home, but home is not set")
         altitude += commander.home.altitude
     elif frame == _TERRAIN:
-        raise SetpointError(f"{name}: altitude over terrain, whose height is not known")
+        raise SetpointError(f"{name}: altitude above terrain, but the terrain height is unknown")
     elif frame != _GLOBAL:
         raise RefusedSetpointError(f"{name} invalid coordinate frame {frame}")
     latitude, longitude = m.lat_int * 1e-7, m.lon_int * 1e-7
     if abs(latitude) > 90.0 or abs(longitude) > 180.0:
-        raise SetpointError(f"{name}: latitude {latitude:.7f}, longitude {longitude:.7f} are no place")
+        raise SetpointError(f"{name}: position {latitude:.7f}, {longitude:.7f} is not allowed, +-90, +-180 degrees")
     return commander.view.to_local(latitude, longitude, altitude)
 
 
 def attitude_target(commander: Commander, m: Any) -> None:
-    """Take SET_ATTITUDE_TARGET: an attitude with an optional yaw rate, or body rates of which yaw's may be left out.
+    """Apply SET_ATTITUDE_TARGET: an attitude with an optional yaw rate, or body rates with an optional yaw rate.
 
-    Thrust that is ignored is none; an attitude may have it as a body vector, of which the part along -z is flown. A
-    message with neither attitude nor roll and pitch rate says nothing.
+    Ignored thrust is 0. With an attitude, thrust may be a body vector, of which only the component along -z is used. A
+    message with neither an attitude nor roll and pitch rates is ignored.
 
     Raises:
-        SetpointError: an attitude that is none.
+        SetpointError: an invalid attitude quaternion.
     """
     mask = m.type_mask
     yaw_rate = _NAN if mask & _YAW_RATE_IGNORED else m.body_yaw_rate

@@ -1,10 +1,10 @@
-"""Sensors that come over MAVLink: external vision, motion capture, optical flow, range finders.
+"""Sensors received over MAVLink: external vision, motion capture, optical flow, range finders.
 
-Each message fills the vehicle's ``SENSORS`` record; the estimator decides what becomes of it. What PX4 v1.14 does is
-kept: frames, covariances (NaN in the first element: none), NaN for what is not known, reset_counter; it takes no
-VISION_SPEED_ESTIMATE, velocities come by ODOMETRY. But PX4's EKF2 reads no motion capture (ATT_POS_MOCAP, ODOMETRY of
-that estimator type), which its other estimator does; here it counts as vision. A sample counts from when it comes; its
-time stamp is not used.
+Each message fills the vehicle's ``SENSORS`` record; the estimator decides whether to fuse it. As in PX4 v1.14: frames,
+covariances (NaN in the first element: none), NaN for unknown values, reset_counter; VISION_SPEED_ESTIMATE is ignored,
+velocities come with ODOMETRY. Unlike in PX4, where EKF2 ignores motion capture (ATT_POS_MOCAP, ODOMETRY of that
+estimator type) and only the other estimator uses it, it counts as vision. The time of a sample is its arrival; its
+timestamp is ignored.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from xtdrone_control.mavlink.service import Service, Vehicle
 _NAN = math.nan
 _UNKNOWN = (_NAN, _NAN, _NAN)
 _NO_ATTITUDE = (_NAN, _NAN, _NAN, _NAN)
-_FARTHEST = 1e6  # m or m/s; what is larger is no measurement
+_FARTHEST = 1e6  # m or m/s; larger values are invalid
 
 # MAV_FRAME
 _LOCAL_NED, _LOCAL_ENU, _BODY_FRD, _LOCAL_FRD, _LOCAL_FLU = 1, 4, 12, 20, 21
 # MAV_ESTIMATOR_TYPE: unknown, naive, vision, VIO, motion capture
 _ESTIMATORS = (0, 1, 2, 3, 6)
-# where the variances of x, y, z and of yaw lie in the upper triangle of a 6 x 6 matrix, row by row
-_PLACE_VARIANCES, _YAW_VARIANCE = (0, 6, 11), 20
+# indices of the variances of x, y, z and of yaw in the upper triangle of a 6 x 6 matrix, row by row
+_POSITION_VARIANCES, _YAW_VARIANCE = (0, 6, 11), 20
 
 _FACING_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _FLOW_RANGE = (0.08, 100.0)  # m, PX4's SENS_FLOW_MINHGT and SENS_FLOW_MAXHGT
@@ -39,13 +39,13 @@ Vector = tuple[float, float, float]
 
 
 def _measured(x: float, y: float, z: float) -> Vector:
-    """Return the vector, NaN for components that are no measurement."""
+    """Return the vector, with NaN for invalid components."""
     x, y, z = (value if abs(value) <= _FARTHEST else _NAN for value in (x, y, z))
     return x, y, z
 
 
 def _unit(q: Sequence[float]) -> tuple[float, ...]:
-    """Return a quaternion of length 1, or NaN when it is none."""
+    """Return the normalised quaternion, NaN if it is invalid."""
     length = math.sqrt(sum(value * value for value in q))
     if not math.isfinite(length) or length < 0.5:
         return _NO_ATTITUDE
@@ -53,18 +53,18 @@ def _unit(q: Sequence[float]) -> tuple[float, ...]:
 
 
 def _variance(covariance: Sequence[float], index: int) -> float:
-    """Return a variance of an upper triangle, NaN when it is not known."""
+    """Return a variance from an upper triangle, NaN if it is unknown."""
     value = covariance[index]
     return value if math.isfinite(covariance[0]) and 0.0 <= value < math.inf else _NAN
 
 
 def _variances(covariance: Sequence[float]) -> Vector:
-    x, y, z = (_variance(covariance, index) for index in _PLACE_VARIANCES)
+    x, y, z = (_variance(covariance, index) for index in _POSITION_VARIANCES)
     return x, y, z
 
 
 class VisionService(Service):
-    """Hands external measurements to the estimator."""
+    """Passes external measurements to the estimator."""
 
     MESSAGES: ClassVar[dict[str, str]] = {
         "VISION_POSITION_ESTIMATE": "_vision_position",
@@ -75,40 +75,40 @@ class VisionService(Service):
     }
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._sensors = vehicle.autopilot.sensors[vehicle.index]
 
-    def _take(self, act: Callable[[Any], None], m: Any) -> None:
-        self.vehicle.in_turn(lambda: act(m))
+    def _queue(self, apply: Callable[[Any], None], m: Any) -> None:
+        self.vehicle.call_or_queue(lambda: apply(m))
 
     def _vision_position(self, _link: Link, m: Any) -> None:
-        self._take(self._take_vision_position, m)
+        self._queue(self._apply_vision_position, m)
 
     def _mocap(self, _link: Link, m: Any) -> None:
-        self._take(self._take_mocap, m)
+        self._queue(self._apply_mocap, m)
 
     def _odometry(self, _link: Link, m: Any) -> None:
-        self._take(self._take_odometry, m)
+        self._queue(self._apply_odometry, m)
 
     def _flow(self, _link: Link, m: Any) -> None:
-        self._take(self._take_flow, m)
+        self._queue(self._apply_flow, m)
 
     def _distance(self, _link: Link, m: Any) -> None:
-        self._take(self._take_distance, m)
+        self._queue(self._apply_distance, m)
 
-    def _take_vision_position(self, m: Any) -> None:
+    def _apply_vision_position(self, m: Any) -> None:
         finite = all(map(math.isfinite, (m.roll, m.pitch, m.yaw)))
         q = frames.quaternion_from_rpy(m.roll, m.pitch, m.yaw) if finite else _NO_ATTITUDE
         self._vision(VISION_NED, _measured(m.x, m.y, m.z), q, m.covariance, m.reset_counter)
 
-    def _take_mocap(self, m: Any) -> None:
+    def _apply_mocap(self, m: Any) -> None:
         self._vision(VISION_NED, _measured(m.x, m.y, m.z), _unit(m.q), m.covariance, 0)
 
     def _vision(
         self, frame: int, position: Vector, q: Sequence[float], covariance: Sequence[float], resets: int
     ) -> None:
-        """Write a pose; there is no velocity with it unless the caller writes one."""
+        """Store a pose, without a velocity."""
         s = self._sensors
         s["vision_frame"] = frame
         s["vision_position"] = position
@@ -120,7 +120,7 @@ class VisionService(Service):
         s["vision_reset_counter"] = resets
         s["vision_fresh"] = 1
 
-    def _take_odometry(self, m: Any) -> None:
+    def _apply_odometry(self, m: Any) -> None:
         if m.estimator_type not in _ESTIMATORS:
             self.vehicle.commander.say(CRITICAL, f"ODOMETRY: estimator_type {m.estimator_type} unsupported")
             return
@@ -136,7 +136,7 @@ class VisionService(Service):
         if velocity is not None:
             s["vision_velocity_frame"], s["vision_velocity"], s["vision_velocity_variance"] = velocity
 
-    def _take_flow(self, m: Any) -> None:
+    def _apply_flow(self, m: Any) -> None:
         if not m.integration_time_us:
             return
         period = m.integration_time_us * 1e-6
@@ -151,7 +151,7 @@ class VisionService(Service):
         if m.distance > 0.0:  # negative, and 0 in PX4: unknown
             self._range(m.distance, *_FLOW_RANGE, _QUALITY_UNKNOWN)
 
-    def _take_distance(self, m: Any) -> None:
+    def _apply_distance(self, m: Any) -> None:
         if m.orientation != _FACING_DOWN:
             return
         quality = _QUALITY_UNKNOWN if m.signal_quality == 0 else 100 * (m.signal_quality - 1) // 99
@@ -164,8 +164,8 @@ class VisionService(Service):
         s["range_fresh"] = 1
 
 
-def _turned(frame: int, x: float, y: float, z: float) -> Vector:
-    """Return a vector of a local frame in NED or FRD."""
+def _to_ned_or_frd(frame: int, x: float, y: float, z: float) -> Vector:
+    """Convert a vector from ENU to NED or from FLU to FRD; vectors of other frames are unchanged."""
     if frame == _LOCAL_ENU:
         return _measured(y, x, -z)
     if frame == _LOCAL_FLU:
@@ -173,22 +173,22 @@ def _turned(frame: int, x: float, y: float, z: float) -> Vector:
     return _measured(x, y, z)
 
 
-def _turned_variances(frame: int, covariance: Sequence[float]) -> Vector:
+def _variances_to_ned_or_frd(frame: int, covariance: Sequence[float]) -> Vector:
     x, y, z = _variances(covariance)
     return (y, x, z) if frame == _LOCAL_ENU else (x, y, z)
 
 
 def _pose(m: Any) -> tuple[int, Vector, Vector] | None:
-    """Return frame, position and its variances of an ODOMETRY, or None when it has none that can be used."""
+    """Return frame, position and position variances of an ODOMETRY, None if it has no usable one."""
     frame = m.frame_id
     if frame not in (_LOCAL_NED, _LOCAL_ENU, _LOCAL_FRD, _LOCAL_FLU):
         return None
     kind = VISION_NED if frame in (_LOCAL_NED, _LOCAL_ENU) else VISION_FRD
-    return kind, _turned(frame, m.x, m.y, m.z), _turned_variances(frame, m.pose_covariance)
+    return kind, _to_ned_or_frd(frame, m.x, m.y, m.z), _variances_to_ned_or_frd(frame, m.pose_covariance)
 
 
 def _velocity(m: Any) -> tuple[int, Vector, Vector] | None:
-    """Return frame, velocity and its variances of an ODOMETRY, or None when it has none that can be used."""
+    """Return frame, velocity and velocity variances of an ODOMETRY, None if it has no usable one."""
     frame = m.child_frame_id
     kinds = {
         _LOCAL_NED: VISION_NED,
@@ -199,7 +199,7 @@ def _velocity(m: Any) -> tuple[int, Vector, Vector] | None:
     }
     if frame not in kinds:
         return None
-    velocity = _turned(frame, m.vx, m.vy, m.vz)
+    velocity = _to_ned_or_frd(frame, m.vx, m.vy, m.vz)
     if any(map(math.isnan, velocity)):
         return None
-    return kinds[frame], velocity, _turned_variances(frame, m.velocity_covariance)
+    return kinds[frame], velocity, _variances_to_ned_or_frd(frame, m.velocity_covariance)

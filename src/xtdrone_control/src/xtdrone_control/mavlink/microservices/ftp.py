@@ -1,11 +1,11 @@
-"""MAVLink FTP, read only: the vehicle's logs and other services' files, at the places where PX4 has them.
+"""MAVLink FTP, read-only: the vehicle's logs and the files of other services, at PX4's paths.
 
-Source: mavlink.io, "File Transfer Protocol (FTP)"; sessions and answers as PX4's mavlink_ftp has them: each client has
-one session, number 0; a request that comes again (its answer was lost) gets the same answer again.
+Sources: mavlink.io, "File Transfer Protocol (FTP)"; sessions and replies follow PX4's mavlink_ftp. Each client has one
+session, number 0; a repeated request (its reply was lost) gets the same reply again.
 
-The tree is made up: ``/fs/microsd/log/<date>/<time>.ulg``, as on a flight controller, and ``/log/...``, as in PX4's
-SITL; beside them lie the files of ``Vehicle.files``. A path is looked up in this tree and never handed to the operating
-system, so no path leads out of it.
+The tree is virtual: ``/fs/microsd/log/<date>/<time>.ulg``, as on a flight controller, ``/log/...``, as in PX4's SITL,
+and the files of ``Vehicle.files``. Paths are resolved in this tree and never passed to the operating system, so no path
+leads out of it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _REMOVE_FOLDER, _OPEN_WO, _TRUNCATE, _RENAME, _CRC32, _BURST_READ = range(10, 16
 _ACK, _NAK = 128, 129
 _INVALID_SIZE, _INVALID_SESSION, _NO_SESSION, _EOF, _UNKNOWN, _PROTECTED, _NOT_FOUND = 3, 4, 5, 6, 7, 9, 10
 
-BURST = 24  # messages a period of a burst: 574 kB of a file in a simulated second
+BURST = 24  # messages in a period of a burst: 574 kB of a file in a simulated second
 PERIOD_US = 10_000
 _CRC_FLIP = 0xFFFFFFFF
 _CRC_BLOCK = 1 << 20
@@ -43,14 +43,14 @@ Folder = dict[str, Any]  # name to _File or Folder
 
 @dataclass(frozen=True)
 class _File:
-    """A file of the tree: its size in bytes, and what opens it for reading."""
+    """A file of the tree: its size in bytes, and a function that opens it for reading."""
 
     size: int
     open: Callable[[], BinaryIO]
 
 
 class _RefusedError(Exception):
-    """A request that is answered by NAK; ``code`` says why."""
+    """A request rejected by NAK with error ``code``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -59,8 +59,6 @@ class _RefusedError(Exception):
 
 @dataclass(frozen=True)
 class _Request:
-    """A request as it came."""
-
     sequence: int
     session: int
     opcode: int
@@ -70,7 +68,7 @@ class _Request:
 
     @property
     def path(self) -> str:
-        """The path that the data hold, up to the first zero byte."""
+        """Path in the data, up to the first zero byte."""
         return self.data[: self.size].split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
@@ -80,12 +78,12 @@ class _Client:
 
     Attributes:
         file: the open file, None without a session.
-        size: of the file as it was opened; a log that is being written may have more by now.
-        last: the last request, and the answer to it.
-        burst: where a burst goes on, -1 for none.
+        size: size of the file when it was opened; a log being written may have grown since.
+        last: the last request and its reply.
+        burst: file offset of the next message of a burst, -1 for none.
         burst_size: bytes in each of its messages.
-        sequence: of the burst's next message.
-        sender: system and component that burst messages are for.
+        sequence: sequence number of its next message.
+        sender: system and component id that burst messages are sent to.
     """
 
     file: BinaryIO | None = None
@@ -104,13 +102,13 @@ class _Client:
 
 
 class FtpService(Service):
-    """Lets clients list and read the vehicle's logs, and what other services have to show."""
+    """Serves listings and contents of the vehicle's logs and of the files of other services."""
 
     MESSAGES: ClassVar[dict[str, str]] = {"FILE_TRANSFER_PROTOCOL": "_request"}
     CAPABILITIES = mavlink.MAV_PROTOCOL_CAPABILITY_FTP
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._clients: dict[Link, _Client] = {}
         self._actions: dict[int, Callable[[_Client, _Request], bytes]] = {
@@ -132,7 +130,7 @@ class FtpService(Service):
         logs = self.vehicle.autopilot.logs
         return logs[self.vehicle.index] if logs else None
 
-    # requests and answers
+    # requests and replies
 
     def _request(self, link: Link, m: Any) -> None:
         payload = bytes(m.payload).ljust(_PAYLOAD, b"\0")
@@ -154,11 +152,11 @@ class FtpService(Service):
                 return
             if opcode not in self._actions:
                 raise _RefusedError(_UNKNOWN)
-            answer = _answer(request, _ACK, self._actions[opcode](client, request))
+            reply = _reply(request, _ACK, self._actions[opcode](client, request))
         except _RefusedError as refused:
-            answer = _answer(request, _NAK, bytes([refused.code]))
-        client.last = (payload, answer)
-        self._send(link, link.sender, answer)
+            reply = _reply(request, _NAK, bytes([refused.code]))
+        client.last = (payload, reply)
+        self._send(link, link.sender, reply)
 
     def _send(self, link: Link, receiver: tuple[int, int], payload: bytes) -> None:
         link.send_message(mavlink.MAVLink_file_transfer_protocol_message(0, *receiver, list(payload)))
@@ -184,10 +182,10 @@ class FtpService(Service):
         return tree
 
     def _find(self, path: str) -> _File | Folder:
-        """Return what lies at ``path``.
+        """Return the file or folder at ``path``.
 
         Raises:
-            _RefusedError: nothing does.
+            _RefusedError: the path does not exist.
         """
         here: _File | Folder = self._tree()
         for part in path.split("/"):
@@ -205,7 +203,7 @@ class FtpService(Service):
         return found
 
     def _list(self, _client: _Client, request: _Request) -> bytes:
-        """Name what a folder holds, from entry number ``offset`` on, as much as a message takes."""
+        """Return the entries of a folder from number ``offset`` on, as many as fit into a message."""
         found = self._find(request.path)
         if not isinstance(found, dict):
             raise _RefusedError(_NOT_FOUND)
@@ -256,7 +254,7 @@ class FtpService(Service):
         return b""
 
     def _crc32(self, _client: _Client, request: _Request) -> bytes:
-        """Return PX4's checksum of a file: it starts from 0 and does not invert; zlib inverts before and after."""
+        """Return PX4's CRC32 of a file: it starts from 0 and does not invert; zlib inverts before and after."""
         crc = 0
         try:
             with self._file_at(request.path).open() as file:
@@ -280,7 +278,7 @@ class FtpService(Service):
             self.due_us = self.vehicle.now_us
 
     def update(self, now_us: int) -> None:
-        """Send the next messages of the bursts that are running."""
+        """Send the next messages of all bursts."""
         self._drop_closed()
         for link in self.waiting:
             self.send_part(link, now_us)
@@ -288,7 +286,7 @@ class FtpService(Service):
 
     @property
     def waiting(self) -> list[Link]:
-        """Who gets a burst."""
+        """Links to which a burst is being sent."""
         return [link for link, client in self._clients.items() if client.burst >= 0]
 
     def send_part(self, link: Link, _now_us: int) -> None:
@@ -312,7 +310,7 @@ def _log_file(entry: LogEntry) -> _File:
 
 
 def _part(client: _Client, file: BinaryIO, offset: int, size: int) -> bytes:
-    """Return up to ``size`` bytes of the session's file from ``offset``; none at its end."""
+    """Return up to ``size`` bytes of the session's file from ``offset``; empty at its end."""
     wanted = min(size, client.size - offset)
     if wanted <= 0:
         return b""
@@ -320,6 +318,6 @@ def _part(client: _Client, file: BinaryIO, offset: int, size: int) -> bytes:
     return file.read(wanted)
 
 
-def _answer(request: _Request, kind: int, data: bytes) -> bytes:
+def _reply(request: _Request, kind: int, data: bytes) -> bytes:
     head = _HEADER.pack(request.sequence + 1 & 0xFFFF, 0, kind, len(data), request.opcode, 0, 0, request.offset)
     return (head + data).ljust(_PAYLOAD, b"\0")

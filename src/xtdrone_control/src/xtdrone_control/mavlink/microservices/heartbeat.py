@@ -1,4 +1,4 @@
-"""Heartbeats that come in, PING and TIMESYNC."""
+"""Received HEARTBEAT, PING and TIMESYNC."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _GCS_TYPE = 6  # MAV_TYPE_GCS
 
 
 class HeartbeatService(Service):
-    """Knows who is there, and answers PING and TIMESYNC."""
+    """Reports ground stations to the commander, and replies to PING and TIMESYNC."""
 
     MESSAGES: ClassVar[dict[str, str]] = {"HEARTBEAT": "_heartbeat", "TIMESYNC": "_timesync", "PING": "_ping"}
 

@@ -1,7 +1,7 @@
-"""The log protocol: which logs there are, and their bytes, as PX4's mavlink_log_handler gives them.
+"""Log transfer protocol, as of PX4's mavlink_log_handler: list, download and erase flight logs.
 
-What a client has asked for is sent by simulated time, a few messages every 10 ms, so that its socket is not overrun; a
-client asks again for what was lost on the way. Each client has its own list and its own transfer.
+Transfers are paced by simulated time, a few messages every 10 ms, so that the client's socket buffer does not overflow;
+clients request lost messages again. Each client has a separate list and transfer.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from xtdrone_control.autopilot.logger.folder import LogEntry, LogFolder
 from xtdrone_control.mavlink.link import Link
 from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
 
-BURST = 32  # messages a period: 288 kB of a log in a simulated second
+BURST = 32  # messages in a period: 288 kB of a log in a simulated second
 PERIOD_US = 10_000
 _CHUNK = 90  # bytes of LOG_DATA
 _NOTHING = bytes(_CHUNK)
@@ -23,15 +23,15 @@ _NOTHING = bytes(_CHUNK)
 
 @dataclass
 class _Client:
-    """What one client has been told and is waiting for.
+    """State of the transfers to one client.
 
     Attributes:
-        logs: the list as it was told last; a log's place in it is its id.
-        listing: ids still to be told.
-        log: id of the log that is sent.
-        offset: where in it to go on.
-        remaining: bytes still to be sent.
-        sending: whether data are sent.
+        logs: the list sent last; the index of a log is its id.
+        listing: ids of the entries still to be sent.
+        log: id of the log being sent.
+        offset: offset of the next byte to send.
+        remaining: number of bytes still to be sent.
+        sending: whether a log is being sent.
     """
 
     logs: list[LogEntry]
@@ -42,7 +42,7 @@ class _Client:
     sending: bool = False
 
     @property
-    def waits(self) -> bool:
+    def is_waiting(self) -> bool:
         return self.sending or bool(self.listing)
 
 
@@ -57,7 +57,7 @@ class LogService(Service):
     }
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._clients: dict[Link, _Client] = {}
 
@@ -77,7 +77,7 @@ class LogService(Service):
 
     def _data(self, link: Link, m: Any) -> None:
         client = self._clients.get(link)
-        if client is None:  # PX4 leaves this unanswered; there are clients that remember an older list
+        if client is None:  # PX4 does not reply; some clients use an older list
             client = self._clients[link] = _Client(self._entries())
         if m.id >= len(client.logs):
             return
@@ -113,8 +113,8 @@ class LogService(Service):
 
     @property
     def waiting(self) -> list[Link]:
-        """Who gets a list, or a log."""
-        return [link for link, client in self._clients.items() if client.waits]
+        """Links to which a list or a log is being sent."""
+        return [link for link, client in self._clients.items() if client.is_waiting]
 
     def send_part(self, link: Link, now_us: int) -> None:
         """Queue the next messages of a transfer."""
@@ -124,11 +124,11 @@ class LogService(Service):
             self._send_data(link, client, now_us)
 
     def _send_entries(self, link: Link, client: _Client) -> None:
-        told, client.listing = client.listing[:BURST], client.listing[BURST:]
-        for number in told:
+        ids, client.listing = client.listing[:BURST], client.listing[BURST:]
+        for number in ids:
             found = client.logs[number] if client.logs else None
             time_utc, size = (found.time_utc, found.size) if found is not None else (0, 0)
-            last = client.listing[-1] if client.listing else told[-1]
+            last = client.listing[-1] if client.listing else ids[-1]
             link.send_message(
                 mavlink.MAVLink_log_entry_message(number, len(client.logs), last, time_utc, min(size, 0xFFFFFFFF))
             )

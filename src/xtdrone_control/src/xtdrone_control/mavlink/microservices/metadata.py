@@ -1,7 +1,7 @@
-"""Component metadata: where a ground station finds what our events and parameters are.
+"""Component metadata: definitions of the events and parameters for ground stations.
 
-Source: mavlink.io, "Component Metadata Protocol". COMPONENT_METADATA, and the older COMPONENT_INFORMATION, name a file
-that MAVLink FTP serves, which names the others. They lie where PX4 has them, in ``/etc/extras``, without compression.
+Source: mavlink.io, "Component Metadata Protocol". COMPONENT_METADATA, and the older COMPONENT_INFORMATION, give the URI
+of a file served by MAVLink FTP, which lists the other files. As in PX4 they are in ``/etc/extras``, but uncompressed.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ def checksum(data: bytes) -> int:
 
 
 class MetadataService(Service):
-    """Serves the files, and says where they are."""
+    """Serves the metadata files and sends their URI."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         vehicle.files.update(
             {

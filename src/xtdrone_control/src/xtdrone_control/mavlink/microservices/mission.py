@@ -1,7 +1,7 @@
-"""The mission protocol for missions, geofences and rally points, answered as PX4 v1.14 does, quirks included.
+"""Mission protocol for missions, geofences and rally points, with the behaviour and quirks of PX4 v1.14.
 
-https://mavlink.io/en/services/mission.html; PX4 ``MavlinkMissionManager``. Each client has a transfer of its own, but
-only one uploads at a time.
+Sources: https://mavlink.io/en/services/mission.html, PX4 ``MavlinkMissionManager``. Each client has a separate
+transfer; only one client uploads at a time.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from xtdrone_control.mavlink.link import Link
 from xtdrone_control.mavlink.microservices import mission_items
 from xtdrone_control.mavlink.service import NEVER_US, Service, Vehicle
 
-_RETRY_US = 250_000  # until an item is asked for again
-_TIMEOUT_US = 5_000_000  # of a partner's silence
-_LOOK_US = 20_000  # between two looks at transfers: PX4's MAVLink loop makes its 250 ms about 270
-_PROGRESS_US = 100_000  # between two looks at the mission
+_RETRY_US = 250_000  # until an item is requested again
+_TIMEOUT_US = 5_000_000  # silence of the partner that ends a transfer
+_TRANSFER_PERIOD_US = 20_000  # between two checks of transfers: PX4's MAVLink loop turns its 250 ms into about 270
+_PROGRESS_US = 100_000  # between two checks of the mission's progress
 _REPEAT_US = 1_000_000  # MISSION_CURRENT and, for a while, MISSION_ITEM_REACHED
 _REACHED_REPEATS = 10
 _ACCEPTED, _ERROR, _NO_SPACE = 0, 1, 4  # MAV_MISSION_RESULT
 _UNSUPPORTED, _CANCELLED = 3, 15
 _LOCAL_NED = 1  # MAV_FRAME
-# commands that belong to fences and rally points; PX4 refuses them in a mission
+# commands of geofences and rally points; PX4 rejects them in a mission
 _NOT_FOR_MISSIONS = (
     plan.FENCE_INCLUSION,
     plan.FENCE_EXCLUSION,
@@ -50,18 +50,18 @@ class _State(enum.Enum):
 
 
 class _Transfer:
-    """What is under way with one client.
+    """Transfer with one client.
 
     Attributes:
-        state: whether and where items go.
+        state: direction of the transfer, if any.
         kind: MAV_MISSION_TYPE.
-        partner: MAVLink system and component id of the other end.
-        seq: next item.
-        count: how many there are.
-        items: those that have come.
-        current: index of the item that came marked as the current one, -1 for none.
-        integers: MISSION_REQUEST_INT and MISSION_ITEM_INT are spoken; MISSION_REQUEST comes first, as from PX4.
-        sent_us, heard_us: simulated time of the last request, and of the last message from the partner.
+        partner: MAVLink system and component id of the client.
+        seq: index of the next item.
+        count: number of items.
+        items: received items.
+        current: index of the received item marked as current, -1 for none.
+        integers: whether to use MISSION_REQUEST_INT and MISSION_ITEM_INT; PX4 starts with MISSION_REQUEST.
+        sent_us, heard_us: simulated time of the last request, and of the last message from the partner, us.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class _Transfer:
 
 
 class MissionService(Service):
-    """Takes and tells plans, and tells of the mission's progress."""
+    """Receives and sends plans, and reports the progress of the mission."""
 
     CAPABILITIES = (
         mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
@@ -100,43 +100,43 @@ class MissionService(Service):
     }
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._navigator = vehicle.commander.navigator
         self._transfers: dict[Link, _Transfer] = {}
         self._uploading: _Transfer | None = None
-        self._told_current = -1
-        self._told_reached = -1
+        self._sent_current = -1
+        self._sent_reached = -1
         self._repeats = 0
         self._repeat_us = 0
-        self._wake(0)
+        self._schedule(0)
 
     # time
 
     def update(self, now_us: int) -> None:
-        """Ask again, give up, and tell of the mission's progress."""
+        """Repeat requests, time out transfers, and report the progress of the mission."""
         self.due_us = NEVER_US
         self._drop_closed()
         for link, transfer in self._transfers.items():
             if transfer.state is not _State.IDLE:
-                self._watch(link, transfer, now_us)
-        self._tell_progress(now_us)
-        self._wake(now_us)
+                self._check(link, transfer, now_us)
+        self._send_progress(now_us)
+        self._schedule(now_us)
 
-    def _wake(self, now_us: int) -> None:
-        """Set when ``update`` is due next."""
+    def _schedule(self, now_us: int) -> None:
+        """Set the time of the next ``update``."""
         if any(transfer.state is not _State.IDLE for transfer in self._transfers.values()):
-            self.due_us = (now_us // _LOOK_US + 1) * _LOOK_US
+            self.due_us = (now_us // _TRANSFER_PERIOD_US + 1) * _TRANSFER_PERIOD_US
         elif self._navigator.plans.mission or self._navigator.payload.shots:
             self.due_us = (now_us // _PROGRESS_US + 1) * _PROGRESS_US
         else:
             self.due_us = NEVER_US
 
-    def _watch(self, link: Link, transfer: _Transfer, now_us: int) -> None:
+    def _check(self, link: Link, transfer: _Transfer, now_us: int) -> None:
         if transfer.state is _State.UPLOAD and now_us - transfer.sent_us > _RETRY_US:
-            self._ask(link, transfer)
+            self._request_item(link, transfer)
         elif now_us - transfer.heard_us > _TIMEOUT_US:
-            self._refuse("Operation timeout", "mavlink_mission_op_timeout")
+            self._announce_error("Operation timeout", "mavlink_mission_op_timeout")
             self._end(transfer)
 
     def _end(self, transfer: _Transfer) -> None:
@@ -144,7 +144,7 @@ class MissionService(Service):
         if self._uploading is transfer:
             self._uploading = None
 
-    def _refuse(self, text: str, name: str) -> None:
+    def _announce_error(self, text: str, name: str) -> None:
         self.vehicle.commander.tell(CRITICAL, text, name, level=ERROR)
 
     def _transfer(self, link: Link) -> _Transfer:
@@ -155,7 +155,7 @@ class MissionService(Service):
         return transfer
 
     def _drop_closed(self) -> None:
-        """Forget the clients that are gone, and what was under way with them."""
+        """End the transfers of closed links."""
         for link in [link for link in self._transfers if not link.open]:
             self._end(self._transfers.pop(link))
 
@@ -164,32 +164,32 @@ class MissionService(Service):
 
     # progress
 
-    def _tell_progress(self, now_us: int) -> None:
+    def _send_progress(self, now_us: int) -> None:
         mission, plans = self._navigator.mission, self._navigator.plans
-        tell = self._tell
+        send = self._broadcast
         for shot in self._taken_shots():
-            tell(mavlink.MAVLink_camera_trigger_message(shot.time_us, shot.number))
+            send(mavlink.MAVLink_camera_trigger_message(shot.time_us, shot.number))
         reached, current = mission.reached, plans.current
         if not plans.mission:
-            self._told_current = self._told_reached = -1
+            self._sent_current = self._sent_reached = -1
             return
-        if reached != self._told_reached:
-            self._told_reached = reached
+        if reached != self._sent_reached:
+            self._sent_reached = reached
             self._repeats = 0
             if reached >= 0:
-                tell(mavlink.MAVLink_mission_item_reached_message(reached))
-        if current != self._told_current:
-            self._told_current = current
+                send(mavlink.MAVLink_mission_item_reached_message(reached))
+        if current != self._sent_current:
+            self._sent_current = current
             self._repeat_us = now_us + _REPEAT_US
-            tell(mavlink.MAVLink_mission_current_message(current))
+            send(mavlink.MAVLink_mission_current_message(current))
         elif now_us >= self._repeat_us:
             self._repeat_us = now_us + _REPEAT_US
-            tell(mavlink.MAVLink_mission_current_message(current))
+            send(mavlink.MAVLink_mission_current_message(current))
             if reached >= 0 and self._repeats < _REACHED_REPEATS:
                 self._repeats += 1
-                tell(mavlink.MAVLink_mission_item_reached_message(reached))
+                send(mavlink.MAVLink_mission_item_reached_message(reached))
 
-    def _tell(self, message: Any) -> None:
+    def _broadcast(self, message: Any) -> None:
         for link in self.vehicle.clients():
             link.send_message(message)
 
@@ -217,7 +217,7 @@ class MissionService(Service):
         transfer.count = len(self._items(kind))
         self._heard(transfer)
         link.send_message(mavlink.MAVLink_mission_count_message(*link.sender, transfer.count, kind))
-        self._wake(self.vehicle.now_us)
+        self._schedule(self.vehicle.now_us)
 
     def _items(self, kind: int) -> plan.Items:
         return self._navigator.plans.items[kind] if kind in plan.KINDS else ()
@@ -232,12 +232,12 @@ class MissionService(Service):
         transfer = self._transfer(link)
         transfer.integers = integers
         if transfer.state is _State.IDLE:
-            return  # PX4 says nothing: some displays ask for no reason
+            return  # PX4 does not reply: some displays send stray requests
         if link.sender != transfer.partner:
-            self._refuse("WPM: REJ. CMD: partner id mismatch", "mavlink_mission_partner_id_mismatch2")
+            self._announce_error("WPM: REJ. CMD: partner id mismatch", "mavlink_mission_partner_id_mismatch2")
             return
         if transfer.state is _State.UPLOAD:
-            self._refuse("WPM: REJ. CMD: Busy", "mavlink_mission_mis_req_ignored_busy")
+            self._announce_error("WPM: REJ. CMD: Busy", "mavlink_mission_mis_req_ignored_busy")
             return
         if m.mission_type != transfer.kind:
             return
@@ -247,7 +247,7 @@ class MissionService(Service):
         if not (expected or m.seq == transfer.seq - 1) or m.seq >= len(items):
             self._end(transfer)
             self._acknowledge(link, transfer.kind, _ERROR)
-            self._refuse("WPM: REJ. CMD: Req. WP was unexpected", "mavlink_mission_wp_unexpected")
+            self._announce_error("WPM: REJ. CMD: Req. WP was unexpected", "mavlink_mission_wp_unexpected")
             return
         transfer.seq = m.seq + 1
         current = transfer.kind == plan.MISSION and m.seq == self._navigator.plans.current
@@ -258,12 +258,12 @@ class MissionService(Service):
         if transfer.state is _State.IDLE and transfer.partner == (0, 0):
             return
         if link.sender != transfer.partner:
-            self._refuse("REJ. WP CMD: partner id mismatch", "mavlink_mission_partner_id_mismatch")
+            self._announce_error("REJ. WP CMD: partner id mismatch", "mavlink_mission_partner_id_mismatch")
         elif transfer.state is _State.DOWNLOAD and m.mission_type == transfer.kind:
             self._end(transfer)
         elif transfer.state is _State.UPLOAD and m.type == _UNSUPPORTED:
             transfer.integers = not transfer.integers
-            self._ask(link, transfer)
+            self._request_item(link, transfer)
         elif transfer.state is _State.UPLOAD and m.type == _CANCELLED:
             self._end(transfer)
 
@@ -275,10 +275,10 @@ class MissionService(Service):
             self._count_again(link, transfer)
             return
         if transfer.state is _State.DOWNLOAD:
-            self._refuse("WPM: IGN MISSION_COUNT: Busy", "mavlink_mission_ignore_mis_count")
+            self._announce_error("WPM: IGN MISSION_COUNT: Busy", "mavlink_mission_ignore_mis_count")
             self._acknowledge(link, m.mission_type, _ERROR)
             return
-        if self._uploading is not None:  # PX4 addresses this to the last partner on the link, at first to none
+        if self._uploading is not None:  # PX4 addresses this to the last partner on the link, initially 0
             link.send_message(mavlink.MAVLink_mission_ack_message(*transfer.partner, _ERROR, m.mission_type))
             return
         transfer.kind = m.mission_type
@@ -300,19 +300,19 @@ class MissionService(Service):
         transfer.current = -1
         self._uploading = transfer
         self._heard(transfer)
-        self._ask(link, transfer)
-        self._wake(self.vehicle.now_us)
+        self._request_item(link, transfer)
+        self._schedule(self.vehicle.now_us)
 
     def _count_again(self, link: Link, transfer: _Transfer) -> None:
-        """Answer a MISSION_COUNT during an upload: the first request was lost, or somebody else wants to begin."""
+        """Handle a MISSION_COUNT during an upload: the first request was lost, or another client starts an upload."""
         if transfer.seq == 0 and link.sender == transfer.partner:
             self._heard(transfer)
-            self._ask(link, transfer)
+            self._request_item(link, transfer)
             return
-        self._refuse("WPM: REJ. CMD: Busy", "mavlink_mission_getlist_busy")
+        self._announce_error("WPM: REJ. CMD: Busy", "mavlink_mission_getlist_busy")
         self._acknowledge(link, transfer.kind, _ERROR)
 
-    def _ask(self, link: Link, transfer: _Transfer) -> None:
+    def _request_item(self, link: Link, transfer: _Transfer) -> None:
         transfer.sent_us = self.vehicle.now_us
         make = mavlink.MAVLink_mission_request_message
         if transfer.integers:
@@ -320,39 +320,39 @@ class MissionService(Service):
         link.send_message(make(*transfer.partner, transfer.seq, transfer.kind))
 
     def _item(self, link: Link, m: Any) -> None:
-        self._take_item(link, m, False)
+        self._receive_item(link, m, False)
 
     def _item_int(self, link: Link, m: Any) -> None:
-        self._take_item(link, m, True)
+        self._receive_item(link, m, True)
 
-    def _take_item(self, link: Link, m: Any, integers: bool) -> None:
+    def _receive_item(self, link: Link, m: Any, integers: bool) -> None:
         transfer = self._transfer(link)
         transfer.integers = integers
         if m.mission_type != transfer.kind:
             self._acknowledge(link, transfer.kind, _ERROR)
         elif transfer.state is _State.UPLOAD:
             self._heard(transfer)
-            if m.seq == transfer.seq:  # another one is ignored, and asked for again in time
-                self._keep_item(link, transfer, m)
+            if m.seq == transfer.seq:  # other items are ignored and requested again later
+                self._store_item(link, transfer, m)
         elif transfer.state is _State.IDLE and transfer.seq and transfer.seq == m.seq + 1:
             self._acknowledge(link, transfer.kind, _ACCEPTED)  # the last one again: the acknowledgement was lost
         else:
-            what, name = "Busy", "mavlink_mission_mis_item_busy"
+            reason, name = "Busy", "mavlink_mission_mis_item_busy"
             if transfer.state is _State.IDLE:
-                what, name = "No transfer", "mavlink_mission_no_transfer"
-            self._refuse(f"IGN MISSION_ITEM: {what}", name)
+                reason, name = "No transfer", "mavlink_mission_no_transfer"
+            self._announce_error(f"IGN MISSION_ITEM: {reason}", name)
             self._acknowledge(link, transfer.kind, _ERROR)
 
-    def _keep_item(self, link: Link, transfer: _Transfer, m: Any) -> None:
+    def _store_item(self, link: Link, transfer: _Transfer, m: Any) -> None:
         try:
             item = mission_items.parse(m, transfer.integers)
         except mission_items.ItemError as error:
-            link.warn("mission", f"plan refused: item {m.seq}: {error}", self.vehicle.now_us)
-            self._refuse("IGN MISSION_ITEM: Invalid item", "mavlink_mission_mis_item_invalid")
+            link.warn("mission", f"plan rejected: item {m.seq}: {error}", self.vehicle.now_us)
+            self._announce_error("IGN MISSION_ITEM: Invalid item", "mavlink_mission_mis_item_invalid")
             self._acknowledge(link, transfer.kind, error.result)
             self._end(transfer)
             return
-        if not self._fits(item, transfer.kind):
+        if not self._is_valid(item, transfer.kind):
             self._acknowledge(link, transfer.kind, _ERROR)
             self._end(transfer)
             return
@@ -361,12 +361,12 @@ class MissionService(Service):
         if m.current:
             transfer.current = m.seq
         if transfer.seq < transfer.count:
-            self._ask(link, transfer)
+            self._request_item(link, transfer)
         else:
             self._finish_upload(link, transfer)
 
-    def _fits(self, item: PlanItem, kind: int) -> bool:
-        """Return whether the list ``kind`` takes ``item``; a polygon that cannot be clears the fence, as in PX4."""
+    def _is_valid(self, item: PlanItem, kind: int) -> bool:
+        """Return whether ``item`` is valid in a plan of ``kind``; an invalid polygon clears the fence, as in PX4."""
         if kind == plan.MISSION:
             return item.command not in _NOT_FOR_MISSIONS
         if kind == plan.FENCE and item.command in _POLYGONS and geofence.vertex_count(item) < _LEAST_VERTICES:
@@ -382,16 +382,16 @@ class MissionService(Service):
 
     def _replace(self, kind: int, items: Sequence[PlanItem], current: int = -1) -> None:
         if kind not in plan.KINDS:
-            return  # PX4 accepts to clear what it does not have
+            return  # PX4 accepts clearing of unknown kinds
         self._navigator.set_plan(kind, items, current)
-        self._wake(self.vehicle.now_us)
+        self._schedule(self.vehicle.now_us)
 
     # both ways
 
     def _clear_all(self, link: Link, m: Any) -> None:
         transfer = self._transfer(link)
         if transfer.state is not _State.IDLE:
-            self._refuse("WPM: IGN CLEAR CMD: Busy", "mavlink_mission_ignore_clear")
+            self._announce_error("WPM: IGN CLEAR CMD: Busy", "mavlink_mission_ignore_clear")
             return
         transfer.kind = m.mission_type
         for kind in plan.KINDS if m.mission_type == plan.ALL_KINDS else (m.mission_type,):
@@ -400,14 +400,14 @@ class MissionService(Service):
 
     def _set_current(self, link: Link, m: Any) -> None:
         if self._transfer(link).state is not _State.IDLE:
-            self._refuse("WPM: IGN WP CURR CMD: Busy", "mavlink_mission_state_busy")
+            self._announce_error("WPM: IGN WP CURR CMD: Busy", "mavlink_mission_state_busy")
         elif not self._navigator.set_current(m.seq):
-            self._refuse("WPM: WP CURR CMD: Not in list", "mavlink_mission_seq_out_of_bounds")
+            self._announce_error("WPM: WP CURR CMD: Not in list", "mavlink_mission_seq_out_of_bounds")
         else:
-            # at once for who asked, since he may hold the time, and in its turn for the others
+            # immediately to the sender, which may be a participant that blocks the tick; to the others in ``update``
             link.send_message(mavlink.MAVLink_mission_current_message(m.seq))
-            self._told_current = -1
-            self._wake(self.vehicle.now_us)
+            self._sent_current = -1
+            self._schedule(self.vehicle.now_us)
 
     def _acknowledge(self, link: Link, kind: int, result: int) -> None:
         link.send_message(mavlink.MAVLink_mission_ack_message(*link.sender, result, kind))
@@ -415,9 +415,9 @@ class MissionService(Service):
     # precision landing
 
     def _landing_target(self, _link: Link, m: Any) -> None:
-        self.vehicle.in_turn(lambda: self._take_landing_target(m))
+        self.vehicle.call_or_queue(lambda: self._apply_landing_target(m))
 
-    def _take_landing_target(self, m: Any) -> None:
+    def _apply_landing_target(self, m: Any) -> None:
         if m.position_valid and m.frame != _LOCAL_NED:
             self.vehicle.commander.say(CRITICAL, f"landing target: coordinate frame {m.frame} unsupported")
         elif m.position_valid:

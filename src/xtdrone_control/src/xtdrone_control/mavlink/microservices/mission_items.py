@@ -1,7 +1,7 @@
-"""MISSION_ITEM and MISSION_ITEM_INT to plan items and back, with what PX4 v1.14 takes, refuses and forgets.
+"""Conversion of MISSION_ITEM and MISSION_ITEM_INT to plan items and back, with the rules of PX4 v1.14.
 
-PX4 keeps of an item what its command uses: a download shows the rest as 0, headings as 0..360 degrees and the frame
-that belongs to the message asked for (``MavlinkMissionManager``).
+PX4 stores only the parameters that an item's command uses: a download returns the others as 0, headings as 0..360
+degrees, and the frame of the requested message type (``MavlinkMissionManager``).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ _GLOBAL, _RELATIVE, _GLOBAL_INT, _RELATIVE_INT = 0, 3, 5, 6  # MAV_FRAME
 _SCALE = 1e7
 _INT32_MAX = (1 << 31) - 1
 
-# commands with a place, and how PX4 tells their parameters again: v as it came, f as 0 or 1, y as a heading, - as 0
-_PLACED = {
+# commands with a position, and how PX4 returns their parameters: v unchanged, f as 0 or 1, y as a heading, - as 0
+_POSITIONED = {
     plan.WAYPOINT: "vv-y",
     plan.LOITER_UNLIM: "--vy",
     plan.LOITER_TIME: "vfvf",
@@ -39,7 +39,7 @@ _PLACED = {
     plan.FENCE_CIRCLE_EXCLUSION: "v---",
     plan.RALLY_POINT: "----",
 }
-_UNPLACED = frozenset(
+_UNPOSITIONED = frozenset(
     (
         plan.JUMP,
         plan.ROI,
@@ -77,52 +77,55 @@ _UNPLACED = frozenset(
     )
 )
 _ROI_NONE, _ROI_NEXT, _ROI_INDEX, _ROI_LOCATION = 0, 1, 2, 3
-_ROI_MODES = {True: (_ROI_LOCATION, _ROI_NONE), False: (_ROI_NONE, _ROI_NEXT, _ROI_INDEX)}  # by whether it has a place
+_ROI_MODES = {
+    True: (_ROI_LOCATION, _ROI_NONE),
+    False: (_ROI_NONE, _ROI_NEXT, _ROI_INDEX),
+}  # by whether it has a position
 
 
 class ItemError(ValueError):
-    """An item that is refused.
+    """A rejected item.
 
     Attributes:
         result: MAV_MISSION_RESULT.
     """
 
     def __init__(self, result: int, text: str) -> None:
-        """Take the result and what is wrong."""
+        """Store the result and the error text."""
         super().__init__(text)
         self.result = result
 
 
-def takes(command: int, placed: bool) -> bool:
-    """Return whether PX4 takes items of ``command``, in a global frame (``placed``) or in that of the mission."""
-    return command in (_PLACED if placed else _UNPLACED)
+def accepts(command: int, positioned: bool) -> bool:
+    """Return whether PX4 accepts ``command`` in a global frame (``positioned``), or else in the mission frame."""
+    return command in (_POSITIONED if positioned else _UNPOSITIONED)
 
 
 def parse(message: Any, integers: bool) -> PlanItem:
     """Return the item of a MISSION_ITEM, or MISSION_ITEM_INT (``integers``).
 
     Raises:
-        ItemError: a frame, a command or a kind of region of interest that PX4 does not take.
+        ItemError: a frame, a command or a kind of region of interest that PX4 does not accept.
     """
     frames = (_GLOBAL, _RELATIVE, _GLOBAL_INT, _RELATIVE_INT) if integers else (_GLOBAL, _RELATIVE)
-    placed = message.frame in frames
-    if not placed and message.frame != FRAME_MISSION:
+    positioned = message.frame in frames
+    if not positioned and message.frame != FRAME_MISSION:
         raise ItemError(mavlink.MAV_MISSION_UNSUPPORTED_FRAME, f"frame {message.frame} is not allowed")
     command = message.command
-    if not takes(command, placed):
+    if not accepts(command, positioned):
         raise ItemError(mavlink.MAV_MISSION_UNSUPPORTED, f"command {command} is not allowed in frame {message.frame}")
     if command in (plan.ROI, plan.SET_ROI):
         command = plan.SET_ROI
-        if not math.isfinite(message.param1) or int(message.param1) not in _ROI_MODES[placed]:
+        if not math.isfinite(message.param1) or int(message.param1) not in _ROI_MODES[positioned]:
             raise ItemError(mavlink.MAV_MISSION_INVALID_PARAM1, f"region of interest {message.param1} is not allowed")
     params = (message.param1, message.param2, message.param3, message.param4)
     x, y = message.x, message.y
-    if placed and integers:
+    if positioned and integers:
         x, y = x / _SCALE, y / _SCALE
     return PlanItem(command, message.frame, params, float(x), float(y), message.z, bool(message.autocontinue))
 
 
-def _told(value: float, how: str) -> float:
+def _stored(value: float, how: str) -> float:
     if how == "y":
         return value % 360.0 if math.isfinite(value) else math.nan
     if how == "f":
@@ -138,20 +141,22 @@ def write(item: PlanItem, seq: int, current: bool, kind: int, integers: bool, ta
     """Return ``item`` as MISSION_ITEM_INT (``integers``) or MISSION_ITEM.
 
     Args:
-        item: what to tell.
+        item: item of the plan.
         seq: its index.
-        current: whether it is the one that is flown.
+        current: whether it is the item being flown.
         kind: MAV_MISSION_TYPE.
-        integers: which of the messages.
-        target: MAVLink system and component id that asked.
+        integers: whether to return MISSION_ITEM_INT.
+        target: MAVLink system and component id of the client.
     """
     frame, params, x, y = item.frame, item.params, item.x, item.y
     if frame != FRAME_MISSION:
         frame = (_RELATIVE_INT if integers else _RELATIVE) if item.relative else (_GLOBAL_INT if integers else _GLOBAL)
-        a, b, c, d = (_told(p, how) for p, how in zip(params, _PLACED[item.command], strict=True))
+        a, b, c, d = (_stored(p, how) for p, how in zip(params, _POSITIONED[item.command], strict=True))
         params = a, b, c, d
         if integers:
             x, y = x * _SCALE, y * _SCALE
-    place = (_integer(x), _integer(y)) if integers else (x, y)
+    coordinates = (_integer(x), _integer(y)) if integers else (x, y)
     make = mavlink.MAVLink_mission_item_int_message if integers else mavlink.MAVLink_mission_item_message
-    return make(*target, seq, frame, item.command, int(current), int(item.autocontinue), *params, *place, item.z, kind)
+    return make(
+        *target, seq, frame, item.command, int(current), int(item.autocontinue), *params, *coordinates, item.z, kind
+    )

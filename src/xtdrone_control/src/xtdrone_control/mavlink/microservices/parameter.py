@@ -1,11 +1,11 @@
-"""The parameter protocol: list, read, write, and the hash of all.
+"""Parameter protocol: list, read, write, and the hash of all parameters.
 
-As PX4's: the hash comes first, so that a ground station that knows these values can stop the list by sending it back,
-then 20 parameters each 20 ms, and the hash once more; a second request while a list is running begins it anew. Unknown
-names and other types get no answer, values out of range are taken. A written value is told to everybody.
+As in PX4, a list starts with the hash, so that a ground station that has these values can stop the list by sending the
+hash back; then follow 20 parameters every 20 ms, and the hash again. A second request during a list restarts it.
+Unknown names and wrong types get no reply; values out of range are accepted. A written value is broadcast.
 
-Clients that take no part in the lockstep share those 20 parameters each 20 ms: there may be many of them, and a list
-costs far more than asking for it.
+Clients outside the lockstep share those 20 parameters every 20 ms: there may be many of them, and a list costs far more
+than its request.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ class ParameterService(Service):
     CAPABILITIES = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         self._parameters = vehicle.commander.parameters
-        self._lists: dict[Link, int] = {}  # who gets a list, the next first, and which parameter is next
-        self._participants: set[Link] = set()  # those of them that take part in the lockstep
+        self._lists: dict[Link, int] = {}  # index of the next parameter by link, the next to be served first
+        self._participants: set[Link] = set()  # links of lockstep participants among them
 
     def update(self, now_us: int) -> None:
-        """Send the next parameters of the lists that are running."""
+        """Send the next parameters of the running lists."""
         others = [link for link in self._lists if link not in self._participants]
         for link in [link for link in self._lists if link in self._participants] + others[:1]:
             self.send_part(link, now_us)
@@ -55,7 +55,7 @@ class ParameterService(Service):
 
     @property
     def waiting(self) -> list[Link]:
-        """Who gets a list now."""
+        """Links to which a list is being sent."""
         return list(self._lists)
 
     def send_part(self, link: Link, _now_us: int) -> None:
@@ -67,7 +67,7 @@ class ParameterService(Service):
         for name in NAMES[start : start + _BURST]:
             self._send_parameter((link,), name)
         if start + _BURST < len(NAMES):
-            self._lists[link] = start + _BURST  # at the end of the line
+            self._lists[link] = start + _BURST  # moves to the end
         else:
             self._participants.discard(link)
             self._send_hash(link)
@@ -76,7 +76,7 @@ class ParameterService(Service):
         self.due_us = (now_us // _BURST_PERIOD_US + 1) * _BURST_PERIOD_US if self._lists else NEVER_US
 
     def _is_for_us(self, m: Any) -> bool:
-        """Say whether ``m`` names this system: PX4 leaves parameter messages to all systems alone."""
+        """Return whether ``m`` addresses this system: PX4 ignores broadcast parameter messages."""
         return bool(m.target_system == self.vehicle.system_id)
 
     def _param_request_list(self, link: Link, m: Any) -> None:
@@ -106,7 +106,7 @@ class ParameterService(Service):
     def _param_set(self, link: Link, m: Any) -> None:
         if not self._is_for_us(m):
             return
-        if m.param_id == _HASH_NAME:  # a ground station that has the values already
+        if m.param_id == _HASH_NAME:  # the ground station has these values already
             self._lists.pop(link, None)
             self._participants.discard(link)
             return
@@ -116,7 +116,7 @@ class ParameterService(Service):
         try:
             self._parameters.set(m.param_id, value, m.param_type)
         except ParameterError as error:
-            # PX4 answers nothing; the log says why
+            # no reply, as in PX4
             link.warn("parameter", f"parameter not set: {error}", self.vehicle.now_us)
             return
         self._parameters.save()

@@ -1,7 +1,7 @@
 """SETUP_SIGNING: MAVLink 2 signing is not supported.
 
-Frames are sent unsigned, and signed ones are taken as if they were not: the signature is not looked at. So does PX4
-v1.14 until a key is set up; here none can be.
+Frames are sent unsigned, and the signatures of received frames are ignored, as by PX4 v1.14 before a key is set up;
+here none can be set up.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from xtdrone_control.mavlink.service import Service, Vehicle
 
 
 class SigningService(Service):
-    """Says once that no key can be set up."""
+    """Warns once that signing is not supported."""
 
     MESSAGES: ClassVar[dict[str, str]] = {"SETUP_SIGNING": "_setup_signing"}
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
-        self._said = False
+        self._warned = False
 
     def _setup_signing(self, _link: Link, _m: Any) -> None:
-        if not self._said:
-            self._said = True
+        if not self._warned:
+            self._warned = True
             self.vehicle.commander.say(WARNING, "MAVLink signing is not supported")

@@ -1,4 +1,4 @@
-"""What the autopilot is: AUTOPILOT_VERSION, PROTOCOL_VERSION, and flights and storage."""
+"""Messages on request about the autopilot: AUTOPILOT_VERSION, PROTOCOL_VERSION, flight and storage information."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from xtdrone_control.mavlink.service import Service, Vehicle
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.wire.packing import Format
 
-PX4_VERSION = 0x010E03FF  # 1.14.3 release: whose behaviour, names and parameters these are
+PX4_VERSION = 0x010E03FF  # release 1.14.3, the modelled version
 _MAVLINK_2, _MAVLINK_1 = 200, 100
 _NO_HASH = (0,) * 8
 _BOARD_VERSION = 1  # as PX4's SITL
-_STORAGE_NOT_SUPPORTED = 3  # STORAGE_STATUS: there is storage, its size is not told
+_STORAGE_NOT_SUPPORTED = 3  # STORAGE_STATUS: size unknown
 
 _PROTOCOL_VERSION = Format("PROTOCOL_VERSION")
 
 
 class VersionService(Service):
-    """Answers who asks for a message that tells what this is."""
+    """Sends version, flight and storage information on request."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Serve ``vehicle``."""
+        """Register the service with ``vehicle``."""
         super().__init__(vehicle)
         vehicle.on_request.update(
             {

@@ -1,6 +1,6 @@
-"""Telemetry that goes out seldom, or only on request: ESCs, air traffic, links, times, what the simulator cannot know.
+"""Telemetry sent rarely or only on request: ESCs, air traffic, gimbal, time, and streams without a simulated sensor.
 
-The fields' values are those of PX4 v1.14's streams (src/modules/mavlink/streams); Open Drone ID is ASTM F3411's.
+Field values are those of PX4 v1.14's streams (src/modules/mavlink/streams); Open Drone ID is ASTM F3411's.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ _HOUR_MS = 3_600_000
 _HORIZONTAL_ACCURACY = ((1.0, 12), (3.0, 11), (10.0, 10), (30.0, 9))
 _VERTICAL_ACCURACY = ((1.0, 6), (3.0, 5), (10.0, 4), (25.0, 3), (45.0, 2), (150.0, 1))
 _SPEED_ACCURACY = ((0.3, 4), (1.0, 3), (3.0, 2), (10.0, 1))
-_CRITICAL_STATUS = 5  # MAV_STATE_CRITICAL: a failsafe is on
+_CRITICAL_STATUS = 5  # MAV_STATE_CRITICAL: a failsafe is active
 _INT16 = 32767
 _UINT16 = 65535
 _UNKNOWN_TIME = -1
 _FULL_SIGNAL = 100  # % of RC_CHANNELS.rssi
 _NAN = math.nan
-GIMBAL_DEVICE = 1  # id of a gimbal that is no MAVLink device but hangs on the autopilot
+GIMBAL_DEVICE = 1  # id of a gimbal driven by the autopilot, not a MAVLink device
 GIMBAL_CAPABILITIES = (
     mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_NEUTRAL
     | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_ROLL_LOCK
@@ -57,12 +57,19 @@ GIMBAL_CAPABILITIES = (
     | mavlink.GIMBAL_MANAGER_CAP_FLAGS_HAS_YAW_LOCK
     | mavlink.GIMBAL_MANAGER_CAP_FLAGS_CAN_POINT_LOCATION_GLOBAL
 )
-GIMBAL_RANGE = (0.0, 0.0, -0.5 * math.pi, 0.5 * math.pi, -math.pi, math.pi)  # rad, least and largest roll, pitch, yaw
+GIMBAL_RANGE = (
+    0.0,
+    0.0,
+    -0.5 * math.pi,
+    0.5 * math.pi,
+    -math.pi,
+    math.pi,
+)  # rad, limits of roll, pitch, yaw
 _LASER, _DOWNWARD = 0, 25  # MAV_DISTANCE_SENSOR, MAV_SENSOR_ORIENTATION
 _FLOW_SPAN_US = 20_000
 _SENSOR_TIMEOUT_US = 500_000
 
-# Streams that PX4 v1.14 has for sensors, devices and modes that are not here: intervals may be set, nothing is sent.
+# Streams of PX4 v1.14 for sensors, devices and modes that are not simulated: intervals can be set, nothing is sent.
 SILENT = (
     "ADSB_VEHICLE",
     "ATT_POS_MOCAP",
@@ -92,15 +99,15 @@ SILENT = (
 
 
 def _class_of(value: float, classes: tuple[tuple[float, int], ...]) -> int:
-    """Return the number of the first class whose bound is over ``value``; 0 when there is none."""
+    """Return the number of the first class with a bound above ``value``; 0 if no bound is."""
     return next((number for bound, number in classes if value < bound), 0)
 
 
-class Reports(Telemetry):
-    """All of one vehicle's telemetry; see ``Telemetry``."""
+class VehicleTelemetry(Telemetry):
+    """All telemetry of one vehicle; see ``Telemetry``."""
 
     def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
-        """Look at vehicle ``index`` of ``autopilot``, whose commander is given."""
+        """Read the records of vehicle ``index`` of ``autopilot``."""
         super().__init__(commander, autopilot, index)
         self._setpoint = autopilot.setpoint[index]
         self._rotor_count = int(autopilot.rotors[index])
@@ -108,11 +115,11 @@ class Reports(Telemetry):
     # time
 
     def timesync(self) -> Values:
-        """Ask the other end for its time (PX4 does it to measure the clocks' offset); the answer is not used."""
+        """Return TIMESYNC, with which PX4 measures the offset of the clocks; the reply is ignored."""
         return 0, self.time_us * _NANOSECONDS
 
     def time_estimate_to_target(self) -> Values | None:
-        """Seconds that a return would take, with PX4's margins; other times are not known."""
+        """Return TIME_ESTIMATE_TO_TARGET: time of a return, s, with PX4's margins; the other times are unknown."""
         seconds = self._return_time()
         if seconds is None:
             return None
@@ -141,13 +148,13 @@ class Reports(Telemetry):
     # motors
 
     def _batches(self, values: list[float]) -> list[list[float]]:
-        """Return one value a motor in batches of four, zeros where there is no motor."""
+        """Return one value for each motor in batches of four, padded with zeros."""
         count = self._rotor_count
         kept = [*values[:count], *[0.0] * (len(values) - count)]
         return [kept[start : start + _ESC_BATCH] for start in range(0, max(count, 1), _ESC_BATCH)]
 
     def esc_info(self) -> list[Values]:
-        """ESCs that are all well, as warm as PX4's SITL makes them up from the motors' commands."""
+        """Return ESC_INFO: healthy ESCs, with the temperatures that PX4's SITL derives from the motor commands."""
         online = (1 << self._rotor_count) - 1
         counter = self.time_us // 4000 & _UINT16
         commands = [max(0.0, command) for command in self._control["actuators"].tolist()]  # NaN becomes 0
@@ -167,7 +174,7 @@ class Reports(Telemetry):
         ]
 
     def esc_status(self) -> list[Values]:
-        """Speed (revolutions a minute), voltage and current of each motor."""
+        """Return ESC_STATUS: speed (rev/min), voltage (V) and current (A) of each motor."""
         voltage = self._commander.battery.voltage
         speeds = self._batches(self.sensors["esc_rpm"].tolist())
         currents = self._batches(self.sensors["esc_current"].tolist())
@@ -183,25 +190,25 @@ class Reports(Telemetry):
         ]
 
     def actuator_control_target(self) -> Values:
-        """Torque (normalised, FRD) and collective thrust that the allocator is asked for."""
+        """Return ACTUATOR_CONTROL_TARGET: torque (normalised, FRD) and collective thrust demanded of the allocator."""
         c = self._control
         return self.time_us, *c["sp_torque"].tolist(), float(c["sp_thrust"]), 0.0, 0.0, 0.0, 0.0, 0
 
     def actuator_output_status(self) -> Values:
-        """Motor commands, 0..1."""
+        """Return ACTUATOR_OUTPUT_STATUS: motor commands, 0..1."""
         motors = self._control["actuators"].tolist()
         return self.time_us, self._rotor_count, *motors, *[0.0] * (32 - len(motors))
 
     # sensors
 
     def vibration(self) -> Values:
-        """PX4's vibration metrics; nothing clips."""
+        """Return VIBRATION: PX4's vibration metrics; the simulated accelerometers never clip."""
         return self.time_us, *self._estimator["vibration"].tolist(), 0, 0, 0
 
     def distance_sensor(self) -> Values | None:
-        """The downward range finder, cm, while samples come."""
+        """Return DISTANCE_SENSOR: the downward range finder, cm, while its samples are recent."""
         s, quality = self.sensors, int(self.sensors["range_quality"])
-        if not self._lately("time_range_us"):
+        if not self._is_recent("time_range_us"):
             return None
         return (
             self.time_ms,
@@ -218,12 +225,12 @@ class Reports(Telemetry):
         )
 
     def optical_flow_rad(self) -> Values | None:
-        """Optical flow, while samples come: angles over ``_FLOW_SPAN_US`` at the rates of the last one."""
-        if not self._lately("time_flow_us"):
+        """Return OPTICAL_FLOW_RAD while samples are recent: angles over ``_FLOW_SPAN_US`` at the last rates."""
+        if not self._is_recent("time_flow_us"):
             return None
         s, span = self.sensors, _FLOW_SPAN_US * 1e-6
         gyro = [rate * span for rate in s["flow_gyro"].tolist()]
-        distance = float(s["range_distance"]) if self._lately("time_range_us") else -1.0
+        distance = float(s["range_distance"]) if self._is_recent("time_range_us") else -1.0
         return (
             self.time_us,
             _FLOW_SPAN_US,
@@ -237,15 +244,15 @@ class Reports(Telemetry):
             _whole(int(s["flow_quality"]), 0, 255),
         )
 
-    def _lately(self, field: str) -> bool:
-        """Say whether a sensor's sample, whose time the estimator keeps in ``field``, is less than 0.5 s old."""
+    def _is_recent(self, field: str) -> bool:
+        """Return whether a sensor's last sample, its time in the estimator's ``field``, is less than 0.5 s old."""
         last = int(self._estimator[field])
         return last > 0 and self.time_us - last < _SENSOR_TIMEOUT_US
 
-    # the gimbal, while one is fitted
+    # gimbal, if fitted
 
     def mount_orientation(self) -> Values | None:
-        """Where the gimbal points, degrees: roll and pitch from the horizon, yaw from the heading and from north."""
+        """Return MOUNT_ORIENTATION: gimbal attitude, degrees, yaw relative to the heading and to north."""
         attitude = self._commander.navigator.payload.gimbal_attitude
         if attitude is None:
             return None
@@ -253,7 +260,7 @@ class Reports(Telemetry):
         return self.time_ms, roll, pitch, yaw, (yaw + math.degrees(self._commander.view.yaw)) % 360.0
 
     def gimbal_device_attitude_status(self) -> Values | None:
-        """Where the gimbal points, as a quaternion; yaw from the heading, or from north when it is locked."""
+        """Return GIMBAL_DEVICE_ATTITUDE_STATUS: q (w, x, y, z), yaw relative to the heading, or to north if locked."""
         payload = self._commander.navigator.payload
         attitude = payload.gimbal_attitude
         if attitude is None:
@@ -266,7 +273,7 @@ class Reports(Telemetry):
         return self.time_ms, *q, _NAN, _NAN, _NAN, 0, flags, 0, 0, heading, _NAN, GIMBAL_DEVICE
 
     def gimbal_manager_status(self) -> Values | None:
-        """Who is in control of the gimbal."""
+        """Return GIMBAL_MANAGER_STATUS: the systems with primary and secondary control."""
         payload = self._commander.navigator.payload
         if payload.gimbal_attitude is None:
             return None
@@ -274,15 +281,15 @@ class Reports(Telemetry):
         return self.time_ms, manager.flags, GIMBAL_DEVICE, *manager.primary, *manager.secondary
 
     def gimbal_manager_information(self) -> Values | None:
-        """What the gimbal can do, as PX4 says it of one that is no MAVLink device."""
+        """Return GIMBAL_MANAGER_INFORMATION: capabilities, as of PX4's driver for a gimbal without MAVLink."""
         if self._commander.navigator.payload.gimbal_attitude is None:
             return None
         return self.time_ms, GIMBAL_CAPABILITIES, *GIMBAL_RANGE, GIMBAL_DEVICE
 
-    # the pilot
+    # pilot input
 
     def rc_channels(self) -> Values | None:
-        """The radio's channels, pulse widths in us, while there is a radio."""
+        """Return RC_CHANNELS: pulse widths, us, while a radio is in use."""
         manual = self._commander.manual
         channels = manual.channels
         if not channels or not manual.by_radio:
@@ -291,7 +298,7 @@ class Reports(Telemetry):
         return self.time_ms, *pulses, len(channels), _FULL_SIGNAL
 
     def manual_control(self) -> Values | None:
-        """The pilot's sticks as MANUAL_CONTROL takes them, -1000..1000, and 0..1000 for the throttle."""
+        """Return MANUAL_CONTROL: stick positions, -1000..1000, throttle 0..1000."""
         sticks = self._commander.manual.sticks
         if sticks is None:
             return None
@@ -299,30 +306,30 @@ class Reports(Telemetry):
         system = self._commander.vehicle.system_id
         return x, y, round(500.0 * (sticks.z + 1.0)), yaw, 0, system, *[0] * 10
 
-    # where it flies to
+    # navigation target
 
     def _goal(self) -> list[float] | None:
-        """Return the local position (m, NED) that an automatic mode flies to."""
+        """Return the target of the automatic mode, local position (m, NED); None in other modes."""
         if not self._commander.armed or int(self._setpoint["task"]) not in (TASK_GOTO, TASK_LAND):
             return None
         goal: list[float] = self._setpoint["goal_position"].tolist()
         return goal if all(map(math.isfinite, goal)) else None
 
-    def _place(self, position: list[float]) -> tuple[int, int, float]:
+    def _global_position(self, position: list[float]) -> tuple[int, int, float]:
         """Return latitude and longitude in 1e-7 degrees, and altitude in m AMSL, of a local position."""
         e = self._estimator
         lat, lon = geo.reproject(position[0], position[1], float(e["origin_lat"]), float(e["origin_lon"]))
         return round(lat * 1e7), round(lon * 1e7), float(e["origin_alt"]) - position[2]
 
     def position_target_global_int(self) -> Values | None:
-        """The place that an automatic mode flies to, with the setpoints on the way there."""
+        """Return POSITION_TARGET_GLOBAL_INT: target of the automatic mode and the current trajectory setpoint."""
         goal = self._goal()
         if goal is None:
             return None
         c = self._control
         return (
             self.time_ms,
-            *self._place(goal),
+            *self._global_position(goal),
             *c["sp_velocity"].tolist(),
             *c["sp_acceleration"].tolist(),
             float(c["sp_yaw"]),
@@ -332,25 +339,25 @@ class Reports(Telemetry):
         )
 
     def orbit_execution_status(self) -> Values | None:
-        """The circle that is flown, in ORBIT alone."""
+        """Return ORBIT_EXECUTION_STATUS: the circle being flown; None outside ORBIT."""
         if self._commander.mode is not modes.ORBIT or not self._commander.armed:
             return None
         orbit = self._commander.navigator.orbit
         radius = math.copysign(orbit.radius, orbit.speed)
         goal = [*orbit.centre, float(self._setpoint["goal_position"][2])]
-        latitude, longitude, altitude = self._place(goal)
+        latitude, longitude, altitude = self._global_position(goal)
         return self.time_us, radius, latitude, longitude, altitude, 0
 
     # air traffic
 
     def utm_global_position(self) -> Values | None:
-        """Position for unmanned traffic management, while the place on Earth is known; altitudes are AMSL."""
+        """Return UTM_GLOBAL_POSITION while the global position is valid; altitudes in mm AMSL."""
         if not self._commander.view.global_valid:
             return None
-        lat, lon, alt = self._place(self.position)
+        lat, lon, alt = self._global_position(self.position)
         goal = self._goal()
         flags = _UTM_FLAGS | (0 if goal is None else _UTM_NEXT_WAYPOINT)
-        next_lat, next_lon, next_alt = (0, 0, 0.0) if goal is None else self._place(goal)
+        next_lat, next_lon, next_alt = (0, 0, 0.0) if goal is None else self._global_position(goal)
         variances = [max(value, 0.0) for value in self._variances.tolist()]
         state = _UTM_UNKNOWN
         if self._commander.armed:
@@ -375,7 +382,7 @@ class Reports(Telemetry):
         )
 
     def open_drone_id_location(self) -> Values:
-        """Remote identification: where the GPS receiver says that the vehicle is."""
+        """Return OPEN_DRONE_ID_LOCATION: the GPS receiver's position, for remote identification."""
         s = self.sensors
         vn, ve, vd = s["gps_vel"].tolist()
         fix = int(s["gps_fix"])
@@ -406,7 +413,7 @@ class Reports(Telemetry):
         )
 
     def open_drone_id_system(self) -> Values | None:
-        """Remote identification: the takeoff place stands for the operator's."""
+        """Return OPEN_DRONE_ID_SYSTEM: the takeoff position as the operator's, for remote identification."""
         home = self._commander.home
         if home is None or self.sensors["gps_fix"] < 3:
             return None
@@ -425,14 +432,14 @@ class Reports(Telemetry):
 
 
 def _whole(value: float, least: int, most: int) -> int:
-    """Return ``value`` rounded and cut to ``least`` to ``most``."""
+    """Return ``value`` clamped to ``least``..``most`` and rounded."""
     return round(min(max(value, least), most))
 
 
 def silent() -> None:
-    """Give nothing: the values of a message in ``SILENT``."""
+    """Return None: no values for a message in ``SILENT``."""
 
 
 def source(telemetry: Telemetry, name: str) -> Callable[[], Values | list[Values] | None]:
-    """Return the method that gives message ``name``'s values."""
+    """Return the method that returns the values of message ``name``."""
     return silent if name in SILENT else getattr(telemetry, name.lower())

@@ -1,9 +1,9 @@
-"""When each telemetry message is due on a link.
+"""Schedule of the telemetry messages on a link.
 
-Due times are multiples of a stream's interval, so that the vehicles' telemetry falls on the same ticks and a flight is
-the same in every run. Default rates are those of PX4 v1.14's onboard and normal (ground-station) modes; the ground
-station's have upstream XTDrone's 50 Hz set. GPS_GLOBAL_ORIGIN, which PX4 sends when it changes, comes every 10 s here,
-for whoever comes later.
+Due times are multiples of a stream's interval, so that the telemetry of all vehicles falls on the same ticks and every
+run is the same. Default rates are those of PX4 v1.14's onboard and normal (ground station) modes, the latter with
+upstream XTDrone's streams at 50 Hz. GPS_GLOBAL_ORIGIN, which PX4 sends on change, is sent every 10 s for clients that
+connect later.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from xtdrone_control.mavlink.wire.packing import Format, PackingError
 
 _NEVER_US = 1 << 62
 _LEAST_INTERVAL_US = 4000  # the autopilot's step
-_LARGEST_INTERVAL_US = (1 << 31) - 1  # what MESSAGE_INTERVAL can tell
-_FALLBACK_RATE = 1.0  # Hz, for a message without a default rate when its default is asked for
+_LARGEST_INTERVAL_US = (1 << 31) - 1  # largest value of MESSAGE_INTERVAL
+_FALLBACK_RATE = 1.0  # Hz, default requested for a message that has none
 
 Source = Callable[[], Values | list[Values] | None]
 Payloads = dict[int, tuple[bytes, ...]]
@@ -100,7 +100,7 @@ GCS_RATES: dict[str, float] = {
     "VIBRATION": 0.1,
 }
 
-# can be asked for, without a default rate
+# available on request, without a default rate
 _OTHERS = (
     "SCALED_IMU",
     "MANUAL_CONTROL",
@@ -114,14 +114,18 @@ FORMATS: dict[int, Format] = {
     f.number: f
     for f in (Format(name) for name in dict.fromkeys([*ONBOARD_RATES, *GCS_RATES, *_GIMBAL_RATES, *_OTHERS]))
 }
-LINK_MESSAGES = ("PING", "LINK_NODE_STATUS", "HIGHRES_IMU")  # these are a link's own, all others the vehicle's
+LINK_MESSAGES = (
+    "PING",
+    "LINK_NODE_STATUS",
+    "HIGHRES_IMU",
+)  # specific to a link; all others to the vehicle
 HEARTBEAT = FORMATS[MESSAGE_ID["HEARTBEAT"]]
-_PAYLOAD_BYTES = 4000.0  # a second: "mavlink start -r 4000" of PX4's payload link
-_FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame besides its payload
+_PAYLOAD_BYTES = 4000.0  # in a second: "mavlink start -r 4000" of PX4's payload link
+_FRAME_OVERHEAD = 12  # bytes of a MAVLink 2 frame without its payload
 
 
 def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
-    """Return ``rates`` multiplied by one factor so that a link carries ``limit`` bytes a second; HEARTBEAT stays."""
+    """Return ``rates`` scaled by one factor to a load of at most ``limit`` bytes/s; HEARTBEAT keeps its rate."""
     load = {name: rate * (FORMATS[MESSAGE_ID[name]].size + _FRAME_OVERHEAD) for name, rate in rates.items()}
     beat = load["HEARTBEAT"]
     factor = min((limit - beat) / (sum(load.values()) - beat), 1.0)
@@ -129,7 +133,7 @@ def _scaled(rates: dict[str, float], limit: float) -> dict[str, float]:
 
 
 PAYLOAD_RATES: dict[str, float] = _scaled(ONBOARD_RATES, _PAYLOAD_BYTES)
-ONBOARD_RATES |= _GIMBAL_RATES | _ORBIT_RATES  # not of the payload link: without a gimbal its rates would be others
+ONBOARD_RATES |= _GIMBAL_RATES | _ORBIT_RATES  # not on the payload link, whose scale they would change
 GCS_RATES |= _GIMBAL_RATES | _ORBIT_RATES | {"GIMBAL_DEVICE_ATTITUDE_STATUS": 0.5}
 
 
@@ -149,15 +153,15 @@ class _Stream:
         self.interval_us = _NEVER_US
 
     def read(self, report: Callable[[str], None]) -> Values | list[Values] | None:
-        """Return what is to be sent now; ``report`` is told when it cannot be made."""
+        """Return the present values, None if there are none; pass errors to ``report``."""
         try:
             return self.values()
-        except (ValueError, ArithmeticError) as error:  # an estimate that is not finite, a parameter that is 0
+        except (ValueError, ArithmeticError) as error:  # non-finite estimate, parameter 0
             report(f"not sent: {self.format.name}: {error}")
             return None
 
     def payloads(self, report: Callable[[str], None]) -> tuple[bytes, ...]:
-        """Return the payloads of what is to be sent now; ``report`` is told when it cannot be made."""
+        """Return the payloads of the present values, mostly one; pass errors to ``report``."""
         values = self.read(report)
         if values is None:
             return ()
@@ -170,7 +174,7 @@ class _Stream:
 
 
 class _Group:
-    """Streams with one interval, which are due together."""
+    """Streams with the same interval, due together."""
 
     __slots__ = ("due_us", "interval_us", "streams")
 
@@ -188,8 +192,8 @@ class Streams:
     """The streams of one link of one vehicle.
 
     Attributes:
-        next_due_us: when the next message is due.
-        active: whether more than the heartbeat is sent.
+        next_due_us: simulated time of the next message, microseconds.
+        active: whether all streams are sent, not only the heartbeat.
     """
 
     def __init__(
@@ -199,13 +203,13 @@ class Streams:
         own: Mapping[str, Source] | None = None,
         changed: Callable[[], None] = silent,
     ) -> None:
-        """Take the default ``rates`` (message name to Hz). Nothing but the heartbeat is due before ``start``.
+        """Schedule the heartbeat; the other streams begin with ``start``.
 
         Args:
-            telemetry: gives the messages' values.
+            telemetry: source of the values.
             rates: default rates, message name to Hz.
-            own: gives the values of messages that tell of the link itself; without it they are not sent.
-            changed: called when ``next_due_us`` has changed but by ``due``.
+            own: sources of the ``LINK_MESSAGES``; those without one are not sent.
+            changed: called when ``next_due_us`` has changed, except by ``due``.
         """
         self._defaults = rates
         self._changed = changed
@@ -225,19 +229,19 @@ class Streams:
         self.next_due_us = self._beat.due_us
 
     def start(self, now_us: int) -> None:
-        """Begin with all streams: somebody listens."""
+        """Start all streams."""
         if not self.active:
             self.active = True
             self._rebuild(now_us)
 
     def stop(self) -> None:
-        """Go back to the heartbeat alone: nobody listens."""
+        """Stop all streams except the heartbeat."""
         if self.active:
             self.active = False
             self._rebuild(0)
 
     def interval(self, number: int) -> int | None:
-        """Return the interval of message ``number`` in us; -1 when it is off, None when there is no such stream."""
+        """Return the interval of message ``number``, us; -1 if it is off, None if it is no stream."""
         stream = self._streams.get(number)
         if stream is None:
             return None
@@ -248,11 +252,11 @@ class Streams:
 
         Args:
             number: message id.
-            interval_us: microseconds, cut to what is possible; negative: off; 0: the default.
-            now_us: simulated time.
+            interval_us: microseconds, clamped to the possible range; negative: off; 0: the default.
+            now_us: simulated time, microseconds.
 
         Returns:
-            Whether there is such a stream and it may be changed; the heartbeat may not.
+            False if the message is no stream, or the heartbeat, which cannot be changed.
         """
         stream = self._streams.get(number)
         if stream is None or number == HEARTBEAT.number:
@@ -264,7 +268,7 @@ class Streams:
         return True
 
     def _rebuild(self, now_us: int) -> None:
-        """Group the streams by interval; what was due stays due."""
+        """Group the streams by interval, keeping overdue ones due."""
         groups: dict[int, _Group] = {}
         if self.active:
             known = {group.interval_us: group.due_us for group in self._groups if group is not self._beat}
@@ -284,16 +288,15 @@ class Streams:
     def due(
         self, now_us: int, shared: Payloads, report: Callable[[str], None]
     ) -> Iterator[tuple[Format, tuple[bytes, ...]]]:
-        """Yield what is due by ``now_us``, and set when it is due again. A stream that is late is not made up for.
+        """Yield the messages due by ``now_us`` and schedule the next ones. Missed messages are not sent later.
 
         Args:
             now_us: simulated time, microseconds.
-            shared: payloads that were made at this time for other clients of the vehicle, by message id; those that
-                are made here are added.
-            report: told of a message that cannot be made of the present estimate.
+            shared: payloads packed at this time for other clients of the vehicle, by message id; extended here.
+            report: receives the error text of a message that cannot be packed from the present estimate.
 
         Yields:
-            Message and payloads, mostly one.
+            Message and its payloads, mostly one.
         """
         for group in self._groups:
             if group.due_us > now_us:
@@ -311,9 +314,9 @@ class Streams:
         self.next_due_us = min(group.due_us for group in self._groups)
 
     def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Values | list[Values]] | None:
-        """Return message ``number`` as it is now, or None when it cannot be given; ``report`` as in ``due``.
+        """Return the format and the present values of message ``number``, None if it has none.
 
-        Several values are several messages.
+        A list of values is a list of messages; ``report`` as in ``due``.
         """
         stream = self._streams.get(number)
         values = None if stream is None else stream.read(report)

@@ -1,7 +1,7 @@
-"""What one vehicle tells: the field values of each telemetry message, in the order in which they lie on the wire.
+"""Field values of one vehicle's telemetry messages, in wire order.
 
-Local NED and body FRD, quaternions (w, x, y, z), as MAVLink has them. Times are simulated; SYSTEM_TIME counts from a
-fixed date, so that the same flight gives the same bytes.
+Local NED and body FRD, quaternions (w, x, y, z), as in MAVLink. Times are simulated; SYSTEM_TIME counts from a fixed
+date, so that the same flight yields the same bytes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _UINT32 = (1 << 32) - 1
 # HIGHRES_IMU_UPDATED_FLAGS
 _IMU_FIELDS, _MAG_FIELDS, _BARO_FIELDS = 0x3F, 0x1C0, 0x1E00
 
-# MAV_SYS_STATUS_SENSOR. PX4 v1.14 reports no controllers as sensors, and takes what is not there for healthy.
+# MAV_SYS_STATUS_SENSOR. PX4 v1.14 does not report controllers as sensors, and reports absent sensors as healthy.
 _GYRO, _ACCEL, _MAG, _BARO, _PITOT, _GPS = 1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 4, 1 << 5
 _MOTORS, _RC, _AHRS, _BATTERY, _PREARM, _AVOIDANCE = 1 << 15, 1 << 16, 1 << 21, 1 << 25, 1 << 28, 1 << 29
 _PRESENT = _GYRO | _MAG | _BARO | _GPS | _MOTORS | _AHRS | _BATTERY
@@ -44,12 +44,12 @@ _FIX_3D = 3  # GPS_FIX_TYPE
 _DISARMED_PWM, _LEAST_PWM = 900, 1000
 _FRAME_LOCAL_NED, _ESTIMATOR_AUTOPILOT = 1, 8
 _GRAVITY_UNITS = 1000.0 / GRAVITY
-# where the diagonal of a 6 x 6 matrix lies in its upper triangle by rows
+# indices of the diagonal of a 6 x 6 matrix in its upper triangle, row by row
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 
 def _clamped(value: float, limit: int) -> int:
-    """Return ``value`` rounded and cut to -limit..limit; 0 for NaN."""
+    """Return ``value`` rounded and clamped to -limit..limit; 0 for NaN."""
     if -limit < value < limit:
         return round(value)
     return 0 if value != value else int(math.copysign(limit, value))
@@ -60,35 +60,35 @@ def _unsigned(value: float, limit: int) -> int:
 
 
 def _dilution(value: float) -> int:
-    """Return a dilution of precision in hundredths; unknown when there is none."""
+    """Return a dilution of precision in hundredths, ``_UNKNOWN_U16`` if it is 0 or less."""
     return _unsigned(100.0 * value, _UNKNOWN_U16 - 1) if value > 0.0 else _UNKNOWN_U16
 
 
 def _diagonal(values: list[float]) -> list[float]:
     matrix = [0.0] * 21
-    for place, value in zip(_DIAGONAL, values, strict=True):
-        matrix[place] = value
+    for i, value in zip(_DIAGONAL, values, strict=True):
+        matrix[i] = value
     return matrix
 
 
 class Telemetry:
-    """One vehicle's telemetry. A method named as a message in lower case returns that message's values.
+    """Telemetry of one vehicle. A method with the name of a message in lower case returns the values of that message.
 
     Attributes:
-        time_us: simulated time of what the methods return.
-        time_ms: the same in milliseconds, as most messages have it.
-        aligned: the estimator has an attitude.
-        located: there has been a position fix.
+        time_us: simulated time of the values, microseconds.
+        time_ms: the same in milliseconds, the unit of most messages.
+        aligned: whether the estimator has an attitude.
+        located: whether a position fix has been received.
         sensors: the vehicle's ``SENSORS`` record.
     """
 
     def __init__(self, commander: Commander, autopilot: Autopilot, index: int) -> None:
-        """Look at vehicle ``index`` of ``autopilot``, whose commander is given."""
+        """Read the records of vehicle ``index`` of ``autopilot``."""
         self._commander = commander
         self.sensors = autopilot.sensors[index]
         self._estimator = autopilot.estimator[index]
         self._control = autopilot.control[index]
-        # views of the record fields that nearly every message needs: a field by name costs three times as much
+        # views of the fields that most messages need: access by name costs three times as much
         self._position = autopilot.estimator["position"][index]
         self._velocity = autopilot.estimator["velocity"][index]
         self._q = autopilot.estimator["q"][index]
@@ -101,11 +101,11 @@ class Telemetry:
 
     @property
     def protocol(self) -> int:
-        """MAV_PROTO_VER: 0 to begin in MAVLink 1, 1 to stay with it, 2 to begin in MAVLink 2."""
+        """MAV_PROTO_VER: 0 start with MAVLink 1, 1 always MAVLink 1, 2 start with MAVLink 2."""
         return int(self._commander.parameters.get("MAV_PROTO_VER"))
 
     def refresh(self, now_us: int) -> None:
-        """Read the estimate again, unless that has been done for this time."""
+        """Read the estimate, once for each ``now_us``."""
         if now_us == self.time_us:
             return
         self.time_us = now_us
@@ -115,7 +115,7 @@ class Telemetry:
         self.q = self._q.tolist()
         self.rates = self._rates.tolist()
         self._euler = None
-        # both stay true once they are: an estimate without GPS is still one
+        # both stay true: an estimate that has lost GPS is still valid
         self.aligned = self.aligned or bool(self._estimator["initialised"])
         self.located = self.located or bool(self._estimator["altitude_valid"])
 
@@ -139,17 +139,17 @@ class Telemetry:
     # state
 
     def heartbeat(self) -> Values:
-        """Mode, arming, health in one word."""
+        """Return HEARTBEAT: mode, arming state and health."""
         c = self._commander
         kind = int(c.parameters.get("MAV_TYPE")) & 0xFF
         return c.custom_mode, kind, PX4_AUTOPILOT, c.base_mode, c.system_status, _MAVLINK_VERSION
 
     def extended_sys_state(self) -> Values:
-        """On the ground, in the air, taking off or landing."""
+        """Return EXTENDED_SYS_STATE: on the ground, in the air, taking off or landing."""
         return 0, self._commander.landed_state
 
     def sys_status(self) -> Values:
-        """Sensors and battery; radio and joystick count as one sensor that is always wanted."""
+        """Return SYS_STATUS: sensors and battery; radio and joystick are one sensor, always enabled."""
         battery = self._commander.battery
         return (
             _PRESENT,
@@ -171,7 +171,7 @@ class Telemetry:
         )
 
     def _health(self) -> int:
-        """Return MAV_SYS_STATUS_SENSOR of what works."""
+        """Return the MAV_SYS_STATUS_SENSOR bits of the healthy sensors."""
         c, e, flags = self._commander, self._estimator, self._commander.health.flags
         conditions = (
             (_GYRO, not self.sensors["imu_missing"]),
@@ -187,7 +187,7 @@ class Telemetry:
         return _ALWAYS_HEALTHY | sum(bit for bit, well in conditions if well)
 
     def battery_status(self) -> Values:
-        """The battery: lithium polymer, for all systems; a current of -1 A is not known."""
+        """Return BATTERY_STATUS: lithium polymer, for all functions; a current of -1 A is unknown."""
         battery = self._commander.battery
         voltages = (_unsigned(battery.voltage * 1e3, _UNKNOWN_U16 - 1), *[_UNKNOWN_U16] * 9)
         current = _clamped(battery.current * 100.0, _INT16)
@@ -197,25 +197,25 @@ class Telemetry:
         return (used, -1, _INT16, *voltages, current, 0, 1, 1, remaining, left, battery.warning + 1, 0, 0, 0, 0, 0, 0)
 
     def system_time(self) -> Values:
-        """Simulated time, counted from a fixed date."""
+        """Return SYSTEM_TIME: simulated time since a fixed date."""
         return EPOCH_US + self.time_us, self.time_ms & _UINT32
 
     # attitude and position
 
     def attitude(self) -> Values | None:
-        """Euler angles and rates, once the estimator is aligned."""
+        """Return ATTITUDE: Euler angles (rad) and rates (rad/s), once the estimator is aligned."""
         return None if not self.aligned else (self.time_ms, *self._angles(), *self.rates)
 
     def attitude_quaternion(self) -> Values | None:
-        """Quaternion and rates, once the estimator is aligned."""
+        """Return ATTITUDE_QUATERNION: quaternion and rates (rad/s), once the estimator is aligned."""
         return None if not self.aligned else (self.time_ms, *self.q, *self.rates, 0.0, 0.0, 0.0, 0.0)
 
     def local_position_ned(self) -> Values | None:
-        """Position and velocity, once there has been a fix."""
+        """Return LOCAL_POSITION_NED: position (m) and velocity (m/s), after the first fix."""
         return None if not self.located else (self.time_ms, *self.position, *self.velocity)
 
     def global_position_int(self) -> Values | None:
-        """Latitude, longitude, altitude, velocity, heading, while it is known where on Earth that is."""
+        """Return GLOBAL_POSITION_INT while the global position is valid."""
         if not self._commander.view.global_valid:
             return None
         lat, lon = self._latitude_longitude()
@@ -237,7 +237,7 @@ class Telemetry:
         return geo.reproject(self.position[0], self.position[1], float(e["origin_lat"]), float(e["origin_lon"]))
 
     def altitude(self) -> Values:
-        """Heights over sea, home and the local frame's origin, and over the ground where that is known."""
+        """Return ALTITUDE: heights above sea, home, the local origin and, if known, the terrain, m."""
         e = self._estimator
         amsl = self._altitude() if e["origin_set"] else _NAN
         ground = clearance = _NAN
@@ -247,13 +247,13 @@ class Telemetry:
         return self.time_us, amsl, amsl, -self.position[2], self._height_over_home(), ground, clearance
 
     def vfr_hud(self) -> Values:
-        """What a head-up display shows."""
+        """Return VFR_HUD: the values of a head-up display."""
         vx, vy, vz = self.velocity
         throttle = _unsigned(100.0 * float(self._control["sp_thrust"]), 100) if self._commander.armed else 0
         return 0.0, math.hypot(vx, vy), self._altitude(), -vz, int(self._heading()), throttle
 
     def odometry(self) -> Values | None:
-        """Pose and velocity in local NED, as PX4 v1.14's EKF2 has it, with variances; once there has been a fix."""
+        """Return ODOMETRY: pose and velocity in local NED with variances, as from PX4 v1.14's EKF2; after a fix."""
         if not self.located:
             return None
         p = self._variances.tolist()
@@ -275,7 +275,7 @@ class Telemetry:
         )
 
     def estimator_status(self) -> Values:
-        """Innovation test ratios and accuracies of the estimator."""
+        """Return ESTIMATOR_STATUS: innovation test ratios and accuracies (m)."""
         e = self._estimator
         velocity, position, heading = e["test_ratio_vel"], e["test_ratio_pos"], e["test_ratio_mag"]
         if not e["gps_used"]:
@@ -296,7 +296,7 @@ class Telemetry:
         )
 
     def home_position(self) -> Values | None:
-        """Home, once there is one."""
+        """Return HOME_POSITION once it is set."""
         home = self._commander.home
         if home is None:
             return None
@@ -317,7 +317,7 @@ class Telemetry:
         )
 
     def gps_global_origin(self) -> Values | None:
-        """The local frame's origin, once it is set."""
+        """Return GPS_GLOBAL_ORIGIN once the origin of the local frame is set."""
         e = self._estimator
         if not e["origin_set"]:
             return None
@@ -327,7 +327,7 @@ class Telemetry:
     # sensors
 
     def gps_raw_int(self) -> Values:
-        """The GPS receiver's last fix."""
+        """Return GPS_RAW_INT: the last fix of the GPS receiver."""
         s = self.sensors
         vn, ve, _ = s["gps_vel"].tolist()
         alt = _clamped(float(s["gps_alt"]) * 1e3, 1 << 30)
@@ -351,11 +351,11 @@ class Telemetry:
         )
 
     def highres_imu(self, *, mag: bool = True, baro: bool = True) -> Values:
-        """Accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa.
+        """Return HIGHRES_IMU: accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa.
 
         Args:
             mag: whether the magnetometer has a new sample since the last message.
-            baro: likewise the barometer; the differential pressure, 0 without an airspeed sensor, comes with it.
+            baro: whether the barometer has; this covers the differential pressure, 0 without an airspeed sensor.
         """
         s = self.sensors
         updated = _IMU_FIELDS | (_MAG_FIELDS if mag else 0) | (_BARO_FIELDS if baro else 0)
@@ -373,7 +373,7 @@ class Telemetry:
         )
 
     def scaled_imu(self) -> Values:
-        """Accelerometer (milli-g), gyroscope (mrad/s), magnetometer (milligauss)."""
+        """Return SCALED_IMU: accelerometer (milli-g), gyroscope (mrad/s), magnetometer (milligauss)."""
         s = self.sensors
         accel = [_clamped(v * _GRAVITY_UNITS, _INT16) for v in s["accel"].tolist()]
         gyro = [_clamped(v * 1e3, _INT16) for v in s["gyro"].tolist()]
@@ -382,20 +382,20 @@ class Telemetry:
         return (self.time_ms, *accel, *gyro, *mag, temperature)
 
     def scaled_pressure(self) -> Values:
-        """The barometer, hPa and hundredths of a degree Celsius."""
+        """Return SCALED_PRESSURE: the barometer, hPa and 0.01 degrees Celsius."""
         s = self.sensors
         temperature = _clamped(float(s["baro_temperature"]) * 100.0, _INT16)
         return self.time_ms, float(s["baro_pressure"]) * 0.01, 0.0, temperature, 0
 
-    # what the controllers follow
+    # setpoints and outputs
 
     def attitude_target(self) -> Values:
-        """Attitude, rates and thrust that the attitude controllers follow."""
+        """Return ATTITUDE_TARGET: setpoints of the attitude and rate controllers, and thrust."""
         c = self._control
         return (self.time_ms, *c["sp_q"].tolist(), *c["sp_rates"].tolist(), float(c["sp_thrust"]), 0)
 
     def position_target_local_ned(self) -> Values:
-        """Trajectory setpoint that the position controller follows; what is not controlled is masked and NaN."""
+        """Return POSITION_TARGET_LOCAL_NED: trajectory setpoint; uncontrolled components are NaN and masked."""
         c = self._control
         values = [*c["sp_position"].tolist(), *c["sp_velocity"].tolist(), *c["sp_acceleration"].tolist()]
         turn = [float(c["sp_yaw"]), float(c["sp_yaw_rate"])]
@@ -404,7 +404,7 @@ class Telemetry:
         return (self.time_ms, *values, *turn, mask, _FRAME_LOCAL_NED)
 
     def servo_output_raw(self) -> Values:
-        """Motor commands as pulse widths, 1000..2000 us; 900 when disarmed."""
+        """Return SERVO_OUTPUT_RAW: motor pulse widths, 1000..2000 us; 900 when disarmed."""
         if self._commander.armed:
             motors = self._control["actuators"].tolist()
             pulses = [_LEAST_PWM + _unsigned(1000.0 * value, 1000) for value in motors]

@@ -1,8 +1,8 @@
-"""MAVLink frames: cutting a datagram into frames and decoding one, with pymavlink's tables.
+"""MAVLink frames: splitting of datagrams and decoding of frames with pymavlink's tables.
 
-pymavlink's own ``MAVLink.decode`` costs 3.1 us a message (LOCAL_POSITION_NED) and ``parse_char`` 4.4 us. Its unpacker
-and CRC function on an exact frame cost 0.5 us, so messages are decoded with those, into a named tuple with the fields'
-MAVLink names. Messages with text are rare; they go through ``MAVLink.decode``.
+For LOCAL_POSITION_NED, pymavlink's ``MAVLink.decode`` costs 3.1 us and ``parse_char`` 4.4 us; its unpacker and CRC
+function, applied to an exact frame, cost 0.5 us. Messages are therefore decoded with the latter, into a named tuple
+with MAVLink's field names. Messages with text are rare and use ``MAVLink.decode``.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ class FrameError(ValueError):
 
 
 def message_name(number: int) -> str:
-    """Return the name of a message id, or ``#id`` when the dialect does not know it."""
+    """Return the name of a message id, or ``#id`` if the dialect does not define it."""
     cls = MESSAGES.get(number)
     return f"#{number}" if cls is None else cls.msgname
 
 
 def version(frame: bytes) -> int:
-    """Return the MAVLink version, 1 or 2, of a frame that ``split`` has yielded."""
+    """Return the MAVLink version, 1 or 2, of a frame yielded by ``split``."""
     return 1 if frame[0] == _MAGIC_V1 else 2
 
 
 def split(datagram: bytes) -> Iterator[tuple[int, int, int, bytes]]:
     """Yield (message id, system id, component id, frame) of each frame in ``datagram``.
 
-    Only lengths are looked at; ``decoder`` checks the CRC of what is decoded.
+    Only lengths are checked here; ``decoder`` checks the CRC.
 
     Raises:
-        FrameError: bytes that begin no frame, a truncated frame, or a frame with unknown incompatibility flags. What
-            came before has been yielded.
+        FrameError: bytes that begin no frame, a truncated frame, or a frame with unknown incompatibility flags, after
+            the frames before it have been yielded.
     """
     start, size = 0, len(datagram)
     while start < size:
@@ -57,7 +57,7 @@ def split(datagram: bytes) -> Iterator[tuple[int, int, int, bytes]]:
             flags = datagram[start + 2]
             end = start + datagram[start + 1] + 12 + (_SIGNATURE_LENGTH if flags & _FLAG_SIGNED else 0)
             if flags & ~_FLAG_SIGNED:
-                raise FrameError(f"incompatibility flags 0x{flags:02x} are not known")
+                raise FrameError(f"incompatibility flags 0x{flags:02x} are unknown")
             number = datagram[start + 7] | datagram[start + 8] << 8 | datagram[start + 9] << 16
             system, component = datagram[start + 5], datagram[start + 6]
         elif magic == _MAGIC_V1 and start + _HEADER_V1 <= size:
@@ -66,7 +66,7 @@ def split(datagram: bytes) -> Iterator[tuple[int, int, int, bytes]]:
         else:
             raise FrameError(f"byte 0x{magic:02x} at {start} of {size} begins no MAVLink frame")
         if end > size:
-            raise FrameError(f"{message_name(number)} is cut off: {size - start} of {end - start} bytes")
+            raise FrameError(f"{message_name(number)} is truncated: {size - start} of {end - start} bytes")
         yield number, system, component, datagram[start:end]
         start = end
 
@@ -87,26 +87,26 @@ _decode_general = _general_decoder()
 
 
 def _record_maker(cls: Any) -> Callable[[tuple[Any, ...]], Any]:
-    """Return the function that makes a message's named tuple of its unpacked payload (wire order, arrays flat)."""
+    """Return a function from the unpacked payload (wire order, arrays flattened) to the message's named tuple."""
     record: Any = namedtuple(cls.msgname, cls.ordered_fieldnames)  # type: ignore[misc]
     make = record._make
     lengths = cls.lengths
     scalars = len(lengths) if max(lengths) == 1 else next(i for i, length in enumerate(lengths) if length > 1)
     if scalars == len(lengths):
         return make
-    if scalars == len(lengths) - 1:  # one array at the end, as ATTITUDE_QUATERNION has
+    if scalars == len(lengths) - 1:  # one array at the end, as in ATTITUDE_QUATERNION
         return lambda values: make((*values[:scalars], values[scalars:]))
     starts = [sum(lengths[:i]) for i in range(len(lengths))]
     layout = [(start, start + length, length == 1) for start, length in zip(starts, lengths, strict=True)]
     return lambda values: make(values[i] if single else values[i:j] for i, j, single in layout)
 
 
-@cache  # a named tuple's class takes long to make, and every vehicle of a large fleet wants the same ones
+@cache  # creating a named tuple class is slow, and all vehicles of a fleet use the same ones
 def decoder(name: str) -> Decoder:
-    """Return the function that decodes a frame of message ``name`` into an object with the message's fields.
+    """Return a function that decodes a frame of message ``name`` into an object with the message's fields.
 
     Raises:
-        KeyError: the dialect has no such message.
+        KeyError: the dialect does not define the message.
     """
     cls: Any = MESSAGES[MESSAGE_ID[name]]
     if "char" in cls.fieldtypes:
@@ -121,9 +121,8 @@ def decoder(name: str) -> Decoder:
         if crc(frame[1:end] + crc_extra) != frame[end] | frame[end + 1] << 8:
             raise FrameError(f"{name}: CRC is wrong")
         payload = frame[start:end]
-        if (
-            len(payload) != size
-        ):  # MAVLink 2 cuts trailing zeros, MAVLink 1 knows no extensions, a newer dialect has more
+        # MAVLink 2 truncates trailing zeros, MAVLink 1 has no extension fields, a newer dialect more of them
+        if len(payload) != size:
             payload = payload[:size].ljust(size, b"\0")
         return make(unpack(payload))
 

@@ -1,6 +1,6 @@
-"""MAVLink's message types: pymavlink's common dialect, and what it leaves out of ``common.xml``.
+"""MAVLink message types: pymavlink's common dialect, and the messages of ``common.xml`` that it lacks.
 
-A message type says how a message lies on the wire, with the attributes of pymavlink's message classes: ``id``,
+A message type describes the wire format of a message with the attributes of pymavlink's message classes: ``id``,
 ``msgname``, ``fieldnames``, ``ordered_fieldnames``, ``fieldtypes``, ``lengths``, ``crc_extra``, ``unpacker``.
 """
 
@@ -32,7 +32,7 @@ _FIELD = re.compile(r"(\w+?)(?:\[(\d+)\])? (\w+)")
 
 @dataclass(frozen=True)
 class MessageType:
-    """One message type; see the module's text."""
+    """Wire format of one message; see the module docstring."""
 
     id: int
     msgname: str
@@ -48,7 +48,7 @@ def _fields(name: str, text: str) -> list[tuple[str, int, str]]:
     """Return type, count (0 for no array) and name of each field.
 
     Raises:
-        ValueError: a field that is written otherwise.
+        ValueError: a field of another form.
     """
     parsed = []
     for field in filter(None, map(str.strip, text.split(","))):
@@ -61,16 +61,16 @@ def _fields(name: str, text: str) -> list[tuple[str, int, str]]:
 
 
 def message_type(number: int, name: str, fields: str, extensions: str = "") -> MessageType:
-    """Describe a message as ``common.xml`` does.
+    """Return the type of a message described as in ``common.xml``.
 
     Args:
         number: message id.
         name: message name.
-        fields: ``type name`` or ``type[count] name`` of each field in the order of the XML, commas between.
-        extensions: the same of its extension fields.
+        fields: ``type name`` or ``type[count] name`` of each field in the order of the XML, separated by commas.
+        extensions: extension fields in the same form.
 
     Returns:
-        The type, with fields sorted by size as they lie on the wire, and the checksum's seed computed from them
+        The type, with fields in wire order (by size) and the CRC extra byte computed from them
         (https://mavlink.io/en/guide/serialization.html).
     """
     parsed, added = _fields(name, fields), _fields(name, extensions)
@@ -157,7 +157,7 @@ _MISSING = (
     ),
 )
 
-# those that pymavlink knows without their extension fields
+# messages whose extension fields pymavlink lacks
 _EXTENDED = (
     message_type(
         82,
@@ -170,7 +170,7 @@ _EXTENDED = (
 
 
 class _MessageObject(mavlink.MAVLink_message):
-    """A message of a type that pymavlink has no class for, to be packed as pymavlink's message objects are."""
+    """A message of a type without a pymavlink class, with the ``pack`` of pymavlink's message objects."""
 
     def __init__(self, kind: MessageType, values: Mapping[str, Any]) -> None:
         super().__init__(kind.id, kind.msgname)
@@ -193,14 +193,14 @@ MESSAGE_ID: dict[str, int] = {entry.msgname: number for number, entry in MESSAGE
 
 
 def message(name: str, values: Mapping[str, Any]) -> Any:
-    """Return message ``name`` as a message object of pymavlink's kind.
+    """Return message ``name`` as a message object that packs like pymavlink's.
 
     Args:
         name: MAVLink name.
-        values: all fields' values by name; arrays as lists, texts as bytes.
+        values: values of all fields by name; arrays as lists, text as bytes.
 
     Raises:
-        KeyError: the dialect has no such message, or a value is missing.
+        KeyError: the dialect does not define the message, or a value is missing.
     """
     kind = MESSAGES[MESSAGE_ID[name]]
     return _MessageObject(kind, values) if isinstance(kind, MessageType) else kind(**values)

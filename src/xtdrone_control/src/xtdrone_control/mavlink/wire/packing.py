@@ -1,7 +1,7 @@
 """MAVLink frames from tuples of field values, with pymavlink's tables.
 
-pymavlink's message objects cost 3 us to build and pack; the tables alone 0.8 us, which is what telemetry at some
-thousand messages a second needs. Everything that is sent seldom goes through message objects.
+Building and packing pymavlink's message objects costs 3 us, with the tables alone 0.8 us, as needed for telemetry of
+several thousand messages per second. Rare messages use message objects.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ _crc = mavlink.mcrf4xx or _slow_crc
 
 
 class Format:
-    """How one message lies on the wire.
+    """Wire format of one message.
 
     Attributes:
         name: MAVLink name.
         number: message id.
-        size: of the payload in bytes, without trailing zeros cut off.
+        size: payload size in bytes, including trailing zeros.
     """
 
     __slots__ = ("_crc_extra", "_pack", "name", "number", "size")
 
     def __init__(self, name: str) -> None:
-        """Look ``name`` up in the dialect.
+        """Look up message ``name`` in the dialect.
 
         Raises:
-            KeyError: there is no such message.
+            KeyError: the dialect does not define the message.
         """
         cls: Any = MESSAGES[MESSAGE_ID[name]]
         self.name = name
@@ -59,10 +59,10 @@ class Format:
         self._pack = cls.unpacker.pack
 
     def payload(self, values: Sequence[Any]) -> bytes:
-        """Return the MAVLink 2 payload of ``values``, which are in wire order with arrays laid flat.
+        """Return the MAVLink 2 payload of ``values``, given in wire order with arrays flattened.
 
         Raises:
-            PackingError: a value of the wrong kind, or out of its field's range.
+            PackingError: a value of the wrong type, or outside the range of its field.
         """
         try:
             return self._pack(*values).rstrip(b"\0") or b"\0"
@@ -78,8 +78,8 @@ class Format:
 
 @functools.cache
 def _version_1() -> dict[int, tuple[int, bytes]]:
-    """Return payload size and CRC extra byte of the messages that MAVLink 1 has, by message id."""
-    from pymavlink.dialects.v10 import common as version_1  # seldom needed, and slow to load
+    """Return payload size and CRC extra byte of MAVLink 1's messages, by message id."""
+    from pymavlink.dialects.v10 import common as version_1  # rarely needed, and slow to load
 
     return {
         number: (cls.unpacker.size, bytes([cls.crc_extra]))
@@ -89,7 +89,7 @@ def _version_1() -> dict[int, tuple[int, bytes]]:
 
 
 def as_version_1(frame: bytes) -> bytes | None:
-    """Return the MAVLink 1 frame of a MAVLink 2 frame without its extension fields; None when MAVLink 1 has it not."""
+    """Convert a MAVLink 2 frame to MAVLink 1 without extension fields; None if MAVLink 1 lacks the message."""
     _, _, _, _, sequence, system, component, number, high = _HEADER.unpack_from(frame)
     found = _version_1().get(number | high << 16)
     if found is None:

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.mavlink.microservices import mission_items
-from xtdrone_control.plans.qgc_plan import FRAME_GLOBAL, Place, Plan
+from xtdrone_control.plans.qgc_plan import FRAME_GLOBAL, Plan, Position
 
 from .protocol import (
     AUTOPILOT,
@@ -225,7 +225,7 @@ def _retry(system: int, once: Callable[[], Exchange[T]]) -> Exchange[T]:
     raise AssertionError("unreachable")
 
 
-def _with_home(items: Items, home: Place) -> Items:
+def _with_home(items: Items, home: Position) -> Items:
     """Return the items of an ArduPilot mission: the home position, then the items of a plan."""
     first = PlanItem(plan.WAYPOINT, FRAME_GLOBAL, (0.0,) * 4, *home)
     return (first, *(_shift_jump(item, 1.0) for item in items)) if items else ()
@@ -249,7 +249,7 @@ def upload_list(
     items: Items,
     progress: Progress = ignore_progress,
     autopilot: int = _PX4,
-    home: Place = (0.0, 0.0, 0.0),
+    home: Position = (0.0, 0.0, 0.0),
 ) -> Exchange[None]:
     """Replace a list of a vehicle, download it again and compare.
 
@@ -332,7 +332,7 @@ def download_plan(system: int, progress: Progress = ignore_progress, autopilot: 
     return Plan(lists[0], lists[1], lists[2], home, firmware=autopilot if autopilot == _ARDUPILOT else _PX4)
 
 
-def _download_home(system: int) -> Exchange[Place]:
+def _download_home(system: int) -> Exchange[Position]:
     """Return the home position: latitude, longitude, degrees, and altitude, m AMSL; zeros for none."""
     home = yield from fetch_message(system, "HOME_POSITION")
     return (0.0, 0.0, 0.0) if home is None else (home.latitude * 1e-7, home.longitude * 1e-7, home.altitude * 1e-3)
