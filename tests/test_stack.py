@@ -291,7 +291,7 @@ def test_mavros_s_programs_read_and_write_parameters(stack: Stack, typed: Typed,
     assert typed(mavparam, "get MPC_XY_VEL_MAX") == "7.5\n"
     (tmp_path / "some.parm").write_text(f"MPC_XY_VEL_MAX {before}\nNO_SUCH_NAME 1\n")
     assert typed.fails(mavparam, f"load {tmp_path / 'some.parm'}") == (
-        "1 of 2 parameters are not taken: NO_SUCH_NAME is not there"
+        "1 of 2 parameters were not accepted: NO_SUCH_NAME does not exist"
     )
     assert typed(mavparam, "get MPC_XY_VEL_MAX") == before
     assert "no such parameter" in typed.fails(mavparam, "get NO_SUCH_NAME")
@@ -314,7 +314,7 @@ def test_mavros_s_programs_carry_missions(stack: Stack, typed: Typed, tmp_path: 
     assert "WAYPOINT (16)" in typed(mavwp, "show")
     assert len(typed(mavwp, "show -p").splitlines()) == 7  # names, three items, three rules
     assert typed(mavwp, f"-v load -p {mine}").startswith("Home: latitude 47.39")
-    assert "has not taken the mission" in typed.fails(mavwp, f"load -s 1 {mine}")
+    assert "has not accepted the mission" in typed.fails(mavwp, f"load -s 1 {mine}")
     assert typed(mavwp, "-v clear").endswith("Waypoints cleared\n")
     assert typed(mavwp, "-v pull") == "Waypoints received: 0\n"
 

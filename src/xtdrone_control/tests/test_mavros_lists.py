@@ -67,10 +67,10 @@ class TestWatch:
 
     def test_a_topic_that_is_left_out_is_told_of_once(self, caplog):
         watch = self.watch({"/iris_1/mavros/setpoint_accel/accel": ["/leader"]})
-        watch.look()
-        watch.look()
+        watch.check()
+        watch.check()
         assert [record.getMessage() for record in caplog.records] == [
-            "/iris_1/mavros/setpoint_accel/accel, on which /leader publishes, is not taken here: not yet; "
+            "/iris_1/mavros/setpoint_accel/accel, on which /leader publishes, is not supported here: not yet; "
             "use setpoint_raw/local"
         ]
 
@@ -79,13 +79,13 @@ class TestWatch:
         [
             ("/iris_0/mavros/setpoint_raw/locl", "has no subscriber; is /iris_0/mavros/setpoint_raw/local meant?"),
             ("/mavros/setpoint_raw/local", "belongs to no vehicle"),
-            ("/iris_0/mavros/gps_input/gps_input", "no plugin that is loaded takes it; plugin_denylist may leave"),
+            ("/iris_0/mavros/gps_input/gps_input", "no loaded plugin subscribes to it; plugin_denylist may exclude"),
             ("/iris_0/setpoint_accel/accel", None),
             ("/iris_0/mavros/setpoint_raw/local", None),
         ],
     )
     def test_what_is_told(self, caplog, topic, said):
-        self.watch({topic: ["/leader"]}).look()
+        self.watch({topic: ["/leader"]}).check()
         if said is None:
             assert caplog.text == ""
         else:
@@ -93,7 +93,7 @@ class TestWatch:
 
     def test_topics_with_other_ends_are_theirs(self, caplog):
         here = {"/iris_0/mavros/setpoint_raw/locl": ["/leader"], "/iris_0/mavros/setpoint_accel/accel": [self.OWN]}
-        self.watch(here, {"/iris_0/mavros/setpoint_raw/locl": ["/viewer"]}).look()
+        self.watch(here, {"/iris_0/mavros/setpoint_raw/locl": ["/viewer"]}).check()
         assert caplog.text == ""
 
 

@@ -604,7 +604,7 @@ class TestCommandServices:
                 ack = mavlink.MAVLink_command_ack_message(got[0].command, result)
                 bench.fcu.sendto(bench.frame(ack), ("127.0.0.1", bench.link.port))
                 bench.link.socket.settimeout(5.0)
-                bench.link._take(bench.link.socket.recv(1000), 1)
+                bench.link._dispatch(bench.link.socket.recv(1000), 1)
 
             thread = threading.Thread(target=autopilot)
             thread.start()

@@ -55,10 +55,10 @@ def test_parameter_files_look_as_mavros_writes_them():
 @pytest.mark.parametrize(
     ("text", "kind", "message"),
     [
-        ("", "", "a.parm: no parameters are in it"),
+        ("", "", "a.parm: the file has no parameters"),
         ("A,1,2", "", "a.parm, line 1: 3 columns are not allowed, a name and a value"),
         ("#\nA-B,1", "", "line 2: name 'A-B' is not allowed"),
-        ("A,1\nA,2", "", "line 2: A stands there a second time"),
+        ("A,1\nA,2", "", "line 2: duplicate parameter A"),
         ("A nan", "", "line 1: A: 'nan' is not allowed, a finite number of 32 bits"),
         ("A 1e60", "", "A: '1e60' is not allowed, a finite number of 32 bits"),
         ("A 4000000000", "", "A: '4000000000' is not allowed, a whole number from -2147483648 to 2147483647"),

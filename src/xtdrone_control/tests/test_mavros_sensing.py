@@ -365,7 +365,7 @@ def test_nothing_is_wanted_without_a_subscriber(bench):
     assert bench.link.wanted == {MESSAGE_ID[name] for name in (
         "HEARTBEAT", "STATUSTEXT", "EVENT", "HOME_POSITION", "MISSION_CURRENT", "MISSION_ITEM_REACHED",
         "GPS_GLOBAL_ORIGIN", "LOG_ENTRY", "LOG_DATA")}  # fmt: skip
-    assert not bench.link.from_anyone
+    assert not bench.link.from_any_sender
 
 
 def test_any_bytes_make_a_message_that_can_be_sent(bench, caplog):
@@ -608,7 +608,7 @@ class TestDistanceSensors:
         bench.take("distance_sensor/down")
         bench.send(made("DISTANCE_SENSOR", **values))
         assert bench.published("distance_sensor/down") == []
-        assert "a DISTANCE_SENSOR" in caplog.text or "DISTANCE_SENSOR of type" in caplog.text
+        assert "no sensor has id 7" in caplog.text or "DISTANCE_SENSOR of type" in caplog.text
 
     def test_orientations_are_mavlinks(self):
         assert turn(0) == turn(100) == (1.0, 0.0, 0.0, 0.0)

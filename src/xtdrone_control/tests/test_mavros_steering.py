@@ -298,9 +298,9 @@ class TestGlobalPosition:
     def test_a_goal_that_waits_is_told_of(self, bench, caplog):
         bench.call("setpoint_position/global_to_local", geo_pose())
         bench.uas.step(0)
-        assert "a goal waits" not in caplog.text
+        assert "a goal is waiting" not in caplog.text
         bench.uas.step(1_000_000_000)
-        assert "setpoint_position/global_to_local: a goal waits" in caplog.text
+        assert "setpoint_position/global_to_local: a goal is waiting" in caplog.text
 
     def test_the_frame_becomes_a_parameter(self, bench):
         service = bench.ros.services["/iris_0/mavros/setpoint_position/mav_frame"]
@@ -536,7 +536,7 @@ class TestSetpointTrajectory:
 
     def test_one_without_points_is_refused(self, bench, caplog):
         self.fly(bench)
-        assert "there are no points" in caplog.text
+        assert "the trajectory has no points" in caplog.text
 
     def test_what_is_no_number_is_kept_back(self, bench, caplog):
         self.fly(bench, point(0.0, (1.0, 2.0, 3.0)), point(1.0, velocity=(0.0, NAN, 0.0)))

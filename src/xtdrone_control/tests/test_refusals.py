@@ -57,7 +57,7 @@ class Told:
         self.refusals.custom_mode = mode.custom_mode
 
     def by(self, *found: Event, now_ns: int = 0) -> list[str]:
-        lines = [line for entry in found for line in self.refusals.take(message(entry), now_ns)]
+        lines = [line for entry in found for line in self.refusals.process(message(entry), now_ns)]
         return [text for _, text in lines]
 
 
@@ -95,7 +95,7 @@ def test_checks_that_are_not_in_the_catalogue_are_told_by_number() -> None:
     first, *last = report()
     strange = Message(0x01ABCDEF, events.ERROR, (*ALL_MODES.to_bytes(4, "little"), *[0] * 36))
     told.by(first)
-    assert told.refusals.take(strange, 0) == []
+    assert told.refusals.process(strange, 0) == []
     assert told.by(*last) == ["Arming denied: arming check 0x01abcdef, which is not known here"]
 
 

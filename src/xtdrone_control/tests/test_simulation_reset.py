@@ -169,7 +169,7 @@ def test_mavros_begins_anew_when_time_goes_back(bench):
     bench.fcu.sendto(leftover + bench.frame(beat(base_mode=0xD1)), ("127.0.0.1", bench.link.port))
     bench.published("state")
     bench.ros.time_ns = 0
-    bench.uas.time_gone_back(0)
+    bench.uas.on_time_reset(0)
     assert [state.connected for state in bench.published("state")] == [False]
     bench.send(beat(mavlink.MAV_STATE_UNINIT))
     assert [(s.connected, s.armed) for s in bench.published("state")] == [(True, False)]

@@ -1,6 +1,6 @@
 """The MAVROS layer: MAVLink of many autopilots on one side, MAVROS's topics and services on the other.
 
-``connection`` moves frames (``mavlink.codec`` decodes them), ``uas`` is the hub of one vehicle, ``plugins`` has one
-module for each MAVROS plugin and one with the tables of those that pass messages on (``relay``), ``streams`` asks the
-autopilot for what has subscribers, ``node`` ties it to ROS.
+``link.connection`` moves frames, ``uas`` is the hub of one vehicle, ``plugins`` and ``extras`` hold a module for each
+MAVROS plugin and tables for those that only relay messages (``relay``), ``link.streams`` requests the messages that
+have subscribers, and ``node`` connects everything to ROS.
 """

@@ -1,4 +1,4 @@
-"""Topics of a plugin and the MAVLink messages that feed them, and the interface to ROS that both use."""
+"""Topics of a plugin, the MAVLink messages that feed them, and the ROS interface that both use."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import Any, Protocol
 
 
 class Publisher(Protocol):
-    """What is needed of a ROS publisher."""
+    """The part of a ROS publisher that plugins use."""
 
     def publish(self, message: Any) -> None:
-        """Send a message."""
+        """Publish a message."""
 
     def get_num_connections(self) -> int:
-        """Return how many subscribers there are."""
+        """Return the number of subscribers."""
 
 
 class Ros(Protocol):
-    """What plugins need of ROS, so that tests run them without a master.
+    """The part of ROS that plugins use; tests run them without a master.
 
     Attributes:
-        use_sim_time: the autopilot's boot time is the ROS time.
+        use_sim_time: whether the autopilot's boot time equals ROS time.
     """
 
     use_sim_time: bool
@@ -33,53 +33,53 @@ class Ros(Protocol):
         """Advertise ``topic``."""
 
     def subscriber(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
-        """Subscribe; callbacks come in the main thread."""
+        """Subscribe to a topic; callbacks run in the main thread."""
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
-        """Offer a service; handlers run in threads of their own."""
+        """Offer a service; handlers run in separate threads."""
 
     def set_param(self, name: str, value: Any) -> None:
-        """Set a parameter of ROS's, or a tree of them."""
+        """Set a ROS parameter, or a tree of them."""
 
     def get_param(self, name: str, default: Any) -> Any:
-        """Return a parameter of ROS's, or a tree of them."""
+        """Return a ROS parameter, or a tree of them."""
 
     def needs_time(self) -> AbstractContextManager[None]:
-        """Return what is to be entered while an autopilot's answer is waited for, which may take simulated time."""
+        """Return a context manager to hold while waiting for an autopilot's answer, which may need simulated time."""
 
 
 class Topic:
-    """A topic of a plugin with the one message object that it publishes again and again.
+    """A topic of a plugin with a message object that is reused for every publication.
 
     Attributes:
-        message: filled in and published by the plugin; serialised in ``publish``, so it can be reused at once.
-        taken: somebody subscribes, or the topic is latched and must know its last value.
+        message: filled in and published by the plugin; ``publish`` serialises it, so it can be reused right away.
+        needed: whether the topic has subscribers, or is latched and needs its latest value.
     """
 
-    __slots__ = ("_latch", "_publisher", "message", "publish", "taken")
+    __slots__ = ("_latch", "_publisher", "message", "needed", "publish")
 
     def __init__(self, publisher: Publisher, message: Any, latch: bool) -> None:
-        """Take the publisher and the message to reuse."""
+        """Store the publisher and the message to reuse."""
         self._publisher = publisher
         self._latch = latch
         self.message = message
         self.publish = publisher.publish
-        self.taken = latch
+        self.needed = latch
 
     def refresh(self) -> None:
-        """Look whether somebody subscribes."""
-        self.taken = self._latch or self._publisher.get_num_connections() > 0
+        """Update ``needed`` from the number of subscribers."""
+        self.needed = self._latch or self._publisher.get_num_connections() > 0
 
 
 class Feed:
-    """A plugin's interest in a MAVLink message.
+    """A plugin's subscription to a MAVLink message.
 
     Attributes:
-        handler: takes the decoded message; None when only the latest one is kept, for ``Uas.latest``.
-        topics: the message is wanted while one of them is taken.
-        always: it is wanted in any case.
-        anyone: it is taken from every system and component on the link, not from the autopilot alone.
-        all_streams: while it is wanted, whatever the autopilot can send is.
+        handler: called with the decoded message; None to keep only the latest one, for ``Uas.latest``.
+        topics: the message is needed while any of these topics is.
+        always: the message is always needed.
+        any_sender: accept it from every system and component on the link, not only from the autopilot.
+        all_streams: while it is needed, keep all streams of the autopilot on.
     """
 
     def __init__(
@@ -87,17 +87,17 @@ class Feed:
         handler: Callable[[Any], None] | None,
         *topics: Topic,
         always: bool = False,
-        anyone: bool = False,
+        any_sender: bool = False,
         all_streams: bool = False,
     ) -> None:
-        """Take handler and topics."""
+        """Store the handler and the topics that depend on the message."""
         self.handler = handler
         self.topics = topics
         self.always = always
-        self.anyone = anyone
+        self.any_sender = any_sender
         self.all_streams = all_streams
 
     @property
     def wanted(self) -> bool:
-        """Whether the message is wanted now."""
-        return self.always or any(topic.taken for topic in self.topics)
+        """Whether the message is needed now."""
+        return self.always or any(topic.needed for topic in self.topics)

@@ -2,20 +2,19 @@
 
 Private parameters, besides those of ``config/px4_config.yaml``:
 
-- ``~fleet`` (``/xtdrone/fleet`` when absent): the vehicles, as ``iris:9``. Topics are ``/iris_0/mavros/...``, links
-  as upstream numbers them.
-- ``~fcu_host`` (127.0.0.1): the machine with the fleet's autopilots, by name or IPv4 address.
-- ``~bind_host`` (127.0.0.1 if the autopilots are on this machine, else 0.0.0.0): where MAVLink from them is received.
-- ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``, in place of upstream's
-  ports and of the two above; every further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` for PX4s
-  that are started as PX4's own scripts start them.
-- ``~vehicle``: serve this vehicle of the fleet alone, as ``iris_0``; topics are in the node's own namespace. With a
-  node for each vehicle, named ``/iris_0/mavros`` and so on, this is how real MAVROS is started for a fleet.
-- ``~fcu_url``, with ``~target_system_id`` and ``~target_component_id`` (or ``~tgt_system`` and ``~tgt_component``, as
-  MAVROS's launch files call them): a single vehicle as real MAVROS has it; topics are in the
-  node's own namespace.
-- ``~lockstep`` (true): false: run on the ROS time even if there is a simulator with a lockstep, as a real MAVROS does.
-- ``~system_id``, ``~component_id``: what the node sends as (1, 240).
+- ``~fleet`` (default ``/xtdrone/fleet``): the vehicles, e.g. ``iris:9``. Topics are ``/iris_0/mavros/...``; links are
+  numbered as in upstream XTDrone.
+- ``~fcu_host`` (127.0.0.1): host that runs the fleet's autopilots, a name or an IPv4 address.
+- ``~bind_host`` (127.0.0.1 if the autopilots run on this machine, otherwise 0.0.0.0): local address for their MAVLink.
+- ``~fleet_url``: both ends of the first vehicle's link in the form of MAVROS's ``fcu_url``; replaces upstream's ports
+  and the two parameters above. Each further vehicle's ports are one higher. ``udp://:14540@127.0.0.1:14580`` matches
+  PX4 instances started by PX4's own scripts.
+- ``~vehicle``: serve only this vehicle of the fleet, e.g. ``iris_0``; topics are in the node's own namespace. With one
+  node per vehicle, named ``/iris_0/mavros`` and so on, this is how real MAVROS is started for a fleet.
+- ``~fcu_url``, with ``~target_system_id`` and ``~target_component_id`` (or ``~tgt_system`` and ``~tgt_component``, the
+  names in MAVROS's launch files): serve a single vehicle as real MAVROS does; topics are in the node's own namespace.
+- ``~lockstep`` (true): set to false to run on ROS time, like real MAVROS, even if the simulator runs in lockstep.
+- ``~system_id``, ``~component_id``: MAVLink ids of the node itself (1, 240).
 """
 
 from __future__ import annotations
@@ -45,13 +44,13 @@ from xtdrone_control.mavros.swarm import Swarm
 from xtdrone_control.mavros.uas import PluginKind, Uas
 from xtdrone_control.mavros.watch import Registrations, Watch
 
-RATE = 50.0  # Hz of simulated time; PX4's fastest telemetry on the offboard link that MAVROS publishes
+RATE = 50.0  # Hz of simulated time: PX4's fastest telemetry on the offboard link that MAVROS publishes
 _FAILED = 1
-_LOOK_PERIOD = 0.2  # s between looks at the parameter server
+_POLL_PERIOD = 0.2  # s between polls of the parameter server
 
 
 class Connection(NamedTuple):
-    """One vehicle to serve."""
+    """Name, namespace and link of one vehicle to serve."""
 
     name: str
     prefix: str
@@ -60,14 +59,14 @@ class Connection(NamedTuple):
 
 
 class LockstepRos:
-    """Topics and services for the plugins, on the lockstep client.
+    """Topics and services for the plugins, on top of the lockstep client.
 
     Attributes:
-        use_sim_time: the ROS time is the simulator's.
+        use_sim_time: whether ROS time is the simulator's time.
     """
 
     def __init__(self) -> None:
-        """Ask whether the time is simulated."""
+        """Determine whether the time is simulated."""
         self.use_sim_time = bool(lockstep.is_active() or rospy.get_param("/use_sim_time", False))
 
     def now_ns(self) -> int:
@@ -83,35 +82,35 @@ class LockstepRos:
         lockstep.Subscriber(topic, kind, callback)
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
-        """Offer a service; its handler runs in a thread of rospy's."""
+        """Offer a service; its handler runs in a rospy thread."""
         rospy.Service(name, kind, handler)
 
     def set_param(self, name: str, value: Any) -> None:
-        """Set a parameter of ROS's, or a tree of them."""
+        """Set a ROS parameter, or a tree of them."""
         rospy.set_param(name, value)
 
     def get_param(self, name: str, default: Any) -> Any:
-        """Return a parameter of ROS's, or a tree of them."""
+        """Return a ROS parameter, or a tree of them."""
         return rospy.get_param(name, default)
 
     def needs_time(self) -> AbstractContextManager[None]:
-        """Return what is to be entered while an autopilot's answer is waited for."""
+        """Return a context manager to hold while waiting for an answer from the autopilot."""
         return lockstep.needs_time()
 
 
 def connections(settings: Mapping[str, Any], fleet: str, node_name: str, instance: object = 0) -> list[Connection]:
-    """Return whom to serve.
+    """Return the connections to serve.
 
     Args:
         settings: the node's private parameters.
         fleet: the value of ``/xtdrone/fleet``, or empty.
-        node_name: the node's resolved name, as ``/iris_0/mavros``.
-        instance: the value of ``/xtdrone/instance``; it moves the fleet's own ports, not those of a given url.
+        node_name: the node's resolved name, e.g. ``/iris_0/mavros``.
+        instance: the value of ``/xtdrone/instance``; shifts the fleet's default ports, not those of an explicit URL.
 
     Raises:
-        FleetError: no fleet, or one that cannot be flown, or no such instance.
-        LinkError: a malformed ``fcu_url`` or ``fleet_url``, or an ``fcu_host`` that cannot be reached.
-        ParamError: a setting of the wrong type.
+        FleetError: no fleet is given, or it is invalid, or ``instance`` is out of range.
+        LinkError: a malformed ``fcu_url`` or ``fleet_url``, or an unreachable ``fcu_host``.
+        ParamError: a setting has the wrong type.
     """
     params = Params(settings)
     url = params.get("fcu_url", "")
@@ -151,32 +150,32 @@ def _connection(vehicle: Vehicle, url: FcuUrl) -> Connection:
 
 
 class MavrosNode:
-    """All vehicles' hubs and the thread that receives for them."""
+    """The hubs of all vehicles and the receiver thread that serves them."""
 
     def __init__(self, vehicles: list[Connection], settings: Mapping[str, Any]) -> None:
-        """Bind the ports, advertise topics and services.
+        """Bind the ports and advertise topics and services.
 
         Args:
-            vehicles: whom to serve.
+            vehicles: the connections to serve.
             settings: the node's private parameters.
 
         Raises:
-            LinkError: a port is taken.
-            ValueError: a setting that is not allowed (ParamError is one).
+            LinkError: a port is already in use.
+            ValueError: a setting is not allowed (includes ParamError).
         """
         self._ros = LockstepRos()
         shared = Params(settings)
         source = shared.get("system_id", 1), shared.get("component_id", 240)
-        # The ports before anything is advertised, so that a node that cannot run leaves no trace.
+        # Bind the ports before advertising anything, so that a node that cannot run leaves no trace.
         self._links = _open(vehicles, source)
         self._receiver = Receiver(self._links)
         params = [_params(vehicle, settings) for vehicle in vehicles]
         for complaint in _complaints(params):
             rospy.logwarn(f"mavros: {complaint}")
         if shared.get("gcs_url", ""):
-            rospy.logwarn("mavros: gcs_url is not offered; a ground station has a port of its own at the autopilot")
+            rospy.logwarn("mavros: gcs_url is not supported; ground stations use a separate port of the autopilot")
         alone = bool(shared.get("fcu_url", "") or shared.get("vehicle", ""))
-        self._swarm = None if alone else Swarm(self._ros, len(vehicles))  # one vehicle is none
+        self._swarm = None if alone else Swarm(self._ros, len(vehicles))
         self._uas = [
             Uas(vehicle.name, vehicle.prefix, link, own, self._ros, (*PLUGINS, *self._swarm_member(index)))
             for index, (vehicle, link, own) in enumerate(zip(vehicles, self._links, params, strict=True))
@@ -184,11 +183,11 @@ class MavrosNode:
         prefixes = [vehicle.prefix for vehicle in vehicles]
         self._watch = Watch(rospy.get_name(), prefixes, left_out.subscribed(), system_state)
         lockstep.declare_udp([link.port for link in self._links], self._serve)
-        lockstep.add_reset_hook(self._time_gone_back)
+        lockstep.add_reset_hook(self._on_time_reset)
         self._receiver.start()
 
     def step(self) -> None:
-        """Publish the swarm, run the timers and tell the simulator what was sent; once a turn."""
+        """Publish the swarm topic, run the timers and report the sent datagrams to the simulator."""
         if lockstep.is_active():
             self._receive_uncounted()
         if self._swarm is not None:
@@ -200,23 +199,23 @@ class MavrosNode:
             lockstep.datagrams_sent(link.remote[1], link.sent)
 
     def watch(self) -> None:
-        """Begin to look for publishers whose messages nothing here takes."""
+        """Start watching for publishers on topics without a subscriber here."""
         self._watch.start()
 
     def close(self) -> None:
-        """End the receiver thread and close the ports."""
+        """Stop the receiver thread and close the ports."""
         self._watch.stop()
         self._receiver.stop()
 
     def _swarm_member(self, index: int) -> list[PluginKind]:
         return [] if self._swarm is None else [self._swarm.member(index)]
 
-    def _time_gone_back(self) -> None:
+    def _on_time_reset(self) -> None:
         for uas in self._uas:
-            uas.time_gone_back(self._ros.now_ns())
+            uas.on_time_reset(self._ros.now_ns())
 
     def _serve(self, expected: Mapping[int, int] | None, timeout: float) -> Mapping[int, int]:
-        """Receive and publish: in lockstep what the simulator has counted, otherwise what comes."""
+        """Receive and publish: in lockstep the datagrams counted by the simulator, otherwise all that have arrived."""
         if expected is None:
             self._receiver.wait_any(timeout)
             for uas in self._uas:
@@ -229,7 +228,7 @@ class MavrosNode:
         return self._receiver.counted()
 
     def _receive_uncounted(self) -> None:
-        """Take what has come from autopilots that are not the simulator's: nobody counts it."""
+        """Receive from autopilots outside the simulator, whose datagrams are not counted."""
         for uas, link in zip(self._uas, self._links, strict=True):
             if not self._receiver.is_counted(link.port):
                 self._receive(uas)
@@ -237,7 +236,7 @@ class MavrosNode:
     def _receive(self, uas: Uas, datagrams: int | None = None) -> None:
         try:
             uas.receive(self._ros.now_ns(), datagrams)
-        except Exception:  # what one vehicle sends must not take the topics away from all others
+        except Exception:  # a bad message from one vehicle must not stop the topics of all others
             if not rospy.is_shutdown():  # while shutting down, topics are closed under the plugins
                 uas.failed("receiving MAVLink failed")
 
@@ -278,7 +277,7 @@ def main() -> int:
 
 
 def _allow_many_files() -> None:
-    """Allow as many files as the system lets us: rospy opens one for each topic."""
+    """Raise the limit of open files to the maximum: rospy opens a socket for each connection."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
@@ -286,11 +285,11 @@ def _allow_many_files() -> None:
 def _fleet(settings: Mapping[str, Any]) -> str:
     """Return the value of ``/xtdrone/fleet``, empty if it is not set.
 
-    In lockstep it is waited for when ``settings`` name no vehicle either: the launch file that sets it may run on
-    another machine and be late.
+    In lockstep, if ``settings`` do not name vehicles either, wait for the parameter: the launch file that sets it may
+    run on another machine and start later.
 
     Raises:
-        ROSInterruptException: the node was shut down meanwhile.
+        ROSInterruptException: the node was shut down while waiting.
     """
     fleet = str(rospy.get_param("/xtdrone/fleet", ""))
     if fleet or not lockstep.is_active() or settings.get("fleet") or settings.get("fcu_url"):
@@ -299,7 +298,7 @@ def _fleet(settings: Mapping[str, Any]) -> str:
     while not (fleet := str(rospy.get_param("/xtdrone/fleet", ""))):
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shutdown")
-        time.sleep(_LOOK_PERIOD)  # of wall time: the parameter server has no event for this
+        time.sleep(_POLL_PERIOD)  # wall time: the parameter server sends no notification for this
     return fleet
 
 
@@ -316,7 +315,7 @@ def _open(vehicles: list[Connection], source: tuple[int, int]) -> list[Link]:
 
 
 def _complaints(params: Iterable[Params]) -> list[str]:
-    """Return what is wrong with the vehicles' lists of plugins, each sentence once."""
+    """Return the problems found in the vehicles' plugin lists, without duplicates."""
     names = [plugin.name for plugin in PLUGINS if plugin.listed]
     absent = left_out.plugin_reasons()
     sentences = (PluginLists(own).complaints(names, absent) for own in params)
@@ -324,10 +323,10 @@ def _complaints(params: Iterable[Params]) -> list[str]:
 
 
 def system_state() -> tuple[Registrations, Registrations]:
-    """Ask the master for publishers and subscribers.
+    """Return the publishers and subscribers by topic, from the ROS master.
 
     Raises:
-        OSError: it does not answer.
+        OSError: the master does not answer.
     """
     try:
         publishers, subscribers, _ = rosgraph.Master(rospy.get_name()).getSystemState()

@@ -13,22 +13,22 @@ __all__ = ["Feed", "Plugin", "Topic"]
 class Plugin:
     """One MAVROS plugin of one vehicle.
 
-    A subclass makes its topics and services in ``__init__`` and fills:
+    A subclass creates its topics and services in ``__init__`` and fills in:
 
     Attributes:
-        messages: MAVLink name to feed, or feeds, decoded and handled in the main thread; ``RAW`` for every frame.
-        replies: MAVLink name to handler of the raw frame, called in the receiver thread at once; for answers to
-            requests that a service waits for.
+        messages: MAVLink message name to its feed or feeds, handled in the main thread; ``RAW`` for every frame.
+        replies: MAVLink message name to a handler of the raw frame that the receiver thread calls immediately; for
+            answers that a service is waiting for.
     """
 
     name = ""
     listed = True
 
     def __init__(self, uas: Uas) -> None:
-        """Take the vehicle's hub."""
+        """Store the vehicle's hub."""
         self.uas = uas
         self.messages: dict[str | int, Feed | Sequence[Feed]] = {}
         self.replies: dict[str, Callable[[bytes], None]] = {}
 
     def connected(self, connected: bool) -> None:
-        """Take note that the autopilot's heartbeat came for the first time, or stays away; override if it matters."""
+        """Handle the first heartbeat of the autopilot or the loss of its heartbeat; the default does nothing."""

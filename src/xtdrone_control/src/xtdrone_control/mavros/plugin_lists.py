@@ -1,9 +1,9 @@
-"""Which plugins are loaded: MAVROS's lists of shell patterns.
+"""Selection of plugins by MAVROS's lists of shell patterns.
 
-MAVROS 1.x calls them ``plugin_blacklist`` and ``plugin_whitelist``, MAVROS 2.x ``plugin_denylist`` and
-``plugin_allowlist``; both names are read and mean the same. Evaluated as MAVROS's ``mavros.cpp`` does: a plugin is left
-out if a denied pattern matches its name and no allowed one does; with allowed patterns alone all others are denied.
-Upper and lower case are the same.
+MAVROS 1.x calls the lists ``plugin_blacklist`` and ``plugin_whitelist``, MAVROS 2.x ``plugin_denylist`` and
+``plugin_allowlist``; both names are equivalent. The rules are those of MAVROS's ``mavros.cpp``: a plugin is
+skipped if a denied pattern matches its name and no allowed one does; with only allowed patterns, all others are denied.
+Matching ignores case.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _ALLOW = ("plugin_allowlist", "plugin_whitelist")
 
 
 class PluginLists:
-    """The lists of one vehicle."""
+    """Denied and allowed plugins of one vehicle."""
 
     def __init__(self, params: Params) -> None:
         """Read the lists.
 
         Raises:
-            ParamError: one that is no list of texts.
+            ParamError: a value is not a list of strings.
         """
         self._deny = {name: _patterns(params, name) for name in _DENY}
         self._allow = {name: _patterns(params, name) for name in _ALLOW}
@@ -39,11 +39,11 @@ class PluginLists:
         return not _matches(name, denied) or _matches(name, allowed)
 
     def complaints(self, here: Iterable[str], left_out: Mapping[str, str]) -> Iterator[str]:
-        """Yield a sentence for each pattern that cannot have the effect that it was written for.
+        """Yield a sentence for each pattern that has no effect.
 
         Args:
             here: names of the plugins of this layer.
-            left_out: names of MAVROS's plugins that this layer lacks, to the reason. To deny them is no mistake.
+            left_out: MAVROS plugins that this layer lacks, with the reason. Denying one of them is not a mistake.
         """
         here = list(here)
         for name, patterns in (self._deny | self._allow).items():

@@ -1,7 +1,7 @@
-"""Plugins that pass messages on as they are: a table of what becomes what, in place of a class for each.
+"""Plugins that relay messages unchanged: a table maps messages to topics instead of a class for each.
 
-A row copies the fields that both sides call by the same name; a function gives the others. Time stamps, target ids and
-the header's frame are filled in by themselves.
+A row copies the fields that both sides call by the same name; a conversion function provides the others. Time stamps,
+target ids and the header's frame are filled in automatically.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class Out:
     """A MAVLink message that is published.
 
     Attributes:
-        message: its MAVLink name.
-        topic: under the vehicle's prefix.
+        message: MAVLink name.
+        topic: topic below the vehicle's prefix.
         kind: ROS type.
-        latch: the topic is latched.
-        frame_id: of the header.
+        latch: whether the topic is latched.
+        frame_id: frame_id of the header.
     """
 
     def __init__(
@@ -45,21 +45,21 @@ class Out:
         *,
         frame_id: str = "",
         latch: bool = False,
-        anyone: bool = False,
+        any_sender: bool = False,
     ) -> None:
-        """Take a row.
+        """Define a row.
 
         Args:
             message: MAVLink name.
-            topic: under the vehicle's prefix.
+            topic: topic below the vehicle's prefix.
             kind: ROS type.
-            convert: from the MAVLink message to ROS fields by name (``geo.latitude``), over those of the same name.
-            frame_id: of the header.
+            convert: maps the MAVLink message to ROS fields by name (``geo.latitude``); overrides fields of equal name.
+            frame_id: frame_id of the header.
             latch: keep the last message for later subscribers.
-            anyone: take it from every system and component, not from the autopilot alone.
+            any_sender: accept it from every system and component, not only from the autopilot.
         """
         self.message, self.topic, self.kind = message, topic, kind
-        self.frame_id, self.latch, self.anyone = frame_id, latch, anyone
+        self.frame_id, self.latch, self.any_sender = frame_id, latch, any_sender
         self._convert = convert
         known = MESSAGES[MESSAGE_ID[message]].fieldnames
         self._same = [name for name in _slots(kind) if name in known]
@@ -106,16 +106,16 @@ class In:
         rate: tuple[str, float] | None = None,
         free: Collection[str] = (),
     ) -> None:
-        """Take a row.
+        """Define a row.
 
         Args:
-            topic: under the vehicle's prefix.
+            topic: topic below the vehicle's prefix.
             kind: ROS type.
             message: MAVLink name.
-            convert: from the ROS message to MAVLink fields, over those of the same name; what neither has is 0.
-            as_component: ROS field with the id of the component to send as.
-            rate: parameter and default (Hz) of the highest rate; what comes faster is dropped.
-            free: MAVLink fields that need not be finite, as those where NaN says that a value is not known.
+            convert: maps the ROS message to MAVLink fields; overrides equal names. Fields missing in both are 0.
+            as_component: ROS field with the component id to send as.
+            rate: parameter and default (Hz) of the rate limit; faster messages are dropped.
+            free: MAVLink fields that need not be finite, e.g. where NaN means "unknown".
         """
         self.topic, self.kind, self.message, self.rate = topic, kind, message, rate
         self._convert = convert
@@ -130,10 +130,10 @@ class In:
         self._same = [name for name in self._zeros if name in _slots(kind)]
 
     def forward(self, uas: Uas, ros: Any) -> None:
-        """Send ``ros``.
+        """Send the ROS message as MAVLink.
 
         Raises:
-            FieldError: a value that is not finite, or does not fit.
+            FieldError: a value is not finite or does not fit.
         """
         values = dict(self._zeros)
         for name, value in (("target_system", uas.target[0]), ("target_component", uas.target[1])):
@@ -150,12 +150,12 @@ class In:
 
 
 class Relay(Plugin):
-    """A plugin that is a table.
+    """A plugin defined by a table.
 
     Attributes:
-        outs: what is published.
-        ins: what is forwarded.
-        topics: of ``outs``, by name.
+        outs: rows that publish.
+        ins: rows that forward.
+        topics: topics of ``outs``, by name.
     """
 
     outs: ClassVar[tuple[Out, ...]] = ()
@@ -169,14 +169,14 @@ class Relay(Plugin):
             self.topics[out.topic] = topic = uas.topic(out.topic, out.kind(), latch=out.latch, on_demand=True)
             if out.frame_id:
                 topic.message.header.frame_id = out.frame_id
-            self.messages[out.message] = Feed(partial(out.publish, uas, topic), topic, anyone=out.anyone)
+            self.messages[out.message] = Feed(partial(out.publish, uas, topic), topic, any_sender=out.any_sender)
         for row in self.ins:
             forward = partial(row.forward, uas)
             uas.subscribe(row.topic, row.kind, limited(uas, forward, *row.rate) if row.rate else forward)
 
 
 def relay(plugin: str, *rows: Out | In) -> type[Relay]:
-    """Return the plugin ``plugin`` that passes ``rows`` on."""
+    """Return a class for the plugin ``plugin`` that relays ``rows``."""
 
     class Made(Relay):
         name = plugin
@@ -188,7 +188,7 @@ def relay(plugin: str, *rows: Out | In) -> type[Relay]:
 
 
 def limited(uas: Uas, call: Callable[[Any], None], parameter: str, default: float) -> Callable[[Any], None]:
-    """Return ``call`` for at most as many messages a second of ROS time as ``parameter`` says (Hz).
+    """Return ``call`` limited to the rate in ``parameter`` (Hz of ROS time).
 
     Raises:
         ValueError: the rate is not positive.
@@ -199,23 +199,23 @@ def limited(uas: Uas, call: Callable[[Any], None], parameter: str, default: floa
     period_ns = round(1e9 / rate)
     last_ns = -period_ns
 
-    def call_seldom(ros: Any) -> None:
+    def call_limited(ros: Any) -> None:
         nonlocal last_ns
         now_ns = uas.ros.now_ns()
-        if not 0 <= now_ns - last_ns < period_ns:  # a time before the last is that of a simulation set back
+        if not 0 <= now_ns - last_ns < period_ns:  # a negative difference means that the simulation was reset
             last_ns = now_ns
             call(ros)
 
-    return call_seldom
+    return call_limited
 
 
 def text(value: str, size: int) -> bytes:
-    """Return a text for a MAVLink field of ``size`` bytes; as in MAVROS, what is longer is cut."""
+    """Return a text for a MAVLink field of ``size`` bytes, truncated as in MAVROS."""
     return value.encode("utf-8", "replace")[:size]
 
 
 def wrapped(value: int, bits: int) -> int:
-    """Return an unsigned number as the signed one of ``bits`` bits with the same pattern, as a C++ cast does."""
+    """Return an unsigned number as the signed number of ``bits`` bits with the same bit pattern, like a C++ cast."""
     return value - (1 << bits) if value >> (bits - 1) & 1 else value
 
 
@@ -228,5 +228,5 @@ def _times(ns: int) -> tuple[tuple[str, int], ...]:
 
 
 def _plain(value: Any) -> Any:
-    """Return an array as a list, as MAVLink's message objects take it; rospy gives bytes, a list or a tuple."""
+    """Convert an array to a list for MAVLink's message objects; rospy provides bytes, a list or a tuple."""
     return list(value) if isinstance(value, (bytes, tuple, list)) else value

@@ -1,6 +1,6 @@
-"""All vehicles' positions and velocities in one message: N messages instead of N^2 for a swarm of many nodes.
+"""Positions and velocities of all vehicles in one message: N messages instead of N^2 for a swarm of many nodes.
 
-Real MAVROS has nothing like it. A node that flies with real MAVROS subscribes every ``local_position/pose`` instead.
+Real MAVROS has no equivalent: a node that flies with it subscribes to every ``local_position/pose`` instead.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ FIELDS = 6  # x, y, z in m, vx, vy, vz in m/s, ENU
 
 
 class Swarm:
-    """The topic: an array of shape (vehicles, FIELDS), NaN where nothing has been heard yet.
+    """Topic with an array of shape (vehicles, FIELDS), NaN for vehicles without a position so far.
 
     Attributes:
-        topic: to be refreshed by the vehicles' hubs.
+        topic: refreshed by the vehicles' hubs.
     """
 
     def __init__(self, ros: Ros, count: int) -> None:
@@ -38,36 +38,36 @@ class Swarm:
         self._changed = False
 
     def set(self, index: int, position: frames.Vector, velocity: frames.Vector) -> None:
-        """Take a vehicle's position (m) and velocity (m/s), ENU."""
+        """Set a vehicle's position (m) and velocity (m/s), ENU."""
         start = index * FIELDS
         self._values[start : start + FIELDS] = (*position, *velocity)
         self._changed = True
 
     def forget(self, index: int) -> None:
-        """Nothing has been heard of a vehicle."""
+        """Set a vehicle's values to NaN."""
         start = index * FIELDS
         self._values[start : start + FIELDS] = [math.nan] * FIELDS
 
     def publish(self) -> None:
-        """Publish if something has come since the last time."""
-        if self._changed and self.topic.taken:
+        """Publish if a value has changed since the last call."""
+        if self._changed and self.topic.needed:
             self.topic.message.data = self._values
             self.topic.publish(self.topic.message)
         self._changed = False
 
     def member(self, index: int) -> _Member:
-        """Return the plugin class of vehicle ``index``, as ``Uas`` takes it."""
+        """Return a plugin factory for vehicle ``index``, for ``Uas``."""
         return _Member(self, index)
 
 
 class SwarmPlugin(Plugin):
-    """One vehicle's part of the swarm's topic."""
+    """One vehicle's contribution to the swarm topic."""
 
     name = "swarm"
     listed = False
 
     def __init__(self, uas: Uas, swarm: Swarm, index: int) -> None:
-        """Feed row ``index`` of ``swarm``."""
+        """Update row ``index`` of ``swarm``."""
         super().__init__(uas)
         self._swarm = swarm
         self._index = index
@@ -75,7 +75,7 @@ class SwarmPlugin(Plugin):
         self.messages = {"LOCAL_POSITION_NED": Feed(self._on_position, swarm.topic)}
 
     def connected(self, connected: bool) -> None:
-        """Forget where an autopilot was that is new, or has been rebooted."""
+        """Clear the position when an autopilot connects or reboots."""
         if connected:
             self._swarm.forget(self._index)
 
@@ -84,7 +84,7 @@ class SwarmPlugin(Plugin):
 
 
 class _Member:
-    """Makes the plugin of one vehicle."""
+    """Factory of one vehicle's plugin."""
 
     name = SwarmPlugin.name
     listed = SwarmPlugin.listed

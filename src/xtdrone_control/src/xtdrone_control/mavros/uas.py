@@ -1,4 +1,4 @@
-"""The hub of one vehicle: its link, what its plugins share, and which messages they want now."""
+"""The hub of one vehicle: its link, the state that its plugins share, and the messages they currently need."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ log = logging.getLogger("rosout.mavros")
 _NS = 1_000_000_000
 _GEOIDS = ("egm96", "none")
 _POLE = 90.0  # deg
-_REFRESH_PERIOD = 0.5  # s of ROS time between looks at the subscribers
-# Hz, where PX4's own rate does not serve: pictures are put on the ground by where the gimbal pointed; the others PX4
-# does not send to a companion by itself, so these are the rates that it has for them elsewhere
+_REFRESH_PERIOD = 0.5  # s of ROS time between checks for subscribers
+# Hz, where PX4's default rate does not suit: images are projected to the ground with the gimbal's attitude. PX4 does
+# not stream the other two to a companion by default; these are its rates for them on other links.
 _RATES = {"MOUNT_ORIENTATION": 50.0, "MANUAL_CONTROL": 5.0, "ACTUATOR_CONTROL_TARGET": 10.0}
 _HEARTBEAT = MESSAGE_ID["HEARTBEAT"]
 
 
 class _Slot:
-    """What is done with one MAVLink message."""
+    """Handlers and latest value of one MAVLink message."""
 
     __slots__ = ("active", "decode", "feeds", "frame", "message")
 
     def __init__(self, decode: Decoder) -> None:
         self.decode = decode
         self.feeds: list[Feed] = []
-        self.active: tuple[Callable[[Any], None], ...] = ()  # handlers of feeds that are wanted now
+        self.active: tuple[Callable[[Any], None], ...] = ()  # handlers of the feeds that are active now
         self.frame: bytes | None = None  # the latest
-        self.message: Any = None  # the latest, decoded; None until somebody asks
+        self.message: Any = None  # the latest, decoded on first use
 
 
 class _Timer:
@@ -59,51 +59,51 @@ class _Timer:
 
 
 class LoadedPlugin(Protocol):
-    """A plugin of one vehicle, as the hub uses it; see ``plugin.Plugin``."""
+    """A plugin of one vehicle as seen by the hub; see ``plugin.Plugin``."""
 
     @property
     def messages(self) -> Mapping[str | int, Feed | Sequence[Feed]]:
-        """MAVLink names and the feeds of each."""
+        """MAVLink message names and their feeds."""
 
     @property
     def replies(self) -> Mapping[str, Callable[[bytes], None]]:
-        """MAVLink names and the handlers of raw frames."""
+        """MAVLink message names and the handlers of raw frames."""
 
     def connected(self, connected: bool) -> None:
-        """Handle the first heartbeat of the autopilot, or its loss."""
+        """Handle the first heartbeat of the autopilot, or the loss of its heartbeat."""
 
 
 class PluginKind(Protocol):
-    """What makes a plugin: a plugin class, or something that stands for one.
+    """A factory of plugins: a plugin class or an equivalent callable.
 
     Attributes:
         name: the plugin's name.
-        listed: users can leave it out by its name; otherwise it is part of the node.
+        listed: whether the plugin lists can deny it by name; otherwise it is part of the node.
     """
 
     name: str
     listed: bool
 
     def __call__(self, uas: Uas) -> LoadedPlugin:
-        """Make the plugin of a vehicle."""
+        """Create the plugin for a vehicle."""
 
 
 class Uas:
-    """One vehicle's hub.
+    """Hub of one vehicle.
 
     Attributes:
         name: the vehicle's name.
-        prefix: where its topics are, as ``/iris_0/mavros``.
-        link: MAVLink to its autopilot.
+        prefix: namespace of its topics, e.g. ``/iris_0/mavros``.
+        link: MAVLink connection to its autopilot.
         params: its settings.
         ros: topics, services and time.
-        commands: commands with acks.
+        commands: commands awaiting acknowledgement.
         plans: transfers of missions, geofences and rally points.
-        refusals: why the autopilot refuses.
-        arming_held: why the vehicle is not to be armed yet; empty when it may be.
+        refusals: reasons why the autopilot refuses to arm or to change mode.
+        arming_held: reason why the vehicle must not be armed yet; empty when it may be.
         target: system and component id of the autopilot.
-        connected: heartbeats come.
-        time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while it is unknown.
+        connected: whether heartbeats are arriving.
+        time_offset_ns: ROS time minus the autopilot's boot time; 0 in simulation, None while unknown.
     """
 
     def __init__(
@@ -115,11 +115,11 @@ class Uas:
         ros: Ros,
         plugins: Iterable[PluginKind],
     ) -> None:
-        """Make the plugins.
+        """Create the plugins.
 
         Raises:
-            ParamError: a setting of the wrong type.
-            ValueError: a setting that is not allowed.
+            ParamError: a setting has the wrong type.
+            ValueError: a setting is not allowed.
         """
         self.name = name
         self.prefix = prefix
@@ -134,7 +134,7 @@ class Uas:
         self.connected = False
         self.time_offset_ns: int | None = 0 if ros.use_sim_time else None
         self.now_ns = 0
-        self._gone_back = False
+        self._time_was_reset = False
         self._throttle = Throttle()
         self._topics: list[Topic] = []
         self._timers: list[_Timer] = []
@@ -150,18 +150,18 @@ class Uas:
         for plugin in self.plugins:
             self._connect(plugin)
         self.timer(_REFRESH_PERIOD, self.refresh)
-        self.refresh()  # so that the first heartbeat counts
+        self.refresh()  # so that the first heartbeat is handled
 
-    # What plugins use
+    # Interface for plugins
 
     def topic(self, name: str, message: Any, latch: bool = False, on_demand: bool = False) -> Topic:
-        """Advertise ``<prefix>/<name>`` (or an absolute name) for messages like ``message``, which is then reused.
+        """Advertise ``<prefix>/<name>`` (or an absolute name) for messages like ``message``, which is reused.
 
         Args:
             name: the topic's name.
-            message: gives its type.
+            message: message object that determines the type.
             latch: keep the last message for later subscribers.
-            on_demand: a latched topic too counts as taken only while it has subscribers.
+            on_demand: treat a latched topic as needed only while it has subscribers.
         """
         publisher = self.ros.publisher(self._path(name), type(message), latch)
         topic = Topic(publisher, message, latch and not on_demand)
@@ -169,17 +169,17 @@ class Uas:
         return topic
 
     def geoid_height(self, latitude: float, longitude: float) -> float:
-        """Return the geoid's height over the ellipsoid, m, at a place in deg; 0 if there is no such place."""
+        """Return the geoid height above the ellipsoid, m, at a position in degrees; 0 outside the valid range."""
         return self._geoid(latitude, longitude) if abs(latitude) <= _POLE and math.isfinite(longitude) else 0.0
 
     def share(self, topic: Topic) -> None:
-        """Take note of a topic that belongs to all vehicles: its subscribers count for this one's streams too."""
+        """Add a topic shared by all vehicles: its subscribers also enable this vehicle's streams."""
         self._topics.append(topic)
 
     def subscribe(self, name: str, kind: type, callback: Callable[[Any], None]) -> None:
         """Subscribe to ``<prefix>/<name>`` (or an absolute name).
 
-        A value that does not fit into MAVLink is refused with a warning.
+        A message with a value that does not fit into MAVLink is rejected with a warning.
         """
 
         def accept(message: Any) -> None:
@@ -191,7 +191,7 @@ class Uas:
         self.ros.subscriber(self._path(name), kind, accept)
 
     def service(self, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
-        """Offer ``<prefix>/<name>``; a value that does not fit into MAVLink is refused with a warning."""
+        """Offer ``<prefix>/<name>``; a value that does not fit into MAVLink is rejected with a warning."""
 
         def answer(request: Any) -> Any:
             try:
@@ -203,17 +203,17 @@ class Uas:
         self.ros.service(f"{self.prefix}/{name}", kind, answer)
 
     def timer(self, period: float, call: Callable[[], None]) -> None:
-        """Call ``call`` in the main thread, at once and then every ``period`` seconds of ROS time."""
+        """Call ``call`` in the main thread, immediately and then every ``period`` seconds of ROS time."""
         self._timers.append(_Timer(period, call))
 
     def latest(self, name: str) -> Any:
-        """Return the latest message ``name``, decoded, or None; a feed must want it."""
+        """Return the latest message ``name``, decoded, or None; a feed must request it."""
         return self._decoded(self._slots[MESSAGE_ID[name]])
 
     def attitude(self) -> tuple[frames.Quaternion, frames.Vector] | None:
-        """Return the latest attitude, FLU to ENU (w, x, y, z), and the body rates (rad/s, FLU); None before the first.
+        """Return the latest attitude, FLU to ENU (w, x, y, z), and body rates (rad/s, FLU); None before the first one.
 
-        A plugin that calls this must want ATTITUDE_QUATERNION.
+        A plugin that calls this must have a feed for ATTITUDE_QUATERNION.
         """
         message = self._decoded(self._attitude_slot)
         if message is not None and message is not self._attitude_of:
@@ -235,12 +235,12 @@ class Uas:
         header.stamp.secs, header.stamp.nsecs = divmod(self.now_ns, _NS)
 
     def boot_ms(self, header: Any = None) -> int:
-        """Return a header's stamp (or now) as the milliseconds that setpoints carry, as MAVROS does (32 bit)."""
+        """Return a header's stamp (default: now) in milliseconds for a setpoint, truncated to 32 bits as in MAVROS."""
         ns = self.ros.now_ns() if header is None else header.stamp.to_nsec()
         return ns // 1_000_000 & 0xFFFFFFFF
 
     def finite(self, topic: str, values: Iterable[tuple[str, float]]) -> bool:
-        """Return whether all (field, value) are finite 32-bit floats; otherwise warn, naming topic and field."""
+        """Return whether all (field, value) pairs are finite 32-bit floats; otherwise warn with topic and field."""
         for field, value in values:
             if not abs(value) <= FLOAT32_MAX:
                 self._warn_of(topic, field, value, FLOAT32_RANGE)
@@ -248,7 +248,7 @@ class Uas:
         return True
 
     def _refuse(self, topic: str, message: Any, error: FieldError) -> None:
-        """Warn that a message to ``topic`` has a value that does not fit, by its ROS name where it has one."""
+        """Warn about a value that does not fit, by its field name in the ROS message if it has one."""
         self._warn_of(topic, source(message, error.value) or error.field, error.value, error.allowed)
 
     def _warn_of(self, topic: str, field: str, value: Any, allowed: str) -> None:
@@ -260,45 +260,45 @@ class Uas:
         return name if name.startswith("/") else f"{self.prefix}/{name}"
 
     def warn(self, key: str, text: str, *args: Any) -> None:
-        """Log a warning about this vehicle, at most once in a while for each ``key``."""
+        """Log a warning about this vehicle, rate-limited for each ``key``."""
         if self._throttle.passes(key):
             log.warning(f"{self.name}: {text}", *args)
 
     def failed(self, text: str) -> None:
-        """Log the exception that is being handled, at most once in a while for each text."""
+        """Log the exception being handled, rate-limited for each text."""
         if self._throttle.passes(text):
             log.exception("%s: %s", self.name, text)
 
-    # What the node uses
+    # Interface for the node
 
     def receive(self, now_ns: int, datagrams: int | None = None) -> None:
-        """Handle what the autopilot has sent; in the main thread.
+        """Handle the messages received from the autopilot; call in the main thread.
 
         Args:
             now_ns: ROS time.
-            datagrams: how many datagrams, since the start, have their turn now; None for all that are here.
+            datagrams: handle datagrams up to this count since the start; None for all that have arrived.
         """
         self.now_ns = now_ns
         frames = self.link.drain(datagrams)
-        if self._gone_back:
-            # What was sent before the time was set back is telemetry of a time to come. An autopilot that has just been
-            # rebooted has sent its heartbeat and nothing else yet.
-            self._gone_back = False
+        if self._time_was_reset:
+            # Telemetry sent before the time was set back has stamps in the future. A freshly rebooted autopilot has
+            # sent only its heartbeat.
+            self._time_was_reset = False
             frames = [entry for entry in frames if entry[0] == _HEARTBEAT][-1:]
         for number, frame in frames:
             self.handle(number, frame)
 
-    def time_gone_back(self, now_ns: int) -> None:
-        """Begin anew: the simulation, and the autopilot with it, has been set back to its start."""
+    def on_time_reset(self, now_ns: int) -> None:
+        """Start over after a reset that sets the simulation and the autopilot back to the start."""
         self.now_ns = now_ns
-        self._gone_back = True
+        self._time_was_reset = True
         for timer in self._timers:
             timer.next_ns = 0
-        self.set_connected(False, "begins anew: the simulation was set back to its start")
+        self.set_connected(False, "restarts: the simulation was reset")
         self._forget()
 
     def rebooted(self) -> None:
-        """Take note that the autopilot has been rebooted: what it was asked for and what it has told are void."""
+        """Reset requests and cached values after a reboot of the autopilot."""
         log.warning("%s: autopilot %d.%d has been rebooted", self.name, *self.target)
         self._forget()
         self.streams.reset()
@@ -307,16 +307,16 @@ class Uas:
         self.refresh()
 
     def step(self, now_ns: int) -> None:
-        """Run the timers; once a tick, in the main thread."""
+        """Run the timers; call once per tick in the main thread."""
         self.now_ns = now_ns
         for timer in self._timers:
-            # A time that lies far ahead comes from a clock that was set back.
+            # A due time far ahead means that the clock was set back.
             if now_ns >= timer.next_ns or timer.next_ns - now_ns > timer.period_ns:
                 timer.next_ns = now_ns + timer.period_ns
                 timer.call()
 
     def handle(self, number: int, frame: bytes) -> None:
-        """Give a frame to the plugins that want it."""
+        """Pass a frame to the plugins that need it."""
         slot = self._slots[number]
         slot.frame = frame
         slot.message = None
@@ -331,18 +331,18 @@ class Uas:
             self.warn("frame", "MAVLink frame dropped: %s", error)
 
     def refresh(self) -> None:
-        """Look which topics are taken, want the messages that they need, and ask the autopilot for them."""
+        """Check which topics are needed, and request the messages for them from the autopilot."""
         for topic in self._topics:
             topic.refresh()
-        wanted, from_anyone = set(), set()
+        wanted, from_any_sender = set(), set()
         for number, slot in self._slots.items():
             feeds = [feed for feed in slot.feeds if feed.wanted]
             slot.active = tuple(feed.handler for feed in feeds if feed.handler is not None)
             if feeds:
                 wanted.add(number)
-                if any(feed.anyone for feed in feeds):
-                    from_anyone.add(number)
-        self.link.wanted, self.link.from_anyone = frozenset(wanted), frozenset(from_anyone)
+                if any(feed.any_sender for feed in feeds):
+                    from_any_sender.add(number)
+        self.link.wanted, self.link.from_any_sender = frozenset(wanted), frozenset(from_any_sender)
         seen, self.link.seen = self.link.seen, {}
         if self._manage_streams and self.connected:
             if any(feed.wanted and feed.all_streams for feed in self._slots[RAW].feeds):
@@ -351,7 +351,7 @@ class Uas:
                 self.streams.update(wanted - {RAW}, seen)
 
     def set_connected(self, connected: bool, why: str = "lost") -> None:
-        """Take note that heartbeats come, or stay away (``why``, for the log)."""
+        """Handle the start or the loss (with the reason ``why``, for the log) of heartbeats."""
         if connected == self.connected:
             return
         self.connected = connected
@@ -398,7 +398,7 @@ class Uas:
         offset = self.time_offset_ns
         ns = self.now_ns if offset is None else boot_ns + offset
         seconds, header.stamp.nsecs = divmod(ns, _NS)
-        header.stamp.secs = seconds & 0xFFFFFFFF  # what the autopilot says may be any number
+        header.stamp.secs = seconds & 0xFFFFFFFF  # the autopilot may send any number
 
     def _request_interval(self, number: int, interval_us: int) -> None:
         log.debug("%s: %s every %d us", self.name, message_name(number), interval_us)
@@ -419,7 +419,7 @@ def _geoid(model: str) -> Callable[[float, float], float]:
 
 
 def _denied(kind: Any) -> Any:
-    """Return the answer of a service that has sent nothing: no success, and denied where it has a result."""
+    """Return a service response for a command that was not sent: no success, result "denied" where it has one."""
     response = kind._response_class()
     if hasattr(response, "result"):
         response.result = mavlink.MAV_RESULT_DENIED

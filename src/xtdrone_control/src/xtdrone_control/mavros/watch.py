@@ -1,7 +1,7 @@
-"""Names publishers on MAVROS topics that nothing here takes: without a subscriber their messages go nowhere.
+"""Detection of publishers on MAVROS topics without a subscriber, whose messages would be lost silently.
 
-The master is asked now and then, in wall time and in a thread of its own, so that no topic needs a subscription and the
-simulation is not touched. The larger the ROS graph, the more seldom.
+A daemon thread queries the master periodically in wall time, so no topic needs a subscription and the simulation is not
+affected. The larger the ROS graph, the longer the period.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from xtdrone_control.mavros.left_out import LeftOut, explain
 
 log = logging.getLogger("rosout.mavros")
 
-PERIOD = 5.0  # s of wall time between looks, at least
-_SHARE = 200.0  # a look may take this part of the time
+PERIOD = 5.0  # s of wall time between checks, at least
+_SHARE = 200.0  # a check may take at most 1/200 of the time
 _LIKENESS = 0.85
 
 Registrations = Mapping[str, Collection[str]]  # topic to the names of nodes
 
 
 class Finding(NamedTuple):
-    """A topic that nothing here takes, a node that publishes on it, and the words for a user."""
+    """A topic without a subscriber, a node that publishes on it, and the text of the warning."""
 
     topic: str
     node: str
@@ -33,7 +33,7 @@ class Finding(NamedTuple):
 
 
 class Watch:
-    """The looks at the graph; each topic is told of once."""
+    """Periodic check of the ROS graph; warns once for each topic."""
 
     def __init__(
         self,
@@ -42,13 +42,13 @@ class Watch:
         left_out: Mapping[str, LeftOut],
         system_state: Callable[[], tuple[Registrations, Registrations]],
     ) -> None:
-        """Prepare.
+        """Prepare the check.
 
         Args:
             own_name: this node's name.
-            prefixes: where vehicles' topics are, as ``/iris_0/mavros``.
-            left_out: topics below these that MAVROS takes and this node does not.
-            system_state: asks for publishers and subscribers by topic; may raise OSError.
+            prefixes: namespaces of the vehicles' topics, e.g. ``/iris_0/mavros``.
+            left_out: topics below the prefixes that MAVROS subscribes to and this node does not.
+            system_state: returns publishers and subscribers by topic; may raise OSError.
         """
         self._own_name = own_name
         self._prefixes = frozenset(prefixes)
@@ -58,15 +58,15 @@ class Watch:
         self._ending = threading.Event()
 
     def start(self) -> None:
-        """Begin to look, in a daemon thread."""
+        """Start the checks in a daemon thread."""
         threading.Thread(target=self._run, name="mavros watch", daemon=True).start()
 
     def stop(self) -> None:
-        """Look no more."""
+        """Stop the checks."""
         self._ending.set()
 
-    def look(self) -> None:
-        """Look once, and warn of what is new.
+    def check(self) -> None:
+        """Check once, and warn about new findings.
 
         Raises:
             OSError: the master does not answer.
@@ -77,7 +77,7 @@ class Watch:
                 log.warning("%s, on which %s publishes, %s", *finding)
 
     def findings(self, publishers: Registrations, subscribers: Registrations) -> Iterator[Finding]:
-        """Yield what goes nowhere, of a state of the graph."""
+        """Yield the topics without a subscriber in a state of the graph."""
         for topic, nodes in sorted(publishers.items()):
             others = sorted(set(nodes) - {self._own_name})
             if not others or self._own_name in nodes or self._own_name in subscribers.get(topic, ()):
@@ -93,17 +93,17 @@ class Watch:
         name = topic[len(prefix) + 1 :]
         entry = self._left_out.get(name)
         if entry is not None:
-            return f"is not taken here: {explain(entry)}"
+            return f"is not supported here: {explain(entry)}"
         if subscribers.get(topic):
             return ""
         own = [known for known, nodes in subscribers.items() if self._own_name in nodes and known.startswith(prefix)]
         alike = difflib.get_close_matches(topic, own, 1, _LIKENESS)
         if alike:
             return f"has no subscriber; is {alike[0]} meant?"
-        return "has no subscriber: no plugin that is loaded takes it; plugin_denylist may leave its plugin out"
+        return "has no subscriber: no loaded plugin subscribes to it; plugin_denylist may exclude its plugin"
 
     def _without_vehicle(self, topic: str, subscribers: Registrations) -> str:
-        """Return the words for a topic below ``/mavros`` when vehicles have namespaces."""
+        """Return the warning for a topic below ``/mavros`` when the vehicles have namespaces."""
         head, _, name = topic[1:].partition("/")
         if head != "mavros" or self._own_name in self._prefixes or subscribers.get(topic) or not name:
             return ""
@@ -123,7 +123,7 @@ class Watch:
         while not self._ending.wait(pause):
             begin = time.monotonic()
             try:
-                self.look()
+                self.check()
             except OSError as error:
-                log.debug("the master does not name publishers: %s", error)
+                log.debug("the master does not list publishers: %s", error)
             pause = max(PERIOD, _SHARE * (time.monotonic() - begin))

@@ -1,4 +1,4 @@
-"""When the autopilot has triggered a camera."""
+"""Stamps of camera triggers by the autopilot."""
 
 from __future__ import annotations
 

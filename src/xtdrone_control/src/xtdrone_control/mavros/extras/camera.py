@@ -1,4 +1,4 @@
-"""Pictures that a MAVLink camera says it has taken."""
+"""Images reported by a MAVLink camera."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xtdrone_control.mavros.uas import Uas
 
 
 class CameraPlugin(Plugin):
-    """MAVROS's camera; as there, the orientation is MAVLink's, not turned into ROS's frames."""
+    """MAVROS's camera; as there, the orientation keeps MAVLink's frames."""
 
     name = "camera"
 
@@ -19,7 +19,7 @@ class CameraPlugin(Plugin):
         """Advertise the topic."""
         super().__init__(uas)
         self._captured = uas.topic("camera/image_captured", CameraImageCaptured())
-        self.messages = {"CAMERA_IMAGE_CAPTURED": Feed(self._on_captured, self._captured, anyone=True)}
+        self.messages = {"CAMERA_IMAGE_CAPTURED": Feed(self._on_captured, self._captured, any_sender=True)}
 
     def _on_captured(self, captured: Any) -> None:
         message = self._captured.message

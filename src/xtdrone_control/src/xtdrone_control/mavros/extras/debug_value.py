@@ -1,4 +1,4 @@
-"""Values that a program or the autopilot shows for debugging."""
+"""Debug values from programs or from the autopilot."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xtdrone_control.mavros.link.packing import FieldError
 from xtdrone_control.mavros.relay import In, Out, Relay, text
 from xtdrone_control.mavros.uas import Uas
 
-_NONE = -1  # index or array_id of what has none
+_NONE = -1  # index or array_id for messages without one
 _NAME = 10  # bytes
 _FLOATS = 58  # of a DEBUG_FLOAT_ARRAY
 
@@ -48,7 +48,7 @@ def _send_vector(m: Any) -> Mapping[str, Any]:
     """Return the first three numbers.
 
     Raises:
-        FieldError: there are fewer.
+        FieldError: fewer than three are given.
     """
     if len(m.data) < 3:
         raise FieldError("data", f"{len(m.data)} numbers", "3 of them")
@@ -56,7 +56,7 @@ def _send_vector(m: Any) -> Mapping[str, Any]:
 
 
 def _send_array(m: Any) -> Mapping[str, Any]:
-    """Return the array; what does not fit is cut, as in MAVROS. MAVROS leaves the array's id 0."""
+    """Return the array, truncated to the field as in MAVROS, which also leaves the array's id 0."""
     data = [*m.data, *[0.0] * _FLOATS][:_FLOATS]
     return {"name": text(m.name, _NAME), "array_id": max(m.array_id, 0), "data": data}
 
@@ -70,7 +70,7 @@ def _send_int(m: Any) -> Mapping[str, Any]:
 
 
 _TOPIC = "debug_value/send"
-_FREE = ("value", "x", "y", "z", "data")  # a number that is none is worth showing
+_FREE = ("value", "x", "y", "z", "data")  # NaN is worth showing, too
 _SENT = {
     DebugValue.TYPE_DEBUG: In(_TOPIC, DebugValue, "DEBUG", _send_debug, free=_FREE),
     DebugValue.TYPE_DEBUG_VECT: In(_TOPIC, DebugValue, "DEBUG_VECT", _send_vector, free=_FREE),
@@ -85,11 +85,11 @@ class DebugValuePlugin(Relay):
 
     name = "debug_value"
     outs = (
-        Out("DEBUG", "debug_value/debug", DebugValue, _debug, anyone=True),
-        Out("DEBUG_VECT", "debug_value/debug_vector", DebugValue, _vector, anyone=True),
-        Out("DEBUG_FLOAT_ARRAY", "debug_value/debug_float_array", DebugValue, _array, anyone=True),
-        Out("NAMED_VALUE_FLOAT", "debug_value/named_value_float", DebugValue, _float, anyone=True),
-        Out("NAMED_VALUE_INT", "debug_value/named_value_int", DebugValue, _int, anyone=True),
+        Out("DEBUG", "debug_value/debug", DebugValue, _debug, any_sender=True),
+        Out("DEBUG_VECT", "debug_value/debug_vector", DebugValue, _vector, any_sender=True),
+        Out("DEBUG_FLOAT_ARRAY", "debug_value/debug_float_array", DebugValue, _array, any_sender=True),
+        Out("NAMED_VALUE_FLOAT", "debug_value/named_value_float", DebugValue, _float, any_sender=True),
+        Out("NAMED_VALUE_INT", "debug_value/named_value_int", DebugValue, _int, any_sender=True),
     )
 
     def __init__(self, uas: Uas) -> None:
@@ -98,10 +98,10 @@ class DebugValuePlugin(Relay):
         uas.subscribe(_TOPIC, DebugValue, self._send)
 
     def _send(self, value: Any) -> None:
-        """Send a value as the message that its type names.
+        """Send a value as the message for its type.
 
         Raises:
-            FieldError: a type that there is not, or a value that does not fit.
+            FieldError: an unknown type, or a value that does not fit.
         """
         if value.type not in _SENT:
             raise FieldError("type", value.type, f"{min(_SENT)} to {max(_SENT)}")

@@ -1,4 +1,4 @@
-"""Range finders, of the autopilot and for it."""
+"""Range finders, from the autopilot and to it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.relay import In
 from xtdrone_control.mavros.uas import Uas
 
-_CENTIMETRES = 100.0  # in a metre
-_SAMPLES = 50  # that a variance is taken of
+_CENTIMETRES = 100.0  # per metre
+_SAMPLES = 50  # used for a variance
 _LARGEST_VARIANCE = 255
 _LASER, _ULTRASOUND, _INFRARED, _RADAR, _UNKNOWN = range(5)  # MAV_DISTANCE_SENSOR
 _RADIATION = {
@@ -40,10 +40,10 @@ _CUSTOM = mavlink.MAV_SENSOR_ROTATION_CUSTOM
 
 
 class DistanceSensorPlugin(Plugin):
-    """MAVROS's distance_sensor: one topic for each sensor under the parameter ``distance_sensor``, by its name.
+    """MAVROS's distance_sensor: one topic for each sensor in the parameter ``distance_sensor``, by its name.
 
-    A sensor with ``subscriber: true`` goes to the autopilot, others come from it; a wrong setting is an error, where
-    MAVROS leaves the sensor out.
+    Sensors with ``subscriber: true`` are forwarded to the autopilot, others are received from it. An invalid setting is
+    an error, whereas MAVROS skips the sensor.
     """
 
     name = "distance_sensor"
@@ -52,7 +52,7 @@ class DistanceSensorPlugin(Plugin):
         """Advertise and subscribe.
 
         Raises:
-            ValueError: a sensor with a setting that is missing or not allowed, or an id that two have.
+            ValueError: a setting is missing or not allowed, or two sensors have the same id.
         """
         super().__init__(uas)
         settings = uas.params.get("distance_sensor", {})
@@ -64,7 +64,7 @@ class DistanceSensorPlugin(Plugin):
                 continue
             own = _Settings(name, tree)
             if own.number in subscribed or own.number in self._sensors:
-                raise ValueError(f"distance_sensor/{name}/id: {own.number} is another sensor's too")
+                raise ValueError(f"distance_sensor/{name}/id: {own.number} is already used by another sensor")
             if own.params.get("subscriber", False):
                 subscribed.add(own.number)
                 _forward(uas, own)
@@ -77,7 +77,7 @@ class DistanceSensorPlugin(Plugin):
     def _on_distance(self, m: Any) -> None:
         sensor = self._sensors.get(m.id)
         if sensor is None:
-            self.uas.warn(f"distance {m.id}", "distance_sensor: no sensor has the id %d of a DISTANCE_SENSOR", m.id)
+            self.uas.warn(f"distance {m.id}", "distance_sensor: no sensor has id %d of DISTANCE_SENSOR", m.id)
         else:
             sensor.publish(m)
 
@@ -93,10 +93,10 @@ class _Settings:
         self.orientation = _orientation(self.path, orientation) if orientation else None
 
     def required(self, name: str, kind: Any) -> Any:
-        """Return a setting of the type of ``kind``.
+        """Return a setting with the type of ``kind``.
 
         Raises:
-            ValueError: it is missing.
+            ValueError: the setting is missing.
         """
         value = self.params.get(name, kind)
         if value == kind:
@@ -112,19 +112,19 @@ def _orientation(path: str, name: str) -> int:
 
 
 def turn(orientation: int) -> frames.Quaternion:
-    """Return a MAV_SENSOR_ORIENTATION as MAVROS does: by the roll, pitch and yaw that MAVLink describes it with."""
+    """Return the rotation of a MAV_SENSOR_ORIENTATION, from the roll, pitch and yaw in MAVLink's description."""
     found = mavlink.enums["MAV_SENSOR_ORIENTATION"].get(orientation)
     angles = dict(re.findall(r"(Roll|Pitch|Yaw): (\d+)", found.description)) if found else {}
     return _quaternion(*(float(angles.get(axis, 0)) for axis in ("Roll", "Pitch", "Yaw")))
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> frames.Quaternion:
-    """Return the attitude of angles in degrees."""
+    """Return the attitude quaternion for angles in degrees."""
     return frames.quaternion_from_rpy(*(math.radians(angle) for angle in (roll, pitch, yaw)))
 
 
 class _Received:
-    """A sensor of the autopilot's."""
+    """A sensor of the autopilot."""
 
     def __init__(self, uas: Uas, own: _Settings, base_frame: str) -> None:
         get = own.params.get
@@ -148,7 +148,7 @@ class _Received:
         radiation = _RADIATION.get(m.type)
         expected = self._orientation
         if radiation is None or expected not in (None, m.orientation):
-            text = "%s: DISTANCE_SENSOR of type %d and orientation %d is not published; the orientation is to be %s"
+            text = "%s: DISTANCE_SENSOR of type %d and orientation %d is not published; %s is configured"
             self._uas.warn(self._path, text, self._path, m.type, m.orientation, expected)
             return
         message = self._range.message
@@ -157,7 +157,7 @@ class _Received:
         message.min_range, message.max_range = m.min_distance / _CENTIMETRES, m.max_distance / _CENTIMETRES
         message.range = m.current_distance / _CENTIMETRES
         self._range.publish(message)
-        if self._tf is not None and self._tf.taken:
+        if self._tf is not None and self._tf.needed:
             [transform] = self._tf.message.transforms
             self._uas.stamp(transform.header, m.time_boot_ms)
             q = transform.transform.rotation
@@ -166,10 +166,10 @@ class _Received:
 
 
 def _forward(uas: Uas, own: _Settings) -> None:
-    """Subscribe to a sensor for the autopilot.
+    """Subscribe to a sensor's topic and forward it to the autopilot.
 
     Raises:
-        ValueError: it has no orientation.
+        ValueError: the orientation is not set.
     """
     if own.orientation is None:
         raise ValueError(f"{own.path}/orientation: it is not set")
@@ -200,7 +200,7 @@ def _forward(uas: Uas, own: _Settings) -> None:
 
 
 def _variance(recent: deque[float], distance: float) -> int:
-    """Return a hundred times the variance (m^2) of the last ranges, as MAVROS does, at most what the field can hold."""
+    """Return the variance of the last ranges (m^2) times 100, as in MAVROS, limited to the field's range."""
     if abs(distance) <= FLOAT32_MAX:
         recent.append(distance)
     if not recent:

@@ -10,14 +10,14 @@ from xtdrone_control.mavros.plugin import Feed, Plugin, Topic
 from xtdrone_control.mavros.uas import Uas
 
 _BATCH = 4  # ESCs in one MAVLink message
-_CENTIDEGREES = 100  # in a degree Celsius
+_CENTIDEGREES = 100  # per degree Celsius
 
 
 class EscStatusPlugin(Plugin):
-    """MAVROS's esc_status: what comes of four ESCs at a time becomes one message of all.
+    """MAVROS's esc_status: combines MAVLink's batches of four ESCs into one message.
 
-    Temperatures are degrees Celsius (MAVROS multiplies MAVLink's hundredths by a hundred). How many ESCs there are is
-    ESC_INFO's to say; ``esc_status`` is empty before the first has come.
+    Temperatures are degrees Celsius (MAVROS multiplies MAVLink's hundredths by a hundred). The number of ESCs is taken
+    from ESC_INFO; ``esc_status`` is empty before the first one.
     """
 
     name = "esc_status"
@@ -34,7 +34,7 @@ class EscStatusPlugin(Plugin):
         }
 
     def connected(self, connected: bool) -> None:
-        """Forget the ESCs of an autopilot that is lost, or another."""
+        """Drop the ESCs, as the autopilot is lost or another one."""
         self._info.message.esc_info, self._status.message.esc_status = [], []
         self._last = {"info": 0, "status": 0}
 
@@ -63,7 +63,7 @@ class EscStatusPlugin(Plugin):
         self._publish_whole("status", status.index, self._status)
 
     def _publish_whole(self, kind: str, index: int, topic: Topic) -> None:
-        """Publish after the last batch of a round."""
+        """Publish after the last batch of a cycle."""
         self._last[kind] = max(self._last[kind], index)
-        if index == self._last[kind] and topic.taken:
+        if index == self._last[kind] and topic.needed:
             topic.publish(topic.message)

@@ -1,4 +1,4 @@
-"""A GPS receiver made of a motion-capture or vision system's poses."""
+"""GPS receiver emulated from a motion-capture or vision system's poses."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.relay import In, limited
 from xtdrone_control.mavros.uas import Uas
 
-_GPS_EPOCH = 315_964_800 - 18  # s of Unix time at the beginning of GPS time, with the leap seconds since then
+_GPS_EPOCH = 315_964_800 - 18  # s of Unix time at the start of GPS time, with the leap seconds since then
 _WEEK_MS = 7 * 86_400_000
-_STILL = 0.01  # m/s; a velocity below is not told
+_STILL = 0.01  # m/s; lower velocities are sent as 0
 
 _IGNORE_HDOP = mavlink.GPS_INPUT_IGNORE_FLAG_HDOP
 _IGNORE_VDOP = mavlink.GPS_INPUT_IGNORE_FLAG_VDOP
@@ -29,8 +29,8 @@ _IGNORE_SPEED_ACCURACY = mavlink.GPS_INPUT_IGNORE_FLAG_SPEED_ACCURACY
 class FakeGpsPlugin(Plugin):
     """MAVROS's fake_gps without its tf listener: ENU positions around ``fake_gps/geo_origin`` to HIL_GPS or GPS_INPUT.
 
-    The velocity is the change of the position, in NED (MAVROS's is that of the earth-centred place, backwards), the
-    course its direction in hundredths of a degree (MAVROS: of a radian). The origin's height is over the ellipsoid.
+    The velocity is the change of the position, in NED (in MAVROS, of the earth-centred position, negated); the course
+    is its direction in hundredths of a degree (in MAVROS, of a radian). The origin's altitude is above the ellipsoid.
     """
 
     name = "fake_gps"
@@ -58,7 +58,7 @@ class FakeGpsPlugin(Plugin):
         self._gps_id = get("fake_gps/gps_id", 0)
         source = self._source()
         if source is None:
-            uas.warn("fake_gps", "fake_gps: neither use_mocap nor use_vision is set: there is no source of poses")
+            uas.warn("fake_gps", "fake_gps: neither use_mocap nor use_vision is set; there is no source of poses")
             return
         topic, kind, position = source
         name, convert = ("HIL_GPS", self._hil_gps) if get("fake_gps/use_hil_gps", True) else ("GPS_INPUT", self._input)
@@ -66,7 +66,7 @@ class FakeGpsPlugin(Plugin):
         uas.subscribe(row.topic, row.kind, limited(uas, lambda m: row.forward(uas, m), "fake_gps/gps_rate", 5.0))
 
     def _source(self) -> tuple[str, type, Callable[[Any], Any]] | None:
-        """Return topic and type of the poses, and what takes the position out of one."""
+        """Return topic and type of the poses, and a function that extracts the position."""
         get = self.uas.params.get
         if get("fake_gps/use_mocap", True):
             if get("fake_gps/mocap_transform", True):
@@ -79,7 +79,7 @@ class FakeGpsPlugin(Plugin):
         return None
 
     def _position_with_covariance(self, m: Any) -> Any:
-        """Return the position, and take the accuracies over, as MAVROS does."""
+        """Return the position, and store the accuracies, as in MAVROS."""
         variance = m.pose.covariance
         self._accuracies[:2] = (variance[0] + variance[7]) / 2.0, variance[14]
         return m.pose.pose.position

@@ -13,7 +13,7 @@ from xtdrone_control.mavros.uas import Uas
 
 _FRAGMENT = 180  # bytes of a GPS_RTCM_DATA
 _FRAGMENTS = 4
-_FRAGMENTED = 1  # flag; the fragment's number (2 bits) and the message's (5 bits) follow
+_FRAGMENTED = 1  # flag; the fragment number (2 bits) and the sequence number (5 bits) follow
 
 
 class GpsRtkPlugin(Relay):
@@ -28,7 +28,7 @@ class GpsRtkPlugin(Relay):
         uas.subscribe("gps_rtk/send_rtcm", RTCM, self._send)
 
     def _send(self, rtcm: Any) -> None:
-        """Send the corrections, in several messages if they are long."""
+        """Send the corrections, split into several messages if necessary."""
         data, most = bytes(rtcm.data), _FRAGMENT * _FRAGMENTS
         if len(data) > most:
             raise FieldError("data", f"{len(data)} bytes", f"at most {most}")

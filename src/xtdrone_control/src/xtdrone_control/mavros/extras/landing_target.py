@@ -1,4 +1,4 @@
-"""The target of a precision landing."""
+"""Target of a precision landing."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _VALID = 1  # of position_valid
 class LandingTargetPlugin(Plugin):
     """MAVROS's landing_target without its tf listener.
 
-    ``landing_target/pose`` (or ``raw``, when ``landing_target/listen_lt`` is set) goes to the autopilot: an ENU pose
-    becomes the NED position and attitude of LANDING_TARGET, which PX4 takes for a place in its local frame. The angular
-    offsets and sizes that MAVROS adds to a pose are in no unit of MAVLink's; here they are those of a camera above the
-    target that looks down, in radians. The target's number is the digit that ``landing_target/frame_id`` ends with,
-    0 if there is none.
+    ``landing_target/pose`` (or ``raw``, with ``landing_target/listen_lt``) is forwarded to the autopilot: an ENU pose
+    becomes the NED position and attitude of LANDING_TARGET, which PX4 interprets in its local frame. The angular
+    offsets and sizes that MAVROS adds to a pose are not in MAVLink's units; here they are those of a camera above the
+    target that looks down, in radians. The target number is the last digit of ``landing_target/frame_id``, 0 without
+    one.
     """
 
     name = "landing_target"
@@ -42,7 +42,7 @@ class LandingTargetPlugin(Plugin):
         """Advertise and subscribe.
 
         Raises:
-            ValueError: an unknown frame or type of target.
+            ValueError: an unknown frame or target type.
         """
         super().__init__(uas)
         get = uas.params.get
@@ -88,12 +88,12 @@ class LandingTargetPlugin(Plugin):
         place, turn = message.pose.position, message.pose.orientation
         place.x, place.y, place.z = frames.ned_to_enu(target.x, target.y, target.z)
         turn.w, turn.x, turn.y, turn.z = frames.attitude_ned_to_enu(*target.q)
-        if self._pose_in.taken:
+        if self._pose_in.needed:
             self._pose_in.publish(message)
-        if self._marker.taken:
+        if self._marker.needed:
             uas.stamp_us(self._marker.message.header, target.time_usec)
             self._marker.publish(self._marker.message)
-        if self._tf is not None and self._tf.taken:
+        if self._tf is not None and self._tf.needed:
             [transform] = self._tf.message.transforms
             uas.stamp_us(transform.header, target.time_usec)
             transform.header.frame_id = f"landing_target_{target.target_num}"
@@ -110,7 +110,7 @@ def _type(name: str) -> int:
 
 
 def _pose(pose: Any) -> dict[str, Any]:
-    """Return an ENU pose as the fields of LANDING_TARGET that say where the target is."""
+    """Convert an ENU pose to the position fields of LANDING_TARGET."""
     q = pose.orientation
     ned: Sequence[float] = frames.enu_to_ned(pose.position.x, pose.position.y, pose.position.z)
     return {

@@ -1,4 +1,4 @@
-"""Flight logs of the autopilot by MAVLink's log protocol: requests by services, what comes as topics."""
+"""Flight logs of the autopilot over MAVLink's log protocol: requests as services, data as topics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from xtdrone_control.mavros.uas import Uas
 
 
 class LogTransferPlugin(Plugin):
-    """MAVROS's log_transfer. ``success`` says that the request was sent."""
+    """MAVROS's log_transfer. ``success`` means that the request was sent."""
 
     name = "log_transfer"
 
@@ -31,8 +31,8 @@ class LogTransferPlugin(Plugin):
         super().__init__(uas)
         self._entry = uas.topic("log_transfer/raw/log_entry", LogEntry())
         self._data = uas.topic("log_transfer/raw/log_data", LogData())
-        # They come only when asked for. A program that subscribes and asks at once must not miss them until the
-        # next look at the subscribers.
+        # The autopilot sends these only on request. A program that subscribes and sends a request immediately must not
+        # miss them until the next check for subscribers.
         self.messages = {
             "LOG_ENTRY": Feed(self._on_entry, always=True),
             "LOG_DATA": Feed(self._on_data, always=True),

@@ -13,7 +13,7 @@ _NO_COVARIANCE = [0.0] * 21
 
 
 class MocapPlugin(Plugin):
-    """MAVROS's mocap_pose_estimate, its pose half: ENU poses to ATT_POS_MOCAP."""
+    """The pose part of MAVROS's mocap_pose_estimate: ENU poses to ATT_POS_MOCAP."""
 
     name = "mocap_pose_estimate"
 

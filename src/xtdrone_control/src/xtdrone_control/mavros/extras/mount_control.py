@@ -1,4 +1,4 @@
-"""The gimbal: where it is to look, and where it does."""
+"""Gimbal: commanded and measured orientation."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _FIELDS = ("pitch", "roll", "yaw", "altitude", "latitude", "longitude")  # of Mo
 class MountControlPlugin(Plugin):
     """MAVROS's mount_control.
 
-    Angles of ``command`` are degrees, and like those of ``orientation`` MAVLink's: pitch positive up, yaw positive to
-    the right of the heading; ``mount_control/negate_measured_roll`` (and pitch, yaw) turns the sign of what a gimbal
-    says of itself. ``status`` is advertised and stays silent: what MAVROS fills it with is ArduPilot's.
+    Angles of ``command`` and ``orientation`` are degrees in MAVLink's axes: pitch positive up, yaw positive to the
+    right of the heading; ``mount_control/negate_measured_roll`` (and pitch, yaw) negates a measured angle. ``status``
+    is advertised but never published, because MAVROS fills it from an ArduPilot message.
     """
 
     name = "mount_control"
@@ -72,6 +72,6 @@ class MountControlPlugin(Plugin):
             ),
         )
         if result is None:
-            self.uas.warn("mount", "mount_control/configure: the autopilot has not answered; has it a gimbal?")
+            self.uas.warn("mount", "mount_control/configure: the autopilot has not answered; is there a gimbal?")
             return MountConfigureResponse(False, mavlink.MAV_RESULT_FAILED)
         return MountConfigureResponse(result == mavlink.MAV_RESULT_ACCEPTED, result)

@@ -1,4 +1,4 @@
-"""Distances to obstacles all around, from a laser scan."""
+"""Distances to obstacles in all directions, from a laser scan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LARGEST_INCREMENT = 255.0  # degrees
 class ObstacleDistancePlugin(Plugin):
     """MAVROS's obstacle_distance: ``obstacle/send`` to OBSTACLE_DISTANCE in the frame ``obstacle/mav_frame``.
 
-    As in MAVROS, the scan's angles are taken for MAVLink's: clockwise, from north or ahead.
+    As in MAVROS, the scan's angles are used as MAVLink's: clockwise, from north or from the heading.
     """
 
     name = "obstacle_distance"
@@ -43,7 +43,7 @@ class ObstacleDistancePlugin(Plugin):
         increment = math.degrees(scan.angle_increment) * max(rays / _BINS, 1.0)
         return {
             "distances": bins(scan.ranges),
-            "increment": whole(min(max(increment, 0.0), _LARGEST_INCREMENT)),  # for readers of the old field alone
+            "increment": whole(min(max(increment, 0.0), _LARGEST_INCREMENT)),  # for readers of the old integer field
             "increment_f": increment,
             "min_distance": _centimetres(scan.range_min),
             "max_distance": _centimetres(scan.range_max),
@@ -53,9 +53,9 @@ class ObstacleDistancePlugin(Plugin):
 
 
 def bins(ranges: Sequence[float]) -> list[int]:
-    """Return a scan (m) as OBSTACLE_DISTANCE has it: 72 distances (cm), 65535 where nothing is known.
+    """Convert a scan (m) to OBSTACLE_DISTANCE: 72 distances (cm), 65535 for unknown.
 
-    A scan of more rays gives each bin its nearest.
+    For scans with more rays, each bin has its smallest range.
     """
     if len(ranges) <= _BINS:
         distances = [_distance(value, value >= 0.0) for value in ranges]
@@ -73,5 +73,5 @@ def _distance(metres: float, valid: bool) -> int:
 
 
 def _centimetres(metres: float) -> int | float:
-    """Return a limit of the range; beyond what the field can hold, the most that it can."""
+    """Convert a range limit to cm, limited to the field's range."""
     return _UNKNOWN if metres * 100.0 > _UNKNOWN else whole(metres * 100.0)

@@ -20,14 +20,14 @@ _ESTIMATOR_VISION = 2  # MAV_ESTIMATOR_TYPE
 
 
 class OdometryPlugin(Plugin):
-    """MAVROS's odometry: ``odometry/in`` is the autopilot's ODOMETRY, ``odometry/out`` goes to it.
+    """MAVROS's odometry: ``odometry/in`` is the autopilot's ODOMETRY, ``odometry/out`` is sent to it.
 
-    Poses are ENU, twists FLU in the child's frame. MAVROS asks tf how ``odom`` and its children lie; here ``odom`` is
-    ENU and its child FLU, as MAVROS's own static transforms have them. What goes out is declared MAV_FRAME_LOCAL_FRD
-    and MAV_FRAME_BODY_FRD, as in MAVROS: the autopilot does not take its x for north.
+    Poses are ENU, twists FLU in the child frame. MAVROS looks up ``odom`` and its children in tf; here ``odom`` is ENU
+    and its child FLU, as in MAVROS's static transforms. As in MAVROS, outgoing messages are declared
+    MAV_FRAME_LOCAL_FRD and MAV_FRAME_BODY_FRD, so the autopilot does not interpret x as north.
 
-    PX4 v1.14's own ODOMETRY has its velocity in LOCAL_NED. MAVROS takes every velocity for the body's; here one of a
-    local frame is turned into the body. What of a covariance is not known (NaN) is 0.
+    The velocity in PX4 v1.14's ODOMETRY is in LOCAL_NED. MAVROS interprets every velocity as a body velocity; here a
+    velocity in a local frame is rotated into the body frame. Unknown (NaN) parts of a covariance are 0.
     """
 
     name = "odom"
@@ -84,12 +84,12 @@ class OdometryPlugin(Plugin):
 
 
 def _matrix(upper: Sequence[float]) -> list[float]:
-    """Return a covariance of MAVLink's as a 6x6 matrix, row by row."""
+    """Return a MAVLink covariance as a 6x6 matrix, row by row."""
     return frames.from_upper_triangle([value if value == value else 0.0 for value in upper])
 
 
 def _turned(q: frames.Quaternion, covariance: list[float]) -> list[float]:
-    """Return a 6x6 covariance, row by row, with the vector of its first three turned by ``q``."""
+    """Return a 6x6 covariance, row by row, with its first vector rotated by ``q``."""
     columns = [frames.rotate(q, (covariance[i], covariance[6 + i], covariance[12 + i])) for i in range(6)]
     rows = [[column[i] for column in columns] for i in range(3)]
     turned = [[*frames.rotate(q, (row[0], row[1], row[2])), *row[3:]] for row in rows]

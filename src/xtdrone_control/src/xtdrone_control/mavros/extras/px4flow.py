@@ -18,7 +18,7 @@ def _sent(m: Any) -> dict[str, Any]:
 
 
 class Px4FlowPlugin(Relay):
-    """MAVROS's px4flow: angles in FLU; the distance comes as a range finder's too."""
+    """MAVROS's px4flow: angles in FLU; the distance is also published as a range finder's."""
 
     name = "px4flow"
     ins = (In("px4flow/raw/send", OpticalFlowRad, "OPTICAL_FLOW_RAD", _sent, free=FLOW_GYRO),)
@@ -51,6 +51,6 @@ class Px4FlowPlugin(Relay):
         self._temperature.message.temperature = celsius
         self._range.message.range = m.distance
         for topic in (self._flow, self._temperature, self._range):
-            if topic.taken:
+            if topic.needed:
                 self.uas.stamp_us(topic.message.header, m.time_usec)
                 topic.publish(topic.message)

@@ -1,6 +1,6 @@
-"""Plugins of MAVROS that pass messages on: rows of tables. PX4 v1.14 in simulation sends few of them by itself.
+"""MAVROS's plugins that only relay messages, as tables. PX4 v1.14 in simulation sends few of these by default.
 
-HIL_RC_INPUTS_RAW carries microseconds, as MAVLink says; MAVROS divides by a hundred too much.
+HIL_RC_INPUTS_RAW has microseconds, as MAVLink defines; MAVROS wrongly divides them by a hundred.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ Fields = Mapping[str, Any]
 _UNKNOWN_U8, _UNKNOWN_U16, _UNKNOWN_U32 = 0xFF, 0xFFFF, 0xFFFFFFFF
 _PAYLOAD = 128  # bytes of a TUNNEL
 _RC_CHANNELS = 12
-_GAUSS = 1e4  # in a tesla
-_HECTOPASCAL = 1e-2  # in a pascal
-_HIL_GPS_CENTI = ("eph", "epv", "vel", "vn", "ve", "vd", "cog")  # fields in hundredths in MAVLink
+_GAUSS = 1e4  # per tesla
+_HECTOPASCAL = 1e-2  # per pascal
+_HIL_GPS_CENTI = ("eph", "epv", "vel", "vn", "ve", "vd", "cog")  # fields with hundredths in MAVLink
 _BASELINE_FRAMES = {0: "earth", 1: "map"}  # RTK_BASELINE_COORDINATE_SYSTEM: ECEF, NED
 
 
@@ -62,7 +62,7 @@ def _radio(m: Any) -> Fields:
     return {"rssi_dbm": _dbm(m.rssi), "remrssi_dbm": _dbm(m.remrssi)}
 
 
-TdrRadioPlugin = relay("3dr_radio", Out("RADIO_STATUS", "radio_status", RadioStatus, _radio, anyone=True))
+TdrRadioPlugin = relay("3dr_radio", Out("RADIO_STATUS", "radio_status", RadioStatus, _radio, any_sender=True))
 
 
 def _adsb_to_ros(m: Any) -> Fields:
@@ -80,7 +80,7 @@ def _adsb_to_ros(m: Any) -> Fields:
 
 def _adsb_to_mavlink(m: Any) -> Fields:
     return {
-        "callsign": text(m.callsign, 8),  # of 9: one ends it
+        "callsign": text(m.callsign, 8),  # of 9 with the terminating zero
         "lat": whole(m.latitude * 1e7),
         "lon": whole(m.longitude * 1e7),
         "altitude": whole(m.altitude * 1e3),
@@ -93,7 +93,7 @@ def _adsb_to_mavlink(m: Any) -> Fields:
 
 AdsbPlugin = relay(
     "adsb",
-    Out("ADSB_VEHICLE", "adsb/vehicle", ADSBVehicle, _adsb_to_ros, anyone=True),
+    Out("ADSB_VEHICLE", "adsb/vehicle", ADSBVehicle, _adsb_to_ros, any_sender=True),
     In("adsb/send", ADSBVehicle, "ADSB_VEHICLE", _adsb_to_mavlink),
 )
 
@@ -117,7 +117,7 @@ CompanionProcessStatusPlugin = relay(
 
 
 class EscTelemetryPlugin(Plugin):
-    """MAVROS's esc_telemetry: the topic, which stays silent. What would fill it is ArduPilot's alone."""
+    """MAVROS's esc_telemetry: the topic is never published, because only ArduPilot sends the message."""
 
     name = "esc_telemetry"
 
@@ -162,7 +162,7 @@ def _xyz(v: Any) -> frames.Vector:
 
 
 def _hil_state(m: Any) -> Fields:
-    """Return HIL_STATE_QUATERNION; as in MAVROS, the rates are turned from FLU to FRD and then as if they were ENU."""
+    """Return HIL_STATE_QUATERNION; as in MAVROS, the rates are rotated from FLU to FRD and then as if they were ENU."""
     q = m.orientation
     rates = frames.enu_to_ned(*frames.flu_to_frd(*_xyz(m.angular_velocity)))
     velocity = frames.enu_to_ned(*_xyz(m.linear_velocity))
@@ -179,7 +179,7 @@ def _hil_state(m: Any) -> Fields:
 
 
 def _place(geo: Any) -> Fields:
-    """Return a place with its height as it is: MAVROS does not take the geoid into account here."""
+    """Return a position with its altitude unchanged: MAVROS does not apply the geoid here."""
     return {"lat": whole(geo.latitude * 1e7), "lon": whole(geo.longitude * 1e7), "alt": whole(geo.altitude * 1e3)}
 
 
@@ -196,11 +196,11 @@ def _hil_sensor(m: Any) -> Fields:
     return values | pressures
 
 
-FLOW_GYRO = ("integrated_xgyro", "integrated_ygyro", "integrated_zgyro")  # NaN: not measured; PX4 itself says it so
+FLOW_GYRO = ("integrated_xgyro", "integrated_ygyro", "integrated_zgyro")  # NaN: not measured, also from PX4
 
 
 def turned_flow(m: Any) -> Fields:
-    """Return the angles of an optical flow, of either kind of message, in FRD from FLU or the other way round."""
+    """Return the angles of either optical-flow message, converted between FRD and FLU (self-inverse)."""
     return {
         "integrated_y": -m.integrated_y,
         "integrated_ygyro": -m.integrated_ygyro,
@@ -236,8 +236,8 @@ def _compass(m: Any) -> Fields:
 class MagCalibrationStatusPlugin(Relay):
     """MAVROS's mag_calibration_status.
 
-    ``mag_calibration/status`` stays silent: the progress is a message of ArduPilot's alone. MAVROS
-    publishes a report only after such a progress; here every one.
+    ``mag_calibration/status`` is never published, because only ArduPilot sends the progress. MAVROS publishes a report
+    only after progress; here every report is published.
     """
 
     name = "mag_calibration_status"
@@ -260,7 +260,7 @@ OnboardComputerStatusPlugin = relay(
 
 
 def _tune(m: Any) -> Fields:
-    return {"tune": text(m.tune, 247)}  # of 248: one ends it
+    return {"tune": text(m.tune, 247)}  # of 248 with the terminating zero
 
 
 PlayTunePlugin = relay("play_tune", In("play_tune", PlayTuneV2, "PLAY_TUNE_V2", _tune))
@@ -274,10 +274,10 @@ TerrainPlugin = relay("terrain", Out("TERRAIN_REPORT", "terrain/report", Terrain
 
 
 def _tunnel(m: Any) -> Fields:
-    """Return the payload, zeros behind its end.
+    """Return the payload, padded with zeros.
 
     Raises:
-        FieldError: a length that there is no room for.
+        FieldError: the length exceeds the payload.
     """
     length = m.payload_length
     if length > _PAYLOAD:
@@ -287,13 +287,13 @@ def _tunnel(m: Any) -> Fields:
 
 TunnelPlugin = relay(
     "tunnel",
-    Out("TUNNEL", "tunnel/out", Tunnel, _tunnel, anyone=True),
+    Out("TUNNEL", "tunnel/out", Tunnel, _tunnel, any_sender=True),
     In("tunnel/in", Tunnel, "TUNNEL", _tunnel),
 )
 
 
 def _vibration(m: Any) -> Fields:
-    x, y, z = frames.ned_to_enu(m.vibration_x, m.vibration_y, m.vibration_z)  # as MAVROS, though these are amounts
+    x, y, z = frames.ned_to_enu(m.vibration_x, m.vibration_y, m.vibration_z)  # as MAVROS, though these are magnitudes
     counts = [float(count) for count in (m.clipping_0, m.clipping_1, m.clipping_2)]
     return {"vibration.x": x, "vibration.y": y, "vibration.z": z, "clipping": counts}
 
@@ -314,7 +314,7 @@ class VibrationPlugin(Relay):
 def _wind(m: Any) -> Fields:
     x, y, z = frames.ned_to_enu(m.wind_x, m.wind_y, m.wind_z)
     covariance = [0.0] * 36
-    covariance[0], covariance[14] = m.var_horiz, m.var_vert  # of x and y together, MAVROS's note says
+    covariance[0], covariance[14] = m.var_horiz, m.var_vert  # x and y combined, according to MAVROS's comment
     linear = {"twist.twist.linear.x": x, "twist.twist.linear.y": y, "twist.twist.linear.z": z}
     return {**linear, "twist.covariance": covariance}
 

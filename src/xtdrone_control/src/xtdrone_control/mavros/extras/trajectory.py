@@ -1,4 +1,4 @@
-"""Way points between the autopilot's automatic modes and a planner that leads around obstacles."""
+"""Waypoints exchanged between the autopilot's automatic modes and an obstacle-avoidance planner."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _GENERATED, _PATH = "trajectory/generated", "trajectory/path"
 
 
 class TrajectoryPlugin(Plugin):
-    """MAVROS's trajectory: ``desired`` is what the autopilot wants to fly, ``generated`` or ``path`` the way around.
+    """MAVROS's trajectory: ``desired`` is the autopilot's plan, ``generated`` or ``path`` the planner's detour.
 
-    Positions, velocities and accelerations are ENU, yaw counts from east and its rate anticlockwise; NaN says that a
-    value is not used. Valid points of ``generated`` go out in their order, without gaps. (MAVROS leaves the sign of yaw
-    rates as it is, and turns the yaw of ``path`` twice.)
+    Positions, velocities and accelerations are ENU, yaw is from east and its rate anticlockwise; NaN marks an unused
+    value. Valid points of ``generated`` are sent in order, without gaps. (MAVROS does not negate yaw rates, and
+    converts the yaw of ``path`` twice.)
 
-    PX4 sends and takes these with COM_OBS_AVOID in its automatic modes; our autopilot has no such detour: ``desired``
-    stays silent and what goes out has no effect.
+    PX4 exchanges these messages with COM_OBS_AVOID in its automatic modes. The built-in autopilot has no such function:
+    it publishes no ``desired`` and ignores the detour.
     """
 
     name = "trajectory"
@@ -45,7 +45,7 @@ class TrajectoryPlugin(Plugin):
 
     def _on_waypoints(self, m: Any) -> None:
         if m.valid_points > _COUNT:
-            text = "trajectory/desired: %d valid points are not allowed, %d are; not published"
+            text = "trajectory/desired: %d valid points are not allowed, at most %d; not published"
             self.uas.warn("trajectory/desired", text, m.valid_points, _COUNT)
             return
         message = self._desired.message
@@ -103,7 +103,7 @@ class TrajectoryPlugin(Plugin):
         yaws: Sequence[float],
         yaw_rates: Sequence[float],
     ) -> None:
-        """Send the points, NED; what there are fewer of than five is not used."""
+        """Send the points, NED; missing ones out of five are marked unused."""
         self.uas.link.send(
             mavlink.MAVLink_trajectory_representation_waypoints_message(
                 time_us,
@@ -120,7 +120,7 @@ class TrajectoryPlugin(Plugin):
     def _send_bezier(
         self, time_us: int, positions: Sequence[frames.Vector], spans: Sequence[float], yaws: Sequence[float]
     ) -> None:
-        """Send the control points, NED, and the seconds that each takes."""
+        """Send the control points, NED, and the duration of each in seconds."""
         self.uas.link.send(
             mavlink.MAVLink_trajectory_representation_bezier_message(
                 time_us, len(positions), *_columns(positions), _filled(spans), _filled(yaws)
@@ -133,7 +133,7 @@ def _points(message: Trajectory) -> list[PositionTarget]:
 
 
 def _point_fields(name: str, point: PositionTarget) -> list[tuple[str, float]]:
-    """Return (field, value) of what is sent of a point."""
+    """Return (field, value) of the fields sent for a point."""
     fields = vector_fields(f"{name}.position", point.position)
     fields += vector_fields(f"{name}.velocity", point.velocity)
     fields += vector_fields(f"{name}.acceleration_or_force", point.acceleration_or_force)
@@ -141,12 +141,12 @@ def _point_fields(name: str, point: PositionTarget) -> list[tuple[str, float]]:
 
 
 def _turned_yaw(yaw: float) -> float:
-    """Return a yaw from north clockwise as one from east anticlockwise, or the other way round; NaN stays."""
+    """Convert a yaw between north clockwise and east anticlockwise (self-inverse); NaN stays NaN."""
     return frames.yaw_ned_to_enu(yaw) if isfinite(yaw) else yaw
 
 
 def _columns(vectors: Sequence[frames.Vector]) -> Iterable[list[float]]:
-    """Return the x, y and z of five vectors, NaN for missing ones."""
+    """Return x, y and z of five vectors as columns, NaN for missing ones."""
     filled = [*vectors, *[_UNUSED] * (_COUNT - len(vectors))]
     return [[vector[axis] for vector in filled] for axis in range(3)]
 

@@ -1,4 +1,4 @@
-"""Poses from a vision system, as a SLAM or VIO node has them."""
+"""Poses from a vision system such as a SLAM or VIO node."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xtdrone_control import frames
 from xtdrone_control.mavros.plugin import Plugin
 from xtdrone_control.mavros.uas import Uas
 
-_NO_COVARIANCE = [0.0] * 21  # as in MAVROS: the autopilot then takes its least noise
+_NO_COVARIANCE = [0.0] * 21  # as in MAVROS: the autopilot then uses its minimum noise
 
 
 class VisionPosePlugin(Plugin):

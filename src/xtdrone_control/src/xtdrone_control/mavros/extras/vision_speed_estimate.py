@@ -17,7 +17,7 @@ _LINEAR = [6 * row + column for row in range(3) for column in range(3)]  # of a 
 
 
 def _fields(velocity: Any, covariance: Sequence[float]) -> dict[str, Any]:
-    """Return an ENU velocity (m/s) with a 6x6 covariance, row by row, as the fields of VISION_SPEED_ESTIMATE."""
+    """Convert an ENU velocity (m/s) with a 6x6 covariance, row by row, to the fields of VISION_SPEED_ESTIMATE."""
     ned = frames.enu_to_ned(velocity.x, velocity.y, velocity.z)
     turned = frames.covariance_enu_to_ned(covariance)
     return {**dict(zip("xyz", ned, strict=True)), "covariance": [turned[i] for i in _LINEAR]}
@@ -33,8 +33,8 @@ _ROWS = {
 class VisionSpeedPlugin(Plugin):
     """MAVROS's vision_speed_estimate: ENU velocities to VISION_SPEED_ESTIMATE, which PX4 v1.14 does not read.
 
-    The topic is ``vision_speed/speed_twist_cov``; ``speed_twist`` when ``vision_speed/twist_cov`` is false,
-    ``speed_vector`` when ``vision_speed/listen_twist`` is.
+    The topic is ``vision_speed/speed_twist_cov``; ``speed_twist`` if ``vision_speed/twist_cov`` is false,
+    ``speed_vector`` if ``vision_speed/listen_twist`` is true.
     """
 
     name = "vision_speed_estimate"

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavros.uas import Uas
 
-# Those that PX4 takes in SET_POSITION_TARGET_LOCAL_NED, by MAVROS's names
+# The frames that PX4 accepts in SET_POSITION_TARGET_LOCAL_NED, by MAVROS's names
 _ALLOWED = {
     "LOCAL_NED": mavlink.MAV_FRAME_LOCAL_NED,
     "LOCAL_OFFSET_NED": mavlink.MAV_FRAME_LOCAL_OFFSET_NED,
@@ -27,10 +27,10 @@ _BY_NAME = {
 
 
 def mav_frame(uas: Uas, parameter: str, default: str) -> int:
-    """Return the MAV_FRAME that a parameter names, as ``LOCAL_NED``.
+    """Return the MAV_FRAME named by a parameter, e.g. ``LOCAL_NED``.
 
     Raises:
-        ValueError: there is no such frame.
+        ValueError: the name is unknown.
     """
     name = uas.params.get(parameter, default)
     if name not in _BY_NAME:
@@ -39,7 +39,9 @@ def mav_frame(uas: Uas, parameter: str, default: str) -> int:
 
 
 class MavFrame:
-    """A plugin's frame: from ``<plugin>/mav_frame``, changed by the service of the same name, which sets the parameter.
+    """A plugin's frame: read from ``<plugin>/mav_frame``, changed by the service of the same name.
+
+    The service also updates the parameter.
 
     Attributes:
         value: MAV_FRAME number.
@@ -49,7 +51,7 @@ class MavFrame:
         """Read the setting and offer the service.
 
         Raises:
-            ValueError: a frame that is not allowed.
+            ValueError: the frame is not allowed.
         """
         name = uas.params.get(f"{plugin}/mav_frame", "LOCAL_NED")
         if name not in _ALLOWED:

@@ -9,30 +9,30 @@ T = TypeVar("T", bool, int, float, str, list[Any], dict[str, Any])
 
 
 class ParamError(ValueError):
-    """A parameter with a value of the wrong type."""
+    """A parameter has a value of the wrong type."""
 
 
 class Params:
-    """Looks a name up in several trees, the first that has it wins.
+    """Parameter lookup in several trees; the first tree with the name wins.
 
-    The trees are those of the vehicle (``/iris_0/mavros/...``, where real MAVROS has them) and of the node, which hold
-    for every vehicle.
+    The trees are the vehicle's (``/iris_0/mavros/...``, as in real MAVROS) and the node's, which applies to all
+    vehicles.
     """
 
     def __init__(self, *trees: Mapping[str, Any]) -> None:
-        """Take nested dictionaries as rospy.get_param gives them, the most specific first."""
+        """Store nested dictionaries as returned by rospy.get_param, the most specific first."""
         self._trees = trees
 
     def get(self, name: str, default: T) -> T:
-        """Return parameter ``name`` (as ``local_position/tf/send``), or ``default``.
+        """Return parameter ``name`` (e.g. ``local_position/tf/send``), or ``default``.
 
         Raises:
-            ParamError: the value is not of the default's type (an int passes for a float).
+            ParamError: the value does not have the default's type (an int is accepted for a float).
         """
         return _checked(name, self.get_any(name, default), default)
 
     def get_any(self, name: str, default: Any) -> Any:
-        """Return parameter ``name``, of whatever type, or ``default``."""
+        """Return parameter ``name`` of any type, or ``default``."""
         for tree in self._trees:
             value = _find(tree, name)
             if value is not None:

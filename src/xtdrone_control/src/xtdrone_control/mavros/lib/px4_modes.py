@@ -8,14 +8,14 @@ _NAMES = {number: name for name, number in PX4_MODES.items()}
 
 
 class ModeError(ValueError):
-    """A flight mode that does not exist."""
+    """An unknown flight mode."""
 
 
 def mode_number(name: str) -> int:
-    """Return the custom mode of ``name``, or of a plain decimal number, as MAVROS accepts both.
+    """Return the custom mode for a mode name or a decimal number; MAVROS accepts both.
 
     Raises:
-        ModeError: neither a mode's name nor a number in 0..2^32-1.
+        ModeError: neither a mode name nor a number in 0..2^32-1.
     """
     if name in PX4_MODES:
         return PX4_MODES[name]
@@ -25,7 +25,7 @@ def mode_number(name: str) -> int:
 
 
 def mode_name(base_mode: int, custom_mode: int) -> str:
-    """Return the name for a heartbeat's modes; ``CMODE(n)`` or ``MODE(0xbb)`` when there is none."""
+    """Return the mode name of a heartbeat; ``CMODE(n)`` or ``MODE(0xbb)`` for an unknown mode."""
     if not base_mode & CUSTOM_FLAG:
         return f"MODE(0x{base_mode:02X})"
     return _NAMES.get(custom_mode, f"CMODE({custom_mode})")

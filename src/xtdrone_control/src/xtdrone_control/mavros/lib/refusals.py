@@ -1,8 +1,8 @@
-"""Why the autopilot refuses to arm or to change its mode, and why a failsafe acts, for users without a ground station.
+"""Reasons for refused arming, refused mode changes and failsafes, for users without a ground station.
 
-PX4 v1.14 tells such reasons by events alone (MAVLink EVENT): a report of the checks that fail, each for some modes. It
-begins with the summary of the arming checks and ends with that of the vehicle's health; PX4 sends one when something
-has changed and whenever it refuses to arm. MAVROS ignores events.
+PX4 v1.14 reports such reasons only as events (MAVLink EVENT): a report lists the failing checks, each with the modes
+that it affects. It begins with the summary of the arming checks and ends with that of the vehicle's health; PX4 sends
+one after each change and after each refusal to arm. MAVROS ignores events.
 """
 
 from __future__ import annotations
@@ -24,47 +24,47 @@ _ALL_MODES = 0xFFFFFFFF
 _CHECK = struct.Struct("<IB")  # modes, component
 _CRITICAL = 2  # MAV_SEVERITY
 
-Line = tuple[int, str]  # MAV_SEVERITY and words
+Line = tuple[int, str]  # MAV_SEVERITY and text
 
 
 class _Check(NamedTuple):
-    """A failing check: the navigation states that it concerns, a bit each, its level and its words."""
+    """A failing check: the affected navigation states (one bit each), its level and its text."""
 
     modes: int
     level: int
     words: str
 
     def stands_against(self, state: int) -> bool:
-        """Whether it keeps the vehicle from a navigation state; what concerns all modes may be a mere warning."""
+        """Whether the check blocks a navigation state; a check that affects all modes may be just a warning."""
         return bool(self.modes >> state & 1) and (self.modes != _ALL_MODES or self.level <= ERROR)
 
 
 class Refusals:
-    """Follows the events of one autopilot.
+    """Tracker of one autopilot's events.
 
     Attributes:
-        custom_mode: the autopilot's mode as far as it is known; set by who hears of it.
+        custom_mode: the autopilot's mode as far as known; set by the plugin that receives it.
     """
 
     def __init__(self) -> None:
-        """Start with nothing known."""
+        """Start with an unknown state."""
         self.custom_mode = 0
-        self._checks: tuple[_Check, ...] = ()  # the last whole report
-        self._coming: list[_Check] | None = None  # the report that comes in
+        self._checks: tuple[_Check, ...] = ()  # the last complete report
+        self._coming: list[_Check] | None = None  # the report being received
         self._arming_until_ns = -1
-        self._late: tuple[str, int, int] | None = None  # words, navigation state, until when
+        self._late: tuple[str, int, int] | None = None  # text, navigation state, deadline
 
     def arming_refused(self, now_ns: int) -> None:
-        """Take note of an ack that refuses arming; it must come before the events that follow it."""
+        """Record an ack that refuses arming; call before the events that follow it."""
         self._arming_until_ns = now_ns + _ARMING_LIMIT_NS
 
     def reset(self) -> None:
-        """Forget all: another autopilot, or the same after a reboot."""
+        """Reset the state after the autopilot was replaced or rebooted."""
         self._checks, self._coming, self._late = (), None, None
         self._arming_until_ns = -1
 
-    def take(self, event: Any, now_ns: int) -> list[Line]:
-        """Take an EVENT and return what a user should read now.
+    def process(self, event: Any, now_ns: int) -> list[Line]:
+        """Process an EVENT and return the lines to show to the user now.
 
         Args:
             event: the message.
@@ -79,11 +79,11 @@ class Refusals:
         elif self._coming is not None and (definition is None or definition.group != "default"):
             self._coming.append(_check(event, definition))
         elif definition is not None and (definition.kind == WITH_CHECKS or name.startswith(_FAILSAFE)):
-            return self._tell(event, definition, now_ns)
+            return self._describe(event, definition, now_ns)
         return []
 
     def _report(self, now_ns: int) -> list[Line]:
-        """Take the end of a report, and explain with it what waits for an explanation."""
+        """Complete a report, and return the explanations that were waiting for it."""
         if self._coming is None:
             return []
         self._checks, self._coming = tuple(self._coming), None
@@ -100,7 +100,7 @@ class Refusals:
                 lines.append((_CRITICAL, f"{words}: {reasons}"))
         return lines
 
-    def _tell(self, event: Any, definition: Definition, now_ns: int) -> list[Line]:
+    def _describe(self, event: Any, definition: Definition, now_ns: int) -> list[Line]:
         values = definition.layout.unpack_from(bytes(event.arguments))
         words, level = event_words.render_message(definition, values), event.log_levels & 0xF
         if definition.kind != WITH_CHECKS:
@@ -112,7 +112,7 @@ class Refusals:
         return [(level, f"{words}: {reasons}" if reasons else words)]
 
     def _reasons(self, state: int | None) -> str:
-        """Return what stands against a navigation state; None for any."""
+        """Return the checks that block a navigation state; None for any state."""
         states = range(32) if state is None else (state,)
         return "; ".join(check.words for check in self._checks if any(map(check.stands_against, states)))
 

@@ -11,14 +11,14 @@ from xtdrone_control import frames
 from xtdrone_control.mavros.link.packing import whole
 from xtdrone_control.mavros.uas import Uas
 
-# Frames whose vectors ROS gives in FLU and MAVLink takes in FRD; all others are ENU and NED.
+# Frames with vectors in FLU (ROS) and FRD (MAVLink); in all others they are ENU and NED.
 BODY_FRAMES = frozenset({mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED})
 
-# type_mask of MAVROS's setpoint plugins: what is ignored
+# type_mask of MAVROS's setpoint plugins: the ignored fields
 ONLY_POSITION_YAW = 1 << 11 | 7 << 6 | 7 << 3
 ONLY_VELOCITY_YAW_RATE = 1 << 10 | 7 << 6 | 7 << 0
 ONLY_ACCELERATION = 3 << 10 | 7 << 3 | 7 << 0
-ONLY_GLOBAL_POSITION_YAW = 7 << 6 | 7 << 3  # the yaw rate that it has besides is 0
+ONLY_GLOBAL_POSITION_YAW = 7 << 6 | 7 << 3  # also commands a yaw rate of 0
 FORCE = 1 << 9  # the acceleration is a force
 ONLY_ATTITUDE_THRUST = 7 << 0
 ONLY_RATES_THRUST = 1 << 7
@@ -41,10 +41,10 @@ def position_target(
     """Return the MAVLink setpoint, converted as MAVROS does.
 
     Args:
-        uas: whose autopilot it is for.
-        time_boot_ms: as in the message, 32 bit.
-        frame: MAV_FRAME; in BODY_NED and BODY_OFFSET_NED vectors are FLU and the yaw is relative (its sign turns), in
-            others they are ENU and the yaw is measured from east.
+        uas: hub of the vehicle.
+        time_boot_ms: time stamp of the message, 32 bit.
+        frame: MAV_FRAME; in BODY_NED and BODY_OFFSET_NED vectors are FLU and the yaw is relative (its sign changes), in
+            others vectors are ENU and the yaw is measured from east.
         type_mask: POSITION_TARGET_TYPEMASK.
         position: m.
         velocity: m/s.
@@ -85,11 +85,11 @@ def global_target(
     """Return SET_POSITION_TARGET_GLOBAL_INT, converted as MAVROS does.
 
     Args:
-        uas: whose autopilot it is for.
-        time_boot_ms: as in the message, 32 bit.
-        frame: MAV_FRAME: what the altitude counts from.
+        uas: hub of the vehicle.
+        time_boot_ms: time stamp of the message, 32 bit.
+        frame: MAV_FRAME, which determines the reference of the altitude.
         type_mask: POSITION_TARGET_TYPEMASK.
-        place: latitude, longitude (deg), altitude (m); a latitude or longitude that is masked out need be no number.
+        place: latitude, longitude (deg), altitude (m); a masked-out latitude or longitude may be NaN.
         velocity: m/s, ENU.
         acceleration: m/s^2, ENU.
         yaw: rad, anticlockwise from east.
@@ -122,8 +122,8 @@ def attitude_target(
     """Return SET_ATTITUDE_TARGET, converted as MAVROS does.
 
     Args:
-        uas: whose autopilot it is for.
-        time_boot_ms: as in the message, 32 bit.
+        uas: hub of the vehicle.
+        time_boot_ms: time stamp of the message, 32 bit.
         type_mask: ATTITUDE_TARGET_TYPEMASK.
         thrust: collective, 0..1 (-1..1 for a vehicle that can reverse).
         attitude: FLU to ENU (w, x, y, z).
@@ -140,15 +140,15 @@ def attitude_target(
 
 
 def xyz(vector: Any) -> frames.Vector:
-    """Return the parts of a ROS vector or point."""
+    """Return x, y and z of a ROS vector or point."""
     return vector.x, vector.y, vector.z
 
 
 def set_xyz(vector: Any, values: frames.Vector) -> None:
-    """Set the parts of a ROS vector or point."""
+    """Set x, y and z of a ROS vector or point."""
     vector.x, vector.y, vector.z = values
 
 
 def vector_fields(name: str, vector: Any, axes: str = "xyz") -> list[tuple[str, float]]:
-    """Return (field, value) of a ROS vector, or quaternion, that is field ``name`` of a message, for ``Uas.finite``."""
+    """Return (field, value) pairs of a ROS vector or quaternion in field ``name`` of a message, for ``Uas.finite``."""
     return [(f"{name}.{axis}", getattr(vector, axis)) for axis in axes]

@@ -1,4 +1,4 @@
-"""Transforms that others broadcast, for plugins whose ``tf/listen`` says so."""
+"""Transforms received on /tf, for plugins with ``tf/listen``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from xtdrone_control.mavros.uas import Uas
 Take = Callable[[TransformStamped], None]
 
 _MEMORY = 10.0  # s
-_TELLER = "mavros"  # for tf2's warnings
+_AUTHORITY = "mavros"  # authority in tf2's warnings
 
 
 class TfListener:
-    """Where one frame lies in another, by all that is told on /tf and /tf_static.
+    """Pose of one frame in another, from all transforms on /tf and /tf_static.
 
     The settings are MAVROS's: ``<plugin>/tf/frame_id``, ``child_frame_id``, ``rate_limit`` (Hz).
     """
@@ -29,15 +29,15 @@ class TfListener:
 
         Args:
             uas: the vehicle's hub.
-            plugin: whose settings hold.
-            child: the child frame where the settings name none.
-            take: called at the rate with the latest transform, also when it is the same as before, as in MAVROS; None
-                when the plugin asks by ``latest`` alone.
+            plugin: plugin whose settings apply.
+            child: default of the child frame.
+            take: called at the rate limit with the latest transform, even if it is unchanged, as in MAVROS; None if the
+                plugin only calls ``latest``.
 
         Raises:
-            ValueError: a rate that is not positive and finite.
+            ValueError: the rate is not positive and finite.
         """
-        import tf2_py  # a node that does not listen starts without it
+        import tf2_py  # a node without listeners starts without it
 
         get = uas.params.get
         self._frame = get(f"{plugin}/tf/frame_id", "map")
@@ -47,35 +47,35 @@ class TfListener:
             raise ValueError(f"{plugin}/tf/rate_limit: {rate} Hz is not allowed; more than 0 is")
         self._unknown: Any = tf2_py.TransformException
         self._buffer = tf2_py.BufferCore(rospy.Duration.from_sec(_MEMORY))
-        self._static: dict[str, TransformStamped] = {}  # by child; told once
-        uas.subscribe("/tf", TFMessage, self._learn)
-        uas.subscribe("/tf_static", TFMessage, self._learn_static)
+        self._static: dict[str, TransformStamped] = {}  # by child; published once
+        uas.subscribe("/tf", TFMessage, self._store)
+        uas.subscribe("/tf_static", TFMessage, self._store_static)
         if take is not None:
-            uas.timer(1.0 / rate, lambda: self._look(take))
+            uas.timer(1.0 / rate, lambda: self._pass_latest(take))
 
     def clear(self) -> None:
-        """Forget what was told on /tf, for the clock has been set back."""
+        """Drop the transforms from /tf, after the clock was set back."""
         self._buffer.clear()
         for transform in self._static.values():
-            self._buffer.set_transform_static(transform, _TELLER)
+            self._buffer.set_transform_static(transform, _AUTHORITY)
 
     def latest(self) -> TransformStamped | None:
-        """Return the latest transform, None while there is none."""
+        """Return the latest transform, None if there is none."""
         try:
             return self._buffer.lookup_transform_core(self._frame, self._child, rospy.Time())
         except self._unknown:
             return None
 
-    def _learn(self, message: TFMessage) -> None:
+    def _store(self, message: TFMessage) -> None:
         for transform in message.transforms:
-            self._buffer.set_transform(transform, _TELLER)
+            self._buffer.set_transform(transform, _AUTHORITY)
 
-    def _learn_static(self, message: TFMessage) -> None:
+    def _store_static(self, message: TFMessage) -> None:
         for transform in message.transforms:
             self._static[transform.child_frame_id] = transform
-            self._buffer.set_transform_static(transform, _TELLER)
+            self._buffer.set_transform_static(transform, _AUTHORITY)
 
-    def _look(self, take: Take) -> None:
+    def _pass_latest(self, take: Take) -> None:
         transform = self.latest()
         if transform is not None:
             take(transform)

@@ -1,4 +1,4 @@
-"""Log lines that a stream of bad input must not repeat at its own rate."""
+"""Rate limit for log lines about a stream of bad input."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import time
 
 
 class Throttle:
-    """Lets a key pass once in ``interval`` seconds of wall time (people read logs, so sim time does not count)."""
+    """Lets a key pass once in ``interval`` seconds of wall time, as logs are read by people."""
 
     def __init__(self, interval: float = 5.0) -> None:
-        """Take the interval in seconds."""
+        """Set the interval in seconds."""
         self._interval = interval
         self._last: dict[str, float] = {}
 

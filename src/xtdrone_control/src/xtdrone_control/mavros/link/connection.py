@@ -1,8 +1,8 @@
 """UDP links to the autopilots and the thread that reads them.
 
-The receiver thread cuts datagrams into frames. Answers that somebody waits for (``Link.replies``) are handled in that
-thread at once, for the waiting thread may be the one that holds the simulation; telemetry that a plugin wants is queued
-for the main thread; the rest is dropped undecoded.
+The receiver thread splits datagrams into frames. It handles answers to pending requests (``Link.replies``) itself,
+because the waiting thread may be the one that holds the simulation; it queues telemetry that plugins need for the main
+thread and drops the rest undecoded.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from xtdrone_control.mavros.link.packing import pack
 
 log = logging.getLogger("rosout.mavros")
 
-_RECEIVE_BUFFER = 1 << 20  # bytes; a tick's telemetry of one vehicle is some hundred
+_RECEIVE_BUFFER = 1 << 20  # bytes; one vehicle's telemetry in a tick is a few hundred
 _LARGEST_DATAGRAM = 65535
 _HIGHEST_PORT = 65535
-_PROBE_PORT = 9  # any: nothing is sent to it
+_PROBE_PORT = 9  # arbitrary: nothing is sent to it
 
 RAW = -1
-"""Stands in the place of a message id for every frame, undecoded."""
+"""Used in place of a message id to request every frame, undecoded."""
 
 
 class LinkError(RuntimeError):
-    """A link that cannot be opened: an address that is malformed or taken."""
+    """A link cannot be opened: its address is malformed or already in use."""
 
 
 class FcuUrl(NamedTuple):
-    """The parts of a MAVROS ``fcu_url`` that names UDP ends."""
+    """The local and remote UDP addresses of a MAVROS ``fcu_url``."""
 
     bind_host: str
     bind_port: int
@@ -46,10 +46,10 @@ class FcuUrl(NamedTuple):
     remote_port: int
 
     def shifted(self, number: int) -> FcuUrl:
-        """Return the same ends with both ports ``number`` higher.
+        """Return a copy with both ports raised by ``number``.
 
         Raises:
-            LinkError: there is no such port.
+            LinkError: a port would exceed 65535.
         """
         highest = max(self.bind_port, self.remote_port) + number
         if highest > _HIGHEST_PORT:
@@ -58,12 +58,12 @@ class FcuUrl(NamedTuple):
 
 
 def parse_fcu_url(url: str) -> FcuUrl:
-    """Return the ends of ``udp://[bind_host][:bind_port]@[remote_host][:remote_port]``.
+    """Parse ``udp://[bind_host][:bind_port]@[remote_host][:remote_port]``.
 
-    Left out parts are MAVROS's: bind 0.0.0.0:14555, remote 127.0.0.1:14550.
+    Missing parts default to MAVROS's values: bind 0.0.0.0:14555, remote 127.0.0.1:14550.
 
     Raises:
-        LinkError: another scheme or form, or a port that is not in 1..65535.
+        LinkError: another scheme or format, or a port outside 1..65535.
     """
     match = re.fullmatch(r"udp://([^:@/]*)(?::(\d+))?@([^:@/]*)(?::(\d+))?/?(?:\?ids=\d+,\d+)?", url)
     if match is None:
@@ -76,14 +76,15 @@ def parse_fcu_url(url: str) -> FcuUrl:
 
 
 def bind_host_for(fcu_host: str, bind_host: str = "") -> str:
-    """Return the address to bind for autopilots at ``fcu_host``, after a look whether they can be reached from there.
+    """Return the local address for autopilots at ``fcu_host``, after checking that they are reachable from it.
 
     Args:
-        fcu_host: name or IPv4 address of the machine with the autopilots.
-        bind_host: address of this machine; empty: 127.0.0.1 if the autopilots are there, else 0.0.0.0, every network.
+        fcu_host: name or IPv4 address of the host that runs the autopilots.
+        bind_host: address of this machine; empty: 127.0.0.1 if the autopilots run here, otherwise 0.0.0.0 (all).
 
     Raises:
-        LinkError: a name without an address, an address to which there is no way, or one that is not this machine's.
+        LinkError: the name has no address, the address is unreachable, or ``bind_host`` is not an address of this
+            machine.
     """
     try:
         remote = socket.gethostbyname(fcu_host)
@@ -95,9 +96,9 @@ def bind_host_for(fcu_host: str, bind_host: str = "") -> str:
             probe.bind((bind_host, 0))
         except (OSError, UnicodeError) as error:
             reason = _reason(error)
-            raise LinkError(f"bind_host: {bind_host!r} cannot be bound, is it this machine's? {reason}") from error
+            raise LinkError(f"bind_host: {bind_host!r} cannot be bound on this machine: {reason}") from error
         try:
-            probe.connect((remote, _PROBE_PORT))  # asks for a way, sends nothing
+            probe.connect((remote, _PROBE_PORT))  # looks up the route, sends nothing
         except OSError as error:
             raise LinkError(
                 f"fcu_host: {fcu_host!r} ({remote}) cannot be reached from {bind_host}: {_reason(error)}"
@@ -113,18 +114,18 @@ class Link:
     """One vehicle's UDP link.
 
     Attributes:
-        name: the vehicle's name, for messages.
+        name: the vehicle's name, for log messages.
         port: the local port.
-        remote: where frames go to.
-        source: system and component id that this end sends as.
-        sent: datagrams sent so far.
-        sent_bytes: bytes sent so far.
-        received: datagrams read so far.
-        wanted: ids of the messages that the main thread wants; ``RAW`` for every frame of every sender.
-        from_anyone: ids of those among them that it wants from every sender, not from the autopilot alone.
-        seen: how often each unwanted message came, by id; the stream manager clears it.
-        replies: message id to the function that the receiver thread calls with each frame of it.
-        malformed: datagrams that were no MAVLink, so far.
+        remote: address to which frames are sent.
+        source: system and component id used for sending.
+        sent: number of datagrams sent.
+        sent_bytes: number of bytes sent.
+        received: number of datagrams read.
+        wanted: ids of the messages that the main thread needs; ``RAW`` for every frame of every sender.
+        from_any_sender: the subset of ``wanted`` that is accepted from every sender, not only from the autopilot.
+        seen: number of unneeded messages received, by id; the stream manager clears it.
+        replies: message id to the function that the receiver thread calls with each of its frames.
+        malformed: number of datagrams that were not MAVLink.
     """
 
     def __init__(
@@ -137,13 +138,13 @@ class Link:
         """Bind the local port.
 
         Args:
-            name: vehicle, for messages.
-            url: both ends.
+            name: the vehicle's name, for log messages.
+            url: local and remote address.
             target: system and component id of the autopilot; frames of others are ignored.
-            source: system and component id that this end sends as.
+            source: system and component id used for sending.
 
         Raises:
-            LinkError: the local port cannot be bound or the remote host has no address.
+            LinkError: the local port cannot be bound, or the remote host has no address.
         """
         self.name = name
         self.port = url.bind_port
@@ -153,7 +154,7 @@ class Link:
         self.received = 0
         self.malformed = 0
         self.wanted: frozenset[int] = frozenset()
-        self.from_anyone: frozenset[int] = frozenset()
+        self.from_any_sender: frozenset[int] = frozenset()
         self.seen: dict[int, int] = {}
         self.replies: dict[int, Callable[[bytes], None]] = {}
         self._queue: deque[tuple[int, int, bytes]] = deque()
@@ -176,14 +177,14 @@ class Link:
             ) from error
 
     def send(self, message: Any, component: int | None = None) -> None:
-        """Send a pymavlink message object; safe from any thread.
+        """Send a pymavlink message object; thread-safe.
 
         Args:
             message: the message.
-            component: id of the component to send as, 0..255; None: this end's own.
+            component: component id to send as, 0..255; None: that of ``source``.
 
         Raises:
-            FieldError: a value that its field cannot hold; nothing is sent.
+            FieldError: a value does not fit into its field; nothing is sent.
         """
         with self._send_lock:
             self._packer.srcComponent = self._component if component is None else component
@@ -192,7 +193,7 @@ class Link:
             self._send(buffer)
 
     def send_frame(self, frame: bytes) -> None:
-        """Send a frame as it is; safe from any thread."""
+        """Send a frame unchanged; thread-safe."""
         with self._send_lock:
             self._send(frame)
 
@@ -213,19 +214,19 @@ class Link:
         self.sent_bytes += len(buffer)
 
     def read(self) -> None:
-        """Take every datagram that has arrived; for any thread."""
+        """Read every datagram that has arrived; thread-safe."""
         with self._read_lock:
             while True:
                 try:
                     datagram = self.socket.recv(_LARGEST_DATAGRAM)
                 except (BlockingIOError, ConnectionRefusedError):
                     return
-                # Frames are queued before the count says that they are there.
-                self._take(datagram, self.received + 1)
+                # Queue the frames before the count announces them.
+                self._dispatch(datagram, self.received + 1)
                 self.received += 1
 
     def drain(self, count: int | None = None) -> list[tuple[int, bytes]]:
-        """Return (message id, frame) of what is wanted out of the first ``count`` datagrams (None: all), in order."""
+        """Return (message id, frame) of needed messages from the first ``count`` datagrams (None: all), in order."""
         queue = self._queue
         frames = []
         while queue and (count is None or queue[0][0] <= count):
@@ -237,14 +238,14 @@ class Link:
         """Close the socket."""
         self.socket.close()
 
-    def _take(self, datagram: bytes, index: int) -> None:
-        wanted, target, from_anyone = self.wanted, self.target, self.from_anyone
+    def _dispatch(self, datagram: bytes, index: int) -> None:
+        wanted, target, from_any_sender = self.wanted, self.target, self.from_any_sender
         raw = RAW in wanted
         try:
             for number, system, component, frame in split(datagram):
                 if raw:
                     self._queue.append((index, RAW, frame))
-                if number in from_anyone:
+                if number in from_any_sender:
                     self._queue.append((index, number, frame))
                     continue
                 if system != target[0]:
@@ -264,24 +265,24 @@ class Link:
 
 
 class Receiver:
-    """The thread that reads all links."""
+    """The thread that reads from all links."""
 
     def __init__(self, links: Iterable[Link]) -> None:
-        """Take the links; ``start`` begins."""
+        """Prepare the thread; ``start`` runs it."""
         self._links = list(links)
         self._by_port = {link.port: link for link in self._links}
-        self._uncounted: dict[int, int] = {}  # came before the simulator began to count, by port
-        self._batches = 0  # how often the thread has read something
+        self._uncounted: dict[int, int] = {}  # datagrams received before the simulator began to count, by port
+        self._batches = 0  # number of reads by the thread
         self._arrived = threading.Condition()
         self._stop_read, self._stop_write = socket.socketpair()
         self._thread = threading.Thread(target=self._run, name="mavlink receiver", daemon=True)
 
     def start(self) -> None:
-        """Start reading."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread and close the links."""
+        """Stop the thread and close the links."""
         self._stop_write.send(b"x")
         self._thread.join()
         for link in self._links:
@@ -290,21 +291,21 @@ class Receiver:
         self._stop_write.close()
 
     def wait(self, expected: Mapping[int, int], limit: float) -> dict[int, int]:
-        """Wait until each port has received as many datagrams as ``expected`` says.
+        """Wait until each port has received the expected number of datagrams.
 
         Args:
-            expected: port to cumulative count; ports that are none of ours are ignored.
-            limit: seconds of wall time after which to give up.
+            expected: port to cumulative count; unknown ports are ignored.
+            limit: timeout, seconds of wall time.
 
         Returns:
-            Ports that still miss datagrams, with how many; empty when all have come.
+            Ports with missing datagrams and their number; empty when all have arrived.
         """
         pairs = [(self._by_port[port], count) for port, count in expected.items() if port in self._by_port]
 
         def complete() -> bool:
             return all(link.received >= count for link, count in pairs)
 
-        # What was sent on this machine is in the sockets by now, so the thread need not be waited for.
+        # Datagrams sent on this machine are already in the sockets, so there is no need to wait for the thread.
         for link, count in pairs:
             if link.received < count:
                 link.read()
@@ -315,15 +316,14 @@ class Receiver:
         return {link.port: count - link.received for link, count in pairs if link.received < count}
 
     def wait_counted(self, expected: Mapping[int, int], limit: float) -> dict[int, int]:
-        """Wait for datagrams as the simulator counts them; it has not counted what came before this node had joined.
+        """Wait for the datagrams counted by the simulator, which excludes those sent before this node joined.
 
         Args:
-            expected: port to cumulative count of the simulator's.
-            limit: seconds of wall time after which to give up.
+            expected: port to the simulator's cumulative count.
+            limit: timeout, seconds of wall time.
 
         Returns:
-            For the ports of ``expected`` that are ours: up to which datagram, since the port was bound, this turn
-            reaches.
+            For each known port of ``expected``: the last datagram of this turn, counted since the port was bound.
         """
         targets = {}
         for port, count in expected.items():
@@ -331,22 +331,22 @@ class Receiver:
             if link is None:
                 continue
             if port not in self._uncounted:
-                link.read()  # what was sent before the simulator said its first count is in the socket by now
+                link.read()  # everything sent before the simulator's first count is already in the socket
                 self._uncounted[port] = max(0, link.received - count)
             targets[port] = count + self._uncounted[port]
         self.wait(targets, limit)
         return targets
 
     def counted(self) -> dict[int, int]:
-        """Return how many of the datagrams that the simulator counts have been read, by port."""
+        """Return the number of datagrams read, by port, as the simulator counts them."""
         return {link.port: link.received - self._uncounted.get(link.port, 0) for link in self._links}
 
     def is_counted(self, port: int) -> bool:
-        """Whether the simulator has ever said how many datagrams it has sent to ``port``."""
+        """Return whether the simulator has reported a count for ``port``."""
         return port in self._uncounted
 
     def wait_any(self, limit: float) -> None:
-        """Wait until something has been read, at most ``limit`` seconds of wall time."""
+        """Wait until the thread has read something, at most ``limit`` seconds of wall time."""
         seen = self._batches
         with self._arrived:
             self._arrived.wait_for(lambda: self._batches != seen, limit)
@@ -374,5 +374,5 @@ class Receiver:
     def _read(link: Link) -> None:
         try:
             link.read()
-        except Exception:  # one bad handler must not end the thread that every vehicle depends on
+        except Exception:  # a failing handler must not end the thread that serves all vehicles
             log.exception("%s: receiving MAVLink failed", link.name)

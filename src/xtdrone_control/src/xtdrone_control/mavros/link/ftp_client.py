@@ -1,10 +1,10 @@
-"""Files of the autopilot over MAVLink FTP, for services that wait.
+"""Client of MAVLink FTP for blocking services.
 
-Source: mavlink.io, "File Transfer Protocol (FTP)"; numbers, commands and errno as MAVROS's ftp plugin has them. Unlike
-MAVROS a request whose answer is lost is sent again, with the same number, so that the autopilot answers it again
-without doing it twice; and calls at the same time take turns, where MAVROS refuses the second.
+Source: mavlink.io, "File Transfer Protocol (FTP)"; numbers, commands and errno follow MAVROS's ftp plugin. Unlike
+MAVROS, a request whose answer is lost is sent again with the same number, so that the autopilot repeats its answer
+without repeating the action, and concurrent calls are queued where MAVROS rejects the second.
 
-Calls come from service threads and wait there; answers come from the receiver thread. Time-outs are wall time.
+Calls block in service threads; answers arrive in the receiver thread. Timeouts are wall time.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.wire.codec import FrameError, decoder
 
-LIMIT = 1.0  # s for an answer
-SLOW_LIMIT = 5.0  # s, for what takes an autopilot with a memory card long
+LIMIT = 1.0  # s, timeout of an answer
+SLOW_LIMIT = 5.0  # s, for operations that are slow on an autopilot with a memory card
 RETRIES = 3
-LARGEST = 239  # bytes of data in a message
-READ, WRITE, CREATE = 0, 1, 2  # how a file is opened
+LARGEST = 239  # data bytes in a message
+READ, WRITE, CREATE = 0, 1, 2  # modes of ``open``
 
-_HEADER = struct.Struct("<HBBBBBBI")  # number, session, opcode, size, asked opcode, -, -, offset
+_HEADER = struct.Struct("<HBBBBBBI")  # sequence, session, opcode, size, request opcode, -, -, offset
 _SIZE = struct.Struct("<I")
 _PAYLOAD = _HEADER.size + LARGEST
 _HIGHEST_OFFSET = 0xFFFFFFFF
@@ -41,7 +41,7 @@ _SLOW = frozenset({_LIST, _TRUNCATE, _CRC32})
 _ACK, _NAK = 128, 129
 _WITH_ERRNO, _EOF = 2, 6
 
-# Error of the protocol to errno. The first four lines are MAVROS's; it has none for the others and answers 0.
+# Protocol error to errno. The first four lines are MAVROS's; it has no entry for the others and returns 0.
 _ERRNO = {
     1: errno.EFAULT, 3: errno.EMSGSIZE,
     4: errno.EBADFD, 5: errno.EMFILE,
@@ -53,20 +53,20 @@ _decode = decoder("FILE_TRANSFER_PROTOCOL")
 
 
 class FtpError(Exception):
-    """A request that has failed.
+    """A failed request.
 
     Attributes:
-        number: errno that says why.
+        number: errno of the failure.
     """
 
     def __init__(self, number: int) -> None:
-        """Take the errno."""
+        """Store the errno."""
         super().__init__(errno.errorcode.get(number, str(number)))
         self.number = number
 
 
 class Entry(NamedTuple):
-    """What lies in a folder: its name, whether it is a folder itself, and a file's size in bytes."""
+    """An entry of a directory: its name, whether it is a directory, and a file's size in bytes."""
 
     name: str
     is_folder: bool
@@ -83,11 +83,11 @@ class _Answer(NamedTuple):
 
     @property
     def at_end(self) -> bool:
-        """Whether it says that there is nothing more."""
+        """Whether the answer marks the end of the file or list."""
         return self.kind == _NAK and self.data[:1] == bytes([_EOF])
 
     def failure(self) -> FtpError | None:
-        """Return what a refusal says; None for an acknowledgement."""
+        """Return the error of a NAK; None for an ACK."""
         if self.kind == _ACK:
             return None
         code, number = (*self.data[:2], 0, 0)[:2]
@@ -95,7 +95,7 @@ class _Answer(NamedTuple):
 
 
 class FtpClient:
-    """The requests to one autopilot; they take turns."""
+    """FTP client of one autopilot; requests run one at a time."""
 
     def __init__(
         self,
@@ -104,13 +104,13 @@ class FtpClient:
         own_system: int,
         meanwhile: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
-        """Prepare.
+        """Prepare the client.
 
         Args:
             send: sends a message.
             target: the autopilot's system and component id.
-            own_system: the system id that requests are sent as; answers to others are ignored.
-            meanwhile: returns what is to be entered while an answer is waited for.
+            own_system: system id used for requests; answers to others are ignored.
+            meanwhile: returns a context manager that is held while waiting for an answer.
         """
         self._send = send
         self._target = target
@@ -123,13 +123,13 @@ class FtpClient:
         self._sessions: dict[str, int] = {}
 
     def on_answer(self, frame: bytes) -> None:
-        """Take a FILE_TRANSFER_PROTOCOL frame; for the receiver thread."""
+        """Queue a FILE_TRANSFER_PROTOCOL frame; called by the receiver thread."""
         if not self._waiting:
             return
         try:
             m = _decode(frame)
         except FrameError:
-            return  # a damaged answer is a lost one
+            return  # a damaged answer counts as lost
         if m.target_system == self._own_system:
             payload = bytes(m.payload)
             sequence, session, kind, size, opcode, _, _, offset = _HEADER.unpack_from(payload)
@@ -137,13 +137,13 @@ class FtpClient:
             self._inbox.put(_Answer(sequence, session, kind, opcode, offset, data))
 
     def forget(self) -> None:
-        """Forget the open files: the autopilot has been rebooted, or is another one."""
+        """Drop all sessions, after the autopilot was rebooted or replaced."""
         self._sessions.clear()
 
-    # What the services do; each raises FtpError when it fails.
+    # Operations of the services; each raises FtpError on failure.
 
     def list(self, path: str) -> list[Entry]:
-        """Return what a folder holds."""
+        """Return the entries of a directory."""
         entries: list[Entry] = []
         with self._turn:
             offset = 0
@@ -158,7 +158,7 @@ class FtpClient:
                 entries += [entry for record in records if (entry := _entry(record)) is not None]
 
     def open(self, path: str, mode: int) -> int:
-        """Open a file, to read (``READ``), to ``WRITE``, or to ``CREATE`` it; return its size in bytes."""
+        """Open a file with mode ``READ``, ``WRITE`` or ``CREATE``; return its size in bytes."""
         if mode not in _OPEN:
             raise FtpError(errno.EINVAL)
         with self._turn:
@@ -176,7 +176,7 @@ class FtpClient:
             _accepted(self._ask(_TERMINATE, session))
 
     def read(self, path: str, offset: int, size: int) -> bytes:
-        """Return up to ``size`` bytes of an open file from ``offset`` on; fewer at its end."""
+        """Read up to ``size`` bytes of an open file from ``offset``; fewer at its end."""
         with self._turn:
             session = self._session(path)
             data = bytearray()
@@ -190,7 +190,7 @@ class FtpClient:
                     return bytes(data)
 
     def write(self, path: str, offset: int, data: bytes) -> None:
-        """Write into an open file from ``offset`` on."""
+        """Write to an open file at ``offset``."""
         with self._turn:
             session = self._session(path)
             done = 0
@@ -208,34 +208,34 @@ class FtpClient:
         self._do(_REMOVE, _path(path))
 
     def make_folder(self, path: str) -> None:
-        """Make a folder."""
+        """Create a directory."""
         self._do(_MAKE_FOLDER, _path(path))
 
     def remove_folder(self, path: str) -> None:
-        """Remove an empty folder."""
+        """Remove an empty directory."""
         self._do(_REMOVE_FOLDER, _path(path))
 
     def rename(self, old: str, new: str) -> None:
-        """Rename a file or folder."""
+        """Rename a file or directory."""
         both = _path(old) + b"\0" + _path(new)
         if len(both) >= LARGEST:
             raise FtpError(errno.ENAMETOOLONG)
         self._do(_RENAME, both)
 
     def truncate(self, path: str, length: int) -> None:
-        """Cut a file to ``length`` bytes."""
+        """Truncate a file to ``length`` bytes."""
         self._do(_TRUNCATE, _path(path), length)
 
     def checksum(self, path: str) -> int:
-        """Return the CRC-32 of a file, as PX4 computes it."""
+        """Return the CRC-32 of a file as computed by PX4."""
         return _number(self._do(_CRC32, _path(path)).data)
 
     def reset(self) -> None:
-        """Close all files, on both sides."""
+        """Close all files on both sides."""
         self._sessions.clear()
         self._do(_RESET)
 
-    # The protocol
+    # Protocol
 
     def _session(self, path: str) -> int:
         if path not in self._sessions:
@@ -247,7 +247,7 @@ class FtpClient:
             return _accepted(self._ask(opcode, data=data, offset=offset))
 
     def _ask(self, opcode: int, session: int = 0, offset: int = 0, data: bytes = b"") -> _Answer:
-        """Send a request, a few times, and return the answer to it; the caller has the turn."""
+        """Send a request, with retries, and return its answer; the caller holds the lock."""
         if offset > _HIGHEST_OFFSET:
             raise FtpError(errno.EFBIG)
         limit = SLOW_LIMIT if opcode in _SLOW else LIMIT
@@ -263,15 +263,15 @@ class FtpClient:
                 if answer is not None and (answer.opcode, answer.offset) == (opcode, offset):
                     return answer
                 if answer is not None:
-                    # It answers what a client before this one has asked by the same number. PX4 keeps the last answer.
+                    # An answer to an earlier client's request with this number; PX4 repeats its last answer.
                     self._sequence = (self._sequence + 1) & 0xFFFF
-            self._sequence = (self._sequence + 1) & 0xFFFF  # what still comes answers nothing that is asked later
+            self._sequence = (self._sequence + 1) & 0xFFFF  # late answers must not match a later request
             raise FtpError(errno.ETIMEDOUT)
         finally:
             self._waiting = False
 
     def _wait(self, limit: float) -> _Answer | None:
-        """Wait for the answer that has the number after the request's, which is the number of the next request."""
+        """Wait for the answer, whose number is one above the request's and equals that of the next request."""
         expected = (self._sequence + 1) & 0xFFFF
         end = time.monotonic() + limit
         with self._meanwhile():
@@ -301,13 +301,13 @@ def _path(path: str) -> bytes:
     data = path.encode()
     if b"\0" in data:
         raise FtpError(errno.EINVAL)
-    if len(data) >= LARGEST:  # MAVROS cuts it off
+    if len(data) >= LARGEST:  # MAVROS truncates it
         raise FtpError(errno.ENAMETOOLONG)
     return data
 
 
 def _records(data: bytes) -> list[bytes]:
-    """Return the entries of a list's answer, each of which ends with a zero byte."""
+    """Return the zero-terminated entries in the answer to a list request."""
     if not data:
         return []
     if data[-1] != 0:
@@ -316,7 +316,7 @@ def _records(data: bytes) -> list[bytes]:
 
 
 def _entry(record: bytes) -> Entry | None:
-    """Return an entry; None for one that is to be skipped."""
+    """Parse a directory entry; return None for an entry to skip."""
     kind, text = record[:1], record[1:].decode("utf-8", "replace")
     if kind == b"D" and text:
         return Entry(text, True, 0)

@@ -1,7 +1,7 @@
-"""Packing MAVLink messages made of values that come from outside, and words for a value that does not fit.
+"""Packing of MAVLink messages with values from ROS, and error texts for values that do not fit.
 
-The fields of ROS messages are wider than those of MAVLink: 64-bit floats become 32-bit ones, numbers are scaled into
-integers. This is the one place that notices a value which a MAVLink field cannot hold.
+Fields of ROS messages are wider than those of MAVLink: 64-bit floats become 32-bit ones, and numbers are scaled to
+integers. All range checks of MAVLink fields happen here.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ _BITS = {f"{sign}int{bits}_t": bits for sign in ("", "u") for bits in (8, 16, 32
 
 
 class FieldError(ValueError):
-    """A value that a field of a MAVLink message cannot hold.
+    """A value does not fit into a field of a MAVLink message.
 
     Attributes:
-        field: name of message and field, as ``SET_HOME_POSITION.latitude``.
-        value: the value.
+        field: message and field name, e.g. ``SET_HOME_POSITION.latitude``.
+        value: the rejected value.
         allowed: the field's range, in words.
     """
 
     def __init__(self, field: str, value: Any, allowed: str) -> None:
-        """Keep field, value and range."""
+        """Store field, value and range."""
         super().__init__(f"{field} is {value}; {allowed} is allowed")
         self.field = field
         self.value = value
@@ -37,10 +37,10 @@ def pack(message: Any, packer: Any) -> bytes:
 
     Args:
         message: the message.
-        packer: pymavlink's ``MAVLink`` that has sequence number and ids; unchanged by an error.
+        packer: pymavlink's ``MAVLink`` with the sequence number and ids; unchanged on error.
 
     Raises:
-        FieldError: a value that its field cannot hold.
+        FieldError: a value does not fit into its field.
     """
     try:
         return bytes(message.pack(packer))
@@ -53,10 +53,10 @@ def pack(message: Any, packer: Any) -> bytes:
 
 
 def require_finite(message: Any, free: Collection[str] = ()) -> None:
-    """Look whether every number of a pymavlink message object is finite, but for those of the fields ``free``.
+    """Check that every number of a pymavlink message object is finite, except in the fields ``free``.
 
     Raises:
-        FieldError: one that is not.
+        FieldError: a number is not finite.
     """
     for name, kind, value in _fields(message):
         if kind in ("float", "double") and not abs(value) <= FLOAT32_MAX and name.partition("[")[0] not in free:
@@ -64,14 +64,14 @@ def require_finite(message: Any, free: Collection[str] = ()) -> None:
 
 
 def whole(value: float) -> int | float:
-    """Return a number rounded to an integer; one that is not finite comes back, for :func:`pack` to refuse it."""
+    """Round a number to an integer; return a non-finite one unchanged, so that :func:`pack` rejects it."""
     return round(value) if abs(value) <= FLOAT32_MAX else value
 
 
 def source(message: Any, value: Any) -> str | None:
-    """Return which field of a ROS message holds ``value`` or its negative, as ``pose.position.x``; None if none does.
+    """Return the field of a ROS message that holds ``value`` or its negative, e.g. ``pose.position.x``; None if none.
 
-    Conversions between frames move and negate numbers, so this finds where one comes from.
+    Frame conversions permute and negate numbers, so this finds the origin of a value.
     """
     if not isinstance(value, (int, float)):
         return None
@@ -79,7 +79,7 @@ def source(message: Any, value: Any) -> str | None:
 
 
 def _fields(message: Any) -> Iterator[tuple[str, str, Any]]:
-    """Yield name, type and value of the numbers of a MAVLink message, those of an array one by one."""
+    """Yield name, type and value of each number in a MAVLink message, array elements one by one."""
     for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
         value = getattr(message, name)
         if isinstance(value, (list, tuple)):
@@ -115,7 +115,7 @@ def _range(kind: str) -> str:
 
 
 def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Yield name and value of every number in a ROS message."""
+    """Yield name and value of each number in a ROS message."""
     if isinstance(value, (list, tuple)):
         for index, item in enumerate(value):
             yield from _leaves(item, f"{name}[{index}]")

@@ -1,7 +1,7 @@
-"""Pairs of messages from two topics by their stamps, as ROS's message_filters pairs them for MAVROS.
+"""Pairing of messages from two topics by their stamps, like ROS's message_filters in MAVROS.
 
-After the ApproximateTime policy of message_filters (http://wiki.ros.org/message_filters/ApproximateTime), with its own
-settings and two topics: a message that is used waits until what came on the other topic is known around its stamp.
+Follows the ApproximateTime policy of message_filters (http://wiki.ros.org/message_filters/ApproximateTime) with its
+default settings and two topics: a message is held until the other topic's messages around its stamp are known.
 """
 
 from __future__ import annotations
@@ -9,37 +9,37 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-_AGE_PENALTY = 1.1  # a partner that is later counts that much farther away
+_AGE_PENALTY = 1.1  # weight of the distance to a later partner
 _Entry = tuple[int, Any]
 
 
 class Pairing:
-    """The messages of two topics that have no partner yet.
+    """Unpaired messages of two topics.
 
-    The later one of both topics' oldest messages looks for its partner: the other topic's last one before it, or the
-    first one after it when that is nearer. Both, and what came before them, are then used up.
+    The later of the two topics' oldest messages is paired with the other topic's last message before it, or with the
+    first one after it if that is closer. Both, and all earlier messages, are then removed.
     """
 
     def __init__(self, size: int = 10) -> None:
-        """Keep at most ``size`` messages of each topic, the newest."""
+        """Keep at most the newest ``size`` messages of each topic."""
         self._size = size
         self._queues: tuple[deque[_Entry], deque[_Entry]] = (deque(), deque())
         self._dropped = [False, False]
 
     def clear(self) -> None:
-        """Forget all messages."""
+        """Drop all messages."""
         for side in (0, 1):
             self._queues[side].clear()
             self._dropped[side] = False
 
     def add(self, side: int, stamp_ns: int, message: Any) -> list[tuple[Any, Any]]:
-        """Take a message and return the pairs that are settled now, the oldest first.
+        """Add a message and return the pairs that are now complete, oldest first.
 
         Args:
             side: topic, 0 or 1.
-            stamp_ns: the message's stamp. One that is earlier than the topic's last means that the clock was set back:
-                what came before is forgotten.
-            message: what comes back in the pairs, topic 0's first.
+            stamp_ns: the message's stamp. A stamp earlier than the topic's last one means that the clock was set back,
+                and drops all stored messages.
+            message: object to return in the pairs, topic 0's first.
         """
         queue = self._queues[side]
         if queue and stamp_ns < queue[-1][0]:
@@ -54,13 +54,13 @@ class Pairing:
         return pairs
 
     def _settle(self) -> tuple[Any, Any] | None:
-        """Return the next pair and use it up; None while there is none, or a better partner may still come."""
+        """Remove and return the next pair; None if there is none yet, or a better partner may still arrive."""
         first, second = self._queues
         while first and second:
             side = 0 if first[0][0] > second[0][0] else 1
             queue, other = self._queues[side], self._queues[1 - side]
             self._dropped[1 - side] = False
-            if self._dropped[side]:  # what was dropped may have been the other's partner
+            if self._dropped[side]:  # the dropped message may have been the partner
                 other.popleft()
                 continue
             stamp = queue[0][0]

@@ -1,7 +1,7 @@
-"""Missions, geofences and rally points to and from the autopilot, for services that wait.
+"""Transfers of missions, geofences and rally points for blocking services.
 
-Calls come from service threads and wait there; messages come from the receiver thread. Time-outs are wall time, as with
-commands: they give up on an autopilot that does not answer, whatever the simulated time does meanwhile.
+Calls block in service threads; messages arrive in the receiver thread. Timeouts are wall time, as for commands: they
+detect an autopilot that does not answer, independently of simulated time.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from pymavlink.dialects.v20 import common as mavlink
 from xtdrone_control.mavlink.wire.codec import decoder
 from xtdrone_control.mavros.link.packing import pack, whole
 
-LIMIT = 1.0  # s for an answer, as MAVROS's WP_TIMEOUT
+LIMIT = 1.0  # s, timeout of an answer, MAVROS's WP_TIMEOUT
 RETRIES = 3
 _ACCEPTED = 0  # MAV_MISSION_RESULT
 _GLOBAL_FRAMES = (0, 3, 5, 6, 10, 11)
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
 _ANSWERS = ("MISSION_ACK", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST", "MISSION_REQUEST_INT")
 MISSION = 0  # MAV_MISSION_TYPE
-_DRY = mavlink.MAVLink(None)  # packs what is checked before the first of it is sent
+_DRY = mavlink.MAVLink(None)  # packs items for validation before the first one is sent
 
 
 def _scale(frame: int) -> float:
-    """Return what a waypoint's x and y are multiplied by in MISSION_ITEM_INT."""
+    """Return the factor of a waypoint's x and y in MISSION_ITEM_INT."""
     if frame in _GLOBAL_FRAMES:
         return 1e7
     return 1e4 if frame in _LOCAL_FRAMES else 1.0
 
 
 def _integer(value: float) -> int | float:
-    """Return a scaled coordinate; NaN, which means none, as 0, as MAVLink has no other word for it in an integer."""
+    """Return a scaled coordinate; NaN (none) becomes 0, as MAVLink's integers have no other representation."""
     return 0 if math.isnan(value) else whole(value)
 
 
 def to_waypoint(item: Any) -> Waypoint:
-    """Return a MISSION_ITEM_INT as a waypoint."""
+    """Convert a MISSION_ITEM_INT to a waypoint."""
     scale = _scale(item.frame)
     return Waypoint(
         frame=item.frame,
@@ -62,7 +62,7 @@ def to_waypoint(item: Any) -> Waypoint:
 
 
 def to_item(waypoint: Any, seq: int, kind: int, target: tuple[int, int]) -> Any:
-    """Return a waypoint as MISSION_ITEM_INT."""
+    """Convert a waypoint to a MISSION_ITEM_INT."""
     scale = _scale(waypoint.frame)
     return mavlink.MAVLink_mission_item_int_message(
         *target,
@@ -83,10 +83,10 @@ def to_item(waypoint: Any, seq: int, kind: int, target: tuple[int, int]) -> Any:
 
 
 class PlanTransfers:
-    """The transfers with one autopilot; they take turns.
+    """Transfers with one autopilot; they run one at a time.
 
     Attributes:
-        replies: MAVLink name to what the receiver thread calls with each frame of it.
+        replies: MAVLink name to the function that the receiver thread calls with each of its frames.
     """
 
     def __init__(
@@ -95,12 +95,12 @@ class PlanTransfers:
         target: tuple[int, int],
         meanwhile: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
-        """Prepare.
+        """Prepare the transfers.
 
         Args:
             send: sends a message.
             target: the autopilot's system and component id.
-            meanwhile: returns what is to be entered while an answer is waited for.
+            meanwhile: returns a context manager that is held while waiting for an answer.
         """
         self._send = send
         self._target = target
@@ -109,22 +109,22 @@ class PlanTransfers:
         self._waiting = False
         self._inbox: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         names = (*_ANSWERS, "MISSION_CURRENT")
-        self.replies: dict[str, Callable[[bytes], None]] = {name: self._taker(name) for name in names}
+        self.replies: dict[str, Callable[[bytes], None]] = {name: self._collector(name) for name in names}
 
-    def _taker(self, name: str) -> Callable[[bytes], None]:
+    def _collector(self, name: str) -> Callable[[bytes], None]:
         decode = decoder(name)
 
-        def take(frame: bytes) -> None:
-            if self._waiting:  # else nobody has asked
+        def collect(frame: bytes) -> None:
+            if self._waiting:  # otherwise unsolicited
                 self._inbox.put((name, decode(frame)))
 
-        return take
+        return collect
 
     def push(self, kind: int, waypoints: Sequence[Any]) -> tuple[bool, int]:
-        """Replace the list ``kind``; return whether the autopilot took it, and how many items it asked for.
+        """Replace the list ``kind``; return whether the autopilot accepted it, and how many items it requested.
 
         Raises:
-            FieldError: too many waypoints, or a value that MAVLink cannot hold; nothing is sent.
+                FieldError: too many waypoints, or a value that MAVLink cannot represent; nothing is sent.
         """
         count = mavlink.MAVLink_mission_count_message(*self._target, len(waypoints), kind)
         pack(count, _DRY)
@@ -145,7 +145,7 @@ class PlanTransfers:
                     message = to_item(waypoints[answer.seq], answer.seq, kind, self._target)
 
     def pull(self, kind: int) -> list[Waypoint] | None:
-        """Return the list ``kind``, None when the autopilot does not tell it."""
+        """Return the list ``kind``, None if the autopilot does not send it."""
         with self._exchange():
             found = self._ask(mavlink.MAVLink_mission_request_list_message(*self._target, kind), kind, "MISSION_COUNT")
             if found is None:
@@ -170,13 +170,13 @@ class PlanTransfers:
         return None
 
     def clear(self, kind: int) -> bool:
-        """Empty the list ``kind``; return whether the autopilot did."""
+        """Clear the list ``kind``; return whether the autopilot accepted."""
         with self._exchange():
             found = self._ask(mavlink.MAVLink_mission_clear_all_message(*self._target, kind), kind, "MISSION_ACK")
             return found is not None and found[1].type == _ACCEPTED
 
     def set_current(self, seq: int) -> bool:
-        """Make ``seq`` the current mission item; return whether the autopilot told so within 4 s."""
+        """Make ``seq`` the current mission item; return whether the autopilot confirmed it within 4 s."""
         ask = mavlink.MAVLink_mission_set_current_message(*self._target, seq)
         with self._exchange():
             for _ in range(1 + RETRIES):
@@ -186,7 +186,7 @@ class PlanTransfers:
             return False
 
     def _ask(self, message: Any, kind: int, *names: str) -> tuple[str, Any] | None:
-        """Send, a few times, and return the first of the answers ``names`` for the list ``kind``."""
+        """Send a request, with retries, and return the first answer among ``names`` for the list ``kind``."""
         for _ in range(1 + RETRIES):
             self._send(message)
             found = self._wait(lambda name, m: name in names and m.mission_type == kind)
@@ -207,7 +207,7 @@ class PlanTransfers:
 
     @contextmanager
     def _exchange(self) -> Iterator[None]:
-        """Take the turn and listen, with nothing heard so far."""
+        """Hold the lock and receive messages, starting with an empty inbox."""
         with self._turn:
             while not self._inbox.empty():
                 self._inbox.get()

@@ -1,7 +1,7 @@
-"""MAVLink frames as mavros_msgs/Mavlink and back.
+"""Conversion between MAVLink frames and mavros_msgs/Mavlink.
 
-As ``mavros_msgs/mavlink.h`` has it: the fields of the header as on the wire, the payload in little-endian words of 8
-bytes filled up with zeros, the checksum as on the wire, and the signature's 13 bytes if there are any.
+Follows ``mavros_msgs/mavlink.h``: header fields as on the wire, the payload in little-endian 8-byte words padded with
+zeros, the checksum as on the wire, and the 13 bytes of the signature if present.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _HIGHEST_2 = 0xFFFFFF
 
 
 class RawFrameError(ValueError):
-    """A mavros_msgs/Mavlink that is no MAVLink frame."""
+    """A mavros_msgs/Mavlink is not a valid MAVLink frame."""
 
 
 def fill(message: Mavlink, frame: bytes) -> None:
-    """Set the fields of ``message``, but for its header's stamp, from a frame that ``codec.split`` has yielded."""
+    """Fill ``message``, except its header's stamp, from a frame yielded by ``codec.split``."""
     message.magic = frame[0]
     if message.magic == Mavlink.MAVLINK_V20:
         head = _HEAD_2
@@ -52,10 +52,10 @@ def fill(message: Mavlink, frame: bytes) -> None:
 
 
 def to_frame(message: Mavlink) -> bytes:
-    """Return the frame of a message; the checksum and the sequence number are the message's own.
+    """Return the frame of a message, with the checksum and sequence number of the message.
 
     Raises:
-        RawFrameError: there is no such frame.
+        RawFrameError: the fields do not form a frame.
     """
     payload = struct.pack(f"<{len(message.payload64)}Q", *message.payload64)
     if message.len > len(payload):
@@ -76,5 +76,5 @@ def to_frame(message: Mavlink) -> bytes:
 
 def _checksum(covered: bytes, number: int) -> int:
     known: Any = MESSAGES.get(number)
-    extra = known.crc_extra if known is not None else 0  # as MAVLink's C library takes a message that it does not know
+    extra = known.crc_extra if known is not None else 0  # as MAVLink's C library does for unknown messages
     return int(mavlink.x25crc(covered + bytes([extra])).crc)

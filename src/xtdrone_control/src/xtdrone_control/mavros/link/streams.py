@@ -1,7 +1,7 @@
-"""Asks the autopilot for the messages that somebody takes, and to stop those that nobody does.
+"""Requests to the autopilot to start streams with subscribers and to stop the others.
 
-A stream is switched off when it is seen to arrive though no plugin wants it, and asked for when a plugin begins to want
-it. An autopilot that refuses is asked a few times and then left alone.
+A stream is stopped when it arrives without a plugin that needs it, and requested when a plugin begins to need it. An
+autopilot that rejects a request is asked a few times and then left alone.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 
-# Answers and events: nobody asks for them at a rate, and to silence them would break a protocol.
+# Answers and events: they have no rate, and stopping them would break a protocol.
 _UNMANAGED_NAMES = (
     "HEARTBEAT STATUSTEXT COMMAND_ACK PING TIMESYNC AUTOPILOT_VERSION PARAM_VALUE GPS_GLOBAL_ORIGIN MISSION_ACK "
     "MISSION_COUNT MISSION_CURRENT MISSION_ITEM MISSION_ITEM_INT MISSION_ITEM_REACHED MISSION_REQUEST "
@@ -18,21 +18,21 @@ _UNMANAGED_NAMES = (
 )
 UNMANAGED = frozenset(MESSAGE_ID[name] for name in _UNMANAGED_NAMES.split()) | {410, 411}  # 410, 411: PX4's events
 
-DEFAULT_RATE_US = 0  # SET_MESSAGE_INTERVAL: the autopilot's own rate
+DEFAULT_RATE_US = 0  # SET_MESSAGE_INTERVAL: the autopilot's default rate
 OFF_US = -1
 
 _ATTEMPTS = 3
 
 
 class Streams:
-    """What one autopilot has been asked for."""
+    """The stream requests made to one autopilot."""
 
     def __init__(self, request: Callable[[int, int], None], rates: Mapping[str, float]) -> None:
-        """Take how to ask.
+        """Prepare the requests.
 
         Args:
             request: called with message id and interval in microseconds.
-            rates: message name to Hz, for those that are not to come at the autopilot's own rate.
+            rates: message name to Hz, for messages that need another rate than the autopilot's default.
 
         Raises:
             ValueError: an unknown message name, or a rate that is not positive.
@@ -50,7 +50,7 @@ class Streams:
         self._user: set[int] = set()
 
     def reset(self) -> None:
-        """Forget what was asked: the autopilot has (re)started."""
+        """Forget all requests after a (re)start of the autopilot."""
         self._asked.clear()
         self._refused.clear()
         self._user.clear()
@@ -60,15 +60,15 @@ class Streams:
         return {number for number, interval in self._asked.items() if interval == OFF_US}
 
     def leave(self, number: int) -> None:
-        """Leave message ``number`` to the user, who has set its interval by service."""
+        """Leave message ``number`` to the user, who has set its interval through the service."""
         self._user.add(number)
 
     def update(self, wanted: Iterable[int], unwanted_seen: Iterable[int]) -> None:
-        """Ask for changes.
+        """Request the changes.
 
         Args:
-            wanted: ids that plugins want now.
-            unwanted_seen: ids that came since the last call though they were not wanted.
+            wanted: ids that plugins need now.
+            unwanted_seen: unneeded ids received since the last call.
         """
         wanted = frozenset(wanted)
         for number in sorted(wanted - UNMANAGED - self._user):

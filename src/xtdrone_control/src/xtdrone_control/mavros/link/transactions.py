@@ -1,7 +1,7 @@
 """Commands that wait for their COMMAND_ACK.
 
-Calls come from service threads and wait there; acks come from the receiver thread. Time-outs are wall time: they
-give up on an autopilot that does not answer, whatever the simulated time does meanwhile.
+Calls block in service threads; acks arrive in the receiver thread. Timeouts are wall time: they detect an autopilot
+that does not answer, independently of simulated time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _decode_ack = decoder("COMMAND_ACK")
 
 
 class _Waiting:
-    """One sent command: who waits for its ack, and until when."""
+    """A sent command whose ack is pending."""
 
     def __init__(self, limit: float) -> None:
         self.done = threading.Event()
@@ -35,18 +35,18 @@ class _Waiting:
 
 
 class Commands:
-    """The commands under way to one autopilot; acks carry no sequence number and go to the oldest of their kind."""
+    """Pending commands of one autopilot; acks carry no sequence number and go to the oldest command of their kind."""
 
     def __init__(
         self,
         send: Callable[[Any], None],
         meanwhile: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
-        """Take what sends a message.
+        """Prepare the commands.
 
         Args:
             send: sends a message.
-            meanwhile: returns what is to be entered while an ack is waited for.
+            meanwhile: returns a context manager that is held while waiting for an ack.
         """
         self._send = send
         self._meanwhile = meanwhile
@@ -57,13 +57,13 @@ class Commands:
     def call(
         self, command: int, build: Callable[[int], Any], limit: float = ACK_LIMIT, resends: int = RESENDS
     ) -> int | None:
-        """Send a command and return the MAV_RESULT of its ack, or None when none came.
+        """Send a command and return the MAV_RESULT of its ack, or None without an ack.
 
         Args:
-            command: MAV_CMD number; calls of the same number take turns.
-            build: from the number of the attempt (0, 1, ...) to the message.
-            limit: seconds of wall time to wait in all.
-            resends: how often to send again, at equal intervals; none after an ack says "in progress".
+            command: MAV_CMD number; calls with the same number run one at a time.
+            build: returns the message for attempt 0, 1, ...
+            limit: timeout of all attempts together, seconds of wall time.
+            resends: number of repetitions, at equal intervals; none after an "in progress" ack.
         """
         with self._lock:
             turn = self._turns[command]
@@ -82,12 +82,12 @@ class Commands:
                 self._remove(command, waiting)
 
     def send(self, command: int, message: Any) -> None:
-        """Send a command whose ack nobody waits for, so that a later call does not take this one's ack for its own."""
+        """Send a command without waiting, but register its ack so that a later call does not mistake it for its own."""
         self._add(command, ACK_LIMIT)
         self._send(message)
 
     def on_ack(self, frame: bytes) -> None:
-        """Take a COMMAND_ACK frame; for the receiver thread."""
+        """Handle a COMMAND_ACK frame; called by the receiver thread."""
         ack = _decode_ack(frame)
         with self._lock:
             waiting = self._oldest(ack.command)
@@ -110,7 +110,7 @@ class Commands:
     def _add(self, command: int, limit: float) -> _Waiting:
         waiting = _Waiting(limit)
         with self._lock:
-            self._oldest(command)  # drops those that expired
+            self._oldest(command)  # drops expired commands
             self._waiting[command].append(waiting)
         return waiting
 

@@ -1,4 +1,4 @@
-"""One module for each MAVROS plugin. A new one is added to ``PLUGINS``; the order fixes that of its subscriptions."""
+"""One module for each MAVROS plugin. Add new ones to ``PLUGINS``; its order is the order of the subscriptions."""
 
 from __future__ import annotations
 

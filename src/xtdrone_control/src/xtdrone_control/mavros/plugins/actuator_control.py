@@ -1,4 +1,4 @@
-"""Controls that go past the attitude controller to the mixer, both ways."""
+"""Controls that bypass the attitude controller, both ways."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _TOPIC = "actuator_control"
 
 
 class ActuatorControlPlugin(Plugin):
-    """MAVROS's actuator_control: values as they are, in the autopilot's axes (FRD).
+    """MAVROS's actuator_control: values are passed unchanged, in the autopilot's axes (FRD).
 
-    PX4 refuses what comes by ``actuator_control`` while it runs in lockstep with a simulator; so does ours.
-    ``target_actuator_control`` has torque and thrust that the control allocator is asked for, as group 0.
+    PX4 rejects ``actuator_control`` while it runs in lockstep with a simulator, and so does the built-in autopilot.
+    ``target_actuator_control`` has the torque and thrust requested from the control allocator, as group 0.
     """
 
     name = "actuator_control"

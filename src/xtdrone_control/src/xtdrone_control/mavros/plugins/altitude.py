@@ -1,4 +1,4 @@
-"""Altitudes by their references."""
+"""Altitudes above several references."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands: services that send COMMAND_LONG and wait for the ack, COMMAND_INT and COMMAND_ACK, which do not."""
+"""Commands: services that send COMMAND_LONG and wait for the ack; COMMAND_INT and COMMAND_ACK do not wait."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _decode_ack = decoder("COMMAND_ACK")
 
 
 class CommandPlugin(Plugin):
-    """MAVROS's command: ``success`` is that the ack says "accepted"; without an ack the result is 4, failed.
+    """MAVROS's command: ``success`` means that the ack is "accepted"; without an ack the result is 4, failed.
 
-    As in MAVROS, ``command_int`` and ``command_ack`` succeed when the message is sent.
+    As in MAVROS, ``command_int`` and ``command_ack`` succeed once the message is sent.
     """
 
     name = "command"
@@ -51,7 +51,7 @@ class CommandPlugin(Plugin):
         system, component = uas.target
         quirk = uas.params.get("cmd/use_comp_id_system_control", False)
         self._target = system, _SYSTEM_CONTROL if quirk else component
-        self._arming = False  # the last command to arm or disarm asked for arming
+        self._arming = False  # whether the last arm/disarm command was to arm
         self.replies = {"COMMAND_ACK": self._on_ack}
         uas.service("cmd/command", CommandLong, self._command)
         uas.service("cmd/command_int", CommandInt, self._command_int)
@@ -65,7 +65,7 @@ class CommandPlugin(Plugin):
         uas.service("cmd/vtol_transition", CommandVtolTransition, self._vtol_transition)
 
     def _on_ack(self, frame: bytes) -> None:
-        """Take an ack in the receiver thread, before the events that say why arming is refused."""
+        """Handle an ack in the receiver thread, before the events with the reasons for refused arming."""
         self.uas.commands.on_ack(frame)
         ack = _decode_ack(frame)
         refused = ack.result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
@@ -120,7 +120,7 @@ class CommandPlugin(Plugin):
         return CommandIntResponse(True)
 
     def _command_ack(self, request: Any) -> CommandAckResponse:
-        """Acknowledge a command that the autopilot has sent."""
+        """Acknowledge a command sent by the autopilot."""
         param2 = wrapped(request.result_param2, 32)
         self.uas.link.send(
             mavlink.MAVLink_command_ack_message(
@@ -152,7 +152,7 @@ class CommandPlugin(Plugin):
         return CommandTriggerControlResponse(*self._call(mavlink.MAV_CMD_DO_TRIGGER_CONTROL, *map(float, switches)))
 
     def _trigger_interval(self, request: Any) -> CommandTriggerIntervalResponse:
-        """Set the times (ms), which the autopilot takes while triggering is off."""
+        """Set the times (ms), which the autopilot accepts while triggering is off."""
         times = request.cycle_time, request.integration_time
         return CommandTriggerIntervalResponse(*self._call(mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, *times))
 

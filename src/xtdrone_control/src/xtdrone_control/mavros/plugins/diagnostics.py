@@ -1,7 +1,7 @@
-"""/diagnostics: how link, heartbeat, sensors, battery, GPS and clocks are, as MAVROS's updater tells it.
+"""/diagnostics: state of link, heartbeat, sensors, battery, GPS and clocks, as in MAVROS's diagnostic updater.
 
-Names, keys, levels and words are those of MAVROS 1.x (mavlink_diag.cpp, sys_status.cpp, global_position.cpp,
-sys_time.cpp). Frames are counted while /diagnostics has a subscriber: to count them always would cost every vehicle.
+Names, keys, levels and texts are those of MAVROS 1.x (mavlink_diag.cpp, sys_status.cpp, global_position.cpp,
+sys_time.cpp). Frames are counted only while /diagnostics has a subscriber, to save the cost for every vehicle.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _DEFAULT_MIN_VOLTAGE = 10.0  # V
 
 
 class Report(NamedTuple):
-    """One status: its level, its summary, and keys with values."""
+    """One status: its level, its summary, and its keys and values."""
 
     level: int
     summary: str
@@ -40,16 +40,16 @@ class Report(NamedTuple):
 
 
 class Frequency:
-    """How often something happens, over the last reports."""
+    """Frequency of an event, over the last reports."""
 
     def __init__(self, least: float, most: float) -> None:
-        """Take what is normal, in Hz."""
+        """Set the normal range in Hz."""
         self.count = 0
         self._least, self._most = least * (1.0 - _TOLERANCE), most * (1.0 + _TOLERANCE)
         self._history: deque[tuple[int, int]] = deque([(0, 0)], _WINDOW)
 
     def restart(self, now_ns: int) -> None:
-        """Measure from now on."""
+        """Restart the measurement."""
         self._history.clear()
         self._history.append((now_ns, self.count))
 
@@ -69,9 +69,9 @@ class Frequency:
 
 
 class DiagnosticsPlugin(Plugin):
-    """MAVROS's diagnostics, a message a vehicle and second while /diagnostics has a subscriber.
+    """MAVROS's diagnostics: one message per vehicle and second while /diagnostics has a subscriber.
 
-    What belongs to a plugin that is not loaded is not told.
+    Statuses that belong to a plugin that is not loaded are omitted.
     """
 
     name = "diagnostics"
@@ -85,13 +85,13 @@ class DiagnosticsPlugin(Plugin):
         self._link = _LinkCounts()
         self._heartbeats = Frequency(0.2, 100.0)
         self._syncs = Frequency(0.1, 10.0)
-        self._taken = False
+        self._counting = False
         self._heartbeat: Any = None
         self._round_trip_ns = self._round_trips_ns = self._remote_ns = 0
         self._batteries: dict[int, Any] = {}
         self._min_voltages = _min_voltages(uas.params)
         self._reports: list[tuple[str, Callable[[], Report]]] = [("FCU connection", self._report_link)]
-        self.messages = {RAW: Feed(self._link.take, topic)}
+        self.messages = {RAW: Feed(self._link.count, topic)}
         if loads("global_position"):
             self._reports.append(("GPS", self._report_gps))
             self.messages["GPS_RAW_INT"] = Feed(None, topic)
@@ -109,7 +109,7 @@ class DiagnosticsPlugin(Plugin):
         uas.timer(_PERIOD, self._publish)
 
     def connected(self, connected: bool) -> None:
-        """Forget the batteries of an autopilot that may be another one."""
+        """Forget the batteries, as the autopilot may be another one."""
         self._batteries.clear()
 
     def _add_system(self, topic: Any) -> None:
@@ -121,12 +121,12 @@ class DiagnosticsPlugin(Plugin):
             self._reports.append((title, lambda number=number: self._report_battery(number)))  # type: ignore[misc]
 
     def _publish(self) -> None:
-        if not self._topic.taken:
-            self._taken = False
+        if not self._topic.needed:
+            self._counting = False
             self._link.pause()
             return
-        if not self._taken:  # what is counted from now on tells nothing yet
-            self._taken = True
+        if not self._counting:  # the counters have just started
+            self._counting = True
             self._link.restart(self.uas)
             self._heartbeats.restart(self.uas.now_ns)
             self._syncs.restart(self.uas.now_ns)
@@ -147,7 +147,7 @@ class DiagnosticsPlugin(Plugin):
             [KeyValue(key, value) for key, value in report.values],
         )
 
-    # What comes
+    # Input
 
     def _on_heartbeat(self, heartbeat: Any) -> None:
         self._heartbeat = heartbeat
@@ -163,7 +163,7 @@ class DiagnosticsPlugin(Plugin):
             self._round_trips_ns += self._round_trip_ns
             self._remote_ns = sync.tc1
 
-    # What is told
+    # Output
 
     def _report_link(self) -> Report:
         return self._link.report(self.uas)
@@ -261,16 +261,16 @@ class DiagnosticsPlugin(Plugin):
 
 
 class _LinkCounts:
-    """What has come over a link while there was a subscriber."""
+    """Traffic of a link while there was a subscriber."""
 
     def __init__(self) -> None:
         self._packets = self._bytes = self._dropped = self._told_dropped = 0
-        self._sequences: dict[tuple[int, int], int] = {}  # the next of each sender
+        self._sequences: dict[tuple[int, int], int] = {}  # next sequence number of each sender
         self._sequence = 0
         self._last: tuple[int, int, int] = (0, 0, 0)  # time, bytes received, bytes sent
 
-    def take(self, frame: bytes) -> None:
-        """Count a frame, and those that are missing before it."""
+    def count(self, frame: bytes) -> None:
+        """Count a frame, and any frames missing before it."""
         at = 4 if frame[0] == mavlink.PROTOCOL_MARKER_V2 else 2
         self._sequence, sender = frame[at], (frame[at + 1], frame[at + 2])
         expected = self._sequences.get(sender)
@@ -281,15 +281,15 @@ class _LinkCounts:
         self._bytes += len(frame)
 
     def pause(self) -> None:
-        """Stop counting: frames that come from now on are not missing."""
+        """Pause counting: frames that arrive meanwhile are not missing."""
         self._sequences.clear()
 
     def restart(self, uas: Uas) -> None:
-        """Measure speeds from now on."""
+        """Restart the measurement of data rates."""
         self._last = uas.now_ns, self._bytes, uas.link.sent_bytes
 
     def report(self, uas: Uas) -> Report:
-        """Return MAVROS's "FCU connection"."""
+        """Return MAVROS's status "FCU connection"."""
         then_ns, received, sent = self._last
         self._last = uas.now_ns, self._bytes, uas.link.sent_bytes
         seconds = (uas.now_ns - then_ns) / _NS
@@ -314,10 +314,10 @@ class _LinkCounts:
 
 
 def _min_voltages(params: Params) -> list[float]:
-    """Return ``sys/min_voltage``: volts of each battery, of which MAVROS has at most ten.
+    """Return ``sys/min_voltage``: minimum voltage of each battery, V; MAVROS has at most ten.
 
     Raises:
-        ParamError: neither a number nor a list of numbers.
+        ParamError: the value is neither a number nor a list of numbers.
     """
     value = params.get_any("sys/min_voltage", [_DEFAULT_MIN_VOLTAGE])
     values = value if isinstance(value, list) else [value]
@@ -327,7 +327,7 @@ def _min_voltages(params: Params) -> list[float]:
 
 
 def _described(enum: str, value: int) -> str:
-    """Return an enumeration's value in MAVROS's words: the beginning of MAVLink's description."""
+    """Return MAVROS's text for an enumeration value: the beginning of MAVLink's description."""
     entry = mavlink.enums[enum].get(value)
     if entry is None:
         return str(value)
@@ -342,7 +342,7 @@ def _precision(value: int) -> str:
 
 
 def _sensors() -> list[tuple[int, str]]:
-    """Return the bits of SYS_STATUS with MAVROS's names of them: MAVLink's descriptions without the number."""
+    """Return the bits of SYS_STATUS with MAVROS's names: MAVLink's descriptions without the number."""
     found = []
     for bit, entry in sorted(mavlink.enums["MAV_SYS_STATUS_SENSOR"].items()):
         if not entry.name.endswith("ENUM_END"):

@@ -28,7 +28,7 @@ from xtdrone_control.mavros.uas import Uas
 
 
 class FtpPlugin(Plugin):
-    """MAVROS's ftp. A request that fails answers ``success`` false and why in ``r_errno``."""
+    """MAVROS's ftp. A failed request returns ``success`` false and an errno in ``r_errno``."""
 
     name = "ftp"
 
@@ -51,7 +51,7 @@ class FtpPlugin(Plugin):
         uas.service("ftp/reset", Empty, self._reset)
 
     def connected(self, connected: bool) -> None:
-        """Forget what was open on another autopilot, or on this one before a reboot."""
+        """Close the sessions of another autopilot, or of this one before a reboot."""
         if connected:
             self._client.forget()
 

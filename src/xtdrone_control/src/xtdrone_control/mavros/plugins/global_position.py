@@ -1,4 +1,4 @@
-"""Global position of the estimator and of the GPS receiver."""
+"""Global position from the estimator and from the GPS receiver."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _NAN = float("nan")
 class GlobalPositionPlugin(Plugin):
     """MAVROS's global_position.
 
-    Heights of NavSatFix and GeoPoint are over the ellipsoid: the autopilot's AMSL plus EGM96's geoid there, as MAVROS
-    adds it; with ``global_position/geoid: none`` they stay AMSL.
+    Altitudes of NavSatFix and GeoPoint are above the ellipsoid: the autopilot's AMSL plus the EGM96 geoid height, as in
+    MAVROS; with ``global_position/geoid: none`` they stay AMSL.
 
-    ``global_position/local`` is relative to home, or to the first fix before a home has come. Its velocity is ENU
-    (MAVROS leaves its z pointing down).
+    ``global_position/local`` is relative to home, or to the first fix until a home position arrives. Its velocity is
+    ENU (in MAVROS, z points down).
     """
 
     name = "global_position"
@@ -77,7 +77,7 @@ class GlobalPositionPlugin(Plugin):
         uas.subscribe("global_position/set_gp_origin", GeoPointStamped, self._set_origin)
 
     def _transforms(self) -> Topic | None:
-        """Advertise the transform of ``global_position/local``, if ``global_position/tf/send`` asks for it."""
+        """Advertise the transform of ``global_position/local`` if ``global_position/tf/send`` is set."""
         get = self.uas.params.get
         if not get("global_position/tf/send", False):
             return None
@@ -113,39 +113,39 @@ class GlobalPositionPlugin(Plugin):
         self._offset.publish(message)
 
     def _place(self, latitude: int, longitude: int, altitude: int) -> frames.Vector:
-        """Return deg, deg and m over the ellipsoid of MAVLink's 1e-7 deg and mm AMSL."""
+        """Convert MAVLink's 1e-7 deg and mm AMSL to deg, deg and m above the ellipsoid."""
         north, east = latitude / 1e7, longitude / 1e7
         return north, east, altitude / 1e3 + self.uas.geoid_height(north, east)
 
     def _on_gps(self, gps: Any) -> None:
-        if self._raw.taken:
+        if self._raw.needed:
             message = self._raw.message
             self._fill_raw(message, gps)
             self.uas.stamp_us(message.header, gps.time_usec)
             self._raw.publish(message)
-        if self._raw_velocity.taken and gps.vel != _UNKNOWN and gps.cog != _UNKNOWN:
+        if self._raw_velocity.needed and gps.vel != _UNKNOWN and gps.cog != _UNKNOWN:
             message = self._raw_velocity.message
             self.uas.stamp_us(message.header, gps.time_usec)
             speed, course = gps.vel / 100.0, radians(gps.cog / 100.0)
             message.twist.linear.x, message.twist.linear.y = speed * sin(course), speed * cos(course)
             self._raw_velocity.publish(message)
-        if self._satellites.taken:
+        if self._satellites.needed:
             self._satellites.message.data = gps.satellites_visible
             self._satellites.publish(self._satellites.message)
 
     def _on_global(self, position: Any) -> None:
-        if self._relative.taken:
+        if self._relative.needed:
             self._relative.message.data = position.relative_alt / 1e3
             self._relative.publish(self._relative.message)
-        if self._heading.taken:
+        if self._heading.needed:
             self._heading.message.data = position.hdg / 100.0 if position.hdg != _UNKNOWN else _NAN
             self._heading.publish(self._heading.message)
-        with_tf = self._tf is not None and self._tf.taken
-        if not (self._global.taken or self._local.taken or with_tf):
+        with_tf = self._tf is not None and self._tf.needed
+        if not (self._global.needed or self._local.needed or with_tf):
             return
         place = self._place(position.lat, position.lon, position.alt)
         raw = self._latest_fix()
-        if self._global.taken:
+        if self._global.needed:
             fix = self._global.message
             self.uas.stamp(fix.header, position.time_boot_ms)
             fix.latitude, fix.longitude, fix.altitude = place
@@ -153,7 +153,7 @@ class GlobalPositionPlugin(Plugin):
             fix.position_covariance = raw.position_covariance
             fix.position_covariance_type = raw.position_covariance_type
             self._global.publish(fix)
-        if self._local.taken or with_tf:
+        if self._local.needed or with_tf:
             self._publish_local(position, place, raw)
 
     def _publish_local(self, position: Any, place: frames.Vector, raw: NavSatFix) -> None:
@@ -170,9 +170,9 @@ class GlobalPositionPlugin(Plugin):
         q.w, q.x, q.y, q.z = attitude[0]
         linear.x, linear.y, linear.z = frames.ned_to_enu(position.vx / 100.0, position.vy / 100.0, position.vz / 100.0)
         odom.pose.covariance = _pose_covariance(raw.position_covariance, self._rotation_variance)
-        if self._local.taken:
+        if self._local.needed:
             self._local.publish(odom)
-        if self._tf is not None and self._tf.taken:
+        if self._tf is not None and self._tf.needed:
             [transform] = self._tf.message.transforms
             self.uas.stamp(transform.header, position.time_boot_ms)
             to = transform.transform.translation
@@ -215,7 +215,7 @@ class GlobalPositionPlugin(Plugin):
 
 
 def _pose_covariance(position: list[float], rotation_variance: float) -> list[float]:
-    """Return a 6x6 covariance, row by row, from a 3x3 one of the position and one variance for every angle."""
+    """Return a 6x6 covariance, row by row, from a 3x3 position covariance and one variance for all angles."""
     matrix = [0.0] * 36
     for row in range(3):
         matrix[6 * row : 6 * row + 3] = position[3 * row : 3 * row + 3]

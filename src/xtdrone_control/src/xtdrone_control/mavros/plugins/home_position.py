@@ -15,10 +15,10 @@ from xtdrone_control.mavros.uas import Uas
 
 
 class HomePositionPlugin(Plugin):
-    """MAVROS's home_position. Altitudes are over the ellipsoid, see ``global_position/geoid``.
+    """MAVROS's home_position. Altitudes are above the ellipsoid, see ``global_position/geoid``.
 
     The orientation is that of ``base_link`` in ENU, as in local_position/pose (MAVROS leaves the body axes FRD here, so
-    that a level home comes out upside down).
+    a level home position comes out upside down).
     """
 
     name = "home_position"

@@ -28,7 +28,7 @@ _MAG = mavlink.HIGHRES_IMU_UPDATED_XMAG | mavlink.HIGHRES_IMU_UPDATED_YMAG | mav
 
 
 class ImuPlugin(Plugin):
-    """MAVROS's imu: ``imu/data`` at the rate of ATTITUDE_QUATERNION with HIGHRES_IMU's latest acceleration."""
+    """MAVROS's imu: ``imu/data`` at the rate of ATTITUDE_QUATERNION, with the latest acceleration of HIGHRES_IMU."""
 
     name = "imu"
 
@@ -39,7 +39,7 @@ class ImuPlugin(Plugin):
         frame = get("imu/frame_id", "base_link")
         gyro = _covariance(get("imu/angular_velocity_stdev", 0.0003490659))
         self._accel = _covariance(get("imu/linear_acceleration_stdev", 0.0003))
-        self._no_accel = [-1.0, *self._accel[1:]]  # sensor_msgs/Imu: the field is not known
+        self._no_accel = [-1.0, *self._accel[1:]]  # sensor_msgs/Imu: the field is unknown
 
         self._data = uas.topic("imu/data", Imu())
         self._raw = uas.topic("imu/data_raw", Imu())
@@ -80,23 +80,23 @@ class ImuPlugin(Plugin):
 
     def _on_highres(self, highres: Any) -> None:
         stamp, updated = self.uas.stamp_us, highres.fields_updated
-        if self._raw.taken and updated & _ACCEL_GYRO:
+        if self._raw.needed and updated & _ACCEL_GYRO:
             raw = self._raw.message
             stamp(raw.header, highres.time_usec)
             _set(raw.angular_velocity, highres.xgyro, highres.ygyro, highres.zgyro)
             _set(raw.linear_acceleration, highres.xacc, highres.yacc, highres.zacc)
             self._raw.publish(raw)
-        if self._mag.taken and updated & _MAG:
+        if self._mag.needed and updated & _MAG:
             mag = self._mag.message
             stamp(mag.header, highres.time_usec)
             scale = _GAUSS_TO_TESLA
             _set(mag.magnetic_field, highres.xmag * scale, highres.ymag * scale, highres.zmag * scale)
             self._mag.publish(mag)
-        if self._static.taken and updated & mavlink.HIGHRES_IMU_UPDATED_ABS_PRESSURE:
+        if self._static.needed and updated & mavlink.HIGHRES_IMU_UPDATED_ABS_PRESSURE:
             self._publish_pressure(self._static, highres.time_usec, highres.abs_pressure)
-        if self._differential.taken and updated & mavlink.HIGHRES_IMU_UPDATED_DIFF_PRESSURE:
+        if self._differential.needed and updated & mavlink.HIGHRES_IMU_UPDATED_DIFF_PRESSURE:
             self._publish_pressure(self._differential, highres.time_usec, highres.diff_pressure)
-        if self._temperature.taken and updated & mavlink.HIGHRES_IMU_UPDATED_TEMPERATURE:
+        if self._temperature.needed and updated & mavlink.HIGHRES_IMU_UPDATED_TEMPERATURE:
             temperature = self._temperature.message
             stamp(temperature.header, highres.time_usec)
             temperature.temperature = highres.temperature
@@ -120,7 +120,7 @@ def _set(message: Any, x: float, y: float, z: float) -> None:
 
 
 def _covariance(stdev: float) -> list[float]:
-    """Return a 3x3 covariance, row by row: the squared deviation on the diagonal, or "unknown" (-1) for 0."""
+    """Return a 3x3 covariance, row by row: the variance on the diagonal, or "unknown" (-1) for a deviation of 0."""
     variance = stdev * stdev
     if variance == 0.0:
         return [-1.0, *[0.0] * 8]

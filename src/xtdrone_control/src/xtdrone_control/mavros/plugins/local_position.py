@@ -1,4 +1,4 @@
-"""Local position and velocity of the estimator, in ENU."""
+"""Local position and velocity from the estimator, in ENU."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _DIAGONAL = (0, 9, 17, 24, 30, 35, 39, 42, 44)
 class LocalPositionPlugin(Plugin):
     """MAVROS's local_position.
 
-    As in MAVROS, the orientation is the latest ATTITUDE_QUATERNION's, ``velocity_local`` carries the body's frame_id
-    though its vectors are ENU, and pose_cov, velocity_body_cov and accel come only from autopilots that send
-    LOCAL_POSITION_NED_COV. Nothing that has an orientation is published before the first attitude has come.
+    As in MAVROS, the orientation is that of the latest ATTITUDE_QUATERNION, ``velocity_local`` has the body's frame_id
+    although its vectors are ENU, and pose_cov, velocity_body_cov and accel exist only for autopilots that send
+    LOCAL_POSITION_NED_COV. Messages with an orientation are published from the first attitude on.
     """
 
     name = "local_position"
@@ -74,31 +74,31 @@ class LocalPositionPlugin(Plugin):
         q, rates = attitude
         position = frames.ned_to_enu(ned.x, ned.y, ned.z)
         velocity = frames.ned_to_enu(ned.vx, ned.vy, ned.vz)
-        if self._pose.taken:
+        if self._pose.needed:
             pose = self._pose.message
             self.uas.stamp(pose.header, ned.time_boot_ms)
             _set_pose(pose.pose, position, q)
             self._pose.publish(pose)
-        if self._velocity_local.taken:
+        if self._velocity_local.needed:
             twist = self._velocity_local.message
             self.uas.stamp(twist.header, ned.time_boot_ms)
             _set_vector(twist.twist.linear, velocity)
             _set_vector(twist.twist.angular, frames.rotate(q, rates))
             self._velocity_local.publish(twist)
-        if self._velocity_body.taken:
+        if self._velocity_body.needed:
             twist = self._velocity_body.message
             self.uas.stamp(twist.header, ned.time_boot_ms)
             _set_vector(twist.twist.linear, frames.rotate_inverse(q, velocity))
             _set_vector(twist.twist.angular, rates)
             self._velocity_body.publish(twist)
-        if self._odom.taken:
+        if self._odom.needed:
             odom = self._odom.message
             self.uas.stamp(odom.header, ned.time_boot_ms)
             _set_pose(odom.pose.pose, position, q)
             _set_vector(odom.twist.twist.linear, frames.rotate_inverse(q, velocity))
             _set_vector(odom.twist.twist.angular, rates)
             self._odom.publish(odom)
-        if self._tf is not None and self._tf.taken:
+        if self._tf is not None and self._tf.needed:
             transform = self._tf.message.transforms[0]
             self.uas.stamp(transform.header, ned.time_boot_ms)
             _set_vector(transform.transform.translation, position)
@@ -111,7 +111,7 @@ class LocalPositionPlugin(Plugin):
             return
         q, rates = attitude
         variance = [ned.covariance[i] for i in _DIAGONAL]
-        # The diagonal is (north, east, down) and so goes to (y, x, z).
+        # The diagonal is (north, east, down), which maps to (y, x, z).
         pose = self._pose_cov.message
         self.uas.stamp_us(pose.header, ned.time_usec)
         _set_pose(pose.pose.pose, frames.ned_to_enu(ned.x, ned.y, ned.z), q)
@@ -148,7 +148,7 @@ def _set_pose(pose: Any, position: frames.Vector, q: frames.Quaternion) -> None:
 
 
 def _covariance(x: float, y: float, z: float) -> list[float]:
-    """Return a 6x6 covariance, row by row, with these variances and the rest unknown (0, as in MAVROS)."""
+    """Return a 6x6 covariance, row by row, with these variances; all others are unknown (0, as in MAVROS)."""
     matrix = [0.0] * 36
     matrix[0], matrix[7], matrix[14] = x, y, z
     return matrix

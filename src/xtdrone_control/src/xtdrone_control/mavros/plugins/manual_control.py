@@ -1,4 +1,4 @@
-"""A pilot's sticks, both ways."""
+"""Manual control by sticks, both ways."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _SCALE = 1000.0
 class ManualControlPlugin(Plugin):
     """MAVROS's manual_control, with its two scales: ``send`` has MAVLink's numbers, ``control`` a thousandth of them.
 
-    ``send`` flies as a joystick does: x, y and r are -1000..1000, z is 0..1000 with 500 in the middle; the autopilot
-    takes it as COM_RC_IN_MODE says. ``control`` has the sticks that the autopilot follows, from whichever source.
+    ``send`` acts as a joystick: x, y and r are -1000..1000, z is 0..1000 with its centre at 500; COM_RC_IN_MODE decides
+    how the autopilot uses it. ``control`` has the stick positions that the autopilot follows, from any source.
     """
 
     name = "manual_control"

@@ -1,4 +1,4 @@
-"""Every MAVLink frame from the autopilot as a topic, and frames from a topic to it."""
+"""MAVLink frames from the autopilot on a topic, and frames from a topic to the autopilot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from xtdrone_control.mavros.uas import RAW, Uas
 class MavlinkBridge(Plugin):
     """MAVROS's bridge: ``mavlink/from`` and ``mavlink/to``, beside the vehicle's ``mavros`` namespace.
 
-    While ``mavlink/from`` is taken no stream of the autopilot's is switched off, and those that were come again.
+    While ``mavlink/from`` has a subscriber, all streams of the autopilot stay on or are switched on again.
     """
 
     name = "mavlink"

@@ -1,4 +1,4 @@
-"""Parameters: services that list, read and write the autopilot's, and mirror them in ROS's parameter server."""
+"""Parameters: services that list, read and write the autopilot's and mirror them on the ROS parameter server."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE t
 _REAL = 9
 _TRY_LIMIT = 1.0  # s of wall time, MAVROS's PARAM_TIMEOUT
 _RETRIES = 3
-_LIST_LIMIT = 30  # tries of which something has come
+_LIST_LIMIT = 30  # consecutive attempts with progress
 _NO_INDEX = 0xFFFF
 
 _decode = decoder("PARAM_VALUE")
@@ -43,14 +43,14 @@ class _Value:
     count: int
 
     def message(self) -> ParamValue:
-        """Return MAVROS's pair, of which the one that does not apply is 0."""
+        """Return MAVROS's pair of values, with 0 in the unused field."""
         if self.kind == _REAL:
             return ParamValue(0, float(self.number))
         return ParamValue(int(self.number), 0.0)
 
 
 def _number(kind: int, value: float) -> int | float | None:
-    """Return what lies in PARAM_VALUE.param_value; None for a type that does not fit into it."""
+    """Decode PARAM_VALUE.param_value; return None for a type that does not fit into it."""
     if kind == _REAL:
         return value
     letter = _INTEGERS.get(kind)
@@ -61,10 +61,10 @@ def _number(kind: int, value: float) -> int | float | None:
 
 
 def _wire(kind: int, number: float) -> float:
-    """Return ``number`` as it lies in PARAM_SET.param_value.
+    """Encode ``number`` for PARAM_SET.param_value.
 
     Raises:
-        struct.error, OverflowError, ValueError: it does not fit into the type.
+        struct.error, OverflowError, ValueError: the number does not fit into the type.
     """
     if kind == _REAL:
         struct.pack("<f", number)
@@ -73,9 +73,9 @@ def _wire(kind: int, number: float) -> float:
 
 
 class ParamPlugin(Plugin):
-    """MAVROS's param. Values are asked for when a service needs them; ``set`` takes the parameter's type.
+    """MAVROS's param. Values are fetched when a service needs them; ``set`` uses the parameter's type.
 
-    Answers come in the receiver thread, services wait in threads of their own.
+    Answers arrive in the receiver thread, services wait in their own threads.
     """
 
     name = "param"
@@ -96,7 +96,7 @@ class ParamPlugin(Plugin):
         uas.service("param/push", ParamPush, self._push)
 
     def connected(self, connected: bool) -> None:
-        """Forget what another autopilot, or this one before a reboot, has told."""
+        """Drop the values of another autopilot, or of this one before a reboot."""
         with self._changed:
             self._values.clear()
             self._complete = False
@@ -115,7 +115,7 @@ class ParamPlugin(Plugin):
         try:
             m = _decode(frame)
         except FrameError:
-            return  # the main thread warns of it
+            return  # the main thread logs it
         number = _number(m.param_type, m.param_value)
         if number is not None and m.param_index != _NO_INDEX:
             with self._changed:
@@ -123,7 +123,7 @@ class ParamPlugin(Plugin):
                 self._changed.notify_all()
 
     def _ask(self, build: Callable[[], Any], answered: Callable[[], bool]) -> bool:
-        """Send until ``answered``, at most 1 + 3 times; return whether it is."""
+        """Send until ``answered`` holds, at most 1 + 3 times; return whether it does."""
         for _ in range(1 + _RETRIES):
             self.uas.link.send(build())
             with self.uas.ros.needs_time(), self._changed:
@@ -132,7 +132,7 @@ class ParamPlugin(Plugin):
         return False
 
     def _known(self, name: str) -> _Value | None:
-        """Return a parameter's value, asking for it when it has not been told yet; None when there is none."""
+        """Return a parameter's value, fetching it if it is not cached yet; None if it does not exist."""
         target = self.uas.target
         encoded = name.encode()
         if not 0 < len(encoded) <= 16 or 0 in encoded:
@@ -146,7 +146,7 @@ class ParamPlugin(Plugin):
         return self._values.get(name)
 
     def _write(self, name: str, known: _Value, number: float) -> bool:
-        """Write a parameter; return whether the autopilot has answered with a value."""
+        """Write a parameter; return whether the autopilot answered with a value."""
         try:
             value = _wire(known.kind, number)
         except (struct.error, ValueError, OverflowError) as error:
@@ -167,7 +167,7 @@ class ParamPlugin(Plugin):
     def _get(self, request: Any) -> ParamGetResponse:
         value = self._known(request.param_id)
         if value is None:
-            self.uas.warn(f"param {request.param_id}", "there is no parameter %s to get", request.param_id)
+            self.uas.warn(f"param {request.param_id}", "param/get: parameter %s does not exist", request.param_id)
             return ParamGetResponse(False, ParamValue())
         return ParamGetResponse(True, value.message())
 
@@ -175,7 +175,7 @@ class ParamPlugin(Plugin):
         name, asked = request.param_id, request.value
         known = self._known(name)
         if known is None:
-            self.uas.warn(f"param {name}", "there is no parameter %s to set", name)
+            self.uas.warn(f"param {name}", "param/set: parameter %s does not exist", name)
             return ParamSetResponse(False, ParamValue())
         number = asked.integer if asked.integer else asked.real
         success = self._write(name, known, number)
@@ -195,7 +195,7 @@ class ParamPlugin(Plugin):
         return ParamPullResponse(self._complete, len(values))
 
     def _fetch(self) -> bool:
-        """Ask for the list, and then for what of it has not come; return whether all has."""
+        """Request the list, and then its missing entries; return whether it is complete."""
         target = self.uas.target
         if not self._ask(lambda: mavlink.MAVLink_param_request_list_message(*target), lambda: bool(self._values)):
             return False
@@ -218,7 +218,7 @@ class ParamPlugin(Plugin):
         for name, number in sorted(mirrored.items()) if isinstance(mirrored, dict) else ():
             known = self._known(name)
             if known is None or isinstance(number, bool) or not isinstance(number, (int, float)):
-                self.uas.warn(f"param {name}", "ROS parameter %s is none of the autopilot's", name)
+                self.uas.warn(f"param {name}", "ROS parameter %s does not exist on the autopilot", name)
             elif number != known.number:
                 sent += self._write(name, known, number)
         return ParamPushResponse(True, sent)

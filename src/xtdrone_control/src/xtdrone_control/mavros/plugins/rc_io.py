@@ -1,4 +1,4 @@
-"""The radio's channels, and servo and motor outputs."""
+"""RC channels, and servo and motor outputs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _CHANNELS = 18  # of one RC_CHANNELS or RC_CHANNELS_OVERRIDE
 class RcIoPlugin(Plugin):
     """MAVROS's rc_io. Channels are pulse widths in us.
 
-    ``rc/override`` stands in for a radio: the autopilot takes it as COM_RC_IN_MODE says, by the calibration and mapping
-    of its RC parameters, and tells it back as ``rc/in``. ``rc/in`` is RC_CHANNELS; PX4 has no RC_CHANNELS_RAW.
+    ``rc/override`` replaces a radio: the autopilot uses it according to COM_RC_IN_MODE, with the calibration and
+    mapping of its RC parameters, and returns it as ``rc/in``. ``rc/in`` is RC_CHANNELS, as PX4 has no RC_CHANNELS_RAW.
     """
 
     name = "rc_io"
@@ -37,7 +37,7 @@ class RcIoPlugin(Plugin):
 
     def _on_channels(self, radio: Any) -> None:
         if radio.chancount > _CHANNELS:
-            self.uas.warn("rc/in", "rc/in: the radio has %d channels, %d of them come", radio.chancount, _CHANNELS)
+            self.uas.warn("rc/in", "rc/in: the radio has %d channels, %d are published", radio.chancount, _CHANNELS)
         message = self._in.message
         self.uas.stamp(message.header, radio.time_boot_ms)
         message.rssi = radio.rssi

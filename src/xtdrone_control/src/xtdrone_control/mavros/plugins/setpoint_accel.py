@@ -15,7 +15,7 @@ _TOPIC = "setpoint_accel/accel"
 class SetpointAccelPlugin(Plugin):
     """MAVROS's setpoint_accel: an acceleration (m/s^2, ENU), or a force (N) with ``setpoint_accel/send_force``.
 
-    PX4 refuses forces.
+    PX4 rejects forces.
     """
 
     name = "setpoint_accel"

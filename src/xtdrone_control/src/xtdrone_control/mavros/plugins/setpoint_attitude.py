@@ -1,4 +1,4 @@
-"""Attitude or body-rate setpoints with a thrust from another topic."""
+"""Attitude or body-rate setpoints, with the thrust from another topic."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from xtdrone_control.mavros.uas import Uas
 
 _ATTITUDE, _RATES, _THRUST = "setpoint_attitude/attitude", "setpoint_attitude/cmd_vel", "setpoint_attitude/thrust"
 _SETPOINT_SIDE, _THRUST_SIDE = 0, 1
-_LEAST_NORM = 1e-6  # of a quaternion that says something
+_LEAST_NORM = 1e-6  # of a valid quaternion
 
 
 class SetpointAttitudePlugin(Plugin):
-    """MAVROS's setpoint_attitude: ``cmd_vel``, or ``attitude`` if ``setpoint_attitude/use_quaternion`` says so.
+    """MAVROS's setpoint_attitude: ``cmd_vel``, or ``attitude`` with ``setpoint_attitude/use_quaternion``.
 
-    The angular part of ``cmd_vel`` is body rates (rad/s, FLU); the orientation of ``attitude`` is FLU to ENU of any
-    length, its position does not count. Each is sent with the ``thrust`` whose stamp fits best; without one nothing is
-    sent. Thrust is 0..1, with ``setpoint_attitude/reverse_thrust`` -1..1. With ``setpoint_attitude/tf/listen`` the
-    attitude is that of a frame on /tf and goes out with each thrust; there are no other topics then.
+    The angular part of ``cmd_vel`` is body rates (rad/s, FLU). The orientation of ``attitude`` is FLU to ENU with any
+    norm; its position is ignored. Each is sent with the ``thrust`` of the closest stamp, or not at all without one.
+    Thrust is 0..1, with ``setpoint_attitude/reverse_thrust`` -1..1. With ``setpoint_attitude/tf/listen`` the attitude
+    is that of a frame on /tf and is sent with each thrust; there are no other topics then.
     """
 
     name = "setpoint_attitude"
@@ -52,7 +52,7 @@ class SetpointAttitudePlugin(Plugin):
         uas.subscribe(_THRUST, Thrust, self._thrust)
 
     def connected(self, connected: bool) -> None:
-        """Forget what waits for its partner: the vehicle has gone, or was set back."""
+        """Drop unpaired messages after the vehicle was lost or reset."""
         self._pairing.clear()
         if self._listener is not None:
             self._listener.clear()
@@ -65,22 +65,22 @@ class SetpointAttitudePlugin(Plugin):
             text = "%s: pose.orientation is zero, which is no attitude; the message is not forwarded"
             self.uas.warn(_ATTITUDE, text, _ATTITUDE)
             return
-        self._take(_SETPOINT_SIDE, pose)
+        self._pair(_SETPOINT_SIDE, pose)
 
     def _rates(self, twist: TwistStamped) -> None:
         if self.uas.finite(_RATES, vector_fields("twist.angular", twist.twist.angular)):
-            self._take(_SETPOINT_SIDE, twist)
+            self._pair(_SETPOINT_SIDE, twist)
 
     def _thrust(self, message: Thrust) -> None:
         if not self._least_thrust <= message.thrust <= 1.0:
             text = "%s: thrust is %s; %g to 1 is allowed; the message is not forwarded"
             self.uas.warn(_THRUST, text, _THRUST, message.thrust, self._least_thrust)
         elif self._listener is None:
-            self._take(_THRUST_SIDE, message)
+            self._pair(_THRUST_SIDE, message)
         elif (transform := self._listener.latest()) is not None:
             self._send_attitude(transform.header, transform.transform.rotation, message.thrust)
 
-    def _take(self, side: int, message: Any) -> None:
+    def _pair(self, side: int, message: Any) -> None:
         for setpoint, thrust in self._pairing.add(side, message.header.stamp.to_nsec(), message):
             if self._use_quaternion:
                 self._send_attitude(setpoint.header, setpoint.pose.orientation, thrust.thrust)

@@ -1,4 +1,4 @@
-"""Position setpoints as poses, local and on Earth."""
+"""Position setpoints as poses, local and global."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
 _GOAL = "setpoint_position/global_to_local"
-_APART_MS = 500  # at most, the vehicle's local and its global position
-_LOOK_PERIOD = 1.0  # s between looks for a goal that waits, and whether any have come
-_QUIET_LOOKS = 10  # without a goal, after which the vehicle's position is not wanted any more
+_APART_MS = 500  # maximum time between the local and the global position
+_CHECK_PERIOD = 1.0  # s between checks for a waiting goal and for idleness
+_QUIET_CHECKS = 10  # checks without a goal after which the vehicle's position is no longer requested
 
 
 class SetpointPositionPlugin(Plugin):
-    """MAVROS's setpoint_position: a position and the yaw of the orientation.
+    """MAVROS's setpoint_position: a position, and the yaw of the orientation.
 
-    ``local`` is metres ENU. ``global`` is sent as it is, its altitude above mean sea level as PX4 takes it.
-    ``global_to_local`` is turned here into a local position: the vehicle's own plus the way from its place on Earth to
-    the goal's. Heights on both are those of ``global_position/global``. Goals make the plugin ask the autopilot for the
-    vehicle's position; each is sent when that has come, the latest alone if there are several. (MAVROS sends at once,
-    in the beginning from where it believes to be, and leaves out a goal without a newer stamp.)
+    ``local`` is metres ENU. ``global`` is sent unchanged, with its altitude above mean sea level as PX4 expects.
+    ``global_to_local`` is converted here to a local position: the vehicle's local position plus the offset from its
+    global position to the goal. Both altitudes are those of ``global_position/global``. A goal makes the plugin request
+    the vehicle's position and is sent when that has arrived; of several goals, only the latest is sent. (MAVROS sends
+    at once, at first from a default position, and ignores a goal without a newer stamp.)
 
     With ``setpoint_position/tf/listen`` the position is that of a frame on /tf, and there are no topics.
     """
@@ -46,9 +46,9 @@ class SetpointPositionPlugin(Plugin):
         """Subscribe."""
         super().__init__(uas)
         self._frame = MavFrame(uas, self.name)
-        self._goal: GeoPoseStamped | None = None  # waits for the vehicle's position
-        self._waits_long = False  # and has done so when last looked
-        self._quiet = 0  # looks since the last goal
+        self._goal: GeoPoseStamped | None = None  # waiting for the vehicle's position
+        self._waits_long = False  # whether the goal was already waiting at the last check
+        self._quiet = 0  # checks since the last goal
         self._place, self._local_position = Feed(self._on_place), Feed(None)
         self.messages = {"GLOBAL_POSITION_INT": self._place, "LOCAL_POSITION_NED": self._local_position}
         self._listener = None
@@ -57,11 +57,11 @@ class SetpointPositionPlugin(Plugin):
             return
         uas.subscribe("setpoint_position/local", PoseStamped, self._local)
         uas.subscribe("setpoint_position/global", GeoPoseStamped, self._global)
-        uas.subscribe(_GOAL, GeoPoseStamped, self._take_goal)
-        uas.timer(_LOOK_PERIOD, self._look)
+        uas.subscribe(_GOAL, GeoPoseStamped, self._store_goal)
+        uas.timer(_CHECK_PERIOD, self._check_goal)
 
     def connected(self, connected: bool) -> None:
-        """Forget a goal whose vehicle has gone, or was set back."""
+        """Drop the goal after the vehicle was lost or reset."""
         self._goal, self._waits_long = None, False
         if self._listener is not None:
             self._listener.clear()
@@ -93,33 +93,33 @@ class SetpointPositionPlugin(Plugin):
             )
         )
 
-    def _take_goal(self, pose: GeoPoseStamped) -> None:
+    def _store_goal(self, pose: GeoPoseStamped) -> None:
         if not self._finite(_GOAL, _place_fields(pose), pose):
             return
         place = pose.pose.position
         if abs(place.latitude) > 90.0 or abs(place.longitude) > 180.0:
-            text = "%s: latitude %s, longitude %s are no place; the message is not forwarded"
+            text = "%s: latitude %s, longitude %s is not a valid position; the message is not forwarded"
             self.uas.warn(_GOAL, text, _GOAL, place.latitude, place.longitude)
             return
         self._goal, self._quiet = pose, 0
-        self._want_place(True)
+        self._request_position(True)
 
-    def _want_place(self, wanted: bool) -> None:
-        """Ask the autopilot for the vehicle's position, or no more."""
+    def _request_position(self, wanted: bool) -> None:
+        """Request the vehicle's position, or stop requesting it."""
         if wanted != self._place.always:
             self._place.always = self._local_position.always = wanted
             self.uas.refresh()
 
-    def _look(self) -> None:
+    def _check_goal(self) -> None:
         if self._waits_long:
-            self.uas.warn(_GOAL, "%s: a goal waits: the vehicle's place on Earth does not come", _GOAL)
+            self.uas.warn(_GOAL, "%s: a goal is waiting: no global position arrives from the vehicle", _GOAL)
         self._waits_long = self._goal is not None
         self._quiet += 1
-        if self._quiet > _QUIET_LOOKS and self._goal is None:
-            self._want_place(False)
+        if self._quiet > _QUIET_CHECKS and self._goal is None:
+            self._request_position(False)
 
     def _on_place(self, place: Any) -> None:
-        """Send the goal that waits, seen from the vehicle's place (GLOBAL_POSITION_INT)."""
+        """Send the waiting goal, relative to the vehicle's position (GLOBAL_POSITION_INT)."""
         pose = self._goal
         if pose is None:
             return
@@ -137,7 +137,7 @@ class SetpointPositionPlugin(Plugin):
             self._send(position, pose)
 
     def _send(self, position: frames.Vector, pose: PoseStamped | GeoPoseStamped) -> None:
-        """Send a local position (m, ENU or FLU as the frame is) with stamp and yaw of a pose."""
+        """Send a local position (m, ENU or FLU depending on the frame) with the stamp and yaw of a pose."""
         time_boot_ms = self.uas.boot_ms(pose.header)
         self.uas.link.send(
             position_target(

@@ -1,4 +1,4 @@
-"""Setpoints with MAVLink's own masks and frames, and the autopilot's current targets."""
+"""Setpoints with MAVLink's type masks and frames, and the autopilot's current targets."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ _GLOBAL_FRAMES = (
 class SetpointRawPlugin(Plugin):
     """MAVROS's setpoint_raw: local, global and attitude in; target_local, target_global and target_attitude out.
 
-    Altitudes of ``global`` and ``target_global`` are the autopilot's: above mean sea level, or above what
-    ``coordinate_frame`` says. Thrust is multiplied by ``setpoint_raw/thrust_scaling`` and cut to 0..1.
+    Altitudes of ``global`` and ``target_global`` are the autopilot's: above mean sea level, or above the reference of
+    ``coordinate_frame``. Thrust is multiplied by ``setpoint_raw/thrust_scaling`` and limited to 0..1.
     """
 
     name = "setpoint_raw"
@@ -100,7 +100,7 @@ class SetpointRawPlugin(Plugin):
         )
 
     def _accepts(self, topic: str, target: Any, allowed: Sequence[int], place: list[tuple[str, float]]) -> bool:
-        """Return whether a target's frame is allowed and what it does not mask out is finite; otherwise warn."""
+        """Return whether a target's frame is allowed and its unmasked fields are finite; otherwise warn."""
         if target.coordinate_frame in allowed:
             return self.uas.finite(topic, _used_fields(target, place))
         text = "%s: coordinate_frame %d is not allowed, %s are; the setpoint is not forwarded"
@@ -142,13 +142,13 @@ class SetpointRawPlugin(Plugin):
         self._target_global.publish(message)
 
     def _fill(self, message: Any, target: Any) -> None:
-        """Fill in what a local and a global target have in common."""
+        """Fill in the fields common to local and global targets."""
         self.uas.stamp(message.header, target.time_boot_ms)
         message.coordinate_frame = target.coordinate_frame
         message.type_mask = target.type_mask
         set_xyz(message.velocity, frames.ned_to_enu(target.vx, target.vy, target.vz))
         set_xyz(message.acceleration_or_force, frames.ned_to_enu(target.afx, target.afy, target.afz))
-        # A yaw that is not controlled is NaN.
+        # An uncontrolled yaw is NaN.
         message.yaw = frames.yaw_ned_to_enu(target.yaw) if target.yaw == target.yaw else target.yaw
         message.yaw_rate = -target.yaw_rate
 
@@ -165,7 +165,7 @@ class SetpointRawPlugin(Plugin):
 
 
 def _used_fields(target: Any, place: list[tuple[str, float]]) -> list[tuple[str, float]]:
-    """Return (field, value) of what a local or global target does not mask out; ``place`` has its first three."""
+    """Return (field, value) of a target's unmasked fields; ``place`` has the first three."""
     fields = place + vector_fields("velocity", target.velocity)
     fields += vector_fields("acceleration_or_force", target.acceleration_or_force)
     used = [field for bit, field in enumerate(fields) if not target.type_mask >> bit & 1]

@@ -1,4 +1,4 @@
-"""A whole trajectory, sent point by point as its time comes."""
+"""A trajectory, sent point by point at the points' times."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from xtdrone_control.mavros.uas import Uas
 _TOPIC = "setpoint_trajectory/local"
 _EVERY_STEP = 0.0  # s
 _ZERO = (0.0, 0.0, 0.0)
-# bits of the mask for what a point lacks
+# bits of the mask for fields that a point lacks
 _NO_TRANSFORM, _NO_VELOCITY, _NO_ACCELERATION = 1 << 10 | 7, 1 << 11 | 7 << 3, 7 << 6
 
 
 class SetpointTrajectoryPlugin(Plugin):
     """MAVROS's setpoint_trajectory: the first joint of each point is the vehicle.
 
-    A point is sent once when its ``time_from_start`` has passed since the trajectory came; of those that are due in one
-    step of the node, the last. A new trajectory replaces the old one. What a point has none of (transforms, velocities,
-    accelerations) it leaves to the autopilot. Vectors are ENU, or FLU in the body frames of ``mav_frame``; the yaw rate
-    is about the upward axis.
+    A point is sent once, when its ``time_from_start`` has passed since the trajectory was received; if several are due
+    in one step of the node, only the last is sent. A new trajectory replaces the old one. Quantities that a point lacks
+    (transforms, velocities, accelerations) are masked out. Vectors are ENU, or FLU in the body frames of ``mav_frame``;
+    the yaw rate is about the upward axis.
 
-    MAVROS waits for each point's ``time_from_start`` after the point before it, where ROS counts it from the start of
-    the trajectory, and sends the yaw rate with the opposite sign; here both are as ROS says.
+    MAVROS waits for each point's ``time_from_start`` after the previous point, although ROS defines it from the start
+    of the trajectory, and negates the yaw rate; here both follow ROS.
     """
 
     name = "setpoint_trajectory"
@@ -43,21 +43,21 @@ class SetpointTrajectoryPlugin(Plugin):
         self._frame = MavFrame(uas, self.name)
         self._desired = uas.topic("setpoint_trajectory/desired", Path())
         self._desired.message.header.frame_id = uas.params.get("setpoint_trajectory/frame_id", "map")
-        self._points: list[MultiDOFJointTrajectoryPoint] = []  # not sent yet
+        self._points: list[MultiDOFJointTrajectoryPoint] = []  # pending
         self._start_ns = 0
-        self._lock = Lock()  # reset comes in a thread of its own
-        uas.subscribe(_TOPIC, MultiDOFJointTrajectory, self._take)
+        self._lock = Lock()  # the reset service runs in another thread
+        uas.subscribe(_TOPIC, MultiDOFJointTrajectory, self._start)
         uas.service("setpoint_trajectory/reset", Trigger, self._reset)
         uas.timer(_EVERY_STEP, self._step)
 
     def connected(self, connected: bool) -> None:
-        """Forget the trajectory: the vehicle has gone, or was set back."""
+        """Drop the trajectory after the vehicle was lost or reset."""
         self._points = []
 
-    def _take(self, trajectory: MultiDOFJointTrajectory) -> None:
+    def _start(self, trajectory: MultiDOFJointTrajectory) -> None:
         points = trajectory.points
         if not points:
-            self.uas.warn(_TOPIC, "%s: there are no points; the trajectory is not flown", _TOPIC)
+            self.uas.warn(_TOPIC, "%s: the trajectory has no points and is not flown", _TOPIC)
             return
         fields = [field for index, point in enumerate(points) for field in _fields(f"points[{index}]", point)]
         if not self.uas.finite(_TOPIC, fields):
@@ -65,7 +65,7 @@ class SetpointTrajectoryPlugin(Plugin):
         with self._lock:
             self._start_ns = self.uas.ros.now_ns()
             self._points = list(points)
-        if self._desired.taken:
+        if self._desired.needed:
             self._publish(points)
 
     def _publish(self, points: list[MultiDOFJointTrajectoryPoint]) -> None:
@@ -75,11 +75,11 @@ class SetpointTrajectoryPlugin(Plugin):
         self._desired.publish(path)
 
     def _step(self) -> None:
-        if self._points and (point := self._take_due()) is not None:
+        if self._points and (point := self._pop_due()) is not None:
             self._send(point)
 
-    def _take_due(self) -> MultiDOFJointTrajectoryPoint | None:
-        """Take off the points whose time has come and return the last of them."""
+    def _pop_due(self) -> MultiDOFJointTrajectoryPoint | None:
+        """Remove the points that are due and return the last of them."""
         with self._lock:
             points, elapsed_ns = self._points, self.uas.now_ns - self._start_ns
             due = 0
@@ -118,7 +118,7 @@ class SetpointTrajectoryPlugin(Plugin):
 
 
 def _fields(name: str, point: MultiDOFJointTrajectoryPoint) -> list[tuple[str, float]]:
-    """Return (field, value) of what is sent of a point."""
+    """Return (field, value) of the fields sent for a point."""
     fields = []
     for transform in point.transforms[:1]:
         fields += vector_fields(f"{name}.transforms[0].translation", transform.translation)

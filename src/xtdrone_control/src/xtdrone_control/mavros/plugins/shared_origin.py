@@ -1,9 +1,8 @@
-"""One local frame for all PX4s of a simulation: each is moved from its own spawn place to the world's origin.
+"""Common local frame for all PX4 instances of a simulation: moves each origin from its spawn point to the world's.
 
-PX4's local frame begins where its estimator got its first position. The simulator's parameter
-``/xtdrone/shared_origin`` (latitude and longitude in degrees, altitude in m AMSL) says where all are to begin; without
-it nothing is sent, as with our own autopilots, whose frames begin at the world's origin anyway. Real MAVROS has nothing
-like this.
+PX4's local frame starts at the first position of its estimator. The simulator's parameter ``/xtdrone/shared_origin``
+(latitude and longitude in degrees, altitude in m AMSL) sets the common origin. Without it nothing is sent, as for the
+built-in autopilots, whose frames start at the world's origin anyway. Real MAVROS has no equivalent.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from xtdrone_control.mavros.uas import Uas
 log = logging.getLogger("rosout.mavros")
 
 PARAMETER = "/xtdrone/shared_origin"
-PERIOD = 0.5  # s of ROS time between two questions or tries
+PERIOD = 0.5  # s of ROS time between requests or attempts
 MOST_TRIES = 10
-_MOST_DEGREES = 1  # 1e-7 deg, a centimetre: what is lost between degrees and the radians that PX4 keeps
-_MOST_HEIGHT = 10  # mm; PX4 does not move its frame by less
+_MOST_DEGREES = 1  # 1e-7 deg, about a centimetre: rounding between degrees and PX4's radians
+_MOST_HEIGHT = 10  # mm; PX4 ignores smaller changes
 
 
 class Origin(NamedTuple):
@@ -36,11 +35,11 @@ class Origin(NamedTuple):
     altitude: int
 
     def __str__(self) -> str:
-        """Return it for a log."""
+        """Return the origin for log messages."""
         return f"{self.latitude * 1e-7:.7f} deg, {self.longitude * 1e-7:.7f} deg, {self.altitude * 1e-3:.3f} m AMSL"
 
     def agrees(self, other: Origin) -> bool:
-        """Return whether both are one place, to a centimetre."""
+        """Return whether both origins are equal to a centimetre."""
         return (
             abs(self.latitude - other.latitude) <= _MOST_DEGREES
             and abs(self.longitude - other.longitude) <= _MOST_DEGREES
@@ -49,10 +48,10 @@ class Origin(NamedTuple):
 
 
 def parse_origin(value: Any) -> Origin | None:
-    """Return what ``/xtdrone/shared_origin`` says, None if it is empty.
+    """Parse ``/xtdrone/shared_origin``; return None if it is empty.
 
     Raises:
-        ValueError: it is not a place.
+        ValueError: the value is not a position.
     """
     if not value:
         return None
@@ -69,28 +68,28 @@ def parse_origin(value: Any) -> Origin | None:
 
 
 class SharedOriginPlugin(Plugin):
-    """Asks where the autopilot's local frame begins, and sets its origin until it is the shared one.
+    """Requests the origin of the autopilot's local frame, and sets it until it equals the shared one.
 
-    PX4 says nothing before it has a position. It answers SET_GPS_GLOBAL_ORIGIN at once, before its estimator has acted,
-    so the answer to a try may still be the old origin; some versions do not act at all in the air (PX4's
-    mavlink_receiver.cpp and EKF2.cpp). From the first answer on until the frames agree, or all tries have failed, the
-    vehicle is not armed through this layer.
+    PX4 reports no origin before it has a position. It acknowledges SET_GPS_GLOBAL_ORIGIN immediately, before its
+    estimator acts, so the answer to an attempt may still be the old origin; some versions ignore it in the air (PX4's
+    mavlink_receiver.cpp and EKF2.cpp). From the first answer until the frames agree, or all attempts have failed, this
+    layer does not arm the vehicle.
     """
 
     name = "shared_origin"
 
     def __init__(self, uas: Uas) -> None:
-        """Wait for the autopilot."""
+        """Read the parameter and start the timer."""
         super().__init__(uas)
         self._wanted: Origin | None = None
         self._heard: Origin | None = None
         self._tries = 0
         self._feed = Feed(self._on_origin)
         self.messages = {"GPS_GLOBAL_ORIGIN": self._feed}
-        uas.timer(PERIOD, self._look)
+        uas.timer(PERIOD, self._poll)
 
     def connected(self, connected: bool) -> None:
-        """Begin with an autopilot that is new, or has been rebooted."""
+        """Start over when the autopilot connects or reboots."""
         self._heard, self._tries = None, 0
         self.uas.arming_held = ""
         try:
@@ -113,8 +112,8 @@ class SharedOriginPlugin(Plugin):
         if before is None or not self._wanted.agrees(before):
             log.info("%s: the local frame begins at the shared origin, %s", self.uas.name, self._wanted)
 
-    def _look(self) -> None:
-        """Ask, or set, once a period."""
+    def _poll(self) -> None:
+        """Request or set the origin, once per period."""
         if self._wanted is None:
             return
         if self._heard is None:
@@ -130,7 +129,7 @@ class SharedOriginPlugin(Plugin):
         )
 
     def _try(self, wanted: Origin, heard: Origin) -> None:
-        """Set the origin; after the last try has failed, say so once and let the vehicle go."""
+        """Set the origin; after the last failed attempt, log it once and allow arming."""
         self._tries += 1
         if self._tries <= MOST_TRIES:
             self.uas.link.send(mavlink.MAVLink_set_gps_global_origin_message(self.uas.target[0], *wanted))

@@ -1,6 +1,7 @@
 """State of the autopilot: heartbeat, version, battery, texts, estimator flags; mode and message rates on request.
 
-Beyond MAVROS's: what PX4 tells by events alone is logged, and published with the texts (``refusals``).
+In addition to MAVROS's behaviour, reasons that PX4 reports only as events are logged and published with the texts
+(``refusals``).
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ log = logging.getLogger("rosout.mavros")
 
 _NS = 1_000_000_000
 _NAN = float("nan")
-# s, wall. MAVROS does not wait at all; this keeps the order in a simulation that stands still while the caller waits.
+# s of wall time. MAVROS does not wait; waiting keeps the order in a simulation that stands still meanwhile.
 _MODE_ACK_LIMIT = 0.5
 _VERSION_LIMIT = 2.0  # s, wall, between the ack of the request and the version
 _UINT16_MAX = 65535
 _MAVLINK_VERSION = 3  # the heartbeat's mavlink_version field
 _TEXT_LENGTH = 50  # bytes of a STATUSTEXT
-_CURRENT_UNKNOWN = (-1, -100)  # cA; MAVLink's, and that of PX4, where it is -1 A
+_CURRENT_UNKNOWN = (-1, -100)  # cA; MAVLink's value, and PX4's, which is -1 A
 
 _LOG_LEVELS = {0: log.error, 1: log.error, 2: log.error, 3: log.error, 4: log.warning, 5: log.warning, 6: log.info}
 
@@ -51,7 +52,7 @@ _TECHNOLOGY = {
     mavlink.MAV_BATTERY_TYPE_NIMH: BatteryState.POWER_SUPPLY_TECHNOLOGY_NIMH,
 }
 
-# the same in AUTOPILOT_VERSION and VehicleInfo
+# the fields common to AUTOPILOT_VERSION and VehicleInfo
 _VERSION_FIELDS = (
     "capabilities",
     "flight_sw_version",
@@ -85,16 +86,16 @@ _decode_version = decoder("AUTOPILOT_VERSION")
 class SysStatusPlugin(Plugin):
     """MAVROS's sys_status.
 
-    ``vehicle_info_get`` knows the autopilot alone, and asks for its version when that is first wanted.
+    ``vehicle_info_get`` covers only the autopilot, and requests its version on first use.
     """
 
     name = "sys_status"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise topics and services, begin to send heartbeats.
+        """Advertise topics and services, and start sending heartbeats.
 
         Raises:
-            ParamError: a ``conn/heartbeat_mav_type`` that MAVLink has not.
+            ParamError: ``conn/heartbeat_mav_type`` is not a MAVLink type.
         """
         super().__init__(uas)
         self._timeout_ns = round(uas.params.get("conn/timeout", 10.0) * _NS)
@@ -104,10 +105,10 @@ class SysStatusPlugin(Plugin):
         self._text_parts: list[str] = []
         self._armed = False
         self._booted = False
-        self._heartbeat: Any = None  # the last
+        self._heartbeat: Any = None  # the latest
         self._version: Any = None
         self._version_known = threading.Event()
-        self._info_ns = 0  # when either of them came
+        self._info_ns = 0  # time at which either of them arrived
         self._state = uas.topic("state", State(), latch=True)
         self._extended = uas.topic("extended_state", ExtendedState())
         self._battery = uas.topic("battery", BatteryState())
@@ -134,7 +135,7 @@ class SysStatusPlugin(Plugin):
         uas.timer(min(1.0, self._timeout_ns / _NS), self._check_connection)
 
     def connected(self, connected: bool) -> None:
-        """Publish the state of an autopilot that is lost: not connected, not armed, no mode; forget its version."""
+        """Publish the state after a loss (not connected, not armed, no mode), and drop the version."""
         self._version = None
         self._version_known.clear()
         if not connected:
@@ -192,7 +193,7 @@ class SysStatusPlugin(Plugin):
         cells = [v / 1000.0 for v in (*battery.voltages, *battery.voltages_ext) if 0 < v < _UINT16_MAX]
         message.voltage = sum(cells) if cells else _NAN
         message.cell_voltage = cells
-        # BatteryState counts a discharging current negative, MAVLink positive
+        # BatteryState counts a discharge current as negative, MAVLink as positive
         unknown = battery.current_battery in _CURRENT_UNKNOWN
         message.current = _NAN if unknown else -battery.current_battery / 100.0
         message.charge = message.capacity = message.design_capacity = _NAN
@@ -233,7 +234,7 @@ class SysStatusPlugin(Plugin):
         self._sys_status.publish(message)
 
     def _on_text(self, status: Any) -> None:
-        """Take a text; a long one comes in parts with the same number, all full but the last."""
+        """Handle a text; a long one arrives in chunks with the same id, all full except the last."""
         text = _text(status.text)
         if status.id:
             if status.chunk_seq == 0:
@@ -242,16 +243,16 @@ class SysStatusPlugin(Plugin):
             if len(text.encode()) == _TEXT_LENGTH:
                 return
             text, self._text_parts = "".join(self._text_parts), []
-        self._tell(status.severity, text)
+        self._publish_text(status.severity, text)
 
     def _on_event(self, event: Any) -> None:
-        for severity, text in self.uas.refusals.take(event, self.uas.now_ns):
-            self._tell(severity, text)
+        for severity, text in self.uas.refusals.process(event, self.uas.now_ns):
+            self._publish_text(severity, text)
 
-    def _tell(self, severity: int, text: str) -> None:
-        """Log and publish a text; a tab at its end says that an event says the same."""
+    def _publish_text(self, severity: int, text: str) -> None:
+        """Log and publish a text; a trailing tab marks a text that is also sent as an event."""
         _LOG_LEVELS.get(severity, log.debug)("%s: FCU: %s", self.uas.name, text.rstrip("\t"))
-        if self._text.taken:
+        if self._text.needed:
             message = self._text.message
             self.uas.stamp_now(message.header)
             message.severity = severity
@@ -265,7 +266,7 @@ class SysStatusPlugin(Plugin):
         self.uas.link.send(mavlink.MAVLink_statustext_message(text.severity, data[:_TEXT_LENGTH]))
 
     def _set_mode(self, request: Any) -> SetModeResponse:
-        """Send SET_MODE; ``mode_sent`` says that it went out, as MAVROS means it, not that the autopilot took it."""
+        """Send SET_MODE; as in MAVROS, ``mode_sent`` means that it was sent, not that the autopilot accepted it."""
         base_mode, custom_mode = request.base_mode, 0
         if request.custom_mode:
             try:
@@ -280,13 +281,13 @@ class SysStatusPlugin(Plugin):
             mavlink.MAV_CMD_DO_SET_MODE, lambda _: message, limit=_MODE_ACK_LIMIT, resends=0
         )
         if result == mavlink.MAV_RESULT_ACCEPTED:
-            self.uas.refusals.custom_mode = custom_mode  # before the next heartbeat says so
+            self.uas.refusals.custom_mode = custom_mode  # before the next heartbeat reports it
         elif result is not None:
             log.warning("%s: set_mode: the autopilot refused %s, result %d", self.uas.name, request.custom_mode, result)
         return SetModeResponse(mode_sent=True)
 
     def _set_message_interval(self, request: Any) -> MessageIntervalResponse:
-        """Set a message's rate in Hz; 0 is the autopilot's own rate, negative switches it off."""
+        """Set a message's rate in Hz; 0 selects the autopilot's default, a negative rate switches it off."""
         rate = request.message_rate
         if not self.uas.finite("set_message_interval", [("message_rate", rate)]):
             return MessageIntervalResponse(success=False)
@@ -312,9 +313,9 @@ class SysStatusPlugin(Plugin):
         return StreamRateResponse()
 
     def _on_version(self, frame: bytes) -> None:
-        """Take AUTOPILOT_VERSION in the receiver thread."""
+        """Handle AUTOPILOT_VERSION in the receiver thread."""
         component = frame[6] if version(frame) == 2 else frame[4]
-        if component == self.uas.target[1]:  # else of a camera, say
+        if component == self.uas.target[1]:  # otherwise it is a camera's, for example
             self._version = _decode_version(frame)
             self._info_ns = self.uas.now_ns
             self._version_known.set()
@@ -329,7 +330,7 @@ class SysStatusPlugin(Plugin):
         return VehicleInfoGetResponse(success=True, vehicles=[self._vehicle_info(heartbeat)] if known else [])
 
     def _request_version(self) -> None:
-        """Ask for the version, and wait for it if the autopilot will tell it."""
+        """Request the version, and wait for it if the autopilot accepts."""
         command = mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES
         result = self.uas.commands.call(
             command,

@@ -1,4 +1,4 @@
-"""The autopilot's clock: the offset that stamps need outside simulation, its status, and the time reference."""
+"""The autopilot's clock: its offset, for stamps outside simulation, its status, and the time reference."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from xtdrone_control.mavros.plugin import Feed, Plugin
 from xtdrone_control.mavros.uas import Uas
 
 _MODES = ("MAVLINK", "NONE")
-_RESTART_NS = 1_000_000_000  # an offset that is off by more than this comes from another clock
+_RESTART_NS = 1_000_000_000  # an offset that differs by more than this belongs to another clock
 
 
 class SysTimePlugin(Plugin):
-    """MAVROS's sys_time, its MAVLink time synchronisation reduced to an exponential average.
+    """MAVROS's sys_time, with time synchronisation by an exponential average.
 
-    In simulation the autopilot's boot time is the ROS time: clocks are compared for ``timesync_status`` alone, while it
-    has subscribers, and no stamp depends on it.
+    In simulation the autopilot's boot time is ROS time: clocks are compared only for ``timesync_status``, while it has
+    subscribers, and no stamp depends on it.
     """
 
     name = "sys_time"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise the topics; begin to exchange TIMESYNC, in simulation while its status is taken.
+        """Advertise the topics and start TIMESYNC; in simulation only while its status has subscribers.
 
         Outside simulation SYSTEM_TIME is sent, too.
 
         Raises:
-            ParamError: a ``time/timesync_mode`` that is not offered.
+            ParamError: ``time/timesync_mode`` is not supported.
         """
         super().__init__(uas)
         self._alpha = uas.params.get("time/timesync_avg_alpha", 0.6)
@@ -41,7 +41,7 @@ class SysTimePlugin(Plugin):
         self._reference = uas.topic("time_reference", TimeReference(source=source))
         self._status = uas.topic("timesync_status", TimesyncStatus())
         self._offset_ns: int | None = None
-        self._stamps = not uas.ros.use_sim_time  # they need the offset
+        self._stamps = not uas.ros.use_sim_time  # whether stamps need the offset
         self.messages = {"SYSTEM_TIME": Feed(self._on_system_time, self._reference)}
         mode = uas.params.get("time/timesync_mode", "MAVLINK")
         if mode not in _MODES:
@@ -54,7 +54,7 @@ class SysTimePlugin(Plugin):
             uas.timer(1.0 / rate, self._send)
 
     def connected(self, connected: bool) -> None:
-        """Forget the offset of an autopilot that may have restarted."""
+        """Drop the offset, as the autopilot may have restarted."""
         if connected:
             self._keep(None)
 
@@ -64,26 +64,26 @@ class SysTimePlugin(Plugin):
             self.uas.time_offset_ns = offset_ns
 
     def _send(self) -> None:
-        if self._stamps or self._status.taken:
+        if self._stamps or self._status.needed:
             self.uas.link.send(mavlink.MAVLink_timesync_message(0, self.uas.ros.now_ns()))
 
     def _send_system_time(self) -> None:
-        """Tell the time of day to an autopilot that has no clock; the boot time is the autopilot's own."""
+        """Send the time of day for an autopilot without a clock; the boot time field is the autopilot's own."""
         self.uas.link.send(mavlink.MAVLink_system_time_message(self.uas.ros.now_ns() // 1000, 0))
 
     def _on_timesync(self, sync: Any) -> None:
         now = self.uas.ros.now_ns()
-        if sync.tc1 == 0:  # the autopilot asks
+        if sync.tc1 == 0:  # a request from the autopilot
             self.uas.link.send(mavlink.MAVLink_timesync_message(now, sync.ts1))
             return
-        observed = (sync.ts1 + now) // 2 - sync.tc1  # the autopilot's answer lies halfway
+        observed = (sync.ts1 + now) // 2 - sync.tc1  # assumes that the answer was sent halfway
         offset = self._offset_ns
         if offset is None or abs(observed - offset) > _RESTART_NS:
             offset = observed
         else:
             offset += round(self._alpha * (observed - offset))
         self._keep(offset)
-        if self._status.taken:
+        if self._status.needed:
             status = self._status.message
             self.uas.stamp_now(status.header)
             status.remote_timestamp_ns = max(sync.tc1, 0)

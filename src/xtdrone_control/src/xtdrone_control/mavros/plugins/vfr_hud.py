@@ -1,4 +1,4 @@
-"""What a pilot's display shows."""
+"""Data for a pilot's head-up display."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Missions, geofences and rally points: services that transfer them, and topics that show what the autopilot has."""
+"""Missions, geofences and rally points: services that transfer them, and topics with the autopilot's lists."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from xtdrone_control.mavros.uas import Uas
 
 log = logging.getLogger("rosout.mavros")
 
-_PUBLISH_PERIOD = 0.1  # s of ROS time between looks whether the list has changed
+_PUBLISH_PERIOD = 0.1  # s of ROS time between checks for a changed list
 
 
 class PlanPlugin(Plugin):
-    """What the three plugins have in common.
+    """Base class of the three plugins.
 
-    The list is published by the main thread, in the order of simulated time; services only leave it there. Unlike
-    MAVROS this asks for no list by itself: ``pull`` fetches what somebody else has laid down.
+    The main thread publishes the list, in the order of simulated time; services only store it. Unlike MAVROS, the
+    plugin fetches no list unasked: ``pull`` fetches a list that another program has uploaded.
     """
 
     kind: ClassVar[int]
@@ -51,7 +51,7 @@ class PlanPlugin(Plugin):
 
     def _push(self, request: Any) -> WaypointPushResponse:
         if request.start_index:
-            log.warning("%s: %s/push: start_index %d: PX4 takes whole lists only", self.uas.name, self.space,
+            log.warning("%s: %s/push: start_index %d: PX4 accepts only complete lists", self.uas.name, self.space,
                         request.start_index)  # fmt: skip
             return WaypointPushResponse(success=False, wp_transfered=0)
         success, transferred = self.uas.plans.push(self.kind, request.waypoints)
@@ -59,7 +59,7 @@ class PlanPlugin(Plugin):
             self._keep(request.waypoints)
         else:
             total = len(request.waypoints)
-            log.warning("%s: %s/push: %d of %d items sent, refused", self.uas.name, self.space, transferred, total)
+            log.warning("%s: %s/push: %d of %d items sent, rejected", self.uas.name, self.space, transferred, total)
         return WaypointPushResponse(success=success, wp_transfered=transferred)
 
     def _pull(self, _: Any) -> WaypointPullResponse:
@@ -101,7 +101,7 @@ class WaypointPlugin(PlanPlugin):
     space = "mission"
 
     def __init__(self, uas: Uas) -> None:
-        """Advertise what missions have besides."""
+        """Advertise the additional topics and services of missions."""
         super().__init__(uas)
         self._reached = uas.topic("mission/reached", WaypointReached(), latch=True)
         self.messages = {

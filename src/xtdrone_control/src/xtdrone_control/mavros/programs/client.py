@@ -1,4 +1,4 @@
-"""What MAVROS's programs share: their common arguments, calls of services, messages of topics, and how they end."""
+"""Common parts of MAVROS's programs: arguments, service calls, topic messages and exit status."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from xtdrone_control.bounded_file import MOST_TEXT, ContentError, read_text
 
 DEFAULT_NAMESPACE = "mavros"
 STANDARD = "-"
-"""In place of a file's name: standard input or output."""
+"""File name that selects standard input or output."""
 
-_WALL_LIMIT = 30.0  # s; ROS's time may stand still
-_SLICE = 0.05  # s between looks at ROS's time
+_WALL_LIMIT = 30.0  # s; ROS time may stand still
+_SLICE = 0.05  # s between reads of ROS time
 _CONNECT_LIMIT = 3.0  # s of wall time for a topic's connection
 _INTERRUPTED = 130
 _RESULTS = (
@@ -39,30 +39,30 @@ Handler = Callable[["Mavros", argparse.Namespace], None]
 
 
 class ProgramError(Exception):
-    """What was asked for was not done: the message is one line."""
+    """The requested action failed; the message is one line."""
 
 
 def result_words(result: int) -> str:
-    """Return a MAV_RESULT as number and word."""
+    """Return a MAV_RESULT as number and name."""
     return f"{result} ({_RESULTS[result]})" if result < len(_RESULTS) else str(result)
 
 
-class Ear:
-    """A subscription whose messages wait to be taken."""
+class Subscription:
+    """A subscription that queues its messages."""
 
     def __init__(self, topic: str, kind: type) -> None:
         """Subscribe.
 
         Args:
-            topic: its absolute name.
-            kind: its message type.
+            topic: absolute topic name.
+            kind: message type.
         """
-        # No SimpleQueue: Python 3.11's waits for ever when a signal's handler takes longer than the time-out.
+        # Not SimpleQueue: Python 3.11's blocks forever if a signal handler runs longer than the timeout.
         self._messages: queue.Queue[Any] = queue.Queue()
         self._subscriber = rospy.Subscriber(topic, kind, self._messages.put, queue_size=100, tcp_nodelay=True)
 
     def connected(self) -> bool:
-        """Wait until there is a publisher, 3 s at most, and return whether there is."""
+        """Wait for a publisher, at most 3 s; return whether there is one."""
         end = time.monotonic() + _CONNECT_LIMIT
         while not self._subscriber.get_num_connections():
             if time.monotonic() > end or rospy.is_shutdown():
@@ -71,12 +71,12 @@ class Ear:
         return True
 
     def next(self, limit: float | None, fits: Callable[[Any], bool] = lambda _: True) -> Any:
-        """Return the next message that fits, None when the time is over.
+        """Return the next message that fits, or None on timeout.
 
         Args:
-            limit: s by the wall's clock and by ROS's, whichever takes longer, and 30 s of wall time at most, for ROS's
-                may stand still; None: any time.
-            fits: says whether it is one that is waited for.
+            limit: timeout in s of wall time and of ROS time, whichever takes longer, at most 30 s of wall time, as ROS
+                time may stand still; None: no timeout.
+            fits: predicate that selects the messages.
         """
         begun, ros_begun = time.monotonic(), 0.0
         while not rospy.is_shutdown():
@@ -88,7 +88,7 @@ class Ear:
                 if fits(message):
                     return message
             waited = time.monotonic() - begun
-            ros_begun = ros_begun or rospy.get_time()  # 0 until /clock has come
+            ros_begun = ros_begun or rospy.get_time()  # 0 until the first /clock
             if limit is not None and waited > limit and (waited > _WALL_LIMIT or rospy.get_time() - ros_begun > limit):
                 return None
         return None
@@ -99,37 +99,37 @@ class Ear:
 
 
 class Mavros:
-    """The MAVROS that a program speaks to.
+    """The MAVROS instance that a program uses.
 
     Attributes:
-        namespace: absolute, as ``/iris_0/mavros``.
-        verbose: say more.
+        namespace: absolute, e.g. ``/iris_0/mavros``.
+        verbose: print progress.
     """
 
     def __init__(self, namespace: str, verbose: bool = False) -> None:
-        """Note whom to speak to.
+        """Set the namespace.
 
         Args:
             namespace: with or without the leading slash.
-            verbose: say more.
+            verbose: print progress.
         """
         self.namespace = "/" + namespace.strip("/")
         self.verbose = verbose
 
     def topic(self, name: str) -> str:
-        """Return the absolute name of a topic, service or parameter of MAVROS."""
+        """Return the absolute name of a MAVROS topic, service or parameter."""
         return f"{self.namespace}/{name}"
 
     def note(self, text: str) -> None:
-        """Print a line that only a verbose program prints."""
+        """Print a line if the program is verbose."""
         if self.verbose:
             print(text, flush=True)
 
     def call(self, service: str, kind: Any, **fields: Any) -> Any:
-        """Call a service of MAVROS.
+        """Call a MAVROS service.
 
         Raises:
-            ProgramError: it is not offered, does not answer, or a field does not fit into its type.
+            ProgramError: the service is not offered or does not answer, or a field does not fit into its type.
         """
         name = self.topic(service)
         if not _is_offered(name):
@@ -142,36 +142,36 @@ class Mavros:
             raise ProgramError(f"{name}: {_line(error)}") from error
 
     def command(self, service: str, kind: Any, **fields: Any) -> None:
-        """Call a service of the kind whose answer is the autopilot's acknowledgement.
+        """Call a service whose response reports the autopilot's acknowledgement.
 
         Raises:
-            ProgramError: see :meth:`call`; or the command was not accepted.
+            ProgramError: as for :meth:`call`, or the command was not accepted.
         """
         answer = self.call(service, kind, **fields)
         if not answer.success:
-            told = f", MAV_RESULT {result_words(answer.result)}" if hasattr(answer, "result") else ""
-            raise ProgramError(f"{service}: the vehicle has not accepted it{told}; MAVROS's log says more")
+            detail = f", MAV_RESULT {result_words(answer.result)}" if hasattr(answer, "result") else ""
+            raise ProgramError(f"{service}: the vehicle has not accepted the command{detail}; see MAVROS's log")
         self.note(f"Command ACK: {getattr(answer, 'result', 0)}")
 
-    def ear(self, topic: str, kind: type) -> Ear:
-        """Subscribe to a topic of MAVROS."""
-        return Ear(self.topic(topic), kind)
+    def subscribe(self, topic: str, kind: type) -> Subscription:
+        """Subscribe to a MAVROS topic."""
+        return Subscription(self.topic(topic), kind)
 
     def wait_connected(self) -> None:
-        """Wait until MAVROS is connected to the vehicle, for any time.
+        """Wait, without a timeout, until MAVROS is connected to the vehicle.
 
         Raises:
-            ProgramError: the program is to end.
+            ProgramError: the program was interrupted.
         """
-        ear = self.ear("state", State)
-        connected = ear.next(None, lambda state: state.connected)
-        ear.close()
+        subscription = self.subscribe("state", State)
+        connected = subscription.next(None, lambda state: state.connected)
+        subscription.close()
         if connected is None:
-            raise ProgramError("ended while waiting for the vehicle's connection")
+            raise ProgramError("interrupted while waiting for the vehicle's connection")
 
 
 def new_parser(description: str) -> argparse.ArgumentParser:
-    """Return a parser that has the arguments of every program."""
+    """Return a parser with the arguments common to all programs."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
         "-n", "--mavros-ns", default=DEFAULT_NAMESPACE, help="MAVROS's namespace, as iris_0/mavros (%(default)s)"
@@ -182,11 +182,11 @@ def new_parser(description: str) -> argparse.ArgumentParser:
 
 
 def execute(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
-    """Do what a command line asks; the process is a ROS node already.
+    """Execute a command line; the process is already a ROS node.
 
     Raises:
-        ProgramError: it was not done.
-        SystemExit: the command line is wrong, or asks for help.
+        ProgramError: the requested action failed.
+        SystemExit: the command line is invalid, or requests help.
     """
     found = parser.parse_args(arguments)
     mavros = Mavros(found.mavros_ns, found.verbose)
@@ -198,11 +198,11 @@ def execute(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
 def main(name: str, parser: argparse.ArgumentParser) -> int:
     """Run a program with the process's arguments; return its exit status.
 
-    0: done; 1: not done, with the reason on standard error; 2: a wrong command line.
+    0: success; 1: failure, with the reason on standard error; 2: invalid command line.
     """
     arguments = rospy.myargv(sys.argv)[1:]
     parser.prog = name
-    parser.parse_args(arguments)  # a wrong one, or --help, needs no master
+    parser.parse_args(arguments)  # reports an invalid command line or --help without a master
     try:
         if not rosgraph.is_master_online():
             raise ProgramError(f"no ROS master answers at {rosgraph.get_master_uri()}: start a launch file first")
@@ -217,10 +217,10 @@ def main(name: str, parser: argparse.ArgumentParser) -> int:
 
 
 def read_file(name: str) -> str:
-    r"""Return the text of a file, or of standard input for ``-``, with ``\n`` at the lines' ends.
+    r"""Return the text of a file, or of standard input for ``-``, with line endings converted to ``\n``.
 
     Raises:
-        ProgramError: it cannot be read, or is too large.
+        ProgramError: the file cannot be read, or is too large.
     """
     if name == STANDARD:
         text = sys.stdin.read(MOST_TEXT + 1)
@@ -237,7 +237,7 @@ def write_file(name: str, text: str) -> None:
     """Write a file, or to standard output for ``-``.
 
     Raises:
-        ProgramError: it cannot be written.
+        ProgramError: the file cannot be written.
     """
     if name == STANDARD:
         sys.stdout.write(text)
@@ -262,7 +262,7 @@ def _is_offered(service: str) -> bool:
 
 
 def _advice(namespace: str) -> str:
-    """Return where there is a MAVROS, if there is none in the namespace."""
+    """Return a hint at existing MAVROS namespaces if there is none in ``namespace``."""
     states = [name for name, kind in rospy.get_published_topics() if kind == State._type]
     found = sorted(name.removesuffix("/state") for name in states if name.endswith("/state"))
     if namespace in found:

@@ -1,4 +1,4 @@
-"""``mavcmd``: send the vehicle a command: any, home, takeoff, landing, camera trigger."""
+"""``mavcmd``: send the vehicle a command: any command, home, takeoff, landing, camera trigger."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mavros_msgs.srv import (
 )
 from sensor_msgs.msg import NavSatFix
 
-from .client import Ear, Mavros, ProgramError, new_parser
+from .client import Mavros, ProgramError, Subscription, new_parser
 from .client import main as run_program
 
 _FIX_LIMIT = 10.0  # s, as MAVROS's
@@ -24,22 +24,22 @@ _PLACE = {"latitude": "degrees", "longitude": "degrees", "altitude": "m AMSL"}
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the program's command line."""
+    """Return the command-line parser."""
     found = new_parser("Send a command to the vehicle.")
     verbs = found.add_subparsers(required=True, metavar="VERB")
 
     verb = verbs.add_parser("long", help="any command, as COMMAND_LONG")
     verb.set_defaults(run=_long)
-    verb.add_argument("-c", "--confirmation", action="store_true", help="the field confirmation is 1")
-    verb.add_argument("-b", "--broadcast", action="store_true", help="to all systems, without an answer")
+    verb.add_argument("-c", "--confirmation", action="store_true", help="set the field confirmation to 1")
+    verb.add_argument("-b", "--broadcast", action="store_true", help="send to all systems, expect no answer")
     verb.add_argument("command", type=int, help="MAV_CMD's number")
     _add_numbers(verb, _PARAMS)
 
     verb = verbs.add_parser("int", help="any command, as COMMAND_INT")
     verb.set_defaults(run=_int)
-    verb.add_argument("-c", "--current", action="store_true", help="the field current is 1")
-    verb.add_argument("-a", "--autocontinue", action="store_true", help="the field autocontinue is 1")
-    verb.add_argument("-f", "--frame", type=int, default=3, help="MAV_FRAME's number (%(default)s)")
+    verb.add_argument("-c", "--current", action="store_true", help="set the field current to 1")
+    verb.add_argument("-a", "--autocontinue", action="store_true", help="set the field autocontinue to 1")
+    verb.add_argument("-f", "--frame", type=int, default=3, help="MAV_FRAME number (%(default)s)")
     verb.add_argument("command", type=int, help="MAV_CMD's number")
     _add_numbers(verb, _PARAMS[:4])
     verb.add_argument("x", type=int, help="latitude, degrees * 1e7, or x, m * 1e4")
@@ -48,17 +48,17 @@ def parser() -> argparse.ArgumentParser:
 
     verb = verbs.add_parser("sethome", help="set the home position")
     verb.set_defaults(run=_set_home)
-    verb.add_argument("-c", "--current-gps", action="store_true", help="where the vehicle is; give 0 0 0 as place")
+    verb.add_argument("-c", "--current-gps", action="store_true", help="use the current position; pass 0 0 0")
     _add_numbers(verb, _PLACE)
 
     for name, words, numbers in (("takeoff", "take off", ("min_pitch", "yaw")), ("land", "land", ("yaw",))):
-        verb = verbs.add_parser(name, help=f"{words} at a place")
+        verb = verbs.add_parser(name, help=f"{words} at a given position")
         verb.set_defaults(run=_go, service=name)
         _add_numbers(verb, numbers)
         _add_numbers(verb, _PLACE)
-        verb = verbs.add_parser(f"{name}cur", help=f"{words} where the vehicle is")
+        verb = verbs.add_parser(f"{name}cur", help=f"{words} at the current position")
         verb.set_defaults(run=_go_here, service=name)
-        verb.add_argument("-a", "--any-gps", action="store_true", help="take the place from any NavSatFix topic")
+        verb.add_argument("-a", "--any-gps", action="store_true", help="read the position from any NavSatFix topic")
         _add_numbers(verb, (*numbers, "altitude"))
 
     verb = verbs.add_parser("trigger_control", help="switch the camera trigger")
@@ -66,7 +66,7 @@ def parser() -> argparse.ArgumentParser:
     group = verb.add_mutually_exclusive_group()
     group.add_argument("-e", "--enable", dest="enable", action="store_true", default=True, help="on (default)")
     group.add_argument("-d", "--disable", dest="enable", action="store_false", help="off")
-    verb.add_argument("-c", "--cycle_time", type=float, default=0.0, help="ms between pictures; 0: as it is")
+    verb.add_argument("-c", "--cycle_time", type=float, default=0.0, help="ms between images; 0: unchanged")
     return found
 
 
@@ -118,9 +118,9 @@ def _go(mavros: Mavros, arguments: argparse.Namespace) -> None:
 
 def _go_here(mavros: Mavros, arguments: argparse.Namespace) -> None:
     topic = _fix_topic(mavros, arguments.any_gps)
-    ear = Ear(topic, NavSatFix)
-    fix = ear.next(_FIX_LIMIT)
-    ear.close()
+    subscription = Subscription(topic, NavSatFix)
+    fix = subscription.next(_FIX_LIMIT)
+    subscription.close()
     if fix is None:
         raise ProgramError(f"{topic}: no position within {_FIX_LIMIT:g} s")
     arguments.latitude, arguments.longitude = fix.latitude, fix.longitude
@@ -129,16 +129,16 @@ def _go_here(mavros: Mavros, arguments: argparse.Namespace) -> None:
 
 
 def _fix_topic(mavros: Mavros, any_gps: bool) -> str:
-    """Return a topic that says where the vehicle is.
+    """Return a topic with the vehicle's position.
 
     Raises:
-        ProgramError: there is none.
+        ProgramError: no such topic exists.
     """
     own = [mavros.topic("global_position/global"), mavros.topic("global_position/raw/fix")]
     there = [name for name, kind in rospy.get_published_topics() if kind == NavSatFix._type]
     found = [name for name in own if name in there] or (sorted(there) if any_gps else [])
     if not found:
-        raise ProgramError(f"no topic of type {NavSatFix._type} below {mavros.namespace}; -a takes any other, too")
+        raise ProgramError(f"no topic of type {NavSatFix._type} below {mavros.namespace}; -a accepts any other, too")
     mavros.note(f"Position from {found[0]}")
     return found[0]
 

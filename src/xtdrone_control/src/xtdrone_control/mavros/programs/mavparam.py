@@ -1,4 +1,4 @@
-"""``mavparam``: read and write the autopilot's parameters, one by one or all as a file."""
+"""``mavparam``: read and write the autopilot's parameters, singly or all in a file."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ _OPTIONS = (
     ("-qgc", "--qgroundcontrol", QGC, "QGroundControl's"),
     ("-mavpx", "--mavproxy", MAVPROXY, "MAVProxy's"),
 )
-_MOST_NAMED = 5  # in a message
+_MOST_NAMED = 5  # in an error message
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the program's command line."""
+    """Return the command-line parser."""
     found = new_parser("Read and write the autopilot's parameters.")
     verbs = found.add_subparsers(required=True, metavar="VERB")
 
-    load = verbs.add_parser("load", help="set what a file says")
+    load = verbs.add_parser("load", help="set the parameters in a file")
     load.set_defaults(run=_load)
     load.add_argument("file", help="the file; -: standard input")
-    _add_formats(load, "what the file looks like")
+    _add_formats(load, "detected from the content")
 
     dump = verbs.add_parser("dump", help="write all parameters into a file")
     dump.set_defaults(run=_dump)
     dump.add_argument("file", help="the file; -: standard output")
-    dump.add_argument("-f", "--force", action="store_true", help="ask the autopilot, whatever MAVROS knows already")
+    dump.add_argument("-f", "--force", action="store_true", help="read from the autopilot instead of MAVROS's cache")
     _add_formats(dump, "QGroundControl's for *.txt, else Mission Planner's")
 
     get = verbs.add_parser("get", help="print a parameter")
     get.set_defaults(run=_get)
     get.add_argument("param_id", help="its name")
 
-    change = verbs.add_parser("set", help="set a parameter, and print what it is then")
+    change = verbs.add_parser("set", help="set a parameter and print the resulting value")
     change.set_defaults(run=_set)
     change.add_argument("param_id", help="its name")
-    change.add_argument("value", help="a whole number, or one with a decimal point for a float")
+    change.add_argument("value", help="an integer, or a number with a decimal point for a float")
     return found
 
 
@@ -64,32 +64,32 @@ def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
         values = parameter_formats.read(read_file(name), name, arguments.format)
     except FormatError as error:
         raise ProgramError(str(error)) from error
-    _pull(mavros, False)  # so that MAVROS knows each name and type
+    _pull(mavros, False)  # so that MAVROS has each name and type
     for key, value in values.items():
         rospy.set_param(mavros.topic(f"param/{key}"), value)
     answer = mavros.call("param/push", ParamPush)
     if not answer.success:
-        raise ProgramError("param/push: MAVROS has not sent them; its log says more")
+        raise ProgramError("param/push: MAVROS has not sent the parameters; see MAVROS's log")
     mavros.note(f"Parameters transfered: {answer.param_transfered}")
-    _check_taken(mavros, values)
+    _check_accepted(mavros, values)
 
 
-def _check_taken(mavros: Mavros, values: dict[str, Number]) -> None:
-    """Ask for what was loaded.
+def _check_accepted(mavros: Mavros, values: dict[str, Number]) -> None:
+    """Verify the loaded parameters.
 
     Raises:
-        ProgramError: the autopilot has something else.
+        ProgramError: the autopilot has other values.
     """
     wrong = []
     for name, value in values.items():
         answer = mavros.call("param/get", ParamGet, param_id=name)
         if not answer.success:
-            wrong.append(f"{name} is not there")
+            wrong.append(f"{name} does not exist")
         elif as_float32(_number(answer)) != as_float32(value):
             wrong.append(f"{name} stays {_number(answer)}")
     if wrong:
         named = "; ".join(wrong[:_MOST_NAMED]) + "; ..." * (len(wrong) > _MOST_NAMED)
-        raise ProgramError(f"{len(wrong)} of {len(values)} parameters are not taken: {named}")
+        raise ProgramError(f"{len(wrong)} of {len(values)} parameters were not accepted: {named}")
 
 
 def _dump(mavros: Mavros, arguments: argparse.Namespace) -> None:
@@ -118,24 +118,24 @@ def _set(mavros: Mavros, arguments: argparse.Namespace) -> None:
     asked = ParamValue(real=value) if isinstance(value, float) else ParamValue(integer=value)
     answer = mavros.call("param/set", ParamSet, param_id=arguments.param_id, value=asked)
     if not answer.success:
-        raise ProgramError(f"{arguments.param_id}: the autopilot has not taken {value}; MAVROS's log says more")
+        raise ProgramError(f"{arguments.param_id}: the autopilot has not accepted {value}; see MAVROS's log")
     print(_number(answer))
 
 
 def _pull(mavros: Mavros, force: bool) -> int:
-    """Have MAVROS put all parameters on ROS's parameter server; return how many.
+    """Have MAVROS copy all parameters to the ROS parameter server; return their number.
 
     Raises:
-        ProgramError: it has not got them.
+        ProgramError: the list is incomplete.
     """
     answer = mavros.call("param/pull", ParamPull, force_pull=force)
     if not answer.success:
-        raise ProgramError("param/pull: the autopilot has not told all its parameters; MAVROS's log says more")
+        raise ProgramError("param/pull: the autopilot has not sent all its parameters; see MAVROS's log")
     return int(answer.param_received)
 
 
 def _number(answer: Any) -> Number:
-    """Return the value of a response; MAVROS leaves the one of its two fields that does not count at 0."""
+    """Return the value of a response; MAVROS sets the unused one of its two fields to 0."""
     if answer.value.integer:
         return int(answer.value.integer)
     return float(answer.value.real) if answer.value.real else 0

@@ -1,4 +1,4 @@
-"""``mavsafety``: arm, disarm, stop the motors at once, set the safety area."""
+"""``mavsafety``: arm, disarm, stop the motors immediately, set the safety area."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from mavros_msgs.srv import CommandBool, CommandLong
 from .client import Mavros, ProgramError, new_parser
 from .client import main as run_program
 
-_ARM_DISARM, _FORCE = 400, 21196.0  # MAV_CMD_COMPONENT_ARM_DISARM, and its param2 that lets it act in flight
+_ARM_DISARM, _FORCE = 400, 21196.0  # MAV_CMD_COMPONENT_ARM_DISARM, and its param2 that forces it in flight
 _SUBSCRIBER_LIMIT = 3.0  # s of wall time, as MAVROS's
-_SLICE = 0.05  # s between looks whether there is a subscriber
+_SLICE = 0.05  # s between checks for a subscriber
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the program's command line."""
+    """Return the command-line parser."""
     found = new_parser("Arm and disarm the vehicle, set its safety area.")
     verbs = found.add_subparsers(required=True, metavar="VERB")
     verbs.add_parser("arm", help="arm the motors").set_defaults(run=_arm, arm=True)
     verbs.add_parser("disarm", help="disarm the motors").set_defaults(run=_arm, arm=False)
-    verbs.add_parser("kill", help="stop the motors at once, also in flight").set_defaults(run=_kill)
-    area = verbs.add_parser("safetyarea", help="set the safety area, by two corners")
+    verbs.add_parser("kill", help="stop the motors immediately, even in flight").set_defaults(run=_kill)
+    area = verbs.add_parser("safetyarea", help="set the safety area by two corners")
     area.set_defaults(run=_safety_area)
     for name in ("-p1", "-p2"):
         area.add_argument(name, type=float, nargs=3, metavar=("X", "Y", "Z"), required=True, help="a corner, m")

@@ -1,4 +1,4 @@
-"""``mavsys``: set the flight mode, rates of groups of MAVLink messages, and of single ones."""
+"""``mavsys``: set the flight mode and the rates of MAVLink messages, in groups or singly."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ _STREAMS = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the program's command line."""
+    """Return the command-line parser."""
     found = new_parser("Set flight mode and message rates.")
     verbs = found.add_subparsers(required=True, metavar="VERB")
 
     mode = verbs.add_parser("mode", help="set the flight mode")
     mode.set_defaults(run=_mode)
     group = mode.add_mutually_exclusive_group(required=True)
-    group.add_argument("-b", "--base-mode", type=int, help="MAV_MODE's number, in place of a name")
-    group.add_argument("-c", "--custom-mode", default="", help="a mode's name as in the state topic, or its number")
+    group.add_argument("-b", "--base-mode", type=int, help="MAV_MODE number, instead of a name")
+    group.add_argument("-c", "--custom-mode", default="", help="mode name as in the state topic, or its number")
 
-    rate = verbs.add_parser("rate", help="set the rate of groups of messages, Hz; 0 stops one")
+    rate = verbs.add_parser("rate", help="set the rate of message groups, Hz; 0 stops one")
     rate.set_defaults(run=_rate)
     for name in _STREAMS:
         rate.add_argument(f"--{name}", type=int, metavar="RATE", help=f"of the group {name.upper().replace('-', '_')}")
@@ -43,18 +43,18 @@ def parser() -> argparse.ArgumentParser:
 
     interval = verbs.add_parser("message_interval", help="set the rate of one message")
     interval.set_defaults(run=_message_interval)
-    interval.add_argument("--id", type=int, required=True, help="the MAVLink message's number")
-    interval.add_argument("--rate", type=float, required=True, help="Hz; 0: as by default, -1: none")
+    interval.add_argument("--id", type=int, required=True, help="MAVLink message number")
+    interval.add_argument("--rate", type=float, required=True, help="Hz; 0: default rate, -1: off")
     return found
 
 
 def _mode(mavros: Mavros, arguments: argparse.Namespace) -> None:
     mode, base_mode = arguments.custom_mode.upper(), arguments.base_mode or 0
-    states = mavros.ear("state", State)
+    states = mavros.subscribe("state", State)
     if not mavros.call("set_mode", SetMode, base_mode=base_mode, custom_mode=mode).mode_sent:
-        raise ProgramError(f"mode {mode or base_mode} is not known to MAVROS; its log says which are")
+        raise ProgramError(f"mode {mode or base_mode} is unknown to MAVROS; its log lists the modes")
     if not mode or mode.isdigit():
-        return  # no name that the state would show
+        return  # the state topic has no name to compare
     seen = "unknown"
 
     def is_set(state: State) -> bool:
@@ -65,7 +65,7 @@ def _mode(mavros: Mavros, arguments: argparse.Namespace) -> None:
         return bool(seen == mode)
 
     if states.next(_MODE_LIMIT, is_set) is None:
-        raise ProgramError(f"mode {mode}: the vehicle stays in {seen}; MAVROS's log says more")
+        raise ProgramError(f"mode {mode}: the vehicle stays in {seen}; see MAVROS's log")
     print("Mode changed.")
 
 

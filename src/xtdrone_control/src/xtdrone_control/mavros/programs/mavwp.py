@@ -1,4 +1,4 @@
-"""``mavwp``: show the vehicle's mission, load and dump it as a file, clear it, choose the current item."""
+"""``mavwp``: show the vehicle's mission, load or dump it as a file, clear it, set the current item."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from xtdrone_control.autopilot.navigator.plan import PlanItem
 from xtdrone_control.plans import waypoint_file
 from xtdrone_control.plans.waypoint_file import Row, WaypointFileError
 
-from .client import Ear, Mavros, ProgramError, new_parser, read_file, write_file
+from .client import Mavros, ProgramError, Subscription, new_parser, read_file, write_file
 from .client import main as run_program
 
 _TOPIC = "mission/waypoints"
-_LIMIT = 30.0  # s for a list on the topic, as MAVROS's
-_LATCHED_LIMIT = 0.3  # s for one that was published before
+_LIMIT = 30.0  # s, timeout of a list on the topic, as MAVROS's
+_LATCHED_LIMIT = 0.3  # s, timeout of a list published before
 _FRAMES = {
     Waypoint.FRAME_GLOBAL: "GAA",
     Waypoint.FRAME_GLOBAL_REL_ALT: "GRA",
@@ -31,38 +31,38 @@ _COLUMNS = ("#", "Curr", "Auto", "Frame", "Command", "P1", "P2", "P3", "P4", "X 
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the program's command line."""
+    """Return the command-line parser."""
     found = new_parser("Show and change the vehicle's mission.")
     verbs = found.add_subparsers(required=True, metavar="VERB")
 
     show = verbs.add_parser("show", help="print the mission as a table")
     show.set_defaults(run=_show)
-    show.add_argument("-f", "--follow", action="store_true", help="print it again whenever it changes")
-    show.add_argument("-p", "--pull", action="store_true", help="ask the vehicle first")
+    show.add_argument("-f", "--follow", action="store_true", help="print it again after each change")
+    show.add_argument("-p", "--pull", action="store_true", help="read it from the vehicle first")
 
-    load = verbs.add_parser("load", help="give the vehicle the mission of a file")
+    load = verbs.add_parser("load", help="send a mission file to the vehicle")
     load.set_defaults(run=_load)
     load.add_argument("-p", "--preserve-home", action="store_true", help="keep the vehicle's item 0 (ArduPilot's home)")
-    load.add_argument("-s", "--start-index", type=int, default=0, help="first item that is sent (ArduPilot alone)")
+    load.add_argument("-s", "--start-index", type=int, default=0, help="first item to send (ArduPilot only)")
     load.add_argument("-e", "--end-index", type=int, default=0, help="item before which to stop (0: to the end)")
-    load.add_argument("file", help="in the format QGC WPL; -: standard input")
+    load.add_argument("file", help="in QGC WPL format; -: standard input")
 
-    verbs.add_parser("pull", help="have MAVROS ask the vehicle for its mission").set_defaults(run=_pull_alone)
+    verbs.add_parser("pull", help="have MAVROS read the mission from the vehicle").set_defaults(run=_pull_alone)
 
     dump = verbs.add_parser("dump", help="write the vehicle's mission into a file")
     dump.set_defaults(run=_dump)
-    dump.add_argument("file", help="in the format QGC WPL 120; -: standard output")
+    dump.add_argument("file", help="in QGC WPL 120 format; -: standard output")
 
-    verbs.add_parser("clear", help="take the vehicle's mission away").set_defaults(run=_clear)
+    verbs.add_parser("clear", help="delete the vehicle's mission").set_defaults(run=_clear)
 
-    current = verbs.add_parser("setcur", aliases=["set"], help="choose the current item")
+    current = verbs.add_parser("setcur", aliases=["set"], help="set the current item")
     current.set_defaults(run=_set_current)
     current.add_argument("seq", type=int, help="its index")
     return found
 
 
 def to_waypoint(row: Row) -> Waypoint:
-    """Return a line of a file as MAVROS's message."""
+    """Convert a row of a file to MAVROS's message."""
     item = row.item
     values = dict(zip(("param1", "param2", "param3", "param4"), item.params, strict=True))
     return Waypoint(
@@ -78,7 +78,7 @@ def to_waypoint(row: Row) -> Waypoint:
 
 
 def to_row(waypoint: Any) -> Row:
-    """Return MAVROS's message as a line of a file."""
+    """Convert MAVROS's message to a row of a file."""
     params = waypoint.param1, waypoint.param2, waypoint.param3, waypoint.param4
     place = waypoint.x_lat, waypoint.y_long, waypoint.z_alt
     item = PlanItem(waypoint.command, waypoint.frame, params, *place, bool(waypoint.autocontinue))
@@ -86,7 +86,7 @@ def to_row(waypoint: Any) -> Row:
 
 
 def table(rows: Iterable[Row]) -> str:
-    """Return a mission as a table with a frame of characters around it."""
+    """Return a mission as a framed text table."""
     lines = [_COLUMNS, *(_cells(index, row) for index, row in enumerate(rows))]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     rule = "+".join(["", *("-" * (width + 2) for width in widths), ""])
@@ -107,7 +107,7 @@ def _cells(index: int, row: Row) -> tuple[str, ...]:
 
 
 def _command_name(command: int) -> str:
-    """Return a MAV_CMD's name as MAVROS's table has it, as TAKEOFF or DO-JUMP."""
+    """Return a MAV_CMD's name in MAVROS's form, e.g. TAKEOFF or DO-JUMP."""
     for prefix in _PREFIXES:
         for name, value in vars(CommandCode).items():
             if name.startswith(prefix) and value == command:
@@ -115,13 +115,13 @@ def _command_name(command: int) -> str:
     return "UNK"
 
 
-# ---- what the verbs do
+# ---- actions of the verbs
 
 
 def _pull(mavros: Mavros) -> int:
     answer = mavros.call("mission/pull", WaypointPull)
     if not answer.success:
-        raise ProgramError("mission/pull: the vehicle has not told its mission; MAVROS's log says more")
+        raise ProgramError("mission/pull: the vehicle has not sent its mission; see MAVROS's log")
     mavros.note(f"Waypoints received: {answer.wp_received}")
     return int(answer.wp_received)
 
@@ -130,40 +130,40 @@ def _pull_alone(mavros: Mavros, _: argparse.Namespace) -> None:
     _pull(mavros)
 
 
-def _fresh(mavros: Mavros, ear: Ear) -> Sequence[Any]:
-    """Return the mission that the vehicle has now; ``ear`` hears the topic.
+def _pulled(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
+    """Pull and return the vehicle's present mission; ``subscription`` subscribes to the mission topic.
 
     Raises:
-        ProgramError: it does not come.
+        ProgramError: no list arrives.
     """
-    if ear.connected():
-        ear.next(_LATCHED_LIMIT)  # an older list, latched
+    if subscription.connected():
+        subscription.next(_LATCHED_LIMIT)  # discard an older latched list
     count = _pull(mavros)
-    found = ear.next(_LIMIT, lambda message: len(message.waypoints) == count)
+    found = subscription.next(_LIMIT, lambda message: len(message.waypoints) == count)
     if found is None:
         raise ProgramError(f"{mavros.topic(_TOPIC)}: no list within {_LIMIT:g} s; does time stand still?")
     waypoints: Sequence[Any] = found.waypoints
     return waypoints
 
 
-def _known(mavros: Mavros, ear: Ear) -> Sequence[Any]:
-    """Return the mission that MAVROS has published last, the vehicle's if none; real MAVROS asks when it connects.
+def _cached(mavros: Mavros, subscription: Subscription) -> Sequence[Any]:
+    """Return the mission last published by MAVROS, or the vehicle's if none; real MAVROS pulls when it connects.
 
     Raises:
-        ProgramError: it does not come.
+        ProgramError: no list arrives.
     """
-    found = ear.next(_LATCHED_LIMIT) if ear.connected() else None
-    waypoints: Sequence[Any] = _fresh(mavros, ear) if found is None else found.waypoints
+    found = subscription.next(_LATCHED_LIMIT) if subscription.connected() else None
+    waypoints: Sequence[Any] = _pulled(mavros, subscription) if found is None else found.waypoints
     return waypoints
 
 
 def _show(mavros: Mavros, arguments: argparse.Namespace) -> None:
-    ear = mavros.ear(_TOPIC, WaypointList)
-    waypoints = _fresh(mavros, ear) if arguments.pull else _known(mavros, ear)
+    subscription = mavros.subscribe(_TOPIC, WaypointList)
+    waypoints = _pulled(mavros, subscription) if arguments.pull else _cached(mavros, subscription)
     print(table(map(to_row, waypoints)), flush=True)
-    while arguments.follow and (message := ear.next(None)) is not None:
+    while arguments.follow and (message := subscription.next(None)) is not None:
         print(table(map(to_row, message.waypoints)), flush=True)
-    ear.close()
+    subscription.close()
 
 
 def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
@@ -179,9 +179,9 @@ def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
         _push(mavros, start, waypoints[start : max(end, start + 1)])
         return
     if arguments.preserve_home and waypoints:
-        ear = mavros.ear(_TOPIC, WaypointList)
-        present = _known(mavros, ear)
-        ear.close()
+        subscription = mavros.subscribe(_TOPIC, WaypointList)
+        present = _cached(mavros, subscription)
+        subscription.close()
         if not present:
             raise ProgramError("preserve home: the vehicle has no item 0 to keep")
         waypoints[0] = present[0]
@@ -192,15 +192,15 @@ def _load(mavros: Mavros, arguments: argparse.Namespace) -> None:
 def _push(mavros: Mavros, start: int, waypoints: Sequence[Any]) -> None:
     answer = mavros.call("mission/push", WaypointPush, start_index=start, waypoints=waypoints)
     if not answer.success:
-        told = f"{answer.wp_transfered} of {len(waypoints)} items sent"
-        raise ProgramError(f"mission/push: the vehicle has not taken the mission, {told}; MAVROS's log says more")
+        progress = f"{answer.wp_transfered} of {len(waypoints)} items sent"
+        raise ProgramError(f"mission/push: the vehicle has not accepted the mission, {progress}; see MAVROS's log")
     mavros.note(f"Waypoints transfered: {answer.wp_transfered}")
 
 
 def _dump(mavros: Mavros, arguments: argparse.Namespace) -> None:
-    ear = mavros.ear(_TOPIC, WaypointList)
-    rows = list(map(to_row, _fresh(mavros, ear)))
-    ear.close()
+    subscription = mavros.subscribe(_TOPIC, WaypointList)
+    rows = list(map(to_row, _pulled(mavros, subscription)))
+    subscription.close()
     write_file(arguments.file, waypoint_file.write(rows))
 
 

@@ -1,7 +1,7 @@
-"""The parameter files of mavparam: QGroundControl's, Mission Planner's and MAVProxy's.
+"""Parameter files of mavparam: QGroundControl's, Mission Planner's and MAVProxy's.
 
-QGroundControl's lines have five columns with tabs between (``parameter_file``). The other two have a name and a value,
-with a comma or blanks between. ``#`` begins a comment in all of them. A value with a decimal point is a float, one
+QGroundControl's lines have five tab-separated columns (``parameter_file``). The other two have a name and a value,
+separated by a comma or blanks. ``#`` begins a comment in all formats. A value with a decimal point is a float, one
 without is an integer (MAVROS, ``mavros/src/mavros/param.py``).
 """
 
@@ -16,24 +16,24 @@ from xtdrone_control.parameter_file import REAL32, ParameterFile, checked, parse
 QGC, MISSION_PLANNER, MAVPROXY = "qgc", "mp", "mavpx"
 _NAME = re.compile(r"[A-Za-z0-9_]{1,16}")
 _INTEGER = re.compile(r"[+-]?[0-9]{1,19}")
-_INT32 = 6  # MAV_PARAM_TYPE, as which an integer is written
+_INT32 = 6  # MAV_PARAM_TYPE of integers
 _SEPARATOR = {MISSION_PLANNER: ",", MAVPROXY: " "}
-_END = "\r\n"  # of a line of the formats with two columns
+_END = "\r\n"  # line ending of the two-column formats
 
 Number = int | float
 
 
 class FormatError(ValueError):
-    """A file that cannot be read: the message names the file, the line, the value and what is allowed."""
+    """An unreadable file: the message gives the file, the line, the value and the allowed values."""
 
 
 def format_of(name: str) -> str:
-    """Return the format in which MAVROS writes a file of this name: QGroundControl's for ``.txt``."""
+    """Return the format in which MAVROS writes a file with this name: QGroundControl's for ``.txt``."""
     return QGC if name.endswith(".txt") else MISSION_PLANNER
 
 
 def guess(text: str) -> str:
-    """Return the format of a file's text, by its first line with a parameter."""
+    """Detect the format of a file's text from its first line with a parameter."""
     lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
     first = next(lines, "")
     if "\t" in first:
@@ -42,18 +42,18 @@ def guess(text: str) -> str:
 
 
 def read(text: str, name: str, kind: str = "") -> dict[str, Number]:
-    """Return the parameters of a file.
+    """Parse a parameter file.
 
     Args:
-        text: its content.
-        name: what messages call it.
-        kind: QGC, MISSION_PLANNER or MAVPROXY; empty: what it looks like.
+        text: the file's content.
+        name: the file's name, for error messages.
+        kind: QGC, MISSION_PLANNER or MAVPROXY; empty: detect it from the content.
 
     Returns:
         The values by name, a float for each REAL32.
 
     Raises:
-        FormatError: it is no such file.
+        FormatError: the content is invalid.
     """
     kind = kind or guess(text)
     if kind != QGC:
@@ -66,12 +66,12 @@ def read(text: str, name: str, kind: str = "") -> dict[str, Number]:
 
 
 def write(values: Mapping[str, Number], kind: str, system: int = 1) -> str:
-    """Return a file's text.
+    """Return the text of a parameter file.
 
     Args:
         values: by name; floats are written with a decimal point, integers without.
         kind: QGC, MISSION_PLANNER or MAVPROXY.
-        system: the vehicle's MAVLink system id, 1 to 255; only QGroundControl's files tell it.
+        system: the vehicle's MAVLink system id, 1 to 255; used only in QGroundControl's files.
     """
     typed = {name: (value, REAL32 if isinstance(value, float) else _INT32) for name, value in values.items()}
     if kind == QGC:
@@ -81,10 +81,10 @@ def write(values: Mapping[str, Number], kind: str, system: int = 1) -> str:
 
 
 def number_of(text: str) -> Number:
-    """Return the value that a user or a file writes.
+    """Parse a value given by a user or a file.
 
     Raises:
-        ValueError: it is none that MAVLink holds; says what is allowed.
+        ValueError: MAVLink cannot represent the value; the message gives the allowed values.
     """
     if _INTEGER.fullmatch(text):
         return int(checked(int(text), _INT32))
@@ -108,11 +108,11 @@ def _read_pairs(text: str, name: str, separator: str) -> dict[str, Number]:
         if not _NAME.fullmatch(key):
             raise FormatError(f"{where}: name {key!r} is not allowed, 1 to 16 letters, digits and _")
         if key in values:
-            raise FormatError(f"{where}: {key} stands there a second time")
+            raise FormatError(f"{where}: duplicate parameter {key}")
         try:
             values[key] = number_of(value)
         except ValueError as error:
             raise FormatError(f"{where}: {key}: {value!r} is not allowed, {error}") from error
     if not values:
-        raise FormatError(f"{name}: no parameters are in it")
+        raise FormatError(f"{name}: the file has no parameters")
     return values
