@@ -22,6 +22,7 @@ class FakeAutopilot:
     def __init__(self, count: int = 1) -> None:
         self.count = count
         self.logs: list[Any] = []
+        self.motor_tests: dict[int, Any] = {}
         self.time_us = 1_000_000
         self.sensors = records(SENSORS, count)
         self.estimator = records(ESTIMATOR, count)
@@ -48,6 +49,9 @@ class FakeAutopilot:
 
     def rotor_count(self, _index: int) -> int:
         return 4
+
+    def end_motor_test(self, index: int) -> None:
+        self.motor_tests.pop(index, None)
 
     def place(self, index: int, x: float, y: float, z: float, yaw: float = 0.0) -> None:
         """Put a vehicle somewhere (m, NED), in the air when it is above 0.1 m."""

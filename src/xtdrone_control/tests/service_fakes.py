@@ -8,6 +8,7 @@ from autopilot_fakes import FIRST_ID, FakeAutopilot
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.logger.stream import LogStream
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.receiver import Receiver
@@ -26,6 +27,7 @@ class FakeLink:
         self.telemetry = telemetry
         self.streams = Streams(telemetry, GCS_RATES)
         self.system_id = system_id
+        self.data_rate = 4_000_000
         self.sender = (0, 0)
         self.sent: list[Any] = []
         self.frames: list[bytes] = []
@@ -59,6 +61,9 @@ class FakeLink:
         ((number, _, _, frame),) = split(bytes(frame))
         self.sent.append((MESSAGES[number].msgname, decoder(MESSAGES[number].msgname)(frame)))
 
+    def silent(self, _now_us: int) -> bool:
+        return False
+
     def send_text(self, severity: int, text: str) -> None:
         self.texts.append((severity, text))
 
@@ -76,6 +81,7 @@ class Served:
         self.commander = Commander(self.vehicle, self.autopilot, self.parameters, 0)
         telemetry = VehicleTelemetry(self.commander, self.autopilot, 0)
         self.link, self.other = (FakeLink(telemetry, system) for _ in range(2))
+        self.commander.open_log_stream = LogStream
         self.receiver = Receiver(self.commander, self.autopilot, 0, lambda: [self.link, self.other])
         self.commander.update()
         self.commander.texts.clear()

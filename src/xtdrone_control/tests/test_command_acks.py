@@ -17,11 +17,11 @@ from xtdrone_control.autopilot.parameters.parameters import Parameters
 
 _REFERENCE = Path(__file__).parent / "data" / "px4_command_acks.csv"
 
-# What is answered otherwise on purpose: result, texts, and why.
-_UNSUPPORTED = 3
+# Answers that differ on purpose: result, texts, and why.
+_ACCEPTED, _UNSUPPORTED = 0, 3
 _OTHERWISE: dict[int, tuple[int, list[str], str]] = {
     84: (_UNSUPPORTED, [], "a multicopter has no transition"),
-    2510: (_UNSUPPORTED, [], "logs are not streamed; they are downloaded"),
+    2511: (_ACCEPTED, [], "as PX4's logger; the reference's presumably waited for a LOGGING_ACK after 2510"),
 }
 
 
@@ -119,6 +119,19 @@ def test_a_region_of_interest_is_looked_at(served):
     assert served.ask(message)[0].result == 0
     assert served.commander.navigator.mission._roi == pytest.approx((0.0, 100.0, -10.0), abs=0.02)
     assert served.command(197)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("function", "result"), [(0, None), (1, 0), (12, 0), (13, None), (33, 0), (41, None), (1101, 0), (1999, 0)]
+)
+def test_a_motor_test_is_answered_as_by_px4(served, function, result):
+    assert served.command(310, 0.1, 1.0, 0, 0, function)[0] == result
+    assert bool(served.autopilot.motor_tests) == (function in (1, 1101))
+    served.commander.armed = True
+    assert served.command(310, 0.1, 1.0, 0, 0, function)[0] == 2
+    served.commander.armed = False
+    served.parameters.set("COM_MOT_TEST_EN", 0)
+    assert served.command(310, 0.1, 1.0, 0, 0, function)[0] == 2
 
 
 def test_actuators_are_set(served):

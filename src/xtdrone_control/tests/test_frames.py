@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from xtdrone_control import frames
+from xtdrone_control import frames, rotation
 
 SQRT_HALF = math.sqrt(0.5)
 VECTORS = [tuple(random.Random(seed).uniform(-100.0, 100.0) for _ in range(3)) for seed in range(20)]
@@ -66,6 +66,16 @@ def test_heading_table(heading_ned_deg, yaw_enu_deg):
     assert difference == pytest.approx(0.0, abs=1e-12)
     q = frames.attitude_ned_to_enu(*frames.quaternion_from_rpy(0.0, 0.0, heading))
     assert same_rotation(q, frames.quaternion_from_rpy(0.0, 0.0, yaw))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_attitude_has_the_opposite_sign_of_mavros(seed):
+    # MAVROS multiplies by its static rotations, NED to ENU (roll pi, yaw pi/2) and FRD to FLU (roll pi)
+    q = random_attitude(seed)
+    of_mavros = rotation.multiply(
+        rotation.multiply(rotation.from_euler(math.pi, 0.0, math.pi / 2), q), rotation.from_euler(math.pi, 0.0, 0.0)
+    )
+    assert [-value for value in frames.attitude_ned_to_enu(*q)] == pytest.approx(list(of_mavros))
 
 
 def test_level_and_heading_north_is_a_quarter_turn_in_enu():

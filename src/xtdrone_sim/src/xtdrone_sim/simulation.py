@@ -106,10 +106,10 @@ class Simulation:
     def step(self) -> None:
         """Advance everything by one step."""
         autopilot = self.autopilots.autopilot
-        commands = autopilot.control["actuators"]
+        commands, powered = autopilot.motor_inputs()
         if self.sensors.failing.any:
             commands = self.sensors.failing.motors(commands)
-        self.world.step(commands, autopilot.setpoint["armed"])
+        self.world.step(commands, powered)
         self.time_us += STEP_US
         self.sensors.sample(self._steps, self.time_us)
         self.autopilots.step()

@@ -52,6 +52,7 @@ from .state import (
     TASK_IDLE,
     TASK_MANUAL,
     TASK_RATES,
+    MotorTest,
     records,
 )
 
@@ -237,6 +238,7 @@ class Autopilot:
         rotors: number of rotors of each vehicle, shape (count,).
         time_us: simulated time, microseconds, of the last step.
         logs: log folder of each vehicle; empty without logging.
+    motor_tests: running motor tests by index of the vehicle.
     """
 
     def __init__(self, layouts: Sequence[RotorLayout], datum: Datum | None) -> None:
@@ -249,6 +251,7 @@ class Autopilot:
         self.count = len(layouts)
         self.time_us = 0
         self.logs: Sequence[LogFolder] = ()
+        self.motor_tests: dict[int, MotorTest] = {}
         self.sensors = records(SENSORS, self.count)
         self.estimator = records(ESTIMATOR, self.count)
         self.setpoint = records(SETPOINT, self.count)
@@ -287,6 +290,7 @@ class Autopilot:
     def reboot(self, index: int) -> None:
         """Reset the records of vehicle ``index`` except sensors and parameters."""
         which = slice(index, index + 1)
+        self.motor_tests.pop(index, None)
         for record in (self.estimator, self.setpoint, self.control, self.failures):
             record[which] = np.zeros(1, record.dtype)
         self._initialise_records(which)
@@ -333,3 +337,31 @@ class Autopilot:
             STEP_US * 1e-6,
             self._work,
         )
+        if self.motor_tests:
+            self._run_motor_tests()
+
+    def _run_motor_tests(self) -> None:
+        for index, test in list(self.motor_tests.items()):
+            if self.setpoint["armed"][index] or self.time_us > test.end_us:
+                self.end_motor_test(index)
+            else:
+                self.control["actuators"][index] = np.nan_to_num(test.outputs)
+
+    def end_motor_test(self, index: int) -> None:
+        """Stop the motors of vehicle ``index`` that run for a test, unless the vehicle is armed."""
+        if self.motor_tests.pop(index, None) is not None and not self.setpoint["armed"][index]:
+            self.control["actuators"][index] = 0.0  # the kernel does so too, but only once the estimator has started
+
+    def motor_inputs(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Return the motor commands, shape (n, MAX_ROTORS), and which vehicles' motors are powered, shape (n,).
+
+        Commands are 0..1; NaN, which occurs in motor tests only, stops a motor of a powered vehicle.
+        """
+        commands, powered = self.control["actuators"], self.setpoint["armed"]
+        if not self.motor_tests:
+            return commands, powered
+        commands, powered = commands.copy(), powered.copy()
+        for index, test in self.motor_tests.items():
+            if not powered[index]:
+                commands[index], powered[index] = test.outputs, 1
+        return commands, powered

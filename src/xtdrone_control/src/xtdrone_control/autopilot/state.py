@@ -18,7 +18,10 @@ Kernels name the records of one vehicle by one letter:
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 MAX_ROTORS = 8
 
@@ -415,7 +418,7 @@ CONTROL = np.dtype(
         ("sp_rates", "f8", 3),  # rad/s, body
         ("sp_thrust", "f8"),  # 0..1 collective
         ("sp_torque", "f8", 3),  # normalised
-        ("actuators", "f8", MAX_ROTORS),  # 0..1 motor commands; 0 when disarmed
+        ("actuators", "f8", MAX_ROTORS),  # 0..1 motor commands; 0 when disarmed, except for motor tests
         # estimator_resets: counters of the resets already applied to the smoothed path
         ("resets_seen", "i4"),
         ("resets_seen_xy", "i4"),
@@ -431,3 +434,16 @@ CONTROL = np.dtype(
 def records(dtype: np.dtype, count: int) -> np.ndarray:
     """Return ``count`` zeroed records of ``dtype`` (shape (count,))."""
     return np.zeros(count, dtype=dtype)
+
+
+@dataclass
+class MotorTest:
+    """A test of single motors of a disarmed vehicle.
+
+    Attributes:
+        outputs: motor commands, 0..1, shape (MAX_ROTORS,); NaN for a motor that stands still.
+        end_us: simulated time of the end, microseconds.
+    """
+
+    outputs: NDArray[np.float64]
+    end_us: int

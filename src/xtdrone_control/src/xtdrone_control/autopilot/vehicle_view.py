@@ -9,7 +9,7 @@ import numpy as np
 from xtdrone_control import rotation
 from xtdrone_control.geodesy import geo
 
-from .state import SETPOINT
+from .state import SETPOINT, MotorTest
 
 if TYPE_CHECKING:
     from .autopilot import Autopilot
@@ -28,6 +28,7 @@ class VehicleView:
     def __init__(self, autopilot: Autopilot, index: int) -> None:
         """View vehicle ``index`` of ``autopilot``."""
         self._autopilot = autopilot
+        self._index = index
         self.sensors: Any = autopilot.sensors[index]
         self.estimator: Any = autopilot.estimator[index]
         self.setpoint: Any = autopilot.setpoint[index]
@@ -41,6 +42,24 @@ class VehicleView:
     def time_us(self) -> int:
         """Simulated time, microseconds."""
         return self._autopilot.time_us
+
+    @property
+    def motor_test(self) -> MotorTest | None:
+        """The motor test that is running."""
+        return self._autopilot.motor_tests.get(self._index)
+
+    def start_motor_test(self, test: MotorTest) -> None:
+        """Run motors of the disarmed vehicle, in place of the test that is running."""
+        self._autopilot.motor_tests[self._index] = test
+
+    def end_motor_test(self) -> None:
+        """Stop the motors that run for a test."""
+        self._autopilot.end_motor_test(self._index)
+
+    @property
+    def rotor_count(self) -> int:
+        """Number of rotors."""
+        return self._autopilot.rotor_count(self._index)
 
     @property
     def landed(self) -> bool:

@@ -30,6 +30,7 @@ class Endpoint(Protocol):
     system_id: int
     telemetry: Telemetry
     rates: Mapping[str, float]
+    data_rate: int
     by_wall: bool
 
     @property
@@ -114,6 +115,11 @@ class Link:
     def _new_streams(self) -> Streams:
         own = {"PING": self._ping, "LINK_NODE_STATUS": self._node_status, "HIGHRES_IMU": self._highres_imu}
         return Streams(self.telemetry, self._port.rates, own, self._port.streams_changed)
+
+    @property
+    def data_rate(self) -> int:
+        """Nominal capacity of the link, bytes/s."""
+        return self._port.data_rate
 
     @property
     def has_spoken(self) -> bool:

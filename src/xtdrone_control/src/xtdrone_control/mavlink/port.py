@@ -87,9 +87,10 @@ class Port:
         default: the link to the first client.
         telemetry: source of the vehicle's telemetry messages.
         rates: default rates of the streams, message name to Hz.
+        data_rate: nominal capacity of the link, bytes/s, as PX4 is started with; nothing is throttled to it.
         by_wall: whether clients run on wall time, as a ground station does: a client is silent only when it is silent
             by both clocks. Otherwise simulated time alone counts, so that the streams are the same at any speed.
-        received: datagrams read.
+            received: datagrams read.
         sent: datagrams sent, by remote port.
         lost: datagrams that the operating system did not accept.
         malformed: datagrams with bytes that are not valid MAVLink.
@@ -108,6 +109,7 @@ class Port:
         rates: Mapping[str, float],
         host: str = LOOPBACK,
         *,
+        data_rate: int = 4_000_000,
         by_wall: bool = False,
         limit: ClientLimit | None = None,
     ) -> None:
@@ -121,6 +123,7 @@ class Port:
             telemetry: source of the vehicle's telemetry messages.
             rates: default rates of the streams, message name to Hz.
             host: address to bind; "0.0.0.0" for every network.
+            data_rate: see the attribute.
             by_wall: see the attribute.
             limit: client limit shared with other ports; ``MAX_CLIENTS`` by default.
 
@@ -133,6 +136,7 @@ class Port:
         self.remote_port = remote_port
         self.telemetry = telemetry
         self.rates = rates
+        self.data_rate = data_rate
         self.by_wall = by_wall
         self.received = 0
         self.sent: dict[int, int] = {}

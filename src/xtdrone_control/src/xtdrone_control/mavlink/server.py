@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _MAX_DATAGRAMS = 4096  # read from one socket in a round: more than its buffer holds, but bounded against a flood
 _NEVER = 1 << 62  # microseconds: the fleet is empty
+_FAST, _SLOW = 4_000_000, 4000  # bytes/s: nominal capacity of links in PX4's SITL
 _KEEP_ALIVE_PERIOD = 0.1  # s of wall time between two checks of the heartbeats to ground stations
 _STANDSTILL = 0.1  # s of wall time after which simulated time counts as standing still
 _PART_PERIOD = 0.02  # s of wall time between two parts of a transfer during a standstill
@@ -44,15 +45,26 @@ class _Vehicle:
         self.commander = commander
         telemetry = VehicleTelemetry(commander, autopilot, index)
         ends = (
-            ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, False),
-            ("ground-station", vehicle.gcs_local_port, vehicle.gcs_remote_port, GCS_RATES, True),
-            ("payload", vehicle.payload_local_port, vehicle.payload_remote_port, PAYLOAD_RATES, False),
+            ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, _FAST, False),
+            ("ground-station", vehicle.gcs_local_port, vehicle.gcs_remote_port, GCS_RATES, _FAST, True),
+            ("payload", vehicle.payload_local_port, vehicle.payload_remote_port, PAYLOAD_RATES, _SLOW, False),
         )
         self.ports: list[Port] = []
         try:
-            for kind, local, remote, rates, by_wall in ends:
+            for kind, local, remote, rates, data_rate, by_wall in ends:
                 self.ports.append(
-                    Port(vehicle, kind, local, remote, telemetry, rates, host, by_wall=by_wall, limit=limit)
+                    Port(
+                        vehicle,
+                        kind,
+                        local,
+                        remote,
+                        telemetry,
+                        rates,
+                        host,
+                        data_rate=data_rate,
+                        by_wall=by_wall,
+                        limit=limit,
+                    )
                 )
         except OSError:
             self.close()

@@ -6,10 +6,10 @@ messages to them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from xtdrone_control.autopilot.commander.commander import Commander
+from xtdrone_control.autopilot.commander.commander import Commander, Result
 
 from .link import Link
 
@@ -29,11 +29,13 @@ class Vehicle:
         autopilot: autopilot that holds the records.
         index: the vehicle's index in them.
         system_id: MAVLink system id.
-        now_us: simulated time, microseconds, of the message being handled.
+            now_us: simulated time, microseconds, of the message being handled.
         participant: whether the message being handled came from a lockstep participant.
         clients: returns the links with active streams, for broadcasts.
         on_request: message id to the function that answers MAV_CMD_REQUEST_MESSAGE for a message without a stream;
             services fill it. The function returns False if it cannot send the message.
+        on_command: MAV_CMD to the function that executes it, with parameters 1 to 7 and the client's link; services
+        it. The function returns the result, None for no acknowledgement.
         capabilities: MAV_PROTOCOL_CAPABILITY bits of all services.
         files: path to a function that returns the content, of files that MAVLink FTP serves beside the logs;
             services fill it.
@@ -55,6 +57,7 @@ class Vehicle:
         self.participant = False
         self.clients = clients
         self.on_request: dict[int, Callable[[Link], bool | None]] = {}
+        self.on_command: dict[int, Callable[[Sequence[float], Link], Result | None]] = {}
         self.capabilities = 0
         self.files: dict[str, Callable[[], bytes]] = {}
         self._held: list[Callable[[], None]] | None = None

@@ -13,6 +13,7 @@ from xtdrone_control.mavlink.microservices.event import EventService
 from xtdrone_control.mavlink.microservices.ftp import FtpService
 from xtdrone_control.mavlink.microservices.heartbeat import HeartbeatService
 from xtdrone_control.mavlink.microservices.log import LogService
+from xtdrone_control.mavlink.microservices.log_stream import LogStreamService
 from xtdrone_control.mavlink.microservices.metadata import MetadataService
 from xtdrone_control.mavlink.microservices.mission import MissionService
 from xtdrone_control.mavlink.microservices.parameter import ParameterService
@@ -35,6 +36,7 @@ def all_services(vehicle: Vehicle) -> list[Service]:
         MissionService(vehicle),
         HomeService(vehicle, commands),
         LogService(vehicle),
+        LogStreamService(vehicle),
         FtpService(vehicle),
         MetadataService(vehicle),
         VersionService(vehicle),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from xtdrone_control.autopilot.autopilot import Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.logger.logger import Logger
+from xtdrone_control.autopilot.logger.stream import LogStream
 from xtdrone_control.autopilot.navigator.plan import Plans
 from xtdrone_control.autopilot.parameters.parameters import Parameters
 from xtdrone_control.fleet import Vehicle
@@ -24,7 +26,7 @@ class Autopilots(Protocol):
     """The autopilots of a simulation's vehicles.
 
     One step: the simulator writes ``autopilot.sensors``, calls ``step``, and lets the world go on under
-    ``autopilot.control["actuators"]`` and ``autopilot.setpoint["armed"]``.
+    ``autopilot.motor_inputs()``.
 
     Attributes:
         autopilot: records of all vehicles; a new object after each ``begin``.
@@ -136,7 +138,14 @@ class BuiltinAutopilot:
     def _boot(self, index: int) -> Commander:
         commander = Commander(self.served[index], self.autopilot, self._parameters[index], index)
         commander.navigator.restore(self._plans[index])
+        commander.open_log_stream = partial(self._open_log_stream, index)
         return commander
+
+    def _open_log_stream(self, index: int) -> LogStream | None:
+        """Begin a stream of a vehicle's log; see ``Logger.open_stream``. Without log files it needs a logger first."""
+        if self._logger is None:
+            self._logger = Logger(self.autopilot, self.commanders, None)
+        return self._logger.open_stream(index)
 
     def _reboot(self, index: int) -> None:
         """Boot one vehicle's autopilot anew, as MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN asks; the others fly on."""

@@ -39,10 +39,11 @@ PLANT = np.dtype(
 
 @kernel
 def advance_rotors(v, m, actuators, armed, dt):
-    """Advance the rotor speeds by ``dt`` towards what the motor commands (0..1) ask; disarmed motors run down."""
+    """Advance the rotor speeds by ``dt`` towards the motor commands (0..1); motors run down if disarmed or at NaN."""
     keep_up, keep_down = math.exp(-dt / m.time_constant_up), math.exp(-dt / m.time_constant_down)
     for i in range(m.rotor_count):
-        wanted = min(m.input_scaling * actuators[i] + m.idle_speed, m.max_speed) if armed else 0.0
+        runs = armed and not math.isnan(actuators[i])
+        wanted = min(m.input_scaling * actuators[i] + m.idle_speed, m.max_speed) if runs else 0.0
         speed = v.rotor_speed[i]
         v.rotor_speed[i] = wanted + (speed - wanted) * (keep_up if wanted > speed else keep_down)
 

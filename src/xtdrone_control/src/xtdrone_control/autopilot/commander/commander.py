@@ -33,6 +33,7 @@ from xtdrone_control.fleet import Vehicle
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
+    from xtdrone_control.autopilot.logger.stream import LogStream
 
 __all__ = ["CRITICAL", "INFO", "WARNING", "ArmReason", "Commander", "Result"]
 
@@ -44,6 +45,8 @@ _OVERRIDE_AUTO, _OVERRIDE_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
 _THROTTLE_HIGH, _THROTTLE_LOW = 0.2, -0.8  # stick positions above which arming is denied, by kind of mode
 _STANDBY, _ACTIVE, _CRITICAL_STATE, _TERMINATED, _UNINIT = 3, 4, 5, 8, 0  # MAV_STATE
 _GEAR_HEIGHT = 2.0  # m above home
+_MAVLINK_MOTORS, _MAVLINK_SERVOS = range(1, 13), range(33, 41)  # ACTUATOR_OUTPUT_FUNCTION
+_PX4_FUNCTIONS, _PX4_FIRST_MOTOR = 1000, 101  # what is added to PX4's output functions, and the first motor's
 _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
 CommandListener = Callable[[int, Sequence[float], tuple[int, int], int | None], None]
@@ -65,6 +68,8 @@ class Commander(FlightCommands):
         manual: manual control input.
         on_command: listener of received MAV_CMDs, used by the logger; None for no listener. Arguments: number,
             parameters 1 to 7, sender (system, component), MAV_RESULT or None for a command without an answer.
+        open_log_stream: begins a stream of the vehicle's log and returns it, None while another one is open; the
+            attribute is None where no logger runs.
         rebooting: a reboot was requested; the owner of the commander performs it.
         gear_up: whether a retractable landing gear should be up.
         armed: whether the vehicle is armed; its motors run unless killed or terminated.
@@ -95,6 +100,7 @@ class Commander(FlightCommands):
         self._reported: tuple[Flags, Mode, bool] | None = None
         self._checked_us = _NEVER_US
         self.on_command: CommandListener | None = None
+        self.open_log_stream: Callable[[], LogStream | None] | None = None
         self.rebooting = False
         self.armed = False
         self.gear_up = False
@@ -333,6 +339,27 @@ class Commander(FlightCommands):
         else:
             self._motors.locked = self._motors.terminated = False
         self._motors.apply(self.armed)
+        return Result.ACCEPTED
+
+    def test_actuator(self, function: int, value: float, seconds: float) -> Result | None:
+        """Obey MAV_CMD_ACTUATOR_TEST with the answers of PX4 v1.14's ``Commander::handleCommandActuatorTest``.
+
+        Args:
+            function: MAVLink's ACTUATOR_OUTPUT_FUNCTION, or 1000 plus PX4's own number.
+            value: command, 0..1 for motors; NaN stops the motor.
+            seconds: duration, at most 3 s; 0 or less releases the motor.
+
+        Returns:
+            ACCEPTED also for servos and motors that the vehicle does not have; None, no answer, for other functions.
+        """
+        if self.armed or int(self.parameters.get("COM_MOT_TEST_EN")) != 1:
+            return Result.DENIED
+        if function in _MAVLINK_MOTORS:
+            self._motors.test(function - _MAVLINK_MOTORS.start, value, seconds)
+        elif function >= _PX4_FUNCTIONS:
+            self._motors.test(function - _PX4_FUNCTIONS - _PX4_FIRST_MOTOR, value, seconds)
+        elif function not in _MAVLINK_SERVOS:
+            return None
         return Result.ACCEPTED
 
     def _disarm_after_kill(self) -> bool:

@@ -1,10 +1,16 @@
-"""Conditions under which the motors run: arming, kill switch, lockdown, termination (PX4's ``actuator_armed``)."""
+"""When the motors run: arming, kill switch, lockdown, termination (PX4's ``actuator_armed``) and motor tests."""
 
 from __future__ import annotations
 
 import enum
+import math
 
+import numpy as np
+
+from xtdrone_control.autopilot.state import MAX_ROTORS, MotorTest
 from xtdrone_control.autopilot.vehicle_view import VehicleView
+
+_LONGEST_TEST_MS = 3000
 
 
 class ArmReason(enum.Enum):
@@ -23,7 +29,7 @@ class ArmReason(enum.Enum):
 
 
 class MotorSwitch:
-    """Motor stops that leave the vehicle armed.
+    """Motor stops that leave the vehicle armed, and motor tests of the disarmed vehicle.
 
     Attributes:
         killed: stopped by the kill switch.
@@ -45,10 +51,31 @@ class MotorSwitch:
     def apply(self, armed: bool) -> None:
         """Run the motors of an armed vehicle unless a stop is active; call after every change of either."""
         self._view.setpoint["armed"] = int(armed and not self.stopped)
+        if armed or self.stopped:
+            self._view.end_motor_test()
         if not armed or not (self.killed or self.locked):
             self._since_us = None
         elif self._since_us is None:
             self._since_us = self._view.time_us
+
+    def test(self, motor: int, value: float, seconds: float) -> None:
+        """Run a motor of the disarmed vehicle, as PX4 v1.14's ``ActuatorTest`` does; other motors under test go on.
+
+        Args:
+            motor: number of the motor, from 0; one that the vehicle does not have is ignored.
+            value: command, 0..1; above 1 counts as 1, below 0 or NaN stops the motor.
+            seconds: time until all motors stop, at most 3 s; 0 or less, or NaN, releases this motor at once.
+        """
+        if self.stopped or not 0 <= motor < self._view.rotor_count:
+            return
+        running = self._view.motor_test
+        outputs = np.full(MAX_ROTORS, math.nan) if running is None else running.outputs
+        span_ms = 0 if math.isnan(seconds) else math.floor(min(max(1000.0 * seconds, 0.0), _LONGEST_TEST_MS) + 0.5)
+        outputs[motor] = min(value, 1.0) if span_ms > 0 and value >= 0.0 else math.nan
+        if np.isnan(outputs).all():
+            self._view.end_motor_test()
+        elif span_ms > 0:
+            self._view.start_motor_test(MotorTest(outputs, self._view.time_us + 1000 * span_ms))
 
     def disarming(self, delay: float) -> ArmReason | None:
         """Return the reason to disarm after ``delay`` seconds of kill or lockdown, else None.

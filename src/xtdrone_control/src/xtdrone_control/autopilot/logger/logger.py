@@ -7,6 +7,8 @@ each topic; the messages of different topics are interleaved in blocks of one se
 
 SDLOG_MODE selects when to log: -1 never, 0 while armed, 1 from boot until disarming and then while armed, 2 from boot
 until shutdown, 4 from the first arming until shutdown. A log ends one second after disarming.
+
+A vehicle's log can also be streamed to a client, with or without a file; see ``Logger.open_stream``.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from . import status, ulog
 from .folder import LogFolder, log_name
 from .messages import message_format
 from .status import StatusTopics
+from .stream import LogStream
 from .topics import EPOCH_US, TOPICS, Samples, Topic
 from .ulog import Format, UlogWriter
 
@@ -165,19 +168,51 @@ class _PartRing:
             copied[row] = source
 
 
-class _VehicleLog:
-    """Open log of one vehicle."""
+_Text = tuple[int, int, str]
+"""Text for the operator: MAV_SEVERITY, simulated time in microseconds, text."""
 
-    def __init__(self, path: Path, file: BinaryIO, start_us: int) -> None:
-        self.path = path
-        self.writer = UlogWriter(file, start_us)
-        self.stop_us: int | None = None
+
+class _VehicleLog:
+    """Open log of one vehicle.
+
+    Attributes:
+        name: path of the file, or "stream".
+        writer: writer of the messages.
+        status: encoder of the status messages.
+        texts: texts that remain to be written.
+        reported_us, reported_bytes: time of the latest logger_status, and bytes written until then.
+    """
+
+    def __init__(
+        self, name: str, sink: BinaryIO | LogStream, start_us: int, status: StatusTopics, texts: list[_Text]
+    ) -> None:
+        self.name = name
+        self.writer = UlogWriter(sink, start_us)
+        self.status = status
+        self.texts = texts
         self.reported_us, self.reported_bytes = start_us, 0
+
+
+class _FileLog(_VehicleLog):
+    """Open log file."""
+
+    def __init__(self, path: Path, file: BinaryIO, start_us: int, status: StatusTopics, texts: list[_Text]) -> None:
+        super().__init__(str(path), file, start_us, status, texts)
+        self.stop_us: int | None = None
         self._file = file
 
     def close(self) -> None:
         with contextlib.suppress(OSError):  # a write error has been reported already
             self._file.close()
+
+
+class _StreamedLog(_VehicleLog):
+    """Open stream; ``has_data`` is set once the client has all definitions."""
+
+    def __init__(self, stream: LogStream, start_us: int, status: StatusTopics) -> None:
+        super().__init__("stream", stream, start_us, status, [])
+        self.stream = stream
+        self.has_data = False
 
 
 class Logger:
@@ -186,33 +221,34 @@ class Logger:
     Call ``step`` after each step of the autopilot, ``update`` at 10 Hz and ``close`` at the end.
 
     Attributes:
-        folders: log folder of each vehicle.
+        folders: log folder of each vehicle; empty when no files are written.
     """
 
-    def __init__(self, autopilot: Autopilot, commanders: Sequence[Commander], folder: Path) -> None:
+    def __init__(self, autopilot: Autopilot, commanders: Sequence[Commander], folder: Path | None) -> None:
         """Prepare to log; with SDLOG_MODE 1 or 2 the first ``update`` starts the logs.
 
         Args:
             autopilot: owner of the records.
             commanders: one commander per vehicle.
-            folder: parent of the vehicles' log folders, which bear their names.
+            folder: parent of the vehicles' log folders, which bear their names; None writes no files.
         """
         self._autopilot = autopilot
         self._commanders = list(commanders)
         count = len(self._commanders)
-        self.folders = [LogFolder(folder / c.vehicle.name) for c in self._commanders]
+        self.folders = [] if folder is None else [LogFolder(folder / c.vehicle.name) for c in self._commanders]
         self._sampled = [_SampledTopic(topic, i) for i, topic in enumerate(TOPICS)]
         schedules: dict[tuple[int, str], list[_SampledTopic]] = {}
         for sampled in self._sampled:
             schedules.setdefault((sampled.topic.period_us, sampled.topic.fresh), []).append(sampled)
         self._schedules = [(_Schedule(*key), topics) for key, topics in schedules.items()]
         self._ids = {name: len(TOPICS) + i for i, name in enumerate(status.NAMES)}
-        self._status = [StatusTopics(commander, self._ids) for commander in self._commanders]
-        self._logs: list[_VehicleLog | None] = [None] * count
+        self._status = [StatusTopics(commander, self._ids) for commander in self._commanders] if self.folders else []
+        self._logs: list[_FileLog | None] = [None] * count
+        self._streams: dict[int, _StreamedLog] = {}
         self._has_armed = [False] * count  # since boot
         self._unwritable = [False] * count  # after a write error
-        self._texts: list[list[tuple[int, int, str]]] = [[] for _ in range(count)]
-        self._active = 0
+        self._texts: list[list[_Text]] = [[] for _ in range(count)]
+        self._active: list[tuple[int, _VehicleLog]] = []  # logs to which data are written, with the vehicle's index
         self._fast_count = self._base_count = 0
         self._fast_us = np.zeros(_FAST_ROWS, np.int64)
         self._base_us = np.zeros(_BASE_ROWS, np.int64)
@@ -225,8 +261,12 @@ class Logger:
             _Ring(autopilot.control, _BASE_ROWS),
         ]
         self._rotors = np.array([autopilot.rotor_count(i) for i in range(count)], np.int64)
-        for i in range(count):
+        for i in range(len(self.folders)):
             self._attach_listeners(i)
+
+    def _update_active(self) -> None:
+        files = [(i, log) for i, log in enumerate(self._logs) if log is not None]
+        self._active = [*files, *((i, log) for i, log in self._streams.items() if log.has_data)]
 
     def _attach_listeners(self, index: int) -> None:
         commander = self._commanders[index]
@@ -234,8 +274,15 @@ class Logger:
         commander.on_command = self._command_listener(index)
         commander.parameters.on_change = self._parameter_listener(index)
 
+    def _detach_listeners(self, index: int) -> None:
+        commander = self._commanders[index]
+        commander.on_text = commander.on_command = None
+        commander.parameters.on_change = None
+
     def reboot(self, index: int, commander: Commander) -> None:
-        """End the log of a rebooted vehicle; with SDLOG_MODE 1 or 2 the next ``update`` starts a new one.
+        """End the log and the stream of a rebooted vehicle.
+
+        With SDLOG_MODE 1 or 2 the next ``update`` starts a new log.
 
         Args:
             index: index of the vehicle.
@@ -243,44 +290,54 @@ class Logger:
         """
         self.flush()
         self._end_log(index)
+        self._end_stream(index)
         self._commanders[index] = commander
-        self._status[index] = StatusTopics(commander, self._ids)
         self._has_armed[index] = self._unwritable[index] = False
         self._texts[index].clear()
-        self._attach_listeners(index)
+        if self.folders:
+            self._status[index] = StatusTopics(commander, self._ids)
+            self._attach_listeners(index)
 
     def close(self) -> None:
-        """Flush and end all logs, and detach the listeners."""
+        """Flush and end all logs and streams, and detach the listeners."""
         self.flush()
-        for i, commander in enumerate(self._commanders):
+        for i in range(len(self._commanders)):
             self._end_log(i)
-            commander.on_text = commander.on_command = None
-            commander.parameters.on_change = None
+            self._end_stream(i)
+            self._detach_listeners(i)
 
     # listeners
 
     def _text_listener(self, index: int) -> Callable[[int, str], None]:
         def record(severity: int, text: str) -> None:
             # log readers skip a text that ends with a tab in favour of its event, but this log has no events
-            self._texts[index].append((severity, self._autopilot.time_us, text.rstrip("\t")))
+            entry = (severity, self._autopilot.time_us, text.rstrip("\t"))
+            if self.folders:
+                self._texts[index].append(entry)
+            streamed = self._streams.get(index)
+            if streamed is not None and streamed.has_data:
+                streamed.texts.append(entry)
 
         return record
 
     def _parameter_listener(self, index: int) -> Callable[[str, int | float], None]:
         def record(name: str, value: int | float) -> None:
-            log = self._logs[index]
-            if log is None:
+            logs: list[_VehicleLog | None] = [self._logs[index], self._streams.get(index)]
+            if not any(logs):
                 return
             self.flush()  # a parameter message has no timestamp and takes effect after the preceding message
-            log.writer.add_parameter(name, value)
-            self._status[index].parameter_changed(self._autopilot.time_us)
+            for log in logs:
+                if log is not None:
+                    log.writer.add_parameter(name, value)
+                    log.status.parameter_changed(self._autopilot.time_us)
 
         return record
 
     def _command_listener(self, index: int) -> CommandListener:
         def record(number: int, params: Sequence[float], sender: tuple[int, int], result: int | None) -> None:
-            if self._logs[index] is not None:
-                self._status[index].command(number, params, sender, result, self._autopilot.time_us)
+            for i, log in self._active:
+                if i == index:
+                    log.status.command(number, params, sender, result, self._autopilot.time_us)
 
         return record
 
@@ -289,6 +346,10 @@ class Logger:
     def update(self) -> None:
         """Start and end logs, and log the status topics; call at 10 Hz."""
         now_us = self._autopilot.time_us
+        if self._streams:
+            self._update_streams(now_us)
+        if not self.folders:
+            return
         for i, commander in enumerate(self._commanders):
             self._start_or_stop(i, commander, now_us)
             log = self._logs[i]
@@ -335,12 +396,12 @@ class Logger:
                 index, f"cannot create a log in {self.folders[index].root}, logging is off until the next boot: {error}"
             )
             return
-        log = self._logs[index] = _VehicleLog(path, file, now_us)
+        log = self._logs[index] = _FileLog(path, file, now_us, self._status[index], self._texts[index])
         self.folders[index].current = path
-        self._active += 1
+        self._update_active()
         self._status[index].restart()
         self._write_definitions(log.writer, commander, offset_s)
-        self._write(index)
+        self._write(index, log)
         # announce the name without a number for duplicates: MAVLink output must not depend on files on the disk
         begun = (int(part) for part in re.findall(r"\d+", name))
         commander.tell(_INFO, f"[logger] ./log/{name}", "logger_open_file_time", *begun)
@@ -351,7 +412,56 @@ class Logger:
             log.close()
             self._logs[index] = None
             self.folders[index].current = None
-            self._active -= 1
+            self._update_active()
+
+    # streams
+
+    def open_stream(self, index: int) -> LogStream | None:
+        """Begin to stream a vehicle's log from the present time, independently of files.
+
+        The stream contains all definitions at once. Data follow from the first ``update`` at which none of them
+        remain.
+
+        Args:
+            index: index of the vehicle.
+
+        Returns:
+            The stream, to be ended by its ``close``; None while another stream of this vehicle is open.
+        """
+        if index in self._streams and not self._streams[index].stream.closed:
+            return None
+        self._end_stream(index)
+        commander, now_us, stream = self._commanders[index], self._autopilot.time_us, LogStream()
+        log = _StreamedLog(stream, now_us, StatusTopics(commander, self._ids, status.MAVLINK))
+        self._write_definitions(log.writer, commander, 60 * int(commander.parameters.get("SDLOG_UTC_OFFSET")))
+        log.writer.flush()
+        stream.finish_definitions()
+        self._streams[index] = log
+        self._attach_listeners(index)
+        return stream
+
+    def _update_streams(self, now_us: int) -> None:
+        for index, log in list(self._streams.items()):
+            if log.stream.closed:
+                self._end_stream(index)
+                continue
+            if not log.has_data and not log.stream.definitions:
+                self.flush()
+                log.has_data = True
+                self._update_active()
+            if log.has_data and now_us > 0:
+                log.status.update(now_us)
+
+    def _end_stream(self, index: int) -> None:
+        log = self._streams.get(index)
+        if log is None:
+            return
+        self.flush()
+        log.stream.close()
+        del self._streams[index]
+        self._update_active()
+        if not self.folders:
+            self._detach_listeners(index)
 
     def _give_up(self, index: int, text: str) -> None:
         """Stop logging of a vehicle until its next boot; the flight continues."""
@@ -412,15 +522,14 @@ class Logger:
         if self._fast_count:
             self._add_sampled()
             self._fast_count = self._base_count = 0
-        for i, log in enumerate(self._logs):
-            if log is not None:
-                self._write(i)
+        for i, log in list(self._active):
+            self._write(i, log)
 
     def _add_sampled(self) -> None:
         fast_us, base_us = self._fast_us[: self._fast_count], self._base_us[: self._base_count]
         sensors = self._fast.copies[: self._fast_count]
         base = [ring.copies[: self._base_count] for ring in self._base]
-        logs = [(i, log.writer) for i, log in enumerate(self._logs) if log is not None]
+        logs = [(i, log.writer) for i, log in self._active]
         for schedule, topics in self._schedules:
             fresh = sensors[schedule.fresh] != 0 if schedule.fresh else None
             time_us, sources = (fast_us, [sensors] * 5) if schedule.fast else (base_us, base)
@@ -448,14 +557,12 @@ class Logger:
         for i, writer in logs:
             writer.add_messages(data[i * size : (i + 1) * size])
 
-    def _write(self, index: int) -> None:
-        log = self._logs[index]
-        assert log is not None
-        writer, topics = log.writer, self._status[index]
+    def _write(self, index: int, log: _VehicleLog) -> None:
+        writer, topics = log.writer, log.status
         now_us = self._autopilot.time_us
-        for severity, time_us, text in self._texts[index]:
+        for severity, time_us, text in log.texts:
             writer.add_messages(ulog.logged_string(severity, time_us, text))
-        self._texts[index].clear()
+        log.texts.clear()
         seconds = (now_us - log.reported_us) * 1e-6
         if seconds >= 1.0:
             topics.written(writer.written / 1000.0, (writer.written - log.reported_bytes) / 1000.0 / seconds, now_us)
@@ -464,4 +571,4 @@ class Logger:
         try:
             writer.flush()
         except OSError as error:
-            self._give_up(index, f"cannot write {log.path}, logging is off until the next boot: {error}")
+            self._give_up(index, f"cannot write {log.name}, logging is off until the next boot: {error}")

@@ -57,19 +57,22 @@ _NEEDS = (
     ("mode_req_home_position", "home"),
 )
 FORMATS: dict[str, Format] = {name: message_format(name) for name in NAMES}
+FILE, MAVLINK = 1, 2  # logger_status.backend
 
 
 class StatusTopics:
     """Encoder of the status messages of one vehicle."""
 
-    def __init__(self, commander: Commander, ids: dict[str, int]) -> None:
+    def __init__(self, commander: Commander, ids: dict[str, int], backend: int = FILE) -> None:
         """Create the message templates.
 
         Args:
             commander: the vehicle's commander.
             ids: message id of each topic.
+            backend: destination of the log, ``FILE`` or ``MAVLINK``.
         """
         self._commander = commander
+        self._backend = backend
         self._messages = {name: data_template(FORMATS[name], ids[name]) for name in NAMES}
         self._records: dict[str, Any] = {name: message["record"] for name, message in self._messages.items()}
         for mask, need in _NEEDS:
@@ -345,7 +348,7 @@ class StatusTopics:
     def written(self, kilobytes: float, rate: float, now_us: int) -> None:
         """Publish the size of the log, kB, and its current write rate, kB/s."""
         r = self._records["logger_status"]
-        r["backend"] = 1  # a file
+        r["backend"] = self._backend
         r["total_written_kb"], r["write_rate_kb_s"] = kilobytes, rate
         r["num_messages"] = len(NAMES)
         self._emit("logger_status", now_us)

@@ -416,7 +416,8 @@ def _motors(m: np.ndarray, s: Samples) -> None:
 @_topic("actuator_outputs", 100)
 def _outputs(m: np.ndarray, s: Samples) -> None:
     armed = (s.setpoint["armed"] != 0)[..., None]
-    pulses = np.where(armed, _MIN_PULSE + _PULSE_RANGE * s.control["actuators"], _DISARMED_PULSE)
+    actuators = s.control["actuators"]  # of a disarmed vehicle above 0 only in a motor test
+    pulses = np.where(armed | (actuators > 0.0), _MIN_PULSE + _PULSE_RANGE * actuators, _DISARMED_PULSE)
     m["noutputs"] = s.rotors
     m["output"][..., :MAX_ROTORS] = np.where(np.arange(MAX_ROTORS) < s.rotors[:, None], pulses, 0.0)
 

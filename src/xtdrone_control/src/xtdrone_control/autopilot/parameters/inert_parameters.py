@@ -53,7 +53,6 @@ _ROWS: tuple[Row, ...] = (
     ("COM_HLDL_REG_T", 0, 0, 60, "s"),
     ("COM_HOME_IN_AIR", 0, 0, 1, ""),
     ("COM_IMB_PROP_ACT", 0, -1, 2, ""),
-    ("COM_MOT_TEST_EN", 1, 0, 1, ""),
     ("COM_OBC_LOSS_T", 5.0, 0.0, 60.0, "s"),
     ("COM_OBS_AVOID", 0, 0, 1, ""),
     ("COM_PARACHUTE", 0, 0, 1, ""),

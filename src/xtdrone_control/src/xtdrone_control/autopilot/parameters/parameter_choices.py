@@ -35,6 +35,7 @@ CHOICES: dict[str, dict[int, str]] = {
     **{f"COM_FLTMODE{number}": _SLOT for number in range(1, 7)},
     "COM_HOME_EN": _OFF_ON,
     "COM_LOW_BAT_ACT": {0: "warning", 1: "return", 2: "land", 3: "return when critical, land when almost empty"},
+    "COM_MOT_TEST_EN": _OFF_ON,
     "COM_OBL_RC_ACT": {
         0: "position",
         1: "altitude",

@@ -285,6 +285,7 @@ _SLOW_ROWS: tuple[tuple[str, float, float, float, str, str], ...] = (
     ("COM_KILL_DISARM", 5.0, 0.0, 30.0, "s", "time from the kill switch to disarming"),
     ("COM_LKDOWN_TKO", 3.0, -1.0, 5.0, "s", "time after spool-up in which a failure disarms the vehicle"),
     ("COM_LOW_BAT_ACT", 2, 0, 3, "", "on a critical battery: 0 warning, 1 return, 2 land, 3 return, finally land"),
+    ("COM_MOT_TEST_EN", 1, 0, 1, "", "allow motor tests by command while disarmed"),
     ("COM_OBL_RC_ACT", 0, 0, 7, "", "on offboard loss: 0 to 2 manual, 3 RTL, 4 land, 5 hold, 6 terminate, 7 disarm"),
     ("COM_OF_LOSS_T", 1.0, 0.0, 60.0, "s", "timeout of the setpoint stream"),
     ("COM_POSCTL_NAVL", 0, 0, 1, "", "on position loss in POSCTL: 0 altitude or manual control, 1 land or descend"),

@@ -57,7 +57,6 @@ _SILENT = frozenset(
         mavlink.MAV_CMD_SET_CAMERA_ZOOM,
         mavlink.MAV_CMD_SET_CAMERA_FOCUS,
         mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
-        mavlink.MAV_CMD_LOGGING_STOP,
         mavlink.MAV_CMD_CONTROL_HIGH_LATENCY,
         mavlink.MAV_CMD_DO_VTOL_TRANSITION,
         mavlink.MAV_CMD_PAYLOAD_PREPARE_DEPLOY,
@@ -181,6 +180,9 @@ class CommandHandler:
         handler = self._handlers.get(command.number)
         if handler is not None:
             return handler(command, link)
+        of_service = self._vehicle.on_command.get(command.number)
+        if of_service is not None:
+            return of_service(command.params, link)
         return None if command.number in _SILENT else Result.UNSUPPORTED
 
     # flight
@@ -340,7 +342,7 @@ class CommandHandler:
         return Result.DENIED
 
     def _test_actuator(self, command: Command, _link: Link) -> Result | None:
-        return None if _rounded(command.params[4]) == 0 else Result.UNSUPPORTED
+        return self._commander.test_actuator(_rounded(command.params[4]), command.params[0], command.params[1])
 
     def _inject_failure(self, command: Command, _link: Link) -> Result:
         unit, kind, instance = (_rounded(value) for value in command.params[:3])

@@ -13,7 +13,6 @@ import numpy as np
 
 from xtdrone_control import rotation
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.autopilot.state import MAX_ROTORS
 from xtdrone_control.geodesy import geo
 from xtdrone_control.geodesy.geo import GRAVITY
 
@@ -404,10 +403,10 @@ class Telemetry:
         return (self.time_ms, *values, *turn, mask, _FRAME_LOCAL_NED)
 
     def servo_output_raw(self) -> Values:
-        """Return SERVO_OUTPUT_RAW: motor pulse widths, 1000..2000 us; 900 when disarmed."""
-        if self._commander.armed:
-            motors = self._control["actuators"].tolist()
-            pulses = [_LEAST_PWM + _unsigned(1000.0 * value, 1000) for value in motors]
-        else:
-            pulses = [_DISARMED_PWM] * MAX_ROTORS
+        """Return SERVO_OUTPUT_RAW: motor pulse widths, 1000..2000 us; 900 when disarmed and not under test."""
+        armed = self._commander.armed
+        pulses = [
+            _LEAST_PWM + _unsigned(1000.0 * value, 1000) if armed or value > 0.0 else _DISARMED_PWM
+            for value in self._control["actuators"].tolist()
+        ]
         return (self.time_us & _UINT32, *pulses, 0, 0, 0, 0, 0, 0, 0, 0, 0)
