@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Pictures of all cameras of the fleet; topics are listed in ``xtdrone_sim.cameras.camera_node``.
+"""Images of all cameras of the fleet; ``xtdrone_sim.cameras.camera_node`` lists the topics.
 
 Parameters:
-    ~rate (Hz, 0.1 to 50; default 0: what each vehicle's file says): pictures a second of every camera.
-    ~latency (s, 0 to 10, default 0.1): simulated time from a picture's exposure to its publishing.
-    ~backend (egl, tiny, default auto): what draws; auto: egl where it can be had.
-    ~world (default /xtdrone/world, which the simulator sets): name or file of the world that is drawn.
-    /xtdrone/fleet (as ``typhoon_h480:6``): the vehicles; ~fleet goes before it.
+    ~rate (Hz, 0.1 to 50; default 0: the rate in the vehicle's file): images per second of every camera.
+    ~latency (s, 0 to 10, default 0.1): simulated time from exposure to publication.
+    ~backend (egl, tiny, default auto): OpenGL implementation of the renderer; auto: egl if available.
+    ~world (default /xtdrone/world, set by the simulator): name or file of the world to draw.
+    /xtdrone/fleet (e.g. ``typhoon_h480:6``): the vehicles; ~fleet overrides it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Sends a person of the world somewhere: ``control_actor.py id x y [v]``.
+"""Send an actor of the world to a position: ``control_actor.py id x y [v]``.
 
-``id`` is its number in the world's order, from 0; x, y where to, m, map; v its speed, m/s: 0: it stays where it is;
-left out or negative: the speed that the world gives it. The program ends when the simulator has been told.
+``id`` is the actor's index in the order of the world, from 0; x, y the target, m, map; v the speed, m/s: 0: stop;
+omitted or negative: the actor's speed in the world. The program exits after the simulator has received the command.
 
-Exit status: 0, 1 when there is no such person (or the simulator has gone), 2 for bad arguments.
+Exit status: 0, 1 if there is no such actor (or the simulator has ended), 2 for invalid arguments.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from ros_actor_cmd_pose_plugin_msgs.msg import ActorMotion
 
 from xtdrone_control import lockstep
 
-LIMIT = 3.0  # simulated s to find the person
+LIMIT = 3.0  # simulated s to wait for the actor's subscriber
 
 
 def main() -> int:
-    """Tell the simulator; return the exit status."""
+    """Send the command to the simulator; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("id", type=int, help="number in the world's order, from 0")
     parser.add_argument("x", type=float, help="m, map")

@@ -2,13 +2,13 @@
 """TF of all vehicles: ``map`` to ``VEHICLE/base_link``, and from there to every link of the URDF and optical frame.
 
 Parameters:
-    /xtdrone/fleet (as ``typhoon_h480:6``): which vehicles there are.
-    ~rate (Hz of simulated time, 1 to 50, default 30): how often.
+    /xtdrone/fleet (e.g. ``typhoon_h480:6``): the vehicles.
+    ~rate (Hz of simulated time, 1 to 50, default 30): publishing rate.
     ~frame_id (default map): frame of the vehicles' positions.
 
 Topics:
     /VEHICLE/mavros/local_position/pose (in)
-    /VEHICLE/joint_states (in): of gimbal and landing gear; until it comes, their joints are at 0.
+    /VEHICLE/joint_states (in): gimbal and landing gear; their joints are at 0 before the first message.
     /tf, /tf_static (out)
 """
 

@@ -1,4 +1,4 @@
-"""YAML descriptions of vehicles and worlds: their folders, their names, and how one extends another."""
+"""YAML descriptions of vehicles and worlds: search path, names, and inheritance."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class ModelError(ValueError):
 
 
 def folders(kind: str) -> list[Path]:
-    """Return where descriptions of a kind (vehicles, worlds) are looked for, in this order.
+    """Return the search path of a kind of descriptions (vehicles, worlds).
 
     Raises:
-        ModelError: the environment names a folder that is not there.
+        ModelError: a folder listed in the environment does not exist.
     """
     own = os.environ.get(VEHICLES_VARIABLE, "") if kind == "vehicles" else ""
     folders = [Path(part).expanduser() for part in own.split(":") if part]

@@ -1,8 +1,8 @@
 """The simulator without ROS: world, sensors and autopilots of a fleet, in strict lockstep at 250 Hz.
 
-One step: the world moves on under the last motor commands, sensors see it, the autopilots run on what these say and
-give the next commands. So after a step truth, samples and estimates all belong to ``time_us``. Whose autopilots they
-are, ours or others, is the business of ``autopilots``.
+One step: the world advances under the last motor commands, the sensors sample it, and the autopilots process the
+samples and compute the next commands. After a step, truth, samples and estimates therefore all belong to ``time_us``.
+``autopilots`` contains the autopilot back ends: the built-in autopilot and external PX4s.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ class Simulation:
 
     Attributes:
         fleet: the vehicles, in order of their global index.
-        models: one a vehicle.
-        world: bodies; ``world.plant`` is the truth.
-        gimbals: what holds their cameras.
-        landing_gears: what they stand on.
-        effects: forces and torques added to the rotors'; None if there are none.
-        autopilots: who flies them.
+        models: one per vehicle.
+        world: rigid bodies; ``world.plant`` is the ground truth.
+        gimbals: camera gimbals of all vehicles.
+        landing_gears: landing gears of all vehicles.
+        effects: forces and torques added to those of the rotors; None without effects.
+        autopilots: autopilot back end of the fleet.
         time_us: simulated time, microseconds.
-        step_us: one step.
+        step_us: length of a step, microseconds.
     """
 
     step_us = STEP_US
@@ -55,18 +55,19 @@ class Simulation:
 
         Args:
             fleet: see ``xtdrone_control.fleet.parse_fleet``.
-            rows: vehicles side by side on the spawn grid.
-            world: a name or a file, see ``sdf.load_world_file``.
-            seed: of all sensor noise.
-            shared_datum: every local frame starts at the world's origin; otherwise at each vehicle's first GPS fix.
-            places: (x, y, z) m ENU a vehicle instead of the grid.
-            autopilots: makes who flies the vehicles.
-            effects: forces and torques on the vehicles besides those of rotors and drag, see ``effects``.
+            rows: number of vehicles side by side on the spawn grid.
+            world: name or file, see ``sdf.load_world_file``.
+            seed: seed of all sensor noise.
+            shared_datum: whether all local frames share the world's origin; otherwise each starts at the vehicle's
+                first GPS fix.
+            places: spawn position (x, y, z) of each vehicle, m ENU; replaces the grid.
+            autopilots: factory of the autopilot back end.
+            effects: forces and torques on the vehicles in addition to those of rotors and drag, see ``effects``.
 
         Raises:
-            EffectError: an effect that cannot be applied.
-            ModelError: unknown vehicle type or world.
-            FleetError: a bad number of rows.
+            EffectError: an effect cannot be applied.
+            ModelError: the vehicle type or the world is unknown.
+            FleetError: the number of rows is invalid.
         """
         model = load_world(world)
         types = {vehicle.type: load_vehicle(vehicle.type) for vehicle in fleet}
@@ -82,7 +83,7 @@ class Simulation:
         self._begin(0)
 
     def _begin(self, time_us: int) -> None:
-        """Make world, sensors and autopilots as they are at the start, at simulated time ``time_us``."""
+        """Create world, sensors and autopilots in their initial state at simulated time ``time_us``."""
         self.time_us = time_us
         self.world = World(self._model, self.models, self._spawn, STEP_US * 1e-6, self.effects)
         if self.effects is not None:
@@ -95,12 +96,12 @@ class Simulation:
 
     @property
     def autopilot(self) -> Autopilot:
-        """The autopilots' records; their own estimates and setpoints only where they are ours."""
+        """State records of all autopilots; estimates and setpoints are filled by the built-in autopilot only."""
         return self.autopilots.autopilot
 
     @property
     def commanders(self) -> list[Commander]:
-        """Modes and arming, one a vehicle that ours flies."""
+        """Mode and arming logic, one per vehicle that the built-in autopilot flies."""
         return self.autopilots.commanders
 
     def step(self) -> None:
@@ -119,17 +120,17 @@ class Simulation:
         self._steps += 1
 
     def restart(self, time_us: int = 0) -> None:
-        """Put the fleet back to its start: spawn places, disarmed, estimators, modes and noise from the beginning.
+        """Return the fleet to its spawn positions, disarmed, with estimators, modes and noise reinitialised.
 
-        Parameters that were changed stay changed, as they do when an autopilot is rebooted. ``world``, ``autopilot``,
-        ``sensors``, ``gimbals``, ``landing_gears`` and ``commanders`` are new objects.
+        Changed parameters keep their values, as in a reboot of an autopilot. ``world``, ``autopilot``, ``sensors``,
+        ``gimbals``, ``landing_gears`` and ``commanders`` are new objects.
 
         Args:
-            time_us: simulated time from which it goes on, microseconds; a multiple of ``step_us``. From 0 the same
-                inputs lead to the same flight as the first time, to the last bit.
+            time_us: simulated time after the restart, microseconds; a multiple of ``step_us``. From 0, the same
+                inputs reproduce the first flight bit for bit.
 
         Raises:
-            ValueError: ``time_us`` is no such multiple.
+            ValueError: ``time_us`` is negative or not a multiple of ``step_us``.
         """
         if time_us < 0 or time_us % STEP_US:
             raise ValueError(f"time: {time_us} us is not allowed, a multiple of {STEP_US} us")
@@ -142,6 +143,6 @@ class Simulation:
             self.step()
 
     def close(self) -> None:
-        """Free the physics engine and what the autopilots hold."""
+        """Release the resources of the autopilots and the physics engine."""
         self.autopilots.close()
         self.world.close()

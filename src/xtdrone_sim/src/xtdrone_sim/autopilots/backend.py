@@ -1,4 +1,4 @@
-"""Who flies the vehicles: the cut between the simulator and the autopilots, and our own autopilot's side of it."""
+"""Interface between the simulator and the autopilots, and its implementation by the built-in autopilot."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 COMMANDER_PERIOD_US = 100_000
 
 
-class Autopilots(Protocol):
+class AutopilotBackend(Protocol):
     """The autopilots of a simulation's vehicles.
 
-    One step: the simulator writes ``autopilot.sensors``, calls ``step``, and lets the world go on under
+    One step: the simulator writes ``autopilot.sensors``, calls ``step``, and advances the world under
     ``autopilot.motor_inputs()``.
 
     Attributes:
         autopilot: records of all vehicles; a new object after each ``begin``.
-        commanders: modes and arming of ``served``, one a vehicle; a new list after each ``begin``, and in it a new
-            object when a vehicle's autopilot alone is rebooted.
+        commanders: mode and arming logic, one per vehicle of ``served``; a new list after each ``begin``. The reboot
+            of a single autopilot replaces its entry.
         served: the vehicles whose MAVLink the simulator serves.
-        need_time: they answer their clients only while time goes on.
-        descriptors: file descriptors on which something may come while time stands still; see ``serve``.
+        need_time: whether the autopilots answer their clients only while simulated time advances.
+        descriptors: file descriptors on which data may arrive while time stands still; see ``serve``.
     """
 
     autopilot: Autopilot
@@ -44,39 +44,39 @@ class Autopilots(Protocol):
     descriptors: tuple[int, ...]
 
     def begin(self, world: World, time_us: int) -> None:
-        """Start anew, in a new world, at simulated time ``time_us``."""
+        """Boot all autopilots in a new world at simulated time ``time_us``."""
 
     def step(self) -> None:
         """Advance by one step over the samples in ``autopilot.sensors``."""
 
     def missing(self) -> str:
-        """Say for whom time should not begin yet; "" for nobody."""
+        """Return which autopilots time must not start without yet; "" when all are present."""
 
     def serve(self) -> None:
-        """Act on what has come on ``descriptors``; returns at once."""
+        """Process the data that has arrived on ``descriptors``, without blocking."""
 
     def close(self) -> None:
-        """Free what is held."""
+        """Release all resources."""
 
 
 class AutopilotFactory(Protocol):
-    """Makes the autopilots of a fleet."""
+    """Creates the autopilot back end of a fleet."""
 
     def __call__(
         self, fleet: tuple[Vehicle, ...], models: Sequence[VehicleModel], world: WorldModel, datum: Datum | None
-    ) -> Autopilots:
-        """Make them; they start with ``begin``.
+    ) -> AutopilotBackend:
+        """Create the back end; ``begin`` boots its autopilots.
 
         Args:
             fleet: the vehicles, in order of their global index.
-            models: one a vehicle.
-            world: where they fly.
-            datum: the local frame's origin that all vehicles share; None lets each start at its first GPS fix.
+            models: one per vehicle.
+            world: the world in which they fly.
+            datum: shared origin of all local frames; None: each starts at the vehicle's first GPS fix.
         """
 
 
 class BuiltinAutopilot:
-    """Our own autopilot: kernels at every step, mode logic at 10 Hz. See ``Autopilots``."""
+    """The built-in autopilot: kernels at every step, mode logic at 10 Hz. See ``AutopilotBackend``."""
 
     need_time = False
     descriptors: tuple[int, ...] = ()
@@ -90,13 +90,13 @@ class BuiltinAutopilot:
         params: Path | None = None,
         logs: Path | None = None,
     ) -> None:
-        """Make the vehicles' parameters and plans, which outlive a restart.
+        """Create parameters and plans of the vehicles, which survive a restart.
 
         Args:
             fleet, models, world, datum: see ``AutopilotFactory``.
-            params: folder in which changed parameters outlive the simulator, a file ``<vehicle>.params`` each; None:
-                every run starts with the defaults.
-            logs: folder for the vehicles' logs; None writes none.
+            params: folder that stores changed parameters between runs, one file ``<vehicle>.params`` per vehicle;
+                None: every run starts with the defaults.
+            logs: folder for the flight logs; None disables logging.
         """
         self.served = fleet
         self._logs = logs
@@ -120,7 +120,7 @@ class BuiltinAutopilot:
         self.commanders: list[Commander] = []
 
     def begin(self, world: World, time_us: int) -> None:
-        """Boot all autopilots; parameters that were changed stay changed, missions, geofences and rally points stay."""
+        """Boot all autopilots; changed parameters, missions, geofences and rally points are kept."""
         self.close()
         self.autopilot = Autopilot(self._layouts, self._datum)
         self.autopilot.time_us = time_us
@@ -148,8 +148,8 @@ class BuiltinAutopilot:
         return self._logger.open_stream(index)
 
     def _reboot(self, index: int) -> None:
-        """Boot one vehicle's autopilot anew, as MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN asks; the others fly on."""
-        if self.commanders[index].armed:  # somebody was quicker
+        """Reboot the autopilot of one vehicle after MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN; the others keep flying."""
+        if self.commanders[index].armed:  # armed after the command had been accepted
             self.commanders[index].rebooting = False
             return
         self.autopilot.reboot(index)
@@ -158,7 +158,7 @@ class BuiltinAutopilot:
             self._logger.reboot(index, commander)
 
     def step(self) -> None:
-        """Run the kernels, and the mode logic when it is due."""
+        """Run the kernels, and the mode logic every ``COMMANDER_PERIOD_US``."""
         self.autopilot.step()
         beat = self.autopilot.time_us % COMMANDER_PERIOD_US == 0
         if beat:
@@ -173,14 +173,14 @@ class BuiltinAutopilot:
                 self._logger.update()
 
     def missing(self) -> str:
-        """Nobody is waited for."""
+        """Return "": the built-in autopilots are always present."""
         return ""
 
     def serve(self) -> None:
-        """Nothing comes from outside."""
+        """Do nothing: the built-in autopilot has no connections of its own."""
 
     def close(self) -> None:
-        """End the logs."""
+        """Close the flight logs."""
         if self._logger is not None:
             self._logger.close()
             self._logger = None

@@ -1,4 +1,4 @@
-"""MAVLink over UDP between the autopilots and lockstep participants: none must be missed, some may get lost."""
+"""MAVLink over UDP between autopilots and lockstep participants: waits for every datagram, or reports it lost."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.mavlink.port import LOOPBACK
 from xtdrone_control.mavlink.server import MavlinkServer
 
-LIMIT = 10.0  # s of wall time to wait for datagrams that a participant of this machine says it has sent
-REMOTE_LIMIT = 0.25  # the same for one of another machine: on the way from there some get lost
+LIMIT = 10.0  # wall s to wait for datagrams that a participant on this machine has reported as sent
+REMOTE_LIMIT = 0.25  # the same for a participant on another machine, because the network loses datagrams
 _SLICE = 0.01  # s
-_LONGEST = 1.0  # s that one such wait counts for at most: beyond, this process was stopped, and the sender perhaps too
+_LONGEST = 1.0  # s, cap on one measured wait: a longer one means this process was suspended, perhaps the sender too
 _SURPLUS_TURNS = 50
-_REPORT_PERIOD = 1.0  # s of wall time between two words on lost datagrams
+_REPORT_PERIOD = 1.0  # wall s between two warnings about lost datagrams
 
 
 class _End(NamedTuple):
-    """A participant that receives on some port: its name, host and port of its connection, whether it is elsewhere."""
+    """A participant that receives on a UDP port.
+
+    Attributes:
+        name: name of the participant.
+        address: ``host:port`` of its lockstep connection.
+        remote: whether it runs on another machine.
+    """
 
     name: str
     address: str
@@ -27,7 +33,7 @@ class _End(NamedTuple):
 
 
 class Datagrams:
-    """Waits for what participants have sent, and sees to it that the autopilots send where participants are."""
+    """Receives the datagrams of all participants before the barrier opens, and routes the autopilots' links to them."""
 
     def __init__(
         self,
@@ -36,32 +42,32 @@ class Datagrams:
         warn: Callable[[str], None],
         idle: Callable[[float], None],
     ) -> None:
-        """Start with nothing lost.
+        """Start with no datagram lost.
 
         Args:
-            mavlink: counts what comes.
-            server: tells what participants have sent, and where they are.
-            warn: takes a warning for the user.
-            idle: called with a time in wall seconds instead of a plain wait: receives what comes by MAVLink, serves
-                everything else but ``server``, and raises when the node is to end.
+            mavlink: receives and counts the datagrams.
+            server: provides the counts of sent datagrams and the addresses of the participants.
+            warn: logs a warning.
+            idle: waits up to the given wall time, s: receives MAVLink, serves everything else except ``server``, and
+                raises when the node shuts down.
         """
         self._mavlink = mavlink
         self._server = server
         self._warn = warn
         self._idle = idle
-        self._ends: dict[int, _End] = {}  # by port, whom the links have been pointed at
+        self._ends: dict[int, _End] = {}  # by port, the participant to which the links send
         self._known: set[_End] = set()
-        # By local port, what will not come any more; below 0: so many have come that nobody has counted.
+        # By local port, the number of lost datagrams; negative: received datagrams that no participant has counted.
         self._lost: dict[int, int] = {}
-        self._surplus: dict[int, tuple[int, int]] = {}  # for how many turns, and the least of it
+        self._surplus: dict[int, tuple[int, int]] = {}  # by local port: consecutive turns with a surplus, its minimum
         self._unreported: dict[int, int] = {}
         self._reported = -_REPORT_PERIOD
 
     def direct(self) -> None:
-        """Have sockets for participants, and point links at those on other machines.
+        """Open sockets for the participants, and point links at those on other machines.
 
-        What is sent before these speak would go astray else. A participant that takes the place of one that is gone
-        gets what went there, wherever either of them is.
+        Without this, data sent to a remote participant before its first datagram would be lost. A participant that
+        replaces a disconnected one on the same port takes over its links, on whichever machine either of them runs.
         """
         present = {
             _End(name, participant.address, participant.remote): participant.udp_ports
@@ -77,7 +83,7 @@ class Datagrams:
                 self._point(port, end)
 
     def _reserve(self, present: Mapping[_End, Iterable[int]]) -> None:
-        """Have a socket for every address from which participants send."""
+        """Open a socket for every address from which participants send."""
         peers: dict[int, set[str]] = {}
         for end, ports in present.items():
             hosts = {end.address.rpartition(":")[0]} | (set() if end.remote else {LOOPBACK})
@@ -86,7 +92,7 @@ class Datagrams:
         self._mavlink.reserve(peers)
 
     def _point(self, port: int, end: _End) -> None:
-        """Let the links to ``port`` send to a participant, unless another one that is there still has it."""
+        """Point the links to ``port`` at a participant, unless another connected participant holds the port."""
         before = self._ends.get(port)
         if before in self._known:
             return
@@ -97,14 +103,14 @@ class Datagrams:
             self._mavlink.direct([port], LOOPBACK, override=True)
 
     def counted_ports(self) -> set[int]:
-        """Return the ports on which participants count what comes from the simulator."""
+        """Return the ports on which participants count the datagrams of the simulator."""
         return {port for participant in self._server.participants.values() for port in participant.udp_ports}
 
     def wait(self) -> None:
-        """Take in what participants say they have sent by now; what does not come in time is reported as lost.
+        """Receive all datagrams that participants have reported as sent; report those that time out as lost.
 
-        What was sent on this machine is in the sockets already. So it is read here in any case, also if strangers'
-        datagrams have upset the counts.
+        Datagrams sent on this machine are already in the sockets. They are read unconditionally, so they arrive even
+        if datagrams of other senders have upset the counts.
         """
         self._mavlink.receive(0.0)
         waited, looked = 0.0, time.monotonic()
@@ -120,7 +126,7 @@ class Datagrams:
         self._report()
 
     def _missing(self) -> dict[int, int]:
-        """Return how many datagrams are on their way to each local port, where there are any."""
+        """Return the number of datagrams in flight by local port, for ports with at least one."""
         received, lost = self._mavlink.received, self._lost
         missing = {}
         for port, count in self._server.datagrams_expected.items():
@@ -130,7 +136,7 @@ class Datagrams:
         return missing
 
     def _limit(self, port: int) -> float:
-        # As many have come as were counted, and it is only thought that some of them are a stranger's.
+        # Enough datagrams have arrived; the count is short only because some are presumed to be from other senders.
         doubtful = self._mavlink.received[port] >= self._server.datagrams_expected[port]
         return REMOTE_LIMIT if doubtful or self._server.remote_sender(port) else LIMIT
 
@@ -142,10 +148,10 @@ class Datagrams:
             self._unreported[port] = self._unreported.get(port, 0) + lost
 
     def _take_back(self) -> None:
-        """Lower the number of lost datagrams when some of them have come late, or others that nobody has counted.
+        """Lower the number of lost datagrams after late or uncounted ones have arrived.
 
-        Else they would be taken for those that are still to come. A surplus that passes is none: it is what was sent
-        but had not been counted yet.
+        Otherwise these would be mistaken for datagrams that are still in flight. A surplus that lasts less than
+        ``_SURPLUS_TURNS`` turns is ignored: it consists of datagrams sent but not counted yet.
         """
         received, expected = self._mavlink.received, self._server.datagrams_expected
         for port, count in expected.items():

@@ -1,16 +1,16 @@
-"""PX4s in our autopilot's place (``autopilot:=hil``): each vehicle's simulator link, in lockstep.
+"""Autopilot back end for external PX4s (``autopilot:=hil``): the simulator links of all vehicles, in lockstep.
 
-In every step all PX4s get their samples, then all their answers are waited for at once. The controls that answer the
-samples of one step move the vehicle in the next. Whom nobody controls has its motors off; the others fly on.
+Each step sends the samples to all PX4s, then waits for all answers in parallel. The controls that answer the samples of
+one step drive the motors in the next. A vehicle without controls has its motors off; the others keep flying.
 
-How long an answer is waited for:
+Time limits for an answer:
 
-- A PX4 that has answered is waited for: armed, up to ``hang_limit``, for its motors depend on it; disarmed, up to
-  ``DISARMED_LIMIT``, for PX4 sends no controls while it has nothing to control, as disarmed in OFFBOARD without
-  setpoints. One whose connection closes is not waited for.
-- One that has not answered yet, because it boots, or has not in time, is given one step of real time. It is waited for
-  again once its answers, late or not, are to ``RELOCK_STEPS`` steps one after another.
-- One that says that it runs without lockstep is never waited for.
+- A PX4 in lockstep: while armed, ``hang_limit``, because its motors depend on the answer; while disarmed,
+  ``DISARMED_LIMIT``, because PX4 sends no controls while it has nothing to control, e.g. disarmed in OFFBOARD without
+  setpoints. Closing the connection ends the wait.
+- A PX4 that is booting, or whose last answer timed out: one step of real time. It is in lockstep again after its
+  answers, late or not, cover ``RELOCK_STEPS`` consecutive steps.
+- A PX4 that reports that it runs without lockstep: no wait.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from xtdrone_sim.physics.world import World, WorldModel
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 
 DISARMED_LIMIT = 1.0
-"""Wall seconds that a disarmed PX4's answer is waited for; Gazebo's plugin waits as long."""
+"""Longest wait for the answer of a disarmed PX4, wall s; the same as in Gazebo's plugin."""
 
-_SLICE = 0.1  # wall s between two looks at other things while waiting
-_FIRST_WORD = 5.0  # wall s of waiting until the log says so
-_NEXT_WORD = 30.0  # wall s between two such words
+_SLICE = 0.1  # wall s between two calls of ``idle`` while waiting
+_FIRST_WARNING = 5.0  # wall s of waiting after which a warning is logged
+_WARNING_PERIOD = 30.0  # wall s between two such warnings
 _HEARTBEAT_US = 1_000_000
 
 
@@ -48,7 +48,7 @@ def _log(level: int, text: str) -> None:
 
 
 class Hil:
-    """PX4s behind their simulator links. See ``autopilots.Autopilots``."""
+    """PX4s behind their simulator links. See ``AutopilotBackend``."""
 
     commanders: list[Commander]
     served: tuple[Vehicle, ...] = ()  # PX4 serves its MAVLink itself
@@ -66,20 +66,20 @@ class Hil:
         idle: Callable[[float], None] = lambda timeout: None,
         log: Log = _log,
     ) -> None:
-        """Listen for all PX4s.
+        """Listen on the simulator ports of all vehicles.
 
         Args:
             fleet: the vehicles, in order of their global index.
-            models: one a vehicle.
-            world: where they fly.
-            datum: of no use here: PX4 takes its local frame's origin by MAVLink, which the simulator does not serve.
-            host: address to listen on; "0.0.0.0" for every network.
-            hang_limit: wall seconds that an armed PX4's answer is waited for, 0 for ever.
-            idle: called now and then with 0 while waiting; may raise.
-            log: takes level and text for the user.
+            models: one per vehicle.
+            world: the world in which they fly.
+            datum: unused: PX4 receives the origin of its local frame by MAVLink, which the simulator does not serve.
+            host: address to listen on; "0.0.0.0" for every network interface.
+            hang_limit: longest wait for the answer of an armed PX4, wall s; 0 for unlimited.
+            idle: called periodically with 0 while waiting; may raise.
+            log: logs a text at a level of ``logging``.
 
         Raises:
-            HilError: a port is taken; none stays bound then.
+            HilError: a port is in use; all ports are closed.
         """
         place = world.datum.latitude, world.datum.longitude, world.datum.altitude
         self._layouts = [model.rotor_layout for model in models]
@@ -89,7 +89,7 @@ class Hil:
         self._frames = Frames(fleet, place)
         self._next_truth_us = np.zeros(len(fleet))
         self._next_heartbeat_us = 0
-        self._time_us = 0  # of the links: it never goes back, for PX4's cannot
+        self._time_us = 0  # time of the links; never set back, because PX4's clock is monotonic
         self._poll = select.epoll()
         self._readers: dict[int, Callable[[], None]] = {}
         self.links: list[HilLink] = []
@@ -115,7 +115,7 @@ class Hil:
             self._register(link.connection.fileno(), link.read)
 
     def begin(self, world: World, time_us: int) -> None:
-        """Go on in a new world. PX4s are not restarted, and their time goes on: they see a jump."""
+        """Continue in a new world. PX4s are not restarted and their time continues: they see a jump."""
         self._world = world
         self.autopilot = Autopilot(self._layouts, None)
         self.autopilot.time_us = time_us
@@ -123,7 +123,7 @@ class Hil:
             link.controls = None
 
     def missing(self) -> str:
-        """Say which vehicles have no PX4 yet."""
+        """Return which vehicles have no PX4 yet; "" when all have."""
         waiting = [
             f"{link.vehicle.name} (TCP port {link.vehicle.simulator_tcp_port})"
             for link in self.links
@@ -132,7 +132,7 @@ class Hil:
         return f"no PX4 has connected for {', '.join(waiting)}" if waiting else ""
 
     def step(self) -> None:
-        """Send all samples, wait for all answers, and hand the motors what they say."""
+        """Send all samples, wait for all answers, and apply the received controls to the motors."""
         self.autopilot.time_us += STEP_US
         self._time_us += STEP_US
         self._send()
@@ -140,13 +140,13 @@ class Hil:
         self._apply()
 
     def _send(self) -> None:
-        """Send this step's samples, behind what PX4 has not taken yet."""
+        """Send the samples of this step, after the data that PX4 has not read yet."""
         now, frames = self._time_us, self._frames
         for i, link in enumerate(self.links):
             interval = link.truth_interval_us
             due = frames.truth_due[i] = interval > 0.0 and now >= self._next_truth_us[i]
             if due:
-                # on a grid of its own, so that the mean rate is what PX4 asks for
+                # on a fixed grid, so that the mean rate is the one that PX4 requests
                 self._next_truth_us[i] = max(self._next_truth_us[i] + interval, now - interval + 1)
         frames.fill(self.autopilot.sensors, self._world, now)
         heartbeat = now >= self._next_heartbeat_us
@@ -159,10 +159,10 @@ class Hil:
             link.send(b"".join((samples, frames.heartbeat(i))) if heartbeat else samples, now)
 
     def _collect(self) -> None:
-        """Wait for everybody's answer, each within its limit."""
+        """Wait for the answers of all PX4s, each within its time limit."""
         self.serve()
         began = end = looked = time.monotonic()
-        word = _FIRST_WORD
+        next_warning = _FIRST_WARNING
         waiting = self.links
         while waiting := [link for link in waiting if link.awaited]:
             now = time.monotonic()
@@ -173,13 +173,13 @@ class Hil:
             if now - looked >= _SLICE:
                 looked = now
                 self._idle(0.0)
-            if now - began >= word:
-                word += _NEXT_WORD
+            if now - began >= next_warning:
+                next_warning += _WARNING_PERIOD
                 names = ", ".join(link.vehicle.name for link in waiting)
                 self._log(logging.WARNING, f"the world waits for PX4's controls of {names} since {now - began:.0f} s")
 
     def _give_up(self, waiting: list[HilLink], began: float, now: float) -> float:
-        """Wait no longer for those whose time is over; return when somebody's next is."""
+        """Time out the links whose limit has passed; return the monotonic wall time of the next timeout, s."""
         end = math.inf
         for link in waiting:
             until = began + self._limit(link)
@@ -190,7 +190,7 @@ class Hil:
         return end
 
     def _limit(self, link: HilLink) -> float:
-        """Return for how long this step's answer is waited for, wall s."""
+        """Return the time limit for the answer to this step, wall s."""
         if not link.locked:
             return STEP_US * 1e-6
         return self._hang_limit if link.armed else min(DISARMED_LIMIT, self._hang_limit)
@@ -210,7 +210,7 @@ class Hil:
         np.clip(actuators, 0.0, 1.0, out=actuators)
 
     def serve(self) -> None:
-        """Take connections and what PX4s have sent."""
+        """Accept connections and read the data that PX4s have sent, without blocking."""
         self._read(0.0)
 
     def _read(self, timeout: float) -> None:

@@ -1,6 +1,6 @@
-"""One vehicle's end of PX4's simulator link: the TCP server to which its simulator_mavlink module connects.
+"""Simulator link of one vehicle: the TCP server to which PX4's simulator_mavlink module connects.
 
-As Gazebo Classic's mavlink_interface plugin has it; ``docs/px4-sitl.md`` says where the two differ.
+Follows Gazebo Classic's mavlink_interface plugin; ``docs/px4-sitl.md`` lists the differences.
 """
 
 from __future__ import annotations
@@ -17,43 +17,43 @@ from xtdrone_sim.autopilots.hil_messages import Controls, Stream, TruthInterval
 Log = Callable[[int, str], None]
 
 RELOCK_STEPS = 25
-"""Successive steps that a PX4 that has been silent must have answered before it is waited for again."""
+"""Consecutive steps that a silent PX4 must answer to be in lockstep again."""
 
 STALE_US = 200_000
-"""Simulated time after which controls are void and the motors stop, as in Gazebo's plugin."""
+"""Simulated time, microseconds, after which controls expire and the motors stop, as in Gazebo's plugin."""
 
 _READ = 65536  # bytes
-_MOST_GARBAGE = 4096  # bytes without one MAVLink message, after which a connection is no PX4's
-_MOST_PENDING = 1 << 20  # bytes that the other side has not taken
+_MOST_GARBAGE = 4096  # bytes without a MAVLink message after which the client is not considered a PX4
+_MOST_PENDING = 1 << 20  # bytes that the client has not read
 
 
 class HilError(OSError):
-    """A simulator link that cannot be opened."""
+    """A simulator link cannot be opened."""
 
 
 class HilLink:
-    """Listens for a PX4, talks to one at a time.
+    """Listens for PX4 and serves one connection at a time.
 
     Attributes:
-        vehicle: whose link it is.
-        listener: socket that takes connections.
-        connection: socket to PX4; None when there is none.
-        controls: PX4's newest; None when there are none, or they are void.
-        truth_interval_us: between two HIL_STATE_QUATERNION, 0 for none; PX4 asks for 5 ms.
-        awaited: PX4 has been sent samples in this step and has not answered yet.
-        locked: PX4 is waited for as long as it takes; otherwise a moment.
+        vehicle: vehicle of the link.
+        listener: listening socket.
+        connection: socket to PX4; None while disconnected.
+        controls: latest controls of PX4; None before the first ones and after they have expired.
+        truth_interval_us: interval of HIL_STATE_QUATERNION, microseconds, 0 for none; PX4 requests 5 ms.
+        awaited: samples have been sent in this step and PX4 has not answered them yet.
+        locked: PX4 is in lockstep, see ``hil``; otherwise the wait for an answer is one step of real time.
     """
 
     def __init__(self, vehicle: Vehicle, host: str, log: Log) -> None:
-        """Listen on the vehicle's simulator port.
+        """Listen on the simulator port of the vehicle.
 
         Args:
-            vehicle: whose link it is.
-            host: address to listen on; "0.0.0.0" for every network.
-            log: takes level and text for the user.
+            vehicle: vehicle of the link.
+            host: address to listen on; "0.0.0.0" for every network interface.
+            log: logs a text at a level of ``logging``.
 
         Raises:
-            HilError: the port is taken.
+            HilError: the port is in use.
         """
         self.vehicle = vehicle
         self._log = log
@@ -74,7 +74,7 @@ class HilLink:
         self._forget()
 
     def _forget(self) -> None:
-        """Know nothing of a PX4."""
+        """Reset the state of the connection."""
         self.controls: Controls | None = None
         self.truth_interval_us = 0.0
         self.awaited = False
@@ -85,9 +85,9 @@ class HilLink:
         self._sent_us = 0
         self._heard_us = 0
         self._has_answered = False
-        self._answered_us = 0  # PX4's time of its newest answer
-        self._streak = 0  # answers to successive steps
-        self._free = False  # says itself that it does not take part in the lockstep
+        self._answered_us = 0  # PX4's time of its latest answer
+        self._streak = 0  # consecutive steps answered
+        self._free = False  # PX4 reports that it runs without lockstep
 
     @property
     def armed(self) -> bool:
@@ -96,17 +96,17 @@ class HilLink:
 
     @property
     def fresh(self) -> bool:
-        """Whether PX4 has got nothing yet."""
+        """Whether no samples have been sent to PX4 yet."""
         return self._first_us is None
 
     def accept(self) -> bool:
-        """Take a connection that waits; return whether it is the link's now.
+        """Accept a pending connection; return whether it has become the connection of the link.
 
-        A PX4 that answers keeps the link; one that does not makes room.
+        A new connection replaces a PX4 that does not answer and is rejected otherwise.
         """
         try:
             connection, (host, port) = self.listener.accept()
-        except OSError:  # it has gone again
+        except OSError:  # the client has closed it already
             return False
         if self.connection is not None and self.locked:
             self._log(logging.WARNING, f"{self._name}: a second one, from {host}:{port}, is refused")
@@ -121,7 +121,7 @@ class HilLink:
         return True
 
     def drop(self, reason: str) -> None:
-        """Close the connection; the motors stop and the next PX4 may come."""
+        """Close the connection; the motors stop and another PX4 may connect."""
         if self.connection is None:
             return
         self.connection.close()
@@ -132,7 +132,7 @@ class HilLink:
         self._forget()
 
     def send(self, frames: bytes | memoryview, time_us: int) -> None:
-        """Send one step's samples, taken at the link's ``time_us``; PX4 is to answer."""
+        """Send the samples of one step, taken at the link's ``time_us``, and expect an answer."""
         if self.connection is None:
             return
         if self._first_us is None:
@@ -158,7 +158,7 @@ class HilLink:
                 self.drop("takes nothing any more and is cut off")
 
     def read(self) -> None:
-        """Take in what PX4 has sent."""
+        """Read and process the data that PX4 has sent."""
         if self.connection is None:
             return
         try:
@@ -197,7 +197,7 @@ class HilLink:
         self._heard_us = self._sent_us
         if not controls.lockstep:
             if not self._free:
-                self._log(logging.INFO, f"{self._name} runs without lockstep: nobody waits for it")
+                self._log(logging.INFO, f"{self._name} runs without lockstep: the simulator does not wait for it")
             self._free, self.locked, self.awaited = True, False, False
             return
         self._free = False
@@ -208,24 +208,28 @@ class HilLink:
             self.locked = True
             self._log(logging.INFO, f"{self._name} answers: in lockstep")
         self._answered_us, self._has_answered = controls.time_us, True
-        # PX4's clock begins with its first samples. An answer to an earlier step is none to this one; 0: no time given.
+        # PX4's clock starts at its first samples. An answer to an earlier step does not answer this one; 0: no time.
         if controls.time_us == 0 or controls.time_us >= self._sent_us - (self._first_us or 0):
             self.awaited = False
 
     def missed(self) -> None:
-        """Note that PX4 has not answered this step within its time."""
+        """Leave lockstep: PX4 has not answered this step within its time limit."""
         self.awaited = False
         if not self.locked:
             return
         self.locked = False
         self._streak = 0
         if self.armed:
-            self._log(logging.WARNING, f"{self._name} is armed and does not answer: the world goes on without it")
+            self._log(
+                logging.WARNING, f"{self._name} is armed and does not answer: the simulation continues without it"
+            )
         else:
-            self._log(logging.INFO, f"{self._name} is disarmed and silent: the world goes on, no faster than real time")
+            self._log(
+                logging.INFO, f"{self._name} is disarmed and silent: the simulation continues, no faster than real time"
+            )
 
     def void_stale(self) -> None:
-        """Stop the motors when no controls have come for ``STALE_US``."""
+        """Stop the motors when no controls have been received for ``STALE_US``."""
         if self.controls is None or self._sent_us - self._heard_us <= STALE_US:
             return
         if self.armed:
@@ -233,7 +237,7 @@ class HilLink:
         self.controls = None
 
     def close(self) -> None:
-        """Close everything."""
+        """Close the connection and the listening socket."""
         if self.connection is not None:
             with contextlib.suppress(OSError):
                 self.connection.close()

@@ -1,6 +1,6 @@
-"""What goes over PX4's simulator link as MAVLink 2 frames, made by kernels for all vehicles at once.
+"""MAVLink 2 messages of PX4's simulator link, encoded by kernels for all vehicles together.
 
-Fields as PX4 v1.14's simulator_mavlink takes them, see https://mavlink.io/en/messages/common.html for HIL_SENSOR,
+Fields as PX4 v1.14's simulator_mavlink reads them, see https://mavlink.io/en/messages/common.html for HIL_SENSOR,
 HIL_GPS, HIL_STATE_QUATERNION and HIL_ACTUATOR_CONTROLS. Body frame FRD, local frame NED.
 """
 
@@ -22,7 +22,7 @@ from xtdrone_control.mavlink.wire.packing import Format
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.world import World
 
-COMPONENT = 200  # what Gazebo's plugin sends as
+COMPONENT = 200  # component id of Gazebo's plugin
 
 # HIL_SENSOR.fields_updated, as PX4 groups the bits (simulator_mavlink's SensorSource)
 ACCEL = 0b111
@@ -33,7 +33,7 @@ BARO = 0b1101000000000  # absolute pressure, pressure altitude, temperature
 _MAGIC = 0xFD
 _MAGIC_V1 = 0xFE
 _HEADER = 10
-_ROOM = 512  # bytes a vehicle and step: the three messages take 315 at most
+_ROOM = 512  # bytes per vehicle and step; the three messages need at most 315
 _UINT16 = 65535
 _INT16 = 32767
 
@@ -90,7 +90,7 @@ _reproject = kernel(geo.reproject)
 
 @kernel
 def _limited(value, low, high):
-    """Return ``value`` rounded to an integer and held between ``low`` and ``high``; 0 for NaN."""
+    """Return ``value`` clamped to ``low``..``high`` and rounded to an integer; 0 for NaN."""
     if math.isnan(value):
         return 0
     return round(min(max(value, low), high))
@@ -110,7 +110,7 @@ def _crc(frame, start, end, extra):
 
 @kernel
 def _put(out, start, payload, kind, sequence, system):
-    """Write the frame of ``payload`` at ``out[start]``, trailing zeros cut; return its end."""
+    """Write the frame of ``payload`` at ``out[start]`` with trailing zeros truncated; return its end."""
     number, extra = kind[0], kind[1]
     length = payload.shape[0]
     while length > 1 and payload[length - 1] == 0:
@@ -171,7 +171,7 @@ def _fill_gps(m, s, time_us):
 
 @kernel
 def _fill_truth(m, v, time_us, place):
-    """The plant is ENU and FLU: q' = q_ned_enu q q_flu_frd, by the half turns about (1, 1, 0) and x."""
+    """Convert the plant state from ENU/FLU: q' = q_ned_enu q q_flu_frd, half turns about (1, 1, 0) and x."""
     m.time_usec = time_us
     w, x, y, z = v.q[0], v.q[1], v.q[2], v.q[3]
     root = math.sqrt(0.5)
@@ -197,22 +197,22 @@ def _fill_truth(m, v, time_us, place):
 
 @kernel
 def fill_all(out, ends, sequences, systems, truth_due, sensors, plant, place, time_us, records, payloads, kinds):
-    """Write every vehicle's frames of one step one after another into its row of ``out``.
+    """Write the frames of one step of each vehicle consecutively into its row of ``out``.
 
-    HIL_SENSOR is the last: PX4's time stands still until it comes, so that what else there is has been taken in when
-    PX4 begins to compute.
+    HIL_SENSOR comes last: PX4's time stands still until it arrives, so PX4 has received the other messages when it
+    starts to compute.
 
     Args:
-        out: (n, room) bytes.
-        ends: (n, 2) is filled with where HIL_SENSOR begins and ends.
-        sequences: (n,) MAVLink sequence numbers, advanced here.
+        out: (n, room) bytes; filled.
+        ends: (n, 2) start and end of HIL_SENSOR; filled.
+        sequences: (n,) MAVLink sequence numbers; advanced.
         systems: (n,) MAVLink system ids.
         truth_due: (n,) whether HIL_STATE_QUATERNION is due.
         sensors, plant: (n,) records.
         place: latitude, longitude (deg) and altitude (m AMSL) of the world's origin.
         time_us: time of the links, microseconds.
-        records, payloads: per message one record, and the same memory as bytes.
-        kinds: (3, 2) per message its id and CRC extra byte.
+        records, payloads: one record per message, and the same memory as bytes.
+        kinds: (3, 2) id and CRC extra byte of each message.
     """
     sensor, gps, truth = records
     for i in range(sensors.shape[0]):
@@ -232,14 +232,14 @@ def fill_all(out, ends, sequences, systems, truth_due, sensors, plant, place, ti
 
 
 class Frames:
-    """The frames of one step, of all vehicles.
+    """Encodes the frames of one step for all vehicles.
 
     Attributes:
-        truth_due: (n,) set to True where HIL_STATE_QUATERNION is to go out with the next ``fill``.
+        truth_due: (n,) True where the next ``fill`` includes HIL_STATE_QUATERNION; set by the caller.
     """
 
     def __init__(self, fleet: tuple[Vehicle, ...], place: tuple[float, float, float]) -> None:
-        """Make room.
+        """Allocate the buffers.
 
         Args:
             fleet: the vehicles.
@@ -260,7 +260,7 @@ class Frames:
         self._heartbeat = Format("HEARTBEAT")
 
     def fill(self, sensors: NDArray[Any], world: World, time_us: int) -> None:
-        """Make the frames over the samples in ``sensors`` and the truth in ``world`` at the links' ``time_us``."""
+        """Encode the samples in ``sensors`` and the truth in ``world`` at link time ``time_us``, microseconds."""
         fill_all(
             self._out,
             self._ends,
@@ -277,12 +277,12 @@ class Frames:
         )
 
     def of(self, index: int, *, samples_only: bool = False) -> memoryview:
-        """Return vehicle ``index``'s frames, or HIL_SENSOR alone; they hold until the next ``fill``."""
+        """Return the frames of vehicle ``index``, or HIL_SENSOR alone; valid until the next ``fill``."""
         start, end = self._ends[index]
         return self._rows[index][start if samples_only else 0 : end]
 
     def heartbeat(self, index: int) -> bytes:
-        """Return a HEARTBEAT of the simulator's, which PX4 ignores and tools look for."""
+        """Return a HEARTBEAT of the simulator; PX4 ignores it, tools expect it."""
         values = (0, mavlink.MAV_TYPE_GENERIC, mavlink.MAV_AUTOPILOT_INVALID, 0, mavlink.MAV_STATE_ACTIVE, 3)
         sequence = int(self._sequences[index]) & 0xFF
         self._sequences[index] += 1
@@ -290,7 +290,7 @@ class Frames:
 
 
 class Controls(NamedTuple):
-    """A HIL_ACTUATOR_CONTROLS of PX4's.
+    """The content of a HIL_ACTUATOR_CONTROLS.
 
     Attributes:
         time_us: PX4's time, microseconds since its first HIL_SENSOR.
@@ -306,7 +306,7 @@ class Controls(NamedTuple):
 
 
 class TruthInterval(NamedTuple):
-    """PX4's wish for HIL_STATE_QUATERNION: microseconds between two; 0 or less: none."""
+    """Interval of HIL_STATE_QUATERNION that PX4 requests, microseconds; 0 or less for none."""
 
     interval_us: float
 
@@ -330,21 +330,21 @@ _READERS: dict[int, tuple[Decoder, Callable[[Any], Controls | TruthInterval | No
 
 
 class Stream:
-    """Cuts what comes over a connection into messages; bytes that are none are passed over.
+    """Splits the byte stream of a connection into messages and skips all other bytes.
 
     Attributes:
-        messages: MAVLink frames so far.
-        garbage: bytes so far that belong to none.
+        messages: number of MAVLink frames so far.
+        garbage: number of bytes outside frames so far.
     """
 
     def __init__(self) -> None:
-        """Start with nothing."""
+        """Start with an empty buffer."""
         self.messages = 0
         self.garbage = 0
         self._buffer = b""
 
     def take(self, data: bytes) -> Iterator[Controls | TruthInterval]:
-        """Yield what ``data``, behind what was left over before, says of interest."""
+        """Append ``data`` to the buffer and yield the relevant messages in it."""
         buffer, start = self._buffer + data, 0
         while start < len(buffer):
             length = _frame_length(buffer, start)
@@ -363,7 +363,7 @@ class Stream:
 
 
 def _frame_length(buffer: bytes, start: int) -> int | None:
-    """Return the length of the frame at ``start``, 0 if none can begin there, None if that is not known yet."""
+    """Return the length of the frame at ``start``; 0 if no frame starts there, None if more bytes are needed."""
     magic, left = buffer[start], len(buffer) - start
     if magic == _MAGIC:
         if left < 3:
@@ -376,7 +376,7 @@ def _frame_length(buffer: bytes, start: int) -> int | None:
 
 
 def _read(frame: bytes) -> tuple[Controls | TruthInterval | None, bool]:
-    """Return what a frame says of interest, and whether it is one."""
+    """Return the decoded message if it is relevant, and whether the frame is valid."""
     number = frame[7] | frame[8] << 8 | frame[9] << 16 if frame[0] == _MAGIC else frame[5]
     if number not in _READERS:
         return None, message_name(number)[0] != "#"

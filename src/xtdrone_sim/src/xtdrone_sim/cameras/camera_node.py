@@ -1,19 +1,19 @@
 """The cameras of all vehicles as a ROS node.
 
 =================================  ========================  ==========================================================
-topic or service                   type                      what
+topic or service                   type                      content
 =================================  ========================  ==========================================================
-/T/CAMERA/image_raw                sensor_msgs/Image         rgb8; stamp: the exposure
+/T/CAMERA/image_raw                sensor_msgs/Image         rgb8; stamp: time of the exposure
 /T/CAMERA/camera_info              sensor_msgs/CameraInfo    with each image, no distortion
-/T/CAMERA/freeze                   std_srvs/SetBool          true: its pictures stop coming, as of one that has failed
-/xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   where everything is
+/T/CAMERA/freeze                   std_srvs/SetBool          true: stops the images, as a failed camera does
+/xtdrone/scene (subscribed)        xtdrone_msgs/SceneState   poses of links and actors
 =================================  ========================  ==========================================================
 
-T is a vehicle, as ``typhoon_h480_0``, CAMERA its camera's name, as ``cgo3_camera``.
+T is a vehicle, e.g. ``typhoon_h480_0``, CAMERA the name of its camera, e.g. ``cgo3_camera``.
 
-In a turn in which a camera is due, what it sees is the newest scene, whose time is the picture's stamp; the picture is
-drawn by another process and published a fixed simulated time later. Flight goes on meanwhile, and time waits for a
-picture only when it is due. Cameras to which nobody listens take no pictures.
+In a turn in which a camera is due, it captures the latest scene, whose time is the stamp of the image. Another process
+draws the image, which is published after a fixed simulated time. Simulated time continues meanwhile, and waits for an
+image only when its publication is due. Cameras without subscribers take no images.
 """
 
 from __future__ import annotations
@@ -77,40 +77,40 @@ class CameraSettings(Settings):
 
 
 class Drawer(Protocol):
-    """What draws; see ``camera_worker.DrawingProcess``."""
+    """Draws images; see ``camera_worker.DrawingProcess``."""
 
     ended: int
     last_end: str
 
     def draw(self, scene: SceneAt, view: View) -> bytes | None:
-        """Return a picture's rows; None if it is lost."""
+        """Return the rows of an image; None if it is lost."""
 
     def close(self) -> None:
-        """End it."""
+        """End the drawing."""
 
 
 class _Shot(NamedTuple):
-    """A picture under way: whose, and when it was exposed."""
+    """An image in progress: index of its camera and time of its exposure."""
 
     camera: int
     stamp: rospy.Time
 
 
 class CameraNode:
-    """Takes pictures turn by turn.
+    """Takes and publishes images, turn by turn.
 
     Attributes:
-        lost: pictures so far that were to be taken and were not: the drawing process ended over them, or (out of
-            lockstep) the one before was still being drawn.
+        lost: number of images lost so far, because the drawing process has ended or (outside lockstep) the previous
+            image was still in progress.
     """
 
     def __init__(self, cameras: Sequence[Camera], settings: CameraSettings, turns: float) -> None:
-        """Declare topics and services.
+        """Advertise topics and services.
 
         Args:
-            cameras: all that the node serves.
-            settings: see there.
-            turns: how often ``step`` is called, Hz.
+            cameras: all cameras of the node.
+            settings: see ``CameraSettings``.
+            turns: rate at which ``step`` is called, Hz.
         """
         self.lost = 0
         self._cameras = list(cameras)
@@ -124,7 +124,7 @@ class CameraNode:
             for k, camera in enumerate(cameras)
         ]
         self._scene: SceneState | None = None
-        self._last: dict[int, rospy.Time] = {}  # stamp of each camera's newest picture
+        self._last: dict[int, rospy.Time] = {}  # stamp of each camera's latest image
         self._under_way: set[int] = set()
         self._drawer: Drawer | None = None
         self._deferred = Deferred(1, wait=lockstep.is_active())
@@ -132,7 +132,7 @@ class CameraNode:
         lockstep.add_reset_hook(self._restart)
 
     def begin(self, drawer: Drawer) -> None:
-        """Take pictures from now on, drawn by ``drawer``, which is closed with the node."""
+        """Start taking images with ``drawer``, which the node closes."""
         self._drawer = drawer
 
     def _take_scene(self, message: SceneState) -> None:
@@ -146,17 +146,17 @@ class CameraNode:
         return SetBoolResponse(True, text)
 
     def _restart(self) -> None:
-        """Forget what was before the time was set back."""
+        """Discard the state from before a reset of simulated time."""
         self._deferred.clear()
         self._scene = None
         self._last.clear()
         self._under_way.clear()
 
     def step(self) -> None:
-        """Publish what is due and expose what is due.
+        """Publish the images and expose the cameras that are due.
 
         Raises:
-            DrawingError: pictures cannot be drawn.
+            DrawingError: images cannot be drawn.
         """
         now_us = rospy.Time.now().to_nsec() // 1000
         for shot, picture in self._deferred.ready(now_us):
@@ -240,7 +240,7 @@ def _pose(message: PoseMessage) -> Pose:
 
 
 def private_parameters(arguments: Sequence[str]) -> dict[str, Any]:
-    """Return the node's private parameters before it is a node: how often it has its turn depends on them.
+    """Return the private parameters before the node is registered: the rate of its turns depends on them.
 
     Args:
         arguments: the command line, with ``_rate:=2`` and the like.
@@ -279,7 +279,7 @@ def main(arguments: Sequence[str]) -> None:
     lockstep.init_node(_NAME, rate=turns)
     node = CameraNode(cameras, settings, turns)
     try:
-        lockstep.start()  # from now on there is a simulator, which has set the world
+        lockstep.start()  # returns when the simulator is running and has set the world
         world = str(rospy.get_param("~world", rospy.get_param("/xtdrone/world", "empty")))
         node.begin(DrawingProcess(Drawn(world, text, settings.backend)))
         lockstep.spin(node.step)

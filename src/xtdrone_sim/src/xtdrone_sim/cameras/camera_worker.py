@@ -1,6 +1,6 @@
-"""The process that draws what cameras see, and who talks to it.
+"""The process that draws camera images, and its client.
 
-Drawing holds Python's lock, and a renderer that fails may end its process: so it has one of its own.
+Drawing holds Python's global lock, and a failing renderer may end its process; therefore it runs in a separate one.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from xtdrone_sim.cameras.rendering import Renderer, RendererError
 from xtdrone_sim.worlds.sdf import load_world_file
 
 _NAMES = {"egl": "pybullet's EGL renderer", "tiny": "pybullet's TinyRenderer"}
-_ATTEMPTS = 3  # processes in a row that end without a picture before it is given up
+_ATTEMPTS = 3  # consecutive processes that end without an image before drawing fails
 
 
 class DrawingError(RuntimeError):
-    """Pictures cannot be drawn; the text says why."""
+    """Images cannot be drawn; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """What there is to draw.
+    """The objects to draw.
 
     Attributes:
         world: name or file.
-        fleet: as ``typhoon_h480:6``.
-        backend: of the renderer.
+        fleet: e.g. ``typhoon_h480:6``.
+        backend: back end of the renderer.
     """
 
     world: str
@@ -43,20 +43,20 @@ class Drawn:
 
 
 class DrawingProcess:
-    """Draws pictures in a process of its own; for one thread at a time.
+    """Draws images in a separate process; called by one thread at a time.
 
     Attributes:
-        ended: how many of its processes have ended unasked, each with the picture that it was drawing.
-        last_end: how the last of them ended, in words.
+        ended: number of processes that have ended unexpectedly, each with the loss of an image.
+        last_end: how the last of them ended, as text.
     """
 
     def __init__(self, drawn: Drawn) -> None:
-        """Start the process, which gets ready meanwhile."""
+        """Start the process, without waiting until it is ready."""
         self.ended = 0
         self.last_end = ""
         self._drawn = drawn
         self._fruitless = 0
-        self._lock = threading.Lock()  # over which process it is: close() may come while one draws
+        self._lock = threading.Lock()  # guards the current process: close() may be called during a drawing
         self._closed = False
         self._start()
 
@@ -69,11 +69,11 @@ class DrawingProcess:
                 [sys.executable, "-m", "xtdrone_sim.cameras.camera_worker", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is for the node; its end ends this too
+                start_new_session=True,  # Ctrl-C reaches the node only, whose end closes the connection
             )
             self._connection = Connection(ours.detach())
         self._ready = False
-        with contextlib.suppress(ConnectionError):  # it has ended already, which the first picture finds out
+        with contextlib.suppress(ConnectionError):  # it has ended already; the first image reports it
             self._connection.send(self._drawn)
 
     @property
@@ -82,10 +82,10 @@ class DrawingProcess:
         return self._process.pid
 
     def draw(self, scene: SceneAt, view: View) -> bytes | None:
-        """Return a picture's rows, red, green and blue; None if the process ended over it: there is another then.
+        """Return the rows of an image, RGB; None if the process has ended meanwhile and was replaced.
 
         Raises:
-            DrawingError: the world cannot be drawn, or several processes have ended without drawing anything.
+            DrawingError: the world cannot be drawn, or several processes have ended without drawing an image.
         """
         try:
             if not self._ready:
@@ -106,7 +106,7 @@ class DrawingProcess:
         return picture
 
     def _replace(self) -> None:
-        """Start another process in place of one that has ended, but for one that was to end."""
+        """Replace a process that has ended, unless it was closed."""
         with self._lock:
             if not self._closed:
                 self._start_another()
@@ -124,7 +124,7 @@ class DrawingProcess:
         self._start()
 
     def close(self) -> None:
-        """End the process, from any thread; a picture that it is drawing is lost."""
+        """End the process, from any thread; an image in progress is lost."""
         with self._lock:
             self._closed = True
             self._process.kill()
@@ -132,7 +132,7 @@ class DrawingProcess:
 
 
 def _serve(connection: Connection) -> None:
-    """Draw what is asked for until nobody is there to ask."""
+    """Draw the requested images until the connection closes."""
     drawn: Drawn = connection.recv()
     try:
         renderer = Renderer(drawn.backend)
@@ -155,7 +155,7 @@ def _serve(connection: Connection) -> None:
 def main() -> None:
     """Serve the socket whose number is the first argument."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(EOFError, ConnectionError):  # who asked is gone
+    with contextlib.suppress(EOFError, ConnectionError):  # the node has ended
         _serve(Connection(int(sys.argv[1])))
 
 

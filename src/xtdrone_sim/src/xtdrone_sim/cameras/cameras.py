@@ -1,4 +1,4 @@
-"""The cameras of a fleet, and which of them exposes when."""
+"""Cameras of a fleet and the schedule of their exposures."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import View
 from xtdrone_sim.vehicles.vehicle_model import CameraMount, load_vehicle
 
-LEAST_TURNS = 10.0  # Hz; a picture is taken and published in turns of the node
-MOST_TURNS = 50.0  # Hz; the scene is told so often
+LEAST_TURNS = 10.0  # Hz, least rate of the node's turns, which take and publish the images
+MOST_TURNS = 50.0  # Hz, rate of /xtdrone/scene
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Camera:
     """A camera of one vehicle.
 
     Attributes:
-        vehicle: name, as ``typhoon_h480_0``.
-        mount: where and what it is.
+        vehicle: name, e.g. ``typhoon_h480_0``.
+        mount: its position and properties.
     """
 
     vehicle: str
@@ -40,7 +40,7 @@ class Camera:
 
     @property
     def view(self) -> View:
-        """What it takes pictures of."""
+        """The view that the renderer draws."""
         return View(f"{self.vehicle}::{self.mount.link}", self.mount.pinhole, self.mount.near, self.mount.far)
 
 
@@ -55,12 +55,12 @@ def cameras_of(fleet: Sequence[Vehicle]) -> tuple[Camera, ...]:
 
 
 def turn_rate(rates: Sequence[float]) -> float:
-    """Return how often a node must have its turn to take pictures at these rates, Hz.
+    """Return the rate of turns that a node needs to take images at these rates, Hz.
 
-    With one rate for all, pictures are evenly apart: it is a multiple of that rate.
+    With one rate for all cameras, the result is a multiple of it, so images are evenly spaced.
 
     Raises:
-        ValueError: a rate is not in 0.1 to 50 Hz.
+        ValueError: a rate is outside 0.1 to 50 Hz.
     """
     for rate in rates:
         check_range("rate", rate, 0.1, MOST_TURNS, "Hz")
@@ -69,22 +69,22 @@ def turn_rate(rates: Sequence[float]) -> float:
 
 
 class Exposures:
-    """Which camera exposes in which turn: each at its rate, all spread evenly over the turns between two pictures."""
+    """Schedule of exposures: each camera at its rate, with offsets that spread the cameras over the turns."""
 
     def __init__(self, rates: Sequence[float], turns: float) -> None:
-        """Keep the rates.
+        """Create the schedule.
 
         Args:
-            rates: of the cameras, Hz; at most ``turns``.
-            turns: of the node, Hz.
+            rates: rates of the cameras, Hz; at most ``turns``.
+            turns: rate of the node's turns, Hz.
         """
         self._turns = Fraction(turns).limit_denominator(1000)
         shares = [Fraction(rate).limit_denominator(1000) / self._turns for rate in rates]
-        # Of n cameras, the k-th is ahead by k / n of the way from one picture to the next.
+        # The k-th of n cameras is ahead by k / n of the interval between two images.
         self._schedule = [(share, Fraction(k, len(rates))) for k, share in enumerate(shares)]
 
     def due(self, time_us: int) -> list[int]:
-        """Return the indices of the cameras that expose in the turn that falls on a simulated time, microseconds."""
+        """Return the indices of the cameras that expose in the turn at a simulated time, microseconds."""
         turn = math.floor(time_us * self._turns / 1_000_000)
         return [
             index

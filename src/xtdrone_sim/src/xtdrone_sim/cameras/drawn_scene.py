@@ -1,4 +1,4 @@
-"""A world, its vehicles and its people as bodies of a renderer, and what a camera sees of them at one time."""
+"""A world, its vehicles and its actors as bodies of a renderer, drawn from a camera at one time."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _GROUND = Visual(Box((2000.0, 2000.0, 0.1)), Pose((0.0, 0.0, -0.05)), (0.45, 0.5
 
 @dataclass(frozen=True)
 class ActorState:
-    """Where an actor is.
+    """State of an actor.
 
     Attributes:
-        pose: of the point between its feet, x ahead, world.
-        phase: of its walk, cycles; negative: it stands.
+        pose: point between its feet, x ahead, world.
+        phase: phase of its walk, cycles; negative: it stands.
     """
 
     pose: Pose
@@ -35,11 +35,11 @@ class ActorState:
 
 @dataclass(frozen=True)
 class SceneAt:
-    """Where everything is that moves, at one time.
+    """Poses of all moving objects at one time.
 
     Attributes:
         links: pose in the world by Gazebo's name of the link (model::link).
-        actors: by name.
+        actors: states by name.
     """
 
     links: Mapping[str, Pose]
@@ -48,12 +48,12 @@ class SceneAt:
 
 @dataclass(frozen=True)
 class View:
-    """What a camera is to take a picture of.
+    """View of a camera.
 
     Attributes:
         link: Gazebo's name of its link.
-        pinhole: its picture.
-        near, far: m.
+        pinhole: its projection and image size.
+        near, far: clipping distances, m.
     """
 
     link: str
@@ -118,15 +118,15 @@ class DrawnScene:
         self.actors[actor.name] = bodies
 
     def draw(self, scene: SceneAt, view: View, labels: bool = False) -> Picture:
-        """Return what a camera sees.
+        """Return the image of a camera.
 
         Args:
-            scene: where everything is; what it does not name stays where it was.
-            view: the camera, whose link is in ``scene``.
-            labels: fill the picture's labels too, with bodies as in ``links`` and ``actors``.
+            scene: poses of the moving objects; others keep their last poses.
+            view: the camera; its link must be in ``scene``.
+            labels: also fill the labels of the image, with bodies as in ``links`` and ``actors``.
 
         Raises:
-            ValueError: the scene has no such link.
+            ValueError: the scene lacks the link.
         """
         if view.link not in scene.links:
             raise ValueError(f"camera's link: {view.link!r} is not in the scene; there are {', '.join(scene.links)}")

@@ -1,15 +1,15 @@
-"""Batteries and motor controllers of all vehicles: voltage, currents, revolutions, at 10 Hz.
+"""Batteries and motor controllers of all vehicles: voltage, currents, rotor speeds, at 10 Hz.
 
-Two models, by the vehicle's description (``battery: {model: ...}``):
+Two models, selected by the vehicle's description (``battery: {model: ...}``):
 
-``drain`` (the default): what PX4 SITL's battery simulator does. The charge falls evenly from full to empty within
-SIM_BAT_DRAIN seconds while the vehicle is armed, not below SIM_BAT_MIN_PCT, and is full again when it is disarmed; the
-current is not measured (-1 A). A real PX4 v1.14.3 showed 100 %, 16.2 V and -1 A on the ground, with its 60 s and 50 %.
+``drain`` (the default): PX4 SITL's battery simulator. The charge falls linearly from full to empty within SIM_BAT_DRAIN
+seconds while the vehicle is armed, to no less than SIM_BAT_MIN_PCT, and is full again after disarming; the current is
+not measured (-1 A). A real PX4 v1.14.3 showed 100 %, 16.2 V and -1 A on the ground, with its 60 s and 50 %.
 
-``cell``: charge is what the motors and the avionics take; voltage is that of the cells at this charge, less what the
-internal resistance takes. A motor takes ``motor_power`` * speed^3 + ``idle_power``. The charge outlives disarming.
+``cell``: motors and avionics draw the charge; the voltage is that of the cells at this charge, minus the drop at the
+internal resistance. A motor draws ``motor_power`` * speed^3 + ``idle_power``. The charge persists after disarming.
 
-Currents of single motors (SENSORS.esc_current) come from the motor powers in both models.
+Currents of individual motors (SENSORS.esc_current) follow from the motor powers in both models.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from xtdrone_sim.physics.world import World
 from xtdrone_sim.vehicles.vehicle_model import BatteryModel
 
 _RPM = 60.0 / (2.0 * math.pi)
-# volts of a lithium-polymer cell at rest over its charge
+# open-circuit voltage of a lithium-polymer cell over its charge, V
 _CHARGES = np.array([0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 _CELL_VOLTAGES = np.array([3.3, 3.55, 3.65, 3.72, 3.79, 3.87, 4.0, 4.18])
 _TURNING = 10.0  # rad/s above which a motor counts as turning
@@ -42,10 +42,10 @@ class Batteries:
         """Start with full batteries.
 
         Args:
-            world: whose rotors turn.
-            autopilot: whose sensors are written, and whose ``failures`` are obeyed.
-            models: one a vehicle.
-            parameters: one a vehicle: SIM_BAT_*, BAT1_*.
+            world: provides the rotor speeds.
+            autopilot: its ``sensors`` are written, its ``failures`` are read.
+            models: one per vehicle.
+            parameters: one per vehicle: SIM_BAT_*, BAT1_*.
         """
         self._world = world
         self._autopilot = autopilot
@@ -67,7 +67,7 @@ class Batteries:
         return self._charge
 
     def update(self, time_us: int) -> None:
-        """Advance to simulated time ``time_us`` (microseconds) and write what the sensors measure; call it at 10 Hz."""
+        """Advance to simulated time ``time_us`` (microseconds) and write the sensor values; called at 10 Hz."""
         elapsed = 0.0 if self._last_us is None else (time_us - self._last_us) * 1e-6
         self._last_us = time_us
         names = ("SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT", "BAT1_N_CELLS", "BAT1_V_EMPTY", "BAT1_V_CHARGED")
@@ -92,7 +92,7 @@ class Batteries:
     def _drain(
         self, elapsed: float, drain: np.ndarray, least: np.ndarray, empty: np.ndarray, full: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return charge and voltage of batteries that drain by the clock."""
+        """Return charge (0..1) and voltage (V) of batteries of model ``drain``."""
         armed = self._autopilot.setpoint["armed"] != 0
         charge = np.where(armed, self._charge - elapsed / np.maximum(drain, 1e-3), 1.0)
         charge = np.maximum(charge, least / 100.0)
@@ -101,9 +101,9 @@ class Batteries:
     def _discharge(
         self, elapsed: float, power: np.ndarray, cells: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return charge, voltage and current of batteries that the motors discharge."""
+        """Return charge (0..1), voltage (V) and current (A) of batteries of model ``cell``."""
         rest = cells * np.interp(self._charge, _CHARGES, _CELL_VOLTAGES)
-        # V I = P with V = rest - R I; a battery that cannot give the power gives the most it can
+        # V I = P with V = rest - R I; the power is limited to the battery's maximum
         inside = np.maximum(rest**2 - 4.0 * self._resistance * power, 0.0)
         current = (rest - np.sqrt(inside)) / (2.0 * self._resistance)
         charge = np.maximum(self._charge - current * elapsed / (3600.0 * self._capacity), 0.0)

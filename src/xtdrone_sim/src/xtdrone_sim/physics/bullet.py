@@ -1,4 +1,4 @@
-"""pybullet without what it writes on the terminal when it is imported, and at every connection."""
+"""pybullet without its output on the terminal at import and at every connection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ _CHATTER = (b"pybullet build time:", b"argv[0]=")
 
 @contextlib.contextmanager
 def without_lines(beginnings: Sequence[bytes]) -> Iterator[None]:
-    """Keep lines that begin so from stdout and stderr, those of compiled code too; all else comes a moment later."""
+    """Remove lines that start with ``beginnings`` from stdout and stderr, including those of compiled code.
+
+    All other lines are delayed until the block ends.
+    """
     with contextlib.ExitStack() as stack:
         for number in (1, 2):
             stack.enter_context(_filtered(number, tuple(beginnings)))
@@ -21,7 +24,7 @@ def without_lines(beginnings: Sequence[bytes]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _filtered(number: int, beginnings: tuple[bytes, ...]) -> Iterator[None]:
-    """Do the same for one file descriptor; nothing where it is closed."""
+    """Filter one file descriptor; do nothing if it is closed."""
     _flush()
     try:
         terminal = os.dup(number)
@@ -43,7 +46,7 @@ def _filtered(number: int, beginnings: tuple[bytes, ...]) -> Iterator[None]:
 
 
 def _flush() -> None:
-    """Write out what compiled code has printed so far."""
+    """Flush the output buffers of compiled code."""
     ctypes.CDLL(None).fflush(None)
 
 

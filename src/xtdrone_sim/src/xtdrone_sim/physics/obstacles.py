@@ -1,7 +1,7 @@
-"""What stands in a world and can be hit: which vehicles are near it, and its bodies in Bullet.
+"""Obstacles of a world: detection of nearby vehicles, and collision bodies in Bullet.
 
-Boxes along the axes around the shapes stand for them until a vehicle is near; a grid of columns finds those around a
-vehicle, so that their number costs nothing.
+Axis-aligned boxes approximate the shapes until a vehicle is near. A grid of columns finds the boxes around a vehicle,
+so the cost does not grow with their number.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Pose, Sphere
 from xtdrone_sim.worlds.sdf.shapes import box_of
 from xtdrone_sim.worlds.sdf.types import SdfModel
 
-_CELL = 8.0  # m, side of a column, at least
+_CELL = 8.0  # m, least side of a column
 _MOST_CELLS = 512  # along each axis
 
 
@@ -28,23 +28,23 @@ _MOST_CELLS = 512  # along each axis
 def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limits, horizon, wanted):
     """Set ``wanted`` to TOUCHING for every vehicle that is near a box.
 
-    Spheres around the vehicles, grown by the way that can be made until the next look.
+    Vehicles are spheres, enlarged by the distance that they can travel until the next check.
 
     Args:
         plant: (n,) ``PLANT``.
         models: (n,) ``MODEL``.
         boxes: (k, 6) lowest and highest corner, m.
-        origin: (2,) m, corner of the grid.
-        cell: m, side of a column.
-        begins: (nx, ny + 1) where in ``items`` the boxes of each column begin; those of a column end where the next
-            one's of its row begin.
-        items: numbers of boxes.
-        limits: (2,) m of clearance under which a free vehicle counts as near, and one in Bullet's care.
-        horizon: s until the next look.
-        wanted: (n,) FREE, TOUCHING or ASLEEP; changed.
+        origin: (2,) corner of the grid, m.
+        cell: side of a column, m.
+        begins: (nx, ny + 1) start in ``items`` of the boxes of each column; they end at the start of the next column
+            in the row.
+        items: indices of boxes.
+        limits: (2,) clearance, m, below which a vehicle in free flight, and one integrated by Bullet, counts as near.
+        horizon: time until the next check, s.
+        wanted: (n,) FREE, TOUCHING or ASLEEP; updated.
 
     Returns:
-        How many vehicles are near a box.
+        Number of vehicles near a box.
     """
     near = 0
     rows, columns = begins.shape[0], begins.shape[1] - 1
@@ -53,7 +53,7 @@ def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limit
         x, y, z = v.position[0], v.position[1], v.position[2]
         speed = math.sqrt(v.velocity[0] ** 2 + v.velocity[1] ** 2 + v.velocity[2] ** 2)
         reach = models[i].radius + speed * horizon + (limits[0] if v.contact == FREE else limits[1])
-        # A lost vehicle may be anywhere, or nowhere: compare as floating point before anything is a whole number.
+        # Positions may be huge or NaN after a divergence: compare as floating point before converting to integers.
         ax, bx = (x - reach - origin[0]) / cell, (x + reach - origin[0]) / cell
         ay, by = (y - reach - origin[1]) / cell, (y + reach - origin[1]) / cell
         if not (ax < rows and bx >= 0.0 and ay < columns and by >= 0.0):
@@ -78,18 +78,18 @@ def mark_near_obstacles(plant, models, boxes, origin, cell, begins, items, limit
 
 
 class Obstacles:
-    """All shapes of a world's models that can be hit.
+    """Collision shapes of all models in a world.
 
     Attributes:
-        count: how many.
-        owners: for each, the number of its model.
+        count: number of shapes.
+        owners: index of the model of each shape.
     """
 
     def __init__(self, models: Sequence[SdfModel]) -> None:
-        """Lay out boxes and grid.
+        """Compute boxes and grid.
 
         Raises:
-            SdfError: a mesh file that cannot be read.
+            SdfError: a mesh file cannot be read.
         """
         self._shapes: list[tuple[Geometry, Pose]] = []
         self.owners: list[int] = []
@@ -143,7 +143,7 @@ class Obstacles:
         )
 
     def load(self, client: BulletClient, friction: float, restitution: float) -> dict[int, int]:
-        """Make a body of each in Bullet; return the number of the model that each body belongs to."""
+        """Create a Bullet body for each shape; return the index of the model by body."""
         owner_of = {}
         meshes: dict[Geometry, int] = {}
         for (geometry, pose), owner in zip(self._shapes, self.owners, strict=True):
@@ -158,7 +158,7 @@ class Obstacles:
 
 
 def _shape(client: BulletClient, geometry: Geometry) -> int:
-    """Return Bullet's number of a shape; meshes keep their hollows."""
+    """Return the id of a shape in Bullet; meshes stay concave."""
     if isinstance(geometry, Box):
         return int(client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.5 * side for side in geometry.size]))
     if isinstance(geometry, Sphere):

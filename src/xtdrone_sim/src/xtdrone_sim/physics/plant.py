@@ -1,4 +1,4 @@
-"""Rigid-body and rotor dynamics of multicopters, one vehicle a call: the free-flight integrator.
+"""Rigid-body and rotor dynamics of multicopters; each kernel handles one vehicle per call.
 
 World frame ENU, body frame FLU, quaternions (w, x, y, z) body to world. Rotors are first-order lags with thrust
 k w^2, reaction torque, in-plane drag and rolling moment (the model of PX4 SITL's Gazebo motor plugin; P. Martin,
@@ -50,7 +50,7 @@ def advance_rotors(v, m, actuators, armed, dt):
 
 @kernel
 def rotor_wrench(v, m):
-    """Fill v.force (world) and v.torque (body) with what rotors and body drag do at the present speed and attitude."""
+    """Set v.force (world) and v.torque (body) to the wrench of rotors and body drag at the current state."""
     ax, ay, _ = rotate_inverse(
         v.q, v.velocity[0] - v.wind[0], v.velocity[1] - v.wind[1], v.velocity[2] - v.wind[2]
     )  # fmt: skip
@@ -79,7 +79,7 @@ def rotor_wrench(v, m):
 
 @kernel
 def _angular_acceleration(m, wx, wy, wz, torque):
-    """Return Euler's equations' body angular acceleration, as a tuple."""
+    """Return the body angular acceleration by Euler's equations, rad/s^2."""
     ix, iy, iz = m.inertia[0], m.inertia[1], m.inertia[2]
     return (
         (torque[0] - (iz - iy) * wy * wz) / ix,
@@ -121,7 +121,7 @@ def step_all(plant, models, actuators, armed, gravity, dt):
         dt: s.
 
     Returns:
-        How many vehicles Bullet has to integrate (contact == TOUCHING).
+        Number of vehicles that Bullet must integrate (contact == TOUCHING).
     """
     touching = 0
     for i in range(plant.shape[0]):

@@ -1,8 +1,8 @@
-"""The physical world: free flight by our own kernel, contacts by Bullet, behind one ``step``.
+"""The physical world: free flight integrated by a kernel, contacts by Bullet, in one ``step``.
 
-A vehicle that is far from the ground, from obstacles and from every other vehicle is integrated by
-``plant.integrate_free``; near them Bullet integrates it, with the same wrench. A vehicle that rests with its motors off
-sleeps. Bullet's own gravity is off: weight is part of the wrench, so parked bodies stay where they are.
+A vehicle far from the ground, from obstacles and from all other vehicles is integrated by ``plant.integrate_free``;
+near them Bullet integrates it under the same wrench. A vehicle at rest with its motors off sleeps. Gravity is off in
+Bullet: weight is part of the wrench, so parked bodies stay in place.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from xtdrone_sim.physics.plant import ASLEEP, FREE, PLANT, TOUCHING
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, load_world_file
 
-_CHECK_STEPS = 5  # how often the contact sets are looked at; margins cover the motion in between
-_NEAR = 0.25  # m of clearance under which Bullet takes a body over
-_FAR = 0.40  # m of clearance over which it gives it back
-_REST_SPEED = 0.02  # m/s and rad/s under which a body with its motors off counts as at rest
+_CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
+_NEAR = 0.25  # m of clearance below which Bullet integrates a body
+_FAR = 0.40  # m of clearance above which the free-flight kernel does again
+_REST_SPEED = 0.02  # m/s and rad/s below which a body with its motors off counts as at rest
 _REST_STEPS = 125  # steps at rest before it sleeps
 _SPAWN_GAP = 0.001  # m between a spawned body and the ground
 
 
 @dataclass(frozen=True)
 class WorldModel:
-    """What a world description says.
+    """The content of a world description.
 
     Attributes:
         datum: WGS84 position of the map frame's origin.
@@ -43,8 +43,8 @@ class WorldModel:
         declination: degrees east.
         wind: m/s, ENU.
         friction, restitution: of the ground and of the models.
-        models: what stands there.
-        actors: people.
+        models: static models.
+        actors: moving people.
     """
 
     datum: Datum
@@ -62,7 +62,7 @@ def load_world(name: str) -> WorldModel:
     """Return the world ``name``; see ``sdf.load_world_file``.
 
     Raises:
-        ModelError: unknown world, missing field, or something that is not allowed.
+        ModelError: the world is unknown, a field is missing, or a value is not allowed.
     """
     world = load_world_file(name)
     return WorldModel(
@@ -80,7 +80,7 @@ def load_world(name: str) -> WorldModel:
 
 @kernel
 def sort_contacts(plant, models, armed, steps, dt, wanted):
-    """Fill ``wanted`` (n,) with FREE, TOUCHING or ASLEEP for every vehicle; return how many differ from now."""
+    """Fill ``wanted`` (n,) with FREE, TOUCHING or ASLEEP for every vehicle; return the number of changes."""
     mark_near(plant, models, steps, dt, wanted)
     return let_sleep(plant, models, armed, wanted)
 
@@ -89,7 +89,7 @@ def sort_contacts(plant, models, armed, steps, dt, wanted):
 def mark_near(plant, models, steps, dt, wanted):
     """Fill ``wanted`` (n,) with TOUCHING for vehicles near the ground or each other, with FREE for all others.
 
-    Spheres around the collision boxes, grown by the way that can be made until the next look.
+    Vehicles are spheres around the collision boxes, enlarged by the distance travelled until the next check.
     """
     count = plant.shape[0]
     for i in range(count):
@@ -121,7 +121,7 @@ def mark_near(plant, models, steps, dt, wanted):
 
 @kernel
 def let_sleep(plant, models, armed, wanted):
-    """Set ``wanted`` (n,) to ASLEEP for those that may sleep; return how many differ from now."""
+    """Set ``wanted`` (n,) to ASLEEP for vehicles at rest; return the number of changes."""
     changes = 0
     for i in range(plant.shape[0]):
         v = plant[i]
@@ -136,7 +136,7 @@ def let_sleep(plant, models, armed, wanted):
 
 @kernel
 def _disturbed(plant, models, i):
-    """Return whether a body that moves is within reach of sleeper ``i``."""
+    """Return whether a moving body is within reach of the sleeping vehicle ``i``."""
     v = plant[i]
     for j in range(plant.shape[0]):
         o = plant[j]
@@ -152,14 +152,14 @@ def _disturbed(plant, models, i):
 
 
 class World:
-    """All bodies and what they do in one step.
+    """All bodies of the world and their motion.
 
     Attributes:
-        plant: (n,) ``PLANT``, the vehicles' true state.
+        plant: (n,) ``PLANT``, true state of the vehicles.
         models: (n,) ``MODEL``.
         time_step: s.
-        collisions: pairs that have touched since the start, lower index first: vehicles, and from n on the world's
-            models.
+        collisions: pairs that have touched since the start, lower index first: vehicles, and from n on the models of
+            world.
     """
 
     def __init__(
@@ -174,8 +174,8 @@ class World:
 
         Args:
             model: the world.
-            vehicles: one model a vehicle.
-            places: (x, y, z) in m ENU of the ground under each vehicle's belly.
+            vehicles: one model per vehicle.
+            places: (x, y, z), m ENU, of the ground under each vehicle.
             time_step: s.
             effects: further forces and torques; their ``begin`` is called with ``plant`` before the first step.
         """
@@ -256,7 +256,7 @@ class World:
         self._touching = np.flatnonzero(contact == TOUCHING).tolist()
 
     def _changed_contacts(self, armed: NDArray[np.int32]) -> int:
-        """Say in ``_wanted`` who integrates each vehicle; return for how many that is new."""
+        """Fill ``_wanted`` with the contact state of each vehicle; return the number of changes."""
         plant, models, wanted = self.plant, self.models, self._wanted
         if not self._obstacles.count:
             return int(sort_contacts(plant, models, armed, _CHECK_STEPS, self.time_step, wanted))
@@ -266,7 +266,7 @@ class World:
         return int(let_sleep(plant, models, armed, wanted))
 
     def _hand_over(self, i: int) -> None:
-        """Give body ``i`` to Bullet in its present state."""
+        """Make Bullet integrate body ``i`` from its current state."""
         v, body = self.plant[i], self._bodies[i]
         v["still_steps"] = 0
         w, x, y, z = v["q"].tolist()
@@ -276,7 +276,7 @@ class World:
         self._bullet.setCollisionFilterGroupMask(body, -1, 1, -1)
 
     def _park(self, i: int, *, asleep: bool) -> None:
-        """Take body ``i`` from Bullet: out of the way in free flight, an unmoved obstacle asleep."""
+        """Stop integrating body ``i`` in Bullet; it stays as a static obstacle if asleep, else without collisions."""
         body = self._bodies[i]
         self._bullet.resetBaseVelocity(body, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         if asleep:
@@ -318,7 +318,7 @@ class World:
         return dynamics.rotate(v["q"], *v["torque"].tolist())
 
     def _note_collisions(self) -> None:
-        """Remember who touches whom or what; called only while that may be."""
+        """Record the collisions; called only while contacts other than with the ground are possible."""
         for point in self._bullet.getContactPoints():
             a, b = self._index_of.get(point[1]), self._index_of.get(point[2])
             if a is None or b is None or point[8] > 0.0:

@@ -1,4 +1,4 @@
-"""What the simulator's node runs: the cut between time, lockstep and control, and the world with its door."""
+"""Interface between the simulator node (time, lockstep, control) and the simulated world that it runs."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_sim.runtime.mailbox import Mailbox
 
 Idle = Callable[[float], None]
-"""Waits up to so many wall seconds and serves everything but the lockstep's server meanwhile."""
+"""Waits up to the given wall time, s, and meanwhile serves everything except the lockstep server."""
 
 
-class Scene(Protocol):
-    """A world with its vehicles, and the door through which other nodes reach these: MAVLink, say, or topics.
+class SimulatorBackend(Protocol):
+    """A world with vehicles and the interface through which other nodes reach them, e.g. MAVLink or topics.
 
-    All is called in the simulator's own thread.
+    All methods are called in the simulator's own thread.
 
     Attributes:
-        names: the vehicles', in order of their numbers.
-        scenery: of what else is in the world, in the order of their numbers, which go on from the vehicles'.
-        actors: which of those walk.
-        step_us: the base step, microseconds.
+        names: names of the vehicles, in order of their indices.
+        scenery: names of all other models, in order of their indices, which follow those of the vehicles.
+        actors: the names in ``scenery`` that belong to moving actors.
+        step_us: base step, microseconds.
     """
 
     names: Sequence[str]
@@ -37,40 +37,40 @@ class Scene(Protocol):
 
     @property
     def gravity(self) -> float:
-        """In m/s^2."""
+        """Gravity, m/s^2."""
 
     @property
     def need_time(self) -> bool:
-        """Whether whoever is asked through the door may answer only when time goes on."""
+        """Whether the vehicles can answer requests only while simulated time advances."""
 
     @property
     def descriptors(self) -> Sequence[int]:
-        """File descriptors on which something may come through the door; see ``serve``."""
+        """File descriptors on which requests may arrive; see ``serve``."""
 
     @property
     def patience(self) -> float:
-        """The longest wait for something to come, wall s."""
+        """Longest wait for ``descriptors`` before ``serve`` must be called, wall s."""
 
     def open(self, server: LockstepServer, mailbox: Mailbox, idle: Idle) -> None:
-        """Open the door: the node's services stand, time does not flow yet.
+        """Open the interface to other nodes; the services of the node exist and time has not started.
 
         Args:
-            server: the lockstep's.
-            mailbox: brings requests from other threads to the simulator's.
+            server: lockstep server.
+            mailbox: passes requests from other threads to the simulator's thread.
             idle: see ``Idle``; it calls ``serve``.
         """
 
     def missing(self) -> str:
-        """Say for whom time should not begin yet; "" for nobody."""
+        """Return which autopilots time must not start without yet; "" when all are present."""
 
     def serve(self, ready: Collection[int]) -> None:
-        """Act on what has come on those of ``descriptors`` that are ready; returns at once."""
+        """Process the data that has arrived on the ready ones of ``descriptors``, without blocking."""
 
     def next_due_us(self, now_us: int) -> int | None:
-        """Return the next time at which the scene itself is to be looked at, or None."""
+        """Return the next time at which the back end itself needs a tick, or None."""
 
-    def next_told_us(self, now_us: int) -> int | None:
-        """Return the next time at which ``tick`` tells something to those who listen, or None while nobody does."""
+    def next_publication_us(self, now_us: int) -> int | None:
+        """Return the next time at which ``tick`` publishes to a subscriber, or None without subscribers."""
 
     def advance(self, until_us: int) -> None:
         """Step to ``until_us``, or beyond by less than a step."""
@@ -79,19 +79,19 @@ class Scene(Protocol):
         """Advance by one step in the middle of a tick."""
 
     def tick(self, idle: Idle) -> None:
-        """Send what is to be seen now, run one barrier of the server given to ``open``, take what came by it."""
+        """Publish the current data, run one barrier of the lockstep server, and process what it has delivered."""
 
     def truth(self) -> bytes:
-        """Return the vehicles' true states, for the digests."""
+        """Return the true states of the vehicles, as bytes for the digests."""
 
     def model_states(self) -> ModelStates:
-        """Return them as Gazebo has them."""
+        """Return the poses and velocities of all models in Gazebo's format."""
 
     def collisions(self) -> set[tuple[int, int]]:
-        """Return who has hit whom or what so far, by their numbers."""
+        """Return all collisions so far, as pairs of model indices."""
 
     def restart(self, time_us: int) -> None:
-        """Put all back to its start, with simulated time going on from ``time_us``."""
+        """Restore the initial state; simulated time continues from ``time_us``, microseconds."""
 
     def close(self) -> None:
-        """Free what is held."""
+        """Release all resources."""

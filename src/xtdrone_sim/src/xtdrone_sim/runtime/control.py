@@ -1,9 +1,9 @@
-"""Control of the simulation in flight: speed, pause, step, reset. No ROS in here; ``services`` offers it on the graph.
+"""Control of the running simulation: speed, pause, step, reset. Independent of ROS; ``services`` advertises it.
 
-Everything is called in the simulator's own thread. What only changes the pace acts at once, also while the barrier
-waits for a participant. A step and a reset act between ticks; whoever asked for them waits for the answer meanwhile. A
-participant whose turn is not over must not wait for the end of its own tick: its step is refused, its reset is
-answered at once and made when the tick is over.
+All methods are called in the simulator's own thread. Changes of speed and pause take effect immediately, even while the
+barrier waits for a participant. Steps and resets are executed between ticks, and their callers wait for the answer. A
+participant must not wait for the end of its own tick: during its turn, its step requests are rejected and its reset
+requests are answered immediately and executed after the tick.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from xtdrone_sim.runtime.pacing import Pacer, SpeedMeter
 from xtdrone_sim.runtime.stepping import Goal, Outcome, StepError, Stepper
 
 PATIENCE = 10.0
-"""Wall seconds that a step or a reset waits for the end of the present tick."""
+"""Longest wait of a step or a reset for the end of the current tick, wall s."""
 
-_REPORTED = 0.5  # wall s for which somebody is waited for before the status names him
-_FIRST_WORD = 5.0  # wall s until the log does
-_NEXT_WORD = 30.0  # wall s between two such words
-_LIVES = 3.0  # wall s since the last sign of life of a process that lives; it gives one a second
+_REPORTED = 0.5  # wall s of waiting for a participant after which the status names it
+_FIRST_WARNING = 5.0  # wall s of waiting after which the log names it
+_WARNING_PERIOD = 30.0  # wall s between two such warnings
+_ALIVE_LIMIT = 3.0  # wall s since the last keep-alive, sent every second, within which a process counts as alive
 
 
 class ControlError(RuntimeError):
-    """A request that was not carried out; the message says why."""
+    """A request that was not carried out; the message gives the reason."""
 
 
 class Reset(enum.IntEnum):
-    """How much is set back."""
+    """Scope of a reset: the world, or the world and simulated time."""
 
     WORLD = 1
     SIMULATION = 2
 
 
 class Participant(Protocol):
-    """What is looked at of a participant, see ``LockstepServer.participants``."""
+    """The view of a lockstep participant that ``Control`` needs, see ``LockstepServer.participants``."""
 
     waiting: bool
     asked: float
@@ -52,24 +52,24 @@ class Participant(Protocol):
 
 
 class Barrier(Protocol):
-    """What is looked at of the lockstep's server."""
+    """The view of the lockstep server that ``Control`` needs."""
 
     @property
     def participants(self) -> Mapping[str, Participant]:
-        """Who takes part, by name."""
+        """Participants by node name."""
 
     def missing(self, expected: int | Iterable[str] = 0) -> str:
-        """Say who or what is missing."""
+        """Return which participants are missing, as text; "" for none."""
 
 
 @dataclass(frozen=True)
 class StepRequest:
-    """What a step's caller asks for; one tick if nothing is given.
+    """A request for a step; one tick if all attributes are 0.
 
     Attributes:
-        ticks: so many ticks, 0 if not given.
-        until_us: to the first tick at or after this simulated time, 0 if not given.
-        duration_us: to the first tick after so much simulated time, 0 if not given.
+        ticks: number of ticks, 0 if not given.
+        until_us: step to the first tick at or after this simulated time, microseconds; 0 if not given.
+        duration_us: step to the first tick at least this much simulated time ahead, microseconds; 0 if not given.
     """
 
     ticks: int = 0
@@ -80,7 +80,7 @@ class StepRequest:
         """Return the goal of a step that begins now.
 
         Raises:
-            StepError: more than one is given, or a negative duration.
+            StepError: more than one attribute is given, or the duration is negative.
         """
         if sum(1 for value in (self.ticks, self.until_us, self.duration_us) if value) > 1:
             raise StepError("ticks, until, duration: only one of them can be given")
@@ -95,13 +95,13 @@ class StepRequest:
 
 @dataclass(frozen=True)
 class StepAnswer:
-    """What a step's caller gets.
+    """The response to a step request.
 
     Attributes:
-        success: the goal was reached.
-        message: what was done, or why not.
-        time_us: simulated time now.
-        ticks: ticks made.
+        success: whether the goal was reached.
+        message: summary of the step, or the reason for its failure.
+        time_us: current simulated time, microseconds.
+        ticks: number of ticks made.
     """
 
     success: bool
@@ -112,7 +112,7 @@ class StepAnswer:
 
 @dataclass(frozen=True)
 class Status:
-    """What is known of the simulation's course, as xtdrone_msgs/SimulationStatus has it; times in microseconds or s."""
+    """State of the simulation, see xtdrone_msgs/SimulationStatus; ``time_us`` in microseconds, ``waiting`` in s."""
 
     time_us: int
     tick: int
@@ -128,21 +128,27 @@ class Status:
 
 @dataclass
 class _Asked:
-    """A request that waits for the end of the tick; without ``answer`` nobody waits for it."""
+    """A request that is queued until the end of the tick.
 
-    what: StepRequest | Reset
+    Attributes:
+        request: the step or the reset.
+        answer: future of the caller; None if the caller has been answered already.
+        until: monotonic wall time at which the request times out, s.
+    """
+
+    request: StepRequest | Reset
     answer: Future[Any] | None
     until: float
 
 
 class Control:
-    """Decides whether and how fast the world goes on.
+    """Controls whether and how fast simulated time advances.
 
     Attributes:
         pacer: the target speed.
-        ticks: ticks so far.
-        changed: something has changed that the status tells; whoever publishes it sets it back.
-        held: participants (how many, or their names) that are waited for before time starts, None once it has.
+        ticks: number of ticks so far.
+        changed: the status has changed; the publisher of the status clears the flag.
+        held: participants (their number or names) required before time starts; None once it has started.
     """
 
     def __init__(
@@ -157,17 +163,17 @@ class Control:
         warn: Callable[[str], None],
         wall: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start with time at a standstill, see :meth:`start`.
+        """Hold time until :meth:`start` is called.
 
         Args:
-            pacer: with the speed to start with.
-            barrier: the lockstep's server.
-            now_us: gives the simulated time, microseconds.
-            paused: start paused.
-            hang_limit: the server's, for the log.
-            info: logs what was done.
-            warn: logs what stands still.
-            wall: gives the monotonic wall time, s.
+            pacer: pacer, set to the initial speed.
+            barrier: lockstep server.
+            now_us: returns the simulated time, microseconds.
+            paused: whether to start paused.
+            hang_limit: hang limit of the server, wall s; used in log texts.
+            info: logs completed requests.
+            warn: logs standstills.
+            wall: returns the monotonic wall time, s.
         """
         self.pacer = pacer
         self.ticks = 0
@@ -184,48 +190,48 @@ class Control:
         self._asked: deque[_Asked] = deque()
         self._step_answer: Future[Any] | None = None
         self._names: tuple[str, ...] = ()
-        self._next_word = 0.0
+        self._next_warning = 0.0
 
     # pace
 
     @property
     def paused(self) -> bool:
-        """Whether it is paused; so it is during a step."""
+        """Whether the simulation is paused; also true during a step."""
         return self._stepper.paused
 
     @property
     def flowing(self) -> bool:
-        """Whether the next tick may begin and nothing is to be done before."""
+        """Whether the next tick may begin and no request is queued before it."""
         return self._stepper.moving and not self._asked
 
     def start(self) -> None:
-        """Time starts."""
+        """Start simulated time."""
         self.held = None
         self.changed = True
 
     def pause(self, caller: str) -> str:
-        """Let no further tick begin; return what was done."""
+        """Pause after the current tick; return a description of the change."""
         done = "it is paused already" if self.paused and self._stepper.goal is None else "paused"
         self._end_steps(self._stepper.pause(), "it was paused")
-        return self._told(done, caller)
+        return self._log_change(done, caller)
 
     def resume(self, caller: str) -> str:
-        """Go on; return what was done."""
+        """Resume; return a description of the change."""
         done = "resumed" if self.paused else "it is running already"
         self._end_steps(self._stepper.resume(), "the simulation was resumed")
         self.pacer.restart()
-        return self._told(done, caller)
+        return self._log_change(done, caller)
 
     def set_speed(self, speed: float, caller: str) -> str:
-        """Change the target factor; return what was done.
+        """Set the target real-time factor; return a description of the change.
 
         Raises:
-            ValueError: a speed that is not allowed.
+            ValueError: the speed is not allowed.
         """
         self.pacer.set_speed(speed)
-        return self._told(f"speed {speed:g}" if speed else "speed unlimited", caller)
+        return self._log_change(f"speed {speed:g}" if speed else "speed unlimited", caller)
 
-    def _told(self, done: str, caller: str) -> str:
+    def _log_change(self, done: str, caller: str) -> str:
         self.changed = True
         text = f"{done} at {self._now_us() * 1e-6:.3f} s"
         self._info(f"{text}, by {caller}")
@@ -234,21 +240,21 @@ class Control:
     # between ticks
 
     def ask_step(self, request: StepRequest, caller: str, answer: Future[Any]) -> None:
-        """Take the wish for a step; ``answer`` gets a StepAnswer when it has ended, or cannot be made."""
+        """Queue a step; ``answer`` receives a StepAnswer when it has ended or was rejected."""
         if self.held is not None:
             answer.set_result(self._refusal(f"time has not started: {self._barrier.missing(self.held)}"))
         elif self._waited_for(caller):
             answer.set_result(
                 self._refusal(
                     f"{caller} takes part in the lockstep and its turn is not over: the step would wait for {caller} "
-                    "for ever; call it from another node"
+                    "forever; call it from another node"
                 )
             )
         else:
             self._asked.append(_Asked(request, answer, self._wall() + PATIENCE))
 
     def ask_reset(self, kind: Reset, caller: str, answer: Future[Any]) -> None:
-        """Take the wish for a reset; ``answer`` gets None when it is done, or a ControlError."""
+        """Queue a reset; ``answer`` receives None when it is complete, or a ControlError."""
         self._info(f"reset of the {kind.name.lower()} asked for by {caller}")
         if self.held is not None:
             answer.set_result(None)  # nothing has moved yet
@@ -260,21 +266,21 @@ class Control:
             self._asked.append(_Asked(kind, answer, self._wall() + PATIENCE))
 
     def between_ticks(self, reset: Callable[[Reset], None]) -> bool:
-        """Carry out what was asked for.
+        """Execute the queued requests.
 
         Args:
-            reset: carries out a reset.
+            reset: executes a reset.
 
         Returns:
             Whether the next tick may begin.
 
         Raises:
-            Exception: what ``reset`` raises; those who asked for it get it too.
+            Exception: raised by ``reset``; the callers that requested the reset receive a ControlError.
         """
-        kinds = [asked.what for asked in self._asked if isinstance(asked.what, Reset)]
+        kinds = [asked.request for asked in self._asked if isinstance(asked.request, Reset)]
         if kinds:
-            asking = [asked for asked in self._asked if isinstance(asked.what, Reset)]
-            self._asked = deque(asked for asked in self._asked if not isinstance(asked.what, Reset))
+            asking = [asked for asked in self._asked if isinstance(asked.request, Reset)]
+            self._asked = deque(asked for asked in self._asked if not isinstance(asked.request, Reset))
             answers = [asked.answer for asked in asking if asked.answer is not None]
             try:
                 self._reset(max(kinds), reset)
@@ -286,9 +292,9 @@ class Control:
                 answer.set_result(None)
         while self._asked:
             asked = self._asked.popleft()
-            assert isinstance(asked.what, StepRequest)
+            assert isinstance(asked.request, StepRequest)
             assert asked.answer is not None
-            self._begin_step(asked.what, asked.answer)
+            self._begin_step(asked.request, asked.answer)
         return self._stepper.moving
 
     def _reset(self, kind: Reset, reset: Callable[[Reset], None]) -> None:
@@ -312,14 +318,14 @@ class Control:
         self.changed = True
 
     def ticked(self) -> None:
-        """Note that a tick has ended."""
+        """Count a tick that has ended, and finish a step that has reached its goal."""
         self.ticks += 1
         self._finish_step(self._stepper.ticked(self._now_us()))
 
     def _end_steps(self, outcome: Outcome | None, reason: str) -> None:
-        """End the step that is under way, with ``outcome``, and those that wait, for ``reason``."""
+        """End the current step with ``outcome``, and reject the queued ones for ``reason``."""
         self._finish_step(outcome)
-        for asked in [asked for asked in self._asked if isinstance(asked.what, StepRequest)]:
+        for asked in [asked for asked in self._asked if isinstance(asked.request, StepRequest)]:
             self._asked.remove(asked)
             if asked.answer is not None:
                 asked.answer.set_result(self._refusal(reason))
@@ -337,17 +343,17 @@ class Control:
     def _refusal(self, reason: str) -> StepAnswer:
         return StepAnswer(False, f"no step: {reason}", self._now_us(), 0)
 
-    # looking after it
+    # supervision
 
     def tend(self) -> None:
-        """Give up what has waited too long, and say for whom the world stands still; call it now and then."""
+        """Time out queued requests and log participants that hold up the world; called periodically."""
         now = self._wall()
         for asked in [asked for asked in self._asked if now >= asked.until]:
             self._asked.remove(asked)
             reason = f"the present tick has not ended within {PATIENCE:g} s: {self._standstill(now)}"
             if asked.answer is None:
                 continue
-            if isinstance(asked.what, Reset):
+            if isinstance(asked.request, Reset):
                 asked.answer.set_exception(ControlError(f"no reset: {reason}"))
             else:
                 asked.answer.set_result(self._refusal(reason))
@@ -358,7 +364,7 @@ class Control:
         self._report_waiting(now)
 
     def close(self) -> None:
-        """Tell those who wait for an answer that there will be none."""
+        """Answer all pending requests with a ClosedError."""
         waiting = [asked.answer for asked in self._asked] + [self._step_answer]
         self._asked.clear()
         self._step_answer = None
@@ -367,7 +373,7 @@ class Control:
                 answer.set_exception(ClosedError("the simulator shuts down"))
 
     def status(self) -> Status:
-        """Return how things are."""
+        """Return the current status."""
         now = self._wall()
         waiting = self._waiting(now, _REPORTED)
         return Status(
@@ -388,7 +394,7 @@ class Control:
         return participant is not None and participant.waiting
 
     def _waiting(self, now: float, least: float) -> dict[str, float]:
-        """Return the participants that have been waited for for ``least`` wall seconds or more, with the seconds."""
+        """Return the participants that have held up the world for at least ``least`` wall s, with the wall s so far."""
         return {
             name: now - participant.asked
             for name, participant in self._barrier.participants.items()
@@ -396,7 +402,7 @@ class Control:
         }
 
     def _standstill(self, now: float) -> str:
-        """Say why the world stands still; empty while it moves."""
+        """Return why the world stands still; "" while it moves."""
         if self.held is not None:
             return f"time has not started: {self._barrier.missing(self.held)}"
         waiting = self._waiting(now, _REPORTED)
@@ -408,18 +414,18 @@ class Control:
         return "paused" if not self._stepper.moving else ""
 
     def _report_waiting(self, now: float) -> None:
-        """Name in the log for whom the world stands still, so that nobody has to guess at a breakpoint."""
-        waiting = self._waiting(now, _FIRST_WORD)
+        """Log the participants that hold up the world, so that a breakpoint is not mistaken for a failure."""
+        waiting = self._waiting(now, _FIRST_WARNING)
         if not waiting:
-            self._next_word = 0.0
+            self._next_warning = 0.0
             return
-        if now < self._next_word:
+        if now < self._next_warning:
             return
-        self._next_word = now + _NEXT_WORD
+        self._next_warning = now + _WARNING_PERIOD
         parts = []
         for name, seconds in waiting.items():
             silent = now - self._barrier.participants[name].heard
-            how = "it lives; is it at a breakpoint?" if silent < _LIVES else self._silence(silent)
+            how = "it lives; is it at a breakpoint?" if silent < _ALIVE_LIMIT else self._silence(silent)
             parts.append(f"{name} for {seconds:.0f} s ({how})")
         self._warn(f"the world stands still, waiting for {', '.join(parts)}")
 

@@ -1,8 +1,9 @@
-"""The digest file: what every participant has published and where every vehicle is, condensed, second by second.
+"""The digest file: checksums of everything participants publish and of the vehicles' states, once per simulated second.
 
-JSON lines with ``name`` (who says it), ``time`` (simulated microseconds) and ``topics``: topic to messages, bytes and
-checksum since the start, see ``xtdrone_control.lockstep.protocol.Digest``. Two flights are the same if the lines of the
-same name and time are. The simulator's own lines have the topic ``truth``: the state of all vehicles at every tick.
+JSON lines with ``name`` (the participant), ``time`` (simulated microseconds) and ``topics``: by topic, the number of
+messages, of bytes, and the checksum since the start, see ``xtdrone_control.lockstep.protocol.Digest``. Two flights are
+identical if their lines of equal name and time are. The simulator's own lines include the topic ``truth``: the state of
+all vehicles at every tick.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ TRUTH = "truth"
 
 
 class DigestFile:
-    """Writes the digest file; every line is in the file when it was written. A full disk ends it, not the flight."""
+    """Writes the digest file, flushing every line. A write error ends the file and leaves the flight running."""
 
     def __init__(
         self, path: Path, name: str, own: Mapping[str, Digest], warn: Callable[[str], None] | None = None
@@ -28,13 +29,13 @@ class DigestFile:
         """Open the file.
 
         Args:
-            path: the file; one that is there is overwritten.
-            name: the simulator's node name.
-            own: what the simulator publishes itself, kept up to date by the owner.
-            warn: where a word goes on a file that can no longer be written; the logger of this module if none is given.
+            path: the file; an existing one is overwritten.
+            name: node name of the simulator.
+            own: digests of the simulator's own topics, updated by their owner.
+            warn: logs a write error; by default the logger of this module.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: the file cannot be opened for writing.
         """
         self._path = path
         self._file: TextIO | None = path.open("w", encoding="utf-8", buffering=1)
@@ -45,7 +46,7 @@ class DigestFile:
         self._period = -1
 
     def write(self, name: str, time_us: int, topics: Mapping[str, Sequence[int]]) -> None:
-        """Write what a participant says at simulated time ``time_us``, microseconds."""
+        """Write the digests of a participant at simulated time ``time_us``, microseconds."""
         if self._file is None:
             return
         try:
@@ -53,15 +54,15 @@ class DigestFile:
         except OSError as error:
             self._warn(f"digest file {self._path}: {error.strerror or error}; no more is written")
             file, self._file = self._file, None
-            with contextlib.suppress(OSError):  # it tries to write what is left
+            with contextlib.suppress(OSError):  # closing retries the failed write
                 file.close()
 
     def tick(self, time_us: int, truth: bytes) -> None:
-        """Take in the vehicles' states at a tick, and write the simulator's own line when a second has begun.
+        """Add the states of the vehicles at a tick, and write the simulator's own line at the start of each second.
 
         Args:
             time_us: simulated time, microseconds.
-            truth: all vehicles' true states.
+            truth: true states of all vehicles, as bytes.
         """
         self._truth.add(time_us, memoryview(truth))
         period = time_us // DIGEST_PERIOD_US
@@ -70,7 +71,7 @@ class DigestFile:
             self._write_own(time_us)
 
     def close(self, time_us: int) -> None:
-        """Write the simulator's last line, and close the file."""
+        """Write the simulator's last line and close the file."""
         self._write_own(time_us)
         if self._file is not None:
             self._file.close()

@@ -25,7 +25,7 @@ from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.gazebo_messages import model_states
-from xtdrone_sim.topics.link_topics import SceneTopics
+from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.sdf import world_file
 
@@ -71,10 +71,10 @@ def read_settings() -> FullSettings:
 
 
 def _effects(name: str) -> tuple[Effect, ...]:
-    """Return the effects that a parameter lists.
+    """Return the effects listed in the parameter ``name``.
 
     Raises:
-        ValueError: it is malformed, or an effect cannot be loaded.
+        ValueError: the parameter is malformed, or an effect cannot be loaded.
     """
     value, resolved = rospy.get_param(name, []), rospy.resolve_name(name)
     if isinstance(value, str):
@@ -86,14 +86,14 @@ def _effects(name: str) -> tuple[Effect, ...]:
 
 
 class FullSimulation:
-    """Physics, autopilots and the MAVLink server of all vehicles; see ``scene.Scene``."""
+    """Physics, autopilots and the MAVLink server of all vehicles; see ``SimulatorBackend``."""
 
     def __init__(self, settings: FullSettings) -> None:
         """Place the fleet on the ground and bind its ports.
 
         Raises:
-            ValueError: bad settings, unknown vehicle or world.
-            OSError: a port that is taken.
+            ValueError: a setting is invalid, or a vehicle type or the world is unknown.
+            OSError: a port is in use.
         """
         self.names: Sequence[str] = [vehicle.name for vehicle in settings.fleet]
         self._idle: Idle = lambda _: None
@@ -120,7 +120,7 @@ class FullSimulation:
         )
 
     def _factory(self, settings: FullSettings) -> AutopilotFactory:
-        """Return what makes the autopilots that the settings ask for."""
+        """Return the factory of the autopilot back end selected by the settings."""
         factories: dict[str, AutopilotFactory] = {
             "builtin": partial(
                 BuiltinAutopilot,
@@ -138,7 +138,7 @@ class FullSimulation:
         return factories[settings.autopilot]
 
     def _origin_for_px4s(self, settings: FullSettings) -> dict[str, float]:
-        """Return where PX4s' local frames are to begin, empty if they need not be told."""
+        """Return the shared origin of the PX4s' local frames, WGS84; empty if they do not need it."""
         if settings.autopilot != "hil" or not settings.shared_datum:
             return {}
         return asdict(self._simulation.world.model.datum)
@@ -150,42 +150,42 @@ class FullSimulation:
 
     @property
     def gravity(self) -> float:
-        """In m/s^2."""
+        """Gravity, m/s^2."""
         return self._simulation.world.model.gravity
 
     @property
     def need_time(self) -> bool:
-        """Whether the autopilots answer their clients only while time goes on."""
+        """Whether the autopilots answer their clients only while simulated time advances."""
         return self._autopilots.need_time
 
     @property
     def descriptors(self) -> Sequence[int]:
-        """MAVLink's, and those of the autopilots."""
+        """File descriptors of the MAVLink server and the autopilots."""
         return (self._mavlink.fileno(), *self._autopilots.descriptors)
 
     @property
     def patience(self) -> float:
-        """How long the MAVLink links may be left alone, wall s."""
+        """Longest time between two calls of ``serve``, given by the MAVLink links, wall s."""
         return self._mavlink.keep_alive_delay
 
     def open(self, server: LockstepServer, mailbox: Mailbox, idle: Idle) -> None:
-        """Count datagrams together with the lockstep's server."""
+        """Create the topics, and share the datagram counts with the lockstep server."""
         self._idle = idle
         self._server = server
         server.open_datagram_ports(self._mavlink.received)
         self._datagrams = Datagrams(self._mavlink, server, lambda text: rospy.logwarn("simulator: %s", text), idle)
-        self._topics = SceneTopics(self._simulation, mailbox)
+        self._topics = LinkTopics(self._simulation, mailbox)
         for name, model in zip(self.names, self._simulation.models, strict=True):
             rospy.set_param(f"/{name}/robot_description", model.urdf.text)
         self._actors = ActorTopics(self._simulation.world.model.actors, lambda: self.time_us)
-        self._topics.providers.append(self._actors.tell)
+        self._topics.providers.append(self._actors.add_to_scene)
 
     def missing(self) -> str:
-        """Say which autopilots have not connected."""
+        """Return which autopilots have not connected; "" when all have."""
         return self._autopilots.missing()
 
     def serve(self, ready: Collection[int]) -> None:
-        """Receive MAVLink, and what comes from the autopilots."""
+        """Receive MAVLink datagrams and the data of the autopilots."""
         if self._mavlink.fileno() in ready or self._mavlink.backlog:
             self._mavlink.receive(0.0)
         if not set(ready).isdisjoint(self._autopilots.descriptors):
@@ -193,15 +193,15 @@ class FullSimulation:
         self._mavlink.keep_alive(self._datagrams.counted_ports)
 
     def next_due_us(self, now_us: int) -> int | None:
-        """Streams are sent on the way."""
+        """Return None: ``advance`` sends the telemetry streams between ticks."""
         return None
 
-    def next_told_us(self, now_us: int) -> int | None:
-        """Return when links are told of next."""
-        return self._topics.next_told_us(now_us)
+    def next_publication_us(self, now_us: int) -> int | None:
+        """Return when link states are published next, microseconds; None without subscribers."""
+        return self._topics.next_publication_us(now_us)
 
     def advance(self, until_us: int) -> None:
-        """Step, and send telemetry when it is due."""
+        """Step to ``until_us``, and send the telemetry streams that are due."""
         self._datagrams.direct()
         simulation, mavlink = self._simulation, self._mavlink
         next_stream = mavlink.next_due_us
@@ -217,7 +217,7 @@ class FullSimulation:
         self._simulation.step()
 
     def tick(self, idle: Idle) -> None:
-        """Publish where links are, and run one barrier; setpoints from participants act after it."""
+        """Publish link states and run one barrier; setpoints of participants take effect after it."""
         self._topics.publish()
         self._mavlink.hold_setpoints()
         self._server.tick(self._simulation.time_us, self._mavlink.sent, idle)
@@ -226,28 +226,28 @@ class FullSimulation:
         self._mavlink.release_setpoints()
 
     def truth(self) -> bytes:
-        """Return the plant records."""
+        """Return the plant records as bytes."""
         return self._simulation.world.plant.tobytes()
 
     def model_states(self) -> ModelStates:
-        """Return the plant as Gazebo has it."""
+        """Return the poses and velocities of all models in Gazebo's format."""
         message = model_states(self.names, self._simulation.world.plant, self._models)
         self._actors.add_to(message)
         return message
 
     def collisions(self) -> set[tuple[int, int]]:
-        """Return which vehicles have hit each other or something."""
+        """Return all collisions so far, as pairs of model indices."""
         return self._simulation.world.collisions
 
     def restart(self, time_us: int) -> None:
-        """Reboot all autopilots at their spawn places."""
+        """Return the vehicles to their spawn positions and reboot all autopilots."""
         self._simulation.restart(time_us)
         self._actors.restart(time_us)
         self._topics.restart()
         self._mavlink.reboot(self._simulation.autopilot, self._simulation.commanders)
 
     def close(self) -> None:
-        """Close the ports, and free the physics engine and what the autopilots hold."""
+        """Close the ports, and release the autopilots and the physics engine."""
         close_all(self._mavlink.close, self._simulation.close)
 
 

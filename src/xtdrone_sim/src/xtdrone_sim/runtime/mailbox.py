@@ -1,4 +1,4 @@
-"""Requests from other threads to the simulator's own, which alone may touch the simulation."""
+"""Queue of requests from other threads to the simulator's thread, which alone may access the simulation."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ Request = Callable[["Future[Any]"], None]
 
 
 class ClosedError(RuntimeError):
-    """The simulator's thread takes no more requests."""
+    """The simulator's thread accepts no more requests."""
 
 
 class Mailbox:
     """A queue that wakes the simulator's thread."""
 
     def __init__(self) -> None:
-        """Open it."""
+        """Create an empty queue."""
         self._queue: queue.SimpleQueue[tuple[Request, Future[Any]]] = queue.SimpleQueue()
         self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._lock = threading.Lock()  # between putting something in and closing
+        self._lock = threading.Lock()  # serialises ``put`` and ``close``
         self._closed = False
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when a request has come."""
+        """Return a descriptor that is readable while requests are queued."""
         return self._event
 
     def put(self, request: Request) -> Future[Any]:
-        """Hand in a request; for any thread.
+        """Queue a request; called from any thread.
 
         Returns:
-            The future of its answer; one with a ClosedError once the mailbox is closed.
+            The future of its answer; it holds a ClosedError if the mailbox is closed.
         """
         answer: Future[Any] = Future()
         with self._lock:
@@ -48,7 +48,7 @@ class Mailbox:
         return answer
 
     def serve(self) -> None:
-        """Carry out what has come; for the simulator's thread."""
+        """Execute the queued requests; called from the simulator's thread."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._event)
         while True:
@@ -58,13 +58,13 @@ class Mailbox:
                 return
             try:
                 request(answer)
-            except Exception as error:  # it is the caller's, who waits for it
+            except Exception as error:  # raised again in the waiting caller
                 if answer.done():
                     raise
                 answer.set_exception(error)
 
     def close(self) -> None:
-        """Take no more requests; those that wait get a ClosedError."""
+        """Reject further requests; queued ones receive a ClosedError."""
         with self._lock:
             if self._closed:
                 return

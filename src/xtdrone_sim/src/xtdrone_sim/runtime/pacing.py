@@ -1,4 +1,4 @@
-"""Pacing: how long to wait so that simulated time keeps its ratio to wall time, and what the ratio really is."""
+"""Pacing of simulated time against wall time, and measurement of the real-time factor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import deque
 
 from xtdrone_control.speed import LEAST_SPEED
 
-_MAX_LAG = 0.2  # s of wall time; a simulation further behind does not hurry to catch up
+_MAX_LAG = 0.2  # wall s; a simulation further behind does not catch up
 
 
 class Pacer:
@@ -18,17 +18,17 @@ class Pacer:
     """
 
     def __init__(self, speed: float) -> None:
-        """Start with ``speed``; see :meth:`set_speed`."""
+        """Set the initial target factor, see :meth:`set_speed`."""
         self.speed = 0.0
         self._sim_us = 0
         self._wall: float | None = None
         self.set_speed(speed)
 
     def set_speed(self, speed: float) -> None:
-        """Change the target factor: 0 (unlimited) or LEAST_SPEED and more.
+        """Set the target factor: 0 (unlimited) or at least LEAST_SPEED.
 
         Raises:
-            ValueError: another value.
+            ValueError: the value is not allowed.
         """
         if not math.isfinite(speed) or (speed != 0.0 and speed < LEAST_SPEED):
             raise ValueError(f"speed: {speed} is not allowed, 0 (unlimited) or at least {LEAST_SPEED}")
@@ -36,11 +36,16 @@ class Pacer:
         self.restart()
 
     def restart(self) -> None:
-        """Count from the next call of ``delay``: simulated time has stood still, or was set back."""
+        """Restart the reference at the next call of ``delay``, after a standstill or a reset of simulated time."""
         self._wall = None
 
     def delay(self, sim_us: int, wall: float) -> float:
-        """Return for how many seconds of wall time to wait at simulated time ``sim_us`` and wall time ``wall``."""
+        """Return the time to wait, wall s.
+
+        Args:
+            sim_us: simulated time, microseconds.
+            wall: monotonic wall time, s.
+        """
         if self.speed == 0.0:
             return 0.0
         if self._wall is None:
@@ -54,28 +59,28 @@ class Pacer:
 
 
 class SpeedMeter:
-    """The real-time factor over the last second or so of wall time."""
+    """Measures the real-time factor over the most recent ``span`` of wall time."""
 
     def __init__(self, span: float = 1.0, spacing: float = 0.1) -> None:
-        """Know nothing yet.
+        """Start without samples.
 
         Args:
-            span: wall seconds over which the factor is taken.
-            spacing: wall seconds between two samples that are kept.
+            span: length of the averaging window, wall s.
+            spacing: least time between stored samples, wall s.
         """
         self._span = span
         self._spacing = spacing
         self._samples: deque[tuple[float, int]] = deque()
 
     def restart(self) -> None:
-        """Forget the samples: simulated time was set back."""
+        """Discard the samples after a reset of simulated time."""
         self._samples.clear()
 
     def factor(self, sim_us: int, wall: float) -> float:
-        """Take a sample and return the factor; 0 before there are two.
+        """Add a sample and return the factor; 0 until two samples exist.
 
         Args:
-            sim_us: simulated time, microseconds; never less than at the last call, see :meth:`restart`.
+            sim_us: simulated time, microseconds; not less than in the previous call, see :meth:`restart`.
             wall: monotonic wall time, s.
         """
         samples = self._samples

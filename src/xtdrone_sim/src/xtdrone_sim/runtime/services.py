@@ -1,21 +1,21 @@
-"""Control of the simulation on the ROS graph: XTDrone's services and topics, and those that Gazebo's users know.
+"""Control of the simulation on the ROS graph: XTDrone's services and topics, and those of Gazebo.
 
 =====================================  =================================  ============================================
 /simulator/set_speed                   xtdrone_msgs/SetSpeed              target real-time factor
 /simulator/pause, resume               std_srvs/Trigger
-/simulator/step                        xtdrone_msgs/Step                  some ticks, or to a simulated time
+/simulator/step                        xtdrone_msgs/Step                  a number of ticks, or to a simulated time
 /simulator/get_status                  xtdrone_msgs/GetStatus
-/simulator/status (topic)              xtdrone_msgs/SimulationStatus      latched; at changes, else once a wall second
+/simulator/status (topic)              xtdrone_msgs/SimulationStatus      latched; on change, at least every wall second
 /simulator/speed (topic, in)           std_msgs/Float64                   target real-time factor
 /gazebo/pause_physics, unpause_...     std_srvs/Empty
-/gazebo/reset_world                    std_srvs/Empty                     vehicles as at the start; time goes on
+/gazebo/reset_world                    std_srvs/Empty                     initial state; simulated time continues
 /gazebo/reset_simulation               std_srvs/Empty                     the same, from simulated time 0
 /gazebo/get_physics_properties         gazebo_msgs/GetPhysicsProperties
 /gazebo/set_physics_properties         gazebo_msgs/SetPhysicsProperties   max_update_rate is 250 x speed
 /gazebo/get_world_properties           gazebo_msgs/GetWorldProperties
 =====================================  =================================  ============================================
 
-rospy calls the handlers in threads of its own; they hand everything to the simulator's thread and wait for the answer.
+rospy calls the handlers in its own threads; they pass each request to the simulator's thread and wait for the answer.
 """
 
 from __future__ import annotations
@@ -48,26 +48,26 @@ from xtdrone_sim.runtime.control import Control, ControlError, Reset, Status, St
 from xtdrone_sim.runtime.mailbox import ClosedError, Mailbox
 
 _STATUS_PERIOD = 1.0  # wall s
-_STATE_PERIOD = 0.1  # wall s between two looks at what nobody announces
+_STATE_PERIOD = 0.1  # wall s between two polls of changes that arrive without an event
 
 
 class Services:
     """Services and topics around a :class:`Control`.
 
-    Everything but the handlers is called in the simulator's thread.
+    All methods except the handlers are called in the simulator's thread.
     """
 
     def __init__(
         self, control: Control, mailbox: Mailbox, *, step_s: float, gravity: float, model_names: Sequence[str]
     ) -> None:
-        """Offer them.
+        """Advertise the services and topics.
 
         Args:
-            control: what they act on.
-            mailbox: brings requests to the simulator's thread.
-            step_s: the physics' step, s.
-            gravity: of the world, m/s^2.
-            model_names: models of the world.
+            control: control of the simulation.
+            mailbox: passes requests to the simulator's thread.
+            step_s: physics step, s.
+            gravity: gravity of the world, m/s^2.
+            model_names: names of the models in the world.
         """
         self._control = control
         self._mailbox = mailbox
@@ -95,7 +95,7 @@ class Services:
             rospy.Service(name, kind, handler)
 
     def tend(self) -> None:
-        """Publish the status when it is due; call it often."""
+        """Publish the status when it is due; called at every turn of the main loop."""
         now = time.monotonic()
         if now >= self._next_look:
             self._next_look = now + _STATE_PERIOD
@@ -105,7 +105,7 @@ class Services:
             self._next_status = now + _STATUS_PERIOD
             self._status.publish(status_message(self._control.status()))
 
-    # handlers, in threads of rospy's
+    # handlers, called in rospy's threads
 
     def _ask(self, request: Callable[[Future[Any]], None]) -> Any:
         """Return the answer of the simulator's thread.
@@ -119,7 +119,7 @@ class Services:
             raise rospy.ServiceException(str(error)) from error
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what ``function`` returns in the simulator's thread."""
+        """Call ``function`` in the simulator's thread and return its result."""
         return self._ask(lambda answer: answer.set_result(function(*arguments)))
 
     def _trigger(self, function: Callable[[str], str], request: Any) -> TriggerResponse:
@@ -136,7 +136,7 @@ class Services:
             return SetSpeedResponse(False, str(error))
 
     def _on_speed(self, message: Float64) -> None:
-        """Take the topic; nobody waits for an answer."""
+        """Set the speed received on ``~speed``, without waiting for the result."""
         sender = message._connection_header["callerid"]
 
         def act(answer: Future[Any]) -> None:
@@ -184,7 +184,7 @@ class Services:
         return SetPhysicsPropertiesResponse(True, done + ignored)
 
     def _physics_obstacle(self, request: Any) -> str:
-        """Return what of ``request`` is not allowed, or an empty text."""
+        """Return which value of ``request`` is not allowed; "" if all are."""
         if not math.isclose(request.time_step, self._step_s, rel_tol=1e-6):
             return f"time_step: {request.time_step:g} s is not allowed, it is {self._step_s:g} s always"
         try:
@@ -210,24 +210,24 @@ class Services:
 
 
 def target_speed(rate: float, step_s: float) -> float:
-    """Return the target real-time factor that Gazebo's ``max_update_rate`` means.
+    """Return the target real-time factor for Gazebo's ``max_update_rate``.
 
     Args:
-        rate: steps a wall second, Hz; 0 for unlimited.
-        step_s: the physics' step, s.
+        rate: steps per wall second, Hz; 0 for unlimited.
+        step_s: physics step, s.
 
     Raises:
-        ValueError: a rate that is not allowed.
+        ValueError: the rate is not allowed.
     """
     least = LEAST_SPEED / step_s
-    # Both are rounded: the least rate, as the message says it, must be allowed and give the least speed.
+    # Both values are rounded: the least rate given in the error text must be accepted and yield the least speed.
     if not math.isfinite(rate) or (rate != 0.0 and rate < least * (1.0 - 1e-9)):
         raise ValueError(f"max_update_rate: {rate:g} Hz is not allowed, 0 (unlimited) or at least {least:g} Hz")
     return max(rate * step_s, LEAST_SPEED) if rate else 0.0
 
 
 def status_message(status: Status) -> SimulationStatus:
-    """Return the status as a message."""
+    """Return the status as a ROS message."""
     return SimulationStatus(
         sim_time=_time(status.time_us),
         tick=status.tick,
@@ -252,5 +252,5 @@ def _time(time_us: int) -> rospy.Time:
 
 
 def _microseconds(value: Any) -> int:
-    """Return a ROS time or duration in microseconds, rounded up: a step must not end before it."""
+    """Return a ROS time or duration in microseconds, rounded up so that a step does not end early."""
     return -(-value.to_nsec() // 1000)

@@ -1,4 +1,4 @@
-"""The simulator as a ROS node around a scene: /clock, the ground truth, the lockstep's barrier, control, pacing."""
+"""ROS node that runs a simulator back end: /clock, ground truth, lockstep barrier, control and pacing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from xtdrone_control import kernel, lockstep
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_control.log_output import survive_full_disk
 from xtdrone_control.settings import Settings, setting
-from xtdrone_sim.runtime.backend import Scene
+from xtdrone_sim.runtime.backend import SimulatorBackend
 from xtdrone_sim.runtime.control import Control, Reset
 from xtdrone_sim.runtime.digests import DigestFile
 from xtdrone_sim.runtime.mailbox import Mailbox
@@ -33,12 +33,12 @@ from xtdrone_sim.runtime.startup import obstacle, stale_uri
 from xtdrone_sim.runtime.stopping import Stop
 from xtdrone_sim.sensors.ground_truth import GroundTruth
 
-_CHUNK_US = 20_000  # longest simulated time between two looks at sockets and pace
+_CHUNK_US = 20_000  # longest simulated time between two polls of sockets and pace
 _SLICE = 0.1  # s; longest single wait, so that a shutdown is noticed
-_JOIN_REPORT = 5.0  # s between two words on who has not joined
-_HOLD_WARNING = 20.0  # s of waiting after which such words are warnings, which are on screen
+_JOIN_REPORT = 5.0  # wall s between two log messages about missing participants
+_HOLD_WARNING = 20.0  # wall s of waiting after which these become warnings, which appear on screen
 _LEAST_HANG_LIMIT = 2.0  # s; participants send a keep-alive each second
-_CONNECT_LIMIT = 30.0  # s of wall time that the world is held for a topic connection; a loaded machine takes some
+_CONNECT_LIMIT = 30.0  # wall s to hold the world for a topic connection; generous for a loaded machine
 
 
 def _check_hang_limit(limit: float) -> None:
@@ -112,10 +112,10 @@ class NodeSettings(Settings):
 
 
 def _digest_file(settings: NodeSettings, host: lockstep.Host) -> DigestFile | None:
-    """Open the digest file, if one is asked for.
+    """Open the digest file, or return None if the settings name none.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be opened for writing.
     """
     if not settings.digest:
         return None
@@ -124,24 +124,24 @@ def _digest_file(settings: NodeSettings, host: lockstep.Host) -> DigestFile | No
 
 
 class SimulatorNode:
-    """Runs a scene against the ROS graph until it is to end."""
+    """Runs a back end on the ROS graph until the simulation ends."""
 
-    def __init__(self, settings: NodeSettings, scene: Scene, stop: Stop) -> None:
-        """Set everything up; time stands at 0.
+    def __init__(self, settings: NodeSettings, backend: SimulatorBackend, stop: Stop) -> None:
+        """Create server, publishers and services; simulated time stays at 0.
 
         Args:
-            settings: the node's parameters.
-            scene: what is run; it is closed at the end.
-            stop: says when to end.
+            settings: parameters of the node.
+            backend: the back end to run; ``run`` closes it.
+            stop: reports requests to shut down.
 
         Raises:
-            ValueError: bad settings.
-            OSError: a port that is taken.
+            ValueError: a setting is invalid.
+            OSError: a port is in use.
         """
         self._settings = settings
-        self._scene = scene
+        self._backend = backend
         self._stop = stop
-        self._names = [*scene.names, *scene.scenery]
+        self._names = [*backend.names, *backend.scenery]
         pacer = Pacer(settings.speed)
         host = lockstep.host()
         self._digests = _digest_file(settings, host)
@@ -157,15 +157,15 @@ class SimulatorNode:
         self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10)
         self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
-        self._truth = GroundTruth([*scene.names, *scene.actors])
+        self._truth = GroundTruth([*backend.names, *backend.actors])
         self._states_period_us = round(1e6 / settings.states_rate)
         self._next_states_us = 0
-        self._looked_us = scene.time_us  # the last time that does not depend on who listens to what
+        self._looked_us = backend.time_us  # last tick whose time does not depend on subscribers
         self._collisions: set[tuple[int, int]] = set()
         self._control = Control(
             pacer,
             self._server,
-            lambda: scene.time_us,
+            lambda: backend.time_us,
             paused=settings.paused,
             hang_limit=settings.hang_limit,
             info=lambda text: rospy.loginfo("simulator: %s", text),
@@ -175,13 +175,13 @@ class SimulatorNode:
         self._services = Services(
             self._control,
             self._mailbox,
-            step_s=scene.step_us * 1e-6,
-            gravity=scene.gravity,
+            step_s=backend.step_us * 1e-6,
+            gravity=backend.gravity,
             model_names=["ground_plane", *self._names],
         )
-        scene.open(self._server, self._mailbox, self._serve)
+        backend.open(self._server, self._mailbox, self._serve)
         self._poll = select.epoll()
-        for descriptor in (self._mailbox.fileno(), self._server.fileno(), *scene.descriptors):
+        for descriptor in (self._mailbox.fileno(), self._server.fileno(), *backend.descriptors):
             self._poll.register(descriptor, select.EPOLLIN)
         self._uri = reachable_uri(self._server.uri, settings.host)
         own = rosgraph.network.get_local_address()
@@ -196,15 +196,15 @@ class SimulatorNode:
             rospy.set_param("/lockstep/uri", self._uri)
         else:
             rospy.logwarn("simulator: no lockstep (~lockstep is false): nodes run on /clock, nothing is repeatable")
-            # That of a simulator which is no more: nodes that saw it would try to take part.
+            # Remove the address of a terminated simulator: nodes that read it would try to join.
             with contextlib.suppress(KeyError):
                 rospy.delete_param("/lockstep/uri")
 
     def run(self) -> None:
-        """Step until the node is to end; participants are told whether it ends by a failure.
+        """Run until the node shuts down; report a failure to the participants.
 
         Raises:
-            Exception: what the failure is.
+            Exception: the failure.
         """
         failure = ""
         try:
@@ -218,9 +218,9 @@ class SimulatorNode:
     def _run(self) -> None:
         try:
             self._publish_clock()
-            self._wait_for_scene()
+            self._wait_for_backend()
             self._wait_for_participants()
-            names = self._scene.names
+            names = self._backend.names
             first_last = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
             rospy.loginfo("simulator: %s stand ready, time runs; Ctrl-C ends it", first_last)
             self._control.start()
@@ -229,31 +229,31 @@ class SimulatorNode:
                 self._advance()
                 self._wait_for_pace()
         except rospy.ROSException:
-            # ROSInterruptException of our own, or rospy's word that its topics are closed
+            # ROSInterruptException of ``_serve``, or rospy's error on a closed topic
             if not self._stop.requested():
                 raise
 
     def _close(self, failure: str) -> None:
-        digests = [] if self._digests is None else [partial(self._digests.close, self._scene.time_us)]
+        digests = [] if self._digests is None else [partial(self._digests.close, self._backend.time_us)]
         close_all(
             partial(_forget_uri, self._uri),
             self._mailbox.close,
             self._control.close,
             partial(self._server.close, failure),
             *digests,
-            self._scene.close,
+            self._backend.close,
         )
 
-    def _wait_for_scene(self) -> None:
+    def _wait_for_backend(self) -> None:
         begun = word = time.monotonic()
-        while missing := self._scene.missing():
+        while missing := self._backend.missing():
             now = time.monotonic()
             if now - begun >= self._settings.start_limit:
                 rospy.logwarn("simulator: time starts after %.0f s: %s", self._settings.start_limit, missing)
                 return
             if now >= word:
                 word += _JOIN_REPORT
-                _hold_word(now - begun)("simulator: holding time at 0: %s", missing)
+                _hold_log(now - begun)("simulator: holding time at 0: %s", missing)
             self._serve(_SLICE)
             self._server.poll(0.0)
 
@@ -264,7 +264,7 @@ class SimulatorNode:
             if self._server.wait_for(expected, _JOIN_REPORT, self._serve):
                 rospy.loginfo("simulator: %d participants have joined, time starts", len(self._server.participants))
                 return
-            write = _hold_word(time.monotonic() - begun)
+            write = _hold_log(time.monotonic() - begun)
             write("simulator: holding time at 0: %s", self._server.missing(expected))
         if expected:
             rospy.logwarn(
@@ -274,120 +274,120 @@ class SimulatorNode:
             )
 
     def _over(self) -> bool:
-        """Say whether the simulated time is reached at which the node is to end."""
+        """Return whether simulated time has reached ``~until``."""
         until = self._settings.until
-        return until > 0.0 and self._scene.time_us >= round(until * 1e6)
+        return until > 0.0 and self._backend.time_us >= round(until * 1e6)
 
     def _hold(self) -> None:
-        """Carry out what waits for the end of a tick; stay here while the simulation is paused."""
+        """Execute the requests queued for the end of a tick; block while the simulation is paused."""
         while not self._control.between_ticks(self._reset):
             self._serve(_SLICE)
             self._server.poll(0.0)
 
     def _reset(self, kind: Reset) -> None:
-        """Put everything back to its start, with simulated time or without: a reboot of all autopilots."""
-        scene = self._scene
-        scene.restart(0 if kind is Reset.SIMULATION else scene.time_us)
+        """Restore the initial state and reboot all autopilots; Reset.SIMULATION also sets simulated time to 0."""
+        backend = self._backend
+        backend.restart(0 if kind is Reset.SIMULATION else backend.time_us)
         self._collisions.clear()
-        self._looked_us = scene.time_us
+        self._looked_us = backend.time_us
         if kind is Reset.SIMULATION:
             self._next_states_us = 0
             self._server.reset_time(0)
-        if scene.time_us > 0:  # 0 means "no time yet" in ROS, and ends rosbag record: the next tick's is the first
+        if backend.time_us > 0:  # 0 means "no time yet" in ROS and ends rosbag record: wait for the next tick
             self._publish_clock()
 
     def _advance(self) -> None:
-        """Step to the next tick, or a little way when nobody is due soon; then one barrier."""
-        scene = self._scene
-        now = scene.time_us
+        """Step to the next tick, or by ``_CHUNK_US`` if no participant is due before, and run one barrier."""
+        backend = self._backend
+        now = backend.time_us
         due = self._server.next_due_us(now)
-        times = (due, scene.next_due_us(now), self._looked_us + _CHUNK_US)
+        times = (due, backend.next_due_us(now), self._looked_us + _CHUNK_US)
         regular = min(time_us for time_us in times if time_us is not None)
-        until = min([regular, *self._telling_us(now)])
+        until = min([regular, *self._publication_times_us(now)])
         is_regular = until == regular
-        scene.advance(until)
-        now = scene.time_us
+        backend.advance(until)
+        now = backend.time_us
         self._publish_clock()
         lockstep.host().time_passed(now)
         if now >= self._next_states_us:
             self._publish_states(now)
         self._serve(0.0)
         if is_regular and self._digests is not None:
-            self._digests.tick(now, scene.truth())
-        scene.tick(self._serve_in_tick)
+            self._digests.tick(now, backend.truth())
+        backend.tick(self._serve_in_tick)
         self._report_collisions()
         if is_regular:
-            self._looked_us = scene.time_us
+            self._looked_us = backend.time_us
             if due is None or due == until:
                 self._control.ticked()
 
-    def _telling_us(self, now: int) -> list[int]:
-        """Return the next times at which something is told to those who listen: what nobody else takes for a tick."""
-        told = self._scene.next_told_us(now)
-        times = [] if told is None else [told]
+    def _publication_times_us(self, now: int) -> list[int]:
+        """Return the next times at which a subscriber needs a message; they do not count as ticks."""
+        publication = self._backend.next_publication_us(now)
+        times = [] if publication is None else [publication]
         if self._next_states_us > now and (self._states.get_num_connections() or self._truth.wanted):
             times.append(self._next_states_us)
         return times
 
     def _report_collisions(self) -> None:
-        new = self._scene.collisions() - self._collisions
+        new = self._backend.collisions() - self._collisions
         for a, b in sorted(new):
             rospy.logwarn("simulator: collision of %s and %s", self._names[a], self._names[b])
         self._collisions |= new
 
     def _serve(self, timeout: float) -> None:
-        """Wait up to ``timeout`` s for something on any socket, and serve what came.
+        """Wait up to ``timeout`` wall s for data on any socket, and process it.
 
         Raises:
-            ROSInterruptException: ROS shuts down; whoever waits for a participant must not wait on.
+            ROSInterruptException: the node shuts down; a wait for a participant must end.
         """
         if self._stop.requested():
             raise rospy.ROSInterruptException("shutdown")
         if timeout > 0.0:
-            timeout = min(timeout, self._scene.patience)
+            timeout = min(timeout, self._backend.patience)
         ready = {descriptor for descriptor, _ in self._poll.poll(timeout)}
-        self._scene.serve(ready)
+        self._backend.serve(ready)
         if self._mailbox.fileno() in ready:
             self._mailbox.serve()
         self._services.tend()
 
     def _serve_in_tick(self, timeout: float) -> None:
-        """As ``_serve``, while participants are waited for.
+        """Serve as ``_serve`` does, while the barrier waits for participants.
 
-        When one of them waits for an autopilot that needs simulated time to answer, time flows meanwhile, for else it
-        would stand still. The turn then lasts, as it does on a real vehicle.
+        A participant may wait for an autopilot that answers only while simulated time advances. Time then advances
+        within the turn, which would deadlock otherwise; the turn takes time, as on a real vehicle.
         """
-        if not (self._scene.need_time and self._server.needs_time and not self._control.paused):
+        if not (self._backend.need_time and self._server.needs_time and not self._control.paused):
             self._serve(timeout)
             return
-        self._scene.step()
+        self._backend.step()
         self._publish_clock()
-        self._serve(min(max(0.0, self._control.pacer.delay(self._scene.time_us, time.monotonic())), timeout))
+        self._serve(min(max(0.0, self._control.pacer.delay(self._backend.time_us, time.monotonic())), timeout))
 
     def _wait_for_pace(self) -> None:
         while self._control.flowing:
-            delay = self._control.pacer.delay(self._scene.time_us, time.monotonic())
+            delay = self._control.pacer.delay(self._backend.time_us, time.monotonic())
             if delay <= 0.0:
                 return
             self._serve(min(delay, _SLICE))
             self._server.poll(0.0)
 
     def _publish_clock(self) -> None:
-        self._clock.publish(Clock(clock=rospy.Time.from_sec(0) + rospy.Duration(0, self._scene.time_us * 1000)))
+        self._clock.publish(Clock(clock=rospy.Time.from_sec(0) + rospy.Duration(0, self._backend.time_us * 1000)))
 
     def _publish_states(self, now: int) -> None:
         self._next_states_us = now - now % self._states_period_us + self._states_period_us
         listened = self._states.get_num_connections()
         if not (listened or self._truth.wanted):
             return
-        states = self._scene.model_states()
+        states = self._backend.model_states()
         if listened:
             self._states.publish(states)
         self._truth.publish(states, now)
 
 
-def _hold_word(waited: float) -> Callable[..., None]:
-    """Return what logs that time is held at 0, after ``waited`` wall seconds."""
+def _hold_log(waited: float) -> Callable[..., None]:
+    """Return the log function for messages that time is held at 0, after ``waited`` wall s."""
     write: Callable[..., None] = rospy.loginfo if waited < _HOLD_WARNING else rospy.logwarn
     return write
 
@@ -397,11 +397,11 @@ def _is_loopback(address: str) -> bool:
 
 
 def reachable_uri(uri: str, host: str) -> str:
-    """Return an address under which participants on other machines find the lockstep's server.
+    """Return the address at which participants on other machines reach the lockstep server.
 
     Args:
-        uri: the server's, tcp://host:port.
-        host: the address on which it listens; for "0.0.0.0" the one that this machine tells other ROS nodes is named.
+        uri: address of the server, tcp://host:port.
+        host: address on which it listens; "0.0.0.0" is replaced by this machine's ROS address.
     """
     if host not in {"", "0.0.0.0"}:
         return uri
@@ -409,10 +409,10 @@ def reachable_uri(uri: str, host: str) -> str:
 
 
 def close_all(*closings: Callable[[], object]) -> None:
-    """Call all ``closings`` in this order, also those after one that raises.
+    """Call all ``closings`` in order, including those after one that raises.
 
     Raises:
-        Exception: what a closing raised; if several did, the last one's, with the others as its context.
+        Exception: the last exception that a closing has raised, with earlier ones as its context.
     """
     with contextlib.ExitStack() as stack:
         for closing in reversed(closings):
@@ -429,19 +429,19 @@ def _forget_uri(uri: str) -> None:
 
 
 def log(level: int, text: str) -> None:
-    """Pass the lockstep's words on to ROS."""
+    """Log a text at a level of ``logging`` with rospy."""
     write = {logging.WARNING: rospy.logwarn, logging.ERROR: rospy.logerr}.get(level, rospy.loginfo)
     write("simulator: %s", text)
 
 
 class _Kernels:
-    """Says that kernels are compiled: the world stands still meanwhile, and nothing else tells why."""
+    """Logs the compilation of kernels, which explains why the world stands still meanwhile."""
 
     def __init__(self) -> None:
         self._told = False
 
     def announce(self) -> None:
-        """Say so from now on."""
+        """Register the log output."""
         kernel.Announcer(self._begins, self._ends).register()
 
     def _begins(self, name: str) -> None:
@@ -453,12 +453,12 @@ class _Kernels:
         rospy.loginfo("simulator: kernel compiled: %s, in %.1f s", name, seconds)
 
 
-def run_node(make: Callable[[], tuple[NodeSettings, Scene]], arguments: Sequence[str]) -> int:
-    """Run a simulator's node until it is to end.
+def run_node(make: Callable[[], tuple[NodeSettings, SimulatorBackend]], arguments: Sequence[str]) -> int:
+    """Run a simulator node until it shuts down.
 
     Args:
-        make: reads the node's parameters and makes the scene; it may raise ValueError or OSError.
-        arguments: the command line, for its remappings.
+        make: reads the parameters and creates the back end; may raise ValueError or OSError.
+        arguments: command line with its remappings.
 
     Returns:
         The exit status.
@@ -468,7 +468,7 @@ def run_node(make: Callable[[], tuple[NodeSettings, Scene]], arguments: Sequence
         print(f"simulator: no ROS master answers at {rosgraph.get_master_uri()}; {advice}", file=sys.stderr)
         return 1
     name = lockstep.future_name("simulator", list(arguments))
-    # Before the name is registered: the master would shut down the node that has it now.
+    # Check before registering the name: the master would shut down the node that holds it.
     reason = obstacle(name)
     if reason:
         print(f"simulator: {reason}", file=sys.stderr)
@@ -479,10 +479,10 @@ def run_node(make: Callable[[], tuple[NodeSettings, Scene]], arguments: Sequence
     stop = Stop()
     _Kernels().announce()
     if stale:
-        rospy.logwarn("simulator: /lockstep/uri was %s, where nobody answers: it is forgotten", stale)
+        rospy.logwarn("simulator: /lockstep/uri was %s, where no server answers; removed", stale)
     try:
-        settings, scene = make()
-        node = SimulatorNode(settings, scene, stop)
+        settings, backend = make()
+        node = SimulatorNode(settings, backend, stop)
     except (ValueError, OSError) as error:
         rospy.logfatal("simulator: %s", error)
         return 1

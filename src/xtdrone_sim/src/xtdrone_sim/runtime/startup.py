@@ -1,7 +1,7 @@
-"""What must be looked at before the simulator becomes a node: whether there is one already.
+"""Checks before the simulator registers as a node: whether another simulator is running.
 
-A node that registers under a name that is taken makes the master shut down the one that has it. So everything here
-asks the master without being a node.
+When a node registers under a name in use, the master shuts down the node that holds it. Therefore these functions query
+the master without registering.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ _ANSWER_LIMIT = 2.0  # s
 
 
 def obstacle(name: str) -> str:
-    """Return why no simulator called ``name`` can run on this master, or an empty text.
+    """Return why a simulator called ``name`` cannot run on this master; "" if it can.
 
     Args:
-        name: resolved node name.
+        name: resolved name of the node.
     """
     master, uri = rosgraph.Master(name), rosgraph.get_master_uri()
     elsewhere = "or use another master for this one (ROS_MASTER_URI)"
@@ -42,7 +42,7 @@ def obstacle(name: str) -> str:
 
 
 def stale_uri(name: str) -> str:
-    """Return the address that a simulator which is no more has left on the master, or an empty text."""
+    """Return the lockstep address that a terminated simulator has left on the master; "" for none."""
     return _lockstep_uri(rosgraph.Master(name))
 
 
@@ -51,7 +51,7 @@ def _lockstep_uri(master: rosgraph.Master) -> str:
 
 
 def _answers(uri: str) -> bool:
-    """Return whether somebody listens at ``uri``, scheme://host:port."""
+    """Return whether a server accepts connections at ``uri``, scheme://host:port."""
     try:
         address = urlparse(uri)
         if not address.hostname or not address.port:

@@ -1,4 +1,4 @@
-"""Whether the world goes on: running, paused, or stepping towards a goal. No clock and no ROS in here."""
+"""State machine of the simulation: running, paused, or stepping towards a goal. Independent of clocks and ROS."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 
 class StepError(ValueError):
-    """A step that cannot be made; the message says why."""
+    """A step that cannot be made; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where a step ends: whatever is given, the first tick that fulfils it.
+    """End of a step: the first tick that satisfies one of the given conditions.
 
     Attributes:
-        ticks: after so many ticks, None for any number.
-        until_us: at the first tick at or after this simulated time, microseconds; None for any time.
+        ticks: number of ticks; None for no such condition.
+        until_us: simulated time to reach, microseconds; None for no such condition.
     """
 
     ticks: int | None = None
@@ -24,12 +24,12 @@ class Goal:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What has become of a step.
+    """Result of a step.
 
     Attributes:
-        success: it has come to its goal.
-        ticks: ticks made.
-        reason: why it has not come to its goal, else empty.
+        success: whether the goal was reached.
+        ticks: number of ticks made.
+        reason: why the goal was not reached; "" on success.
     """
 
     success: bool
@@ -41,8 +41,8 @@ class Stepper:
     """Running, paused or stepping.
 
     Attributes:
-        paused: no further tick begins, unless a step is under way.
-        goal: of the step that is under way, None without one.
+        paused: no further tick begins, except during a step.
+        goal: goal of the current step; None without one.
     """
 
     def __init__(self, paused: bool = False) -> None:
@@ -57,24 +57,24 @@ class Stepper:
         return not self.paused or self.goal is not None
 
     def pause(self) -> Outcome | None:
-        """Let no further tick begin; return what this has made of a step that was under way."""
+        """Pause; return the outcome of the step that this has ended, or None."""
         self.paused = True
         return self._end("it was paused")
 
     def resume(self) -> Outcome | None:
-        """Go on without an end; return what this has made of a step that was under way."""
+        """Resume; return the outcome of the step that this has ended, or None."""
         self.paused = False
         return self._end("the simulation was resumed")
 
     def interrupt(self, reason: str) -> Outcome | None:
-        """End a step that is under way for ``reason``; running or paused stays as it is."""
+        """End the current step for ``reason``, leaving ``paused`` as it is; return its outcome, or None."""
         return self._end(reason)
 
     def begin(self, goal: Goal, now_us: int) -> None:
         """Begin a step from simulated time ``now_us``; afterwards the simulation is paused.
 
         Raises:
-            StepError: one is under way, or the goal is not ahead.
+            StepError: another step is under way, or the goal is not in the future.
         """
         if self.goal is not None:
             raise StepError("another step is under way")
@@ -90,7 +90,7 @@ class Stepper:
         self._made = 0
 
     def ticked(self, now_us: int) -> Outcome | None:
-        """Note that a tick has ended at simulated time ``now_us``; return the outcome if it was a step's last."""
+        """Count a tick that has ended at ``now_us``, microseconds; return the outcome if it completed a step."""
         goal = self.goal
         if goal is None:
             return None

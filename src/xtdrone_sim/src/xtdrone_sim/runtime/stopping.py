@@ -1,7 +1,7 @@
-"""Ends a node when its main thread is ready for it.
+"""Signal handling that ends a node only when its main thread is ready.
 
-rospy's own signal handler takes the node's topics back at once, on top of whatever the main thread does. If that was a
-log call, which asks the master for a parameter, the handler waits for ever for the lock of the master's proxy.
+rospy's own handler unregisters the node's topics within the signal, interrupting the main thread. If that was inside a
+log call, which reads a parameter from the master, the handler deadlocks on the lock of the master's proxy.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import rospy
 
 
 class Stop:
-    """Notes that the node is to end. Its ``init_node`` needs ``disable_signals=True``."""
+    """Records requests to shut down. The node's ``init_node`` needs ``disable_signals=True``."""
 
     def __init__(self) -> None:
-        """Listen to SIGINT and SIGTERM."""
+        """Install the handler of SIGINT and SIGTERM."""
         self._signalled = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._note)
 
     def requested(self) -> bool:
-        """Say whether a signal has come or ROS shuts down."""
+        """Return whether a signal has arrived or ROS is shutting down."""
         return self._signalled or rospy.is_shutdown()
 
     def _note(self, *_: Any) -> None:

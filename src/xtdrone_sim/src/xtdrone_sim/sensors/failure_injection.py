@@ -1,14 +1,14 @@
-"""Sensors and motors that were told to fail (MAV_CMD_INJECT_FAILURE, ``autopilot.failures``).
+"""Failure injection for sensors and motors (MAV_CMD_INJECT_FAILURE, ``autopilot.failures``).
 
-| failure | a sensor | a motor |
+| failure | effect on a sensor | effect on a motor |
 |---|---|---|
-| off | gives no samples; GPS has no fix | stands |
-| stuck | repeats the value that it had when the failure began | keeps the command that it had |
-| garbage | random, as large as the sensor could be wrong | random command |
-| wrong | a constant offset | a fifth more than it was told |
-| slow | one sample in ten; gyroscope and accelerometer hold it in between | half of what it was told |
+| off | no samples; GPS reports no fix | stops |
+| stuck | repeats the value at the onset of the failure | repeats the command at the onset |
+| garbage | adds random errors up to ``_GARBAGE`` | random command |
+| wrong | adds a constant offset | command times 1.2 |
+| slow | one sample in ten; gyroscope and accelerometer hold it in between | half of the command |
 
-Everything is drawn from the vehicle's own counter, so the same failure gives the same flight.
+Random numbers come from the vehicle's own counter, so the same failure reproduces the same flight.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from xtdrone_sim.vehicles.vehicle_model import MODEL
 
 _GYRO, _ACCEL, _MAG, _BARO, _GPS, _FLOW, _RANGE, _VISION = range(8)
 _UNITS = 8
-_WIDTH = 6  # numbers that a sensor's sample consists of, at most
+_WIDTH = 6  # most numbers in one sample
 _SLOW_SHARE = 10
 _WRONG_MOTOR, _SLOW_MOTOR = 1.2, 0.5
 
-# how far garbage reaches and where a wrong sensor stands, unit by unit
+# largest error of ``garbage`` and offset of ``wrong``, by unit
 _GARBAGE = (10.0, 50.0, 2.0, 1000.0, 1000.0, 5.0, 20.0, 100.0)  # rad/s, m/s^2, gauss, m, m, rad/s, m, m
 _OFFSET = (0.5, 2.0, 0.4, 50.0, 100.0, 0.5, 5.0, 10.0)
 _METRES_PER_DEGREE = 111_194.9  # of latitude, on geo's sphere
@@ -62,7 +62,7 @@ def _random(b):
 
 @kernel
 def _spoil(b, unit, kind, values):
-    """Let ``values`` (_WIDTH,) of a unit's fresh sample be what the failure makes of them; return 0 for no sample."""
+    """Apply a failure to ``values`` (_WIDTH,), a unit's new sample; return 0 for no sample."""
     if kind == FAILURE_OFF:
         return 0
     if kind in (FAILURE_STUCK, FAILURE_SLOW):
@@ -96,14 +96,14 @@ def _vector(b, unit, kind, vector, work):
 
 @kernel
 def _comes(b, unit, kind):
-    """Count a sample of a unit that fails; return whether it comes: all but those that a slow one leaves out."""
+    """Count a sample of a failing unit; return whether it is delivered: a slow unit drops nine of ten."""
     b.samples[unit] += 1
     return kind != FAILURE_SLOW or b.samples[unit] % _SLOW_SHARE == 0
 
 
 @kernel
 def _spoil_gps(b, s, kind, work):
-    """Garbage and wrong fixes go by metres to the north and east; the velocity is spoilt with garbage only."""
+    """Apply a failure to a GPS sample: offsets in metres north, east and up; only garbage affects the velocity."""
     work[0], work[1], work[2] = 0.0, 0.0, 0.0
     place = (s.gps_lat, s.gps_lon, s.gps_alt)
     if kind == FAILURE_STUCK:
@@ -140,7 +140,7 @@ def _spoil_baro(b, s, kind, work):
 
 @kernel
 def spoil_sensors(sensors, failures, memory, work):
-    """Change this step's samples of every vehicle as its failures ask.
+    """Apply the failures to this step's samples of all vehicles.
 
     Args:
         sensors, failures, memory: record arrays, shape (n,).
@@ -177,7 +177,7 @@ def spoil_sensors(sensors, failures, memory, work):
 
 @kernel
 def _release(b, f):
-    """Forget what was held for units that work again."""
+    """Clear the held samples of units that work again."""
     kinds = (f.gyro, f.accel, f.mag, f.baro, f.gps, f.optical_flow, f.distance_sensor, f.vio)
     for unit in range(_UNITS):
         if kinds[unit] == FAILURE_OK:
@@ -187,7 +187,7 @@ def _release(b, f):
 
 @kernel
 def spoil_motors(commands, models, failures, memory):
-    """Change the motor commands (n, MAX_ROTORS), 0..1, in place. A motor that is off gets what lets it stand."""
+    """Apply the failures to the motor commands (n, MAX_ROTORS), 0..1, in place; "off" stops the motor."""
     for i in range(commands.shape[0]):
         m, f, b = models[i], failures[i], memory[i]
         for k in range(m.rotor_count):
@@ -210,19 +210,19 @@ def spoil_motors(commands, models, failures, memory):
 
 
 class Failing:
-    """What fails in a fleet.
+    """Failures of a fleet.
 
     Attributes:
-        any: whether something fails now; kept by ``look``.
+        any: whether any unit fails at present; updated by ``look``.
     """
 
     def __init__(self, failures: np.ndarray, models: np.ndarray, seed: int) -> None:
-        """Obey ``failures`` ((n,) ``FAILURES``), which others write.
+        """Apply the failures in ``failures`` ((n,) ``FAILURES``), a record that the autopilots write.
 
         Args:
-            failures: the autopilot's record.
+            failures: record of the autopilots.
             models: (n,) ``MODEL``.
-            seed: of the simulation.
+            seed: seed of the simulation.
         """
         assert models.dtype == MODEL
         self.any = False
@@ -235,7 +235,7 @@ class Failing:
         self._commands = np.zeros((len(failures), MAX_ROTORS))
 
     def look(self) -> bool:
-        """Return whether something fails."""
+        """Return whether any unit fails."""
         failing = bool(self._numbers.any())
         if self.any and not failing:
             self._memory["held"] = 0
@@ -244,11 +244,11 @@ class Failing:
         return failing
 
     def sensors(self, sensors: np.ndarray) -> None:
-        """Spoil this step's samples; also when nothing fails any more, so that what was missing comes back."""
+        """Apply the failures to this step's samples; called once more after all failures end, to restore samples."""
         spoil_sensors(sensors, self._failures, self._memory, self._work)
 
     def motors(self, commands: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what the motors do of ``commands`` (n, MAX_ROTORS)."""
+        """Return ``commands`` (n, MAX_ROTORS) with the failures applied."""
         self._commands[:] = commands
         spoil_motors(self._commands, self._models, self._failures, self._memory)
         return self._commands

@@ -1,11 +1,11 @@
-"""True motion with its exact time: what /gazebo/model_states has, each model on a topic of its own, with a header.
+"""Ground truth with exact stamps: the data of /gazebo/model_states, with one topic per model.
 
 =================================  ==================  ==========================================================
 published, while subscribed
 /xtdrone/T/ground_truth/odom       nav_msgs/Odometry   of vehicles and actors, at the rate of /gazebo/model_states
 =================================  ==================  ==========================================================
 
-Poses are in ``map`` (ENU, quaternion x, y, z, w), twists in the body's own axes (FLU), as nav_msgs/Odometry asks; all
+Poses are in ``map`` (ENU, quaternion x, y, z, w), twists in the body frame (FLU), as nav_msgs/Odometry requires; all
 covariances are zero.
 """
 
@@ -23,12 +23,12 @@ from xtdrone_sim.vehicles.poses import conjugate, rotate
 
 
 def topic(name: str) -> str:
-    """Return where the truth of a model is published."""
+    """Return the ground-truth topic of a model."""
     return f"/xtdrone/{name}/ground_truth/odom"
 
 
 class GroundTruth:
-    """The topics of all that moves."""
+    """Ground-truth topics of all vehicles and actors."""
 
     def __init__(self, names: Sequence[str]) -> None:
         """Advertise the topics of these models."""
@@ -37,11 +37,11 @@ class GroundTruth:
 
     @property
     def wanted(self) -> bool:
-        """Whether anybody listens."""
+        """Whether any topic has a subscriber."""
         return any(publisher.get_num_connections() for publisher in self._publishers.values())
 
     def publish(self, states: ModelStates, time_us: int) -> None:
-        """Publish what is subscribed of ``states``, which are those of ``time_us``, microseconds."""
+        """Publish ``states``, taken at ``time_us`` (microseconds), on the topics with subscribers."""
         places = {name: i for i, name in enumerate(states.name)}
         stamp = rospy.Time(time_us // 1_000_000, time_us % 1_000_000 * 1000)
         for name, publisher in self._publishers.items():
@@ -62,7 +62,7 @@ def _empty(name: str) -> Odometry:
 
 
 def in_body(pose: Pose, twist: Twist) -> Twist:
-    """Return a twist given in the world's axes in those of a body of this pose."""
+    """Return a twist, given in the world frame, in the frame of a body with this pose."""
     q, linear, angular = pose.orientation, twist.linear, twist.angular
     inverse = conjugate((q.x, q.y, q.z, q.w))
     return Twist(

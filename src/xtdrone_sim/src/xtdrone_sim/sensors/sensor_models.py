@@ -1,10 +1,10 @@
 """Sensor models of one vehicle, with noise from per-vehicle seeded streams.
 
-IMU, magnetometer, barometer, GPS, and where the vehicle has them an optical-flow camera and a range finder that look
-down on level ground at height 0 (they see no other vehicle).
+IMU, magnetometer, barometer, GPS, and optionally an optical-flow camera and a range finder, which face down to level
+ground at height 0 (they do not see other vehicles).
 
-Vehicle i's noise depends on the seed and on i alone, not on how many vehicles fly. Streams are drawn a second ahead,
-in blocks, so that the kernel only adds; flow and range have a stream of their own.
+The noise of vehicle i depends on the seed and on i only, not on the size of the fleet. The streams are drawn in blocks
+of one second ahead, so the kernel only adds them; flow and range share a separate stream.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.world import World
 from xtdrone_sim.sensors.failure_injection import Failing
 
-STEPS = 250  # IMU samples a block: one second
+STEPS = 250  # IMU samples per block of one second
 MAG_EVERY = 5  # steps: 50 Hz
 BARO_EVERY = 10  # 25 Hz
 GPS_EVERY = 25  # 10 Hz
 FLOW_EVERY = 10  # 25 Hz, optical flow and range
-_FAST = 6  # normals a step: gyro 3, accel 3
-_SLOW = 20  # normals a slot of MAG_EVERY steps: mag 3, baro 2, gps position 3, velocity 3, wander 3, IMU walks 6
+_FAST = 6  # normals per step: gyro 3, accel 3
+_SLOW = 20  # normals per slot of MAG_EVERY steps: mag 3, baro 2, gps position 3, velocity 3, wander 3, IMU walks 6
 
-_DOWN = 5  # normals a sample of flow and range: flow 2, its gyroscope 2, range 1
+_DOWN = 5  # normals per sample of flow and range: flow 2, its gyroscope 2, range 1
 _DOWN_STREAM = 1  # second part of its spawn key
 _BEST_FLOW = 255
 
 BIAS = np.dtype(
     [
-        ("rates", "f8", 3),  # rad/s, body FLU, true, of the step before
+        ("rates", "f8", 3),  # rad/s, body FLU, true, of the previous step
         ("gyro", "f8", 3),  # rad/s, body FRD
         ("accel", "f8", 3),  # m/s^2
         ("mag", "f8", 3),  # gauss
@@ -55,10 +55,9 @@ _reproject = kernel(geo.reproject)
 
 @kernel
 def _imu(s, v, m, b, noise, gravity, dt):
-    """Gyroscope and accelerometer in body FRD; noise densities become sample noise by 1/sqrt(dt).
+    """Sample gyroscope and accelerometer in body FRD; noise densities become sample noise by 1/sqrt(dt).
 
-    Both are means over the step, as an integrating IMU gives them: rates between its ends, force in the attitude of its
-    middle.
+    Both are means over the step, as of an integrating IMU: rates between its ends, force in the attitude of its middle.
     """
     root = 1.0 / math.sqrt(dt)
     wx, wy, wz = 0.5 * (b.rates[0] + v.rates[0]), 0.5 * (b.rates[1] + v.rates[1]), 0.5 * (b.rates[2] + v.rates[2])
@@ -75,7 +74,7 @@ def _imu(s, v, m, b, noise, gravity, dt):
 
 @kernel
 def _walk_imu_biases(m, b, noise, dt):
-    """Let the IMU's biases walk for ``dt``; slowly enough that once a slot will do."""
+    """Advance the random walk of the IMU biases by ``dt``; once per slot is enough for their slow rate."""
     root = math.sqrt(dt)
     for i in range(3):
         b.gyro[i] += m.gyro_random_walk * root * noise[14 + i]
@@ -104,13 +103,13 @@ def _barometer(s, v, m, b, noise, datum_altitude, dt):
 
 @kernel
 def _ahead(v, i, time):
-    """Return where the body will be along world axis ``i`` in ``time`` s, going on as it does, m."""
+    """Return the position along world axis ``i`` in ``time`` s, extrapolated at constant acceleration, m."""
     return v.position[i] + time * (v.velocity[i] + 0.5 * time * v.acceleration[i])
 
 
 @kernel
 def _gps(s, v, m, b, noise, latitude, longitude, altitude, dt):
-    """GPS fix of position with white noise and a slow wander, velocity with white noise."""
+    """Sample position with white noise and a slow wander, and velocity with white noise."""
     keep = math.exp(-dt / m.gps_wander_time)
     drive = m.gps_wander * math.sqrt(1.0 - keep * keep)
     for i in range(3):
@@ -146,7 +145,7 @@ def _range_finder(s, m, noise, distance):
 
 @kernel
 def _optical_flow(s, v, m, noise, distance):
-    """Angular flow of the ground in the image, its own rotation included; signs as in OPTICAL_FLOW_RAD."""
+    """Sample the angular flow of the ground, including the camera's rotation; signs as in OPTICAL_FLOW_RAD."""
     vx, vy, _ = rotate_inverse(v.q, v.velocity[0], v.velocity[1], v.velocity[2])
     seen = m.flow_least <= distance <= m.flow_largest
     flow = (v.rates[0] + vy / distance, -v.rates[1] + vx / distance)  # FLU's y is FRD's -y
@@ -160,7 +159,7 @@ def _optical_flow(s, v, m, noise, distance):
 
 @kernel
 def _look_down(s, v, m, noise):
-    """Range finder and flow camera along the body's z axis, over level ground at height 0."""
+    """Sample range finder and flow camera along the body's z axis, over level ground at height 0."""
     cosine = 1.0 - 2.0 * (v.q[1] * v.q[1] + v.q[2] * v.q[2])
     distance = max(v.position[2], 1e-3) / cosine if cosine > 0.1 else math.inf
     if m.range_fitted:
@@ -206,19 +205,19 @@ def sample_all(sensors, plant, models, bias, fast, slow, down, step, time_us, fi
 
 
 class Sensors:
-    """The sensors of all vehicles, writing into the autopilot's ``sensors`` records.
+    """Sensors of all vehicles; writes the ``sensors`` records of the autopilots.
 
     Attributes:
-        failing: what fails of them, and of the motors.
+        failing: failure injection for sensors and motors.
     """
 
     def __init__(self, world: World, autopilot: Autopilot, seed: int) -> None:
         """Draw the turn-on biases.
 
         Args:
-            world: true state.
-            autopilot: whose sensors are written.
-            seed: of all noise; vehicle i uses the i-th child of it.
+            world: provides the true state.
+            autopilot: its ``sensors`` are written.
+            seed: seed of all noise; vehicle i uses its i-th child.
         """
         count = len(world.plant)
         self._world = world

@@ -1,4 +1,4 @@
-"""Gazebo's messages from the simulator's records."""
+"""Conversion of the simulator's records to Gazebo's messages."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from xtdrone_sim.worlds.sdf import SdfModel
 
 
 def model_states(names: Sequence[str], plant: NDArray[np.void], models: Sequence[SdfModel] = ()) -> ModelStates:
-    """Return the true state of the ground plane, of every vehicle, and of what stands in the world.
+    """Return the true state of the ground plane, of all vehicles, and of the models in the world.
 
     Args:
         names: model names.
         plant: (n,) ``PLANT``.
-        models: what stands in the world.
+        models: static models of the world.
 
     Returns:
         Poses in the world frame (ENU, quaternion x, y, z, w) and twists in the world frame, as Gazebo gives them.

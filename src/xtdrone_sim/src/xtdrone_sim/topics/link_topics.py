@@ -1,10 +1,10 @@
-"""Topics and services that say where links are, at exact simulated times, each only while somebody listens.
+"""Topics and services of link poses at exact simulated times; topics are published only with subscribers.
 
 =========================  ===========================  =================================================
-/xtdrone/scene             xtdrone_msgs/SceneState      what cameras see move; 50 Hz of simulated time
+/xtdrone/scene             xtdrone_msgs/SceneState      moving links seen by cameras; 50 Hz, simulated time
 /gazebo/link_states        gazebo_msgs/LinkStates       the same links, with velocities; 50 Hz
 /VEHICLE/joint_states      sensor_msgs/JointState       of gimbal and landing gear, if any; 50 Hz
-/gazebo/get_link_state     gazebo_msgs/GetLinkState     one link, seen from another one or from the world
+/gazebo/get_link_state     gazebo_msgs/GetLinkState     one link, relative to another or to the world
 =========================  ===========================  =================================================
 """
 
@@ -34,22 +34,22 @@ FRAME = "map"
 _WORLD = ("", "world", "map", "ground_plane", "ground_plane::link")
 
 SceneProvider = Callable[[SceneState], None]
-"""Adds to a scene's message what it knows of the present time: actors, links of other models."""
+"""Adds to a scene message further objects at the current time: actors, links of other models."""
 
 
-class SceneTopics:
-    """Publishes where the links of a simulation are.
+class LinkTopics:
+    """Publishes the poses and velocities of a simulation's links.
 
     Attributes:
-        providers: called, in this order, for every message of the scene.
+        providers: called in this order for every scene message.
     """
 
     def __init__(self, simulation: Simulation, mailbox: Mailbox) -> None:
-        """Advertise everything; in the simulator's thread, after ``lockstep.host()``.
+        """Advertise topics and services; called in the simulator's thread, after ``lockstep.host()``.
 
         Args:
-            simulation: whose links are told.
-            mailbox: brings requests to the simulator's thread.
+            simulation: provides the links.
+            mailbox: passes requests to the simulator's thread.
         """
         self.providers: list[SceneProvider] = []
         self._simulation = simulation
@@ -67,14 +67,14 @@ class SceneTopics:
         self._published_us = -1
         rospy.Service("/gazebo/get_link_state", GetLinkState, self._get_link_state)
 
-    def next_told_us(self, now_us: int) -> int | None:
-        """Return the next time at which something is to be published, None while nobody listens."""
+    def next_publication_us(self, now_us: int) -> int | None:
+        """Return the next publication time, microseconds; None without subscribers."""
         if not any(publisher.get_num_connections() for publisher in self._publishers):
             return None
         return now_us - now_us % PERIOD_US + PERIOD_US
 
     def publish(self) -> None:
-        """Publish what somebody listens to, if the present time is one of the times for it."""
+        """Publish to all topics with subscribers, if the current time is a publication time."""
         now = self._simulation.time_us
         if now % PERIOD_US or now == self._published_us:
             return
@@ -87,7 +87,7 @@ class SceneTopics:
                 publisher.publish(self._joint_state(vehicle, header))
 
     def restart(self) -> None:
-        """Begin anew: time may have gone back."""
+        """Prepare for a simulated time that may have been set back."""
         self._published_us = -1
 
     def _place(self) -> np.ndarray:
@@ -126,7 +126,7 @@ class SceneTopics:
         return JointState(Header(stamp=header.stamp), names, angles, rates, [])
 
     def _get_link_state(self, request: Any) -> GetLinkStateResponse:
-        """Answer in a thread of rospy's."""
+        """Handle the service call, in rospy's thread."""
 
         def answer(future: Future[Any]) -> None:
             future.set_result(self._answer(request.link_name, request.reference_frame))
@@ -150,14 +150,14 @@ class SceneTopics:
 
 
 def _standing() -> np.void:
-    """Return the record of what stands in the world's origin."""
+    """Return the record of a static link at the world's origin."""
     record = np.zeros(1, LINK)[0]
     record["q"][0] = 1.0
     return record
 
 
 def _seen_from(state: np.void, frame: np.void, name: str, frame_name: str) -> LinkState:
-    """Return a link's pose and twist, relative to a frame's and along its axes, as Gazebo gives them."""
+    """Return the pose and twist of a link relative to a frame, in its axes, as Gazebo does."""
     position = rotate_inverse(frame["q"], *(state["position"] - frame["position"]).tolist())
     velocity = rotate_inverse(frame["q"], *(state["velocity"] - frame["velocity"]).tolist())
     spin = rotate_inverse(frame["q"], *(state["spin"] - frame["spin"]).tolist())

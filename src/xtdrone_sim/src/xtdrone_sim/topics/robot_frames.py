@@ -1,4 +1,4 @@
-"""Frames of a vehicle for TF: ``VEHICLE/LINK`` for every link of its URDF, and the optical frames of its cameras."""
+"""TF frames of a vehicle: ``VEHICLE/LINK`` for every link of its URDF, and the optical frames of its cameras."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ OPTICAL = Pose(orientation=from_rpy(-1.5707963267948966, 0.0, -1.570796326794896
 
 
 class Frame(NamedTuple):
-    """A frame and where it is in another one.
+    """A frame and its pose in its parent frame.
 
     Attributes:
         parent, child: frame names.
-        pose: of the child's in the parent's.
+        pose: pose of the child in the parent.
     """
 
     parent: str
@@ -30,16 +30,16 @@ class RobotFrames:
     """The frames of one vehicle.
 
     Attributes:
-        body: frame of its root link.
-        fixed: those that never move in their parents; joints that nothing tells of are among them, at 0.
+        body: frame of the root link.
+        fixed: frames fixed in their parents, including those of joints without a published angle, at 0.
     """
 
     def __init__(self, name: str, model: VehicleModel) -> None:
-        """Read its description.
+        """Derive the frames from the vehicle's description.
 
         Args:
-            name: the vehicle's, as ``typhoon_h480_0``.
-            model: its type.
+            name: name of the vehicle, e.g. ``typhoon_h480_0``.
+            model: model of its type.
         """
         urdf = model.urdf
         gimbal = model.gimbal.joints if model.gimbal else ()
@@ -55,14 +55,14 @@ class RobotFrames:
                 self.fixed.append(Frame(f"{name}/{camera.link}", f"{name}/{camera.frame_id}", OPTICAL))
 
     def at_rest(self) -> list[Frame]:
-        """Return the frames on joints that turn, with all joints at 0."""
+        """Return the frames of moving joints, with all joints at 0."""
         return self.turned(dict.fromkeys(self._turning, 0.0))
 
     def turned(self, angles: Mapping[str, float]) -> list[Frame]:
-        """Return the frames on joints that turn.
+        """Return the frames of moving joints.
 
         Args:
-            angles: by joint, rad; others are left alone.
+            angles: joint angles by name, rad; frames of other joints are omitted.
         """
         frames = []
         for name, angle in angles.items():

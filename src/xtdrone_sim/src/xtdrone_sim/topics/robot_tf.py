@@ -29,25 +29,25 @@ class TfSettings(Settings):
 
 
 def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
-    """Return TF's message of a frame."""
+    """Return the TF message of a frame."""
     header = Header(stamp=stamp, frame_id=frame.parent)
     turn = Quaternion(*frame.pose.orientation)
     return TransformStamped(header, frame.child, Transform(Vector3(*frame.pose.position), turn))
 
 
 class RobotTf:
-    """Collects what is told of the vehicles in a turn and publishes it as one message."""
+    """Collects the messages received in a turn and publishes them as one TF message."""
 
     def __init__(self, models: dict[str, VehicleModel], frame_id: str) -> None:
         """Advertise and subscribe.
 
         Args:
-            models: by vehicle's name.
+            models: models by vehicle name.
             frame_id: of the vehicles' positions.
         """
         self._frame_id = frame_id
         self._new: dict[str, TransformStamped] = {}
-        self._told: set[RobotFrames] = set()  # of whose joints something has been heard; the others' are at 0
+        self._told: set[RobotFrames] = set()  # vehicles whose joint states have been received; others are at 0
         self._publisher = lockstep.Publisher("/tf", TFMessage)
         self._static = lockstep.Publisher("/tf_static", TFMessage, latch=True)
         fixed = []

@@ -1,9 +1,9 @@
-"""Gimbals: joints that hold a camera's direction against what the body does.
+"""Gimbals: joints that stabilise the direction of a camera against the motion of the body.
 
-A gimbal turns about the body's z (yaw), then x (roll), then y (pitch). The direction in which it is told to look goes
-from the last one to the next at a limited rate; the joints then take what turns the camera there, whatever attitude the
-body has, within their limits and speeds. The camera's direction is roll, pitch, yaw as MAVLink has them: from the level
-frame along the vehicle's heading by yaw (positive to the right), pitch (positive up), roll (positive to the right).
+A gimbal rotates about the body's z (yaw), then x (roll), then y (pitch). The commanded direction slews to a new
+setpoint at a limited rate; the joints take the angles that point the camera there for any attitude of the body, within
+their limits and speeds. The camera's direction is roll, pitch, yaw as in MAVLink: from the level frame along the
+vehicle's heading by yaw (positive to the right), pitch (positive up), roll (positive to the right).
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from xtdrone_sim.kernel import kernel
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 
 YAW, ROLL, PITCH = range(3)  # joints, from the body outwards
-_REPORT_STEPS = 5  # 50 Hz: how often the autopilot is told, and asked where to look
-_LEVEL = 1e-6  # rad of roll; below, the order of turns makes no difference
+_REPORT_STEPS = 5  # steps between two exchanges with the autopilot: 50 Hz
+_LEVEL = 1e-6  # rad of roll below which the order of rotations does not matter
 
 GIMBAL = np.dtype(
     [
         ("fitted", "i8"),
         ("wanted", "f8", 3),  # roll, pitch, yaw, rad; NaN: level, ahead
-        ("slewed", "f8", 3),  # roll, pitch, yaw, rad: where it is told to look by now
-        ("rate", "f8"),  # rad/s of that
+        ("slewed", "f8", 3),  # roll, pitch, yaw, rad: slewed setpoint
+        ("rate", "f8"),  # rad/s, slew rate
         ("joint", "f8", 3),  # rad, yaw, roll, pitch joint, about the body's z, x, y
         ("joint_rate", "f8", 3),  # rad/s
         ("lower", "f8", 3),  # rad
         ("upper", "f8", 3),
         ("speed", "f8", 3),  # rad/s, largest
-        ("attitude", "f8", 3),  # roll, pitch, yaw, rad: where the camera looks
+        ("attitude", "f8", 3),  # roll, pitch, yaw, rad: direction of the camera
     ],
     align=True,
 )
@@ -87,7 +87,7 @@ def _note_attitude(g, q, heading):
 
 @kernel
 def _slew(g, dt):
-    """Let the direction in which it is told to look go on; yaw takes the shorter way where its joint has no limits."""
+    """Slew the setpoint; yaw takes the shorter way if its joint has no limits."""
     step = g.rate * dt
     for i in range(3):
         wanted = g.wanted[i] if math.isfinite(g.wanted[i]) else 0.0
@@ -115,7 +115,7 @@ def step_all(gimbals, plant, dt):
         heading = yaw_of(q)
         camera = direction(heading, g.slewed[0], g.slewed[1], g.slewed[2])
         yaw, roll, pitch = joints_of(conjugate_multiply(q, camera))
-        yaw = g.joint[0] + wrap_pi(yaw - g.joint[0])  # no jump where the angle begins anew
+        yaw = g.joint[0] + wrap_pi(yaw - g.joint[0])  # no jump where the angle wraps
         angles = (yaw, roll, pitch)
         for k in range(3):
             wanted = constrain(angles[k], g.lower[k], g.upper[k])
@@ -147,12 +147,12 @@ class Gimbals:
         self.any = bool(self._fitted)
 
     def step(self, steps: int, plant: NDArray[np.void], commanders: Sequence[Commander], dt: float) -> None:
-        """Advance by one step; now and then exchange setpoints and attitudes with the autopilots.
+        """Advance by one step; exchange setpoints and attitudes with the autopilots at 50 Hz.
 
         Args:
             steps: number of this step.
             plant: (n,) ``PLANT``.
-            commanders: the autopilots' modes, one a vehicle; empty where the autopilots are not ours.
+            commanders: one per vehicle; empty for external autopilots.
             dt: s.
         """
         exchange = bool(commanders) and steps % _REPORT_STEPS == 0

@@ -1,7 +1,7 @@
-"""Landing gears: legs that are up in flight, out of the camera's way, and down to stand on.
+"""Landing gears, raised in flight out of the camera's view and lowered on the ground.
 
-The autopilot says when they are to be up (PX4: in AUTO modes more than 2 m above home); they move as fast as the
-slowest of their joints. What touches the ground is the vehicle's box, wherever they are.
+The autopilot commands the position (PX4: raised in AUTO modes more than 2 m above home). The joints move at the speed
+of the slowest. Contact with the ground is that of the vehicle's box, independent of the gear.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 
-_STEPS = 5  # 50 Hz: how often they move
+_STEPS = 5  # steps between two updates: 50 Hz
 
 GEAR = np.dtype(
     [
         ("raised", "f8"),  # 0 down, 1 up
-        ("rate", "f8"),  # 1/s, of that
-        ("speed", "f8"),  # 1/s, its largest; 0: there is none
+        ("rate", "f8"),  # 1/s, rate of ``raised``
+        ("speed", "f8"),  # 1/s, largest rate; 0: no landing gear
     ],
     align=True,
 )
@@ -33,10 +33,10 @@ class LandingGears:
     """
 
     def __init__(self, models: Sequence[VehicleModel]) -> None:
-        """Fit them, all down.
+        """Create the landing gears, lowered.
 
         Args:
-            models: one a vehicle.
+            models: one per vehicle.
         """
         self.records = np.zeros(len(models), GEAR)
         for record, model in zip(self.records, models, strict=True):
@@ -48,7 +48,7 @@ class LandingGears:
 
         Args:
             steps: number of this step.
-            commanders: the autopilots' modes, one a vehicle; empty where the autopilots are not ours: all stays down.
+            commanders: one per vehicle; empty for external autopilots: the gears stay down.
             dt: s.
         """
         if steps % _STEPS or not commanders:

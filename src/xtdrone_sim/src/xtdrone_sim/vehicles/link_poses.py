@@ -1,4 +1,4 @@
-"""Where the moving links of all vehicles are: bodies, what gimbals turn, legs, and cameras."""
+"""Poses of the moving links of all vehicles: bodies, gimbals, landing gears, and cameras."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from xtdrone_sim.vehicles.poses import rotate as rotate_by
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 from xtdrone_sim.vehicles.visual import Pose, Vector
 
-_BODY = -1  # as parent: the vehicle's own body
-_STILL = -1  # as joint: not turned by the gimbal
+_BODY = -1  # as parent: this link is the vehicle's body
+_STILL = -1  # as joint: not a joint of the gimbal
 
 _TABLE = np.dtype(
     [
         ("vehicle", "i8"),
-        ("parent", "i8"),  # entry, or _BODY where this is it
+        ("parent", "i8"),  # index of the entry, or _BODY
         ("position", "f8", 3),  # m, parent's frame, joint at 0
         ("q", "f8", 4),  # (w, x, y, z)
         ("axis", "f8", 3),  # of the joint, parent's frame
@@ -82,12 +82,12 @@ def place_all(links, table, plant, gimbals, gears):
 
 
 class Links:
-    """The moving links of a fleet, and links with cameras.
+    """The moving links of a fleet, and its links with cameras.
 
     Attributes:
-        names: Gazebo's, ``model::link``.
-        vehicles: number of each link's vehicle.
-        states: (m,) ``LINK``, as of the last ``place``; in the order of ``names``.
+        names: Gazebo's names, ``model::link``.
+        vehicles: index of each link's vehicle.
+        states: (m,) ``LINK`` of the last ``place``, in the order of ``names``.
     """
 
     def __init__(self, names: Sequence[str], models: Sequence[VehicleModel]) -> None:
@@ -117,7 +117,7 @@ class Links:
         self.states = np.zeros(len(rows), LINK)
 
     def place(self, plant: NDArray[np.void], gimbals: NDArray[np.void], gears: NDArray[np.void]) -> NDArray[np.void]:
-        """Return where all links are.
+        """Update and return the poses and velocities of all links.
 
         Args:
             plant: (n,) ``PLANT``.
@@ -131,7 +131,7 @@ class Links:
         return self.states
 
     def find(self, name: str) -> int | None:
-        """Return the number of a link, or of a vehicle's body; None where it is not known."""
+        """Return the index of a link, or of a vehicle's body; None if unknown."""
         return self._numbers.get(name)
 
 
@@ -148,7 +148,7 @@ def _entries(model: VehicleModel) -> list[tuple[str, str | None, Pose, int]]:
         entries.append((link.name, carrier, compose(pose, joint.pose), _gimbal_joint(model.gimbal, joint.name)))
     known = {entry[0] for entry in entries}
     for name in dict.fromkeys(camera.link for camera in model.cameras):
-        if name not in known:  # fixed to one that moves
+        if name not in known:  # fixed to a moving link
             entries.append((name, *urdf.carrier(name), _STILL))
     return entries
 

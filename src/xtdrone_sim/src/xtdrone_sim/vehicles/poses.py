@@ -39,25 +39,25 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:
-    """Return ``v`` turned by ``q``."""
+    """Return ``v`` rotated by ``q``."""
     x, y, z, _ = multiply(multiply(q, (*v, 0.0)), conjugate(q))
     return x, y, z
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """Return the opposite rotation."""
+    """Return the inverse rotation."""
     return -q[0], -q[1], -q[2], q[3]
 
 
 def compose(outer: Pose, inner: Pose) -> Pose:
-    """Return ``inner``, which is given in the frame of ``outer``, in the frame in which ``outer`` is given."""
+    """Return ``inner``, given relative to ``outer``, in the frame of reference of ``outer``."""
     x, y, z = rotate(outer.orientation, inner.position)
     ox, oy, oz = outer.position
     return Pose((ox + x, oy + y, oz + z), multiply(outer.orientation, inner.orientation))
 
 
 def inverse(pose: Pose) -> Pose:
-    """Return the frame in which ``pose`` is given, as seen from ``pose``."""
+    """Return the inverse transformation of ``pose``."""
     back = conjugate(pose.orientation)
     x, y, z = rotate(back, pose.position)
     return Pose((-x, -y, -z), back)

@@ -1,7 +1,7 @@
-"""Vehicle models: YAML files, and the URDFs that they name, as checked values and as records for the kernels.
+"""Vehicle models: YAML files and their URDFs as validated values and as records for the kernels.
 
-A vehicle type is a file ``TYPE.yaml`` in a folder that the environment variable ``XTDRONE_VEHICLES`` names, or in the
-package's ``config/vehicles``; the YAML says how it flies, the URDF what it looks like and where its sensors are.
+A vehicle type is a file ``TYPE.yaml`` in a folder listed in the environment variable ``XTDRONE_VEHICLES``, or in the
+package's ``config/vehicles``. The YAML defines its dynamics, the URDF its shape and the positions of its sensors.
 """
 
 from __future__ import annotations
@@ -62,15 +62,15 @@ MODEL = np.dtype(
         ("gps_vertical_noise", "f8"),
         ("gps_velocity_noise", "f8"),
         ("gps_wander", "f8"),
-        ("gps_lead", "f8"),  # s, by which a fix is newer than the estimator takes it for
+        ("gps_lead", "f8"),  # s, by which a fix is newer than the estimator assumes
         ("gps_wander_time", "f8"),
         ("gps_satellites", "i8"),
         ("gps_hdop", "f8"),
         ("gps_vdop", "f8"),
-        ("flow_fitted", "i8"),  # 1: it has such a sensor
+        ("flow_fitted", "i8"),  # 1: sensor fitted
         ("flow_noise", "f8"),  # rad/s
         ("flow_gyro_noise", "f8"),  # rad/s
-        ("flow_least", "f8"),  # m, range within which it sees the ground's texture
+        ("flow_least", "f8"),  # m, range in which the ground's texture is visible
         ("flow_largest", "f8"),
         ("range_fitted", "i8"),
         ("range_noise", "f8"),  # m
@@ -80,7 +80,7 @@ MODEL = np.dtype(
     align=True,
 )
 
-URDF = "urdf"  # as mass or inertia: what the links of the URDF weigh
+URDF = "urdf"  # as mass or inertia: use the values of the URDF's links
 _MOST_OFFSET = 0.01  # m of the centre of mass from the body's origin
 _MOST_PRODUCT = 0.05  # of inertia, as a share of the least moment
 
@@ -103,15 +103,15 @@ _ROTOR_FIELDS = (
 
 @dataclass(frozen=True)
 class BatteryModel:
-    """A vehicle's battery and what draws on it.
+    """Battery and power consumption of a vehicle.
 
     Attributes:
         cells: whether charge and voltage follow from the currents; otherwise the battery drains by SIM_BAT_DRAIN.
         capacity: Ah.
-        resistance: ohm, of the whole battery.
-        motor_power: W s^3/rad^3; power of a motor over the cube of its speed.
-        idle_power: W, of a turning motor besides.
-        avionics_power: W, always.
+        resistance: of the whole battery, ohm.
+        motor_power: power of a motor over the cube of its speed, W s^3/rad^3.
+        idle_power: additional power of a turning motor, W.
+        avionics_power: constant power, W.
     """
 
     cells: bool = False
@@ -127,14 +127,14 @@ class VehicleModel:
     """One vehicle type.
 
     Attributes:
-        name: type name, as ``iris``.
+        name: type name, e.g. ``iris``.
         record: ``MODEL`` record.
         parameters: PX4 parameters that this airframe sets.
-        assumed_layout: what the autopilot takes the rotors' places for; None where it knows them.
+        assumed_layout: rotor positions assumed by the autopilot; None: the true ones.
         battery: its battery.
         urdf: its links and joints; the root is the body, with the centre of mass in its origin, x ahead, z up.
-        cameras: what it sees with.
-        gimbal: what holds a camera; None: no gimbal is fitted.
+        cameras: its cameras.
+        gimbal: its gimbal; None without one.
         landing_gear: joints that are at 0 on the ground and at their upper limits in flight.
     """
 
@@ -150,7 +150,7 @@ class VehicleModel:
 
     @property
     def rotor_layout(self) -> RotorLayout:
-        """Rotor places and moment ratios as the autopilot's allocator takes them (body FRD)."""
+        """Rotor positions and moment ratios for the autopilot's control allocator (body FRD)."""
         if self.assumed_layout is not None:
             return self.assumed_layout
         count = int(self.record["rotor_count"])

@@ -1,10 +1,10 @@
-"""People of the world on topics.
+"""Topics of the actors in a world.
 
 ===========================  ============================================  =========================================
 /actor_<k>/cmd_motion        ros_actor_cmd_pose_plugin_msgs/ActorMotion    the k-th actor walks to (x, y) at v; see
                                                                            ``actors.Actors.send``
-/xtdrone/scene               xtdrone_msgs/SceneState                       where they are
-/gazebo/model_states         gazebo_msgs/ModelStates                       the same, after vehicles and models
+/xtdrone/scene               xtdrone_msgs/SceneState                       poses and walk phases
+/gazebo/model_states         gazebo_msgs/ModelStates                       poses, after vehicles and models
 ===========================  ============================================  =========================================
 """
 
@@ -29,17 +29,17 @@ _WARNING_PERIOD = 5.0  # wall s between two equal warnings
 
 
 class ActorTopics:
-    """The people of a simulator's world; all in the simulator's thread."""
+    """Topics of the actors of a world; all methods are called in the simulator's thread."""
 
     def __init__(self, actors: Sequence[SdfActor], now_us: Callable[[], int]) -> None:
-        """Subscribe to their commands; after ``lockstep.host()``.
+        """Subscribe to the commands; called after ``lockstep.host()``.
 
         Args:
-            actors: the world's.
+            actors: actors of the world.
             now_us: returns the simulated time, microseconds.
 
         Raises:
-            ValueError: a skin that nobody has.
+            ValueError: a skin is unknown.
         """
         skins = people.skins([actor.skin for actor in actors])
         self._actors = Actors(actors, [people.read(skin).stride for skin in skins])
@@ -48,7 +48,7 @@ class ActorTopics:
             lockstep.Subscriber(f"/actor_{number}/cmd_motion", ActorMotion, partial(self._on_motion, number))
 
     def receive(self) -> None:
-        """Take what has been sent to them; call it after each tick of the lockstep's server."""
+        """Process the received commands; called after each tick of the lockstep server."""
         if self._actors.names:
             lockstep.host().receive()
 
@@ -59,18 +59,18 @@ class ActorTopics:
             rospy.logwarn_throttle(_WARNING_PERIOD, f"simulator: /actor_{number}/cmd_motion: {error}")
 
     def restart(self, time_us: int) -> None:
-        """Let all begin anew."""
+        """Restart all actors at a simulated time, microseconds."""
         self._actors.restart(time_us)
 
-    def tell(self, scene: SceneState) -> None:
-        """Add where they are to what cameras see."""
+    def add_to_scene(self, scene: SceneState) -> None:
+        """Add the actors to a scene message."""
         states = self._actors.states(self._now_us())
         scene.actors = list(self._actors.names)
         scene.actor_poses = [_pose(state) for state in states]
         scene.actor_phases = [state.phase for state in states]
 
     def add_to(self, message: ModelStates) -> None:
-        """Add them to Gazebo's models; twists are zero, as Gazebo's actors have none."""
+        """Add the actors to a Gazebo message; twists are zero, as those of Gazebo's actors."""
         for name, state in zip(self._actors.names, self._actors.states(self._now_us()), strict=True):
             message.name.append(name)
             message.pose.append(_pose(state))

@@ -1,7 +1,7 @@
-"""People that stand, walk a script or are sent somewhere: where each is at a time, in closed form.
+"""Motion of people who stand, follow a script or walk to a commanded position, in closed form.
 
-An actor's state follows from what it was told last and from simulated time alone: however time is divided into steps,
-it is the same to the last bit. Actors walk through whatever is in their way.
+The state of an actor follows from its last command and from simulated time alone, so it does not depend on the division
+of time into steps, to the last bit. Actors walk through obstacles.
 
 Frame: map, ENU, m. Yaw counter-clockwise from east, rad.
 """
@@ -19,19 +19,19 @@ from xtdrone_sim.vehicles.visual import Pose, Vector
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
 
 TURN_RATE = 1.5  # rad/s, in place
-TURNS_IN_PLACE = math.radians(10.0)  # a greater change of heading is made before walking
-FASTEST = 10.0  # m/s that an actor can be sent at
-FARTHEST = 1e5  # m from the origin that it can be sent to
-STANDING = -1.0  # as phase
+TURNS_IN_PLACE = math.radians(10.0)  # an actor makes a larger change of heading before it walks
+FASTEST = 10.0  # m/s, largest commanded speed
+FARTHEST = 1e5  # m, largest distance of a commanded position from the origin, by axis
+STANDING = -1.0  # value of ``phase`` while standing
 
 
 class ActorState(NamedTuple):
-    """Where an actor is.
+    """State of an actor.
 
     Attributes:
-        position: of the point between its feet, m, map.
+        position: point between its feet, m, map.
         yaw: rad.
-        phase: of its walk, cycles; ``STANDING`` while it stands.
+        phase: phase of its walk, cycles; ``STANDING`` while it stands.
     """
 
     position: Vector
@@ -53,7 +53,7 @@ class _Stand:
 
 
 class _Walk:
-    """A turn in place where need be, then straight to a place, then standing."""
+    """A turn in place if necessary, then a straight walk to a position, then standing."""
 
     def __init__(
         self, start: ActorState, begin_us: int, target: tuple[float, float], speed: float, stride: float
@@ -83,7 +83,7 @@ class _Walk:
 
 
 class _Script:
-    """Waypoints at their times, with straight ways between."""
+    """Timed waypoints connected by straight lines."""
 
     def __init__(self, trajectory: Trajectory, begin_us: int, stride: float) -> None:
         waypoints = trajectory.waypoints
@@ -119,44 +119,44 @@ class _Script:
 
 
 class Actors:
-    """The people of a world.
+    """All actors of a world.
 
     Attributes:
-        names: in the world's order.
+        names: in the order of the world.
     """
 
     def __init__(self, actors: Sequence[SdfActor], strides: Sequence[float]) -> None:
-        """Let all begin what the world has for them, at time 0.
+        """Start the initial behaviour of all actors at time 0.
 
         Args:
-            actors: the world's.
-            strides: way of a walk cycle of each, m, above 0.
+            actors: actors of the world.
+            strides: length of a walk cycle of each actor, m, above 0.
         """
         self.names = [actor.name for actor in actors]
         self._actors, self._strides = list(actors), list(strides)
         self.restart(0)
 
     def restart(self, time_us: int) -> None:
-        """Let all begin anew at a simulated time, microseconds."""
+        """Restart the initial behaviour of all actors at a simulated time, microseconds."""
         self._ways = [
             _first_way(actor, time_us, stride) for actor, stride in zip(self._actors, self._strides, strict=True)
         ]
 
     def states(self, time_us: int) -> list[ActorState]:
-        """Return where all are at a simulated time, microseconds, not before they were told something."""
+        """Return the states of all actors at a simulated time, microseconds, not before their last commands."""
         return [way.at(time_us) for way in self._ways]
 
     def send(self, number: int, x: float, y: float, speed: float, time_us: int) -> None:
-        """Send one somewhere, whatever it has been doing; it stands when it is there.
+        """Send an actor to a position, replacing its current motion; it stands after its arrival.
 
         Args:
-            number: which one, in the world's order.
-            x, y: where to, m, map.
-            speed: m/s; 0: it stands where it is; negative: at its own speed.
-            time_us: now.
+            number: index of the actor in the order of the world.
+            x, y: target, m, map.
+            speed: m/s; 0: stop here; negative: at the actor's own speed.
+            time_us: current simulated time, microseconds.
 
         Raises:
-            ValueError: a place or speed that is not allowed; nothing changes.
+            ValueError: the position or speed is not allowed; the motion stays unchanged.
         """
         check_range(f"{self.names[number]}: x", x, -FARTHEST, FARTHEST, "m")
         check_range(f"{self.names[number]}: y", y, -FARTHEST, FARTHEST, "m")
@@ -178,6 +178,6 @@ def _first_way(actor: SdfActor, time_us: int, stride: float) -> _Way:
 
 
 def yaw_of(pose: Pose) -> float:
-    """Return the heading of a pose's x axis, rad: people stand upright."""
+    """Return the heading of a pose's x axis, rad, assuming that the z axis is vertical."""
     x, y, z, w = pose.orientation
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -63,14 +63,14 @@ class Body:
 
 @dataclass(frozen=True)
 class Person:
-    """A person as it is drawn.
+    """A person as drawn.
 
     Attributes:
         name: as in ``names()``.
         height: m, without shoes, hair and hat.
-        stride: way of one walk cycle (two steps), m.
+        stride: length of one walk cycle (two steps), m.
         standing: shapes of the stance.
-        walk: shapes of the frames of one walk cycle, evenly over it; at the first one the left heel strikes.
+        walk: shapes of the frames of one walk cycle, evenly spaced; the left heel strikes at the first one.
     """
 
     name: str
@@ -91,36 +91,36 @@ def models_folder() -> Path:
 
 
 def names(split: str | None = None) -> list[str]:
-    """Return who there is, sorted; ``split`` "train" or "test" returns those only.
+    """Return the names of all people, sorted; ``split`` "train" or "test" selects those of one split.
 
     Raises:
-        ValueError: no such split.
+        ValueError: the split is unknown.
     """
-    everybody = sorted(path.stem for path in models_folder().glob("*.npz"))
+    known = sorted(path.stem for path in models_folder().glob("*.npz"))
     if split is None:
-        return everybody
+        return known
     check_choice("split", split, SPLITS)
-    return [name for name in everybody if read(name).split == split]
+    return [name for name in known if read(name).split == split]
 
 
 def skins(wanted: Sequence[str]) -> list[str]:
-    """Return whom each of several actors looks like: as wanted, and where that is empty, all people in turn.
+    """Return the skin of each of several actors: the requested one, or for an empty name all people in rotation.
 
     Raises:
-        ValueError: nobody has that name.
+        ValueError: a name is unknown.
     """
-    everybody = names() if wanted else []
+    known = names() if wanted else []
     for name in wanted:
         if name:
-            check_choice("skin", name, tuple(everybody))
-    return [name or everybody[number % len(everybody)] for number, name in enumerate(wanted)]
+            check_choice("skin", name, tuple(known))
+    return [name or known[number % len(known)] for number, name in enumerate(wanted)]
 
 
 def read(name: str) -> Body:
-    """Read a person's body.
+    """Read the body of a person.
 
     Raises:
-        ValueError: nobody has that name.
+        ValueError: the name is unknown.
     """
     path = models_folder() / f"{name}.npz"
     if not path.is_file():
@@ -129,10 +129,10 @@ def read(name: str) -> Body:
 
 
 def read_file(path: Path) -> Body:
-    """Read a body from its .npz.
+    """Read a body from a .npz file.
 
     Raises:
-        OSError: there is none.
+        OSError: the file cannot be read.
     """
     with np.load(path) as data:
         return Body(
@@ -150,12 +150,12 @@ def read_file(path: Path) -> Body:
 
 
 def load(name: str) -> Person:
-    """Return a person; its files are made in the user's cache folder if they are not there.
+    """Return a person; creates its files in the user's cache folder if they are missing.
 
-    Several processes may do so at once.
+    Several processes may call this concurrently.
 
     Raises:
-        ValueError: nobody has that name.
+        ValueError: the name is unknown.
         OSError: the cache folder (``$XDG_CACHE_HOME``, else ``~/.cache``) cannot be written.
     """
     body = read(name)
@@ -173,7 +173,7 @@ def _file(pose: int) -> str:
 
 
 def _cached(name: str, body: Body) -> Path:
-    """Return the folder with a person's Wavefront files; it appears whole or not at all."""
+    """Return the folder with a person's Wavefront files, which is created atomically."""
     digest = hashlib.sha256(_FORMAT + (models_folder() / f"{name}.npz").read_bytes()).hexdigest()[:16]
     above = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "xtdrone" / "people"
     folder = above / f"{name}-{digest}"

@@ -147,7 +147,7 @@ def _places(kind: str, count: int, rows: int) -> Array:
 
 
 class SimplifiedScene:
-    """Simplified vehicles behind topics; see ``xtdrone_sim.runtime.backend.Scene``.
+    """Simplified vehicles behind topics; see ``xtdrone_sim.runtime.backend.SimulatorBackend``.
 
     Attributes:
         names: the vehicles'.
@@ -211,7 +211,7 @@ class SimplifiedScene:
         """Return the time of the next turn."""
         return self._schedule.after_us(now_us)
 
-    def next_told_us(self, now_us: int) -> int | None:
+    def next_publication_us(self, now_us: int) -> int | None:
         """Nothing is told but at ``next_due_us``."""
         return None
 

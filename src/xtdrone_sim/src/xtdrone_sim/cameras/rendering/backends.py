@@ -109,10 +109,10 @@ class Backend:
 
 
 def _skip_shadow_pass(plugin: str) -> None:
-    """Have the plugin not draw its shadow map, which it does for every picture, also for those without shadows.
+    """Disable the plugin's shadow pass, which it runs for every image, even without shadows.
 
-    The map has 4096 x 4096 pixels: on the processor it takes half of a picture's time. The plugin keeps the choice in a
-    variable of its own and has no call for it; where there is no such variable, pictures only take longer.
+    The shadow map has 4096 x 4096 pixels; on the CPU it takes half of the time of an image. The plugin keeps the choice in
+    an internal variable without an API. If the variable is missing, images only take longer.
     """
     with open(plugin, "rb") as file:
         table = ELFFile(file).get_section_by_name(".symtab")
@@ -136,7 +136,7 @@ def _loaded_at(library: str) -> int | None:
 
 @functools.cache
 def _trial(plugin: str) -> str | None:
-    """Load the plugin in a process of its own, which it may end; return why it does not load, else None."""
+    """Load the plugin in a separate process, which it may crash; return why it does not load, else None."""
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError as error:
