@@ -372,7 +372,7 @@ def test_keys_reach_the_vehicles(graph: Graph, sit: Callable[..., Seat], tmp_pat
 
     try:
         parameters = ["_speed:=10", "_participants:=communication"]
-        stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "2", *parameters)
+        stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "iris", "2", *parameters)
         master = rosgraph.Master("/system_tests")
         poll(lambda: master.hasParam("/lockstep/uri"), "the simulator offers its lockstep", START_LIMIT)
         stack.run("communication", "xtdrone_control", "multirotor_communication.py", "iris", "0-1")
@@ -446,7 +446,7 @@ def test_the_leader_is_steered_by_accelerations_and_others_follow(
 
     try:
         options = ["_airborne:=true", "_speed:=10", "_participants:=leader,followers"]
-        stack.run("simulator", "xtdrone_sim", "simplified_simulator", "solo", str(count), *options)
+        stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "solo", str(count), *options)
         master = rosgraph.Master("/system_tests")
         poll(lambda: master.hasParam("/lockstep/uri"), "the simulator offers its lockstep", START_LIMIT)
         stack.run("leader", "xtdrone_coordination", "leader.py", "solo", str(count))

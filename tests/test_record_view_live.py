@@ -35,7 +35,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
     graph.forget_parameters()
     stack = Stack(graph, tmp_path, "iris:2")
     try:
-        stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "2", "_airborne:=true", "_speed:=1")
+        stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "iris", "2", "_airborne:=true", "_speed:=1")
         poll(
             lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"), "the simulator's lockstep", START_LIMIT
         )

@@ -38,7 +38,7 @@ def start(graph: Graph, folder: Path, count: int, *parameters: str) -> Stack:
     """Start the simulator alone, and wait for it; what was heard of another one's vehicles is forgotten."""
     graph.forget()
     stack = Stack(graph, folder, f"iris:{count}")
-    stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", str(count), *parameters)
+    stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "iris", str(count), *parameters)
     poll(
         lambda: rosgraph.Master("/system_tests").hasParam("/lockstep/uri"),
         "the simulator offers its lockstep",
@@ -171,7 +171,7 @@ def test_bad_parameters_are_named(graph: Graph, name: str, value: Any, word: str
 def test_a_bad_parameter_ends_the_node(graph: Graph, tmp_path: Path) -> None:
     graph.forget_parameters()
     stack = Stack(graph, tmp_path, "iris:3")
-    program = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", "_hover_speed:=-1.0")
+    program = stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "iris", "3", "_hover_speed:=-1.0")
     assert program.end() == 1
     assert "hover_speed" in program.output
 
@@ -317,7 +317,7 @@ def _status() -> type:
 
 
 def test_a_second_one_is_refused_and_the_first_ends_well(stack: Stack) -> None:
-    second = stack.run("second", "xtdrone_sim", "simplified_simulator", "iris", "3")
+    second = stack.run("second", "xtdrone_swarm", "simplified_simulator", "iris", "3")
     assert second.end() == 1
     assert "a simulator is running" in second.output
     first = stack.programs["simulator"]

@@ -117,7 +117,7 @@ def frames_of(path: Path) -> int:
 def test_a_film_has_every_frame_of_simulated_time(stack: Stack, tmp_path: Path) -> None:
     film = tmp_path / "flight.mp4"
     fly(stack, "speed:=0", "until:=3", "participants:=visualize")
-    node = stack.run("visualize", "xtdrone_sim", "visualize.py", "iris", "3", f"_film:={film}", f"_fps:={FPS:g}")
+    node = stack.run("visualize", "xtdrone_swarm", "visualize.py", "iris", "3", f"_film:={film}", f"_fps:={FPS:g}")
     assert node.end() == 0, node.output
     assert frames_of(film) == 1 + 3.0 * FPS, node.output  # one of the lockstep's first tick, which is everybody's
     assert stack.programs["roslaunch"].end() == 0
@@ -127,7 +127,7 @@ def test_a_film_has_every_frame_of_simulated_time(stack: Stack, tmp_path: Path) 
 def test_a_film_that_is_ended_by_ctrl_c_is_complete(stack: Stack, tmp_path: Path) -> None:
     film = tmp_path / "flight.gif"
     fly(stack, "speed:=0", "participants:=visualize")
-    node = stack.run("visualize", "xtdrone_sim", "visualize.py", "iris", "3", f"_film:={film}", f"_fps:={FPS:g}")
+    node = stack.run("visualize", "xtdrone_swarm", "visualize.py", "iris", "3", f"_film:={film}", f"_fps:={FPS:g}")
     stack.wait(lambda: stack.time > 2.0, "time passes", wall=START_LIMIT)
     node.process.send_signal(signal.SIGINT)
     assert node.end() == 0, node.output
@@ -140,7 +140,7 @@ def test_the_window_shows_the_flight_and_holds_nothing_up(
     stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     monkeypatch.setenv("DISPLAY", display)
-    node = stack.run("visualize", "xtdrone_sim", "visualize.py", "iris", "3")
+    node = stack.run("visualize", "xtdrone_swarm", "visualize.py", "iris", "3")
     fly(stack, "speed:=0", "participants:=leader,followers_1_2")
     stack.run("leader", "xtdrone_coordination", "leader.py", "iris", "3")
     stack.run("followers_1_2", "xtdrone_coordination", "follower.py", "iris", "all", "3")
@@ -173,7 +173,7 @@ def window_processes(stack: Stack) -> list[int]:
 
 def start_simulator(stack: Stack, *arguments: str) -> Program:
     stack.graph.forget_parameters()
-    node = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", *arguments)
+    node = stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "iris", "3", *arguments)
     stack.wait(lambda: stack.time > 0.5, "time passes", wall=START_LIMIT)
     return node
 
@@ -221,7 +221,7 @@ def test_no_window_where_none_is_wanted_or_there_is_no_display(
 def test_a_window_that_is_asked_for_needs_a_display(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     stack.graph.forget_parameters()
-    node = stack.run("simulator", "xtdrone_sim", "simplified_simulator", "iris", "3", "_view:=true")
+    node = stack.run("simulator", "xtdrone_swarm", "simplified_simulator", "iris", "3", "_view:=true")
     assert node.end() == 1
     assert "~view: there is no display (DISPLAY is not set); a film needs none, see visualize.py" in node.output
 
@@ -269,7 +269,7 @@ def test_what_cannot_be_is_said(
     stack: Stack, monkeypatch: pytest.MonkeyPatch, arguments: list[str], status: int, words: str
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
-    node = stack.run("visualize", "xtdrone_sim", "visualize.py", *arguments)
+    node = stack.run("visualize", "xtdrone_swarm", "visualize.py", *arguments)
     assert node.end() == status, node.output
     assert words in node.output
     assert "Traceback" not in node.output

@@ -111,8 +111,8 @@ class Backend:
 def _skip_shadow_pass(plugin: str) -> None:
     """Disable the plugin's shadow pass, which it runs for every image, even without shadows.
 
-    The shadow map has 4096 x 4096 pixels; on the CPU it takes half of the time of an image. The plugin keeps the choice in
-    an internal variable without an API. If the variable is missing, images only take longer.
+    The shadow map has 4096 x 4096 pixels; on the CPU it takes half of the time of an image. The plugin keeps the choice
+    in an internal variable without an API. If the variable is missing, images only take longer.
     """
     with open(plugin, "rb") as file:
         table = ELFFile(file).get_section_by_name(".symtab")
