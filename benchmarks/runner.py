@@ -14,7 +14,7 @@ from typing import Any
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction import options
 from xtdrone_interaction.flight_events import read_events
-from xtdrone_interaction.processes import ProcessTree
+from xtdrone_interaction.process_tree import ProcessTree
 from xtdrone_interaction.scripted_launch import (
     NODE_PATIENCE,
     PATIENCE,

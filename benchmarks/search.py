@@ -11,7 +11,7 @@ from benchmarks.runner import Bench, Event, Row, find
 from xtdrone_control.fleet import parse_fleet, spawn_grid
 from xtdrone_coordination.search.planning.plans import Datum, SearchOptions, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import read_region
-from xtdrone_interaction.search_prepare import ROWS, camera_of, made_world, shipped_region
+from xtdrone_interaction.search_prepare import ROWS, camera_of, generate_world, shipped_region
 from xtdrone_sim.worlds.sdf import write_world
 
 SEARCHERS = 6
@@ -91,7 +91,7 @@ def shares(cpu: Mapping[str, float]) -> dict[str, float]:
 def _prepare(folder: Path) -> dict[str, Any]:
     """Write the world and a plan for each vehicle, and return the launch arguments that name them."""
     region = read_region(shipped_region())
-    world = made_world(region, _SEED, persons=0)
+    world = generate_world(region, _SEED, persons=0)
     world_file, plans_folder = folder / "search.world", folder / "plans"
     world_file.write_text(write_world(world), encoding="utf-8")
     fleet = parse_fleet(f"{_TYPE}:{SEARCHERS}")

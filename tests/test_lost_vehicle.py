@@ -82,7 +82,7 @@ def test_the_flight_goes_on_without_dead_nodes_and_is_the_same_again(graph: Grap
 def test_a_leader_whose_node_is_killed_lands_all(graph: Graph, tmp_path: Path) -> None:
     events = fly(graph, tmp_path / "flight", 3, {18.0: "leader.py iris 3 "})
     assert events[-1]["event"] == "failed"
-    assert events[-1]["reason"] == "leader: its node has said no pattern for 5 s"
+    assert events[-1]["reason"] == "leader: its node has published no pattern for 5 s"
     [given_up] = [event for event in events if event["event"] == "giving up"]
     assert events[-1]["time"] - given_up["time"] < 60.0  # they land; none is waited for in vain
 
@@ -106,7 +106,7 @@ def test_the_demo_ends_with_a_table_that_names_the_vehicle(tmp_path: Path) -> No
         demo.kill()
         demo.wait(WALL_LIMIT)
     assert demo.returncode == 1, output
-    assert "iris_2 is lost, the flight goes on: is armed in mode" in output
+    assert "iris_2 is lost, the flight continues: is armed in mode" in output
     assert "Formation flight of 3 vehicles" in output
     assert "Missed: iris_2 was lost at" in output
     assert "iris_2_communication has died" in output

@@ -40,11 +40,11 @@ _TURN = 0.5  # rad/s
 
 
 class Circles:
-    """A flight of vehicles that circle side by side, until it is ended; in place of a bag.
+    """A flight of vehicles that circle side by side until it is stopped; replaces a bag.
 
     Attributes:
         fleet, types, begin_us, flown: see :class:`xtdrone_interaction.rviz.playback.Record`.
-        ended: set by who has enough of it.
+        ended: set to end the flight.
     """
 
     begin_us = 1_000_000

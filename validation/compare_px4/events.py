@@ -1,7 +1,7 @@
-"""Acks, texts, modes, landed states and mission items of a flight, set against the reference's: order and time.
+"""Compare acks, texts, modes, landed states and mission items of a flight with the reference: order and time.
 
-Times count from the flight's last command, or from the event before where the vehicle had to fly there. The reference's
-heartbeats and landed states came once a second: what they show happened in the second before.
+Times count from the flight's last command, or from the previous event if the vehicle had to fly in between. The
+reference's heartbeats and landed states were sent once a second: the change they report is up to one second older.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class Match:
     Attributes:
         flight: name of the flight.
         what: the event.
-        reference: s since the event before it, None when the reference has no such event.
-        ours: the same of ours.
+        reference: time since the previous event, s; None if the reference has no such event.
+        ours: the same for this autopilot.
         allowed: largest difference, s.
-        uncertain: by how many seconds earlier than seen the reference's may have been.
-        reason: what is said instead of a judgement; "" when it is judged.
+        uncertain: how much earlier than observed the reference's event may have occurred, s.
+        reason: text printed instead of a verdict; "" if the event is judged.
     """
 
     flight: str
@@ -65,7 +65,7 @@ class Match:
 
     @property
     def difference(self) -> float:
-        """How far ours is from the reference, s; infinite when one of them is missing."""
+        """Difference between ours and the reference, s; infinite if one of them is missing."""
         if self.reference is None or self.ours is None:
             return float("inf")
         late, early = self.ours - self.reference, self.reference - self.uncertain - self.ours
@@ -78,7 +78,7 @@ class Match:
 
 
 def label(event: Event) -> str:
-    """Return the event in words, without figures that depend on the place."""
+    """Return a description of the event, without figures that depend on the location."""
     value = event.value
     if event.kind == "ack":
         command, result = value.split()

@@ -2,7 +2,7 @@
 
 Allowances: 15 % of rise and settling times and of largest speeds, tilts and rates, 5 points of overshoot, 15 % or
 5 cm of tracking errors. Times also have 0.04 s, two samples of the recordings. Where the reference's overshoot only
-grazes the band of settling, the settling time is told and not judged.
+grazes the band of settling, the settling time is reported but not judged.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ POINTS = 5.0  # of overshoot
 SAMPLES = 0.04  # s
 _TRACKING = 0.05  # m
 _BAND = 0.05  # of a step: settled within
-_GRAZED = 1.0  # points of overshoot around the band in which the settling time hangs on a hair, and is only told
+_GRAZED = 1.0  # points of overshoot around the band; within them the settling time is sensitive, and only reported
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,12 @@ class Figure:
 
     Attributes:
         flight: name of the flight.
-        name: what it is.
-        unit: its unit.
-        reference: the reference's value.
-        ours: ours.
-        allowed: largest difference; inf where it is only told.
-        one_sided: whether being less than the reference is as good.
+        name: of the figure.
+        unit: of both values.
+        reference: value of the reference.
+        ours: value of this autopilot.
+        allowed: largest difference; inf if it is only reported.
+        one_sided: whether any value below the reference is within the tolerance.
     """
 
     flight: str
@@ -60,9 +60,9 @@ class Step:
     """A step response.
 
     Attributes:
-        t10, t50, t90: s after the step at which 10, 50, 90 % are first reached; NaN when they are not.
+        t10, t50, t90: times after the step at which 10, 50, 90 % are first reached, s; NaN if they are not.
         overshoot: % of the step.
-        settle: s after which it stays within 5 % of the step.
+        settle: time after which the response stays within 5 % of the step, s.
     """
 
     t10: float
@@ -79,7 +79,7 @@ def step_response(time: NDArray[np.float64], value: NDArray[np.float64], start: 
         time: s since the step, (n,).
         value: response, (n,).
         start: value before the step.
-        target: value that is asked for.
+        target: commanded value.
     """
     share = (value - start) / (target - start)
     outside = np.flatnonzero(np.abs(share - 1.0) > _BAND)
@@ -114,7 +114,7 @@ def _tilt(track: Track) -> float:
 
 
 class _Pair:
-    """The reference's and our part of one flight, and the figures that are made of them."""
+    """The reference's and our part of one flight, and the figures computed from them."""
 
     def __init__(self, flight: str, reference: Track, ours: Track, starts: tuple[float, float]) -> None:
         self.flight = flight

@@ -48,7 +48,7 @@ class _Panel:
 
 @dataclass(frozen=True)
 class _Picture:
-    """Picture of a flight: first phase, length in s, title, panels, and whether a top view comes first."""
+    """Picture of a flight: first phase, length in s, title, panels, and whether the first panel is a top view."""
 
     phase: str
     seconds: float

@@ -1,7 +1,7 @@
-"""Flies one of our vehicles over MAVLink in the same way as the recorded PX4, and records the flight.
+"""Fly one of our vehicles over MAVLink in the same way as the recorded PX4, and record the flight.
 
-Simulator, autopilot and client are one process in lockstep: a step of 4 ms, then whatever either side has to say. The
-datagrams go over loopback and are counted, so that nothing depends on wall time.
+Simulator, autopilot and client run in one process in lockstep: a step of 4 ms, then the messages of both sides. The
+datagrams are sent over loopback and counted, so that the result does not depend on wall time.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ class PilotError(RuntimeError):
 class Pilot:
     """One vehicle and its client.
 
-    Positions and headings given and recorded are in the frame in which the vehicle looks along x at the start, as the
-    recorded one did (to a degree).
+    Commanded and recorded positions and headings are in a frame whose x axis is the vehicle's initial heading, like
+    that of the recorded vehicle (to a degree).
 
     Attributes:
         time: simulated time, s.
     """
 
     def __init__(self, vehicle: str, seed: int = 0) -> None:
-        """Place one ``vehicle`` on the ground and open its links.
+        """Spawn a ``vehicle`` on the ground and open its links.
 
         Raises:
             ModelError: there is no such vehicle type.
@@ -91,7 +91,7 @@ class Pilot:
             self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, _SAMPLE_US)
 
     def close(self) -> None:
-        """Free ports and simulation."""
+        """Close the ports and the simulation."""
         self._socket.close()
         self._server.close()
         self._simulation.close()
@@ -120,12 +120,12 @@ class Pilot:
     # flying
 
     def begin(self, phase: str) -> None:
-        """Note that ``phase`` begins."""
+        """Record the beginning of ``phase``."""
         self._phase = phase
         self._note("phase", phase)
 
     def look_ahead(self) -> None:
-        """Use the present heading as the direction of x."""
+        """Use the current heading as the direction of x."""
         self._heading = self._latest["ATTITUDE"].yaw
 
     def run(self, seconds: float) -> None:
@@ -147,7 +147,7 @@ class Pilot:
         self._say(mavlink.MAVLink_command_long_message(1, 1, number, 0, *values))
 
     def set_mode(self, main: int, sub: int = 0) -> None:
-        """Ask for a PX4 mode."""
+        """Request a PX4 mode."""
         self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, main, sub)
 
     def set_parameter(self, name: str, value: float) -> None:
@@ -155,7 +155,7 @@ class Pilot:
         self._say(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32))
 
     def reposition(self, forward: float, right: float, altitude: float) -> None:
-        """Ask for a flight to a place of the local frame, ``altitude`` m above its origin (MAV_CMD_DO_REPOSITION)."""
+        """Request a flight to a local position, ``altitude`` m above the origin (MAV_CMD_DO_REPOSITION)."""
         latitude, longitude, amsl = self._global(forward, right, altitude)
         self._say(
             mavlink.MAVLink_command_int_message(
@@ -194,7 +194,7 @@ class Pilot:
 
     @property
     def yaw(self) -> float:
-        """Estimated heading, rad, against the starting one."""
+        """Estimated heading relative to the initial one, rad."""
         return _wrap(self._latest["ATTITUDE"].yaw - self._heading)
 
     @property
@@ -204,7 +204,7 @@ class Pilot:
 
     @property
     def texts(self) -> list[str]:
-        """Status texts of the present phase."""
+        """Status texts of the current phase."""
         return [event.value for event in self._events if event.kind == "text" and event.phase == self._phase]
 
     # frames
@@ -268,7 +268,7 @@ class Pilot:
             try:
                 datagram = self._socket.recv(65535)
             except TimeoutError as error:
-                raise PilotError(f"UDP port {self._own_port}: a datagram of the vehicle has not come in 5 s") from error
+                raise PilotError(f"UDP port {self._own_port}: no datagram of the vehicle received for 5 s") from error
             self._arrived += 1
             for message in self._mav.parse_buffer(datagram) or ():
                 self._take(message)
@@ -286,14 +286,14 @@ class Pilot:
                 self._note("landed_state", state)
             self._landed = state
         elif kind == "MISSION_ITEM_REACHED":
-            if message.seq != self._reached:  # it is told several times
+            if message.seq != self._reached:  # it is sent several times
                 self._note("reached", str(message.seq))
             self._reached = message.seq
         elif kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
             self._say(self._mission[message.seq])
 
     def _take_text(self, message: Any) -> None:
-        """Note a status text; the further pieces of a long one are put to its first."""
+        """Record a status text; append the further chunks of a long one to its first."""
         if message.id == 0 or message.chunk_seq == 0:
             self._note("text", f"{message.severity} {message.text.strip()}")
         elif self._events and self._events[-1].kind == "text":

@@ -17,7 +17,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Event:
-    """Something that was seen on the link.
+    """An event observed on the link.
 
     Attributes:
         time: s.
@@ -59,8 +59,8 @@ class Flight:
     """One whole recording.
 
     Attributes:
-        track: what the vehicle did.
-        events: what was seen on the link, in order of time.
+        track: the vehicle's motion.
+        events: observed on the link, in order of time.
     """
 
     track: Track
@@ -70,7 +70,7 @@ class Flight:
         """Return when ``phase`` began, s.
 
         Raises:
-            KeyError: there is no such phase.
+            KeyError: the phase does not exist.
         """
         for event in self.events:
             if event.kind == "phase" and event.phase == phase:
@@ -79,12 +79,12 @@ class Flight:
 
 
 def folder() -> Path:
-    """Return where the recordings lie."""
+    """Return the folder of the recordings."""
     return Path(__file__).resolve().parent / "recorded"
 
 
 def load(path: Path | None = None) -> Flight:
-    """Return the recorded flights of ``path`` (default: those of the project)."""
+    """Return the flights recorded in ``path`` (default: those of the project)."""
     path = path or folder()
     with np.load(path / "flights.npz") as data:
         parts = [data[name].astype(float) for name in data.files if name != "columns"]

@@ -29,10 +29,10 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
+from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.flight_events import read_events
 from xtdrone_interaction.options import OptionError, patterns_setting, seed_setting, vehicles_setting
-from xtdrone_interaction.processes import ProcessTree
-from xtdrone_interaction.screen import PatientConsole
+from xtdrone_interaction.process_tree import ProcessTree
 from xtdrone_interaction.scripted_launch import (
     NODE_PATIENCE,
     PATIENCE,
@@ -82,7 +82,7 @@ FULL = (
     Circumstance("half speed", speed=0.5),
     Circumstance("one core", one_core=True),
     Circumstance("busy machine", load=4),
-    Circumstance("nobody listens", truth_only=True),
+    Circumstance("no subscribers", truth_only=True),
     Circumstance("recorded by rosbag", recorded=True, truth_only=True),
     Circumstance("shared processes", processes="shared"),
 )

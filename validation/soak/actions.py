@@ -76,7 +76,7 @@ class Actions:
         self._joining = False
 
     def do(self, action: str, arguments: dict[str, Any]) -> None:
-        """Carry an event out."""
+        """Execute an event."""
         self.counts[action] += 1
         method: Callable[..., None] = getattr(self, action)
         method(**arguments)
@@ -91,7 +91,7 @@ class Actions:
     # ---- vehicles, over MAVLink
 
     def _exchange(self, action: str, job: Callable[[Heartbeat, int], Exchange[Any]]) -> list[Any]:
-        """Run an exchange with every vehicle from ports of our own, which go away; return the results that came."""
+        """Run an exchange with every vehicle from temporary ports; return the results of those that responded."""
 
         def of(number: int) -> Callable[[Heartbeat], Exchange[Any]]:
             return lambda heartbeat: job(heartbeat, number)
@@ -108,7 +108,7 @@ class Actions:
         return found
 
     def log(self, vehicles: Sequence[int]) -> None:
-        """Have these vehicles write a flight log while they are armed, and no others."""
+        """Enable flight logs, written while armed, for these vehicles only."""
 
         def set_mode(heartbeat: Heartbeat, number: int) -> Exchange[Any]:
             return (yield from parameters.change(heartbeat, "SDLOG_MODE", 0.0 if number in vehicles else -1.0))
@@ -116,7 +116,7 @@ class Actions:
         self._exchange("log", set_mode)
 
     def upload(self, plans: Sequence[dict[str, Any]]) -> None:
-        """Give each vehicle its mission."""
+        """Upload each vehicle's mission."""
 
         def store(heartbeat: Heartbeat, number: int) -> Exchange[Any]:
             yield from upload_plan(heartbeat.system, mission(plans[number]))
@@ -124,7 +124,7 @@ class Actions:
         self._exchange("upload", store)
 
     def fly_mission(self) -> None:
-        """Have those that are not armed fly their missions."""
+        """Start the missions of the vehicles that are not armed."""
 
         def fly(heartbeat: Heartbeat, _number: int) -> Exchange[Any]:
             if not _armed(heartbeat):
@@ -153,7 +153,7 @@ class Actions:
         self.flights += sum(self._exchange("count_flying", look))
 
     def land(self) -> None:
-        """Have all that fly land where they are."""
+        """Command all flying vehicles to land in place."""
 
         def descend(heartbeat: Heartbeat, _number: int) -> Exchange[None]:
             if _armed(heartbeat):
@@ -202,7 +202,7 @@ class Actions:
         self._nodes.await_subscribed(self._nodes.start("record", node, command))
 
     def echo(self, node: str, topic: str) -> None:
-        """Listen to a topic as a user does."""
+        """Subscribe to a topic with ``rostopic echo``."""
         command = ["rostopic", "echo", "--noarr", topic, f"__name:={node}"]
         started = self._nodes.start("echo", node, command)
         self._nodes.await_subscribed(started)
@@ -217,7 +217,7 @@ class Actions:
         self._stack.wait_for(lambda: not started.alive or _speaks(started), _CONNECT_LIMIT)
 
     def burst(self, sockets: int) -> None:
-        """Have clients ask for all parameters and go away, half of them before the answer."""
+        """Request all parameters from short-lived clients, half of which close before the answer."""
         mav = mavlink.MAVLink(None, srcSystem=250, srcComponent=190)
         for number in range(sockets):
             peer = self._peers[number % len(self._peers)]
@@ -290,7 +290,7 @@ class Actions:
         time.sleep(wall)
 
     def ticks(self, count: int) -> None:
-        """Make ``count`` ticks, each by a step of its own."""
+        """Advance by ``count`` ticks, one step each."""
         for _ in range(count):
             self._stack.tick()
 

@@ -24,9 +24,9 @@ from validation.soak.stack import SoakError, Stack
 from xtdrone_control.fleet import FleetError, parse_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
+from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.machine import machine_facts
 from xtdrone_interaction.options import OptionError, seed_setting, speed_setting, vehicles_setting
-from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.scripted_launch import LaunchError, Stopped, StopRequest
 from xtdrone_interaction.sim_cli import SimError
 
@@ -199,7 +199,7 @@ def _conclude(runner: Runner, settings: dict[str, Any], end: str, *, stopped: bo
     wall = time.monotonic() - runner.begun
     rospy.signal_shutdown("the soak has ended")
     runner.stack.end()
-    runner.texts.look()
+    runner.texts.update()
     runner.give_logs(ended=True)
     unread = runner.judge.close(_JUDGE_LIMIT_STOPPED if stopped else _JUDGE_LIMIT)
     runner.stack.close()

@@ -84,7 +84,7 @@ def judge_bag(path: Path, may_be_cut: bool) -> Finding:
         return Finding("bag", str(path), "damaged", size, messages, [str(error)])
     notes = list(bag.notes)
     if odd:
-        notes.append(f"{odd} messages are not as their definition says")
+        notes.append(f"{odd} messages do not match their definition")
     expected = not odd and all(any(word in note for word in _CUT_WORDS) for note in notes)
     verdict = "whole" if not notes else "cut" if expected and may_be_cut else "damaged"
     return Finding("bag", str(path), verdict, size, messages, notes)
@@ -138,7 +138,7 @@ class Judge:
         self._reader.start()
 
     def give(self, kind: str, path: Path, may_be_cut: bool = False) -> None:
-        """Have a file judged; it must not be written any more. One that was given before is not taken again."""
+        """Queue a file that is no longer written to; ignore a file queued before."""
         with self._lock:
             if str(path) in self._waiting:
                 return

@@ -1,4 +1,4 @@
-"""Outcome of the formation flight when one of its nodes is killed or suspended; run by hand::
+"""Outcome of the formation flight when one of its nodes is killed or suspended; run manually::
 
     python -m validation.soak.kills --out FOLDER                        # every node, signal and phase
     python -m validation.soak.kills --out FOLDER --node mavros --signal KILL --phase flying
@@ -22,12 +22,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from xtdrone_interaction import formation_demo, options
-from xtdrone_interaction.deaths import Deaths
+from xtdrone_interaction.console import PatientConsole
+from xtdrone_interaction.demo_launch import DemoError, run_flight
+from xtdrone_interaction.ended_nodes import EndedNodes
 from xtdrone_interaction.flight_events import read_events
 from xtdrone_interaction.formation_demo import DemoSettings
-from xtdrone_interaction.launched import DemoError, run_flight
-from xtdrone_interaction.processes import ProcessTree, descendants, end_descendants
-from xtdrone_interaction.screen import PatientConsole
+from xtdrone_interaction.process_tree import ProcessTree, descendants, end_descendants
 
 NODES = (
     "simulator",
@@ -89,11 +89,11 @@ def fly(out: Path) -> int:
     flight = replace(flight, arguments={**flight.arguments, "hang_limit": HANG_LIMIT})
     console = PatientConsole()
 
-    def conclude(deaths: Deaths) -> int:
+    def conclude(ended_nodes: EndedNodes) -> int:
         last = flight.events()[-1]
         if last["event"] == "failed":
             raise DemoError(last["reason"])
-        return formation_demo.report_flight(out / flight.bag, {}, console, list(deaths.found.values()))
+        return formation_demo.report_flight(out / flight.bag, {}, console, list(ended_nodes.found.values()))
 
     return run_flight(flight, console, conclude)
 

@@ -110,7 +110,7 @@ def judge(outcome: Outcome) -> Verdict:
     verdict.failures += [f"file: {text}" for text in outcome.damaged]
     expected, flights = outcome.counts["expected"], outcome.counts["flights"]
     if flights < LEAST_FLIGHTS * expected:
-        fail(f"only {flights} of {expected} vehicles that were told to take off did so")
+        fail(f"only {flights} of {expected} vehicles took off when commanded")
     if outcome.unread:
         fail(f"{outcome.unread} files were not read to their end in time")
     if outcome.end:
@@ -243,7 +243,7 @@ def show(outcome: Outcome, verdict: Verdict, folder: Path, console: Console) -> 
     lines = [
         f"{outcome.hours:.2f} h simulated in {outcome.wall / 3600:.2f} h of wall time: "
         f"{outcome.hours * 3600 / max(outcome.wall, 1e-3):.1f} x in all",
-        f"{counts['flights']} of {counts['expected']} vehicles that were told to take off did; {counts['forced']} were "
+        f"{counts['flights']} of {counts['expected']} vehicles took off when commanded; {counts['forced']} were "
         "disarmed by force at an episode's end",
         f"files read to their end: {files}",
         f"warnings: {counts['warnings_total']}, {counts['lost']} of losses or drops; the most frequent:",

@@ -160,7 +160,7 @@ class Runner:
     def _sample(self, *, resting: bool) -> None:
         stack = self.stack
         self._sample_due = (stack.soak_us // _MINUTE + 1) * _MINUTE
-        self.texts.look()
+        self.texts.update()
         status = stack.status()
         cpu, last = _Cpu(self._soaked()), self._sample_cpu
         seconds = (stack.stepped_us - self._last_sample[0]) / _MICRO
@@ -197,7 +197,7 @@ class Runner:
             if bag is not None:
                 self.judge.give("bag", bag, node.harmed)
             elif not node.harmed:
-                self.nodes.wrong.append(f"{node.name}: ended in peace without a bag")
+                self.nodes.wrong.append(f"{node.name}: ended normally without a bag")
         found = [] if node.harmed else tracebacks_in(node.folder)
         self.tally.tracebacks += found
         expected = node.ended or node.process.returncode in node.allowed
@@ -205,7 +205,7 @@ class Runner:
             shutil.rmtree(node.folder, ignore_errors=True)
 
     def give_logs(self, *, ended: bool = False) -> None:
-        """Have the flight logs judged that are not written any more; ``ended``: the simulator has ended."""
+        """Queue the completed flight logs for the judge; ``ended``: the simulator has ended."""
         pid = self.stack.pids().get("simulator")
         written = set() if ended or pid is None else open_files(pid)
         for path in sorted(self.stack.flight_logs.glob("*/*/*.ulg")):

@@ -15,7 +15,7 @@ PROCESSES = ("simulator", "mavros", "rosmaster", "rosout")
 FIGURES = ("rss", "pss", "anonymous", "descriptors", "threads", "sockets")
 """Of each process: memory in bytes, and counts. ``anonymous`` is the part of pss that no file backs.
 
-pss depends on how many other programs on the machine share a library's pages, so it is told but not judged.
+pss depends on how many other programs on the machine share a library's pages, so it is reported but not judged.
 """
 COLUMNS = (
     "wall",

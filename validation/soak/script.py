@@ -236,10 +236,10 @@ def _formation(draft: _Draft, kind: str, nodes: Sequence[tuple[str, tuple[str, s
     started = [(draft.name(what), program, arguments) for what, program, arguments in (*nodes, leader)]
     for name, program, arguments in started:
         draft.at(2.0, "start", node=name, program=program, arguments=arguments)
-    everybody = [f"/xtdrone/iris_{i}/cmd" for i in range(draft.count)]
+    topics = [f"/xtdrone/iris_{i}/cmd" for i in range(draft.count)]
     flight = _READY
     for after, word in ((0.0, "AUTO.TAKEOFF"), (0.5, "ARM"), (3.0, "ARM"), (10.0, "HOVER"), (11.0, "OFFBOARD")):
-        for topic in everybody:
+        for topic in topics:
             draft.at(flight + after, "say", topic=topic, text=word)
     draft.at(flight + 9.0, "count_flying", vehicles=list(range(draft.count)))
     time = flight + 13.0

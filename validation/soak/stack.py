@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.process_use import process_tree, program
 from xtdrone_interaction import options, sim_cli
-from xtdrone_interaction.processes import ProcessTree
+from xtdrone_interaction.process_tree import ProcessTree
 from xtdrone_interaction.scripted_launch import PATIENCE, StopRequest, launch_command, launch_environment
 
 _POLL = 0.05  # s of wall time
@@ -264,7 +264,7 @@ class Stack:
             self.timed = before
 
     def tick(self) -> None:
-        """Make one tick."""
+        """Advance by one tick."""
         from xtdrone_msgs.srv import Step, StepRequest
 
         self._pass(_stamp_us(self.call("/simulator/step", Step, StepRequest(ticks=1), None).sim_time))

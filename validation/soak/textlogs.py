@@ -37,14 +37,14 @@ class TextLogs:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Look into ``folder`` and the folders in it that are not those of single nodes."""
+        """Read ``folder`` and its sub-folders, except those of single nodes."""
         self.warnings: Counter[str] = Counter()
         self.lost = 0
         self.tracebacks: list[str] = []
         self._folder = folder
         self._read: dict[Path, int] = {}
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Read the new lines."""
         for path in sorted(self._folder.glob("*.log")) + sorted(self._folder.glob("*/*.log")):
             if path.parent.name != "nodes" and not path.parent.is_symlink():

@@ -265,15 +265,15 @@ def test_warnings_are_counted_by_kind_and_tracebacks_found(tmp_path: Path):
     own.write_text("fine\n")
     (folder / "master.log").write_text("Traceback (most recent call last):\n")  # of an update to a killed node
     logs = TextLogs(tmp_path)
-    logs.look()
+    logs.update()
     assert logs.warnings["WARN /simulator: # datagrams were lost at # s"] == 2
     assert (logs.warnings.total(), logs.lost, logs.tracebacks) == (3, 2, [])
     with collected.open("a") as file:
         file.write("sout] 5 messages have not come\n")
     with own.open("a") as file:
         file.write("Traceback (most recent call last):\n  File x\nValueError: no\n")
-    logs.look()
-    logs.look()
+    logs.update()
+    logs.update()
     assert (logs.warnings.total(), logs.lost) == (4, 3)
     assert len(logs.tracebacks) == 1
     assert logs.tracebacks[0].endswith("ValueError: no")

@@ -58,7 +58,7 @@ class Recorder:
 
     def _on_image(self, name: str, message: Any) -> None:
         picture: Picture = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
-        self._views.see(name, message.header.stamp.to_sec(), picture)
+        self._views.set_image(name, message.header.stamp.to_sec(), picture)
         if name == self._finder:
             self._finder = ""
             self._save("find.png", picture)
@@ -66,7 +66,9 @@ class Recorder:
 
     def _on_progress(self, message: Any) -> None:
         progress = json.loads(message.data)
-        self._views.say({name: str(state).replace("_", " ") for name, state in progress.get("vehicles", {}).items()})
+        self._views.set_captions(
+            {name: str(state).replace("_", " ") for name, state in progress.get("vehicles", {}).items()}
+        )
         self._title = f"{progress['sim_time']:.0f} s   {progress['phase']}   {progress.get('text', '')}"
 
     def _on_event(self, message: Any) -> None:

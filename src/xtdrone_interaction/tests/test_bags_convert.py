@@ -102,8 +102,8 @@ def test_damaged_messages_are_left_out_and_named(tmp_path: Path, capfd: pytest.C
     for form in ("csv", "parquet", "mcap"):
         assert cli.main(["convert", str(path), "--to", form]) == 0
         out = capfd.readouterr().out
-        assert "Note: 3 messages of /words are not as their definition says; left out (the first at 4.000 s" in out
-        assert "Note: 1 messages of /pattern are not as their definition says; left out (the first at 6.000 s" in out
+        assert "Note: 3 messages of /words do not match their definition; left out (the first at 4.000 s" in out
+        assert "Note: 1 messages of /pattern do not match their definition; left out (the first at 6.000 s" in out
         assert "its 6 bytes are no std_msgs/Float32MultiArray" in out
         assert "Note: 1 messages of /only" in out
     assert pyarrow.csv.read_csv(tmp_path / "flight-csv" / "words.csv")["data"].to_pylist() == ["word"] * 4 + ["last"]

@@ -192,8 +192,8 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     )
     program = textwrap.dedent(f"""
         import sys
-        from xtdrone_interaction import cli, options, search_cli, processes
-        processes._STEPS = tuple((s, 0.5) for s, _ in processes._STEPS)
+        from xtdrone_interaction import cli, options, search_cli, process_tree
+        process_tree._STEPS = tuple((s, 0.5) for s, _ in process_tree._STEPS)
         options._taken = lambda number, kind: False
         sys.exit(cli.main(["demo", "formation", "--headless", "--out", {str(tmp_path / "out")!r}]))
     """)

@@ -183,7 +183,7 @@ def test_a_leader_that_leaves_offboard_ends_the_flight_and_all_others_land() -> 
 
 def test_a_leader_whose_node_has_stopped_ends_the_flight() -> None:
     fleet = PointFleet()
-    with pytest.raises(MissionError, match="leader: its node has said no pattern for 5 s"):  # noqa: PT012
+    with pytest.raises(MissionError, match="leader: its node has published no pattern for 5 s"):  # noqa: PT012
         for _ in fleet.mission.fly():
             fleet.move()
             if fleet.mission.step < 6:

@@ -264,7 +264,7 @@ def test_places_that_cannot_be_are_left_out_and_noted(tmp_path: Path) -> None:
         for k in range(100):
             bag.pose("/iris_0", (2.7e306, 0.0, 0.0) if k == 50 else helix(0.1 * k), 0.1 * k)
     flight = read_bag([tmp_path / "made.bag"])
-    assert flight.notes == ["1 places of iris_0 pose are beyond anything, and left out"]
+    assert flight.notes == ["1 positions of iris_0 pose are out of range, and left out"]
     place = flight.vehicles[0].position
     assert place is not None
     np.testing.assert_allclose(place.value, helix(place.time), atol=1e-6)

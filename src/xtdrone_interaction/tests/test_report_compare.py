@@ -40,7 +40,7 @@ def test_runs_are_aligned_and_their_difference_is_that_of_the_motions(tmp_path: 
     found, _ = aligned(runs, "none")
     (_, row) = compare(found)
     assert row["difference_rms"] == pytest.approx(2 * RADIUS * np.sin(TURN * ahead / 2), rel=1e-2)
-    with pytest.raises(CompareError, match="'reference' does not say when it was armed"):
+    with pytest.raises(CompareError, match="the arming time of run 'reference' is unknown"):
         aligned(runs, "armed")
 
 

@@ -130,7 +130,7 @@ def test_a_vehicle_without_the_camera_is_refused(settings: SearchSettings) -> No
 
 
 def test_the_launch_file_is_told(settings: SearchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("xtdrone_interaction.launched.shutil.which", lambda program: program)
+    monkeypatch.setattr("xtdrone_interaction.demo_launch.shutil.which", lambda program: program)
     command = search_demo.flight(settings, prepare(settings)).command()
     assert "on_find:=hold" in command
     assert f"plans:={settings.out}/plans" in command

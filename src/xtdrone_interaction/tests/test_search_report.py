@@ -51,7 +51,7 @@ def test_a_find_is_compared_with_where_the_person_was_then() -> None:
     report = make_report(record(confirmed(13.0, 4.0)), {})
     assert report["find"]["person"] == "person_0"
     assert report["find"]["error"] == pytest.approx(5.0)  # (13, 4) from (10, 0)
-    assert report["shortcomings"] == ["what typhoon_h480_0 found is no person: the nearest person was 5.0 m away"]
+    assert report["shortcomings"] == ["the find of typhoon_h480_0 is not a person: the nearest person was 5.0 m away"]
 
 
 def test_a_good_find_has_no_shortcoming() -> None:
@@ -92,7 +92,7 @@ def test_following_counts_the_pictures_that_show_the_person() -> None:
 
 def test_a_search_without_find_says_so_only_where_somebody_is() -> None:
     somebody = record(outcome="not found")
-    assert make_report(somebody, {})["shortcomings"] == ["nobody was found, and there is a person"]
+    assert make_report(somebody, {})["shortcomings"] == ["no person was found, but the region has 1 person"]
     nobody = SearchRecord(**{**vars(somebody), "persons": {}})
     assert make_report(nobody, {})["shortcomings"] == []
 
@@ -142,7 +142,7 @@ def test_views_have_a_tile_a_vehicle_with_its_newest_picture() -> None:
     views = Views([f"typhoon_h480_{i}" for i in range(6)])
     assert views.size[0] % 2 == views.size[1] % 2 == 0
     for shade in (50, 250):
-        views.see("typhoon_h480_4", 12.0, np.full((360, 640, 3), shade, np.uint8))
+        views.set_image("typhoon_h480_4", 12.0, np.full((360, 640, 3), shade, np.uint8))
     picture = views.draw("12 s")
     assert picture.shape == (views.size[1], views.size[0], 4)
     width, height = views.size[0] // 3, (views.size[1] - 22) // 2

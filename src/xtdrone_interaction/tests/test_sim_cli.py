@@ -39,7 +39,7 @@ def web_server():
 
 def test_a_web_server_is_no_ros_master(web_server, capsys):
     assert cli.main(["sim", "status", "--master", web_server]) == 1
-    assert f"what answers at {web_server} is no ROS master" in capsys.readouterr().err
+    assert f"the server at {web_server} is not a ROS master" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import ImageGrab
 
-from xtdrone_interaction import cli, formation_cli, formation_demo, launched, options, simplified_demo
+from xtdrone_interaction import cli, demo_launch, formation_cli, formation_demo, options, simplified_demo
 from xtdrone_interaction.formation_demo import DemoSettings
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.model import Change
@@ -77,8 +77,8 @@ def test_a_film_that_cannot_be_written_is_named(capfd: pytest.CaptureFixture[str
     ("arguments", "message"),
     [
         (["--n", "300"], "'300' is not allowed on ROS, 2 to 250; --without-ros flies more"),
-        (["--loss", "0.1"], "loss: --loss is there in one process alone; add --without-ros"),
-        (["--range", "20"], "range: --range is there in one process alone; add --without-ros"),
+        (["--loss", "0.1"], "loss: --loss is available in one process only; add --without-ros"),
+        (["--range", "20"], "range: --range is available in one process only; add --without-ros"),
     ],
 )
 def test_what_ros_does_not_have_is_named(
@@ -92,7 +92,7 @@ def test_what_ros_does_not_have_is_named(
 def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The launch file is told of them, with whole paths."""
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
-    monkeypatch.setattr(launched.shutil, "which", lambda program: program)
+    monkeypatch.setattr(demo_launch.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []
     monkeypatch.setattr(simplified_demo, "run_ros_demo", lambda demo, console: flown.append(demo) or 1)
     monkeypatch.setattr(formation_cli, "run_demo", lambda demo, console: flown.append(demo) or 1)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_interaction.deaths import Death
-from xtdrone_interaction.hints import advice, trouble
+from xtdrone_interaction.ended_nodes import EndedNode
+from xtdrone_interaction.hints import advice, error_lines
 from xtdrone_interaction.missing import nodes, not_joined
 from xtdrone_interaction.startup import Startup
 
@@ -26,7 +26,7 @@ class Logs:
         path.parent.mkdir(exist_ok=True)
         with path.open("a") as file:
             file.write(text)
-        return self.startup.look()
+        return self.startup.update()
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def logs(tmp_path: Path) -> Logs:
 def test_a_line_moves_once_whatever_the_time(logs: Logs) -> None:
     line = "[INFO] [{}, 0.0]: simulator: holding time at 0: {} of 20 participants have joined\n"
     assert logs.add(line.format(1795250671.65, 7))
-    assert not logs.startup.look()
+    assert not logs.startup.update()
     assert not logs.add(line.format(1795250676.65, 7))
     assert logs.add(line.format(1795250681.65, 8))
     assert logs.add("[WARN] [1.5]: /a has been silent for 3 s\n")
@@ -49,10 +49,10 @@ def test_a_line_moves_once_whatever_the_time(logs: Logs) -> None:
 def test_a_kernel_moves_for_as_long_as_it_is_compiled(logs: Logs) -> None:
     logs.add("[WARN] [1.5]: simulator: compiling kernels: estimator.update; once for this version\n", "roslaunch.log")
     assert logs.startup.compiling == "compiling kernels: estimator.update; once for this version"
-    assert logs.startup.look()
-    assert logs.startup.look()
+    assert logs.startup.update()
+    assert logs.startup.update()
     logs.add("[INFO] [9.5]: simulator: kernel compiled: estimator.update, in 8.0 s\n")
-    assert not logs.startup.look()
+    assert not logs.startup.update()
 
 
 def test_what_the_simulator_says_of_the_start_is_understood(logs: Logs) -> None:
@@ -90,7 +90,7 @@ def test_nodes_that_have_not_joined_are_named_with_what_is_known(tmp_path: Path)
     log.write_text("reading the map\n")
     lines = _NODES.format(pid=os.getpid()).splitlines()
     assert nodes(lines) == ["follower_1", "leader", "team/mine", "team/other"]
-    dead = {"leader": Death("leader", None, "has died (exit code 1)", "/a/leader.log")}
+    dead = {"leader": EndedNode("leader", None, "has died (exit code 1)", "/a/leader.log")}
     words = not_joined(lines, ["/team/other"], dead, tmp_path)
     assert words.split("; ") == [
         "follower_1 was never started", "leader has died (exit code 1), see /a/leader.log",
@@ -142,8 +142,8 @@ _SHOWN = [
 
 def test_trouble_is_what_went_wrong_and_nothing_else() -> None:
     done = _LOG.format(node="formation_director-11", how="finished cleanly")
-    assert trouble(done.splitlines()) == _SHOWN
+    assert error_lines(done.splitlines()) == _SHOWN
     how = "died [pid 7, exit code -11, cmd /a/simulator.py]."
     died = _LOG.format(node="simulator-2", how=how)
-    assert trouble(died.splitlines()) == [*_SHOWN, "REQUIRED process [simulator-2] has died!", f"process has {how}"]
-    assert trouble(["[ INFO] all is well", '    log.error("ERROR")']) == []
+    assert error_lines(died.splitlines()) == [*_SHOWN, "REQUIRED process [simulator-2] has died!", f"process has {how}"]
+    assert error_lines(["[ INFO] all is well", '    log.error("ERROR")']) == []

@@ -5,10 +5,10 @@ Topics, for every vehicle T of /xtdrone/fleet:
 ========================================  =======================  ====================================================
 subscribed
 /T/mavros/state                           mavros_msgs/State
-/T/mavros/local_position/pose             PoseStamped              judged by where there is no ground truth
+/T/mavros/local_position/pose             PoseStamped              position where there is no ground truth
 /gazebo/model_states                      ModelStates              ground truth
 /xtdrone/formation_pattern                Float32MultiArray        assigned offsets
-/xtdrone/T/cmd_{vel,accel}_enu            Twist                    whether T's follower lives
+/xtdrone/T/cmd_{vel,accel}_enu            Twist                    shows that T's follower is running
 published
 /xtdrone/T/cmd                            String                   ARM, OFFBOARD, AUTO.LAND, ...
 /xtdrone/leader/cmd                       String                   names of patterns
@@ -53,7 +53,7 @@ from xtdrone_interaction.formation_mission import FleetState, FormationMission, 
 RATE = 30.0  # Hz
 _PROGRESS_TICKS = 6  # 5 Hz of simulated time
 _REPEATED = 2.0  # s between two messages of a leader that repeats its pattern
-_LAST_TICKS = 15  # so long the director stays after the flight, so that the recorder gets the last events
+_LAST_TICKS = 15  # ticks to run after the flight, so that the recorder receives the last events
 RECORDER_LIMIT = 30.0  # s of wall time
 
 
@@ -86,8 +86,8 @@ class FormationDirector:
             names: vehicles, the leader first.
             patterns: flown in turn.
             slots: offsets of each pattern and of ``origin``, shape (n - 1, 3), m.
-            clearance: least height of any slot above the ground, m.
-            events: gets the events as JSON lines too.
+            clearance: minimum height of any slot above the ground, m.
+            events: file that also stores the events, as JSON lines.
         """
         self.view = FleetState(names)
         self.mission = FormationMission(self.view, self, patterns, slots, clearance)
@@ -119,7 +119,7 @@ class FormationDirector:
         """Wait up to ``timeout`` s of wall time until a node has subscribed to the events; return whether it has."""
         return self._event_publisher.wait_for_subscriber(node, timeout)
 
-    # what comes in
+    # subscriptions
 
     def _on_state(self, message: State, index: int) -> None:
         self.view.connected[index] = message.connected
@@ -151,13 +151,13 @@ class FormationDirector:
             return
         self.view.offsets = offsets_from_message(message.data)
         before, self._pattern_said = self._pattern_said, rospy.get_time()
-        if self._pattern_said - before <= _REPEATED:  # a leader that says each pattern once is never silent
+        if self._pattern_said - before <= _REPEATED:  # a leader that publishes each pattern only once never times out
             self.view.pattern_time = self._pattern_said
 
     def _on_command(self, _: Twist, index: int) -> None:
         self.view.commanded[index] = rospy.get_time()
 
-    # what goes out; the mission's Commands
+    # publications; the mission's Commands
 
     def vehicle(self, index: int, command: str) -> None:
         """Send an XTDrone command to one vehicle's communication node."""
@@ -174,7 +174,7 @@ class FormationDirector:
         self._leader_velocity.publish(message)
 
     def event(self, event: str, **values: Any) -> None:
-        """Publish an event, and add it to the events' file with the wall time, which must not be on any topic."""
+        """Publish an event, and append it to the events file with the wall time, which no topic may contain."""
         values = {"event": event, "time": self.view.time, **values}
         text = json.dumps(values)
         self._event_publisher.publish(String(text))
@@ -186,7 +186,7 @@ class FormationDirector:
     # the flight
 
     def run(self) -> int:
-        """Fly; return the program's exit status: 0 for a whole flight, 1 for one that failed or has lost vehicles."""
+        """Fly; return the exit status: 0 for a complete flight, 1 for one that failed or has lost vehicles."""
         rate = lockstep.Rate()
         self.view.time = rospy.get_time()
         self.event("start", vehicles=list(self.view.names), patterns=self.mission.patterns)
@@ -203,7 +203,7 @@ class FormationDirector:
         return 1 if self.mission.lost else 0
 
     def _advance(self, ticks: Any, rate: Any) -> None:
-        """Advance ``ticks`` once a tick until it ends or the node is to stop.
+        """Advance ``ticks`` once per tick until it ends or the node is shut down.
 
         Raises:
             MissionError: the mission has failed, or simulated time has gone back.
@@ -230,7 +230,7 @@ class FormationDirector:
         self._stay(rate)
 
     def _stay(self, rate: Any) -> None:
-        """Stay for a few ticks more, so that whoever listens gets the last messages."""
+        """Run for a few more ticks, so that subscribers receive the last messages."""
         for _ in range(_LAST_TICKS):
             self._publish_progress()
             rate.sleep()
@@ -241,7 +241,7 @@ class FormationDirector:
         self._progress_publisher.publish(String(json.dumps(self._progress())))
 
     def _progress(self) -> dict[str, Any]:
-        """Return what the flight has come to; times in s, distances in m, error is the greatest of all followers."""
+        """Return the progress message; times in s, distances in m, error is the greatest of all followers."""
         error = self.mission.error()
         distance = float(least_distances(self.view.position[None])[0])
         if self.mission.step > 1 and math.isfinite(distance):
@@ -259,7 +259,7 @@ class FormationDirector:
 
 
 def _finite(value: float) -> float | None:
-    """JSON has no NaN."""
+    """Return ``value``, or None for NaN and infinity, which JSON lacks."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -269,7 +269,7 @@ def yaw_of(q: Quaternion) -> float:
 
 
 def open_events(folder: str) -> EventsFile | None:
-    """Return the events' file in ``folder``, None where no folder is named."""
+    """Open the events file in ``folder``; return None if ``folder`` is empty."""
     if not folder:
         return None
     path = Path(folder)

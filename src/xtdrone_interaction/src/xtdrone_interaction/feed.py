@@ -7,8 +7,8 @@ Lines have a ``kind``:
 
 ===========  ======================================================================================================
 master       the master answers and the topics are subscribed
-status       of the simulator: ``text``: why time stands still, ``held``: whether that is intended, ``joined``: names of
-             the lockstep participants, ``time``: simulated, s, ``paused``
+status       of the simulator: ``text``: reason for a standstill, ``held``: whether that is intended, ``joined``: names
+             of the lockstep participants, ``time``: simulated, s, ``paused``
 estimators   every vehicle's estimator has started; ``time``: simulated, s
 (others)     JSON of the std_msgs/String messages on the requested topics, as ``message``
 ===========  ======================================================================================================
@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from xtdrone_interaction.processes import die_with_parent
+from xtdrone_interaction.process_tree import die_with_parent
 
 ANSWER_LIMIT = 3.0  # s for a master to answer one call
 _ASK_PERIOD = 0.3  # s between two calls to a master that does not answer

@@ -12,10 +12,10 @@ from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.user_classes import load_class
 from xtdrone_interaction import options
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.demo_launch import master_port
 from xtdrone_interaction.formation_demo import DemoSettings, run_demo
-from xtdrone_interaction.launched import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
-from xtdrone_interaction.screen import PatientConsole, run_reported
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

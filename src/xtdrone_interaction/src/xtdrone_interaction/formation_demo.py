@@ -1,4 +1,4 @@
-"""Runs launch/formation.launch to its end, shows its progress and makes the report and the pictures."""
+"""Fly the formation demo: run launch/formation.launch, show its progress, and write the report and pictures."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.deaths import Death, Deaths
-from xtdrone_interaction.display import Display
+from xtdrone_interaction.demo_launch import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.formation_geometry import EVENTS_TOPIC, PROGRESS_TOPIC
-from xtdrone_interaction.launched import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.formation import make_report, write_report
 from xtdrone_interaction.options import (
     DEFAULT_FOLLOWER,
@@ -27,11 +26,12 @@ from xtdrone_interaction.options import (
     speed_setting,
     vehicles_setting,
 )
+from xtdrone_interaction.progress_display import Display
 from xtdrone_interaction.recording.formation import read_formation
 from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.report.terminal import print_formation, print_paths
 
-_START_LIMIT = 60.0  # s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
+_START_LIMIT = 60.0  # s until the first progress message, plus _START_LIMIT_VEHICLE per vehicle
 _START_LIMIT_VEHICLE = 2.0
 
 
@@ -88,10 +88,12 @@ def run_demo(settings: DemoSettings, console: Console) -> int:
     """Fly the demo.
 
     Returns:
-        The exit status: 0 for a good flight, 1 for one that failed or missed its figures, 128 + signal when stopped.
+        The exit status: 0 for a good flight, 1 for one that failed or missed a limit, 128 + signal when stopped.
     """
     command_wall = time.time()
-    return run_flight(flight(settings), console, lambda deaths: _conclude(settings, console, command_wall, deaths))
+    return run_flight(
+        flight(settings), console, lambda ended_nodes: _conclude(settings, console, command_wall, ended_nodes)
+    )
 
 
 def flight(settings: DemoSettings) -> Flight:
@@ -136,22 +138,22 @@ def flight(settings: DemoSettings) -> Flight:
 
 
 def show_event(event: dict[str, Any], display: Display) -> None:
-    """Show an event of the director that a user wants to read."""
+    """Show an event of the director, if it is of interest to the user."""
     time_text = f"  {event['time']:6.1f} s "
     if event["event"] == "settled":
         display.note(f"{time_text} {event['what']}: settled after {event['after']:.1f} s")
     elif event["event"] == "unsettled":
         display.note(f"{time_text} {event['what']}: not settled, {event['vehicle']} is {event['error']:.2f} m off")
     elif event["event"] == "lost":
-        display.note(f"{time_text} {event['vehicle']} is lost, the flight goes on: {escape(event['reason'])}")
+        display.note(f"{time_text} {event['vehicle']} is lost, the flight continues: {escape(event['reason'])}")
     elif event["event"] == "giving up":
         display.note(f"{time_text} giving up, landing: {escape(event['reason'])}")
     elif event["event"] == "refused":
         display.note(f"{time_text} {escape(event['reason'])}")
 
 
-def _conclude(settings: DemoSettings, console: Console, command_wall: float, deaths: Deaths) -> int:
-    """Make report and pictures of the finished flight and return the exit status.
+def _conclude(settings: DemoSettings, console: Console, command_wall: float, ended_nodes: EndedNodes) -> int:
+    """Write the report and pictures of the finished flight and return the exit status.
 
     Raises:
         DemoError: the flight failed.
@@ -162,29 +164,29 @@ def _conclude(settings: DemoSettings, console: Console, command_wall: float, dea
     unstored = ("out", "master_port", "headless", "window", "instance")
     stored = {k: v for k, v in asdict(settings).items() if k not in unstored}
     return report_flight(
-        settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console, list(deaths.found.values())
+        settings.out / "flight.bag", {**stored, "command_wall": command_wall}, console, list(ended_nodes.found.values())
     )
 
 
 def report_again(file: Path, console: Console) -> int:
-    """Make report and pictures of a recorded flight again, and keep what only an earlier report knows.
+    """Rewrite the report and pictures of a recorded flight; keep entries that are only in the earlier report.
 
     Raises:
-        DemoError: the file is no flight record.
+        DemoError: the file is not a flight record.
     """
     known: dict[str, Any] = {}
     with contextlib.suppress(FileNotFoundError, ValueError):
         known = json.loads((file.parent / "report.json").read_text(encoding="utf-8"))
     kept: dict[str, Any] = {key: known[key] for key in ("startup_time", "comparison") if key in known}
-    deaths = [Death(**death) for death in known.get("died", [])]
-    return report_flight(file, known.get("settings", {}), console, deaths, kept)
+    ended_nodes = [EndedNode(**ended) for ended in known.get("died", [])]
+    return report_flight(file, known.get("settings", {}), console, ended_nodes, kept)
 
 
 def report_flight(
     bag: Path,
     settings: dict[str, Any],
     console: Console,
-    deaths: Sequence[Death] = (),
+    ended_nodes: Sequence[EndedNode] = (),
     kept: Mapping[str, Any] = MappingProxyType({}),
 ) -> int:
     """Write report.json and the pictures beside ``bag``, print the table, and return 0 for a good flight, else 1.
@@ -192,12 +194,12 @@ def report_flight(
     Args:
         bag: the flight's record.
         settings: see :func:`~xtdrone_interaction.metrics.formation.make_report`.
-        console: gets the table.
-        deaths: nodes that ended in flight, where that is known.
-        kept: goes into the report as it is.
+        console: prints the table.
+        ended_nodes: nodes that ended in flight, if known.
+        kept: entries added to the report unchanged.
 
     Raises:
-        DemoError: the bag is no flight record.
+        DemoError: the bag is not a flight record.
     """
     from xtdrone_interaction.pictures.drawing import save_figures  # matplotlib takes a while to import
     from xtdrone_interaction.pictures.formation import figures
@@ -205,8 +207,8 @@ def report_flight(
     try:
         record = read_formation(bag)
         report = make_report(record, settings)
-        report |= {"died": [asdict(death) for death in deaths], **kept}
-        report["shortcomings"] = [*(str(death) for death in deaths if death.matters), *report["shortcomings"]]
+        report |= {"died": [asdict(ended) for ended in ended_nodes], **kept}
+        report["shortcomings"] = [*(str(ended) for ended in ended_nodes if ended.matters), *report["shortcomings"]]
         write_report(report, bag.parent / "report.json")
         pictures = save_figures(figures(record), bag.parent)
     except RecordError as error:

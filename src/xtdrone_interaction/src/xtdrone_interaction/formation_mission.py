@@ -3,9 +3,9 @@
 The mission reads a :class:`FleetState`, which its caller keeps up to date, and acts through :class:`Commands`. It is a
 generator that is advanced once a tick, so that its code is in the order of the flight.
 
-A follower that fails in the air is *lost*: an event names it, the flight continues with the others, and nothing waits
-for it any more. A vehicle that has left OFFBOARD, for example because its communication node has died, is in PX4's
-failsafe; one whose follower node has died hovers and lands with the others. Without its leader the flight has failed.
+A follower that fails in the air is *lost*: an event names it, and the flight continues without waiting for it. A
+vehicle that has left OFFBOARD, for example because its communication node has died, is in PX4's failsafe; one whose
+follower node has died hovers and lands with the others. Without its leader the flight has failed.
 
 Positions are ENU in the ``map`` frame, metres; index 0 is the leader.
 """
@@ -132,7 +132,7 @@ class FormationMission:
             commands: sent to the fleet.
             patterns: flown in turn; ``origin`` is flown before and after them.
             slots: offsets of each pattern and of ``origin``, shape (n - 1, 3), m.
-            clearance: least height of any slot above the ground, m.
+            clearance: minimum height of any slot above the ground, m.
             settle_limit: s; a pattern that has not settled by then is skipped.
         """
         self.fleet = fleet
@@ -332,7 +332,7 @@ class FormationMission:
             elif i not in self.lost and _silent(fleet.commanded[i], fleet.time, COMMAND_LIMIT):
                 self._lose(i, f"no command of its follower for {COMMAND_LIMIT:g} s")
         if _silent(fleet.pattern_time, fleet.time, PATTERN_LIMIT):
-            raise MissionError(f"leader: its node has said no pattern for {PATTERN_LIMIT:g} s")
+            raise MissionError(f"leader: its node has published no pattern for {PATTERN_LIMIT:g} s")
 
     def _lose(self, index: int, reason: str) -> None:
         """Continue without a follower, which failed for ``reason``.

@@ -1,4 +1,4 @@
-"""What a launch's log shows of trouble, and what to do about its usual causes. No ROS is needed."""
+"""Errors in the log of a launch, and remedies for the usual causes. ROS is not needed."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ _HINTS = (
     (r"(?i)cannot launch node of type|cannot locate node of type",
      "a node's program is missing: build (./xtdrone setup), and source the workspace that has it"),
     (r"participants have not joined|of \d+ participants have joined",
-     "a participant has not joined: look into its log for why; nodes that are started by hand join when they come"),
+     "a participant has not joined: see its log for the reason; nodes that are started manually join when they come"),
     (r"holding time at 0: .*PX4", "start the PX4s, docs/px4-sitl.md"),
 )  # fmt: skip
 _KNOWN = [(re.compile(pattern), advice) for pattern, advice in _HINTS]
 
 
 def advice(text: str) -> list[str]:
-    """Return what to do about the causes that ``text``, a log, shows; a line each, none for what is not known."""
+    """Return a line of advice for each known cause of failure in ``text``, a log."""
     return [words for pattern, words in _KNOWN if pattern.search(text)]
 
 
 # rospy, roscpp: "[ERROR] [wall s, s]: ..."; roslaunch: "ERROR: cannot launch node ...", "[follower_2-12] process has
 # died [...]"; C++: "terminate called after throwing ..." and, indented, "what():  ..."
-_TROUBLE = re.compile(
+_ERROR = re.compile(
     r"^\[ ?(ERROR|FATAL)\]|^(ERROR|FATAL)\b|\bhas died\b|^[\w.]*(Error|Exception): |cannot launch|^Invalid <"
     r"|^terminate called|^  what\(\):"
 )
 _REQUIRED = re.compile(r"REQUIRED process \[.*\] has died!")
-_DONE = "process has finished cleanly"  # roslaunch's next line, where the required node has done its work
+_DONE = "process has finished cleanly"  # roslaunch's next line, if the required node has finished
 _ENDING = re.compile(r"^Initiating shutdown!|^\[[^\]]+\] killing on exit")
 _TRACEBACK = "Traceback (most recent call last)"
-_IGNORED = "Exception ignored in"  # Python's word for what fails while it cleans up; a traceback follows
+_IGNORED = "Exception ignored in"  # precedes the traceback of an error in Python's clean-up
 
 
-def trouble(lines: Iterable[str]) -> list[str]:
-    """Return the lines of roslaunch's log that tell of trouble, each once, in their order.
+def error_lines(lines: Iterable[str]) -> list[str]:
+    """Return the distinct error lines of roslaunch's log in order.
 
-    Of a traceback that is the last line; the end of a required node that has done its work is none, and what nodes say
-    while roslaunch ends them all is a consequence.
+    A traceback is represented by its last line. The end of a required node that has finished is not an error; errors
+    logged while roslaunch stops all nodes are consequences and are ignored.
 
     Args:
-        lines: without colours.
+        lines: without colour codes.
     """
     found: dict[str, None] = {}
     required, inside, ignored = "", False, False
@@ -63,10 +63,14 @@ def trouble(lines: Iterable[str]) -> list[str]:
         required = line.strip("= ") if _REQUIRED.search(line) else ""
         if line.startswith((_TRACEBACK, _IGNORED)):
             inside, ignored = True, ignored or line.startswith(_IGNORED)
-        elif inside and line[:1] not in (" ", "[", ""):  # its last line; those in brackets are another node's
+        elif inside and line[:1] not in (
+            " ",
+            "[",
+            "",
+        ):  # the last line of the traceback; lines in brackets are from other nodes
             if not ignored:
                 found[line.strip()] = None
             inside = ignored = False
-        elif not required and _TROUBLE.search(line):
+        elif not required and _ERROR.search(line):
             found[line.strip("= ")] = None
     return list(found)

@@ -18,21 +18,21 @@ from rich.console import Console
 from xtdrone_control.fleet import INSTANCE_STEP, FleetError, instance_port
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import launch_file, options
-from xtdrone_interaction.deaths import Deaths
-from xtdrone_interaction.launch_file import LaunchFile
-from xtdrone_interaction.launched import (
+from xtdrone_interaction.console import PatientConsole
+from xtdrone_interaction.demo_launch import (
     DemoError,
     Launch,
     Watch,
-    check_still,
+    check_progress,
     escape,
     master_port,
-    print_trouble,
+    print_log_errors,
     run_launch,
     watching,
 )
+from xtdrone_interaction.ended_nodes import EndedNodes
+from xtdrone_interaction.launch_file import LaunchFile
 from xtdrone_interaction.options import OptionError, parse_instance
-from xtdrone_interaction.screen import PatientConsole
 
 _START_LIMIT = 60.0  # s of wall time without progress before it is ready
 
@@ -61,8 +61,8 @@ class LaunchSettings(Settings):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
-        "Run a launch file with a ROS master of its own until it ends or Ctrl-C is pressed. Reports when all nodes "
-        "take part, and each node that dies with the path of its log. Exit status 0 only after a clean end."
+        "Run a launch file with its own ROS master until it ends or Ctrl-C is pressed. Reports when all nodes "
+        "have joined, and each node that dies with the path of its log. Exit status 0 only after a clean end."
     )
     add = parser.add_argument
     add("file", metavar="FILE", help="a launch file, or the name of one of launch/")
@@ -109,15 +109,15 @@ def _prepare(words: argparse.Namespace) -> tuple[LaunchFile, Launch]:
 
 def _run(file: LaunchFile, launch: Launch, console: Console) -> int:
     """Run a launch file to its end and return the exit status."""
-    deaths = Deaths(launch.log)
+    ended_nodes = EndedNodes(launch.log)
 
     def go() -> int:
         vehicles = [vehicle.name for vehicle in file.vehicles]
-        with watching(launch, console, deaths, {}, vehicles) as watch:
+        with watching(launch, console, ended_nodes, {}, vehicles) as watch:
             _Monitor(file, launch, watch).run()
-        if deaths.failure is not None or any(death.matters and death.died for death in deaths.all()):
-            console.print("[red]Error:[/red] not everything has ended as it should", highlight=False)
-            print_trouble(launch, console)
+        if ended_nodes.failure is not None or any(ended.matters and ended.died for ended in ended_nodes.all()):
+            console.print("[red]Error:[/red] not all processes have ended cleanly", highlight=False)
+            print_log_errors(launch, console)
             return 1
         return 0
 
@@ -141,16 +141,16 @@ class _Monitor:
         """
         watch = self._watch
         while watch.running():
-            for message in watch.look(starting=not self._ready):
+            for message in watch.poll(starting=not self._ready):
                 self._show(message)
             if not self._ready and self._is_ready():
                 self._ready = True
                 watch.display.note(self._ready_words())
             if not self._ready:
-                check_still(watch, _START_LIMIT, "the launch does not get ready: nothing has moved")
-        watch.show_deaths()
+                check_progress(watch, _START_LIMIT, "the launch is not ready: no progress")
+        watch.show_ended_nodes()
         if not watch.started():
-            raise DemoError("roslaunch has ended before it had started a node")
+            raise DemoError("roslaunch ended before it started a node")
 
     def _show(self, message: dict[str, Any]) -> None:
         if message["kind"] == "estimators":

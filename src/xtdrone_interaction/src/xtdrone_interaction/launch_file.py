@@ -1,4 +1,4 @@
-"""What can be known of a launch file before it runs: its arguments, its nodes, and what keeps them from starting."""
+"""Inspect a launch file before it runs: its arguments, its nodes, and missing programs."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
-from xtdrone_interaction.deaths import SIMULATOR
+from xtdrone_interaction.ended_nodes import SIMULATOR
 from xtdrone_interaction.options import OptionError, repository
 
-_MAVLINK = "simulator.py"  # the program of the simulator that has MAVLink
+_MAVLINK = "simulator.py"  # the simulator program with MAVLink
 _BUILTIN = "builtin"
 
 
 @dataclass(frozen=True)
 class LaunchFile:
-    """A launch file as it would run with its arguments.
+    """A launch file evaluated with its arguments.
 
     Attributes:
         path: of the file.
         nodes: names of its nodes, with the leading slash.
         parameters: name to value.
-        has_simulator: whether one of ours is among the nodes.
-        has_mavlink: whether it has autopilots, with UDP ports.
+        has_simulator: whether one of the nodes is a simulator of this project.
+        has_mavlink: whether the simulator runs autopilots with UDP ports.
     """
 
     path: Path
@@ -36,15 +36,15 @@ class LaunchFile:
 
     @property
     def fleet(self) -> str:
-        """The vehicles, as ``iris:3``; empty where none are named."""
+        """The vehicles, as ``iris:3``; empty if none are given."""
         return str(self.parameters.get("/xtdrone/fleet", ""))
 
     @property
     def vehicles(self) -> tuple[Vehicle, ...]:
-        """The vehicles of a simulator.
+        """The vehicles of the simulator.
 
         Raises:
-            FleetError: they cannot be flown.
+            FleetError: the fleet is invalid.
         """
         if not (self.has_simulator and self.fleet):
             return ()
@@ -56,10 +56,10 @@ class LaunchFile:
 
 
 def find(text: str) -> Path:
-    """Return the launch file that ``text`` names: a path, or a file of launch/ with or without its ending.
+    """Return the launch file with the given path, or name in launch/ with or without extension.
 
     Raises:
-        OptionError: there is none.
+        OptionError: the file does not exist.
     """
     folder = repository() / "launch"
     for path in (Path(text), folder / text, folder / f"{text}.launch"):
@@ -73,7 +73,7 @@ def split_arguments(words: Sequence[str]) -> dict[str, str]:
     """Return the launch arguments of a command line, ``name:=value`` each.
 
     Raises:
-        OptionError: a word is none, or a name is given twice.
+        OptionError: a word has another form, or a name is given twice.
     """
     arguments: dict[str, str] = {}
     for word in words:
@@ -87,10 +87,10 @@ def split_arguments(words: Sequence[str]) -> dict[str, str]:
 
 
 def check_arguments(path: Path, given: Mapping[str, str]) -> None:
-    """Check that a launch file declares the arguments; roslaunch itself passes unknown ones over.
+    """Check that a launch file declares the given arguments; roslaunch ignores unknown ones.
 
     Raises:
-        OptionError: an argument that the file does not declare; the message names the declared ones.
+        OptionError: an argument is not declared; the message lists the declared ones.
     """
     declared = _declared(path)
     for name in given:
@@ -112,10 +112,10 @@ def _declared(path: Path) -> list[str]:
 
 
 def load(path: Path, given: Mapping[str, str]) -> LaunchFile:
-    """Return what a launch file runs.
+    """Evaluate a launch file.
 
     Raises:
-        OptionError: it cannot be read, an argument is missing or not allowed, or a node's program is not there.
+        OptionError: the file cannot be read, an argument is missing or invalid, or a node's program does not exist.
     """
     from roslaunch.config import load_config_default
     from roslaunch.core import RLException
@@ -141,10 +141,10 @@ def load(path: Path, given: Mapping[str, str]) -> LaunchFile:
 
 
 def _check_programs(nodes: Sequence[Any]) -> None:
-    """Check that each node's program is there: roslaunch would start the others and go on.
+    """Check that each node's program exists; roslaunch would start the other nodes and continue.
 
     Raises:
-        OptionError: one is not.
+        OptionError: a program does not exist.
     """
     import rospkg
     from roslib.packages import find_node

@@ -1,4 +1,4 @@
-"""Which nodes of a launch have not joined its simulator, and what is known of each. No ROS is needed."""
+"""Nodes of a launch that have not joined its simulator, and their states. ROS is not needed."""
 
 from __future__ import annotations
 
@@ -6,22 +6,30 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from xtdrone_interaction.deaths import SIMULATOR, Death
+from xtdrone_interaction.ended_nodes import SIMULATOR, EndedNode
 
 _NODE = re.compile(r"^    (?P<name>\S+) \((?P<package>[^/)]+)/(?P<program>[^)]+)\)$")
 _NAMESPACE = re.compile(r"^  (?P<name>/\S*)$")
 _STARTED = re.compile(r"^process\[(?P<node>.+)-(?P<number>\d+)\]: started with pid \[(?P<pid>\d+)\]")
-_OTHERS = ("rosbag", "rviz", "rosout", "topic_tools", "tf2_ros", "image_view", "rviz_view.py")  # take no part
-_MOST = 6  # that are named
+_OTHERS = (
+    "rosbag",
+    "rviz",
+    "rosout",
+    "topic_tools",
+    "tf2_ros",
+    "image_view",
+    "rviz_view.py",
+)  # not lockstep participants
+_MOST = 6  # nodes named
 
 
-def not_joined(log: Sequence[str], joined: Iterable[str], deaths: Mapping[str, Death], folder: Path) -> str:
-    """Return the nodes that have not joined, with what is known of each; empty where none is known.
+def not_joined(log: Sequence[str], joined: Iterable[str], ended_nodes: Mapping[str, EndedNode], folder: Path) -> str:
+    """Return the nodes that have not joined with their states; empty if none is known.
 
     Args:
-        log: lines of roslaunch's log, without colours; it lists all nodes, then those that it starts.
+        log: lines of roslaunch's log without colour codes: the list of all nodes, then each started one.
         joined: names of the participants, with the leading slash.
-        deaths: nodes that have ended, by their names without it.
+        ended_nodes: nodes that have ended, by name without the leading slash.
         folder: of the logs.
     """
     started = {found["node"]: found for line in log if (found := _STARTED.search(line))}
@@ -29,8 +37,8 @@ def not_joined(log: Sequence[str], joined: Iterable[str], deaths: Mapping[str, D
     parts = []
     for node in (node for node in nodes(log) if node not in there):
         found = started.get(node)
-        if node in deaths:
-            parts.append(str(deaths[node]))
+        if node in ended_nodes:
+            parts.append(str(ended_nodes[node]))
         elif found is None:
             parts.append(f"{node} was never started")
         else:
@@ -40,7 +48,7 @@ def not_joined(log: Sequence[str], joined: Iterable[str], deaths: Mapping[str, D
 
 
 def nodes(log: Iterable[str]) -> list[str]:
-    """Return the nodes that roslaunch lists and that may take part: their names without the leading slash."""
+    """Return the listed nodes that may be participants, by name without the leading slash."""
     found, namespace = [], ""
     for line in log:
         space, node = _NAMESPACE.search(line), _NODE.search(line)
@@ -54,7 +62,7 @@ def nodes(log: Iterable[str]) -> list[str]:
 
 
 def _state(pid: int) -> str:
-    """Return what a process does, in words."""
+    """Return a description of the state of a process."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -63,7 +71,7 @@ def _state(pid: int) -> str:
 
 
 def _log(folder: Path, node: str, number: str) -> str:
-    """Return a node's own log where it has one, else the folder."""
+    """Return the node's log file if it exists, else the folder."""
     name = f"{node.replace('/', '-')}-{number}"
     own = [path for ending in (".log", "-stdout.log") for path in sorted(folder.glob(f"*/{name}{ending}"))]
     written = [path for path in own if not path.parent.is_symlink() and path.stat().st_size]

@@ -32,8 +32,8 @@ from xtdrone_interaction.formation_geometry import ORIGIN
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N
-_LONGEST_NAME = 90  # bytes of an abstract socket's name, with room for what comes before
-_BAG_ROOM = 1 << 30  # bytes; rosbag record stops where less is free
+_LONGEST_NAME = 90  # bytes of an abstract socket's name, with room for the prefix
+_BAG_ROOM = 1 << 30  # bytes; rosbag record stops if less is free
 
 
 PATTERNS_HELP = (
@@ -156,10 +156,10 @@ def swarm_patterns(count: int, names: Sequence[str], file: str | None = None) ->
 
 
 def one_of_files(thing: str, name: str, folder: Path) -> str:
-    """Return ``name`` when ``folder`` has a YAML file of that name.
+    """Return ``name`` if ``folder`` has a YAML file of that name.
 
     Raises:
-        OptionError: it has not.
+        OptionError: there is no such file.
     """
     known = sorted(path.stem for path in folder.glob("*.yaml"))
     if name not in known:
@@ -168,25 +168,25 @@ def one_of_files(thing: str, name: str, folder: Path) -> str:
 
 
 def new_folder(wanted: Path) -> Path:
-    """Return an absolute folder for results: it is not there, or empty.
+    """Return the absolute path of a folder for results that does not exist or is empty.
 
     Raises:
-        OptionError: it is there with something in it, or roslaunch cannot pass its name on.
+        OptionError: the path exists and is not an empty folder, or has a space, which roslaunch cannot handle.
     """
     folder = wanted.resolve()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise OptionError(f"out: {str(wanted)!r} is there and not an empty folder")
+        raise OptionError(f"out: {str(wanted)!r} already exists and is not an empty folder")
     if any(c.isspace() for c in str(folder)):
         raise OptionError(f"out: {str(folder)!r} has a space in it, which roslaunch cannot pass on; choose --out")
     return folder
 
 
 def results_folder(wanted: Path | None, *, recorded: bool = False) -> Path:
-    """Return the results' folder, absolute: ``wanted``, or ``runs/<time>``; it is not there, or empty.
+    """Return the absolute results folder: ``wanted``, or ``runs/<time>``; it does not exist or is empty.
 
     Args:
         wanted: None for the default.
-        recorded: whether ``rosbag record`` is to write into it, which records nothing on a disk that is nearly full.
+        recorded: whether ``rosbag record`` will write into it, which needs free disk space.
 
     Raises:
         OptionError: see :func:`new_folder`; or the disk is too full.
@@ -214,7 +214,7 @@ def _check_room(folder: Path) -> None:
 
 
 def checked(check: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Return ``check`` with its errors as argparse expects them."""
+    """Wrap ``check`` so that its errors are those argparse expects."""
 
     def convert(text: str) -> Any:
         try:
@@ -238,10 +238,10 @@ def add_instance(parser: argparse.ArgumentParser) -> None:
 
 
 def follower_program(text: str) -> tuple[str, str]:
-    """Return (program, class): a program of xtdrone_coordination by its name, or a file with the user's own class.
+    """Return (program, class): a program of xtdrone_coordination by its name, or a file with the user's class.
 
     Raises:
-        OptionError: it is neither.
+        OptionError: ``text`` is neither.
     """
     shipped = repository() / "src" / "xtdrone_coordination" / "nodes"
     if "/" not in text and (shipped / text).is_file():
@@ -257,10 +257,10 @@ def follower_program(text: str) -> tuple[str, str]:
 
 
 def leader_class(text: str | None) -> str:
-    """Return the file with the user's own leader class, absolute, and the class's name if there is one; "" for None.
+    """Return the absolute file of the user's leader class, with ``:Class`` if given; "" for None.
 
     Raises:
-        OptionError: there is no such file.
+        OptionError: the file does not exist.
     """
     if text is None:
         return ""
@@ -271,7 +271,7 @@ def leader_class(text: str | None) -> str:
 
 
 def _class_file(text: str) -> str | None:
-    """Return ``file.py[:Class]`` with the file's absolute path; None where there is no such file."""
+    """Return ``file.py[:Class]`` with the file's absolute path; None if the file does not exist."""
     file, _, name = text.partition(":")
     path = Path(file).resolve()
     if not (path.suffix == ".py" and path.is_file()):
@@ -280,17 +280,17 @@ def _class_file(text: str) -> str | None:
 
 
 def free_port() -> int:
-    """Return a TCP port of this machine that nobody uses now."""
+    """Return a free TCP port of this machine."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def check_master_port(number: int) -> int:
-    """Return ``number`` when a ROS master can listen there.
+    """Return ``number`` if a ROS master can listen on that TCP port.
 
     Raises:
-        OptionError: somebody else does.
+        OptionError: the port is taken.
     """
     if _taken(number, socket.SOCK_STREAM):
         raise OptionError(f"port: {number} is taken by another program (a roscore?); leave it out to get a free one")
@@ -301,7 +301,7 @@ def check_vehicle_ports(fleet: tuple[Vehicle, ...]) -> None:
     """Check that the MAVLink ports of all vehicles are free.
 
     Raises:
-        OptionError: one is taken; the message names it and the vehicle.
+        OptionError: a port is taken; the message names the port and the vehicle.
     """
     for vehicle in fleet:
         for number in _udp_ports(vehicle):
@@ -318,15 +318,15 @@ def _udp_ports(vehicle: Vehicle) -> tuple[int, ...]:
 
 
 def take_instance(fleet: str, wanted: int | None) -> int:
-    """Return the number of an instance whose ports are free, and keep other commands from taking it.
+    """Reserve an instance whose ports are free, and return its number.
 
     Args:
-        fleet: which vehicles it has, as ``iris:9``.
-        wanted: its number; None for the first that is free.
+        fleet: vehicles of the instance, as ``iris:9``.
+        wanted: number; None for the first free one.
 
     Raises:
-        OptionError: it is not free, or none is.
-        FleetError: the fleet is none.
+        OptionError: the instance is not free, or none is.
+        FleetError: the fleet is invalid.
     """
     if wanted is not None:
         if not _take(f"instance-{wanted}"):
@@ -344,9 +344,9 @@ _kept: dict[str, socket.socket] = {}
 
 
 def _take(name: str) -> bool:
-    """Keep a name for this process until it ends; return whether no other process has it.
+    """Reserve a name for this process until it ends; return whether no other process holds it.
 
-    The kernel knows the name, in the namespace in which ports are known, and forgets it with the process.
+    The name is that of an abstract socket: the kernel keeps it per network namespace and frees it with the process.
     """
     if name in _kept:
         return True
@@ -363,7 +363,7 @@ def _take(name: str) -> bool:
 def _taken(number: int, kind: int) -> bool:
     with socket.socket(socket.AF_INET, kind) as probe:
         if kind == socket.SOCK_STREAM:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the master does: TIME_WAIT is no obstacle
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # like the master, which ignores TIME_WAIT
         try:
             probe.bind(("0.0.0.0", number))
         except OSError as error:

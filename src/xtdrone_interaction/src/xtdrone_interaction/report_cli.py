@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from xtdrone_interaction import formation_demo, search_demo
-from xtdrone_interaction.screen import PatientConsole, run_reported
+from xtdrone_interaction.console import PatientConsole, run_reported
 from xtdrone_interaction.search_prepare import is_search
 
 

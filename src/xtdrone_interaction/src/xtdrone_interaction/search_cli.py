@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.launched import master_port
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.demo_launch import master_port
 from xtdrone_interaction.options import (
     MachineSettings,
     OptionError,
@@ -16,7 +17,6 @@ from xtdrone_interaction.options import (
     results_folder,
     take_instance,
 )
-from xtdrone_interaction.screen import PatientConsole, run_reported
 from xtdrone_interaction.search_demo import run_search
 from xtdrone_interaction.search_prepare import SearchSettings
 

@@ -1,4 +1,4 @@
-"""Runs launch/search.launch to its end, shows its progress and makes the report, the map and the pictures."""
+"""Fly the cooperative search: run launch/search.launch, show its progress, and write the report, map and pictures."""
 
 from __future__ import annotations
 
@@ -12,32 +12,31 @@ from typing import Any
 
 from rich.console import Console
 
-from xtdrone_interaction.deaths import Death, Deaths
-from xtdrone_interaction.display import Display
-from xtdrone_interaction.launched import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.demo_launch import DemoError, Flight, escape, run_flight
+from xtdrone_interaction.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.metrics.search import make_report
 from xtdrone_interaction.options import OptionError
+from xtdrone_interaction.progress_display import Display
 from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.recording.search import EVENTS_TOPIC, PROGRESS_TOPIC, read_search
 from xtdrone_interaction.report.terminal import print_search
 from xtdrone_interaction.search_prepare import Prepared, SearchSettings, prepare, read_prepared
 
-_START_LIMIT = 90.0  # wall s until the first progress, and _START_LIMIT_VEHICLE more for each vehicle
+_START_LIMIT = 90.0  # s of wall time until the first progress message, plus _START_LIMIT_VEHICLE per vehicle
 _START_LIMIT_VEHICLE = 5.0
 _RESULTS = ("report.json", "map.png", "find.png", "views.png", "views.mp4")
-_LOOK_BELOW, _FOLLOW_BELOW = 2.5, 1.0  # m from the lowest vehicle's height down to those of looks and following
+_LOOK_BELOW, _FOLLOW_BELOW = 2.5, 1.0  # m below the lowest vehicle: heights of the second look and of following
 
 
 def run_search(settings: SearchSettings, console: Console) -> int:
-    """Search.
+    """Fly the search.
 
     Returns:
-        The exit status: 0 for a search that went well, 1 for one that failed or found nobody where somebody is,
-        128 + signal when stopped.
+        The exit status: 0 for a successful search, 1 for one that failed or missed a person, 128 + signal when stopped.
 
     Raises:
-        OptionError: a region, plan or world that cannot be used, or a height from which nobody would be seen.
+        OptionError: a region, plan or world is unusable, or the height is too great to detect a person.
     """
     begin = time.monotonic()
     try:
@@ -47,7 +46,7 @@ def run_search(settings: SearchSettings, console: Console) -> int:
     return run_flight(
         flight(settings, prepared),
         console,
-        lambda deaths: _conclude(settings, prepared, console, time.monotonic() - begin, deaths),
+        lambda ended_nodes: _conclude(settings, prepared, console, time.monotonic() - begin, ended_nodes),
     )
 
 
@@ -88,22 +87,22 @@ def flight(settings: SearchSettings, prepared: Prepared) -> Flight:
     )
 
 
-# what a user wants to read of an event; filled with its fields
+# text per event that is shown to the user; formatted with the event's fields
 _WORDS = {
     "second_look": "{vehicle} looks again at {place}",
     "confirmed": "[green]{vehicle} has found a person[/green] at {place}",
-    "rejected": "{vehicle}: nobody at {place}",
+    "rejected": "{vehicle}: no person at {place}",
     "following": "{vehicle} follows",
-    "follow_ended": "{vehicle} has ended following: {reason}",
+    "follow_ended": "{vehicle} stops following: {reason}",
     "lost_vehicle": "[red]{vehicle} is lost[/red]: {reason}",
-    "reassigned": "what is left of {vehicle}'s part goes to {others}",
+    "reassigned": "the rest of {vehicle}'s part is reassigned to {others}",
     "camera_silent": "[red]{vehicle}'s camera is silent[/red]",
     "returning": "{vehicle} returns: {reason}",
 }
 
 
 def show_event(event: dict[str, Any], display: Display) -> None:
-    """Show an event of the mission control that a user wants to read."""
+    """Show an event of the mission control, if it is of interest to the user."""
     words = _WORDS.get(event["event"])
     if words is None:
         return
@@ -113,23 +112,25 @@ def show_event(event: dict[str, Any], display: Display) -> None:
         "vehicle": event.get("vehicle", ""),
         "reason": escape(str(event.get("reason", ""))),
         "place": place,
-        "others": ", ".join(event.get("to", ())) or "nobody",
+        "others": ", ".join(event.get("to", ())) or "no vehicle",
     }
     display.note(f"  {event['time']:6.1f} s  {words.format(**fields)}")
 
 
-def _conclude(settings: SearchSettings, prepared: Prepared, console: Console, wall_time: float, deaths: Deaths) -> int:
-    """Make report and map of the finished search and return the exit status."""
+def _conclude(
+    settings: SearchSettings, prepared: Prepared, console: Console, wall_time: float, ended_nodes: EndedNodes
+) -> int:
+    """Write the report and map of the finished search and return the exit status."""
     stored = {**settings.stored(), "wall_time": wall_time}
-    return _report(settings.out / "flight.bag", prepared, stored, console, list(deaths.found.values()))
+    return _report(settings.out / "flight.bag", prepared, stored, console, list(ended_nodes.found.values()))
 
 
 def report_again(bag: Path, console: Console) -> int:
-    """Make report and map of a recorded search again, and keep what only an earlier report knows.
+    """Rewrite the report and map of a recorded search; keep entries that are only in the earlier report.
 
     Args:
-        bag: in a results' folder, with what was prepared for the search beside it.
-        console: gets the figures.
+        bag: in a results folder, beside the files prepared for the search.
+        console: prints the figures.
 
     Returns:
         The exit status, as :func:`run_search`; 1 for a search that was cut short.
@@ -144,17 +145,17 @@ def report_again(bag: Path, console: Console) -> int:
         prepared = read_prepared(bag.parent)
     except ValueError as error:
         raise DemoError(str(error)) from error
-    deaths = [Death(**death) for death in known.get("died", [])]
-    return _report(bag, prepared, known.get("settings", {}), console, deaths)
+    ended_nodes = [EndedNode(**ended) for ended in known.get("died", [])]
+    return _report(bag, prepared, known.get("settings", {}), console, ended_nodes)
 
 
 def _report(
-    bag: Path, prepared: Prepared, settings: Mapping[str, Any], console: Console, deaths: Sequence[Death]
+    bag: Path, prepared: Prepared, settings: Mapping[str, Any], console: Console, ended_nodes: Sequence[EndedNode]
 ) -> int:
     """Write report.json and map.png beside the bag, print the figures, and return the exit status.
 
     Raises:
-        DemoError: the bag is no record of a search.
+        DemoError: the bag is not the record of a search.
     """
     from xtdrone_interaction.pictures.search_map import save_map  # matplotlib takes a while to import
 
@@ -164,8 +165,8 @@ def _report(
     except RecordError as error:
         raise DemoError(str(error)) from error
     report = make_report(record, dict(settings))
-    report["died"] = [asdict(death) for death in deaths]
-    report["shortcomings"] = [*(str(death) for death in deaths if death.matters), *report["shortcomings"]]
+    report["died"] = [asdict(ended) for ended in ended_nodes]
+    report["shortcomings"] = [*(str(ended) for ended in ended_nodes if ended.matters), *report["shortcomings"]]
     write_report(report, folder / "report.json")
     save_map(record, prepared.region, prepared.pieces, prepared.ways, folder / "map.png")
     print_search(report, console)

@@ -1,6 +1,6 @@
-"""What a search needs before it flies: the world with its people, the region, and a plan for each vehicle.
+"""Prepare a search: the world with its people, the region, and a plan for each vehicle.
 
-All of it is written into the results' folder, which so says what was flown.
+All files are written to the results folder, which so documents the search.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.worlds import people, scenery
 from xtdrone_sim.worlds.sdf import SdfWorld, load_world_file, write_world
 
-CAMERA = "cgo3_camera"  # whose pictures the detector gets
-WORLD, REGION, PIECES, PLANS = "search.world", "region.yaml", "pieces.yaml", "plans"  # in the results' folder
+CAMERA = "cgo3_camera"  # the detector's camera
+WORLD, REGION, PIECES, PLANS = "search.world", "region.yaml", "pieces.yaml", "plans"  # in the results folder
 ROWS = 3  # vehicles side by side on the spawn grid
 _MARGIN = 5.0  # m of scenery around the region's bounds
-_EDGE = 3.0  # m that people keep from the region's edge
+_EDGE = 3.0  # m, minimum distance of people from the region's edge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class SearchSettings(Settings):
         instance: number of the simulation on this machine.
     """
 
-    # The height steps of 12 vehicles stay within the heights for which the detector was trained, 6 to 25 m.
+    # The staggered heights of 12 vehicles stay within the range for which the detector was trained, 6 to 25 m.
     n: int = vehicles_setting(6, low=1, high=12)
     type: str = setting("typhoon_h480", metavar="TYPE", text="vehicle type")
     region: str = ""
@@ -86,21 +86,21 @@ class SearchSettings(Settings):
     instance: int = 0
 
     def stored(self) -> dict[str, Any]:
-        """Return the settings that the report keeps."""
+        """Return the settings stored in the report."""
         unstored = ("out", "master_port", "headless", "instance")
         return {key: value for key, value in asdict(self).items() if key not in unstored}
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """The files of a search, and what its map and report need of them.
+    """The files of a search, and their content for its map and report.
 
     Attributes:
         names: the vehicles.
         persons: the actors of the world.
-        region: m, map.
-        pieces: of the region, one a vehicle; none where the user's own plans are flown.
-        ways: planned way of each vehicle, (k, 2) m, map.
+        region: m, map frame.
+        pieces: of the region, one per vehicle; none if the user's plans are flown.
+        ways: planned path of each vehicle, (k, 2) m, map frame.
         world_file, region_file, plans_folder: absolute paths.
     """
 
@@ -115,11 +115,11 @@ class Prepared:
 
 
 def prepare(settings: SearchSettings) -> Prepared:
-    """Write world, region and plans into the results' folder, which is made only if all of them can be used.
+    """Write world, region and plans to the results folder, which is created only if all of them are usable.
 
     Raises:
-        OptionError: a vehicle without the camera, a plan that is missing.
-        ValueError: a region, world or plan that cannot be used, a height from which nobody would be seen.
+        OptionError: a vehicle has no camera, or a plan is missing.
+        ValueError: a region, world or plan is unusable, or the height is too great to detect a person.
     """
     fleet = parse_fleet(f"{settings.type}:{settings.n}")
     region = read_region(settings.region or shipped_region())
@@ -147,11 +147,11 @@ def _plans(
 
 
 def _own_plan(folder: Path, name: str) -> Path:
-    """Return the file of a vehicle's plan among the user's own.
+    """Return the user's plan file of a vehicle.
 
     Raises:
-        OptionError: there is no such file.
-        PlanError: it is no plan.
+        OptionError: the file does not exist.
+        PlanError: it is not a plan.
     """
     file = folder / f"{name}{qgc_plan.SUFFIX}"
     if not file.is_file():
@@ -161,15 +161,15 @@ def _own_plan(folder: Path, name: str) -> Path:
 
 
 def is_search(folder: Path) -> bool:
-    """Return whether a folder has the results of a search, whose files :func:`prepare` has written."""
+    """Return whether a folder contains the files of a search, written by :func:`prepare`."""
     return all((folder / name).exists() for name in (WORLD, REGION, PLANS))
 
 
 def read_prepared(folder: Path) -> Prepared:
-    """Return what :func:`prepare` has written into a results' folder.
+    """Read the files written by :func:`prepare` from a results folder.
 
     Raises:
-        ValueError: a file that cannot be used.
+        ValueError: a file is unusable.
     """
     world = load_world_file(str(folder / WORLD))
     datum = _datum(world)
@@ -193,10 +193,10 @@ def _write_yaml(file: Path, data: Mapping[str, object]) -> None:
 
 
 def _read_pieces(file: Path) -> dict[str, Polygon]:
-    """Return the vehicles' pieces; none where the user's own plans were flown.
+    """Return the vehicles' pieces; none if the user's plans were flown.
 
     Raises:
-        ValueError: the file cannot be used.
+        ValueError: the file is unusable.
     """
     if not file.is_file():
         return {}
@@ -211,22 +211,22 @@ def _datum(world: SdfWorld) -> Datum:
 
 
 def shipped_region() -> Path:
-    """Return the file of the region that is searched by default."""
+    """Return the file of the default region."""
     return repository() / "src" / "xtdrone_coordination" / "config" / "search" / "region.yaml"
 
 
 def _world(settings: SearchSettings, region: Polygon) -> SdfWorld:
-    """Return the user's world, or one made from the seed, whose people are in the region."""
+    """Return the user's world, or one generated from the seed with all people in the region."""
     if settings.world:
         return load_world_file(settings.world)
-    return made_world(region, settings.seed, settings.persons, walking=settings.walking)
+    return generate_world(region, settings.seed, settings.persons, walking=settings.walking)
 
 
-def made_world(region: Polygon, seed: int, persons: int, *, walking: bool = True) -> SdfWorld:
-    """Return a world with scenery in and around the region, whose people are all in it.
+def generate_world(region: Polygon, seed: int, persons: int, *, walking: bool = True) -> SdfWorld:
+    """Generate a world with scenery in and around the region, and all people inside the region.
 
     Raises:
-        ValueError: so many people do not fit into the region.
+        ValueError: the region is too small for the number of people.
     """
     low_x, low_y, high_x, high_y = region.bounds
     bounds = (low_x - _MARGIN, low_y - _MARGIN, high_x + _MARGIN, high_y + _MARGIN)
@@ -242,10 +242,10 @@ def made_world(region: Polygon, seed: int, persons: int, *, walking: bool = True
 
 
 def camera_of(vehicle_type: str) -> Pinhole:
-    """Return the camera's picture.
+    """Return the intrinsics of the vehicle's camera.
 
     Raises:
-        OptionError: the vehicle has none.
+        OptionError: the vehicle has no camera.
     """
     mounts = {mount.name: mount for mount in load_vehicle(vehicle_type).cameras}
     if CAMERA not in mounts:
@@ -254,10 +254,10 @@ def camera_of(vehicle_type: str) -> Pinhole:
 
 
 def _way_of(file: Path, datum: Datum) -> NDArray[np.float64]:
-    """Return the places of a plan's waypoints, (k, 2) m, map.
+    """Return the positions of a plan's waypoints, (k, 2) m, map frame.
 
     Raises:
-        PlanError: it is no plan.
+        PlanError: the file is not a plan.
     """
     items = [item for item in qgc_plan.read(file).mission if item.command == mission.WAYPOINT]
     places = [datum.local(item.x, item.y) for item in items]

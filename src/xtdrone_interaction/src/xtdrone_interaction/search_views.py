@@ -1,4 +1,4 @@
-"""The pictures of all cameras side by side, with captions, as the film of a search shows them. No ROS is needed."""
+"""The images of all cameras in a grid with captions, for the film of a search. ROS is not needed."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _MARKED = (255, 200, 60)
 
 
 class Views:
-    """The newest picture of each camera, drawn as a grid.
+    """The latest image of each camera, drawn as a grid.
 
     Attributes:
         names: vehicles, in the order of the tiles.
-        size: width and height of the whole picture, pixels, even as films want it.
+        size: width and height of the grid, pixels; even, as video encoders require.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        """Have no picture yet."""
+        """Start without images."""
         self.names = tuple(names)
         self._pictures: dict[str, tuple[float, Picture]] = {}
         self._words: dict[str, str] = {}
@@ -36,8 +36,8 @@ class Views:
         rows = math.ceil(len(self.names) / self._columns)
         self.size = (self._columns * _TILE[0], rows * (_TILE[1] + _LINE) + _LINE)
 
-    def see(self, name: str, time: float, picture: Picture) -> None:
-        """Take a camera's picture.
+    def set_image(self, name: str, time: float, picture: Picture) -> None:
+        """Set the latest image of a camera.
 
         Args:
             name: the vehicle.
@@ -46,8 +46,8 @@ class Views:
         """
         self._pictures[name] = (time, picture)
 
-    def say(self, words: Mapping[str, str]) -> None:
-        """Take what the vehicles are doing, by name."""
+    def set_captions(self, words: Mapping[str, str]) -> None:
+        """Set the captions, by vehicle name."""
         self._words.update(words)
 
     def draw(self, title: str) -> Picture:

@@ -1,10 +1,10 @@
 """``./xtdrone sim``: pause, resume, step, speed, reset and status of a running simulation.
 
-Master and services are called directly over XML-RPC and TCPROS, not through rospy: rospy's service client has no time
-limit, neither for the connection nor for the response, so that a suspended simulator would block a command for ever; it
-also knows only the master of its environment. The saved import is the smaller gain: a command starts in 0.22 s of
-processor time instead of 0.34 s (Python 3.11, AMD EPYC; import of this module and of std_srvs, against rospy and
-std_srvs).
+Master and services are called directly over XML-RPC and TCPROS, not through rospy: rospy's service client has no
+timeout, neither for the connection nor for the response, so that a suspended simulator would block a command
+indefinitely, and it uses only the master of its environment. The saved import is the smaller gain: a command starts in
+0.22 s of processor time instead of 0.34 s (Python 3.11, AMD EPYC; import of this module and of std_srvs, against rospy
+and std_srvs).
 
 Exit status: 0 on success, 1 on failure, 2 for a value that is not allowed, 130 after Ctrl-C.
 """
@@ -74,7 +74,7 @@ def find_service(master: str, name: str) -> tuple[str, int] | None:
     try:
         code, _, uri = proxy.lookupService(_CALLER, name)
     except (*_NO_XMLRPC, ValueError, TypeError) as error:
-        raise SimError(f"master: what answers at {master} is no ROS master: {error}") from error
+        raise SimError(f"master: the server at {master} is not a ROS master: {error}") from error
     if code != 1:
         return None
     address = urlparse(uri)
@@ -87,9 +87,9 @@ def call(master: str, name: str, kind: Any, request: Any, limit: float | None = 
     Args:
         master: URI of the ROS master.
         name: of the service.
-        kind: its generated class.
+        kind: generated class of the service.
         request: an object of ``kind._request_class``.
-        limit: time limit of the response, s; None for none.
+        limit: timeout of the response, s; None for none.
 
     Raises:
         SimError: the service does not exist, rejects the request, or does not respond.

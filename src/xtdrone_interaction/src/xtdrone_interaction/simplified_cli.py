@@ -16,12 +16,12 @@ from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.user_classes import load_class, nothing_overridden
 from xtdrone_interaction import options
 from xtdrone_interaction.compare_simulators import check_comparable
+from xtdrone_interaction.console import PatientConsole, run_reported
+from xtdrone_interaction.demo_launch import master_port
 from xtdrone_interaction.formation_demo import DemoSettings
 from xtdrone_interaction.formation_geometry import ORIGIN
-from xtdrone_interaction.launched import master_port
 from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError, checked
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation
-from xtdrone_interaction.screen import PatientConsole, run_reported
 from xtdrone_interaction.simplified_demo import (
     MOST_COMPARED,
     FilmSettings,
@@ -153,7 +153,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
         )
     for name in _NETWORK:
         if getattr(arguments, name) is not None:
-            raise OptionError(f"{name}: --{name} is there in one process alone; add --without-ros")
+            raise OptionError(f"{name}: --{name} is available in one process only; add --without-ros")
     follower, follower_class = options.follower_program(arguments.follower)
     parse_fleet(f"{settings.kind}:{settings.n}")  # binds no port: there is no MAVLink
     return DemoSettings(
@@ -221,7 +221,7 @@ def _recorded(file: Path | None, settings: SwarmSettings) -> FormationRecord | N
 
 
 def _film(wanted: str | None, out: Path, *, window: bool) -> Path | None:
-    """Return where the film goes, None for no film."""
+    """Return the file of the film, None for no film."""
     from xtdrone_swarm.view import check_film
 
     if wanted == "none" or (wanted is None and window):

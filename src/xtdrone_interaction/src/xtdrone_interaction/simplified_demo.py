@@ -26,10 +26,9 @@ from xtdrone_interaction.compare_simulators import (
     save_pictures,
     with_assignments_of,
 )
-from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
+from xtdrone_interaction.demo_launch import DemoError, Interrupted, escape, raise_on_signals
 from xtdrone_interaction.formation_demo import DemoSettings, show_event
 from xtdrone_interaction.formation_demo import run_demo as run_ros_demo
-from xtdrone_interaction.launched import DemoError, Interrupted, escape, signals_raise
 from xtdrone_interaction.metrics.formation import make_report, write_report
 from xtdrone_interaction.options import (
     MAX_SWARM,
@@ -39,6 +38,7 @@ from xtdrone_interaction.options import (
     speed_setting,
     vehicles_setting,
 )
+from xtdrone_interaction.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
 from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.report.terminal import print_formation
@@ -51,22 +51,22 @@ if TYPE_CHECKING:
 SIMPLIFIED_TRUTH = "truth (simplified simulator, in one process)"
 FULL_TRUTH = "truth (full physics, in one process)"
 FULL_IN_PROCESS = "the same flight in full physics, in one process, with the same assignments"
-MOST_COMPARED = 50  # vehicles; of more, a comparison must be asked for
+MOST_COMPARED = 50  # vehicles; larger flights are compared only on request
 _FILM_RATE = 15  # frames a second
-_FILM_SPEED = 8.0  # times as fast as flown, or more
+_FILM_SPEED = 8.0  # minimum speed of the film, relative to the flight
 _FILM_LENGTH = 60.0  # s, at most
-_DELAY = 0.25  # s of wall time, the most that a paced flight makes up for: a picture takes less, a pause more
+_DELAY = 0.25  # s of wall time, the longest delay that a paced flight catches up: longer than a picture, unlike a pause
 _END = object()
 _MOST_TOPOLOGY_LINES = 400
 
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """What is drawn of a flight.
+    """Film and window of a flight.
 
     Attributes:
-        file: .mp4, .gif or .png; None: no film.
-        window: a live window too.
+        file: .mp4, .gif or .png; None for no film.
+        window: whether to open a live window.
     """
 
     file: Path | None
@@ -82,11 +82,11 @@ class SwarmSettings(Settings):
         follower: class of the followers.
         leader: class of the leader.
         out: folder of the results.
-        model: ``first-order``, ``second-order``, a YAML file, or empty for the type's.
+        model: ``first-order``, ``second-order``, a YAML file, or empty for the default of the type.
         network: communication between the vehicles; None for an ideal network.
-        compare: fly the flight in full physics too.
-        compare_with: the record of the same flight in the full simulator, to compare with; None for none.
-        recorded: its content.
+        compare: also fly in full physics, and compare.
+        compare_with: file of the same flight in the full simulator, to compare with; None for none.
+        recorded: content of ``compare_with``.
     """
 
     n: int = vehicles_setting(high=MAX_SWARM)
@@ -112,7 +112,7 @@ class SwarmSettings(Settings):
     recorded: FormationRecord | None = None
 
     def stored(self) -> dict[str, Any]:
-        """Return what the report keeps of them."""
+        """Return the settings stored in the report."""
         left_out = ("out", "headless", "follower", "leader", "network", "recorded")
         values = {k: v for k, v in vars(self).items() if k not in left_out}
         values["follower"] = f"{self.follower.__module__}:{self.follower.__qualname__}"
@@ -133,7 +133,7 @@ def make_swarm(settings: SwarmSettings, *, full: bool, leader: type[Leader] | No
     Args:
         settings: of the flight.
         full: in full physics instead of simplified.
-        leader: another leader's class than the settings'.
+        leader: class of the leader; None for that of the settings.
 
     Raises:
         PatternError, ModelError, FleetError, ValueError: a value that is not allowed.
@@ -142,7 +142,7 @@ def make_swarm(settings: SwarmSettings, *, full: bool, leader: type[Leader] | No
 
     vehicles = None
     if full:
-        from xtdrone_swarm.full_vehicles import CoreVehicles  # brings pybullet along
+        from xtdrone_swarm.full_vehicles import CoreVehicles  # imports pybullet
 
         vehicles = CoreVehicles(settings.n, kind=settings.kind, seed=settings.seed)
     network: dict[str, Any] = {} if settings.network is None else {"network": settings.network}
@@ -166,12 +166,12 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
     """Fly in one process, and make report, pictures, film and comparison.
 
     Returns:
-        The exit status: 0 for a good flight, 1 for one that failed or missed its figures, 128 + signal when stopped.
+        The exit status: 0 for a good flight, 1 for one that failed or missed a limit, 128 + signal when stopped.
     """
     command_wall = time.time()
     settings.out.mkdir(parents=True, exist_ok=True)
     console.print(f"Results: {settings.out}", highlight=False, soft_wrap=True)
-    with signals_raise():
+    with raise_on_signals():
         try:
             record = _fly(settings, film, console)
             save_formation(record, settings.out / "flight.npz")
@@ -189,7 +189,7 @@ def run_in_process(settings: SwarmSettings, film: FilmSettings, console: Console
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove a results' folder into which nothing has come."""
+    """Remove a results folder if it is empty."""
     with contextlib.suppress(OSError):  # it is not empty
         folder.rmdir()
 
@@ -197,13 +197,13 @@ def _remove_empty(folder: Path) -> None:
 def _fly(
     settings: SwarmSettings, film: FilmSettings, console: Console, *, like: FormationRecord | None = None
 ) -> FormationRecord:
-    """Fly once, showing the progress; a flight that fails is returned too.
+    """Fly once, showing the progress; return a failed flight, too.
 
     Args:
         settings: of the flight.
-        film: whether there is a window.
+        film: whether to open a window.
         console: for the progress.
-        like: fly in full physics, with the assignments of this flight.
+        like: if given, fly in full physics with the assignments of this flight.
     """
     full = like is not None
     swarm = make_swarm(settings, full=full, leader=None if like is None else with_assignments_of(like, settings.leader))
@@ -223,7 +223,7 @@ def _fly(
     try:
         if film.window and not full:
             _show(swarm, turns, settings.speed, display)
-        for _ in turns:  # all of them, or what was left when the window was closed
+        for _ in turns:  # all turns, or the remaining ones after the window was closed
             pacing.wait(swarm.time)
     except Exception as error:
         fault = _own_fault(error, settings)
@@ -237,7 +237,7 @@ def _fly(
 
 
 def _own_fault(error: Exception, settings: SwarmSettings) -> str:
-    """Return what a class of the user's has raised, with file and line; "" for an error of anybody else's."""
+    """Describe an error raised in a class of the user, with file and line; return "" for other errors."""
     shipped = {Path(inspect.getfile(cls)) for cls in (Follower, Leader)}
     files = {Path(inspect.getfile(cls)) for cls in (settings.follower, settings.leader)} - shipped
     own = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) in files]
@@ -248,21 +248,21 @@ def _own_fault(error: Exception, settings: SwarmSettings) -> str:
 
 
 def _check_outcome(record: FormationRecord, where: str = "") -> None:
-    """Raise DemoError, with ``where`` before the reason, for a flight that failed."""
+    """Raise DemoError for a failed flight; ``where`` is a prefix of the reason."""
     outcome, reason = outcome_of(record)
     if outcome != "done":
         raise DemoError(f"{where}{reason}")
 
 
 class _Pacing:
-    """Holds a flight to a real-time factor; 0: none."""
+    """Paces a flight at a real-time factor; 0 for unlimited."""
 
     def __init__(self, factor: float) -> None:
         self._factor = factor
         self._start: float | None = None
 
     def ahead(self, sim_time: float) -> float:
-        """Return how long the wall clock still needs to ``sim_time`` s, s; a long delay is not made up for."""
+        """Return the wall time left until ``sim_time``, both in s; a long delay is not caught up."""
         if not self._factor:
             return 0.0
         now = time.monotonic()
@@ -271,22 +271,22 @@ class _Pacing:
         return self._start + sim_time / self._factor - now
 
     def wait(self, sim_time: float) -> None:
-        """Wait until the wall clock has come to ``sim_time`` s."""
+        """Wait until the wall clock reaches ``sim_time``, s."""
         ahead = self.ahead(sim_time)
         if ahead > 0.0:
             time.sleep(ahead)
 
 
 def _show(swarm: Swarm, turns: Iterator[None], speed: float, display: Display) -> None:
-    """Fly in a live window until the flight ends or the window is closed; where none can be opened, say so.
+    """Fly in a live window until the flight ends or the window is closed; print a note if none can be opened.
 
     Args:
-        swarm: what is shown.
-        turns: the flight's.
-        speed: real-time factor, 0 for as fast as it can.
-        display: where to say it.
+        swarm: the vehicles to show.
+        turns: steps of the flight.
+        speed: real-time factor, 0 for unlimited.
+        display: prints the note.
     """
-    from xtdrone_swarm.view import WindowError  # brings Matplotlib along
+    from xtdrone_swarm.view import WindowError  # imports Matplotlib
     from xtdrone_swarm.view.flight import play
 
     try:
@@ -302,14 +302,14 @@ def _frame(sim_time: float, places: Any, slots: Any, edges: Any, pattern: str) -
 
 
 def _edges(adjacency: Any) -> Any:
-    """Return who listens to whom, shape (e, 2); None where that is too much to be seen."""
+    """Return the links of the topology, shape (e, 2); None if there are too many to draw."""
     if adjacency is None:
         return None
     edges = np.argwhere(np.asarray(adjacency) > 0)
     return edges if len(edges) <= _MOST_TOPOLOGY_LINES else None
 
 
-# what is made of a flight
+# results of a flight
 
 
 def _conclude(
@@ -320,7 +320,7 @@ def _conclude(
 
     print_formation(report, console)
     file = settings.out / "report.json"
-    write_report(report, file)  # whatever becomes of the rest
+    write_report(report, file)  # first, in case a later step fails
     pictures = save_figures(figures(record), settings.out)
     paths = [settings.out / "flight.npz", file, *(path for _, path in pictures)]
     if settings.compare or settings.compare_with:
@@ -362,7 +362,7 @@ def film_frames(record: FormationRecord) -> Iterator[Any]:
     speed = max(_FILM_SPEED, float(track.time[-1] - track.time[0]) / _FILM_LENGTH)
     step = max(1, math.ceil(speed / _FILM_RATE / float(np.median(np.diff(track.time))) - 0.5))
     names = {round(w.start, 3): w.pattern for w in record.windows}
-    pattern, number, links = "", -1, -1  # links: which topology; the recorder may have missed one
+    pattern, number, links = "", -1, -1  # links: index of the topology; the recorder may have missed one
     edges = None
     for k in range(0, len(track.time), step):
         now, places = float(track.time[k]), track.position[k]
@@ -379,10 +379,10 @@ def film_frames(record: FormationRecord) -> Iterator[Any]:
 
 
 def make_film(record: FormationRecord, path: Path, console: Console) -> Path:
-    """Film a recorded flight, some times as fast as flown, and show how far it is drawn.
+    """Film a recorded flight at increased speed, showing the progress.
 
     Raises:
-        DemoError: it cannot be written.
+        DemoError: the film cannot be written.
     """
     from xtdrone_swarm.view import FilmError, film
 
@@ -401,7 +401,7 @@ def run_on_ros(demo: DemoSettings, settings: SwarmSettings, film: FilmSettings, 
     status = run_ros_demo(demo, console)
     if status not in (0, 1) or not (demo.out / "report.json").is_file():
         return status
-    with signals_raise():
+    with raise_on_signals():
         try:
             return max(status, _after_ros(demo, settings, film, console))
         except (DemoError, RecordError) as error:

@@ -1,8 +1,8 @@
-"""How a launch gets on while it starts, as its logs tell. No ROS is needed.
+"""Progress of a starting launch, read from its logs. ROS is not needed.
 
-What moves: a line that no log had before. Time stamps and numbers of seconds do not make a line new, so a node that
-repeats itself does not move; one more participant that has joined does. A kernel that is being compiled moves too, for
-as long as it takes.
+A line that has not been logged before is progress. Time stamps and numbers of seconds are ignored in the comparison, so
+that a node that repeats a message makes no progress, but each additional participant does. The compilation of a kernel
+is progress for its whole duration.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ _PREFIX = re.compile(r"^\[[^\]]*\]\[\w+\] [\d-]+ [\d:,]+: |^\[\w+\] \[[\d., ]+\]
 _SECONDS = re.compile(r"\b\d+(\.\d+)? s\b")
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\][^\x07]*\x07")
 _OWN = ("process[rosout-", "process[master")
-_MOST = 1 << 20  # bytes of one file in one look
-_MOST_SEEN = 200_000  # lines that are remembered
+_MOST = 1 << 20  # bytes read of a file at a time
+_MOST_SEEN = 200_000  # stored lines
 _COMPILING = re.compile(r"simulator: (compiling kernels: .*)")
 _COMPILED = re.compile(r"simulator: kernel compiled: ")
 _RUNS = re.compile(r"simulator: .* stand ready, time runs")
@@ -30,15 +30,15 @@ class Startup:
     """Reads the logs of a launch.
 
     Attributes:
-        compiling: the simulator's words while it compiles a kernel, else empty.
-        runs: the simulator has started time.
-        joined: how many participants it has waited for, None while it waits.
-        started: how many processes roslaunch has started, its own (rosout, in a master of its own) left out.
-        incomplete: its words when it has started time without some of them, else empty.
+        compiling: the simulator's message while it compiles a kernel, else empty.
+        runs: whether the simulator has started time.
+        joined: number of participants at the start of time; None before that.
+        started: number of nodes started by roslaunch, without those of its own master (rosout).
+        incomplete: the simulator's message if it has started time without some participants, else empty.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Have read nothing yet of the logs in ``folder``."""
+        """Prepare to read the logs in ``folder`` from their beginning."""
         self._folder = folder
         self._read: dict[str, int] = {}
         self._seen: set[str] = set()
@@ -48,8 +48,8 @@ class Startup:
         self.started = 0
         self.incomplete = ""
 
-    def look(self) -> bool:
-        """Read what is new and return whether anything moves."""
+    def update(self) -> bool:
+        """Read the new lines and return whether there was progress."""
         moves = False
         for path in self._files():
             for line in self._lines(path):
@@ -80,19 +80,19 @@ class Startup:
             self.incomplete = without[0]
 
     def _files(self) -> Iterator[str]:
-        for folder, _, names in os.walk(self._folder):  # follows no links: roslaunch leaves one to its newest logs
+        for folder, _, names in os.walk(self._folder):  # without links: roslaunch creates one to its latest logs
             for name in names:
                 if name.endswith(".log"):
                     yield os.path.join(folder, name)
 
     def _lines(self, path: str) -> list[str]:
-        """Return the whole lines of a file that are new."""
+        """Return the complete new lines of a file."""
         begin = self._read.get(path, 0)
         try:
             with open(path, "rb") as file:
                 file.seek(begin)
                 data = file.read(_MOST)
-        except OSError:  # it is gone again
+        except OSError:  # removed in the meantime
             return []
         whole = data[: data.rfind(b"\n") + 1] or (data if len(data) == _MOST else b"")
         self._read[path] = begin + len(whole)

@@ -1,7 +1,7 @@
 """The formation flight without ROS: the demo's mission over a ``Swarm``, in one process.
 
-The vehicles behind the swarm may be simplified ones or, by ``CoreVehicles``, those of the full simulator. What comes
-out is the same record as is read from a flight's bag, so that report and pictures are made of it in the same way.
+The vehicles of the swarm may be simplified ones or, with ``CoreVehicles``, those of the full simulator. The result is
+a record of the same type as one read from a flight's bag, so that the same code makes the report and pictures.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SOURCE = "truth (in one process)"
 PROGRESS_TURNS = 6  # turns between two calls of ``progress``: 5 Hz of simulated time
 _SETTLE_TIME = 6.0  # s for each metre between the leader and the farthest slot: followers fly 1 m/s
-_MANY = 200  # vehicles; of more than these, every third turn is recorded
+_MANY = 200  # vehicles; for larger swarms, every third turn is recorded
 _MANY_TURNS = 3
 
 Progress = Callable[[dict[str, Any]], None]
@@ -44,16 +44,16 @@ def fly_formation(
 ) -> FormationRecord:
     """Fly the formation mission: takeoff, origin, each pattern with the leader moving between, origin, landing.
 
-    A flight that fails is landed and recorded too: its last event is then ``failed``, not ``done``.
+    A flight that fails is landed and recorded, too; its last event is ``failed`` instead of ``done``.
 
     Args:
         swarm: on the ground, at the start; ``Swarm(..., airborne=False)``.
         patterns: flown in turn.
-        clearance: least height of any slot above the ground, m.
-        source: what the recorded positions are, for captions.
-        progress: called five times a simulated second with what /xtdrone/demo/progress tells in a ROS flight.
-        on_event: called with each event as it comes.
-        on_turn: called after each turn of 30 Hz, to draw what is flown.
+        clearance: minimum height of any slot above the ground, m.
+        source: description of the recorded positions, for captions.
+        progress: called five times per simulated second with the content of /xtdrone/demo/progress.
+        on_event: called with each event.
+        on_turn: called after each turn of 30 Hz, to draw the flight.
 
     Returns:
         The record; positions are the true ones at 30 Hz (10 Hz for more than 200 vehicles).
@@ -72,8 +72,8 @@ class FormationFlight:
     """Feeds the mission's view from the swarm, sends its commands, and keeps the record.
 
     Attributes:
-        mission: what is flown.
-        view: the fleet as the mission sees it.
+        mission: the mission flown.
+        view: the fleet's state as the mission sees it.
     """
 
     def __init__(
@@ -112,18 +112,18 @@ class FormationFlight:
     # the mission's Commands
 
     def vehicle(self, index: int, command: str) -> None:
-        """Give one vehicle an XTDrone command; the mission repeats what has no effect."""
+        """Send an XTDrone command to one vehicle; the mission repeats commands without effect."""
         self._swarm.vehicle(index, command)
 
     def leader(self, command: str) -> None:
-        """Give the leader a command; one that it refuses is warned of, as the leader's node does."""
+        """Send a command to the leader; log a warning if it is rejected, like the leader's node."""
         try:
             self._swarm.command(command)
         except CommandError as error:
             self.event("refused", reason=str(error))
 
     def leader_velocity(self, velocity: Array) -> None:
-        """Let the leader fly with ``velocity``, shape (3,), m/s FLU."""
+        """Command the leader's velocity, shape (3,), m/s FLU."""
         x, y, z = velocity.tolist()
         self._swarm.steer((x, y, z), 0.0)
 
@@ -137,7 +137,7 @@ class FormationFlight:
     # the flight
 
     def turns(self) -> Iterator[None]:
-        """Fly, a turn of 30 Hz at a time, to the end: the last event is then ``done`` or ``failed``."""
+        """Fly to the end, one turn of 30 Hz per step; the last event is ``done`` or ``failed``."""
         self.event("start", vehicles=list(self.view.names), patterns=self.mission.patterns)
         try:
             yield from self._advance(self.mission.fly())
@@ -170,7 +170,7 @@ class FormationFlight:
             yield
 
     def _look(self) -> None:
-        """Take over where the swarm has come to, and record it."""
+        """Update the mission's view from the swarm, and record the positions."""
         swarm, view = self._swarm, self.view
         vehicles = swarm.vehicles
         view.time = vehicles.time_us / 1e6
@@ -211,7 +211,7 @@ class FormationFlight:
         }
 
     def record(self) -> FormationRecord:
-        """Return what has been flown; vehicles touch each other in full physics alone."""
+        """Return the record of the flight; collisions occur only in full physics."""
         return FormationRecord(
             names=tuple(self.view.names),
             truth=FleetTrack(self._source, np.array(self._times), np.array(self._places)),

@@ -1,1 +1,1 @@
-"""ROS bags as files: reading what is left of damaged ones, decoding messages, converting to other formats."""
+"""ROS bags as files: reading (also damaged ones), decoding of messages, conversion to other formats."""

@@ -1,6 +1,6 @@
-"""``./xtdrone convert FILE --to FORMAT``: bags as ROS 2 bags, MCAP, CSV, Parquet, or as a whole bag again.
+"""``./xtdrone convert FILE --to FORMAT``: convert bags to ROS 2 bags, MCAP, CSV or Parquet, or repair them.
 
-Exit status: 0 when all that can be read was converted, 1 when nothing can be read, 2 for a value that is not allowed.
+Exit status: 0 if all readable messages were converted, 1 if none is readable, 2 for a value that is not allowed.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from xtdrone_interaction.options import OptionError
 FORMATS = {
     "mcap": "ROS 2 bag with MCAP inside, which Foxglove opens",
     "ros2": "ROS 2 bag with SQLite inside",
-    "bag": "ROS 1 bag, whole and indexed, of one that is cut off",
+    "bag": "complete and indexed ROS 1 bag, from a truncated one",
     "csv": "a table for each topic",
     "parquet": "a table for each topic, typed and packed",
 }
@@ -149,7 +149,7 @@ def to_ros2(source: Source, target: Path, storage: str, topics: Sequence[str] | 
 
 def _nothing(source: Source, losses: Losses) -> str:
     """Return the error message for a conversion without any message."""
-    text = f"convert: {str(source.path)!r} has no messages of the topics that are wanted"
+    text = f"convert: {str(source.path)!r} has no messages of the selected topics"
     notes = [*source.notes, *losses.notes()]
     return "; ".join([f"{text} that can be read" if notes else text, *notes])
 
@@ -348,12 +348,12 @@ def _plain(value: Any) -> Any:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    parser.description = "Convert a bag, also one that a crash cut off: " + "; ".join(
+    parser.description = "Convert a bag, also one truncated by a crash: " + "; ".join(
         f"{k}: {v}" for k, v in FORMATS.items()
     )
     add = parser.add_argument
     add("file", type=Path, help="ROS 1 bag, or ROS 2 bag")
-    add("--to", choices=FORMATS, required=True, help="what it becomes")
+    add("--to", choices=FORMATS, required=True, help="format of the result")
     add("--topics", nargs="+", metavar="TOPIC", help="only these; * and ? stand for anything (default: all)")
     add("--out", type=Path, metavar="PATH", help="file or folder that does not exist yet (default: beside the bag)")
 

@@ -85,7 +85,7 @@ class BagFile:
         path: of the file.
         size: bytes.
         connections: by number; filled while the bag is read.
-        notes: what could not be read, and why, as sentences; filled while the bag is read.
+        notes: descriptions of unreadable parts with the reason, as sentences; filled while the bag is read.
         cut: whether the recorder did not finish it; known when the bag has been read.
     """
 
@@ -240,7 +240,7 @@ class BagFile:
                 damage = f"has a record of more than {_LONGEST_RECORD >> 20} MB"
                 break
         if following is not None:
-            self.notes.append(f"the chunk at byte {begin} says a wrong size; it was read as far as it makes sense")
+            self.notes.append(f"the chunk at byte {begin} states a wrong size; it was read as far as it is valid")
         elif end < begin + size or open_end:
             if open_end or rest or damage:
                 self.cut = True

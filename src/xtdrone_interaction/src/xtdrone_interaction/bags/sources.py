@@ -25,7 +25,7 @@ class Source(Protocol):
         path: of the file or folder.
         size: bytes.
         connections: by number; filled while it is read.
-        notes: what could not be read, as sentences; filled while it is read.
+        notes: descriptions of unreadable parts, as sentences; filled while it is read.
         cut: whether the recorder did not finish it; known when it has been read.
     """
 
@@ -280,5 +280,5 @@ class Losses:
         if self.unknown:
             notes.append(f"{self.unknown} messages are of topics whose description is lost; they are left out")
         for topic, (count, first) in sorted(self._damaged.items()):
-            notes.append(f"{count} messages of {topic} are not as their definition says; left out (the first {first})")
+            notes.append(f"{count} messages of {topic} do not match their definition; left out (the first {first})")
         return notes + [f"{text}; its messages are left out" for text in self.failed.values()]

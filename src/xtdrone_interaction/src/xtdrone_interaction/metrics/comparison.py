@@ -1,4 +1,4 @@
-"""Metrics of runs beside each other, whatever they were recorded in: bags, flight logs, archives, tables.
+"""Metrics of compared runs from any kind of recording: bags, flight logs, archives, tables.
 
 Positions are ENU, metres. Times count from a common beginning, s.
 """
@@ -39,7 +39,7 @@ class ComparedRun:
         armed: when the first vehicle was armed, s; None if unknown.
         log: the flight log, if it is one.
         patterns: metrics of the formation's reconfigurations, as in the report.
-        notes: what could not be read or is doubtful, as sentences.
+        notes: unreadable or doubtful parts, as sentences.
     """
 
     name: str
@@ -121,7 +121,7 @@ def aligned(runs: Sequence[ComparedRun], alignment: str) -> tuple[list[ComparedR
     """
     unknown = [run.name for run in runs if run.armed is None]
     if alignment == "armed" and unknown:
-        raise CompareError(f"compare: run {unknown[0]!r} does not say when it was armed; choose another --align")
+        raise CompareError(f"compare: the arming time of run {unknown[0]!r} is unknown; choose another --align")
     words = {
         "armed": "time since the first arming [s]",
         "motion": "time since the first motion [s]",

@@ -1,7 +1,7 @@
 """Metrics of a formation flight: settling, overshoot, steady error, distances, assignment.
 
 A *reconfiguration* lasts from the command of a pattern to the director's next phase. A follower's error is the distance
-from its place to its slot, the leader's place plus the follower's assigned offset.
+from its position to its slot, the leader's position plus the follower's assigned offset.
 """
 
 from __future__ import annotations

@@ -126,12 +126,12 @@ def shortcomings(report: dict[str, Any], persons: list[str]) -> list[str]:
     if report["outcome"] == CUT_SHORT:
         found.append("the search was cut short")
     if report["outcome"] == "not found" and persons:
-        there = "there is a person" if len(persons) == 1 else f"there are {len(persons)} persons"
-        found.append(f"nobody was found, and {there}")
+        present = "1 person" if len(persons) == 1 else f"{len(persons)} persons"
+        found.append(f"no person was found, but the region has {present}")
     for find in report["finds"]:
         if find["error"] is None or find["error"] > ERROR_LIMIT:
-            off = f"the nearest person was {find['error']:.1f} m away" if find["person"] else "nobody is there at all"
-            found.append(f"what {find['vehicle']} found is no person: {off}")
+            off = f"the nearest person was {find['error']:.1f} m away" if find["person"] else "the world has no persons"
+            found.append(f"the find of {find['vehicle']} is not a person: {off}")
     met = {find["person"] for find in report["finds"] if find["person"] and find["error"] <= ERROR_LIMIT}
     missed = [name for name in persons if name not in met]
     if report["outcome"] == "found" and missed and report["settings"].get("on_find") == "continue":

@@ -1,1 +1,1 @@
-"""What a recorded flight holds: bags, flight logs, archives and tables read into one :class:`.model.Recording`."""
+"""Recorded flights: bags, flight logs, archives and tables, each read into a :class:`.model.Recording`."""

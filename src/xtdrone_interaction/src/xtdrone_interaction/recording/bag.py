@@ -1,4 +1,4 @@
-"""Reads bags, ours and those of real MAVROS, whole or cut off.
+"""Read bags of this project and of the original MAVROS, complete or cut off.
 
 A vehicle is a namespace with MAVROS's topics: ``/iris_0/mavros/...`` is iris_0, ``/mavros/...`` is "mavros". Positions
 are ENU, metres. Times are the messages' own stamps where these are plausible, else the recorder's. Simulated time stays
@@ -495,7 +495,7 @@ class _Collector:
             if key[1] in _POSITIONS_AND_VELOCITIES or key[0] in (_MODEL, _TRUE):
                 series[key] = plausible(value)
                 if (lost := len(value) - len(series[key])) > 0:
-                    recording.notes.append(f"{lost} places of {' '.join(key)} are beyond anything, and left out")
+                    recording.notes.append(f"{lost} positions of {' '.join(key)} are out of range, and left out")
         names = {key[0] for key in series if key[0] not in (_MODEL, _TRUE)} | set(self.states) | set(self.texts)
         for name in sorted(names, key=natural_order):
             vehicle = VehicleRecord(name, {what: value for (owner, what), value in series.items() if owner == name})

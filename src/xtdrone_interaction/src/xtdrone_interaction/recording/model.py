@@ -100,7 +100,7 @@ class Recording:
     Attributes:
         path: of the first file.
         size: bytes of all files.
-        notes: what could not be read or is doubtful, as sentences.
+        notes: unreadable or doubtful parts, as sentences.
         cut: whether the file ends before its writer finished it.
         parts: number of flights in the file, separated by resets of simulated time; this is one of them.
         origin: zero of all times: 0 for simulated time, else s since 1970.

@@ -1,4 +1,4 @@
-"""Reads PX4's flight logs (ULog) with pyulog, also cut off and damaged ones.
+"""Read PX4's flight logs (ULog) with pyulog, also truncated and damaged ones.
 
 Frames are PX4's: NED positions and velocities; roll, pitch and yaw angles. Times are s since the log
 began.
@@ -75,7 +75,7 @@ class FlightLog:
     Attributes:
         path: of the file.
         size: bytes.
-        notes: what could not be read or is doubtful, as sentences.
+        notes: unreadable or doubtful parts, as sentences.
         whole: whether all of it could be read.
         cut: whether it ends before its writer finished it.
         duration: s.

@@ -105,7 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "pictures as PNG, and report.json. No ROS is needed."
     )
     add = parser.add_argument
-    add("files", type=Path, nargs="+", metavar="FILE", help="ROS 1 bag or ULog, also one that a crash cut off, ROS 2 "
+    add("files", type=Path, nargs="+", metavar="FILE", help="ROS 1 bag or ULog, also one truncated by a crash, ROS 2 "
         "bag, or flight.npz; or the bags of a split recording")  # fmt: skip
     add("--part", type=int, metavar="N", help="of a bag in which time was set back (default: the longest)")
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: <file>-analysis beside the file)")

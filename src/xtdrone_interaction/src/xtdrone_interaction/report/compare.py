@@ -183,17 +183,17 @@ def names_of(files: Sequence[Path], names: str | None) -> list[str]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
-        "Draw runs on the same axes and say how far they are from the first: report.html, pictures, "
+        "Draw runs on the same axes and compute their distance from the first: report.html, pictures, "
         "report.json. Runs are bags, ULogs, flight.npz, or tables (.csv: time, x, y, z in s and m ENU, vehicle)."
     )
     add = parser.add_argument
-    add("files", type=Path, nargs="+", metavar="FILE", help="two or more runs; the first is what the others are "
-        "compared with")  # fmt: skip
+    add("files", type=Path, nargs="+", metavar="FILE", help="two or more runs; the first is the "
+        "reference for the others")  # fmt: skip
     add("--names", metavar="NAMES", help="of the runs, with commas between (default: from their paths)")
     add("--align", choices=ALIGNMENTS, default="motion",
-        help="what times count from (default: the first motion of any vehicle)")  # fmt: skip
+        help="zero of the times (default: the first motion of any vehicle)")  # fmt: skip
     add("--vehicle", metavar="NAME", help="compare this vehicle alone; in a run with a single one, that one")
-    add("--from-place", action="store_true", help="count places from where each vehicle was at time 0")
+    add("--from-place", action="store_true", help="positions relative to each vehicle's position at time 0")
     add("--out", type=Path, metavar="FOLDER", help="where the report goes (default: comparison, beside the first run)")
 
 

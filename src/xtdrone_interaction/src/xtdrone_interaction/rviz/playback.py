@@ -21,8 +21,8 @@ import rosgraph
 
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_interaction import options
-from xtdrone_interaction.launched import signals_wait
-from xtdrone_interaction.processes import ProcessTree
+from xtdrone_interaction.demo_launch import defer_signals
+from xtdrone_interaction.process_tree import ProcessTree
 from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import FilmSettings
 from xtdrone_interaction.rviz.markers_node import SEARCH_EVENTS
@@ -96,7 +96,7 @@ def _master(work: Path) -> Iterator[str]:
                 raise StageError(f"rosmaster: does not answer on port {port}")
         yield uri
     finally:
-        with signals_wait():
+        with defer_signals():
             tree.stop(5.0)
 
 

@@ -24,7 +24,7 @@ import rosgraph
 from rich.console import Console
 
 from xtdrone_interaction import options, sim_cli
-from xtdrone_interaction.launched import DemoError, Interrupted, signals_raise, signals_wait
+from xtdrone_interaction.demo_launch import DemoError, Interrupted, defer_signals, raise_on_signals
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.rviz.film_options import FilmSettings, add_arguments, film_settings, parse, settings_of
 from xtdrone_interaction.rviz.stage import DRAWER, Stage, StageError, check_tools, node_environment
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console()
     try:
         settings = settings_of(arguments)
-        with signals_raise():
+        with raise_on_signals():
             return _film(settings, console)
     except OptionError as error:
         print(f"xtdrone: {error}", file=sys.stderr)
@@ -86,7 +86,7 @@ def _fly(command: Sequence[str]) -> int:
         except Interrupted as signalled:
             # Forward the signal and let the demo clean up, undisturbed by further signals.
             demo.send_signal(signalled.number)
-            with signals_wait():
+            with defer_signals():
                 demo.wait()
             raise
 

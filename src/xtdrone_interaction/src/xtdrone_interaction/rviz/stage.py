@@ -17,8 +17,8 @@ import rosgraph
 import roslib.packages
 
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.launched import DemoError, signals_wait
-from xtdrone_interaction.processes import ProcessTree
+from xtdrone_interaction.demo_launch import DemoError, defer_signals
+from xtdrone_interaction.process_tree import ProcessTree
 from xtdrone_interaction.rviz.film_options import FilmSettings
 from xtdrone_interaction.rviz.views import SHIPPED, Array, make_view, marker_parameters
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
@@ -221,7 +221,7 @@ class Stage:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with signals_wait():
+        with defer_signals():
             self.close()
 
 

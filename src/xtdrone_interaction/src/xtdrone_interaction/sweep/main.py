@@ -24,9 +24,9 @@ from rich.markup import escape
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import cli, options
+from xtdrone_interaction.console import PatientConsole
 from xtdrone_interaction.machine import machine_facts
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.screen import PatientConsole
 from xtdrone_interaction.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.sweep.plan import Plan
 from xtdrone_interaction.sweep.progress import Progress, one_line

@@ -1,4 +1,4 @@
-"""The compiled loop over a bag's records; a package of its own, so that only its own changes recompile it."""
+"""The compiled loop over a bag's records; a separate package, so that other changes do not recompile it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from xtdrone_control.kernel import compiler
 
 CONNECTION = -1
-"""In place of a connection's number: the record describes a connection."""
+"""Used instead of a connection's number: the record describes a connection."""
 OTHER = -2
-"""In place of a connection's number: a record of another kind."""
+"""Used instead of a connection's number: a record of another kind."""
 
 kernel = compiler(Path(__file__).parent)
 
@@ -26,7 +26,7 @@ def scan_records(
     offset: NDArray[np.int64],
     length: NDArray[np.int64],
 ) -> tuple[int, int]:
-    """Find the records in a part of an unpacked chunk, up to the first that is not whole or makes no sense.
+    """Find the records in a part of an unpacked chunk, up to the first incomplete or invalid one.
 
     Args:
         data: bytes of the chunk, shape (m,).

@@ -1,6 +1,6 @@
-"""Launch files as the commands run them: watched from the first moment, with a master of their own, leaving nothing.
+"""Run a launch file for a command: with its own ROS master, supervised from start to end, and cleaned up completely.
 
-A demo's flight is such a launch, with a director that tells how it goes.
+A demo flight is such a launch with a director node that reports its progress.
 """
 
 from __future__ import annotations
@@ -21,43 +21,43 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
-from xtdrone_interaction.deaths import Death, Deaths
-from xtdrone_interaction.display import Display, LineDisplay, LiveDisplay
+from xtdrone_interaction.ended_nodes import EndedNode, EndedNodes
 from xtdrone_interaction.feed import Feed, answers
 from xtdrone_interaction.flight_events import read_events
-from xtdrone_interaction.hints import advice, trouble
+from xtdrone_interaction.hints import advice, error_lines
 from xtdrone_interaction.missing import not_joined
 from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
-from xtdrone_interaction.processes import ProcessTree
+from xtdrone_interaction.process_tree import ProcessTree
+from xtdrone_interaction.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.sim_cli import MASTER_FILE, announce
 from xtdrone_interaction.startup import Startup
 
-_POLL = 0.2  # s, how often the processes are looked after
-_LOGS_PERIOD = 1.0  # s between two looks at all logs
-_GRACE = 1.0  # s for which a death is kept back: the simulator's, if that is its cause, may be noticed later
-_SILENCE_LIMIT = 60.0  # s between two messages of progress
-_PATIENCE = 25.0  # s that roslaunch gets to stop its nodes
-_NODE_PATIENCE = 8.0  # s that a node gets to stop
-_STOPPED = 5.0  # s between two looks, from which on this program has been stopped
-_VITAL = ("simulator", "mavros", "formation_director", "search_mission")  # without which no flight goes on
+_POLL = 0.2  # s between two polls of the processes
+_LOGS_PERIOD = 1.0  # s between two reads of the logs
+_GRACE = 1.0  # s to delay the report of an ended node: its cause, the end of the simulator, may be logged later
+_SILENCE_LIMIT = 60.0  # s between two progress messages
+_PATIENCE = 25.0  # s for roslaunch to stop its nodes
+_NODE_PATIENCE = 8.0  # s for a node to stop
+_STOPPED = 5.0  # s between two polls; a longer gap means that this program was suspended
+_VITAL = ("simulator", "mavros", "formation_director", "search_mission")  # required for the flight to continue
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-_INCOMPLETE = "participants have "  # joined, or not: the simulator's words while it waits for them at the start
-_TROUBLE_LINES = 12
+_INCOMPLETE = "participants have "  # "joined" or "not joined": the simulator's status while it waits at the start
+_ERROR_LINES = 12
 
 
 class DemoError(RuntimeError):
-    """The flight did not start, or not end as it should."""
+    """The flight did not start or did not end as expected."""
 
 
 class Interrupted(BaseException):
-    """SIGINT, SIGTERM or SIGHUP came.
+    """SIGINT, SIGTERM or SIGHUP was received.
 
     Attributes:
         number: the signal.
     """
 
     def __init__(self, number: int) -> None:
-        """Keep the signal's number."""
+        """Store the number of the signal."""
         super().__init__(signal.Signals(number).name)
         self.number = number
 
@@ -67,12 +67,12 @@ class Launch:
     """A launch file with its arguments.
 
     Attributes:
-        file: in launch/, or an absolute path.
+        file: path relative to launch/, or absolute.
         arguments: of the launch file.
         out: folder of the results; the logs are in ``out / "logs"``.
-        master_port: TCP port of the launch's own ROS master; 0: the one of ROS_MASTER_URI, which runs already.
-        headless: plain lines instead of the live display.
-        instance: of the simulations on this machine.
+        master_port: TCP port of the launch's own ROS master; 0 for the running master of ROS_MASTER_URI.
+        headless: print plain lines instead of the live display.
+        instance: number of the simulation on this machine.
     """
 
     file: str
@@ -84,19 +84,19 @@ class Launch:
 
     @property
     def master_uri(self) -> str:
-        """The ROS master's address."""
+        """The URI of the ROS master."""
         return f"http://127.0.0.1:{self.master_port}" if self.master_port else os.environ["ROS_MASTER_URI"]
 
     @property
     def log(self) -> Path:
-        """What roslaunch writes."""
+        """The log file of roslaunch."""
         return self.out / "logs" / "roslaunch.log"
 
     def command(self) -> list[str]:
-        """Return the command that runs it.
+        """Return the roslaunch command.
 
         Raises:
-            DemoError: there is no roslaunch.
+            DemoError: roslaunch is not installed.
         """
         program = shutil.which("roslaunch")
         if program is None:
@@ -109,36 +109,36 @@ class Launch:
         ]  # fmt: skip
 
     def environment(self) -> dict[str, str]:
-        """Return the environment of its processes."""
+        """Return the environment of the launched processes."""
         environment = dict(os.environ)
         environment["ROS_MASTER_URI"] = self.master_uri
         environment["ROS_LOG_DIR"] = str(self.out / "logs")
-        # nodes start by /usr/bin/env python3 where the workspace was not built: it must be this Python
+        # in an unbuilt workspace nodes start through /usr/bin/env python3, which must be this Python
         environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment.get('PATH', '')}"
         if self.master_port and not {"ROS_IP", "ROS_HOSTNAME"} & environment.keys():
             environment["ROS_IP"] = "127.0.0.1"
         if not _is_writable(Path(environment.get("ROS_HOME") or os.path.expanduser("~/.ros"))):
-            environment["ROS_HOME"] = str(self.out / "logs")  # where nodes run: without it roslaunch starts none
+            environment["ROS_HOME"] = str(self.out / "logs")  # the working directory of nodes, required by roslaunch
         return environment
 
 
 def _is_writable(folder: Path) -> bool:
-    """Return whether files can be made in ``folder``, which is made where it is not there."""
+    """Return whether ``folder``, or the nearest existing folder above it, is writable."""
     there = next(place for place in (folder, *folder.parents) if place.exists())
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flight(Launch):
-    """A launch file whose director tells how it goes, and ends it.
+    """A launch whose director node reports the progress of the flight and ends it.
 
     Attributes:
-        bag: recorded in ``out``, made readable if its recorder was killed. The director writes its events into
+        bag: file name in ``out``; the bag is reindexed if its recorder was killed. The director writes its events to
             ``out / "events.jsonl"``.
-        start_limit: wall s for which nothing may move before the first message of the director; see ``startup``.
-        progress_topic, events_topic: the director's, std_msgs/String with JSON.
-        last_events: with which of them the flight ends.
-        show_event: shows an event that a user wants to read.
+        start_limit: maximum wall time without progress before the director's first message, s; see ``startup``.
+        progress_topic, events_topic: published by the director, std_msgs/String with JSON.
+        last_events: names of the events that end the flight.
+        show_event: displays an event that is of interest to the user.
     """
 
     bag: str
@@ -154,18 +154,20 @@ class Flight(Launch):
 
 
 class Watch:
-    """Looks after a launch that runs: its processes, its logs, and what it tells on its topics.
+    """Supervises a running launch: its processes, logs and topics.
 
     Attributes:
-        deaths: nodes that have ended.
-        startup: what the logs tell of the start.
-        display: shows all of it.
-        status: the simulator's newest, see ``feed``; None before the first.
+        ended_nodes: nodes that have ended.
+        startup: progress of the start, read from the logs.
+        display: shows progress and messages.
+        status: latest status of the simulator, see ``feed``; None before the first.
     """
 
-    def __init__(self, tree: ProcessTree, launch: Launch, feed: Feed, display: Display, deaths: Deaths) -> None:
-        """Watch ``tree``, which runs ``launch``."""
-        self.deaths = deaths
+    def __init__(
+        self, tree: ProcessTree, launch: Launch, feed: Feed, display: Display, ended_nodes: EndedNodes
+    ) -> None:
+        """Supervise ``tree``, which runs ``launch``."""
+        self.ended_nodes = ended_nodes
         self.display = display
         self.startup = Startup(launch.out / "logs")
         self.status: dict[str, Any] | None = None
@@ -175,45 +177,45 @@ class Watch:
         self._sim_time: float | None = None
         self._moved = self._logs_read = self._looked = time.monotonic()
         self._shown: set[str] = set()
-        self._first_death = 0.0
+        self._first_end = 0.0
 
     @property
-    def still(self) -> float:
-        """Wall s since something has moved."""
+    def stalled_time(self) -> float:
+        """Wall time since the last progress, s."""
         return time.monotonic() - self._moved
 
     def started(self) -> bool:
-        """Return whether roslaunch has started any node."""
-        self.startup.look()
+        """Return whether roslaunch has started at least one node."""
+        self.startup.update()
         return self.startup.started > 0
 
     def running(self) -> bool:
-        """Return whether roslaunch runs."""
+        """Return whether roslaunch is running."""
         return not self._tree.wait(0.0)
 
-    def look(self, *, starting: bool) -> list[dict[str, Any]]:
-        """Look at everything, for a moment, and return the messages that are new; see ``feed``.
+    def poll(self, *, starting: bool) -> list[dict[str, Any]]:
+        """Poll topics, logs and processes, and return the new messages; see ``feed``.
 
         Args:
-            starting: whether new lines of logs count as movement.
+            starting: whether new log lines count as progress.
 
         Raises:
-            DemoError: the connection to the launch's topics has broken.
+            DemoError: the child process that receives the topics has ended.
         """
         messages = self._feed.take(_POLL)
         for message in messages:
             self._note(message)
         now = time.monotonic()
         gap, self._looked = now - self._looked, now
-        if gap > _STOPPED:  # this program has been stopped, and the others with it as on a machine that sleeps
+        if gap > _STOPPED:  # this program was suspended, and probably all others with it (a sleeping machine)
             self._moved += gap
         if now - self._logs_read >= _LOGS_PERIOD:
             self._logs_read = now
-            if self.startup.look() and (starting or self.startup.compiling):
+            if self.startup.update() and (starting or self.startup.compiling):
                 self._moved = now
             self._show_standstill()
-        self.show_deaths(now)
-        if self._feed.lost and self.running() and self.still > _GRACE:
+        self.show_ended_nodes(now)
+        if self._feed.lost and self.running() and self.stalled_time > _GRACE:
             words = self._feed.last_words()
             raise DemoError(f"the watching node has ended{': ' * bool(words)}{words}")
         return messages
@@ -224,7 +226,7 @@ class Watch:
             self._moved = now
             self._sim_time = message.get("message", {}).get("sim_time", self._sim_time)
             return
-        # a pause, or a node at a breakpoint: however long, nothing is wrong
+        # a pause, or a node at a breakpoint, may last any time
         if message["held"] or self.status is None or message["joined"] != self.status["joined"]:
             self._moved = now
         self.status = message
@@ -235,29 +237,29 @@ class Watch:
         if self.startup.compiling or self.status is not None:
             self.display.standstill(self.startup.compiling or status)
 
-    def show_deaths(self, now: float = float("inf")) -> None:
-        """Show the nodes that have ended, at wall time ``now``, s, a moment after their end."""
-        new = self.deaths.look(self._sim_time)
-        if new and not self._first_death:
-            self._first_death = time.monotonic()
-        if self.deaths.required is None and now - self._first_death < _GRACE:
+    def show_ended_nodes(self, now: float = float("inf")) -> None:
+        """Show the nodes that have ended, delayed by ``_GRACE``; ``now`` is wall time, s."""
+        new = self.ended_nodes.update(self._sim_time)
+        if new and not self._first_end:
+            self._first_end = time.monotonic()
+        if self.ended_nodes.required is None and now - self._first_end < _GRACE:
             return
-        for death in self.deaths.all():
-            if death.node not in self._shown:
-                self._shown.add(death.node)
-                self.display.note(f"  [red]{escape(str(death))}[/red]")
-        if self.deaths.consequences:
-            names, self.deaths.consequences = self.deaths.consequences, []
+        for ended in self.ended_nodes.all():
+            if ended.node not in self._shown:
+                self._shown.add(ended.node)
+                self.display.note(f"  [red]{escape(str(ended))}[/red]")
+        if self.ended_nodes.consequences:
+            names, self.ended_nodes.consequences = self.ended_nodes.consequences, []
             self.display.note(f"  with it: {escape(', '.join(names))}")
 
-    def dead(self) -> list[Death]:
-        """Return the nodes that have died, as against those that have done their work, once their cause is known."""
-        died = [death for death in self.deaths.all() if death.matters and death.died]
-        known = self.deaths.required is not None or time.monotonic() - self._first_death >= _GRACE
+    def dead(self) -> list[EndedNode]:
+        """Return the nodes that died rather than finished, once the cause is known."""
+        died = [ended for ended in self.ended_nodes.all() if ended.matters and ended.died]
+        known = self.ended_nodes.required is not None or time.monotonic() - self._first_end >= _GRACE
         return died if known else []
 
-    def why_still(self) -> str:
-        """Say why nothing moves, as far as that can be told; empty, or ending in a full clause."""
+    def standstill_reason(self) -> str:
+        """Return the reason for the missing progress as a clause."""
         if not answers(self._launch.master_uri):
             return f"the ROS master at {self._launch.master_uri} does not answer"
         if self.status is None:
@@ -268,51 +270,51 @@ class Watch:
         return text or f"simulated time is {self.status['time']:.1f} s"
 
     def not_joined(self) -> str:
-        """Name the nodes that have not joined the simulator, with what is known of each; empty, or after a colon."""
+        """Return ": " and the nodes that have not joined the simulator with their states; empty if there are none."""
         joined = () if self.status is None else self.status["joined"]
-        words = not_joined(_log_lines(self._launch), joined, self.deaths.found, self._launch.log.parent)
+        words = not_joined(_log_lines(self._launch), joined, self.ended_nodes.found, self._launch.log.parent)
         return f": {words}" if words else ""
 
     def finish(self) -> None:
-        """Have the launch end by itself."""
-        with signals_wait():
+        """Wait for the launch to end on its own, and close the feed."""
+        with defer_signals():
             self._feed.close()
             self._tree.wait(_PATIENCE)
 
 
-def run_flight(flight: Flight, console: Console, conclude: Callable[[Deaths], int]) -> int:
+def run_flight(flight: Flight, console: Console, conclude: Callable[[EndedNodes], int]) -> int:
     """Fly to the end, then conclude.
 
     Args:
-        flight: what is flown.
+        flight: the flight to launch.
         console: for progress and errors.
-        conclude: makes report and pictures of the finished flight, given the nodes that ended in it, and returns the
-            exit status; it may raise DemoError.
+        conclude: writes the report and pictures of the finished flight, given the nodes that ended during it, and
+            returns the exit status; may raise DemoError.
 
     Returns:
-        The exit status: what ``conclude`` returned, 1 for a flight that failed, 128 + signal when stopped.
+        The exit status: that of ``conclude``, 1 for a flight that failed, 128 + signal when stopped.
     """
-    deaths = Deaths(flight.log)
+    ended_nodes = EndedNodes(flight.log)
 
     def fly() -> int:
         console.print(_how_to_control(flight), highlight=False, soft_wrap=True)
         topics = {"progress": flight.progress_topic, "events": flight.events_topic}
         try:
-            with watching(flight, console, deaths, topics) as watch:
+            with watching(flight, console, ended_nodes, topics) as watch:
                 _watch(watch, flight)
         finally:
-            with signals_wait():
+            with defer_signals():
                 _mend_bag(flight.out / flight.bag, flight.environment())
-        return conclude(deaths)
+        return conclude(ended_nodes)
 
     return run_launch(flight, console, fly)
 
 
 def run_launch(launch: Launch, console: Console, run: Callable[[], int]) -> int:
-    """Run something, and say on the console how it fails.
+    """Call ``run``, and report its failure on the console.
 
     Returns:
-        What ``run`` returned, 1 where it failed, 128 + signal when stopped.
+        The exit status: that of ``run``, 1 if it failed, 128 + signal when stopped.
     """
     launch.log.parent.mkdir(parents=True)
     console.print(f"Results: {launch.out}", highlight=False, soft_wrap=True)
@@ -322,12 +324,12 @@ def run_launch(launch: Launch, console: Console, run: Callable[[], int]) -> int:
             f"{instance_port(GCS_REMOTE_PORT, launch.instance)}, './xtdrone gcs ... --instance {launch.instance}'",
             highlight=False, soft_wrap=True,
         )  # fmt: skip
-    with signals_raise():
+    with raise_on_signals():
         try:
             return run()
         except DemoError as error:
             console.print(f"[red]Error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
-            print_trouble(launch, console)
+            print_log_errors(launch, console)
             return 1
         except Interrupted as signalled:
             console.print(f"stopped by {signalled}; nothing is left running", highlight=False)
@@ -343,18 +345,18 @@ def _how_to_control(launch: Launch) -> str:
 
 @contextlib.contextmanager
 def watching(
-    launch: Launch, console: Console, deaths: Deaths, topics: Mapping[str, str], vehicles: Sequence[str] = ()
+    launch: Launch, console: Console, ended_nodes: EndedNodes, topics: Mapping[str, str], vehicles: Sequence[str] = ()
 ) -> Iterator[Watch]:
-    """Run a launch for as long as the block takes; nothing of it is left afterwards.
+    """Run a launch for the duration of the context; end all of its processes at the exit.
 
     Args:
-        launch: what is run.
-        console: shows what becomes of it.
-        deaths: takes the nodes that end.
-        topics, vehicles: what else the feed tells, see ``Feed``.
+        launch: the launch to run.
+        console: shows the progress.
+        ended_nodes: collects the nodes that end.
+        topics, vehicles: subscribed by the feed, see ``Feed``.
 
     Raises:
-        DemoError: it cannot be started.
+        DemoError: the launch cannot be started.
     """
     environment = launch.environment()
     master = launch.out / MASTER_FILE
@@ -371,9 +373,9 @@ def watching(
             raise DemoError(f"the launch cannot be started: {error}") from error
         plain = launch.headless or not console.is_terminal
         display = LineDisplay(console) if plain else LiveDisplay(console)
-        yield Watch(tree, launch, feed, display, deaths)
+        yield Watch(tree, launch, feed, display, ended_nodes)
     finally:
-        with signals_wait():
+        with defer_signals():
             if display is not None:
                 display.close()
             if feed is not None:
@@ -386,7 +388,7 @@ def watching(
 
 
 def master_port(wanted: int | None, *, use_running: bool) -> int:
-    """Return the TCP port of the flight's own ROS master, 0 where the one of ROS_MASTER_URI is used.
+    """Return the TCP port of the flight's own ROS master; 0 to use the one of ROS_MASTER_URI.
 
     Raises:
         OptionError: the port is taken, or no master answers.
@@ -403,7 +405,7 @@ def check_master(uri: str) -> None:
     """Check that a ROS master answers at a URI.
 
     Raises:
-        OptionError: none does.
+        OptionError: no master answers.
     """
     if not answers(uri):
         raise OptionError(f"master: none answers at ROS_MASTER_URI {uri!r}; start roscore, or leave out --use-master")
@@ -413,11 +415,11 @@ def _watch(watch: Watch, flight: Flight) -> None:
     """Show the flight's progress until roslaunch has ended.
 
     Raises:
-        DemoError: it ended before the flight did, a node died at the start, or the director fell silent.
+        DemoError: roslaunch ended before the flight did, a node died at the start, or the director stopped publishing.
     """
     begun, outcome = False, ""
     while watch.running() and outcome not in flight.last_events:
-        for message in watch.look(starting=not begun):
+        for message in watch.poll(starting=not begun):
             if message["kind"] == "progress":
                 begun = True
                 watch.display.update(message["message"])
@@ -428,30 +430,30 @@ def _watch(watch: Watch, flight: Flight) -> None:
         dead = [] if begun else watch.dead()
         if dead:
             raise DemoError(f"a node died before the flight began: {dead[0]}")
-        dropped = next((death for death in watch.deaths.all() if death.dropped and death.node in _VITAL), None)
+        dropped = next((ended for ended in watch.ended_nodes.all() if ended.dropped and ended.node in _VITAL), None)
         if dropped:
-            raise DemoError(f"the flight cannot go on: {dropped}")
+            raise DemoError(f"the flight cannot continue: {dropped}")
         if begun:
-            check_still(watch, _SILENCE_LIMIT, "no message from the director has come")
+            check_progress(watch, _SILENCE_LIMIT, "no message received from the director")
         else:
-            check_still(watch, flight.start_limit, "the flight did not begin: nothing has moved")
-    watch.show_deaths()
+            check_progress(watch, flight.start_limit, "the flight did not begin: no progress")
+    watch.show_ended_nodes()
     if outcome in flight.last_events:
         watch.finish()
     events = flight.events()
     if not events or events[-1]["event"] not in flight.last_events:
-        failure = watch.deaths.failure
+        failure = watch.ended_nodes.failure
         raise DemoError(f"the flight ended early{'' if failure is None else f': {failure}'}")
 
 
-def check_still(watch: Watch, limit: float, what: str) -> None:
-    """Check that something has moved within ``limit`` s of wall time.
+def check_progress(watch: Watch, limit: float, what: str) -> None:
+    """Check that there was progress within ``limit`` s of wall time.
 
     Raises:
-        DemoError: nothing has; the message begins with ``what`` and names the cause, as far as it can be told.
+        DemoError: there was none; the message begins with ``what`` and names the cause, if it is known.
     """
-    if watch.still > limit:
-        raise DemoError(f"{what} for {limit:.0f} s of wall time; {watch.why_still()}")
+    if watch.stalled_time > limit:
+        raise DemoError(f"{what} for {limit:.0f} s of wall time; {watch.standstill_reason()}")
 
 
 def _log_lines(flight: Launch) -> list[str]:
@@ -460,23 +462,23 @@ def _log_lines(flight: Launch) -> list[str]:
     return _COLOURS.sub("", flight.log.read_text(encoding="utf-8", errors="replace")).splitlines()
 
 
-def print_trouble(launch: Launch, console: Console) -> None:
-    """Print what the launch's log says of the cause, and what to do about it."""
+def print_log_errors(launch: Launch, console: Console) -> None:
+    """Print the errors in the launch's log, and how to resolve the known ones."""
     lines = _log_lines(launch)
-    for line in trouble(lines)[:_TROUBLE_LINES]:
+    for line in error_lines(lines)[:_ERROR_LINES]:
         console.print(f"  {escape(line)}", highlight=False, soft_wrap=True)
     for words in advice("\n".join(lines)):
         console.print(f"What to do: {escape(words)}", highlight=False, soft_wrap=True)
-    console.print(f"All of it: {launch.log.parent}", highlight=False, soft_wrap=True)
+    console.print(f"All logs: {launch.log.parent}", highlight=False, soft_wrap=True)
 
 
 def escape(text: str) -> str:
-    """Return ``text`` so that rich prints it as it is."""
+    """Return ``text`` with rich's markup escaped."""
     return text.replace("[", r"\[")
 
 
 def _mend_bag(bag: Path, environment: dict[str, str]) -> None:
-    """Make a bag readable whose recorder was killed."""
+    """Reindex the bag of a killed recorder."""
     active = bag.with_suffix(".bag.active")
     program = shutil.which("rosbag")
     if not active.is_file() or program is None:
@@ -488,7 +490,7 @@ def _mend_bag(bag: Path, environment: dict[str, str]) -> None:
 
 
 @contextlib.contextmanager
-def signals_raise() -> Iterator[None]:
+def raise_on_signals() -> Iterator[None]:
     """Raise :class:`Interrupted` in the main thread at SIGINT, SIGTERM and SIGHUP."""
 
     def handler(number: int, _: Any) -> None:
@@ -499,8 +501,8 @@ def signals_raise() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def signals_wait() -> Iterator[None]:
-    """Let signals wait until the block has ended: cleaning up must not be cut short."""
+def defer_signals() -> Iterator[None]:
+    """Defer signals until the end of the context, so that a clean-up is not interrupted."""
     pending: list[int] = []
     with _handlers(lambda number, _: pending.append(number)):
         yield

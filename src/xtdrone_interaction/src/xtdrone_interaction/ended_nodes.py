@@ -1,4 +1,4 @@
-"""Nodes that end while a flight goes on, as roslaunch's log tells of them. No ROS is needed."""
+"""Nodes that end during a flight, according to the log of roslaunch. ROS is not needed."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ _CRASHED = re.compile(r"^it (?:has )?crashed: ")
 _DIED = "has died"
 _DROPPED = "was dropped by the simulator"
 _BY_ITSELF = "has ended by itself"
-_ONLOOKER = "visualize"  # the live window, which may be closed at any time
-_MAY_END = (_ONLOOKER, "upload_plans")  # a ground station that has done its work
+_ONLOOKER = "visualize"  # the live window, which the user may close at any time
+_MAY_END = (_ONLOOKER, "upload_plans")  # the ground station ends after the upload
 _ALL_END = re.compile(r"^\[[^\]]+-\d+\] killing on exit|Initiating shutdown|REQUIRED process")
-# roslaunch: "====REQUIRED process [simulator-2] has died!", and in the next line how
+# roslaunch: "====REQUIRED process [simulator-2] has died!", and the reason in the next line
 _REQUIRED = re.compile(r"REQUIRED process \[(?P<node>[^\]]+?)(?:-\d+)?\] has died!")
 _REQUIRED_HOW = re.compile(r"^process has (?P<how>died|finished cleanly)(?:.*?exit code (?P<code>-?\d+))?")
 SIMULATOR = "simulator"
 MASTER = "master"
-_GAVE_UP = (_DIED, f"{_DIED} (exit code 1)", _BY_ITSELF)  # what becomes of a participant whose simulator fails
-_TOGETHER = 2.0  # wall s before the simulator's end in which a participant's is taken for its consequence
+_GAVE_UP = (_DIED, f"{_DIED} (exit code 1)", _BY_ITSELF)  # ends of a participant whose simulator fails
+_TOGETHER = 2.0  # s of wall time; a participant that ends at most so long before the simulator ended because of it
 
 
 @dataclass(frozen=True)
-class Death:
-    """A node that has ended while the flight went on.
+class EndedNode:
+    """A node that has ended during the flight.
 
     Attributes:
-        node: its name without the leading slash.
-        time: simulated s when that was noticed; None before time has started.
-        how: what became of it, in words.
-        log: where to look for the cause.
+        node: name without the leading slash.
+        time: simulated time of detection, s; None before time has started.
+        how: description of the end.
+        log: file with the cause.
     """
 
     node: str
@@ -52,78 +52,78 @@ class Death:
 
     @property
     def matters(self) -> bool:
-        """Whether the flight is not what it should be without the node."""
+        """Whether the flight is degraded without the node."""
         return self.node != _ONLOOKER
 
     @property
     def died(self) -> bool:
-        """Whether it has not ended by itself."""
+        """Whether it died rather than finished."""
         return self.how.startswith(_DIED)
 
     @property
     def dropped(self) -> bool:
-        """Whether the simulator no longer waits for it, though it may run."""
+        """Whether the simulator dropped it from the lockstep; its process may still be running."""
         return self.how.startswith(_DROPPED)
 
     def __str__(self) -> str:
-        """Return it in a sentence."""
+        """Return the sentence for the terminal and the report."""
         when = "" if self.time is None else f" at {self.time:.1f} s"
         return f"{self.node} {self.how}{when}, see {self.log}"
 
 
-class Deaths:
+class EndedNodes:
     """The nodes that have ended, each once.
 
     Attributes:
-        found: in the order in which they ended, those left out that ended with the simulator.
-        required: the required node with which the launch ended; None while it goes on.
+        found: by name in the order in which they ended, without those in ``consequences``.
+        required: the required node whose end ended the launch; None before that.
         consequences: nodes that ended because the simulator did.
     """
 
     def __init__(self, log: Path) -> None:
-        """Have read nothing yet of roslaunch's ``log``."""
+        """Prepare to read roslaunch's ``log`` from its beginning."""
         self._log = log
         self._read = 0
         self._closed = False
-        self._ending = ""  # the required node of which the next line says how it ended
+        self._ending = ""  # the required node whose reason is in the next line
         self._wall: dict[str, float] = {}  # when each was found, s
-        self.found: dict[str, Death] = {}
-        self.required: Death | None = None
+        self.found: dict[str, EndedNode] = {}
+        self.required: EndedNode | None = None
         self.consequences: list[str] = []
 
     @property
-    def failure(self) -> Death | None:
-        """The required node that died, as against one that has done its work."""
+    def failure(self) -> EndedNode | None:
+        """The required node, if it died rather than finished."""
         return None if self.required is None or self.required.how == _BY_ITSELF else self.required
 
-    def all(self) -> list[Death]:
-        """Return all that ended: first the required node that took the others with it, then in their order."""
+    def all(self) -> list[EndedNode]:
+        """Return all nodes that ended: the required one first, then the others in their order."""
         first = [] if self.failure is None else [self.failure]
         return [*first, *self.found.values()]
 
-    def look(self, sim_time: float | None) -> list[Death]:
-        """Read what the log has got since the last look and return the nodes that are new.
+    def update(self, sim_time: float | None) -> list[EndedNode]:
+        """Read the new lines of the log and return the nodes that have ended since the last call.
 
         Args:
-            sim_time: s, of now.
+            sim_time: current simulated time, s.
         """
         new = []
         for line in self._lines():
             self._look_for_required(line, sim_time)
             self._closed = self._closed or _ALL_END.search(line) is not None
-            death = None if self._closed else self._death(line, sim_time)
-            if death is None or (death.node in _MAY_END and death.how == _BY_ITSELF):
+            ended = None if self._closed else self._ended_node(line, sim_time)
+            if ended is None or (ended.node in _MAY_END and ended.how == _BY_ITSELF):
                 continue
-            if death.node not in self.found:
-                new.append(death.node)
-                self.found[death.node] = death
-                self._wall[death.node] = time.monotonic()
-            elif self.found[death.node].how == _DIED:  # roslaunch knows more of the end than the simulator does
-                self.found[death.node] = replace(self.found[death.node], how=death.how, log=death.log)
+            if ended.node not in self.found:
+                new.append(ended.node)
+                self.found[ended.node] = ended
+                self._wall[ended.node] = time.monotonic()
+            elif self.found[ended.node].how == _DIED:  # roslaunch gives more detail than the simulator
+                self.found[ended.node] = replace(self.found[ended.node], how=ended.how, log=ended.log)
         return [self.found[node] for node in new if node in self.found]
 
     def _look_for_required(self, line: str, sim_time: float | None) -> None:
-        """Note the required node that ends the launch, and what ended with it."""
+        """Store the required node that ends the launch, and the nodes that ended because of it."""
         required = _REQUIRED.search(line)
         if required:
             self._ending = required["node"]
@@ -132,17 +132,17 @@ class Deaths:
         if how is None:
             return
         node, self._ending = self._ending, ""
-        self.required = Death(node, sim_time, _how(how["how"], how["code"]), self._where(node))
+        self.required = EndedNode(node, sim_time, _how(how["how"], how["code"]), self._where(node))
         self.found.pop(node, None)
         if node in (SIMULATOR, MASTER) and self.failure is not None:
             begin = time.monotonic() - _TOGETHER
-            late = [death for name, death in self.found.items() if self._wall[name] >= begin]
-            self.consequences = [death.node for death in late if death.how in _GAVE_UP]
+            late = [ended for name, ended in self.found.items() if self._wall[name] >= begin]
+            self.consequences = [ended.node for ended in late if ended.how in _GAVE_UP]
             for name in self.consequences:
                 del self.found[name]
 
     def _lines(self) -> list[str]:
-        """Return the whole lines that are new."""
+        """Return the complete new lines."""
         try:
             with self._log.open("rb") as file:
                 file.seek(self._read)
@@ -153,20 +153,20 @@ class Deaths:
         self._read += len(whole)
         return _COLOURS.sub("", whole.decode("utf-8", errors="replace")).splitlines()
 
-    def _death(self, line: str, sim_time: float | None) -> Death | None:
+    def _ended_node(self, line: str, sim_time: float | None) -> EndedNode | None:
         ended = _ENDED.search(line)
         if ended:
             node = ended["node"]
-            return Death(node, sim_time, _how(ended["how"], ended["code"]), self._where(node))
+            return EndedNode(node, sim_time, _how(ended["how"], ended["code"]), self._where(node))
         lost = _LOST.search(line)
         if lost:
             node = lost["node"]
             when = float(lost["time"]) if lost["time"] else sim_time
-            return Death(node, when, _lost(lost["crash"], lost["why"]), self._where(node))
+            return EndedNode(node, when, _lost(lost["crash"], lost["why"]), self._where(node))
         return None
 
     def _where(self, node: str) -> str:
-        """Return the file with the cause: the node's own where it has a traceback, else that with all nodes' errors."""
+        """Return the file with the cause: the node's log if it has a traceback, else the log with all errors."""
         for path in sorted(self._log.parent.glob(f"*/{node.replace('/', '-')}-[0-9]*.log")):
             if b"Traceback" in path.read_bytes():
                 return str(path)

@@ -1,4 +1,4 @@
-"""The progress of a flight on the terminal: a live line where there is a terminal, else a line every few seconds."""
+"""The progress of a flight: a live display on a terminal, else a line every few seconds."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-_SPAN = 1.0  # s of wall time over which the real-time factor is taken
-_REMINDER = 30.0  # s of wall time between two lines while the world stands still
-_FIGURES = re.compile(r" \(|: ")  # begins what changes in a standstill's text: "waiting for /x (4 s)"
-_LINE_PERIOD = 5.0  # s of wall time between two lines where there is no terminal
+_SPAN = 1.0  # s of wall time over which the real-time factor is averaged
+_REMINDER = 30.0  # s of wall time between two lines while simulated time stands still
+_FIGURES = re.compile(r" \(|: ")  # begins the varying part of a standstill's text: "waiting for /x (4 s)"
+_LINE_PERIOD = 5.0  # s of wall time between two lines without a terminal
 
 
 class Display(Protocol):
-    """What the flight's progress is shown on."""
+    """A display of the flight's progress."""
 
     def note(self, text: str) -> None:
-        """Show a line that stays."""
+        """Print a permanent line."""
 
     def update(self, progress: dict[str, Any]) -> None:
         """Show a message of /xtdrone/demo/progress."""
 
     def standstill(self, text: str) -> None:
-        """Show why the world stands still; empty: it moves."""
+        """Show why simulated time stands still; empty while it advances."""
 
     def close(self) -> None:
         """End the display."""
 
 
 class RealTimeFactor:
-    """How fast simulated time passes, over the last second or so of wall time."""
+    """The real-time factor over about the last second of wall time."""
 
     def __init__(self, span: float = _SPAN) -> None:
-        """Know nothing yet; ``span`` is in s of wall time."""
+        """Start without samples; ``span`` is the averaging time, s of wall time."""
         self._span = span
         self._factor = 0.0
         self._since: tuple[float, float] | None = None
@@ -56,7 +56,7 @@ def figures(progress: dict[str, Any], factor: float) -> str:
     """Return the figures of a progress message as text.
 
     Args:
-        progress: its ``sim_time`` (s), and where they are given ``error`` (m), ``least_distance`` (m), ``text``.
+        progress: ``sim_time`` (s), and optionally ``error`` (m), ``least_distance`` (m), ``text``.
         factor: real-time factor.
     """
     parts = [f"sim {progress['sim_time']:6.1f} s", f"{factor:4.1f} x real time"]
@@ -70,7 +70,7 @@ def figures(progress: dict[str, Any], factor: float) -> str:
 
 
 class _TwoLines(Progress):
-    """A bar with the task's figures on a line of their own, so that both fit 80 columns."""
+    """A bar with the task's figures on a second line, so that both fit 80 columns."""
 
     def get_renderables(self) -> Iterable[RenderableType]:
         """Yield the bar, then the figures."""
@@ -80,7 +80,7 @@ class _TwoLines(Progress):
 
 
 class LiveDisplay:
-    """Two lines that change in place, below the notes."""
+    """Two lines updated in place, below the permanent lines."""
 
     def __init__(self, console: Console, begin: str = "starting the nodes") -> None:
         """Show that the flight begins, in the words of ``begin``."""
@@ -115,12 +115,12 @@ class LiveDisplay:
         )
 
     def standstill(self, text: str) -> None:
-        """Show ``text`` in place of the figures; empty: the figures again."""
+        """Show ``text`` instead of the figures; the figures if it is empty."""
         self._standstill = text
         self._progress.update(self._task, figures=text or self._figures)
 
     def close(self) -> None:
-        """Leave the last line as it is."""
+        """Stop updating; the last lines remain."""
         self._progress.stop()
 
 
@@ -142,7 +142,7 @@ class LineDisplay:
         self._console.print(text, highlight=False, soft_wrap=True)
 
     def update(self, progress: dict[str, Any]) -> None:
-        """Show a message of /xtdrone/demo/progress when it is time for one."""
+        """Print a message of /xtdrone/demo/progress if a line is due."""
         now = time.monotonic()
         factor = self._factor.update(progress["sim_time"], now)
         if progress["phase"] == self._phase and now - self._shown < _LINE_PERIOD:
@@ -151,7 +151,7 @@ class LineDisplay:
         self.note(f"{progress['step']:2d}/{progress['steps']} {progress['phase']:<18} {figures(progress, factor)}")
 
     def standstill(self, text: str) -> None:
-        """Show a line when the world stops for another cause than before, or goes on, and now and then between."""
+        """Print a line when the cause of a standstill changes or time resumes, and a reminder now and then."""
         now, cause = time.monotonic(), _FIGURES.split(text)[0]
         if cause == self._standstill and (not text or now - self._reminded < _REMINDER):
             return
@@ -159,4 +159,4 @@ class LineDisplay:
         self._standstill, self._reminded = cause, now
 
     def close(self) -> None:
-        """Nothing is left open."""
+        """Do nothing; every line is complete."""

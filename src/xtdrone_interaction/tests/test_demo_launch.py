@@ -7,33 +7,33 @@ from types import SimpleNamespace
 
 import pytest
 
-from xtdrone_interaction import launched
-from xtdrone_interaction.deaths import Deaths
+from xtdrone_interaction import demo_launch
+from xtdrone_interaction.ended_nodes import EndedNodes
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     clock = SimpleNamespace(now=100.0)
-    monkeypatch.setattr(launched.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(demo_launch.time, "monotonic", lambda: clock.now)
     return clock
 
 
-def made(folder: Path) -> launched.Watch:
+def made(folder: Path) -> demo_launch.Watch:
     tree = SimpleNamespace(wait=lambda _: False)
     feed = SimpleNamespace(take=lambda _: [], lost=False)
     display = SimpleNamespace(note=lambda _: None, standstill=lambda _: None)
-    return launched.Watch(tree, SimpleNamespace(out=folder), feed, display, Deaths(folder / "roslaunch.log"))
+    return demo_launch.Watch(tree, SimpleNamespace(out=folder), feed, display, EndedNodes(folder / "roslaunch.log"))
 
 
 def test_time_in_which_the_watcher_itself_was_stopped_does_not_count(clock: SimpleNamespace, tmp_path: Path) -> None:
     watch = made(tmp_path)
     for _ in range(40):
         clock.now += 0.5
-        watch.look(starting=False)
-    assert watch.still == pytest.approx(20.0)
+        watch.poll(starting=False)
+    assert watch.stalled_time == pytest.approx(20.0)
     clock.now += 3600.0
-    watch.look(starting=False)
-    assert watch.still == pytest.approx(20.0)
+    watch.poll(starting=False)
+    assert watch.stalled_time == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(("node", "ends"), [("mavros", True), ("follower_2", False)])
@@ -50,10 +50,10 @@ def test_a_flight_ends_when_the_simulator_drops_what_it_cannot_do_without(
     watch.running = lambda: next(looks, None) is not None  # type: ignore[method-assign]
     flight.events = lambda: [{"event": "done"}]
     if ends:
-        with pytest.raises(launched.DemoError, match="cannot go on: mavros was dropped by the simulator"):
-            launched._watch(watch, flight)
+        with pytest.raises(demo_launch.DemoError, match="cannot continue: mavros was dropped by the simulator"):
+            demo_launch._watch(watch, flight)
     else:
-        launched._watch(watch, flight)
+        demo_launch._watch(watch, flight)
 
 
 @pytest.mark.parametrize(("home", "moved"), [("/proc/self", True), ("", False)])
@@ -62,5 +62,5 @@ def test_nodes_run_where_they_can_when_the_home_cannot_be_written_to(
 ) -> None:
     monkeypatch.delenv("ROS_HOME", raising=False)
     monkeypatch.setenv("HOME", home or str(tmp_path))
-    environment = launched.Launch("a.launch", {}, tmp_path, 11311, headless=True).environment()
+    environment = demo_launch.Launch("a.launch", {}, tmp_path, 11311, headless=True).environment()
     assert environment.get("ROS_HOME") == (str(tmp_path / "logs") if moved else None)

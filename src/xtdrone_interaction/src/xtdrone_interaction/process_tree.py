@@ -1,10 +1,10 @@
-"""A tree of processes that is gone when it is told to, whatever becomes of any of its members. Linux only.
+"""A tree of processes that can be ended completely, even after some of its members have died. Linux only.
 
-roslaunch gives every node a session of its own, so neither a process group nor a session holds them all. Here each tree
-has a *guard* for its root: this very file, run as a program by a bare interpreter. The guard is the *subreaper* of what
-it starts: a process that loses its parent becomes the guard's child, so that all of the tree can be found and ended. It
-does so when its program has ended, and when the process that asked for the tree is gone by whatever cause, kill -9
-included. That process is a subreaper itself, in case the guard is killed.
+roslaunch starts every node in a new session, so neither a process group nor a session contains them all. The root of
+each tree is a *guard*: this file, run as a program by a bare interpreter. The guard is the *subreaper* of its
+descendants: a process that loses its parent becomes a child of the guard, so that the whole tree can be found and
+ended. The guard ends the tree when its program has ended, and when the process that created the tree has ended for any
+reason, including kill -9. That process is a subreaper, too, in case the guard is killed.
 """
 
 from __future__ import annotations
@@ -23,11 +23,15 @@ _PR_SET_PDEATHSIG = 1
 _PR_SET_CHILD_SUBREAPER = 36
 _POLL = 0.05  # s
 _Steps = Sequence[tuple[int, float]]
-_STEPS: _Steps = ((signal.SIGINT, 5.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))  # for what is left, s after each
-_ORPHANED = 12.0  # s that the program gets to end by itself when the process that asked for it is gone
-_TERMINATED = 3.0  # s that it gets after SIGTERM
+_STEPS: _Steps = (
+    (signal.SIGINT, 5.0),
+    (signal.SIGTERM, 3.0),
+    (signal.SIGKILL, 5.0),
+)  # for the remaining processes, s after each
+_ORPHANED = 12.0  # s for the program to end after SIGINT when the process that created the tree has ended
+_TERMINATED = 3.0  # s for it to end after SIGTERM
 _SIGNALLED = 128  # a guard ends with 128 + n when signal n has ended its program
-_LOOK = 1.0  # s between two looks at whether that process is there
+_LOOK = 1.0  # s between two checks of the creating process
 _HEARD = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 _libc = ctypes.CDLL(None, use_errno=True)
@@ -40,24 +44,24 @@ def _prctl(option: int, value: int) -> None:
 
 
 class ProcessTree:
-    """A program and everything that it starts.
+    """A program and all of its descendants.
 
     Attributes:
-        process: the program's guard, which hands signals on to it and ends with its status (128 + n for signal n).
-        pid: the program's own process id; 0 if it could not be started.
+        process: the program's guard, which forwards signals to it and ends with its status (128 + n for signal n).
+        pid: process id of the program; 0 if it could not be started.
     """
 
     def __init__(self, command: Sequence[str], env: Mapping[str, str], log: Path) -> None:
-        """Start ``command`` in a session of its own; its output goes to ``log``. Call it from the main thread.
+        """Start ``command`` in a new session, its output redirected to ``log``. Call it from the main thread.
 
         Raises:
-            OSError: it cannot be started.
+            OSError: the process cannot be started.
         """
         _prctl(_PR_SET_CHILD_SUBREAPER, 1)
         steps = ",".join(f"{int(number)}:{limit:g}" for number, limit in _STEPS)
-        # no site packages and none of the user's variables: it must be small, and start where little else does
-        told, tells = os.pipe()
-        guard = [sys.executable, "-I", "-S", __file__, str(os.getpid()), steps, str(tells)]
+        # no site packages and no user variables: the guard must be small, and start even in a broken environment
+        told, pid_pipe = os.pipe()
+        guard = [sys.executable, "-I", "-S", __file__, str(os.getpid()), steps, str(pid_pipe)]
         try:
             with log.open("wb") as output:
                 self.process = subprocess.Popen(
@@ -67,13 +71,13 @@ class ProcessTree:
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
-                    pass_fds=(tells,),
+                    pass_fds=(pid_pipe,),
                 )
-            os.close(tells)
-            tells = -1
+            os.close(pid_pipe)
+            pid_pipe = -1
             self.pid = int(os.read(told, 32) or 0)
         finally:
-            for descriptor in (told, tells):
+            for descriptor in (told, pid_pipe):
                 if descriptor >= 0:
                     os.close(descriptor)
 
@@ -92,26 +96,26 @@ class ProcessTree:
         return code if code is None or code <= _SIGNALLED else _SIGNALLED - code
 
     def kill(self) -> None:
-        """End the program by SIGKILL, and what is left of its tree."""
+        """End the program by SIGKILL, and the rest of its tree."""
         if self.pid and self.process.poll() is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
         self.stop(_TERMINATED)
 
     def stop(self, patience: float) -> None:
-        """End the program (SIGINT, after ``patience`` s SIGTERM, then SIGKILL), and whatever is left of its tree."""
+        """End the program (SIGINT, after ``patience`` s SIGTERM, then SIGKILL), and the rest of its tree."""
         rest = _TERMINATED + sum(limit for _, limit in _STEPS)
         for number, limit in ((signal.SIGINT, patience), (signal.SIGTERM, rest + _LOOK), (signal.SIGKILL, _LOOK)):
             if self.process.poll() is not None:
                 break
             self.process.send_signal(number)
             self.wait(limit)
-        if self.process.returncode == -signal.SIGKILL:  # the guard was killed: its tree is ours to end
+        if self.process.returncode == -signal.SIGKILL:  # the guard was killed: this process must end the tree
             end_descendants()
 
 
 def descendants() -> list[int]:
-    """Return the ids of all living processes below this one, zombies left out."""
+    """Return the ids of all descendants of this process, except zombies."""
     children: dict[int, list[int]] = {}
     zombies = set()
     for entry in os.listdir("/proc"):
@@ -133,10 +137,10 @@ def descendants() -> list[int]:
 
 
 def end_descendants(steps: _Steps | None = None) -> None:
-    """End every process below this one.
+    """End all descendants of this process.
 
     Args:
-        steps: signals, with the s to wait after each; None: SIGINT first, SIGKILL in the end.
+        steps: signals and the time to wait after each, s; None for SIGINT, SIGTERM, SIGKILL.
     """
     for number, limit in _STEPS if steps is None else steps:
         for pid in descendants():
@@ -145,7 +149,7 @@ def end_descendants(steps: _Steps | None = None) -> None:
         end = time.monotonic() + limit
         while descendants() and time.monotonic() < end:
             _reap()
-            time.sleep(_POLL)  # the kernel tells of our children only, not of theirs
+            time.sleep(_POLL)  # the kernel reports the end of children only
         if not descendants():
             break
     _reap()
@@ -159,30 +163,30 @@ def _reap() -> None:
 
 
 def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
-    """Have the kernel send this process ``number`` when its parent, the process ``parent``, ends."""
+    """Request signal ``number`` from the kernel for the end of this process's parent, the process ``parent``."""
     _prctl(_PR_SET_PDEATHSIG, number)
-    if os.getppid() != parent:  # it died before the kernel knew
+    if os.getppid() != parent:  # it ended before the request
         os.kill(os.getpid(), number)
 
 
 class _Guard:
-    """The root of a tree: starts the program and leaves nothing of it."""
+    """The root of a tree: runs the program, then ends all of its descendants."""
 
     def __init__(self, parent: int, steps: _Steps) -> None:
         self._parent = parent
         self._steps = steps
-        # Blocked and fetched one by one, so that none comes between two steps; SIGCHLD wakes.
+        # Signals are blocked and fetched one by one, so that none interrupts a step; SIGCHLD wakes the guard.
         self._signals = {*_HEARD, signal.SIGCHLD}
         signal.pthread_sigmask(signal.SIG_BLOCK, self._signals)
         _prctl(_PR_SET_CHILD_SUBREAPER, 1)
         die_with_parent(parent, signal.SIGTERM)
 
-    def run(self, command: Sequence[str], tells: int) -> int:
-        """Run the program; return its status when nothing of its tree is left.
+    def run(self, command: Sequence[str], pid_pipe: int) -> int:
+        """Run the program; return its status after its whole tree has ended.
 
         Args:
             command: the program with its arguments.
-            tells: descriptor to which the program's process id is written; closed then.
+            pid_pipe: descriptor to which the program's process id is written; closed afterwards.
         """
         guard = os.getpid()
 
@@ -195,8 +199,8 @@ class _Guard:
         except (OSError, subprocess.SubprocessError) as error:
             print(f"{command[0]}: cannot be started: {error}", file=sys.stderr)
             return 127
-        os.write(tells, str(program.pid).encode())
-        os.close(tells)
+        os.write(pid_pipe, str(program.pid).encode())
+        os.close(pid_pipe)
         while program.poll() is None:
             heard = signal.sigtimedwait(self._signals, _LOOK)
             number = 0 if heard is None else heard.si_signo
@@ -222,7 +226,7 @@ class _Guard:
 
     @staticmethod
     def _collect(program: int) -> None:
-        """Collect the exit status of adopted children, and leave the program's own alone."""
+        """Collect the exit status of adopted children, but not that of the program."""
         while True:
             try:
                 ended = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)

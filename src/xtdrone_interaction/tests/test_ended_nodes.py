@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_interaction.deaths import Deaths
+from xtdrone_interaction.ended_nodes import EndedNodes
 
 BEFORE = "process[follower_2-12]: started with pid [7]\n"
 KILLED = "\x1b[31m[follower_2-12] process has died [pid 7, exit code -9, cmd /x/f.py].\nlog file: /l*.log\x1b[0m\n"
@@ -27,14 +27,14 @@ def add(log: Path, text: str) -> None:
 
 @pytest.mark.parametrize("first", [True, False])
 def test_a_killed_node_is_told_once_with_its_signal(log: Path, first: bool) -> None:
-    deaths = Deaths(log)
-    assert deaths.look(11.0) == []
+    ended_nodes = EndedNodes(log)
+    assert ended_nodes.update(11.0) == []
     add(log, DROPPED if first else KILLED)
-    assert [death.node for death in deaths.look(12.04)] == ["follower_2"]
+    assert [ended.node for ended in ended_nodes.update(12.04)] == ["follower_2"]
     add(log, KILLED if first else DROPPED)
-    assert deaths.look(13.0) == []
-    assert [str(d) for d in deaths.found.values()] == [f"follower_2 has died (SIGKILL) at 12.0 s, see {log}"]
-    assert next(iter(deaths.found.values())).time == 12.04
+    assert ended_nodes.update(13.0) == []
+    assert [str(d) for d in ended_nodes.found.values()] == [f"follower_2 has died (SIGKILL) at 12.0 s, see {log}"]
+    assert next(iter(ended_nodes.found.values())).time == 12.04
 
 
 @pytest.mark.parametrize(
@@ -49,35 +49,35 @@ def test_a_killed_node_is_told_once_with_its_signal(log: Path, first: bool) -> N
     ],
 )  # fmt: skip
 def test_each_end_is_said_in_its_words(log: Path, line: str, text: str) -> None:
-    deaths = Deaths(log)
+    ended_nodes = EndedNodes(log)
     add(log, line[:12])
-    assert deaths.look(1.0) == [], "the line is not whole yet"
+    assert ended_nodes.update(1.0) == [], "the line is not whole yet"
     add(log, line[12:])
-    assert [str(death) for death in deaths.look(1.0)] == [f"{text}, see {log}"]
+    assert [str(ended) for ended in ended_nodes.update(1.0)] == [f"{text}, see {log}"]
 
 
 def test_a_window_may_be_closed_and_the_flight_is_as_good_without_one_that_died(log: Path) -> None:
-    deaths = Deaths(log)
+    ended_nodes = EndedNodes(log)
     add(log, "[visualize-9] process has finished cleanly\n")
-    assert deaths.look(1.0) == []
+    assert ended_nodes.update(1.0) == []
     add(log, "[visualize-9] process has died [pid 7, exit code 1, cmd x].\n")
-    assert [death.matters for death in deaths.look(2.0)] == [False]
+    assert [ended.matters for ended in ended_nodes.update(2.0)] == [False]
     add(log, KILLED)
-    assert [death.matters for death in deaths.look(3.0)] == [True]
+    assert [ended.matters for ended in ended_nodes.update(3.0)] == [True]
 
 
 def test_the_ground_station_may_go_when_it_has_done_its_work(log: Path) -> None:
-    deaths = Deaths(log)
+    ended_nodes = EndedNodes(log)
     add(log, "[upload_plans-9] process has finished cleanly\n")
-    assert deaths.look(1.0) == []
+    assert ended_nodes.update(1.0) == []
     add(log, "[upload_plans-9] process has died [pid 7, exit code 1, cmd x].\n")
-    assert [death.matters for death in deaths.look(2.0)] == [True]
+    assert [ended.matters for ended in ended_nodes.update(2.0)] == [True]
 
 
 @pytest.mark.parametrize("line", ["[leader-5] killing on exit\n", "Initiating shutdown!\n"])
 def test_what_ends_with_the_flight_is_no_death(log: Path, line: str) -> None:
     add(log, line + KILLED)
-    assert Deaths(log).look(1.0) == []
+    assert EndedNodes(log).update(1.0) == []
 
 
 def test_the_file_with_the_traceback_is_named(log: Path) -> None:
@@ -85,11 +85,11 @@ def test_the_file_with_the_traceback_is_named(log: Path) -> None:
     own.parent.mkdir()
     own.write_text("Traceback (most recent call last):\n")
     add(log, KILLED)
-    assert Deaths(log).look(None)[0].log == str(own)
+    assert EndedNodes(log).update(None)[0].log == str(own)
 
 
 def test_no_log_yet_is_no_death(tmp_path: Path) -> None:
-    assert Deaths(tmp_path / "roslaunch.log").look(None) == []
+    assert EndedNodes(tmp_path / "roslaunch.log").update(None) == []
 
 
 REQUIRED = "{line}REQUIRED process [{node}-2] has died!\nprocess has {how}\nlog file: /x*.log\nInitiating shutdown!\n"
@@ -101,31 +101,31 @@ def required(node: str, how: str) -> str:
 
 
 def test_a_required_nodes_normal_end_is_no_failure(log: Path) -> None:
-    deaths = Deaths(log)
+    ended_nodes = EndedNodes(log)
     add(log, required("director", "finished cleanly"))
-    assert deaths.look(1.0) == []
-    assert (deaths.required is not None, deaths.failure, deaths.all()) == (True, None, [])
+    assert ended_nodes.update(1.0) == []
+    assert (ended_nodes.required is not None, ended_nodes.failure, ended_nodes.all()) == (True, None, [])
 
 
 def test_the_simulator_that_failed_comes_before_those_who_ended_with_it(log: Path) -> None:
     """roslaunch may notice a participant's end first."""
-    deaths = Deaths(log)
+    ended_nodes = EndedNodes(log)
     add(log, "[follower_1-9] process has died [pid 9, exit code 1, cmd x].\n" + KILLED)
     add(log, required("simulator", "died [pid 7, exit code -9, cmd /x/simulator.py]."))
     add(log, "[leader-5] process has died [pid 5, exit code 1, cmd x].\n")
-    deaths.look(1.0)
-    assert [str(death).partition(" at")[0] for death in deaths.all()] == [
+    ended_nodes.update(1.0)
+    assert [str(ended).partition(" at")[0] for ended in ended_nodes.all()] == [
         "simulator has died (SIGKILL)",
         "follower_2 has died (SIGKILL)",  # killed: not of the simulator's end
     ]
-    assert deaths.consequences == ["follower_1"]
+    assert ended_nodes.consequences == ["follower_1"]
 
 
 def test_the_masters_end_is_told(log: Path) -> None:
-    deaths = Deaths(log)
+    ended_nodes = EndedNodes(log)
     add(
         log,
         REQUIRED.format(line="=", node="master", how="died [pid 7, exit code -9, cmd rosmaster].").replace("-2]", "]"),
     )
-    deaths.look(None)
-    assert str(deaths.failure).startswith("master has died (SIGKILL)")
+    ended_nodes.update(None)
+    assert str(ended_nodes.failure).startswith("master has died (SIGKILL)")
