@@ -119,8 +119,8 @@ def test_wrong_conversions_are_said(bag: Path, tmp_path: Path, capfd: pytest.Cap
     (tmp_path / "there").mkdir()
     for arguments, status, words in (
         ([str(bag), "--to", "csv", "--out", str(tmp_path / "there")], 2, "exists already"),
-        ([str(bag), "--to", "csv", "--topics", "/none"], 1, "no messages of the topics"),
-        ([str(bag), "--to", "mcap", "--topics", "/none"], 1, "no messages of the topics"),
+        ([str(bag), "--to", "csv", "--topics", "/none"], 1, "no messages of the selected topics"),
+        ([str(bag), "--to", "mcap", "--topics", "/none"], 1, "no messages of the selected topics"),
         ([str(tmp_path / "no.bag"), "--to", "mcap"], 1, "does not exist"),
     ):
         assert cli.main(["convert", *arguments]) == status, arguments
