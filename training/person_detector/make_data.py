@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Makes pictures of the simulator's scenes with people in them, and their exact boxes.
+"""Makes pictures of the simulator's scenes with people, and their exact boxes.
 
     make_data.py DATA/train --split train --scenes 100 --people FOLDER_OF_figures.py
     make_data.py DATA/test --split test --scenes 16 --seed 1000
 
-Every scene is drawn from the heights and angles of a search. Of each picture NNNNN_MM.png there is an entry in
-labels.jsonl, written when the picture is there: the camera, and of each person the box of what is seen of it (xmin,
-ymin, xmax, ymax, px), its name and which part of it is not hidden; the mask NNNNN_MM.mask.png holds 1 + its number
-where it is seen. Runs in `./xtdrone shell`.
+Every scene is drawn from the heights and angles of a search. Each picture NNNNN_MM.png has an entry in labels.jsonl,
+written after the picture: the camera, and for each person the box of the visible part (xmin, ymin, xmax, ymax, px), the
+name and the visible share; the mask NNNNN_MM.mask.png contains 1 + the person's number at its pixels. Runs in
+`./xtdrone shell`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from xtdrone_sim.worlds.sdf import SdfWorld
 
 VEHICLE = "typhoon_h480"
 HEIGHTS = ((8, 15), (15, 25), (5, 8), (0.4, 5))  # m
-SHARES = (0.70, 0.12, 0.14, 0.04)  # of the views
-OTHERS = 5  # vehicles of the swarm
+SHARES = (0.70, 0.12, 0.14, 0.04)  # shares of the views
+OTHERS = 5  # other vehicles of the swarm
 NEARS = (0.05, 0.1, 0.3, 0.5)  # m; the ground's layers blend more or less
 FAR = 500.0
 REGION = (-10.0, -10.0, 90.0, 50.0)
@@ -49,13 +49,13 @@ REGION = (-10.0, -10.0, 90.0, 50.0)
 
 @dataclass(frozen=True)
 class View:
-    """From where a picture is taken.
+    """Viewpoint of a picture.
 
     Attributes:
-        position: of the vehicle, m.
-        yaw, pitch, roll: of the camera, rad; pitch is negative downwards.
+        position: position of the vehicle, m.
+        yaw, pitch, roll: attitude of the camera, rad; pitch is negative downwards.
         tilt: roll and pitch of the vehicle, rad.
-        near: what the camera sees begins there, m.
+        near: near limit of the camera, m.
     """
 
     position: tuple[float, float, float]
@@ -67,7 +67,7 @@ class View:
 
 
 class Scene:
-    """A scene that can be drawn with people anywhere."""
+    """A scene with people at variable positions."""
 
     def __init__(self, world: SdfWorld, backend: str = "auto"):
         self.renderer = Renderer(backend)
@@ -86,7 +86,7 @@ class Scene:
         self.put_others([])
 
     def show(self, shown: bool) -> None:
-        """Put all that stands in the scene in its place, or away."""
+        """Show or hide the objects of the scene."""
         for body, pose in self.statics:
             if shown:
                 self.renderer.place(body, pose)
@@ -94,7 +94,7 @@ class Scene:
                 self.renderer.hide(body)
 
     def put_others(self, poses: list[Pose]) -> None:
-        """Put other vehicles of the swarm in their places, and those that are left over away."""
+        """Place other vehicles of the swarm, and hide the unused ones."""
         for body, pose in itertools.zip_longest(self.others, poses):
             if pose is None:
                 self.renderer.hide(body)
@@ -109,12 +109,12 @@ class Scene:
         return Pose(found.position, found.orientation)
 
     def draw(self, view: View, labels: bool) -> Any:
-        """Return the picture of a view; of the vehicle itself nothing is seen, for its legs are up in flight."""
+        """Return the picture of a view; the vehicle itself is not visible because its legs are raised in flight."""
         return self.renderer.draw(self.camera.pinhole, self.pose(view), view.near, FAR, self.light, labels)
 
 
 def all_visuals(urdf: Description) -> list[Visual]:
-    """Return what is seen of a vehicle, all joints at rest, in its body's frame."""
+    """Return the visuals of a vehicle at joint positions 0, in its body frame."""
     found = []
     for part in urdf.moving:
         pose, link = Pose(), part.name
@@ -125,7 +125,7 @@ def all_visuals(urdf: Description) -> list[Visual]:
 
 
 def camera_offset(model: VehicleModel) -> tuple[float, float, float]:
-    """Return where the camera's link is on the vehicle, its gimbal at rest, m."""
+    """Return the position of the camera's link on the vehicle, gimbal at rest, m."""
     pose, link = Pose(), model.cameras[0].link
     while (joint := model.urdf.holder(link)) is not None:
         pose, link = compose(joint.pose, pose), joint.parent
@@ -133,7 +133,7 @@ def camera_offset(model: VehicleModel) -> tuple[float, float, float]:
 
 
 def random_view(random: np.random.Generator) -> View:
-    """Return a view as in a search: mostly 8 to 15 m high, 35 to 60 degrees down."""
+    """Return a random view of a search: mostly 8 to 15 m high, 35 to 60 degrees down."""
     low, high = HEIGHTS[random.choice(len(HEIGHTS), p=SHARES)]
     height = random.uniform(low, high)
     pitch = random.uniform(35, 60) if random.random() < 0.7 else random.uniform(25, 75)
@@ -149,7 +149,7 @@ def random_view(random: np.random.Generator) -> View:
 
 
 def random_others(view: View, random: np.random.Generator) -> list[Pose]:
-    """Return where other vehicles of the swarm fly: in half of the views, about as high, some of them in sight."""
+    """Return random poses of other vehicles: in half of the views, at a similar height, some of them in sight."""
     count = int(random.integers(1, OTHERS + 1)) if random.random() < 0.5 else 0
     x, y, z = view.position
     found = []
@@ -164,7 +164,7 @@ def random_others(view: View, random: np.random.Generator) -> list[Pose]:
 
 
 def random_light(light: Any, random: np.random.Generator) -> Any:
-    """Return the light a little brighter or darker, warmer or colder."""
+    """Return the light slightly brighter or darker, warmer or colder."""
     gain = random.uniform(0.85, 1.15)
 
     def changed(colour: Any) -> tuple[float, ...]:
@@ -174,7 +174,7 @@ def random_light(light: Any, random: np.random.Generator) -> Any:
 
 
 class Crowd:
-    """People of chance postures to put into a scene."""
+    """People in random postures for a scene."""
 
     def __init__(
         self, scene: Scene, bodies: list[tuple[str, people.Body, Path]], count: int, folder: Path, random: Any
@@ -194,7 +194,7 @@ class Crowd:
             self.members.append((name, index, body.height * size))
 
     def put(self, view: View, ground: Ground, count: int) -> dict[int, Pose]:
-        """Return places for so many people in a view, by their bodies: all sizes, mostly on free ground."""
+        """Return poses for ``count`` people in a view, by body: all sizes, mostly on free ground."""
         random, pinhole = self.random, self.scene.camera.pinhole
         pose = self.scene.pose(view)
         chosen = random.permutation(len(self.members))[:count]
@@ -221,7 +221,7 @@ class Crowd:
         return places
 
     def show(self, places: dict[int, Pose]) -> None:
-        """Put people in their places and all others away."""
+        """Place people, and hide all others."""
         for _, index, _ in self.members:
             if index in places:
                 self.scene.renderer.place(index, places[index])
@@ -230,7 +230,7 @@ class Crowd:
 
 
 def people_of(split: str, folders: list[Path]) -> list[tuple[str, people.Body, Path]]:
-    """Return name, body and texture of the people of a split that come with the simulator, and of folders."""
+    """Return name, body and texture of a split's people, from the simulator and from folders."""
     found = []
     for folder in [people.models_folder(), *folders]:
         for file in sorted(folder.glob("*.npz")):
@@ -241,7 +241,7 @@ def people_of(split: str, folders: list[Path]) -> list[tuple[str, people.Body, P
 
 
 def label_of(person: str, seen: NDArray[np.bool_], whole: int) -> dict[str, Any] | None:
-    """Return a person's entry from where it is seen, and how many pixels it would have if nothing hid it."""
+    """Return a person's entry, from its visible pixels and its number of pixels without occlusion."""
     rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
     if not len(rows):
         return None
@@ -349,7 +349,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     numbers = range(options.first, options.first + options.scenes)
     total = 0
-    # a process a scene: the renderer's memory goes back with it
+    # one process per scene, which releases the renderer's memory
     with multiprocessing.get_context("spawn").Pool(options.jobs, maxtasksperchild=1) as pool:
         for done, count in enumerate(pool.imap_unordered(partial(make_scene, options=options), numbers), 1):
             total += count

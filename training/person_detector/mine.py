@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Finds where a detector sees people that are not there in its training pictures, to train on these places more often.
+"""Finds a detector's false positives in its training pictures, to train on these places more often.
 
     mine.py DATA/train --weights RUN/last.weights
 
@@ -20,7 +20,7 @@ from xtdrone_perception.scoring import overlaps
 
 
 def main() -> None:
-    """Look at all pictures."""
+    """Search all pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="of make_data.py")
     parser.add_argument("--settings", type=Path, default=SETTINGS)

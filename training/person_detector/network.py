@@ -1,6 +1,6 @@
-"""A network described by a darknet .cfg, in torch: what OpenCV reads is what is trained.
+"""A network described by a darknet .cfg, in torch: the trained network is the one that OpenCV reads.
 
-Of darknet's layers those that the detectors here are made of: convolutional, maxpool, upsample, shortcut, route, yolo.
+Supports the darknet layers used by the detectors: convolutional, maxpool, upsample, shortcut, route, yolo.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Section = dict[str, str]
 
 
 def read_cfg(path: Path) -> list[tuple[str, Section]]:
-    """Return the sections of a .cfg in their order: (kind, settings); the first is ("net", ...).
+    """Return the sections of a .cfg in order: (kind, settings); the first is ("net", ...).
 
     Raises:
         ValueError: a line is neither a section nor a setting.
@@ -41,7 +41,7 @@ class Head:
     """One yolo layer.
 
     Attributes:
-        stride: pixels of the picture to a cell.
+        stride: picture pixels per cell.
         anchors: (n, 2) width and height, pixels.
         scale: scale_x_y of darknet: how far a cell's centre may reach, 1 is just the cell.
     """
@@ -178,7 +178,7 @@ def load_weights(network: Darknet, path: Path) -> None:
     """Read darknet's .weights into the network.
 
     Raises:
-        ValueError: the file does not hold as many numbers as the network has.
+        ValueError: the number of values in the file is not that of the network.
     """
     values = np.fromfile(path, np.float32, offset=20)
     wanted = sum(tensor.numel() for tensor in _tensors(network))

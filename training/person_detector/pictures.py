@@ -21,13 +21,13 @@ HIDDEN = 0.6  # people with more hidden than this likewise
 
 @dataclass
 class Picture:
-    """One picture and the people in it.
+    """A picture and the people in it.
 
     Attributes:
-        name: the file's name.
+        name: file name.
         image: (height, width, 3) uint8 RGB.
         boxes: (n, 4) xmin, ymin, xmax, ymax, px.
-        certain: (n,) False for those too small or too much hidden to count.
+        certain: (n,) False for people too small or too hidden to count.
         camera: height (m), pitch (deg, negative is down), focal (px).
     """
 
@@ -41,13 +41,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class Sprite:
-    """A person cut out of a picture: its pixels, what of them is the person, and from where it was seen.
+    """A person cut out of a picture: its pixels, mask and viewpoint.
 
     Attributes:
         rgb: (h, w, 3) uint8.
         mask: (h, w) uint8, 255 is the person.
         depression: angle of the line of sight below the horizon, rad.
-        distance: m.
+        distance: distance from the camera, m.
     """
 
     rgb: Array
@@ -57,7 +57,7 @@ class Sprite:
 
 
 def is_certain(box: Array, visible: float) -> bool:
-    """Return whether a person counts: high enough and not hidden too much."""
+    """Return whether a person counts: tall enough and sufficiently visible."""
     return bool(box[3] - box[1] >= SMALLEST and visible >= 1.0 - HIDDEN)
 
 
@@ -87,7 +87,7 @@ def read_picture(folder: Path, label: dict[str, Any]) -> Picture:
 
 
 def sprites_of(folder: Path, label: dict[str, Any], picture: Picture) -> list[Sprite]:
-    """Cut out the people that are seen whole."""
+    """Cut out the fully visible people."""
     mask = cv2.imread(str(Path(folder) / label["mask"]), cv2.IMREAD_GRAYSCALE) if label.get("mask") else None
     if mask is None:
         return []
@@ -115,9 +115,9 @@ class Cropper:
 
     Args:
         size: side of a crop, px.
-        seed: of the chance in it.
-        negatives: how many of the crops are of ground without looking for people, 0..1.
-        paste: chance that people of other pictures are pasted into a crop, 0..1.
+        seed: seed of all random choices.
+        negatives: share of the crops taken anywhere rather than around people, 0..1.
+        paste: probability that people of other pictures are pasted into a crop, 0..1.
     """
 
     def __init__(self, size: int = 192, seed: int = 0, negatives: float = 0.25, paste: float = 0.5):
@@ -132,14 +132,14 @@ class Cropper:
         self.noise = self.random.normal(0.0, 1.0, (2 * size, 2 * size, 3)).astype(np.float32)
 
     def add(self, picture: Picture, sprites: list[Sprite]) -> None:
-        """Take a picture in; ``ready`` after the last one."""
+        """Add a picture; call ``ready`` after the last one."""
         heights = picture.boxes[:, 3] - picture.boxes[:, 1]
         picture.weights = np.where(picture.certain, np.where((heights < 22) | (heights > 36), 1.6, 1.0), 0.0)
         self.pictures.append(picture)
         self.sprites += sprites
 
     def ready(self) -> None:
-        """Prepare the drawing of lots after pictures were added."""
+        """Prepare the random selection after adding pictures."""
         total = np.array([picture.weights.sum() for picture in self.pictures])
         self.with_people = [int(i) for i in np.flatnonzero(total)]
         self.chances = np.cumsum(total[self.with_people]) / max(total.sum(), 1e-9)
@@ -147,7 +147,7 @@ class Cropper:
         self.depressions = np.array([sprite.depression for sprite in self.sprites])
 
     def _place(self) -> tuple[Picture, float, float]:
-        """Return a picture and the middle of a crop in it."""
+        """Return a picture and the centre of a crop in it."""
         random = self.random
         lot = random.random()
         if self.hard and lot < 0.6 * self.negatives:
@@ -174,7 +174,7 @@ class Cropper:
         side = min(round(size / scale), rows)
         scale = size / side
         x0 = int(np.clip(x - side / 2, 0, columns - side))
-        # now and then over the upper or lower edge of the picture, as the bars of the letterbox are
+        # occasionally beyond the upper or lower edge of the picture, like the bars of the letterbox
         over = 14 if random.random() < 0.3 else 0
         y0 = int(np.clip(y - side / 2, -over, rows - side + over))
         image = picture.image[max(y0, 0) : y0 + side, x0 : x0 + side]
@@ -200,7 +200,7 @@ class Cropper:
     def _paste(
         self, image: Array, boxes: Array, certain: Array, camera: dict[str, float], window: tuple[int, float]
     ) -> tuple[Array, Array]:
-        """Paste people of other pictures at places where they would be seen from the same angle and distance."""
+        """Paste people of other pictures at places with the same viewing angle and distance."""
         random, size = self.random, self.size
         y0, scale = window
         new = []
@@ -230,7 +230,7 @@ class Cropper:
         return np.concatenate([boxes, np.array(new, np.float32)]), np.concatenate([certain, np.ones(len(new), bool)])
 
     def _recoloured(self, sprite: Sprite) -> Sprite:
-        """Return the person in other clothes and light: bands of other colours, brightness, hue."""
+        """Return a person with other clothes and light: bands of other colours, brightness, hue."""
         random = self.random
         rgb = sprite.rgb.astype(np.float32)
         rows = len(rgb)
@@ -247,7 +247,7 @@ class Cropper:
         return Sprite(np.clip(rgb, 0, 255).astype(np.uint8), sprite.mask, sprite.depression, sprite.distance)
 
     def _lit(self, image: Array) -> Array:
-        """Return a crop in another light: contrast, brightness, colour, saturation, noise, a little blur."""
+        """Return a crop in another light: contrast, brightness, colour, saturation, noise, slight blur."""
         random = self.random
         if random.random() < 0.5:
             grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
@@ -276,7 +276,7 @@ class Cropper:
 
 
 def _clip(boxes: Array, certain: Array, size: int) -> tuple[Array, Array]:
-    """Cut boxes at the crop's edges; those of which less than half is left are no longer certain."""
+    """Clip boxes at the crop's edges; those with less than half their area left are no longer certain."""
     inside = np.clip(boxes, 0, size)
     left = (inside[:, 2] - inside[:, 0]) * (inside[:, 3] - inside[:, 1])
     whole = np.maximum((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1]), 1e-6)
@@ -286,7 +286,7 @@ def _clip(boxes: Array, certain: Array, size: int) -> tuple[Array, Array]:
 
 
 def _overlap(one: Array, other: Array) -> float:
-    """Return the part of the smaller box that lies in the other."""
+    """Return the share of the smaller box that lies in the other."""
     width = min(one[2], other[2]) - max(one[0], other[0])
     height = min(one[3], other[3]) - max(one[1], other[1])
     if width <= 0 or height <= 0:
@@ -296,7 +296,7 @@ def _overlap(one: Array, other: Array) -> float:
 
 
 def _lay(part: Array, sprite: Sprite, random: np.random.Generator) -> None:
-    """Lay a person over a part of a picture of any size, in place."""
+    """Draw a person over a part of a picture, in place, scaled to its size."""
     height, width = part.shape[:2]
     smaller = height < sprite.rgb.shape[0]
     way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
@@ -312,7 +312,7 @@ def _lay(part: Array, sprite: Sprite, random: np.random.Generator) -> None:
 def load(
     cropper: Cropper, folder: Path, start: int = 0, accept: Callable[[dict[str, Any]], bool] = lambda label: True
 ) -> int:
-    """Add a folder's pictures from entry ``start`` on; return the number of entries now read."""
+    """Add a folder's pictures from entry ``start`` on; return the number of entries read so far."""
     labels = read_labels(folder)
     for label in labels[start:]:
         if accept(label):

@@ -2,7 +2,7 @@
 """Trains the detector of people on pictures of make_data.py and writes darknet's .weights, a log and its curve.
 
 train.py DATA --out RUN --minutes 60          # DATA/train and DATA/val
-train.py DATA --out RUN --minutes 90 --resume # goes on where it was stopped
+train.py DATA --out RUN --minutes 90 --resume # continues from the saved state
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from pictures import Cropper, Picture, load, read_labels, read_picture
 from xtdrone_perception.scoring import LabelledPicture, at_threshold, average_precision, best_threshold, match
 
 CONFIG = Path(__file__).resolve().parents[2] / "src/xtdrone_perception/config/yolo/search.cfg"
-HEIGHT = 384  # of the network's input; pictures of 360 lines get grey bars above and below
+HEIGHT = 384  # px, height of the network's input; pictures of 360 lines get grey bars above and below
 GREY = 127 / 255
-SURE = 12.0  # logit of the class where there is one class: objectness alone decides
+SURE = 12.0  # logit of the single class, so that objectness alone decides
 
 
 class Feeder(threading.Thread):
-    """Cuts batches ahead of the training, and takes in pictures that are still being made."""
+    """Prepares batches ahead of the training, and adds pictures that are made meanwhile."""
 
     def __init__(self, cropper: Cropper, batch: int, folder: Path, read: int):
         super().__init__(daemon=True)
@@ -45,7 +45,7 @@ class Feeder(threading.Thread):
         self.hard: list[tuple[str, float, float]] = []
 
     def run(self) -> None:
-        """Fill the queue for ever."""
+        """Fill the queue until the process ends."""
         looked = time.monotonic()
         while True:
             if time.monotonic() - looked > 60:
@@ -62,14 +62,14 @@ class Feeder(threading.Thread):
 
 
 class Average:
-    """A running mean of the network's parameters, which finds better than the last ones do."""
+    """A running mean of the network's parameters, which detects better than the last parameters."""
 
     def __init__(self, network: Darknet, decay: float = 0.998):
         self.network = copy.deepcopy(network).eval()
         self.decay, self.steps = decay, 0
 
     def update(self, network: Darknet) -> None:
-        """Take in the parameters after a step."""
+        """Update the mean with the parameters after a step."""
         self.steps += 1
         keep = self.decay * (1 - math.exp(-self.steps / 300))
         with torch.no_grad():
@@ -82,7 +82,7 @@ class Average:
 
 
 def begin(network: Darknet) -> None:
-    """Set the outputs so that at first nothing is likely anywhere."""
+    """Initialize the outputs with a low probability everywhere."""
     for output in network.outputs():
         torch.nn.init.normal_(output.weight, std=0.01)
         assert output.bias is not None
@@ -92,7 +92,7 @@ def begin(network: Darknet) -> None:
 
 
 def seal(network: Darknet) -> None:
-    """Make the one class certain, so that a box's probability is its objectness."""
+    """Make the single class certain, so that a box's probability is its objectness."""
     with torch.no_grad():
         for output in network.outputs():
             assert output.bias is not None
@@ -106,7 +106,7 @@ def tensor(images: np.ndarray) -> torch.Tensor:
 
 
 def find(network: Darknet, image: np.ndarray, least: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
-    """Return boxes (n, 4) px and scores in a picture (360, 640, 3), the best of those that overlap by 0.45."""
+    """Return boxes (n, 4) px and scores in a picture (360, 640, 3), the best of each group with overlap above 0.45."""
 
     bar = (HEIGHT - image.shape[0]) // 2
     x = torch.full((1, 3, HEIGHT, image.shape[1]), GREY)
@@ -129,7 +129,7 @@ def find(network: Darknet, image: np.ndarray, least: float = 0.02) -> tuple[np.n
 
 
 def judge(network: Darknet, pictures: list[Picture]) -> dict[str, float]:
-    """Return average precision over all who count and over those of 12 to 20 px, and the best threshold's figures."""
+    """Return average precision for all people that count and for 12 to 20 px, and metrics at the best threshold."""
     scenes = [
         LabelledPicture(
             *find(network, picture.image),
@@ -191,9 +191,9 @@ def draw_curve(log: Path, picture: Path) -> None:
 
 
 class Trainer:
-    """One training: the network, its running mean, what it is fed with, how far it is.
+    """A training: the network, its running mean, the batches and the progress.
 
-    Several processes, each with a thread and a part of the batch, train one network: on a busy machine that is faster
+    Several processes, each with a thread and a part of the batch, train one network: on a busy machine this is faster
     than one process whose threads wait for each other in every layer.
     """
 
@@ -240,7 +240,7 @@ class Trainer:
         self.average.steps = self.steps
 
     def save(self) -> None:
-        """Write the state to go on from and the weights to detect with."""
+        """Write the state, from which training can continue, and the weights for detection."""
         out = self.options.out
         state = {
             "network": self.network.state_dict(),
@@ -257,18 +257,18 @@ class Trainer:
         (out / "last.part").rename(out / "last.weights")
 
     def _minutes(self) -> float:
-        """Return the length of the training; a file ``minutes`` in its folder changes it while it runs."""
+        """Return the duration of the training; a file ``minutes`` in its folder changes it during the run."""
         path = self.options.out / "minutes"
         return float(path.read_text()) if path.exists() else self.options.minutes
 
     def rate(self) -> float:
-        """Return the learning rate now: a warm-up of 200 steps, then a cosine down to a hundredth at the end."""
+        """Return the current learning rate: a warm-up of 200 steps, then a cosine down to a hundredth at the end."""
         done = min(self.spent / (60 * self._minutes()), 1.0)
         cosine = 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * done))
         return self.options.rate * cosine * min(1.0, (self.steps + 1) / 200)
 
     def step(self) -> dict[str, float]:
-        """Learn from one batch; return the loss and its parts."""
+        """Train on one batch; return the loss and its parts."""
         images, people = self.feeder.queue.get()
         with torch.autocast("cpu", torch.bfloat16, enabled=self.options.bf16):
             outputs = [output.float() for output in self.network(tensor(images))]
@@ -286,7 +286,7 @@ class Trainer:
         return {"loss": float(loss.detach()), **parts}
 
     def _share(self) -> None:
-        """Make gradients and the time spent the mean of all processes'."""
+        """Replace gradients and elapsed time with their means over all processes."""
         now = self.before + time.monotonic() - self.begun
         if self.options.processes == 1:
             self.spent = now
@@ -302,14 +302,14 @@ class Trainer:
         self.spent = float(flat[-1])
 
     def follow(self) -> None:
-        """Learn beside the process that keeps the log."""
+        """Train alongside the process that writes the log."""
         self.feeder.start()
         self.begun, self.before = time.monotonic(), self.spent
         while self.spent < 60 * self._minutes():
             self.step()
 
     def run(self) -> None:
-        """Learn until the minutes are over."""
+        """Train until the duration has passed."""
         options = self.options
         self.feeder.start()
         log = options.out / "log.csv"

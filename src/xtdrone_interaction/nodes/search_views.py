@@ -81,7 +81,7 @@ class Recorder:
             rospy.logerr("views: %s cannot be written", self._out / name)
 
     def turn(self) -> None:
-        """Take the film's next picture."""
+        """Add the next picture to the film."""
         if self._film is not None and self._title:
             self._film.add(self._views.draw(self._title))
 

@@ -1,4 +1,4 @@
-"""Downwash: the wake of each vehicle pushes those that fly below it. A function, compiled by numba.
+"""Downwash: the wake of each vehicle pushes vehicles below it. A function, compiled by numba.
 
 roslaunch launch/multi_vehicle.launch vehicles:=iris:2 effects:="[$PWD/src/xtdrone_sim/examples/downwash.py:downwash]"
 """
@@ -10,7 +10,7 @@ from numba import njit
 AIR = 1.2  # kg/m^3
 ROTOR_RADIUS = 0.127  # m
 SPREAD = 0.1  # m of wake radius gained per metre of fall
-DRAG = 1.0  # of the body's top, related to its box
+DRAG = 1.0  # drag coefficient of the body's top, referred to its box
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""Gusts: horizontal air speed that wanders, the same for all vehicles, felt through the drag of rotors and body.
+"""Gusts: random horizontal wind, equal for all vehicles, that acts through the drag of rotors and body.
 
 roslaunch launch/multi_vehicle.launch effects:="[$PWD/src/xtdrone_sim/examples/gust.py:Gust: {speed: 3.0}]"
 """
@@ -12,11 +12,11 @@ class Gust:
     """First-order Gauss-Markov process of ``speed`` m/s (RMS, each axis) and ``correlation`` s."""
 
     def __init__(self, speed=2.0, correlation=3.0):
-        """Set the strength."""
+        """Set RMS speed, m/s, and correlation time, s."""
         self.speed, self.correlation = speed, correlation
 
     def reset(self, models, time_step, random):
-        """Begin in still air."""
+        """Restart in still air."""
         self._random, self._air = random, np.zeros(2)
         self._keep = math.exp(-time_step / self.correlation)
         self._noise = self.speed * math.sqrt(1.0 - self._keep**2)

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Write a follower once, try it with a thousand UAVs, fly it in full physics, then on a UAV::
+"""A follower written once: tested with a thousand UAVs, then flown in full physics and on a real UAV::
 
 python src/xtdrone_swarm/examples/thousand.py [film.mp4]        # the simplified simulator, without ROS
 
 here=$PWD/src/xtdrone_swarm/examples/thousand.py
 roslaunch launch/formation.launch n:=9 follower_class:=$here  # pybullet, PX4's control, ROS
-rosrun xtdrone_coordination follower.py iris 1 9 _class:=$here    # beside a UAV's MAVROS, for vehicle 1 of 9
+rosrun xtdrone_coordination follower.py iris 1 9 _class:=$here    # on a UAV with MAVROS, for vehicle 1 of 9
 """
 
 import sys
@@ -14,17 +14,17 @@ from xtdrone_coordination.follower import Follower
 
 
 class GentleFollower(Follower):
-    """Consensus whose velocity grows with the square root of the distance beyond a metre: far ones do not rush."""
+    """Consensus whose velocity grows with the square root of the distance beyond a metre."""
 
     def control_law(self, position, peers):
-        """Return the velocity of the paper's equation 2, bent, m/s ENU."""
+        """Return the velocity of the paper's equation 2, compressed above 1 m/s, m/s ENU."""
         velocity = super().control_law(position, peers)
         length = sum(v * v for v in velocity) ** 0.5
         return [v / max(length, 1.0) ** 0.5 for v in velocity]
 
 
 if __name__ == "__main__":
-    from xtdrone_swarm import Swarm  # the follower needs none of it, on a UAV there may be none
+    from xtdrone_swarm import Swarm  # not needed by the follower, and possibly not installed on a UAV
 
     swarm = Swarm(1000, follower=GentleFollower, follower_options={"vel_max": 3.0}, altitude=100.0)
     for pattern in ("cube", "pyramid"):

@@ -9,7 +9,7 @@ from typing import Any
 from xtdrone_control.bounded_file import ContentError, load_yaml, read_text
 from xtdrone_sim.package_files import CONFIG
 
-VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with vehicles of one's own, colons between them
+VEHICLES_VARIABLE = "XTDRONE_VEHICLES"  # environment: folders with user-defined vehicles, separated by colons
 
 
 class ModelError(ValueError):
@@ -40,11 +40,11 @@ def find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
 
     Args:
         kind: vehicles, worlds.
-        name: of the description.
-        above: files that extend it in turn, which it cannot be: one's own ``iris.yaml`` extends the package's ``iris``.
+        name: name of the description.
+        above: files that extend it, which are excluded: a user's ``iris.yaml`` extends the package's ``iris``.
 
     Raises:
-        ModelError: no such description.
+        ModelError: unknown description.
     """
     if name.endswith((".yaml", ".yml")):
         return Path(name)
@@ -60,11 +60,11 @@ def find(kind: str, name: str, above: tuple[Path, ...] = ()) -> Path:
 def read_description(kind: str, name: str) -> dict[str, Any]:
     """Return the YAML of a description of a kind (vehicles, worlds): ``<name>.yaml``, or the file ``name``.
 
-    ``extends: NAME`` in it takes everything from another description (a file's name: from its own folder) and says only
-    what differs.
+    With ``extends: NAME`` it inherits all values of another description (a file name is relative to its folder) and
+    lists only the differences.
 
     Raises:
-        ModelError: no such description, not a YAML mapping, or one that extends itself.
+        ModelError: unknown description, not a YAML mapping, or a description that extends itself.
     """
     return _read(kind, find(kind, name), ())
 
@@ -91,7 +91,7 @@ def _read(kind: str, path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Return ``base`` with the values of ``changes``; mappings are merged in turn."""
+    """Return ``base`` with the values of ``changes``; mappings are merged recursively."""
     merged = dict(base)
     for key, value in changes.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)

@@ -1,4 +1,4 @@
-"""Where the package's own files lie: beside the sources, or where an installed package has them."""
+"""Locations of the package's files: beside the sources, or in an installed package."""
 
 from __future__ import annotations
 

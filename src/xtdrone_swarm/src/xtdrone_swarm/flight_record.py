@@ -1,4 +1,4 @@
-"""What a swarm's flight was: where all were at each turn, and what the leader decided when."""
+"""Record of a swarm's flight: the positions at each turn and the leader's decisions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xtdrone_swarm.swarm_vehicles import Array
 
-_ROOM = 256  # turns at first; doubled when it is full
+_ROOM = 256  # turns allocated initially; doubled when full
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,10 @@ class Choice:
     """A pattern that the leader has chosen.
 
     Attributes:
-        time: s, of the turn in which the leader says it.
-        pattern: its name.
-        offsets: assigned slots, shape (N-1, 3), m ENU from the leader.
-        adjacency: topology, shape (N, N).
+        time: simulated time of the turn in which the leader announces the pattern, s.
+        pattern: name of the pattern.
+        offsets: assigned slots relative to the leader, shape (N-1, 3), m ENU.
+        adjacency: communication topology, shape (N, N).
     """
 
     time: float
@@ -30,14 +30,14 @@ class Choice:
 
 
 class Record:
-    """A flight in memory: 24 bytes a vehicle and turn.
+    """A flight in memory: 24 bytes per vehicle and turn.
 
     Attributes:
-        choices: patterns and topologies in order of time.
+        choices: patterns and topologies, in chronological order.
     """
 
     def __init__(self, count: int) -> None:
-        """Begin with nothing, for ``count`` vehicles."""
+        """Create an empty record for ``count`` vehicles."""
         self.choices: list[Choice] = []
         self._times = np.zeros(_ROOM)
         self._positions = np.zeros((_ROOM, count, 3))
@@ -54,7 +54,7 @@ class Record:
         return self._positions[: self._turns]
 
     def add(self, time: float, positions: Array) -> None:
-        """Take a turn's time, s, and positions, shape (N, 3); they are copied."""
+        """Append a turn: its time, s, and a copy of the positions, shape (N, 3), m ENU."""
         if self._turns == len(self._times):
             self._times = np.concatenate([self._times, np.zeros_like(self._times)])
             self._positions = np.concatenate([self._positions, np.zeros_like(self._positions)])

@@ -1,4 +1,4 @@
-"""The followers of a swarm, and what each of them knows: the whole state at once, or what its radio brings."""
+"""The followers of a swarm, and the state known to each: the complete state, or the part received over the network."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from xtdrone_swarm.swarm_vehicles import Array, Mask
 
 
 class Maker(Protocol):
-    """Makes a follower, as the class Follower does."""
+    """Factory for followers with the signature of the class ``Follower``."""
 
     def __call__(self, id: int, count: int, *, swarm: SwarmState) -> Follower:
-        """Return the follower of vehicle ``id``, which knows ``swarm``."""
+        """Return the follower of vehicle ``id``, which reads the swarm's state from ``swarm``."""
 
 
 class FollowerGroup:
     """All followers of a swarm, computed together.
 
     Attributes:
-        followers: of vehicles 1 to N-1.
-        state: what the leader knows.
-        network: by which all hear each other, None when everybody knows the state of the turn.
+        followers: followers of vehicles 1 to N-1.
+        state: swarm state known to the leader.
+        network: communication network between the vehicles; None if every vehicle knows the complete current state.
     """
 
     followers: Sequence[Follower]
     state: SwarmState
 
     def __init__(self, count: int, make: Maker, network: Network | None = None) -> None:
-        """Make ``count`` - 1 followers."""
+        """Create ``count`` - 1 followers."""
         self.network = network
         if network is None:
             shared = ArraySwarm(count)
@@ -50,11 +50,11 @@ class FollowerGroup:
             self._batch = FollowerBatch(self.followers, network=network)
 
     def hear(self, positions: Array, velocities: Array) -> None:
-        """Begin a turn: take where all are, shape (N, 3) each, m and m/s ENU."""
+        """Begin a turn with all positions, m ENU, and velocities, m/s ENU, shape (N, 3) each."""
         self._hear(positions, velocities)
 
     def update(self) -> tuple[Array, Mask]:
-        """Return what to command, shape (N, 3), and whom, shape (N,)."""
+        """Return the commands, shape (N, 3), and the mask of the commanded vehicles, shape (N,)."""
         return self._batch.update()
 
     def tick(self) -> None:
@@ -62,15 +62,15 @@ class FollowerGroup:
         self.state.tick()
 
     def on_pattern(self, offsets: Array) -> None:
-        """Give all followers their slots, shape (N-1, 3), m ENU from the leader."""
+        """Assign all followers their slots relative to the leader, shape (N-1, 3), m ENU."""
         self._batch.on_pattern(offsets)
 
     def on_topology(self, adjacency: NDArray[np.int32]) -> None:
-        """Give all followers the adjacency matrix, shape (N, N)."""
+        """Pass the adjacency matrix, shape (N, N), to all followers."""
         self._batch.on_topology(adjacency)
 
     def restart(self) -> None:
-        """Know nothing again, and let a network repeat what it did."""
+        """Reset the known states and restart the network, which then repeats its random sequence."""
         self._batch.restart()
         if self.network is not None:
             self.network.restart()

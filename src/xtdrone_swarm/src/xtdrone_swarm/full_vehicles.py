@@ -1,10 +1,10 @@
-"""The full simulator behind the cut of the simplified one: physics, sensors, estimators and autopilots in one process.
+"""The full simulator behind the ``Vehicles`` interface: physics, sensors, estimators and autopilots in one process.
 
-So the very classes that a script has tried on simple vehicles fly in full physics, without ROS. What lies between them
-and the autopilots in the ROS stack is here too, as function calls: the communication node's rules
-(``xtdrone_control.communication.core``) and its stream of setpoints at 30 Hz, the turn from ENU to NED that MAVROS
-makes, and PX4's reading of SET_POSITION_TARGET_LOCAL_NED. A command acts in the turn in which it is given; through
-topics it takes two or three turns more.
+The same Leader and Follower classes that a script has tested on simplified vehicles thus fly in full physics without
+ROS. The layers between them and the autopilots in the ROS stack are implemented here as function calls: the rules of
+the communication node (``xtdrone_control.communication.core``) and its 30 Hz setpoint stream, MAVROS's conversion from
+ENU to NED, and PX4's interpretation of SET_POSITION_TARGET_LOCAL_NED. A command acts in the turn in which it is given;
+over topics it is delayed by two or three turns more.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from xtdrone_coordination.patterns import origin_columns
 from xtdrone_sim.simulation import Simulation
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY, Array, Mask
 
-STREAM_RATE = 30  # Hz, of the setpoints
+STREAM_RATE = 30  # Hz, rate of the setpoint stream
 _TO_ENU = np.array([1.0, 1.0, -1.0])
 
 _KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)
@@ -37,10 +37,10 @@ _MODES = {mode.name: mode for mode in modes.SUPPORTED}
 
 
 class CoreVehicles:
-    """Vehicles in full physics, each flown by our autopilot. See ``vehicles.Vehicles`` for the attributes.
+    """Vehicles in full physics, each flown by its autopilot. See ``swarm_vehicles.Vehicles`` for the attributes.
 
-    ``position`` and ``velocity`` are the autopilot's estimates, as ``mavros/local_position`` tells them; NaN until
-    there is one, some tenths of a second after the start.
+    ``position`` and ``velocity`` are the autopilot's estimates, as published on ``mavros/local_position``; NaN until
+    the estimate is valid, a few tenths of a second after the start.
 
     Attributes:
         simulation: the simulator itself: world, sensors, autopilots.
@@ -60,18 +60,18 @@ class CoreVehicles:
         """Place the vehicles on the ground, disarmed.
 
         Args:
-            count: how many, 1 to 250.
+            count: number of vehicles, 1 to 250.
             kind: vehicle type, a name in ``config/vehicles``.
-            places: (x, y, z) m ENU a vehicle; the spawn grid, which is the pattern ``origin``, if none are given.
-            seed: of all sensor noise.
-            world: a name in ``config/worlds`` or a file.
+            places: initial position (x, y, z) of each vehicle, m ENU; None: the spawn grid (pattern ``origin``).
+            seed: seed of all sensor noise.
+            world: a name in ``config/worlds``, or a file.
             hover_speed: m/s (m/s^2 for accelerations); see ``MultirotorCore``.
-            cmd_timeout: s; see ``MultirotorCore``; 0: a command holds until the next.
+            cmd_timeout: s; see ``MultirotorCore``; 0: a command holds until the next one.
 
         Raises:
             FleetError: ``count`` is out of range.
             ModelError: unknown vehicle type or world.
-            ValueError: ``places`` are not ``count`` times three finite numbers, or another value is not allowed.
+            ValueError: ``places`` does not consist of ``count`` finite triples, or another value is not allowed.
         """
         if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MAX_VEHICLES:
             raise FleetError(f"number of vehicles: {count!r} is not allowed in full physics; 1 to {MAX_VEHICLES}")
@@ -100,7 +100,7 @@ class CoreVehicles:
     # the state
 
     def _look(self) -> None:
-        """Take over where the simulation has come to."""
+        """Update the vehicles' state from the simulation."""
         autopilot = self.simulation.autopilot
         estimator = autopilot.estimator
         commanders = self.simulation.commanders
@@ -126,7 +126,7 @@ class CoreVehicles:
 
     @property
     def collisions(self) -> list[str]:
-        """Which vehicles have touched each other or something since the start, in the simulator node's words."""
+        """Collisions since the start, between vehicles or with objects, as the simulator node describes them."""
         world = self.simulation.world
         names = [*self.names, *(model.name for model in world.model.models)]
         return [f"collision of {names[a]} and {names[b]}" for a, b in sorted(world.collisions)]
@@ -138,13 +138,13 @@ class CoreVehicles:
     # commands
 
     def command(self, index: int, text: str) -> str:
-        """Give a vehicle an XTDrone command; see ``Vehicles``. One whose state holds already does nothing.
+        """Send an XTDrone command to a vehicle; see ``Vehicles``. A command for the present state has no effect.
 
         Returns:
-            Why it is refused, in the autopilot's words; "" when it is not.
+            The reason for a rejection, in the autopilot's words; "" if the command is accepted.
 
         Raises:
-            IndexError: there is no such vehicle.
+            IndexError: ``index`` is out of range.
         """
         self._check_index(index)
         request = self._cores[index].on_command(text, self._now)
@@ -180,7 +180,7 @@ class CoreVehicles:
         """Set the setpoints of some vehicles; see ``Vehicles``.
 
         Raises:
-            ValueError: an unknown kind, another size, or a vector that is not finite, whose vehicle is named.
+            ValueError: unknown kind, wrong shape, or a vector that is not finite; the message names its vehicle.
         """
         _check_kind(kind)
         if vectors.shape != self.position.shape or given.shape != self.yaw.shape:
@@ -193,11 +193,11 @@ class CoreVehicles:
             self.steer_one(i, kind, (x, y, z))
 
     def steer_one(self, index: int, kind: int, vector: tuple[float, float, float], yaw_rate: float = 0.0) -> None:
-        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s; a POSITION keeps the present heading.
+        """Set one vehicle's setpoint, ENU, with a yaw rate, rad/s; a POSITION keeps the present heading.
 
         Raises:
-            IndexError: there is no such vehicle.
-            ValueError: an unknown kind, or a value that is not finite.
+            IndexError: ``index`` is out of range.
+            ValueError: unknown kind, or a value that is not finite.
         """
         self._check_index(index)
         _check_kind(kind)
@@ -223,10 +223,10 @@ class CoreVehicles:
     # time
 
     def advance(self, time_us: int) -> None:
-        """Move on to ``time_us``, a multiple of ``step_us``; setpoints go out at each 30 Hz turn on the way.
+        """Advance to ``time_us``, a multiple of ``step_us``; send the setpoints at each 30 Hz turn up to then.
 
         Raises:
-            ValueError: it is no such multiple, or lies behind.
+            ValueError: ``time_us`` is not such a multiple, or lies in the past.
         """
         if time_us % self.step_us or time_us < self.time_us:
             raise ValueError(
@@ -240,7 +240,7 @@ class CoreVehicles:
             self._look()
 
     def _send(self) -> None:
-        """Tell every autopilot its setpoint, as the stream of mavros/setpoint_raw/local does."""
+        """Send every autopilot its setpoint, like the stream on ``mavros/setpoint_raw/local``."""
         for i, (core, commander) in enumerate(zip(self._cores, self.simulation.commanders, strict=True)):
             setpoint = core.tick(self._now)
             known = self._targets[i]
@@ -249,7 +249,7 @@ class CoreVehicles:
             local_target(commander, known[1])
 
     def restart(self) -> None:
-        """Put all back to their start; see ``Vehicles``. Parameters that were changed stay changed."""
+        """Reset all vehicles to their initial state; see ``Vehicles``. Changed parameters are kept."""
         self.simulation.restart()
         for core in self._cores:
             core.restart()
@@ -261,17 +261,17 @@ class CoreVehicles:
 
 
 class _Log:
-    """The communication node's messages in this module's log."""
+    """Redirects the communication node's messages to this module's log."""
 
     def __init__(self) -> None:
         logger = logging.getLogger(__name__)
         self.info = logger.debug
-        self.warning = logger.info  # refusals are returned to whoever commands
+        self.warning = logger.info  # rejections are returned to the caller
         self.stream_warning = logger.warning
 
 
 def _target(setpoint: Setpoint) -> SimpleNamespace:
-    """Return a setpoint with the fields of SET_POSITION_TARGET_LOCAL_NED, in NED or, in a body frame, FRD."""
+    """Return a setpoint with the fields of SET_POSITION_TARGET_LOCAL_NED, in NED, or in FRD for a body frame."""
     local = setpoint.frame == FRAME_LOCAL_NED
     turn = frames.enu_to_ned if local else frames.flu_to_frd
     x, y, z = turn(*setpoint.position)

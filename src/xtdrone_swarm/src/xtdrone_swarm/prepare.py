@@ -1,4 +1,4 @@
-"""Compile the kernels into their cache, so that the first flight does not wait: ``python -m xtdrone_swarm.prepare``."""
+"""Compile the kernels into their cache so the first flight starts promptly: ``python -m xtdrone_swarm.prepare``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _POOR = NetworkOptions(range=50.0, delay=0.05, loss=0.1, burst=0.1, bandwidth=1e
 
 
 def _no_effect(*_: object) -> None:
-    """Apply no force; the simulation then uses the kernels for effects."""
+    """Apply no force: an effect makes the simulation use the kernels for effects."""
 
 
 def main() -> None:
-    """Fly two vehicles that stand on the ground for a moment, then simplified ones; every kernel is used.
+    """Simulate two vehicles on the ground for a moment, then simplified ones, so that every kernel is compiled.
 
-    Says what it is at: the set-up shows it to those who wait.
+    Print each step, because the installation script shows them as progress.
     """
     for world, seconds in (("empty", 1.0), ("outdoor", 0.1)):
         print(f"autopilots and physics, world {world}", flush=True)

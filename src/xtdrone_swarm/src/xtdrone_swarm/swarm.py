@@ -1,4 +1,4 @@
-"""A swarm in one process, without ROS: the very Leader and Follower classes of the flight, on simplified vehicles.
+"""A swarm in one process, without ROS: the Leader and Follower classes of the ROS flight, on simplified vehicles.
 
 ::
 
@@ -7,8 +7,8 @@
     swarm.run_until(settled=0.15)
     print(swarm.errors().max())
 
-One turn is one period of the 30 Hz loop, at exactly the times of the lockstep. In turn k all see the state of its time,
-and what the leader said in turn k-1; what they command acts from then on, as in a ROS flight on the simplified
+One turn is one period of the 30 Hz loop, at exactly the times of the lockstep. In turn k every vehicle knows the state
+at that time and the leader's decisions of turn k-1; its commands act from then on, as in a ROS flight on the simplified
 simulator.
 """
 
@@ -39,8 +39,8 @@ from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY, Array, Vehicles
 
 MOST_VEHICLES = 10_000  # in one swarm; the topology is a matrix of N x N
 SETTLED = 0.15  # m
-_SAID = 3  # warnings of followers in one turn
-_REPEATED = 10.0  # s, before a follower's warning is logged again: over a poor network it comes and goes all the time
+_SAID = 3  # followers' warnings logged in one turn, at most
+_REPEATED = 10.0  # s until a follower's warning is logged again: over a poor network it recurs constantly
 
 _Options = TypeVar("_Options", FollowerOptions, LeaderOptions, NetworkOptions)
 _LOG = logging.getLogger(__name__)
@@ -50,10 +50,10 @@ class Swarm:
     """A leader, its followers and their vehicles.
 
     Attributes:
-        vehicles: what is steered.
-        leader: vehicle 0's.
-        followers: of vehicles 1 to N-1.
-        record: the flight so far, None without one.
+        vehicles: the controlled vehicles.
+        leader: leader algorithm of vehicle 0.
+        followers: follower algorithms of vehicles 1 to N-1.
+        record: the flight so far; None if it is not recorded.
     """
 
     def __init__(
@@ -76,30 +76,31 @@ class Swarm:
         seed: int = 0,
         record: bool = True,
     ) -> None:
-        """Make a swarm; time is 0, nobody has decided anything.
+        """Create a swarm at time 0, without a pattern.
 
         Args:
-            count: number of vehicles N, the leader included, 2 to MOST_VEHICLES.
+            count: number of vehicles N including the leader, 2 to MOST_VEHICLES.
             follower: class of the followers.
             leader: class of the leader.
             kind: vehicle type, a name in ``config/vehicles``.
             model: see ``model.load_model``.
-            vehicles: other vehicles than simplified ones, N of them; then ``kind``, ``model``, ``places``,
-                ``altitude`` and ``airborne`` are theirs and not taken here.
-            places: shape (N, 3), m ENU; the spawn grid at ``altitude`` (on the ground unless ``airborne``) if None.
+            vehicles: N vehicles to use instead of simplified ones; ``kind``, ``model``, ``places``, ``altitude`` and
+                ``airborne`` are then ignored.
+            places: initial positions, shape (N, 3), m ENU; None: the spawn grid at ``altitude`` (on the ground unless
+                ``airborne``).
             altitude: m, above 0.
-            airborne: armed, in OFFBOARD and holding; otherwise disarmed, see :meth:`vehicle`.
-            patterns: XTDrone's and the generated ones, and those of ``pattern_file``, if None.
-            pattern_file: YAML file with patterns of one's own.
-            follower_options: settings, or those that differ from the defaults by name.
+            airborne: start armed, in OFFBOARD and holding position; otherwise disarmed, see :meth:`vehicle`.
+            patterns: available patterns; None: XTDrone's, the generated ones and those of ``pattern_file``.
+            pattern_file: YAML file with user-defined patterns.
+            follower_options: settings, or a mapping of those that differ from the defaults.
             leader_options: likewise.
-            network: how the vehicles hear each other, likewise; ideally if None.
-            seed: of all that is random, 0 or more.
+            network: communication between the vehicles, likewise; None: ideal.
+            seed: seed of all random numbers, 0 or more.
             record: whether to keep the flight in :attr:`record`.
 
         Raises:
-            ValueError: a value that is not allowed (PatternError, ModelError are such).
-            TypeError: a class that is none, or does not inherit Follower or Leader.
+            ValueError: a value is not allowed; includes PatternError and ModelError.
+            TypeError: ``follower`` or ``leader`` is not a class that inherits Follower or Leader.
         """
         _check_class("follower", follower, Follower)
         _check_class("leader", leader, Leader)
@@ -127,7 +128,7 @@ class Swarm:
         options = _options(FollowerOptions, follower_options)
         self._kind = VELOCITY if options.mode == "vel" else ACCELERATION
         radio = None if network is None else make_network(count, _options(NetworkOptions, network), seed)
-        self._warnings: list[str] = []  # of the present turn
+        self._warnings: list[str] = []  # in the present turn
         make = partial(follower, options=options, warn=self._warnings.append)
         self._followers = FollowerGroup(count, make, radio)
         self.followers = self._followers.followers
@@ -155,17 +156,17 @@ class Swarm:
         self._followers.hear(self.vehicles.position, self.vehicles.velocity)
 
     def restart(self) -> None:
-        """Begin anew: the same inputs then lead to the same flight, to the last bit."""
+        """Reset to the start; equal inputs then reproduce the flight bit for bit."""
         self.vehicles.restart()
         self.leader.restart()
         self._followers.restart()
         self._begin()
 
     def close(self) -> None:
-        """Free what the vehicles hold."""
+        """Release the vehicles' resources."""
         self.vehicles.close()
 
-    # what is seen
+    # state
 
     @property
     def time(self) -> float:
@@ -174,17 +175,17 @@ class Swarm:
 
     @property
     def positions(self) -> Array:
-        """Where the vehicles believe to be, a copy of shape (N, 3), m ENU."""
+        """Estimated positions of the vehicles, a copy of shape (N, 3), m ENU."""
         return self.vehicles.position.copy()
 
     @property
     def velocities(self) -> Array:
-        """Likewise their velocities, a copy of shape (N, 3), m/s ENU."""
+        """Estimated velocities of the vehicles, a copy of shape (N, 3), m/s ENU."""
         return self.vehicles.velocity.copy()
 
     @property
     def true_positions(self) -> Array:
-        """Where they are, a copy of shape (N, 3), m ENU."""
+        """True positions of the vehicles, a copy of shape (N, 3), m ENU."""
         return self.vehicles.true_position.copy()
 
     def errors(self) -> Array:
@@ -195,36 +196,37 @@ class Swarm:
         return np.asarray(np.linalg.norm(points[1:] - points[0] - self.leader.offsets, axis=1))
 
     def least_distance(self) -> float:
-        """Return the least distance between any two vehicles now, m."""
+        """Return the present minimum distance between any two vehicles, m."""
         points = self.vehicles.true_position
         return float(cKDTree(points).query(points, k=2)[0][:, 1].min())
 
     def cut_off(self) -> list[int]:
-        """Return the vehicles that cannot hear of the leader, directly or through others, ascending.
+        """Return the vehicles without a connection to the leader, direct or through others, ascending.
 
-        By the topology; with a network, over links that are within its range now. None are before the first pattern.
+        Connections are those of the topology; with a network, only those within its range now. Before the first pattern
+        the list is empty.
         """
         adjacency, network = self.leader.adjacency, self._followers.network
         if adjacency is None:
             return []
         return unreachable(adjacency) if network is None else network.unreachable(np.nonzero(adjacency))
 
-    # what is commanded
+    # commands
 
     def choose(self, pattern: str) -> None:
-        """Choose a pattern: slots and topology are told in the next turn, and flown from the one after.
+        """Choose a pattern: slots and topology are announced in the next turn and flown from the turn after it.
 
         Raises:
-            PatternError: there is no such pattern.
-            CommandError: it cannot be flown now.
+            PatternError: the pattern does not exist.
+            CommandError: the pattern cannot be flown now.
         """
         self.leader.choose(pattern)
 
     def command(self, text: str) -> None:
-        """Give the leader a command as on ``/xtdrone/leader/cmd``: a pattern's name, or one for vehicle 0.
+        """Send the leader a command as on ``/xtdrone/leader/cmd``: a pattern's name, or a command for vehicle 0.
 
         Raises:
-            CommandError: it is neither, or cannot be flown now.
+            CommandError: ``text`` is neither, or cannot be flown now.
         """
         passed = self.leader.on_command(text)
         if passed is not None:
@@ -232,14 +234,14 @@ class Swarm:
             self._passed.append(passed)
 
     def steer(self, velocity: ArrayLike, yaw_rate: float = 0.0) -> None:
-        """Let the leader fly so until the next such call, as who keeps sending ``/xtdrone/leader/cmd_vel_flu``.
+        """Fly the leader at a velocity until the next call, as if it were repeated on ``/xtdrone/leader/cmd_vel_flu``.
 
         Args:
             velocity: shape (3,), m/s FLU: forward, left, up.
             yaw_rate: rad/s, counter-clockwise.
 
         Raises:
-            ValueError: they are not finite numbers.
+            ValueError: the values are not finite numbers.
         """
         values = np.asarray(velocity, dtype=float)
         if values.shape != (3,) or not np.isfinite(values).all() or not math.isfinite(yaw_rate):
@@ -250,10 +252,10 @@ class Swarm:
         self._course = ((x, y, z), float(yaw_rate))
 
     def vehicle(self, index: int, text: str) -> str:
-        """Give a vehicle a command as on ``/xtdrone/T/cmd``: ARM, DISARM, HOVER or a PX4 mode as AUTO.LAND.
+        """Send a vehicle a command as on ``/xtdrone/T/cmd``: ARM, DISARM, HOVER or a PX4 mode such as AUTO.LAND.
 
         Returns:
-            Why it is refused, "" when it is not.
+            The reason for a rejection; "" if the command is accepted.
         """
         if index == 0:
             self._course = None
@@ -262,7 +264,7 @@ class Swarm:
     # time
 
     def step(self) -> None:
-        """Let one turn pass: time goes on to it, then leader and followers decide."""
+        """Run one turn: advance the time to it, then update leader and followers."""
         vehicles, leader = self.vehicles, self.leader
         vehicles.advance(self._schedule.after_us(vehicles.time_us))
         self._steer_on()
@@ -284,7 +286,7 @@ class Swarm:
             self._announce()
 
     def run(self, seconds: float) -> None:
-        """Let turns pass until so many seconds are over.
+        """Run turns for a number of simulated seconds.
 
         Raises:
             ValueError: ``seconds`` is negative or not finite.
@@ -296,15 +298,15 @@ class Swarm:
             self.step()
 
     def run_until(self, settled: float = SETTLED, hold: float = 5.0, limit: float = 60.0) -> bool:
-        """Let turns pass until all followers have been in their slots for some time.
+        """Run turns until all followers have stayed in their slots for some time.
 
         Args:
-            settled: largest distance from a slot, m.
-            hold: s, for so long.
-            limit: s, after which it ends anyway.
+            settled: maximum distance from a slot, m.
+            hold: required duration, s.
+            limit: maximum duration of the run, s.
 
         Returns:
-            Whether they have settled.
+            Whether the followers have settled.
 
         Raises:
             ValueError: a value is negative or not a number.
@@ -335,26 +337,26 @@ class Swarm:
         progress: bool = True,
         **options: Any,
     ) -> Path:
-        """Write a film of the recorded flight, or fly on and film that.
+        """Write a film of the recorded flight, or continue the flight and film it.
 
         Args:
-            path: ends with .mp4, .gif or .png (the last moment, with trails).
-            seconds: let the swarm fly so long and film it; the recorded flight if None.
-            start: of the part of the recorded flight that is shown, s; its begin if None.
-            end: likewise; its end if None.
-            fps: pictures a second.
-            speed: simulated seconds in a second of the film.
-            each_turn: called with the swarm before each turn that is flown, as to choose a pattern at some time.
+            path: file with the suffix .mp4, .gif or .png (the last state, with trails).
+            seconds: duration to fly and film, s; None: film the recorded flight.
+            start: first time of the recorded flight to show, s; None: its beginning.
+            end: last time likewise; None: its end.
+            fps: frames per second.
+            speed: simulated seconds per second of the film.
+            each_turn: called with the swarm before each turn, for example to choose a pattern at some time.
             progress: whether to show a progress bar.
-            options: of the picture: slots, edges, trails (s), size (pixels); see ``view.SwarmView``.
+            options: options of the picture: slots, edges, trails (s), size (pixels); see ``view.SwarmView``.
 
         Returns:
             The path.
 
         Raises:
-            FilmError: it cannot be written, or there is no such flight; it is a ValueError.
+            FilmError: the film cannot be written, or the flight is not recorded; a ValueError.
         """
-        from xtdrone_swarm.view.flight import film_swarm  # Matplotlib only for who draws
+        from xtdrone_swarm.view.flight import film_swarm  # imports Matplotlib only for drawing
 
         return film_swarm(
             self,
@@ -380,23 +382,23 @@ class Swarm:
         """Fly in a live window until it is closed: scroll zooms, drag turns, h shows the keys.
 
         Args:
-            speed: simulated seconds a second; infinite for as fast as it can.
-            seconds: after so much simulated time the swarm stands still.
-            each_turn: called with the swarm before each turn, as to choose a pattern at some time.
-            options: of the picture: slots, edges, trails (s), size (pixels); see ``view.SwarmView``.
+            speed: simulated seconds per second of wall time; infinite for as fast as possible.
+            seconds: simulated time after which the swarm stops, s.
+            each_turn: called with the swarm before each turn, for example to choose a pattern at some time.
+            options: options of the picture: slots, edges, trails (s), size (pixels); see ``view.SwarmView``.
 
         Raises:
-            WindowError: there is no display.
+            WindowError: no display is available.
             ValueError: speed or seconds are not above 0.
         """
-        from xtdrone_swarm.view.flight import watch_swarm  # Matplotlib only for who draws
+        from xtdrone_swarm.view.flight import watch_swarm  # imports Matplotlib only for drawing
 
         watch_swarm(self, speed=speed, seconds=seconds, each_turn=each_turn, **options)
 
     # a turn's parts
 
     def _steer_on(self) -> None:
-        """Repeat the steering as a keyboard does; a zero once, for it means HOVER."""
+        """Repeat the steering command as the keyboard node does; a zero command only once because it means HOVER."""
         if self._course is None:
             return
         self.leader.on_steering(*self._course)
@@ -404,7 +406,7 @@ class Swarm:
             self._course = None
 
     def _lead(self) -> None:
-        """Pass on what the leader wants of vehicle 0."""
+        """Forward the leader's commands to vehicle 0."""
         for text in self._passed:
             refusal = self.vehicles.command(0, text)
             if refusal:
@@ -420,7 +422,7 @@ class Swarm:
         self.vehicles.steer_one(0, VELOCITY, (c * x - s * y, s * x + c * y, z), yaw_rate)
 
     def _warn(self) -> None:
-        """Log what followers warn of; when many do in one turn, the first of them and how many more."""
+        """Log the followers' warnings; of many in one turn, the first ones and the number of the others."""
         now = self.time
         texts = [text for text in self._warnings if now - self._said_at.get(text, -math.inf) >= _REPEATED]
         self._said_at.update(dict.fromkeys(texts, now))
@@ -431,7 +433,7 @@ class Swarm:
             _LOG.warning("%.3f s: %d more such warnings of followers", now, len(texts) - _SAID)
 
     def _name_those_out_of_range(self) -> None:
-        """Warn of vehicles that the leader's topology reaches, but not over the network as all are now."""
+        """Warn of vehicles connected by the topology but cut off by the network's range at the present positions."""
         assert self.leader.adjacency is not None
         lost = sorted(set(self.cut_off()) - set(unreachable(self.leader.adjacency)))
         if lost:
@@ -443,7 +445,7 @@ class Swarm:
             )
 
     def _announce(self) -> None:
-        """Send pattern and topology on their way; the offsets as 32-bit floats, as in ROS's messages."""
+        """Announce pattern and topology; the offsets are rounded to 32-bit floats, as in the ROS messages."""
         leader = self.leader
         self._said = leader.pattern
         assert leader.offsets is not None

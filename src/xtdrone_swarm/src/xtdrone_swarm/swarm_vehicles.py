@@ -1,4 +1,4 @@
-"""What a swarm steers: the cut between the algorithms and whatever moves the vehicles, simplified or full physics."""
+"""The interface between a swarm's algorithms and its vehicles, simplified or in full physics."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ HOLD, VELOCITY, ACCELERATION, POSITION = 0, 1, 2, 3
 
 
 class Vehicles(Protocol):
-    """N vehicles, in order of their numbers. All arrays are ENU in the ``map`` frame, and read-only for others.
+    """N vehicles, ordered by number. All arrays are ENU in the ``map`` frame, and read-only for callers.
 
     Attributes:
-        names: as ``iris_0``.
+        names: names of the vehicles, for example ``iris_0``.
         time_us: simulated time, microseconds; a multiple of ``step_us``.
         step_us: base step, microseconds.
-        position: where they believe to be, shape (N, 3), m; in the simplified models the truth.
-        velocity: likewise, shape (N, 3), m/s.
+        position: estimated positions, shape (N, 3), m; the true ones in the simplified models.
+        velocity: estimated velocities, shape (N, 3), m/s.
         yaw: heading, rad counter-clockwise from east, shape (N,).
-        true_position: shape (N, 3), m.
-        armed: one a vehicle.
-        mode: PX4's mode as MAVROS names it, one a vehicle.
+        true_position: true positions, shape (N, 3), m.
+        armed: whether each vehicle is armed.
+        mode: PX4 mode of each vehicle, as MAVROS names it.
     """
 
     names: tuple[str, ...]
@@ -41,29 +41,29 @@ class Vehicles(Protocol):
     mode: Sequence[str]
 
     def command(self, index: int, text: str) -> str:
-        """Give a vehicle an XTDrone command: ARM, DISARM, HOVER or a PX4 mode as OFFBOARD or AUTO.LAND.
+        """Send an XTDrone command to a vehicle: ARM, DISARM, HOVER or a PX4 mode such as OFFBOARD or AUTO.LAND.
 
         Returns:
-            Why it is refused, "" when it is not.
+            The reason for a rejection; "" if the command is accepted.
         """
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:
-        """Set the setpoints of some vehicles, which act in OFFBOARD from now on until the next; heading is kept.
+        """Set the setpoints of some vehicles; in OFFBOARD they act until the next ones, and the heading is kept.
 
         Args:
-            kind: VELOCITY or ACCELERATION (POSITION where the vehicles take it).
+            kind: VELOCITY or ACCELERATION (POSITION if the vehicles support it).
             vectors: shape (N, 3), ENU.
-            given: shape (N,), which rows count.
+            given: mask of the rows to apply, shape (N,).
         """
 
     def steer_one(self, index: int, kind: int, vector: tuple[float, float, float], yaw_rate: float = 0.0) -> None:
-        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s."""
+        """Set one vehicle's setpoint, ENU, with a yaw rate, rad/s."""
 
     def advance(self, time_us: int) -> None:
-        """Move on to ``time_us``, a multiple of ``step_us``."""
+        """Advance to ``time_us``, a multiple of ``step_us``."""
 
     def restart(self) -> None:
-        """Put all back to their start, time too; the same inputs then lead to the same flight, to the last bit."""
+        """Reset vehicles and time to the start; equal inputs then reproduce the flight bit for bit."""
 
     def close(self) -> None:
-        """Free what is held."""
+        """Release all resources."""

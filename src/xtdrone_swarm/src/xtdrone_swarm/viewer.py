@@ -1,4 +1,4 @@
-"""The live window of a simulator's node: a process of its own, so that drawing never holds up the flight."""
+"""The live window of a simulator node: a separate process, so that drawing never delays the flight."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import sys
 from collections.abc import Iterator, Sequence
 
 _PR_SET_PDEATHSIG = 1
-_PATIENCE = 3.0  # s of wall time that the window gets to close
+_PATIENCE = 3.0  # s of wall time for the window to close
 _libc = ctypes.CDLL(None)
 
 
 def wanted(view: bool | None) -> bool:
-    """Return whether a window is to be opened.
+    """Return whether to open a live window.
 
     Args:
-        view: what the user has said; None: nothing, then there is one where there is a display.
+        view: the user's choice; None: open a window if a display is available.
 
     Raises:
-        ValueError: it is asked for where there is no display.
+        ValueError: a window is requested without a display.
     """
     has_display = bool(os.environ.get("DISPLAY"))
     if view and not has_display:
@@ -32,21 +32,21 @@ def wanted(view: bool | None) -> bool:
 
 @contextlib.contextmanager
 def live_window(kind: str, count: int, remappings: Sequence[str]) -> Iterator[None]:
-    """Show ``visualize.py``'s window while the block runs; the user may close it before, which ends nothing else.
+    """Show ``visualize.py``'s window while the block runs; closing it earlier ends nothing else.
 
     Args:
         kind: vehicle type.
-        count: how many.
-        remappings: the node's own arguments of ROS; its name and parameters are not passed on.
+        count: number of vehicles.
+        remappings: ROS arguments of the node; all but its name and parameters are passed on.
     """
     passed = [text for text in remappings if ":=" in text and (text.startswith("__ns") or not text.startswith("_"))]
     command = [sys.executable, "-m", "xtdrone_swarm.view", kind, str(count), *passed]
     parent = os.getpid()
 
     def end_with_us() -> None:
-        """Have the kernel end the window with this process, however that ends."""
+        """Make the operating system end the window when this process ends for any reason."""
         _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-        if os.getppid() != parent:  # it ended before the kernel knew
+        if os.getppid() != parent:  # the parent ended before prctl took effect
             os._exit(1)
 
     window = subprocess.Popen(command, stdin=subprocess.DEVNULL, preexec_fn=end_with_us)

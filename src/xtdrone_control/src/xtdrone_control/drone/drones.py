@@ -23,7 +23,7 @@ class Runner(Protocol):
 
 
 class _Flyer:
-    """What one vehicle and several have in common: the verbs that need no numbers of one vehicle."""
+    """Common base of one vehicle and several: the verbs that need no data of a single vehicle."""
 
     def __init__(self, runner: Runner, vehicles: Sequence[Verbs]) -> None:
         self._runner = runner
@@ -66,7 +66,7 @@ class _Flyer:
         self._run("set_mode", lambda _, v: v.set_mode(mode))
 
     def wait(self, seconds: float) -> None:
-        """Let ROS time pass; setpoints are streamed meanwhile."""
+        """Wait in ROS time while setpoints are streamed."""
         check_positive("wait", seconds=seconds)
         self._run("wait", lambda _, v: v.wait(seconds))
 

@@ -67,7 +67,7 @@ class GroupError(DroneError):
 
 @dataclass
 class Telemetry:
-    """What the vehicle's MAVROS reports beside mode, arming and pose.
+    """The vehicle's MAVROS reports besides mode, arming state and pose.
 
     Attributes:
         connected: whether MAVROS hears the autopilot.
@@ -223,7 +223,7 @@ class Verbs:
             yield
 
     def wait(self, seconds: float) -> Steps:
-        """Let ``seconds`` of ROS time pass; a vehicle in OFFBOARD must stay in it."""
+        """Wait ``seconds`` of ROS time; a vehicle in OFFBOARD must stay in it."""
         began, offboard = self._now(), self.core.mode == "OFFBOARD" and self.core.armed
         while self._now() - began < seconds:
             if offboard:

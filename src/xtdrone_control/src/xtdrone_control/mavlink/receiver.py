@@ -25,7 +25,7 @@ _BROADCAST = 0
 
 @dataclass(frozen=True)
 class _Entry:
-    """How one kind of message is handled.
+    """Handling of one kind of message.
 
     Attributes:
         decode: decoder of a frame.

@@ -26,7 +26,7 @@ class Reallocation:
         self._control = control
 
     def take_from(self, vehicle: Vehicle) -> None:
-        """Take the unseen path of a vehicle away from it, to be flown by others."""
+        """Remove the unseen path of a vehicle from its plan and queue it for the others."""
         mission = vehicle.mission
         path = [] if mission.path_done or self._control.found else mission.unseen_path
         if len(path) > 1:

@@ -29,7 +29,7 @@ class Connection(Protocol):
 
     Attributes:
         where: name in error messages.
-        unreachable: whether the other end has refused what was sent last (UDP: no program has the port).
+        unreachable: whether the other end refused the last datagram (UDP: no program has the port).
     """
 
     where: str

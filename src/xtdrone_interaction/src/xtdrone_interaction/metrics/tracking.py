@@ -1,4 +1,4 @@
-"""How well responses follow their setpoints, and the frequency content of signals."""
+"""Tracking of setpoints by responses, and the frequency content of signals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SEGMENT = 512  # samples of one spectrum; Welch's method averages many
 
 @dataclass(frozen=True)
 class Tracking:
-    """How well a response follows its setpoint.
+    """Tracking quality of a response.
 
     Attributes:
         name: quantity and unit.

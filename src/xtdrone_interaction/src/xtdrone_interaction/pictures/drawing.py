@@ -18,11 +18,11 @@ from matplotlib.ticker import FuncFormatter
 
 from xtdrone_interaction.recording.series import Array
 
-_POINTS = 4000  # drawn per line; longer lines are reduced to the least and the greatest value of each part
+_POINTS = 4000  # drawn per line; longer lines are reduced to the minimum and maximum of each part
 _LONGEST_NAME = 22  # letters in a legend beside a panel
-_LEAST_MAP = 2.0  # m shown at least
+_LEAST_MAP = 2.0  # m, minimum extent of a map
 _MAX_NAME = 120  # characters of a file name
-MOST_NAMED = 18  # lines; more are not named one by one
+MOST_NAMED = 18  # lines; of more, only the first and the last are named
 NO_MODE = "0.85"
 LEADER_COLOUR = "black"
 STYLE: dict[str, Any] = {
@@ -41,9 +41,9 @@ class NamedFigure(NamedTuple):
     """A figure of a report.
 
     Attributes:
-        name: of its file, without ending.
+        name: file name without suffix.
         title: heading.
-        figure: drawn.
+        figure: the drawn figure.
     """
 
     name: str
@@ -55,9 +55,9 @@ def save_figures(figures: Iterable[NamedFigure], folder: str | Path, dpi: int = 
     """Write figures into ``folder`` as PNG, and return their titles and paths.
 
     Args:
-        figures: an iterator draws each when it is advanced, so that all have the same style and one is open at a time.
-        folder: exists.
-        dpi: dots per inch.
+        figures: drawn one by one as the iterator advances, so that all have the same style and only one is open.
+        folder: existing folder.
+        dpi: resolution, dots per inch.
     """
     saved = []
     with plt.rc_context(STYLE):
@@ -89,7 +89,7 @@ def shades(count: int) -> list[Any]:
 
 
 def thinned(time: Array, value: Array) -> tuple[Array, Array]:
-    """Return a line that looks the same with few points: the least and the greatest value of each part.
+    """Return a line of fewer points with the same appearance: the minimum and maximum of each part.
 
     Args:
         time, value: shape (t,).
@@ -156,8 +156,8 @@ def mark_times(panels_: Sequence[Axes], marks: Sequence[tuple[float, str]]) -> N
     """Draw vertical lines in all panels, named above the first one.
 
     Args:
-        panels_: stacked.
-        marks: time and name.
+        panels_: stacked panels.
+        marks: time, s, and name of each line.
     """
     for time, name in marks:
         for panel in panels_:

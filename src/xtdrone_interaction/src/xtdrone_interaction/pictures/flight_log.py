@@ -1,4 +1,4 @@
-"""Pictures of a flight log as PX4 users know them: setpoints and responses, sensors, spectra, estimator, batteries."""
+"""The usual pictures of a PX4 flight log: setpoints and responses, sensors, spectra, estimator, batteries."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FIX_3D = 3
 
 
 def pictures(log: FlightLog) -> Iterator[NamedFigure]:
-    """Yield all pictures that a log has data for, each drawn when it is asked for."""
+    """Yield all pictures for which a log has data, each drawn on demand."""
     place = log.series("vehicle_local_position", *_AXES)
     if place is not None and np.isfinite(place.value[:, :2]).all(axis=1).any():
         yield NamedFigure("track", "Track from above", track(log, place))
@@ -262,7 +262,7 @@ def _beside(
     Args:
         rows: unit, column and scale factor.
         instances: series by number.
-        what: the name of an instance without its number.
+        what: name of an instance without its number.
     """
     figure, axes = panels(len(rows), 2.4, 0.8)
     for panel, (unit, column, scale) in zip(axes, rows, strict=True):

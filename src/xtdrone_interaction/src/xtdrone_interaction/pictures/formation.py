@@ -21,17 +21,17 @@ from xtdrone_interaction.pictures.drawing import LEADER_COLOUR, MOST_NAMED, Name
 from xtdrone_interaction.recording.formation import FormationRecord, PatternWindow
 
 _LEAD_IN = 1.0  # s shown before the command
-_MAX_WAYS = 60  # vehicles drawn one by one; of a larger fleet, an even selection
-_MAX_EDGES = 400  # of a topology; more would hide the vehicles
+_MAX_WAYS = 60  # vehicles drawn individually; of a larger fleet, an even selection
+_MAX_EDGES = 400  # edges of a topology; more would hide the vehicles
 _MAX_PANELS = 3  # formations side by side
 _LEAST_ERROR = 1e-3  # m; simplified vehicles have no estimation error
 
 
 def figures(record: FormationRecord) -> Iterator[NamedFigure]:
-    """Yield all pictures of a flight, each drawn when it is asked for.
+    """Yield all pictures of a flight, each drawn on demand.
 
     Raises:
-        RecordError: there was no takeoff.
+        RecordError: the record contains no takeoff.
     """
     before = None
     for number, window in enumerate(record.windows):
@@ -48,14 +48,14 @@ def _named(name: str, figure: Figure) -> NamedFigure:
 
 
 def _shown(count: int) -> list[int]:
-    """Return the vehicles drawn one by one: the leader and, of a large fleet, an even selection of the others."""
+    """Return the vehicles drawn individually: the leader and, of a large fleet, an even selection of the others."""
     if count <= _MAX_WAYS:
         return list(range(count))
     return [0, *np.unique(np.linspace(1, count - 1, _MAX_WAYS - 1).round().astype(int)).tolist()]
 
 
 def _of_all(count: int) -> str:
-    """Return how many vehicles are drawn one by one, and of how many."""
+    """Return a text with the number of vehicles drawn individually and the total number."""
     shown = len(_shown(count))
     return f"{count} UAVs" if shown == count else f"{shown} of {count} UAVs"
 
@@ -165,7 +165,7 @@ def _formation(panel: Any, record: FormationRecord, window: PatternWindow, shade
 
 
 def distances(record: FormationRecord) -> Figure:
-    """Draw the least distance between vehicles and the formation error over time, with the reconfigurations."""
+    """Draw the minimum distance between vehicles and the formation error over time, with the reconfigurations."""
     track = record.track
     part = track.part(flight_part(record, track).time[0], np.inf)
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(9.0, 6.4), sharex=True)

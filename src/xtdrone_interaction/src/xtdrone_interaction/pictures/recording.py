@@ -38,7 +38,7 @@ _NO_POSITION, _NO_VELOCITY = 0b000_111, 0b111_000
 
 
 def pictures(recording: Recording, record: FormationRecord | None) -> Iterator[NamedFigure]:
-    """Yield all pictures that a recording has data for, each drawn when it is asked for.
+    """Yield all pictures for which a recording has data, each drawn on demand.
 
     Args:
         recording: of any kind but a flight log.
@@ -130,7 +130,7 @@ def velocities(recording: Recording, vehicles: list[VehicleRecord], marks: list[
 
 
 def distances(recording: Recording, found: Series) -> Figure:
-    """Draw the least distance between any two vehicles over time."""
+    """Draw the minimum distance between any two vehicles over time."""
     figure, (panel,) = panels(1, 3.2, 0.97)
     line(panel, found.time, found.value[:, 0], color="tab:blue", lw=1.1)
     panel.axhline(DISTANCE_LIMIT, color="tab:red", lw=1.0, ls="--", label=f"limit {DISTANCE_LIMIT} m")
@@ -141,7 +141,7 @@ def distances(recording: Recording, found: Series) -> Figure:
 
 
 def modes(recording: Recording, marks: list[tuple[float, str]]) -> Figure:
-    """Draw each vehicle's flight modes and when it was armed."""
+    """Draw each vehicle's flight modes and the times when it was armed."""
     shown = [vehicle for vehicle in recording.vehicles if vehicle.modes or vehicle.armed]
     end = _end(recording)
     colour = colours_of([mode for vehicle in shown for _, mode in vehicle.modes])
@@ -169,7 +169,7 @@ def modes(recording: Recording, marks: list[tuple[float, str]]) -> Figure:
 
 
 def activity(recording: Recording, marks: list[tuple[float, str]]) -> Figure:
-    """Draw the size of velocity commands and of avoidance, and the number of links in the topology."""
+    """Draw the magnitude of velocity commands and of avoidance, and the number of links in the topology."""
     shown = [vehicle for vehicle in recording.vehicles if _activity(vehicle)]
     commanded = [what for what in _COMMANDED if any(what in vehicle.series for vehicle in shown)]
     avoided = any("avoidance" in vehicle.series for vehicle in shown)
@@ -204,7 +204,7 @@ def _activity(vehicle: VehicleRecord) -> bool:
 
 
 def _draw_links(panel: plt.Axes, recording: Recording) -> None:
-    """Draw the number of links in the topology, and how many of them are new at each change."""
+    """Draw the number of links in the topology, and the number of new ones at each change."""
     times = np.array([change.time for change in recording.topologies])
     matrices = [change.value > 0 for change in recording.topologies]
     counts = np.array([int(matrix.sum()) for matrix in matrices])
@@ -225,7 +225,7 @@ def _has_setpoints(vehicle: VehicleRecord) -> bool:
 
 
 def _setpoints(vehicle: VehicleRecord) -> tuple[Series | None, Series | None]:
-    """Return the position and the velocity setpoints, m and m/s ENU; NaN while there is none."""
+    """Return the position and the velocity setpoints, m and m/s ENU; NaN where missing."""
     place, velocity = vehicle.series.get("position setpoint"), vehicle.series.get("velocity setpoint")
     raw = vehicle.series.get("setpoint") or vehicle.series.get("target")
     if raw is not None:
@@ -314,7 +314,7 @@ _BATTERY = (
 
 
 def batteries(recording: Recording) -> Figure:
-    """Draw the known ones of voltage, charge and current of all vehicles' batteries."""
+    """Draw voltage, charge and current of all vehicles' batteries, as far as recorded."""
     shown = {vehicle.name: vehicle.series["battery"] for vehicle in recording.vehicles if _has_battery(vehicle)}
     known = {name: np.array(series.value) for name, series in shown.items()}
     for value in known.values():

@@ -33,10 +33,10 @@ def save_map(
 
     Args:
         record: the search.
-        region: m, map frame.
+        region: searched region, m, map frame.
         pieces: one per vehicle, or none if the user's own plans were flown.
-        plans: the planned path of each vehicle, (k, 2) m.
-        file: PNG to write.
+        plans: planned path of each vehicle, shape (k, 2), m, map frame.
+        file: PNG file to write.
     """
     figure, axes = plt.subplots(figsize=(9, 7), layout="constrained")
     shades = plt.get_cmap("tab10").colors

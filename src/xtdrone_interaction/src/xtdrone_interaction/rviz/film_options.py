@@ -115,7 +115,7 @@ def film_settings(argv: Sequence[str]) -> FilmSettings:
 
 
 def settings_of(arguments: argparse.Namespace) -> FilmSettings:
-    """Return what is to be filmed, after all checks that need no ROS.
+    """Return the settings of the film, after all checks that need no ROS.
 
     Raises:
         OptionError: a value that is not allowed.

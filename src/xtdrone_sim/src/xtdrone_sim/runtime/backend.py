@@ -79,7 +79,7 @@ class SimulatorBackend(Protocol):
         """Advance by one step in the middle of a tick."""
 
     def tick(self, idle: Idle) -> None:
-        """Publish the current data, run one barrier of the lockstep server, and process what it has delivered."""
+        """Publish the current data, run one barrier of the lockstep server, and process the delivered messages."""
 
     def truth(self) -> bytes:
         """Return the true states of the vehicles, as bytes for the digests."""

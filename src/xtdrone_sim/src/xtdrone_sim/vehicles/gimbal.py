@@ -33,7 +33,7 @@ GIMBAL = np.dtype(
         ("joint_rate", "f8", 3),  # rad/s
         ("lower", "f8", 3),  # rad
         ("upper", "f8", 3),
-        ("speed", "f8", 3),  # rad/s, largest
+        ("speed", "f8", 3),  # rad/s, maximum
         ("attitude", "f8", 3),  # roll, pitch, yaw, rad: direction of the camera
     ],
     align=True,
@@ -134,10 +134,10 @@ class Gimbals:
     """
 
     def __init__(self, models: Sequence[VehicleModel]) -> None:
-        """Fit them, looking ahead.
+        """Create the gimbals, pointing ahead.
 
         Args:
-            models: one a vehicle.
+            models: one per vehicle.
         """
         self.records = np.zeros(len(models), GIMBAL)
         for record, model in zip(self.records, models, strict=True):

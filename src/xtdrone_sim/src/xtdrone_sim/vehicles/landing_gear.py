@@ -19,7 +19,7 @@ GEAR = np.dtype(
     [
         ("raised", "f8"),  # 0 down, 1 up
         ("rate", "f8"),  # 1/s, rate of ``raised``
-        ("speed", "f8"),  # 1/s, largest rate; 0: no landing gear
+        ("speed", "f8"),  # 1/s, maximum rate; 0: no landing gear
     ],
     align=True,
 )

@@ -94,8 +94,8 @@ class Links:
         """Read the vehicles' descriptions.
 
         Args:
-            names: the vehicles'.
-            models: one a vehicle.
+            names: names of the vehicles.
+            models: one per vehicle.
         """
         self.names: list[str] = []
         self.vehicles: list[int] = []
@@ -136,7 +136,7 @@ class Links:
 
 
 def _entries(model: VehicleModel) -> list[tuple[str, str | None, Pose, int]]:
-    """Return link, parent, pose in it and gimbal joint of all that are followed, parents first."""
+    """Return name, parent, pose in the parent and gimbal joint of all tracked links, parents first."""
     urdf = model.urdf
     entries: list[tuple[str, str | None, Pose, int]] = []
     for link in urdf.moving:

@@ -1,4 +1,4 @@
-"""Cameras, gimbals and landing gears that a vehicle's YAML fits to the links and joints of its URDF."""
+"""Cameras, gimbals and landing gear that a vehicle's YAML mounts on the links and joints of its URDF."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ _ALIGNED = 1e-6
 
 
 class MountError(ValueError):
-    """A camera, gimbal or landing gear that cannot be used; the text names field, value and what is allowed."""
+    """An invalid camera, gimbal or landing gear; the message names field, value and what is allowed."""
 
 
 @dataclass(frozen=True)
 class CameraMount:
-    """A camera.
+    """A camera on a link of a vehicle.
 
     Attributes:
-        name: its topics are ``/VEHICLE/NAME/image_raw`` and ``camera_info``.
-        link: of the URDF; it looks along the link's x axis, z is up in the picture.
-        pinhole: its picture.
-        rate: pictures a simulated second, Hz.
-        near, far: m, between which it sees.
-        frame_id: its optical frame (x right, y down, z ahead), to which ``VEHICLE/`` is put in front.
+        name: name in the topics ``/VEHICLE/NAME/image_raw`` and ``camera_info``.
+        link: link of the URDF; the camera looks along its x axis, with z up in the picture.
+        pinhole: projection.
+        rate: picture rate in simulated time, Hz.
+        near, far: limits of the visible range, m.
+        frame_id: optical frame (x right, y down, z ahead), to be prefixed with ``VEHICLE/``.
     """
 
     name: str
@@ -47,12 +47,12 @@ class CameraMount:
 
 @dataclass(frozen=True)
 class GimbalMount:
-    """A gimbal: three joints, one on the other, that turn about z, x and y.
+    """A gimbal: a chain of three joints that turn about z, x and y.
 
     Attributes:
-        joints: of yaw, roll and pitch, from the body outwards.
-        signs: 1, or -1 where a joint's axis is the opposite one, in the same order.
-        rate: rad/s by which the direction in which it is told to look changes at most.
+        joints: joints of yaw, roll and pitch, from the body outwards.
+        signs: 1, or -1 for a joint with the opposite axis, in the same order.
+        rate: maximum rate of change of the commanded direction, rad/s.
     """
 
     joints: tuple[Joint, Joint, Joint]
@@ -61,19 +61,19 @@ class GimbalMount:
 
     @property
     def link(self) -> str:
-        """What it holds: the last joint's link."""
+        """Link held by the gimbal: the child of the last joint."""
         return self.joints[2].child
 
 
 def read_cameras(cameras: Any, urdf: Description) -> tuple[CameraMount, ...]:
-    """Return the cameras of a YAML's list ``cameras:``.
+    """Return the cameras of the YAML list ``cameras:``.
 
     Args:
-        cameras: the list; None for no cameras.
+        cameras: content of the list; None for no cameras.
         urdf: the vehicle's links.
 
     Raises:
-        MountError: a field that is missing, unknown or not allowed, a link that is not there, a name twice.
+        MountError: missing, unknown or invalid field, unknown link, or duplicate name.
     """
     if not isinstance(cameras or [], list):
         raise MountError(f"cameras: {cameras!r} is not allowed, a list")
@@ -100,15 +100,15 @@ def _camera(entry: Any, where: str, urdf: Description) -> CameraMount:
 
 
 def read_gimbal(gimbal: Any, urdf: Description) -> GimbalMount | None:
-    """Return the gimbal of a YAML's section ``gimbal:``.
+    """Return the gimbal of the YAML section ``gimbal:``.
 
     Args:
-        gimbal: the section; None for no gimbal.
+        gimbal: content of the section; None for no gimbal.
         urdf: the vehicle's joints.
 
     Raises:
-        MountError: a field that is missing, unknown or not allowed, a joint that is not there or turns about another
-            axis, joints that are not one on the other.
+        MountError: missing, unknown or invalid field, unknown joint, joint with another axis, or joints that do not
+            form a chain.
     """
     if gimbal is None:
         return None
@@ -130,15 +130,16 @@ def read_gimbal(gimbal: Any, urdf: Description) -> GimbalMount | None:
 
 
 def read_landing_gear(joints: Any, urdf: Description) -> tuple[Joint, ...]:
-    """Return the joints of a YAML's list ``landing_gear:``: at 0 the vehicle stands on them, at their upper limits they
-    are out of the camera's way.
+    """Return the joints of the YAML list ``landing_gear:``.
+
+    At 0 the vehicle stands on them; at their upper limits they are out of the camera's view.
 
     Args:
-        joints: their names; None for a vehicle whose legs do not move.
+        joints: names of the joints; None for fixed landing gear.
         urdf: the vehicle's joints.
 
     Raises:
-        MountError: no list, or a joint that is not there or has no limits of angle and speed.
+        MountError: not a list, unknown joint, or joint without limits of position and speed.
     """
     if not isinstance(joints or [], list):
         raise MountError(f"landing_gear: {joints!r} is not allowed, a list of joints")
@@ -158,7 +159,7 @@ def read_landing_gear(joints: Any, urdf: Description) -> tuple[Joint, ...]:
 
 
 def _sign(joint: Joint, name: str, urdf: Description) -> float:
-    """Return which way a joint of the gimbal turns."""
+    """Return the sign of a gimbal joint's axis: 1 or -1."""
     if joint.kind == FIXED:
         raise MountError(f"gimbal: {name} joint {joint.name!r} of type fixed is not allowed, revolute or continuous")
     rest = _rest_turn(joint, urdf)
@@ -173,7 +174,7 @@ def _sign(joint: Joint, name: str, urdf: Description) -> float:
 
 
 def _rest_turn(joint: Joint, urdf: Description) -> tuple[float, float, float, float]:
-    """Return how a joint's frame is turned, at rest, to that of the moving link below it, (x, y, z, w)."""
+    """Return the orientation of a joint's frame, at 0, in the moving link that carries it, (x, y, z, w)."""
     _, pose = urdf.carrier(joint.parent)
     return multiply(pose.orientation, joint.pose.orientation)
 

@@ -1,9 +1,9 @@
-"""Reader of URDF files: the links and joints of a vehicle, what of them is seen and hit, and what they weigh.
+"""Reader of URDF files: links and joints of a vehicle with their visuals, collisions and inertias.
 
-Read are ``link`` (inertial, visual, collision), ``joint`` (fixed, revolute, continuous) and ``material``; shapes are
-box, cylinder, sphere and mesh (Wavefront .obj). Files are named by ``package://PACKAGE/...``, ``file://...`` or a path
-from the URDF's own folder. Other elements (transmission, gazebo, sensor) are left alone; xacro files are to be expanded
-first.
+Supported elements are ``link`` (inertial, visual, collision), ``joint`` (fixed, revolute, continuous) and ``material``;
+shapes are box, cylinder, sphere and mesh (Wavefront .obj). Files are named by ``package://PACKAGE/...``, ``file://...``
+or a path relative to the folder of the URDF. Other elements (transmission, gazebo, sensor) are ignored; xacro files
+must be expanded first.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _URI = re.compile(r"(?P<attribute>filename\s*=\s*)(?P<quote>[\"'])(?P<uri>.*?)(?
 
 
 class UrdfError(ValueError):
-    """A URDF file that cannot be used; the text names file, element, value and what is allowed."""
+    """An invalid URDF file; the message names file, element, value and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Inertial:
     """Mass of a link.
 
     Attributes:
-        mass: kg.
-        pose: of the centre of mass, in the link's frame.
+        mass: mass, kg.
+        pose: pose of the centre of mass in the link's frame.
         inertia: ixx, iyy, izz, ixy, ixz, iyz, kg m^2, about the centre of mass along the axes of ``pose``.
     """
 
@@ -66,7 +66,7 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid part; poses of what it holds are in its frame."""
+    """A rigid part; its inertial, visuals and collisions have poses in its frame."""
 
     name: str
     visuals: tuple[Visual, ...] = ()
@@ -76,16 +76,16 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """What holds a link.
+    """A joint between two links.
 
     Attributes:
-        name: unique in its file.
+        name: name, unique in its file.
         kind: ``fixed``, ``revolute`` or ``continuous``.
-        parent, child: links.
-        pose: of the child's frame in the parent's while the joint is at 0.
-        axis: unit vector about which it turns, child's frame.
-        lower, upper: rad; infinite where there is no limit.
-        velocity: largest, rad/s; infinite where there is no limit.
+        parent, child: names of the links.
+        pose: pose of the child's frame in the parent's frame at joint position 0.
+        axis: unit vector of the axis of rotation, child's frame.
+        lower, upper: limits of the joint position, rad; infinite without a limit.
+        velocity: maximum speed, rad/s; infinite without a limit.
     """
 
     name: str
@@ -101,12 +101,12 @@ class Joint:
 
 @dataclass(frozen=True)
 class Description:
-    """A vehicle's links and joints, which make one tree.
+    """A vehicle's links and joints, which form a tree.
 
     Attributes:
-        name: the robot's.
+        name: name of the robot.
         links, joints: parents before their children.
-        text: the URDF with file names that any node finds, for ``robot_description``.
+        text: the URDF with file names that any node can resolve, for ``robot_description``.
     """
 
     name: str
@@ -116,7 +116,7 @@ class Description:
 
     @property
     def root(self) -> str:
-        """Name of the link that no joint holds: the vehicle's body."""
+        """Name of the root link: the vehicle's body."""
         return self.links[0].name
 
     @cached_property
@@ -124,14 +124,14 @@ class Description:
         return {joint.child: joint for joint in self.joints}
 
     def holder(self, link: str) -> Joint | None:
-        """Return the joint that holds a link, None for the root."""
+        """Return the joint whose child is ``link``; None for the root."""
         return self._holders.get(link)
 
     def link(self, name: str) -> Link:
         """Return a link.
 
         Raises:
-            UrdfError: there is none of that name.
+            UrdfError: unknown name.
         """
         for link in self.links:
             if link.name == name:
@@ -143,7 +143,7 @@ class Description:
         """Return a joint.
 
         Raises:
-            UrdfError: there is none of that name.
+            UrdfError: unknown name.
         """
         for joint in self.joints:
             if joint.name == name:
@@ -152,7 +152,7 @@ class Description:
         raise UrdfError(f"{self.name}: joint {name!r} is not there; there are {names}")
 
     def carrier(self, link: str) -> tuple[str, Pose]:
-        """Return the moving link that carries ``link`` (itself, if its joint turns), and its pose in that frame."""
+        """Return the moving link to which ``link`` is fixed (itself if its joint turns), and its pose in that frame."""
         pose = Pose()
         while (joint := self.holder(link)) is not None and joint.kind == FIXED:
             pose = compose(joint.pose, pose)
@@ -161,7 +161,7 @@ class Description:
 
     @cached_property
     def moving(self) -> tuple[Link, ...]:
-        """The body and the links on joints that turn, each with what is fixed to it; parents before children."""
+        """The body and the links on turning joints, each merged with the links fixed to it; parents before children."""
         visuals: dict[str, list[Visual]] = {}
         collisions: dict[str, list[Collision]] = {}
         for link in self.links:
@@ -171,10 +171,10 @@ class Description:
         return tuple(Link(name, tuple(visuals[name]), tuple(collisions[name])) for name in visuals)
 
     def mass(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-        """Return what all links together weigh, their joints at 0.
+        """Return the total mass properties of all links at joint positions 0.
 
         Returns:
-            Mass in kg; centre of mass (3,), m, root's frame; inertia (3, 3) about it along the root's axes, kg m^2.
+            Mass, kg; centre of mass, shape (3,), m, root frame; inertia about it along the root's axes, (3, 3), kg m^2.
         """
         poses: dict[str, Pose] = {self.root: Pose()}
         for joint in self.joints:
@@ -194,14 +194,14 @@ class Description:
 
 
 def resolve(uri: str, folder: Path) -> Path:
-    """Return the file that a URDF names.
+    """Return the file for a URI in a URDF.
 
     Args:
-        uri: ``package://PACKAGE/...``, ``file://...`` or a path, from ``folder`` if it is no absolute one.
-        folder: the URDF's.
+        uri: ``package://PACKAGE/...``, ``file://...`` or a path, relative to ``folder`` unless absolute.
+        folder: folder of the URDF.
 
     Raises:
-        UrdfError: a package that is not known, or another kind of name.
+        UrdfError: unknown package or unsupported scheme.
     """
     scheme, separator, rest = uri.partition("://")
     if not separator:
@@ -213,7 +213,7 @@ def resolve(uri: str, folder: Path) -> Path:
     package, _, path = rest.partition("/")
     if package == "xtdrone_sim":
         return PACKAGE / path
-    import rospkg  # only other packages' files need it
+    import rospkg  # needed for other packages only
 
     try:
         return Path(rospkg.RosPack().get_path(package)) / path
@@ -222,10 +222,10 @@ def resolve(uri: str, folder: Path) -> Path:
 
 
 def read_urdf(path: Path) -> Description:
-    """Read a file.
+    """Read a URDF file.
 
     Raises:
-        UrdfError: it cannot be read or used.
+        UrdfError: the file cannot be read, or its content is invalid.
     """
     try:
         text = read_text(path, _LARGEST)
@@ -235,11 +235,11 @@ def read_urdf(path: Path) -> Description:
 
 
 def parse_urdf(text: str, path: Path) -> Description:
-    """Read a URDF.
+    """Parse a URDF.
 
     Args:
-        text: the URDF.
-        path: its file, for messages and for file names in it.
+        text: content of the file.
+        path: path of the file, for messages and relative file names.
 
     Raises:
         UrdfError: see ``read_urdf``.
@@ -260,7 +260,7 @@ def parse_urdf(text: str, path: Path) -> Description:
 
 
 class _Reader:
-    """One file while it is read."""
+    """The state of reading one file."""
 
     def __init__(self, path: Path, robot: Element) -> None:
         self._path = path
@@ -280,7 +280,7 @@ class _Reader:
         return UrdfError(f"{self._path}: {where}: {problem}")
 
     def _found(self, match: re.Match[str]) -> str:
-        """Return a ``filename=...`` that does not depend on where the URDF lies."""
+        """Return a ``filename=...`` that does not depend on the folder of the URDF."""
         uri = match["uri"]
         known = uri if uri.startswith("package://") else f"file://{resolve(uri, self._path.parent).resolve()}"
         return f"{match['attribute']}{match['quote']}{known}{match['quote']}"
@@ -447,7 +447,7 @@ class _Reader:
         return replace(joint, lower=lower, upper=upper)
 
     def _tree(self, links: list[Link], joints: list[Joint]) -> tuple[tuple[Link, ...], tuple[Joint, ...]]:
-        """Return links and joints, parents first."""
+        """Return links and joints sorted with parents before children."""
         self._only_once("link", [link.name for link in links])
         self._only_once("joint", [joint.name for joint in joints])
         by_name = {link.name: link for link in links}
@@ -478,6 +478,6 @@ class _Reader:
 
 
 def _numbered(element: Element, tag: str, where: str) -> Iterator[tuple[Element, str]]:
-    """Return the elements of a kind and what to call them."""
+    """Yield the elements with a tag and their names for messages."""
     for number, part in enumerate(element.findall(tag), start=1):
         yield part, f"{where}, {tag} {number}"

@@ -70,7 +70,7 @@ MODEL = np.dtype(
         ("flow_fitted", "i8"),  # 1: sensor fitted
         ("flow_noise", "f8"),  # rad/s
         ("flow_gyro_noise", "f8"),  # rad/s
-        ("flow_least", "f8"),  # m, range in which the ground's texture is visible
+        ("flow_least", "f8"),  # m, minimum of the range in which the ground's texture is visible
         ("flow_largest", "f8"),
         ("range_fitted", "i8"),
         ("range_noise", "f8"),  # m
@@ -81,8 +81,8 @@ MODEL = np.dtype(
 )
 
 URDF = "urdf"  # as mass or inertia: use the values of the URDF's links
-_MOST_OFFSET = 0.01  # m of the centre of mass from the body's origin
-_MOST_PRODUCT = 0.05  # of inertia, as a share of the least moment
+_MOST_OFFSET = 0.01  # m, maximum distance of the centre of mass from the body's origin
+_MOST_PRODUCT = 0.05  # maximum product of inertia, as a fraction of the smallest moment
 
 # sensors that a vehicle may lack: section, prefix of the record's fields
 _OPTIONAL_SENSORS = (("optical_flow", "flow"), ("range_finder", "range"))
@@ -106,9 +106,9 @@ class BatteryModel:
     """Battery and power consumption of a vehicle.
 
     Attributes:
-        cells: whether charge and voltage follow from the currents; otherwise the battery drains by SIM_BAT_DRAIN.
-        capacity: Ah.
-        resistance: of the whole battery, ohm.
+        cells: whether charge and voltage are computed from the currents; otherwise the battery drains by SIM_BAT_DRAIN.
+        capacity: capacity, Ah.
+        resistance: internal resistance of the whole battery, ohm.
         motor_power: power of a motor over the cube of its speed, W s^3/rad^3.
         idle_power: additional power of a turning motor, W.
         avionics_power: constant power, W.
@@ -131,11 +131,11 @@ class VehicleModel:
         record: ``MODEL`` record.
         parameters: PX4 parameters that this airframe sets.
         assumed_layout: rotor positions assumed by the autopilot; None: the true ones.
-        battery: its battery.
-        urdf: its links and joints; the root is the body, with the centre of mass in its origin, x ahead, z up.
-        cameras: its cameras.
-        gimbal: its gimbal; None without one.
-        landing_gear: joints that are at 0 on the ground and at their upper limits in flight.
+        battery: battery and power consumption.
+        urdf: links and joints; the root is the body, with the centre of mass at its origin, x ahead, z up.
+        cameras: mounted cameras.
+        gimbal: mounted gimbal; None without one.
+        landing_gear: joints, at 0 on the ground and at their upper limits in flight.
     """
 
     name: str
@@ -188,19 +188,19 @@ def load_vehicle(name: str) -> VehicleModel:
 
 
 def _description(description: dict[str, Any], folder: Path) -> Description:
-    """Return the URDF that a vehicle names; without one its collision box is what is seen of it.
+    """Return the URDF of a vehicle; without one, its visual shape is the collision box.
 
     Args:
         description: the vehicle's YAML.
-        folder: where that lies; the URDF is looked for there, then in ``XTDRONE_VEHICLES``, then in ``models``.
+        folder: folder of the YAML; the URDF is searched there, then in ``XTDRONE_VEHICLES``, then in ``models``.
 
     Raises:
-        ModelError: it is not there.
-        UrdfError: it cannot be used.
+        ModelError: the URDF does not exist.
+        UrdfError: the URDF is invalid.
     """
     name = description.get("urdf")
     if name is None:
-        size = description.get("collision_box") or (1.0, 1.0, 1.0)  # what is not allowed is refused with the body
+        size = description.get("collision_box") or (1.0, 1.0, 1.0)  # an invalid box is rejected with the body
         box = Box((float(size[0]), float(size[1]), float(size[2])))
         return Description("vehicle", (Link("base_link", (Visual(box),), (Collision(box),)),))
     places = [folder, *folders("vehicles")[:-1], MODELS]
@@ -253,8 +253,8 @@ def _weighed(urdf: Description) -> tuple[float, list[float]]:
     """Return mass, kg, and principal inertia, kg m^2, of the URDF's links.
 
     Raises:
-        ModelError: nothing weighs anything; the centre of mass is not in the body's origin, or the principal axes are
-            not the body's, which the plant takes them for.
+        ModelError: the total mass is 0, or the centre of mass and the principal axes are not the origin and the axes of
+            the body, as the plant assumes.
     """
     mass, centre, inertia = urdf.mass()
     if mass <= 0.0:
@@ -290,10 +290,10 @@ def _fill_rotors(record: np.void, description: dict[str, Any]) -> None:
 
 
 def _assumed_layout(record: np.void, description: dict[str, Any] | None) -> RotorLayout | None:
-    """Return the layout of ``control_allocation``: ``positions`` (x, y a rotor, m, FLU) and ``moment_ratio`` (m).
+    """Return the layout of ``control_allocation``: ``positions`` (x, y per rotor, m, FLU) and ``moment_ratio`` (m).
 
     Raises:
-        ModelError: not one position a rotor.
+        ModelError: the number of positions is not the number of rotors.
     """
     if description is None:
         return None

@@ -1,7 +1,6 @@
-"""What can be seen and touched: shapes of links, of scenes and of people, as the SDF, URDF and people readers make them
-and as renderer and physics take them.
+"""Visual and collision shapes of links, scenery and people.
 
-Metres, quaternions (x, y, z, w).
+The readers of SDF, URDF and people produce them; renderer and physics use them. Metres, quaternions (x, y, z, w).
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ Geometry = Box | Cylinder | Sphere | Mesh
 
 @dataclass(frozen=True)
 class Pose:
-    """Where something is, in the frame of what holds it."""
+    """Position and orientation in the parent frame."""
 
     position: Vector = (0.0, 0.0, 0.0)
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -60,10 +59,10 @@ class Visual:
     """A coloured or textured shape.
 
     Attributes:
-        geometry: its form.
-        pose: in the link's frame.
-        colour: red, green, blue, opacity, 0..1; multiplied with the texture where there is one.
-        texture: picture file (PNG or JPEG); None for plain colour.
+        geometry: geometric shape.
+        pose: pose in the link's frame.
+        colour: red, green, blue, opacity, 0..1; multiplied with the texture, if any.
+        texture: image file (PNG or JPEG); None for plain colour.
     """
 
     geometry: Geometry
@@ -74,7 +73,7 @@ class Visual:
 
 @dataclass(frozen=True)
 class Collision:
-    """A shape that can be hit; ``pose`` in the link's frame."""
+    """A collision shape; ``pose`` in the link's frame."""
 
     geometry: Geometry
     pose: Pose = field(default_factory=Pose)

@@ -24,7 +24,7 @@ from xtdrone_control.settings import check_choice
 from xtdrone_sim.vehicles.visual import Mesh, Visual
 
 SPLITS = ("train", "test")
-_FORMAT = b"1"  # of the cached files; another one makes them anew
+_FORMAT = b"1"  # of the cached files; a new version invalidates them
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Motion of simplified vehicles: one vehicle's step, and the loop over all of them. All ENU, SI units."""
+"""Motion of simplified vehicles: the step of one vehicle, and the loop over all of them. ENU, SI units."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ VEHICLE = np.dtype(
         ("armed", "i8"),
         ("mode", "i8"),  # of pilot.py
         ("phase", "i8"),  # of the mode
-        ("phase_steps", "i8"),  # since it began
-        ("rest_steps", "i8"),  # armed on the ground without being asked to climb
+        ("phase_steps", "i8"),  # since the phase began
+        ("rest_steps", "i8"),  # on the ground, armed and without a climb command
         ("flown", "i8"),  # has left the ground since it was armed
         ("home", "f8", 3),  # m, where it was armed
-        ("place", "f8", 3),  # m, to hold or to go to in the modes that do so
-        ("kind", "i8"),  # of the setpoint, of vehicles.py
+        ("place", "f8", 3),  # m, position to hold or to fly to
+        ("kind", "i8"),  # of the setpoint, see swarm_vehicles.py
         ("setpoint", "f8", 3),  # m, m/s or m/s^2
-        ("sp_yaw", "f8"),  # rad; NaN: sp_yaw_rate counts
+        ("sp_yaw", "f8"),  # rad; NaN: sp_yaw_rate applies
         ("sp_yaw_rate", "f8"),  # rad/s
-        ("hovering", "i8"),  # the setpoint is a captured place, so that further zero velocities change nothing
-        ("wanted", "f8", 3),  # m/s or m/s^2: what the pilot asks for in this step
+        ("hovering", "i8"),  # the setpoint is a captured position, which further zero velocities do not change
+        ("wanted", "f8", 3),  # m/s or m/s^2, commanded by the pilot in this step
         ("wanted_kind", "i8"),  # VELOCITY or ACCELERATION
     ],
     align=True,
@@ -37,15 +37,15 @@ VEHICLE = np.dtype(
 
 @kernel
 def lag(distance, dt, time_constant, limit, keep):
-    """Return how much of a velocity error is left after ``dt``, and its integral, both as shares of the error.
+    """Return the velocity error that remains after ``dt``, and its integral, both as fractions of the error.
 
     The error d shrinks by d' = -min(d / time_constant, limit): a straight line, then an exponential.
 
     Args:
-        distance: d at the beginning, m/s, 0 or more.
-        dt: s.
-        time_constant: s.
-        limit: m/s^2.
+        distance: initial velocity error d, m/s, 0 or more.
+        dt: time step, s.
+        time_constant: time constant of the lag, s.
+        limit: maximum acceleration, m/s^2.
         keep: exp(-dt / time_constant).
     """
     knee = limit * time_constant
@@ -61,7 +61,7 @@ def lag(distance, dt, time_constant, limit, keep):
 
 @kernel
 def follow_horizontal(v, m, kind, x, y, dt):
-    """Move on horizontally under a commanded velocity or acceleration (x, y)."""
+    """Advance the horizontal motion under a commanded velocity or acceleration (x, y)."""
     if kind == ACCELERATION:
         ax, ay = limit_length(x, y, m.acceleration[0]) if m.order == 2 else (x, y)
         ux, uy = limit_length(v.velocity[0] + ax * dt, v.velocity[1] + ay * dt, m.speed)
@@ -82,7 +82,7 @@ def follow_horizontal(v, m, kind, x, y, dt):
 
 @kernel
 def follow_vertical(v, m, kind, z, dt):
-    """Move on vertically under a commanded velocity or acceleration ``z``."""
+    """Advance the vertical motion under a commanded velocity or acceleration ``z``."""
     if kind == ACCELERATION:
         a = min(max(z, -m.acceleration[1]), m.acceleration[1]) if m.order == 2 else z
         u = min(max(v.velocity[2] + a * dt, -m.speed_down), m.speed_up)
@@ -99,7 +99,7 @@ def follow_vertical(v, m, kind, z, dt):
 
 @kernel
 def wrap(angle):
-    """Return an angle, rad, within -pi..pi; one that is there already stays to the bit."""
+    """Return an angle wrapped to -pi..pi, rad; an angle in this range is returned bit for bit."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
@@ -116,17 +116,17 @@ def turn(v, m, dt):
 
 @kernel
 def step_vehicle(v, m, delayed, number, dt):
-    """Move one vehicle on by a base step.
+    """Advance one vehicle by a base step.
 
     Args:
         v: ``VEHICLE`` record.
         m: ``MODEL`` record.
-        delayed: its last commands, shape (D, 4): x, y, z, kind; D is more than the larger delay in steps.
-        number: of the step.
-        dt: s.
+        delayed: ring buffer of its last commands (x, y, z, kind), shape (D, 4); D exceeds the larger delay in steps.
+        number: number of the step.
+        dt: base step, s.
 
-    Returns:
-        Whether mode or arming has changed.
+        Returns:
+            Whether mode or arming state has changed.
     """
     changed = fly(v, m, dt)
     row = number % len(delayed)
@@ -136,12 +136,12 @@ def step_vehicle(v, m, delayed, number, dt):
         return changed
     flat = delayed[(number - m.delay[0]) % len(delayed)]
     upright = delayed[(number - m.delay[1]) % len(delayed)]
-    if v.position[2] <= 0.0 and upright[2] <= 0.0:  # it stands
+    if v.position[2] <= 0.0 and upright[2] <= 0.0:  # on the ground
         v.velocity[0] = v.velocity[1] = v.velocity[2] = 0.0
         return changed
     follow_horizontal(v, m, int(flat[3]), flat[0], flat[1], dt)
     follow_vertical(v, m, int(upright[3]), upright[2], dt)
-    if v.position[2] <= 0.0:  # the ground takes it
+    if v.position[2] <= 0.0:  # touchdown
         v.position[2] = 0.0
         v.velocity[0] = v.velocity[1] = v.velocity[2] = 0.0
     if v.mode == OFFBOARD:
@@ -151,19 +151,19 @@ def step_vehicle(v, m, delayed, number, dt):
 
 @kernel
 def advance(vehicles, model, delayed, first, steps, dt, position, velocity, yaw):
-    """Move all vehicles on by ``steps`` base steps, and copy where they are.
+    """Advance all vehicles by ``steps`` base steps and copy their state.
 
     Args:
         vehicles: ``VEHICLE`` records, shape (N,).
         model: ``MODEL`` record, shape (1,).
-        delayed: last commands of each, shape (N, D, 4).
+        delayed: ring buffers of the last commands, shape (N, D, 4).
         first: number of the first step.
-        steps: how many.
-        dt: s.
-        position, velocity, yaw: filled, shapes (N, 3), (N, 3), (N,).
+        steps: number of steps.
+        dt: base step, s.
+        position, velocity, yaw: output arrays, m, m/s and rad, shapes (N, 3), (N, 3), (N,).
 
-    Returns:
-        Whether any mode or arming has changed.
+        Returns:
+            Whether any mode or arming state has changed.
     """
     changed = False
     m = model[0]
@@ -180,11 +180,13 @@ def advance(vehicles, model, delayed, first, steps, dt, position, velocity, yaw)
 
 @kernel
 def capture(v):
-    """Make the present place the setpoint: HOVER."""
+    """Capture the present position and heading as the setpoint (HOVER)."""
     v.kind = POSITION
     v.hovering = 1
     w, z = math.cos(0.5 * v.yaw), math.sin(0.5 * v.yaw)
-    v.sp_yaw = math.atan2(2.0 * w * z, w * w - z * z)  # by a quaternion, as in ROS: equal to the last bit
+    v.sp_yaw = math.atan2(
+        2.0 * w * z, w * w - z * z
+    )  # through a quaternion as in ROS, so that the value is bit-identical
     v.sp_yaw_rate = 0.0
     for k in range(3):
         v.setpoint[k] = v.position[k]
@@ -196,12 +198,12 @@ def set_one(v, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
 
     Args:
         v: ``VEHICLE`` record.
-        kind: of vehicles.py; HOLD captures the present place.
-        x, y, z: m/s, m/s^2 or m.
-        yaw: rad; NaN: ``yaw_rate`` counts.
-        yaw_rate: rad/s.
-        dead_zone: m/s (m/s^2); negative: none.
-        dead_yaw_rate: rad/s.
+        kind: a kind of ``swarm_vehicles``; HOLD captures the present position.
+        x, y, z: velocity, m/s, acceleration, m/s^2, or position, m; ENU.
+        yaw: heading, rad; NaN: ``yaw_rate`` applies.
+        yaw_rate: yaw rate, rad/s.
+        dead_zone: largest component that means HOVER, m/s (m/s^2); negative: none.
+        dead_yaw_rate: likewise for the yaw rate, rad/s.
     """
     small = abs(x) <= dead_zone and abs(y) <= dead_zone and abs(z) <= dead_zone and abs(yaw_rate) <= dead_yaw_rate
     if kind == HOLD or (kind != POSITION and small):
@@ -216,13 +218,13 @@ def set_one(v, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
 
 @kernel
 def set_at(vehicles, index, kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate):
-    """Set the setpoint of vehicle ``index``, see :func:`set_one`."""
+    """Set the setpoint of vehicle ``index``; see :func:`set_one`."""
     set_one(vehicles[index], kind, x, y, z, yaw, yaw_rate, dead_zone, dead_yaw_rate)
 
 
 @kernel
 def set_many(vehicles, kind, vectors, given, dead_zone, dead_yaw_rate):
-    """Set the setpoints of the vehicles that are ``given``, see :func:`set_one`; return the first bad row, or -1."""
+    """Set the setpoints of the ``given`` vehicles; see :func:`set_one`. Return the first invalid row, or -1."""
     for i in range(len(vehicles)):
         if not given[i]:
             continue

@@ -1,12 +1,12 @@
-"""The simplified vehicle model: its few numbers, checked, and as a record for the kernels.
+"""The simplified vehicle model: its parameters, validated and as a record for the kernels.
 
-Order 1: the velocity is the commanded one at once, within the limits of speed. Order 2: the commanded velocity, within
-the limits of speed, acts after a delay, and the velocity follows it with a lag whose acceleration is limited:
+Order 1: the velocity equals the commanded one, within the speed limits. Order 2: the commanded velocity, within the
+speed limits, acts after a delay, and the velocity follows it with a lag of limited acceleration:
 
     v' = (c(t - delay) - v) / time_constant,  |v'| <= acceleration
 
-horizontally as a vector and vertically for itself. A position setpoint is a velocity setpoint proportional to the
-distance, as in PX4's position controller. Both orders are computed exactly from base step to base step.
+horizontally as a vector and vertically as a separate axis. A position setpoint is a velocity setpoint proportional to
+the distance, as in PX4's position controller. Both orders are computed exactly from base step to base step.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _MOST_DELAY = 10.0  # s
 MODEL = np.dtype(
     [
         ("order", "i8"),
-        ("time_constant", "f8", 2),  # s, horizontal and vertical, as all pairs here
-        ("keep", "f8", 2),  # share of a velocity error that is left after a step, while acceleration is not limited
+        ("time_constant", "f8", 2),  # s, horizontal and vertical, like all pairs here
+        ("keep", "f8", 2),  # share of a velocity error left after a step while the acceleration is below its limit
         ("acceleration", "f8", 2),  # m/s^2
         ("gain", "f8", 2),  # 1/s
         ("delay", "i8", 2),  # steps
@@ -45,22 +45,22 @@ MODEL = np.dtype(
 
 @dataclass(frozen=True)
 class Model:
-    """A simplified vehicle. The defaults are the iris's, see ``config/vehicles/iris.yaml``.
+    """Parameters of a simplified vehicle. The defaults are those of the iris, see ``config/vehicles/iris.yaml``.
 
     Attributes:
-        order: 1 or 2; time constants, accelerations and delays count for order 2 alone.
-        time_constant: s, of the horizontal velocity, above 0.
-        time_constant_vertical: s, likewise.
-        speed: largest horizontal speed, m/s, above 0.
-        speed_up: largest climb rate, m/s, above 0.
-        speed_down: largest sink rate, m/s, above 0.
-        acceleration: largest horizontal acceleration, m/s^2, above 0, may be infinite.
-        acceleration_vertical: likewise, up and down.
-        delay: s from a horizontal command to its effect, 0 to 10, taken to the nearest base step.
-        delay_vertical: likewise.
+        order: 1 or 2; time constants, accelerations and delays apply to order 2 only.
+        time_constant: time constant of the horizontal velocity, s, above 0.
+        time_constant_vertical: time constant of the vertical velocity, s, above 0.
+        speed: maximum horizontal speed, m/s, above 0.
+        speed_up: maximum climb rate, m/s, above 0.
+        speed_down: maximum sink rate, m/s, above 0.
+        acceleration: maximum horizontal acceleration, m/s^2, above 0, may be infinite.
+        acceleration_vertical: maximum vertical acceleration, up and down, likewise.
+        delay: delay of a horizontal command, s, 0 to 10, rounded to the nearest base step.
+        delay_vertical: delay of a vertical command, likewise.
         position_gain: horizontal velocity per distance to a position setpoint, 1/s, above 0.
-        position_gain_vertical: likewise.
-        yaw_rate: largest, rad/s, above 0.
+        position_gain_vertical: vertical velocity per distance, likewise.
+        yaw_rate: maximum yaw rate, rad/s, above 0.
         yaw_gain: yaw rate per heading error, 1/s, above 0.
     """
 
@@ -80,10 +80,10 @@ class Model:
     yaw_gain: float = 2.8
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
+        """Validate all values.
 
         Raises:
-            ModelError: a value is not a number, or out of its range.
+            ModelError: a value is not a number or out of range.
         """
         if isinstance(self.order, bool) or self.order not in (1, 2):
             raise ModelError(f"model: order {self.order!r} is not allowed, 1 or 2")
@@ -92,7 +92,7 @@ class Model:
                 _check(field.name, getattr(self, field.name))
 
     def record(self, step_us: int) -> NDArray[np.void]:
-        """Return it as an array of one ``MODEL`` record, for base steps of ``step_us`` microseconds."""
+        """Return the model as an array of one ``MODEL`` record, for base steps of ``step_us`` microseconds."""
         record = np.zeros(1, MODEL)
         step = step_us * 1e-6
         constants = np.array([self.time_constant, self.time_constant_vertical])
@@ -109,16 +109,16 @@ class Model:
 
 
 def load_model(kind: str, model: Model | str | None = None) -> Model:
-    """Return the model to fly.
+    """Return the model of the simplified vehicles.
 
     Args:
-        kind: vehicle type, a name in ``config/vehicles`` or a YAML file; its section ``simplified:`` counts where
-            ``model`` does not say all.
-        model: a model as it is; ``first-order`` or ``second-order``: the type's with that order; a file's name
-            (``.yaml``): the values of that file in place of the type's; None: the type's.
+        kind: vehicle type, a name in ``config/vehicles`` or a YAML file; its section ``simplified:`` provides values
+            that ``model`` does not give.
+        model: a model to return unchanged; ``first-order`` or ``second-order``: the type's model with that order; a
+            file name (``.yaml``): values that replace the type's; None: the type's model.
 
     Raises:
-        ModelError: an unknown type or model, a type without that section, an unknown field or a bad value.
+        ModelError: unknown type or model, type without that section, unknown field or invalid value.
     """
     if isinstance(model, Model):
         return model

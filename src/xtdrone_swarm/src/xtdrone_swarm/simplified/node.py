@@ -1,18 +1,18 @@
-"""The simplified simulator as a ROS node: ``simplified_simulator TYPE NUM``, as ``simplified_simulator iris 9``.
+"""The simplified simulator as a ROS node: ``simplified_simulator TYPE NUM``, e.g. ``simplified_simulator iris 9``.
 
-One process stands for simulator, autopilots and MAVROS layer: /clock, the lockstep, /simulator/* and /gazebo/* as the
-full simulator has them (``xtdrone_sim.runtime.simulator_node``), and the topics and services of ``topics.py``. With
-communication nodes it takes their setpoints, without them XTDrone's commands themselves.
+One process replaces simulator, autopilots and MAVROS layer. It offers /clock, the lockstep, /simulator/* and /gazebo/*
+like the full simulator (``xtdrone_sim.runtime.simulator_node``), and the topics and services of ``topics.py``. It
+receives setpoints from communication nodes or, without them, executes XTDrone's commands directly.
 
 Parameters: those of :class:`SimplifiedSettings`, and
     ~model: first-order, second-order, or a YAML file with the values of ``model.Model``; empty for the vehicle type's.
     ~order: 1 or 2, replaces the model's.
     ~rows: vehicles side by side along x on the spawn grid, 3 m apart; 0 for the grid of the pattern ``origin``.
-    ~places: [[x, y, z], ...], m ENU, initial positions of all vehicles instead of the grid.
+    ~places: initial positions of all vehicles instead of the grid, [[x, y, z], ...], m ENU.
     ~altitude (10 m): height above these positions with ~airborne.
-    ~view: open a live window (``visualize.py``, in a process that ends with this one); default: if there is a display.
+    ~view: open a live window (``visualize.py``, in a process that ends with this one); default: with a display.
 
-Nothing here is random. The node sets /xtdrone/fleet.
+The simulation is deterministic. The node sets /xtdrone/fleet.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from xtdrone_swarm.swarm_vehicles import Array
 from xtdrone_swarm.viewer import live_window, wanted
 
 USAGE = "simplified_simulator TYPE NUM   (as iris 9)"
-RATE = 30  # Hz: local position, and turns of XTDrone's commands
+RATE = 30  # Hz, of the local position and of the turns of XTDrone's commands
 
 SETPOINT_TIMEOUT = 1.0  # s
 
@@ -62,7 +62,7 @@ class SimplifiedSettings(CommandSettings, NodeSettings):
     Attributes:
         kind: vehicle type.
         count: number of vehicles.
-        model: of every vehicle.
+        model: model of every vehicle.
         places: initial positions, shape (count, 3), m ENU.
         view: whether to open a live window.
     """
@@ -84,7 +84,7 @@ class SimplifiedSettings(CommandSettings, NodeSettings):
 
 @dataclass(frozen=True)
 class _Start(Settings):
-    """Parameters that determine the vehicles at the start."""
+    """Parameters of the vehicles' initial state."""
 
     model: str = setting("", text="first-order, second-order or a YAML file; empty for the vehicle type's")
     order: int = setting(0, low=0, high=2, text="order of the model, 0 for the model's own")
@@ -150,13 +150,13 @@ class SimplifiedScene:
     """Simplified vehicles behind topics; see ``xtdrone_sim.runtime.backend.SimulatorBackend``.
 
     Attributes:
-        names: the vehicles'.
-        scenery, actors: none.
+        names: names of the vehicles.
+        scenery, actors: empty.
         step_us: base step, microseconds.
-        gravity: m/s^2.
-        need_time: services are answered at once.
-        descriptors: nothing comes but by ROS.
-        patience: nothing needs care meanwhile.
+        gravity: gravitational acceleration, m/s^2.
+        need_time: empty, because services are answered immediately.
+        descriptors: empty, because all input arrives through ROS.
+        patience: unlimited, because no other input needs service.
     """
 
     gravity = GRAVITY
@@ -167,7 +167,7 @@ class SimplifiedScene:
     def __init__(
         self, vehicles: SteeredVehicles, *, hover_speed: float, cmd_timeout: float, setpoint_timeout: float
     ) -> None:
-        """Take the vehicles; the rest as for ``VehicleTopics``."""
+        """Create the scene of ``vehicles``; the other arguments are those of ``VehicleTopics``."""
         self.names: Sequence[str] = vehicles.names
         self.scenery: Sequence[str] = ()
         self.actors: Sequence[str] = ()
@@ -183,12 +183,12 @@ class SimplifiedScene:
         self._begin()
 
     def _begin(self) -> None:
-        # At once: participants have a turn in the first tick, whenever that is.
+        # Due immediately: participants have a turn in the first tick, whatever its time.
         self._next_turn_us = self._next_state_us = self._next_extended_us = 0
 
     @property
     def time_us(self) -> int:
-        """Simulated time, microseconds; the vehicles' own begins anew when they are put back."""
+        """Simulated time, microseconds; the vehicles' internal time restarts at 0 on a reset."""
         return self._began_us + self._vehicles.time_us
 
     def open(self, server: LockstepServer, mailbox: Mailbox, idle: Idle) -> None:
@@ -201,30 +201,30 @@ class SimplifiedScene:
         ]
 
     def missing(self) -> str:
-        """Nobody is waited for."""
+        """Return "": the scene waits for no client."""
         return ""
 
     def serve(self, ready: Collection[int]) -> None:
-        """Nothing comes but by ROS."""
+        """Do nothing: all input arrives through ROS."""
 
     def next_due_us(self, now_us: int) -> int | None:
         """Return the time of the next turn."""
         return self._schedule.after_us(now_us)
 
     def next_publication_us(self, now_us: int) -> int | None:
-        """Nothing is told but at ``next_due_us``."""
+        """Return None: all publications happen at ``next_due_us``."""
         return None
 
     def advance(self, until_us: int) -> None:
-        """Move on."""
+        """Advance the vehicles to ``until_us``."""
         self._vehicles.advance(until_us - self._began_us)
 
     def step(self) -> None:
-        """Move on by a base step."""
+        """Advance the vehicles by one base step."""
         self._vehicles.advance(self._vehicles.time_us + self.step_us)
 
     def tick(self, idle: Idle) -> None:
-        """Publish in a turn, run one barrier, dispatch what came, and carry out XTDrone's commands in a turn."""
+        """Publish if a turn is due, run one barrier, dispatch its messages, and execute XTDrone's commands if due."""
         now_us = self.time_us
         turn = now_us >= self._next_turn_us
         if turn:
@@ -252,12 +252,12 @@ class SimplifiedScene:
                 topics.publish_extended(now)
 
     def truth(self) -> bytes:
-        """Return positions, velocities and headings."""
+        """Return positions, velocities and headings as bytes."""
         vehicles = self._vehicles
         return vehicles.true_position.tobytes() + vehicles.velocity.tobytes() + vehicles.yaw.tobytes()
 
     def model_states(self) -> ModelStates:
-        """Return level vehicles at their places."""
+        """Return the vehicles' poses and velocities, with level attitude."""
         message = ModelStates(name=["ground_plane", *self.names])
         message.pose.append(Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)))
         message.twist.append(Twist())
@@ -272,11 +272,11 @@ class SimplifiedScene:
         return message
 
     def collisions(self) -> set[tuple[int, int]]:
-        """They fly through each other and everything."""
+        """Return an empty set: simplified vehicles do not collide."""
         return set()
 
     def restart(self, time_us: int) -> None:
-        """Put all back to their start."""
+        """Reset all vehicles to their initial state."""
         self._vehicles.restart()
         self._began_us = time_us
         self._begin()
@@ -284,15 +284,15 @@ class SimplifiedScene:
             topics.restart()
 
     def close(self) -> None:
-        """Free what the vehicles hold."""
+        """Release the vehicles' resources."""
         self._vehicles.close()
 
 
 def _arguments(arguments: Sequence[str]) -> tuple[str, int]:
-    """Return type and number of the vehicles.
+    """Parse the arguments and return vehicle type and number of vehicles.
 
     Raises:
-        ArgumentError: they cannot be flown.
+        ArgumentError: the arguments are not allowed.
     """
     if len(arguments) != 2:
         raise ArgumentError(f"2 arguments are needed, {len(arguments)} were given")
@@ -313,7 +313,7 @@ def main() -> int:
 
     def make() -> tuple[SimplifiedSettings, SimplifiedScene]:
         settings = read_settings(kind, count)
-        # The dead zone is that of XTDrone's commands: whoever sends setpoints has his own.
+        # The dead zone applies to XTDrone's commands only: a communication node applies its own to setpoints.
         vehicles = SimplifiedVehicles(
             count,
             kind=kind,

@@ -1,9 +1,9 @@
-"""What a simplified vehicle's autopilot does: PX4's modes as far as a formation flight and a user's commands need them.
+"""The autopilot of a simplified vehicle: PX4's modes to the extent needed by formation flight and user commands.
 
-OFFBOARD follows the setpoint; AUTO.LOITER and POSCTL hold a place; AUTO.TAKEOFF climbs to 2.5 m above the place of
-arming and goes over into AUTO.LOITER; AUTO.LAND sinks; AUTO.RTL climbs, flies home and lands. On the ground a vehicle
-is disarmed 3 s after a landing, and 10 s after arming when it has not taken off. A setpoint holds until the
-next; topics.py looks after streams that stop. Numbers in brackets are PX4's parameters.
+OFFBOARD follows the setpoint; AUTO.LOITER and POSCTL hold position; AUTO.TAKEOFF climbs to 2.5 m above the place of
+arming and changes to AUTO.LOITER; AUTO.LAND descends; AUTO.RTL climbs, flies home and lands. On the ground a vehicle
+is disarmed 3 s after landing, or 10 s after arming if it has not taken off. A setpoint holds until the next one;
+topics.py handles setpoint streams that stop. The names in brackets are PX4's parameters.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _LAND_SPEED = 0.7  # m/s (MPC_LAND_SPEED), below
 _SLOW_BELOW = 5.0  # m (MPC_LAND_ALT2); the sink rate fades from its usual value
 _FAST_ABOVE = 10.0  # m (MPC_LAND_ALT1)
 _RETURN_HEIGHT = 30.0  # m over home (RTL_RETURN_ALT)
-_NEAR_HOME = 10.0  # m (RTL_MIN_DIST): from nearer it does not climb
+_NEAR_HOME = 10.0  # m (RTL_MIN_DIST): closer to home the vehicle does not climb
 _HOME_REACHED = 0.5  # m
-_LANDED = 3.0  # s from touching down to disarming: LNDMC_TRIG_TIME and COM_DISARM_LAND
+_LANDED = 3.0  # s from touchdown to disarming: LNDMC_TRIG_TIME and COM_DISARM_LAND
 _NEVER_FLOWN = 10.0  # s (COM_DISARM_PRFLT)
 
 _CLIMB, _RETURN, _DESCENT = 0, 1, 2  # phases of RTL
@@ -38,7 +38,7 @@ _CLIMB, _RETURN, _DESCENT = 0, 1, 2  # phases of RTL
 
 @kernel
 def limit_length(x, y, limit):
-    """Return (x, y), shortened to the length ``limit`` if it is longer."""
+    """Return the vector (x, y) with its length limited to ``limit``."""
     length = math.sqrt(x * x + y * y)
     if length <= limit:
         return x, y
@@ -47,7 +47,7 @@ def limit_length(x, y, limit):
 
 @kernel
 def enter(v, mode):
-    """Put a vehicle into a mode, where it is and as it moves: the place is where it is now."""
+    """Enter a flight mode without changing the motion; the present position is the one to hold."""
     v.mode = mode
     v.phase = v.phase_steps = 0
     for k in range(3):
@@ -56,7 +56,7 @@ def enter(v, mode):
 
 @kernel
 def brake(v, m):
-    """Make the place to hold the one where the vehicle comes to rest, as PX4 does in AUTO.LOITER."""
+    """Set the position to hold to the point where the vehicle comes to rest, as PX4 does in AUTO.LOITER."""
     if m.order == 2:
         for k in range(3):
             axis = 0 if k < 2 else 1
@@ -66,7 +66,7 @@ def brake(v, m):
 
 @kernel
 def arm(v):
-    """Arm a vehicle on the ground: this is home."""
+    """Arm a vehicle on the ground and set the home position there."""
     v.armed = 1
     v.rest_steps = v.flown = v.phase = v.phase_steps = 0
     for k in range(3):
@@ -75,7 +75,7 @@ def arm(v):
 
 @kernel
 def disarm(v):
-    """Disarm a vehicle on the ground; the mode is AUTO.LOITER again, as after PX4's start."""
+    """Disarm a vehicle on the ground and return to AUTO.LOITER, PX4's mode after the start."""
     v.armed = 0
     v.mode = LOITER
     v.rest_steps = v.flown = 0
@@ -86,7 +86,7 @@ def disarm(v):
 
 @kernel
 def _want(v, m, kind, x, y, z):
-    """Ask for a velocity, within the vehicle's limits, or an acceleration."""
+    """Command a velocity, limited to the vehicle's maximum, or an acceleration."""
     if kind == VELOCITY:
         x, y = limit_length(x, y, m.speed)
         z = min(max(z, -m.speed_down), m.speed_up)
@@ -96,7 +96,7 @@ def _want(v, m, kind, x, y, z):
 
 @kernel
 def _go_to(v, m, goal, speed, up, down):
-    """Ask for the velocity that leads to ``goal``: proportional to the distance, within the given speeds."""
+    """Command a velocity towards ``goal``, proportional to the distance and limited to the given speeds."""
     x, y = limit_length(m.gain[0] * (goal[0] - v.position[0]), m.gain[0] * (goal[1] - v.position[1]), speed)
     z = min(max(m.gain[1] * (goal[2] - v.position[2]), -down), up)
     _want(v, m, VELOCITY, x, y, z)
@@ -112,7 +112,7 @@ def _offboard(v, m):
 
 @kernel
 def _take_off(v, m, dt):
-    """Spool up and climb; return whether the height is reached, which ends the mode."""
+    """Spool up and climb; return whether the takeoff altitude is reached, which ends the mode."""
     v.phase_steps += 1
     if v.position[2] <= 0.0 and v.phase_steps * dt <= _SPOOL_UP:
         _want(v, m, VELOCITY, 0.0, 0.0, 0.0)
@@ -127,7 +127,7 @@ def _take_off(v, m, dt):
 
 @kernel
 def _land(v, m):
-    """Hold the place and sink, slower near the ground."""
+    """Hold the horizontal position and descend, more slowly near the ground."""
     share = min(max((v.position[2] - _SLOW_BELOW) / (_FAST_ABOVE - _SLOW_BELOW), 0.0), 1.0)
     _go_to(v, m, v.place, _CRUISE, 0.0, 0.0)
     _want(v, m, VELOCITY, v.wanted[0], v.wanted[1], -(_LAND_SPEED + share * (_SINK - _LAND_SPEED)))
@@ -135,7 +135,7 @@ def _land(v, m):
 
 @kernel
 def _return_home(v, m):
-    """Climb, fly over home, land there."""
+    """Climb, fly to the home position and land there."""
     dx, dy = v.home[0] - v.position[0], v.home[1] - v.position[1]
     away = math.sqrt(dx * dx + dy * dy)
     if v.phase == _CLIMB:
@@ -154,7 +154,7 @@ def _return_home(v, m):
 
 @kernel
 def _rest(v, dt):
-    """Count the time on the ground; return whether the vehicle has been disarmed."""
+    """Count the time on the ground and disarm after the timeout; return whether the vehicle was disarmed."""
     if v.position[2] > 0.0:
         v.flown = 1
     if v.position[2] > 0.0 or v.wanted[2] > 0.0:
@@ -169,7 +169,7 @@ def _rest(v, dt):
 
 @kernel
 def fly(v, m, dt):
-    """Fill ``v.wanted`` for the next base step; return whether mode or arming has changed.
+    """Set ``v.wanted`` for the next base step; return whether mode or arming state has changed.
 
     Args:
         v: ``VEHICLE`` record of kinematics.py.

@@ -1,4 +1,4 @@
-"""From MAVROS's setpoints to those of the simplified vehicles. Values are ENU or FLU, as MAVROS has them."""
+"""Conversion of MAVROS setpoints to those of the simplified vehicles. Values are ENU or FLU, as in MAVROS."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ _KINDS = (
 
 
 class SetpointError(ValueError):
-    """A setpoint that the simplified vehicles cannot fly; the message says which part of it."""
+    """A setpoint that the simplified vehicles cannot fly; the message names the unsupported part."""
 
 
 class Wanted(NamedTuple):
-    """What a vehicle is to do.
+    """Setpoint of a simplified vehicle.
 
     Attributes:
         kind: POSITION, VELOCITY or ACCELERATION.
-        vector: m, m/s or m/s^2, ENU.
-        yaw_rate: rad/s, counter-clockwise.
-        yaw: rad from east, counter-clockwise; NaN when the rate counts.
+        vector: position, velocity or acceleration, ENU, m, m/s or m/s^2.
+        yaw_rate: yaw rate, rad/s, counter-clockwise.
+        yaw: heading, rad from east, counter-clockwise; NaN if ``yaw_rate`` applies.
     """
 
     kind: int
@@ -51,20 +51,21 @@ class Wanted(NamedTuple):
 
 
 def wanted(setpoint: Setpoint, here: Vector, heading: float) -> Wanted:
-    """Return what a setpoint asks of a vehicle.
+    """Return a MAVROS setpoint in the form of the simplified vehicles.
 
-    LOCAL_NED is ENU. The vectors of BODY_NED and BODY_OFFSET_NED are FLU, turned by the heading; a position, and with
-    it the yaw, of BODY_OFFSET_NED counts from the vehicle, and BODY_NED has none. A yaw goes before a yaw rate; without
-    both the heading is kept.
+    LOCAL_NED is ENU. The vectors of BODY_NED and BODY_OFFSET_NED are FLU, rotated by the heading. Position and yaw of
+    BODY_OFFSET_NED are relative to the vehicle; BODY_NED supports neither. A yaw takes precedence over a yaw rate;
+    without both the heading is kept.
+
 
     Args:
         setpoint: frame, mask and values of a mavros_msgs/PositionTarget.
-        here: the vehicle's place, m ENU.
-        heading: rad from east, counter-clockwise.
+        here: position of the vehicle, m ENU.
+        heading: heading of the vehicle, rad from east, counter-clockwise.
 
-    Raises:
-        SetpointError: another frame, a mask that asks for none or several of position, velocity and acceleration, or
-            for a part of one, a force, or a value that is not finite.
+        Raises:
+            SetpointError: unsupported frame; a mask with none or several of position, velocity and acceleration, with
+                only some of the components, or with a force; or a value that is not finite.
     """
     frame, mask = setpoint.frame, setpoint.type_mask
     if frame not in _FRAMES:
@@ -95,8 +96,8 @@ def flu_to_enu(vector: Vector, heading: float) -> Vector:
     """Return a vector of a level vehicle (forward, left, up) in ENU.
 
     Args:
-        vector: in any unit.
-        heading: rad from east, counter-clockwise.
+        vector: FLU, any unit.
+        heading: heading of the vehicle, rad from east, counter-clockwise.
     """
     x, y, z = vector
     cos, sin = math.cos(heading), math.sin(heading)
@@ -104,7 +105,7 @@ def flu_to_enu(vector: Vector, heading: float) -> Vector:
 
 
 def _what(mask: int) -> tuple[int, str]:
-    """Return the one quantity that a mask asks for, with its name."""
+    """Return the quantity selected by a type mask, and its name."""
     asked = [(kind, name) for ignored, kind, name in _KINDS if not mask & ignored]
     partly = [name for ignored, _, name in _KINDS if 0 < mask & ignored < ignored]
     if partly:

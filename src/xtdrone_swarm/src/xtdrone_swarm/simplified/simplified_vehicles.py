@@ -1,4 +1,4 @@
-"""Simplified vehicles behind the cut that the algorithms see: see ``vehicles.Vehicles``, model.py and pilot.py."""
+"""Simplified vehicles behind the interface ``swarm_vehicles.Vehicles``; see also model.py and pilot.py."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from xtdrone_swarm.swarm_vehicles import ACCELERATION, HOLD, POSITION, VELOCITY,
 STEP_US = 4000
 
 _KINDS = (HOLD, VELOCITY, ACCELERATION, POSITION)
-_SUCCESSORS = {"AUTO.TAKEOFF": "AUTO.LOITER"}  # modes entered by themselves when the commanded one has done its work
+_SUCCESSORS = {"AUTO.TAKEOFF": "AUTO.LOITER"}  # modes entered automatically when the commanded one is complete
 
 
 class SimplifiedVehicles:
-    """Vehicles of first or second order, any number. See ``vehicles.Vehicles`` for the attributes.
+    """Any number of vehicles of first or second order. See ``swarm_vehicles.Vehicles`` for the attributes.
 
-    What lies between commands and setpoints in the ROS stack is here too, as ``MultirotorCore`` has it: HOVER and the
-    dead zone, which freeze the place of that moment. The arrays are the same objects for ever; they change with time.
+    The layers between commands and setpoints in the ROS stack are included, like ``MultirotorCore``: HOVER and the
+    dead zone, which capture the present position. The array objects stay the same; their contents change with time.
 
     Attributes:
-        model: what they are.
+        model: parameters of the vehicles.
     """
 
     def __init__(
@@ -43,20 +43,20 @@ class SimplifiedVehicles:
         rate_step_us: int = STEP_US,
         hover_speed: float | None = HOVER_SPEED,
     ) -> None:
-        """Place the vehicles.
+        """Create the vehicles at their initial positions.
 
         Args:
-            count: how many, at least 1.
+            count: number of vehicles, at least 1.
             kind: vehicle type, a name in ``config/vehicles``.
             model: see ``model.load_model``.
-            places: shape (count, 3), m ENU, z at least 0; the spawn grid, which is the pattern ``origin``, if None.
-            airborne: armed, in OFFBOARD and holding at their places, instead of disarmed.
+            places: initial positions, shape (count, 3), m ENU, z at least 0; None: the spawn grid (pattern ``origin``).
+            airborne: start armed, in OFFBOARD and holding position, instead of disarmed.
             rate_step_us: base step, microseconds, at least 100.
-            hover_speed: m/s (m/s^2 for accelerations), 0 or more: a velocity that is not above it on any axis means
-                HOVER; None: every velocity is flown as it is.
+            hover_speed: dead zone, m/s (m/s^2 for accelerations), 0 or more: a velocity that exceeds it on no axis
+                means HOVER; None: no dead zone.
 
         Raises:
-            ValueError: a value that is not allowed; ModelError, one of these, for ``kind`` and ``model``.
+            ValueError: a value is not allowed; ModelError, a subclass, for ``kind`` and ``model``.
         """
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ValueError(f"number of vehicles: {count!r} is not allowed, at least 1")
@@ -73,7 +73,7 @@ class SimplifiedVehicles:
         self._record = self.model.record(rate_step_us)
         depth = int(self._record["delay"].max()) + 1
         self._vehicles = np.zeros(count, VEHICLE)
-        self._each = self._vehicles.view(np.recarray)  # single ones, by attributes; slower
+        self._each = self._vehicles.view(np.recarray)  # single vehicles with attribute access; slower
         self._delayed = np.zeros((count, depth, 4))
         self.position = np.zeros((count, 3))
         self.velocity = np.zeros((count, 3))
@@ -82,7 +82,7 @@ class SimplifiedVehicles:
         self.restart()
 
     def restart(self) -> None:
-        """Put all back to their start; see ``Vehicles``."""
+        """Reset all vehicles to their initial state; see ``Vehicles``."""
         vehicles = self._vehicles
         vehicles[:] = np.zeros(1, VEHICLE)[0]
         vehicles["position"] = vehicles["place"] = vehicles["home"] = vehicles["setpoint"] = self._places
@@ -100,7 +100,7 @@ class SimplifiedVehicles:
         self._look()
 
     def _look(self) -> None:
-        """Take over modes and arming; they change seldom."""
+        """Update modes and arming states, which change rarely."""
         self._armed = [bool(armed) for armed in self._vehicles["armed"].tolist()]
         self._mode = [pilot.MODE_NAMES[mode] for mode in self._vehicles["mode"].tolist()]
         self.armed: Sequence[bool] = self._armed
@@ -109,13 +109,13 @@ class SimplifiedVehicles:
     # commands
 
     def command(self, index: int, text: str) -> str:
-        """Give a vehicle an XTDrone command; see ``Vehicles``. One whose state holds already does nothing.
+        """Send an XTDrone command to a vehicle; see ``Vehicles``. A command for the present state has no effect.
 
         Returns:
-            Why it is refused, "" when it is not.
+            The reason for a rejection; "" if the command is accepted.
 
         Raises:
-            IndexError: there is no such vehicle.
+            IndexError: ``index`` is out of range.
         """
         if not 0 <= index < len(self.names):
             raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
@@ -163,7 +163,7 @@ class SimplifiedVehicles:
 
     def _enter(self, vehicle: np.record, mode: int) -> None:
         pilot.enter(vehicle, mode)
-        vehicle.hovering = 0  # it moves on its own now: a later hover must be captured anew
+        vehicle.hovering = 0  # the mode moves the vehicle: a later HOVER must capture a new position
         if mode in (pilot.LOITER, pilot.POSCTL):
             pilot.brake(vehicle, self._record[0])
         if mode == pilot.OFFBOARD and vehicle.kind == HOLD:
@@ -172,10 +172,10 @@ class SimplifiedVehicles:
     # setpoints
 
     def steer(self, kind: int, vectors: Array, given: Mask) -> None:
-        """Set the setpoints of some vehicles; see ``Vehicles``. HOLD captures their present places.
+        """Set the setpoints of some vehicles; see ``Vehicles``. HOLD captures the present positions.
 
         Raises:
-            ValueError: an unknown kind, another size, or a vector that is not finite, whose vehicle is named.
+            ValueError: unknown kind, wrong shape, or a vector that is not finite; the message names its vehicle.
         """
         if kind not in _KINDS:
             raise ValueError(f"kind of setpoint: {kind!r} is not allowed, one of {_KINDS}")
@@ -197,11 +197,11 @@ class SimplifiedVehicles:
         *,
         yaw: float = math.nan,
     ) -> None:
-        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s, or a heading in rad if one is given.
+        """Set one vehicle's setpoint, ENU, with a yaw rate, rad/s, or a heading, rad, if given.
 
         Raises:
-            IndexError: there is no such vehicle.
-            ValueError: an unknown kind, or a value that is not finite.
+            IndexError: ``index`` is out of range.
+            ValueError: unknown kind, or a value that is not finite.
         """
         if not 0 <= index < len(self.names):
             raise IndexError(f"vehicle {index} is not there; 0 to {len(self.names) - 1}")
@@ -217,10 +217,10 @@ class SimplifiedVehicles:
     # time
 
     def advance(self, time_us: int) -> None:
-        """Move on to ``time_us``, a multiple of ``step_us``; where one stops on the way changes nothing.
+        """Advance to ``time_us``, a multiple of ``step_us``; stops on the way do not affect the motion.
 
         Raises:
-            ValueError: it is no such multiple, or lies behind.
+            ValueError: ``time_us`` is not such a multiple, or lies in the past.
         """
         steps, rest = divmod(time_us - self.time_us, self.step_us)
         if rest or steps < 0:
@@ -243,11 +243,11 @@ class SimplifiedVehicles:
             self._look()
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no resources are held."""
 
 
 def spawn_places(count: int) -> Array:
-    """Return the spawn grid, shape (count, 3), m ENU, filled along x first; upstream's, whose first row is at y = 3."""
+    """Return the spawn grid, shape (count, 3), m ENU, filled along x first; as upstream, the first row is at y = 3."""
     columns = origin_columns(count)
     index = np.arange(count)
     return np.column_stack([PITCH * (index % columns), PITCH * (index // columns + 1), np.zeros(count)])
@@ -257,7 +257,7 @@ def checked_places(places: ArrayLike, count: int) -> Array:
     """Return ``places`` as an array of shape (count, 3).
 
     Raises:
-        ValueError: another shape, not finite, or below the ground.
+        ValueError: wrong shape, a value that is not finite, or a position below the ground.
     """
     array = np.array(places, dtype=float)
     if array.shape != (count, 3):

@@ -1,12 +1,12 @@
 """The simplified vehicles on the topics and services of MAVROS and XTDrone, in place of autopilots behind MAVLink.
 
-For each vehicle T (as iris_0), as the full stack's MAVROS layer has them:
+For each vehicle T (such as iris_0), as in the MAVROS layer of the full stack:
 
 ========================================  ==========================  ================================================
-published, if somebody takes it
+published while subscribed
 /T/mavros/local_position/pose             PoseStamped                 30 Hz, frame map
 /T/mavros/local_position/velocity_local   TwistStamped                30 Hz, ENU, frame base_link as MAVROS names it
-/T/mavros/state                           mavros_msgs/State           1 Hz, and at once when it changes
+/T/mavros/state                           mavros_msgs/State           1 Hz, and on every change
 /T/mavros/extended_state                  mavros_msgs/ExtendedState   5 Hz
 /xtdrone/swarm                            Float64MultiArray           30 Hz, see xtdrone_control.mavros.swarm
 subscribed
@@ -14,12 +14,12 @@ subscribed
 /xtdrone/T/cmd, cmd_vel_enu, ...          see xtdrone_control.communication.multirotor
 services
 /T/mavros/cmd/arming, set_mode            CommandBool, SetMode
-/T/mavros/cmd/takeoff, cmd/land           CommandTOL                  AUTO.TAKEOFF, AUTO.LAND; the place is not used
+/T/mavros/cmd/takeoff, cmd/land           CommandTOL                  AUTO.TAKEOFF, AUTO.LAND; the position is ignored
 ========================================  ==========================  ================================================
 
-XTDrone's commands are carried out as long as no setpoint has come over ``setpoint_raw/local`` for that vehicle: it has
-no communication node then. Where they have come and stop, the vehicle leaves OFFBOARD for POSCTL, which holds, as PX4
-does (COM_OF_LOSS_T, COM_OBL_RC_ACT). What is sent in a tick acts from that tick's time on.
+XTDrone's commands are executed until the first setpoint arrives on ``setpoint_raw/local`` for that vehicle, which shows
+that it has a communication node. When such setpoints stop, the vehicle changes from OFFBOARD to POSCTL and holds
+position, as in PX4 (COM_OF_LOSS_T, COM_OBL_RC_ACT). Messages sent in a tick act from the time of that tick.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _ON_GROUND, _IN_AIR, _TAKEOFF, _LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 
 
 class SteeredVehicles(Vehicles, Protocol):
-    """Vehicles that take a heading too."""
+    """Vehicles with setpoints that may include a heading."""
 
     def steer_one(
         self,
@@ -75,7 +75,7 @@ class SteeredVehicles(Vehicles, Protocol):
         *,
         yaw: float = math.nan,
     ) -> None:
-        """Set one vehicle's setpoint, ENU, with a yaw rate in rad/s, or a heading in rad if one is given."""
+        """Set one vehicle's setpoint, ENU, with a yaw rate, rad/s, or a heading, rad, if given."""
 
 
 class VehicleTopics:
@@ -92,16 +92,16 @@ class VehicleTopics:
         cmd_timeout: float,
         setpoint_timeout: float,
     ) -> None:
-        """Advertise and subscribe.
+        """Advertise and subscribe to the topics of a vehicle.
 
         Args:
-            vehicles: all of them.
-            index: which one this is.
-            mailbox: brings service calls to the simulator's thread.
-            seconds: returns the simulated time.
+            vehicles: all vehicles.
+            index: number of this vehicle.
+            mailbox: passes service calls to the simulator's thread.
+            seconds: returns the simulated time, s.
             hover_speed: see ``MultirotorCore``.
             cmd_timeout: see ``MultirotorCore``.
-            setpoint_timeout: s without a setpoint after which OFFBOARD is left; 0: never.
+            setpoint_timeout: time without a setpoint after which OFFBOARD ends, s; 0: never.
 
         Raises:
             ValueError: ``hover_speed`` or ``cmd_timeout`` is not allowed.
@@ -122,7 +122,7 @@ class VehicleTopics:
         self._pose.header.frame_id = "map"
         self._velocity = TwistStamped()
         self._velocity.header.frame_id = "base_link"
-        # First of all, so that a command of the same tick finds who is responsible for it.
+        # Subscribed first, so that the source of control is known before a command of the same tick.
         lockstep.Subscriber(f"{base}/setpoint_raw/local", PositionTarget, self._on_target)
         self._subscribe_commands(f"/xtdrone/{name}")
         for service, kind, handler in (
@@ -146,15 +146,15 @@ class VehicleTopics:
                 lockstep.Subscriber(topic, message, partial(callback, topic, body))
 
     def restart(self) -> None:
-        """Know of no input and nothing said: as at the start."""
+        """Reset all inputs and the record of published states, as at the start."""
         self._core.restart()
         self._commanded = True  # by XTDrone's commands, not by setpoints
-        self._target_at = -math.inf  # s, when the last setpoint came
-        self._flown: Setpoint | None = None  # the setpoint that the vehicle has from the core
+        self._target_at = -math.inf  # s, arrival of the last setpoint
+        self._flown: Setpoint | None = None  # the setpoint last received from the core
         self._said: tuple[str, bool] | None = None
         self._looked = -1.0  # s, of simulated time
 
-    # what is to be seen
+    # publications
 
     @property
     def _here(self) -> Vector:
@@ -181,7 +181,7 @@ class VehicleTopics:
             self._velocity_publisher.publish(self._velocity)
 
     def publish_state(self, now: rospy.Time, due: bool) -> None:
-        """Publish mode and arming, if that is due or they have changed."""
+        """Publish mode and arming state, if due or changed."""
         mode, armed = self._vehicles.mode[self._index], bool(self._vehicles.armed[self._index])
         changed = self._said != (mode, armed)
         self._said = (mode, armed)
@@ -195,7 +195,7 @@ class VehicleTopics:
         self._state_publisher.publish(message)
 
     def publish_extended(self, now: rospy.Time) -> None:
-        """Publish whether it is on the ground."""
+        """Publish the landed state."""
         if not self._extended_publisher.get_num_connections():
             return
         message = ExtendedState(landed_state=self._landed_state())
@@ -237,7 +237,7 @@ class VehicleTopics:
         self._vehicles.steer_one(self._index, kind, vector, yaw_rate, yaw=yaw)
 
     def _miss_targets(self) -> None:
-        """Leave OFFBOARD when setpoints have stopped: a vehicle must not fly on for ever as the last one said."""
+        """Leave OFFBOARD when the setpoints have stopped, so that the last one does not act indefinitely."""
         silence = self._seconds() - self._target_at
         if not 0.0 < self._setpoint_timeout < silence or self._vehicles.mode[self._index] != "OFFBOARD":
             return
@@ -247,7 +247,7 @@ class VehicleTopics:
     # XTDrone's commands
 
     def _look(self) -> float:
-        """Take in how the vehicle is, once in a tick; return the simulated time, s."""
+        """Update the core with the vehicle's state, once per tick; return the simulated time, s."""
         now = self._seconds()
         if now != self._looked:
             self._looked = now
@@ -257,7 +257,7 @@ class VehicleTopics:
         return now
 
     def act(self) -> None:
-        """Carry out what XTDrone's commands ask for, or look after setpoints; 30 Hz, after what came in a tick."""
+        """Execute XTDrone's commands or supervise the setpoints; called at 30 Hz, after the messages of a tick."""
         if not self._commanded:
             self._miss_targets()
             return
@@ -303,13 +303,13 @@ class VehicleTopics:
         vector = (linear.x, linear.y, linear.z)
         self._core.on_target_acceleration(topic, vector, message.angular.z, self._look(), body=body)
 
-    # services; handlers run in threads of rospy's
+    # services; their handlers run in rospy's threads
 
     def _ask(self, text: str) -> str:
-        """Give the vehicle a command in the simulator's thread; return why it is refused, or "".
+        """Send the vehicle a command in the simulator's thread; return the reason for a rejection, or "".
 
         Raises:
-            ServiceException: the simulator shuts down.
+            ServiceException: the simulator is shutting down.
         """
 
         def act(answer: Future[Any]) -> None:
@@ -333,7 +333,7 @@ class VehicleTopics:
         return not refusal, _TEMPORARILY_REJECTED if refusal else _ACCEPTED
 
     def _set_mode(self, request: Any) -> SetModeResponse:
-        """Set a mode; ``mode_sent`` says that there is such a mode, as MAVROS means it, not that it was taken."""
+        """Set a mode; as in MAVROS, ``mode_sent`` means that the mode exists, not that it was accepted."""
         try:
             mode = mode_name(_CUSTOM_MODE_ENABLED, mode_number(request.custom_mode))
         except ModeError as error:
@@ -344,10 +344,10 @@ class VehicleTopics:
 
 
 class SwarmTopic:
-    """All vehicles' positions and velocities in one message."""
+    """Positions and velocities of all vehicles in one message."""
 
     def __init__(self, vehicles: Vehicles) -> None:
-        """Advertise."""
+        """Advertise the topic."""
         count = len(vehicles.names)
         self._vehicles = vehicles
         self._publisher = lockstep.Publisher(TOPIC, Float64MultiArray)
@@ -358,7 +358,7 @@ class SwarmTopic:
         ]
 
     def publish(self) -> None:
-        """Publish, if somebody takes it."""
+        """Publish if the topic has a subscriber."""
         if not self._publisher.get_num_connections():
             return
         data: list[float] = []

@@ -1,4 +1,4 @@
-"""The picture of a swarm: off-screen, as a film, in a window. Matplotlib is needed only here."""
+"""Pictures of a swarm: off-screen, as a film or in a window. Matplotlib is needed only here."""
 
 from xtdrone_swarm.view.film import FilmError, FilmWriter, check_film, film
 from xtdrone_swarm.view.scene import Frame, SwarmView, palette

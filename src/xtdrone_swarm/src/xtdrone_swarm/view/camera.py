@@ -1,7 +1,7 @@
-"""The eye on a swarm: the box that is shown, which follows the vehicles, and its perspective projection to pixels.
+"""The camera: the displayed box, which follows the vehicles, and its perspective projection to pixels.
 
-Matplotlib's own 3D axes draw a hundred vehicles with trails 22 times a second; one matrix product for all points and
-plain 2D artists are several times as fast, and have equal scales on all axes by nature.
+Matplotlib's 3D axes draw a hundred vehicles with trails 22 times a second; one matrix product for all points and plain
+2D artists are several times as fast and have equal scales on all axes.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AZIMUTH, ELEVATION = -58.0, 22.0  # deg, of the eye as seen from the box's middle; azimuth from east, counter-clockwise
+AZIMUTH, ELEVATION = -58.0, 22.0  # deg, of the eye seen from the box's centre; azimuth from east, counter-clockwise
 ZOOM_RANGE = (0.2, 20.0)
-_DISTANCE = 3.4  # eye to the middle, in half diagonals of the box
-_LEAST_SIZE = 4.0  # m, of an edge of the box
-_LEAST_SHARE = 0.55  # of the longest edge, that every edge has at least
+_DISTANCE = 3.4  # from the eye to the centre, in half diagonals of the box
+_LEAST_SIZE = 4.0  # m, minimum edge of the box
+_LEAST_SHARE = 0.55  # minimum edge as a fraction of the longest one
 _EMPTY = _LEAST_SIZE * np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])  # m, the box without vehicles
-_MARGIN = 0.08  # of the longest edge, between the outermost vehicles and the box
-_SLACK = 0.12  # of the longest edge, that the box may be too large before it shrinks
-_SNAP = 0.1  # of that slack: a floor that is so near to the ground becomes it
+_MARGIN = 0.08  # between the outermost vehicles and the box, as a fraction of the longest edge
+_SLACK = 0.12  # excess size, as a fraction of the longest edge, at which the box starts to shrink
+_SNAP = 0.1  # fraction of that slack: a floor this close to the ground is moved to it
 _GROW, _SHRINK = 0.25, 1.6  # s, time constants of the box
-_GROUND_REACH = 0.9  # the ground is shown when it is no further below the swarm than so many widths of it ...
-_UNDERGROUND = 0.5  # m below 0 that a vehicle on the ground may seem to be
-_GROUND_SHARE = 0.8  # of the height, that the ground is wide at least
-_GROUND_LEAST = 4.0  # m ... or so many metres
+_GROUND_REACH = 0.9  # the ground is shown if it is at most this many box widths below the swarm ...
+_UNDERGROUND = 0.5  # m below 0 at which a vehicle still counts as on the ground
+_GROUND_SHARE = 0.8  # minimum width of the ground as a fraction of the height
+_GROUND_LEAST = 4.0  # m ... or at most this distance
 
 
 @dataclass(frozen=True)
 class Box:
-    """The part of space that is shown.
+    """The displayed part of space.
 
     Attributes:
-        low: least x, y, z, m ENU, shape (3,).
-        high: greatest.
+        low: minimum x, y, z, m ENU, shape (3,).
+        high: maximum x, y, z, likewise.
     """
 
     low: Array
@@ -44,39 +44,39 @@ class Box:
 
     @property
     def corners(self) -> Array:
-        """Return its eight corners, shape (8, 3), m."""
+        """Return the eight corners, shape (8, 3), m ENU."""
         edges = np.stack([self.low, self.high])
         return np.array([[edges[i, 0], edges[j, 1], edges[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
     @property
     def middle(self) -> Array:
-        """Return its middle, shape (3,), m."""
+        """Return the centre, shape (3,), m ENU."""
         return 0.5 * (self.low + self.high)
 
     @property
     def radius(self) -> float:
-        """Return half its diagonal, m."""
+        """Return half the diagonal, m."""
         return 0.5 * float(np.linalg.norm(self.high - self.low))
 
 
 class FollowingBox:
-    """A box that holds all vehicles and follows them: it grows at once, shrinks slowly, and rests while it fits."""
+    """A box that contains all vehicles: it grows fast, shrinks slowly, and does not move while it fits."""
 
     def __init__(self) -> None:
-        """Hold nothing yet."""
+        """Create a box without contents."""
         self._edges: Array | None = None
         self._time = 0.0
 
     def forget(self) -> None:
-        """Begin anew with the next points."""
+        """Discard the history and start with the next points."""
         self._edges = None
 
     def follow(self, time: float, points: Array) -> Box:
-        """Return the box for some points.
+        """Update the box for a set of points and return it.
 
         Args:
-            time: simulated, s; what passed since the last call smooths the motion.
-            points: shape (n, 3), m ENU; rows that are not finite do not count.
+            time: simulated time, s; the time since the last call determines the smoothing.
+            points: shape (n, 3), m ENU; rows that are not finite are ignored.
         """
         target = _target(points)
         if target is None:
@@ -91,7 +91,7 @@ class FollowingBox:
 
 
 def _target(points: Array) -> Array | None:
-    """Return the edges (low, high) that suit some points, shape (2, 3); None without a finite point."""
+    """Return the box edges (low, high) for a set of points, shape (2, 3); None without a finite point."""
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return None
@@ -111,14 +111,14 @@ def _target(points: Array) -> Array | None:
 
 
 def _eased(edges: Array, target: Array, elapsed: float) -> Array:
-    """Return the edges some seconds on, on their way to the target; they hold it at once where it is outside."""
+    """Return the edges after ``elapsed`` s of motion to the target; growth is faster than shrinkage."""
     slack = _SLACK * float((target[1] - target[0]).max())
     grow, shrink = (1.0 - math.exp(-elapsed / constant) for constant in (_GROW, _SHRINK))
-    excess = np.stack([target[0] - edges[0], edges[1] - target[1]])  # above 0: the box is larger than it need be
+    excess = np.stack([target[0] - edges[0], edges[1] - target[1]])  # above 0: the box is larger than necessary
     step = np.where(excess < 0.0, grow * excess, shrink * np.maximum(0.0, excess - slack))
     eased = np.stack([edges[0] + step[0], edges[1] - step[1]])
     if target[0, 2] == 0.0 and eased[0, 2] < _SNAP * slack:
-        eased[0, 2] = 0.0  # the ground, and not a floor just above it
+        eased[0, 2] = 0.0  # the ground instead of a floor just above it
     return eased
 
 
@@ -126,33 +126,33 @@ class Camera:
     """Projects points of the map to pixels.
 
     Attributes:
-        azimuth: of the eye as seen from the middle, deg counter-clockwise from east (x).
-        elevation: likewise above the horizon, deg, -89 to 89.
-        zoom: 1: the box fills the picture.
+        azimuth: azimuth of the eye seen from the centre, deg counter-clockwise from east (x).
+        elevation: elevation of the eye above the horizon, deg, -89 to 89.
+        zoom: magnification; at 1 the box fills the picture.
     """
 
     def __init__(self) -> None:
-        """Look from the usual place."""
+        """Set the default view."""
         self.reset()
 
     def reset(self) -> None:
-        """Look from the usual place again."""
+        """Return to the default view."""
         self.azimuth = AZIMUTH
         self.elevation = ELEVATION
         self.zoom = 1.0
 
     def turn(self, azimuth: float, elevation: float) -> None:
-        """Turn by so many degrees."""
+        """Rotate the view by angles, deg."""
         self.azimuth = (self.azimuth + azimuth + 180.0) % 360.0 - 180.0
         self.elevation = min(89.0, max(-89.0, self.elevation + elevation))
 
     def magnify(self, factor: float) -> None:
-        """Zoom about the middle by a factor, within ``ZOOM_RANGE``."""
+        """Zoom about the centre by a factor, within ``ZOOM_RANGE``."""
         self.zoom = min(ZOOM_RANGE[1], max(ZOOM_RANGE[0], self.zoom * factor))
 
     @property
     def basis(self) -> Array:
-        """Return the picture's right, its up, and the direction to the eye, as rows, ENU, shape (3, 3)."""
+        """Return the picture's right and up directions and the direction to the eye as rows, ENU, shape (3, 3)."""
         azimuth, elevation = math.radians(self.azimuth), math.radians(self.elevation)
         ca, sa, ce, se = math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation)
         return np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce], [ce * ca, ce * sa, se]])
@@ -161,18 +161,18 @@ class Camera:
         """Return the projection that fits a box into an area of the picture.
 
         Args:
-            box: what to show.
+            box: the box to show.
             area: left, bottom, width, height, pixels, y upwards.
         """
         return Projection(self.basis, box, area, self.zoom)
 
 
 class Projection:
-    """Points of the map to pixels, for one box seen from one place.
+    """Projection of map points to pixels, for one box and one viewpoint.
 
     Attributes:
         basis: see :attr:`Camera.basis`.
-        scale: pixels a metre at the middle of the box.
+        scale: pixels per metre at the centre of the box.
     """
 
     def __init__(self, basis: Array, box: Box, area: tuple[float, float, float, float], zoom: float) -> None:
@@ -188,14 +188,14 @@ class Projection:
         self._origin = np.array([left + 0.5 * width, bottom + 0.5 * height]) - self.scale * 0.5 * (low + high)
 
     def _to_plane(self, points: Array) -> tuple[Array, Array]:
-        """Return points on the plane through the middle, m, shape (..., 2), and their magnification, shape (...)."""
+        """Return points on the plane through the centre, m, shape (..., 2), and their magnification, shape (...)."""
         seen = (points - self._middle) @ self.basis.T
-        # A vehicle that a runaway simulation has thrown behind the eye must not turn the picture over.
+        # A vehicle behind the eye, as in a diverging simulation, must not invert the picture.
         factor = self._distance / np.maximum(self._distance - seen[..., 2], 0.1 * self._distance)
         return seen[..., :2] * factor[..., None], factor
 
     def pixels(self, points: Array) -> Array:
-        """Return where points are in the picture, pixels from its lower left corner, shape (..., 2).
+        """Return the positions of points in the picture, pixels from its lower left corner, shape (..., 2).
 
         Args:
             points: shape (..., 3), m ENU.
@@ -203,7 +203,7 @@ class Projection:
         return self._to_plane(points)[0] * self.scale + self._origin
 
     def pixels_and_nearness(self, points: Array) -> tuple[Array, Array]:
-        """Return :meth:`pixels` and how much larger than at the middle things appear there, shape (...)."""
+        """Return :meth:`pixels` and the magnification relative to the centre, shape (...)."""
         plane, factor = self._to_plane(points)
         return plane * self.scale + self._origin, factor
 

@@ -33,7 +33,7 @@ FPS_RANGE = (0.1, 120.0)
 GIF_FASTEST = 50.0  # browsers slow down faster films
 _GIF_TICK = 0.01  # s, the unit of times in a GIF
 _GIF_COLOURS = 256
-_LINE_PERIOD = 5.0  # s of wall time between lines of progress without a terminal
+_LINE_PERIOD = 5.0  # s of wall time between progress lines without a terminal
 
 Picture = NDArray[np.uint8]
 
@@ -56,7 +56,7 @@ class _Encoder(Protocol):
 
 
 class FilmWriter:
-    """A film that is written picture by picture.
+    """A film written picture by picture.
 
     The context manager finishes the film, also after Ctrl-C, and discards it after any other exception.
 
@@ -75,7 +75,7 @@ class FilmWriter:
             path: with the suffix .mp4, .gif or .png.
             size: width and height of the pictures, pixels.
             fps: pictures per second.
-            view: that draws the pictures; a GIF uses its colours.
+            view: view that draws the pictures; a GIF uses its colours.
 
         Raises:
             FilmError: unknown suffix, rate out of range, missing or read-only folder, or no ffmpeg.
@@ -111,7 +111,7 @@ class FilmWriter:
             picture: RGBA, shape (height, width, 4); the array may be reused.
 
         Raises:
-            FilmError: it cannot be written, for example on a full disk.
+            FilmError: the picture cannot be written, for example because the disk is full.
         """
         self._encoder.add(picture)
         self.frames += 1
@@ -120,7 +120,7 @@ class FilmWriter:
         """Complete the film and move it to its path.
 
         Raises:
-            FilmError: there is no picture, or the film cannot be written.
+            FilmError: no picture was added, or the film cannot be written.
         """
         try:
             if not self.frames:
@@ -149,7 +149,7 @@ class FilmWriter:
 
 
 def check_film(path: str | Path, fps: float = FPS) -> Path:
-    """Check that a film can be written to ``path``, before anything is flown for it, and return the path.
+    """Check that a film can be written to ``path``, before the flight is simulated, and return the path.
 
     Raises:
         FilmError: see :class:`FilmWriter`.
@@ -186,17 +186,17 @@ def film(
     """Draw frames, write them as a film and return its path.
 
     Args:
-        frames: states, ``1 / fps`` apart for a film in real time; a generator may fly the swarm meanwhile.
+        frames: states, ``1 / fps`` apart for a film in real time; a generator may simulate the flight meanwhile.
         path: with the suffix .mp4, .gif or .png (a picture of the last state with trails).
         fps: pictures per second.
-        progress: whether to show a progress bar, or the console for it.
-        view: that draws the frames; by default a new one for the first frame.
+        progress: whether to show a progress bar, or the console on which to show it.
+        view: view that draws the frames; by default a new one for the first frame.
         names: of the vehicles for a new view; by default ``uav_0``, ``uav_1``, ...
         total: number of frames for the progress bar, if ``frames`` has no length.
-        options: of a new :class:`SwarmView`: slots, edges, trails, size.
+        options: options of a new :class:`SwarmView`: slots, edges, trails, size.
 
     Raises:
-        FilmError: see :class:`FilmWriter`; or there is no frame.
+        FilmError: see :class:`FilmWriter`; or ``frames`` is empty.
         ValueError: a frame does not fit the view.
         KeyboardInterrupt: Ctrl-C, after finishing the film with the frames so far.
     """
@@ -288,7 +288,7 @@ class _Mp4:
             *("-an", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white", "-c:v", "libx264", "-pix_fmt", "yuv420p"),
             *("-preset", "veryfast", "-crf", "19", "-movflags", "+faststart", "-f", "mp4", str(path)),
         ]
-        # In a session of its own, because Ctrl-C is for this process, which then finishes the film. If this process is
+        # In a separate session, because Ctrl-C is for this process, which then finishes the film. If this process is
         # killed, the end of the pipe ends ffmpeg.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, start_new_session=True
@@ -316,7 +316,7 @@ class _Mp4:
             self._process.kill()
         self._process.wait()
         if self._process.stdin is not None:
-            with contextlib.suppress(OSError):  # the rest of the buffer has no reader
+            with contextlib.suppress(OSError):  # the reader of the remaining buffer has gone
                 self._process.stdin.close()
         self._errors.close()
 
@@ -332,7 +332,7 @@ class _Mp4:
 class _Gif:
     """A GIF with one palette, so that static parts do not flicker, and only the changed rectangle of each frame.
 
-    Pillow's own writer of films keeps all frames in memory, and its files are several times as large.
+    Pillow's GIF writer keeps all frames in memory, and its files are several times as large.
     """
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float, view: SwarmView | None) -> None:
@@ -363,7 +363,7 @@ class _Gif:
         """Write the rectangle that differs from the picture before."""
         assert self._palette is not None
         index = self._palette.indices(picture)
-        rows = columns = slice(0, 1)  # no change
+        rows = columns = slice(0, 1)  # if nothing has changed
         if self._before is None:
             rows, columns = slice(None), slice(None)
         elif len(new := np.argwhere(index != self._before)):
@@ -394,7 +394,7 @@ class _Gif:
 class _Palette:
     """At most 256 colours, and the nearest one to every colour with 6 bits per channel.
 
-    Pillow's own search confuses neighbouring colours, and white with tints.
+    Pillow's search confuses neighbouring colours, and white with tints.
     """
 
     def __init__(self, colours: NDArray[np.uint8]) -> None:
@@ -418,7 +418,7 @@ def _colours_of(view: SwarmView) -> NDArray[np.uint8]:
     """Return the colours of a view's pictures and their mixtures with the white background, shape (n, 3)."""
     colours = np.unique(view.colours[1:], axis=0) if len(view.colours) > 1 else view.colours
     greys = np.linspace(0.08, 1.0, 40)
-    tints = np.stack([greys * 0.93, greys * 0.965, greys], axis=1)  # text, grid and edges are bluish
+    tints = np.stack([greys * 0.93, greys * 0.965, greys], axis=1)  # for text, grid and edges, which are bluish
     panes = np.array([[1.0, 1.0, 1.0], [0.980, 0.984, 0.988], [0.953, 0.961, 0.973], [0.918, 0.941, 0.918]])
     shares = np.linspace(0.0, 1.0, max(2, (_GIF_COLOURS - len(panes) - len(tints)) // len(colours) + 1))[1:]
     mixed = (1.0 - shares[:, None, None] * (1.0 - colours)).reshape(-1, 3)
@@ -426,7 +426,7 @@ def _colours_of(view: SwarmView) -> NDArray[np.uint8]:
 
 
 class _Png:
-    """The last picture."""
+    """A PNG file of the last picture."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

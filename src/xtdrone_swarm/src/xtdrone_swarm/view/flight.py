@@ -1,4 +1,4 @@
-"""Pictures of a :class:`xtdrone_swarm.Swarm`: films of its flight, past or under way, and a live window."""
+"""Pictures of a :class:`xtdrone_swarm.Swarm`: films of its recorded or current flight, and a live window."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from xtdrone_swarm.view.window import Window
 
 
 class Swarm(Protocol):
-    """The parts of :class:`xtdrone_swarm.Swarm` that its pictures need."""
+    """The interface of :class:`xtdrone_swarm.Swarm` used by its pictures."""
 
     vehicles: Vehicles
     leader: Leader
@@ -42,16 +42,16 @@ class Swarm(Protocol):
 
 EachTurn = Callable[[Any], object]
 
-_BUDGET = 0.03  # s of wall time that turns may take between two pictures, or as long as the last picture took
-_GREATEST_BUDGET = 0.2  # s; the mouse is served in between
-_FACTOR_SPAN = 1.0  # s of wall time over which the real-time factor is taken
+_BUDGET = 0.03  # s of wall time for turns between two pictures, or the drawing time of the last picture
+_GREATEST_BUDGET = 0.2  # s, so that mouse input is handled in between
+_FACTOR_SPAN = 1.0  # s of wall time over which the real-time factor is measured
 
 
 class Formations:
-    """Slots and edges of a swarm, from what its leader has decided; edges are found once for each topology."""
+    """Slots and edges of a swarm, from its leader's decisions; edges are computed once for each topology."""
 
     def __init__(self) -> None:
-        """Know no topology yet."""
+        """Create an object without a topology."""
         self._adjacency: NDArray[Any] | None = None
         self._edges: NDArray[np.int64] | None = None
 
@@ -65,7 +65,7 @@ class Formations:
 
     @staticmethod
     def slots(leader: Array, offsets: Array | None) -> Array | None:
-        """Return where all should be, shape (N, 3), given the leader's place and the followers' offsets."""
+        """Return the slots of all vehicles, shape (N, 3), from the leader's position and the followers' offsets."""
         return None if offsets is None else leader + np.vstack([np.zeros(3), offsets])
 
 
@@ -87,7 +87,7 @@ def film_swarm(
         raise FilmError(f"film {path}: speed {speed} is not allowed, above 0")
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise FilmError(f"film {path}: {seconds} seconds are not allowed, above 0")
-    period = speed / fps if fps else math.inf  # film() judges fps
+    period = speed / fps if fps else math.inf  # film() validates fps
     note = f"{speed:g} x" if speed != 1.0 else ""
     if seconds is not None:
         frames, total = _flying(swarm, seconds, period, note, each_turn), math.floor(seconds / period + 1e-9) + 1
@@ -98,7 +98,7 @@ def film_swarm(
 
 
 def _flying(swarm: Swarm, seconds: float, period: float, note: str, each_turn: EachTurn | None) -> Iterator[Frame]:
-    """Let a swarm fly and yield its frames; between two turns places are interpolated."""
+    """Fly a swarm and yield its frames; positions are interpolated between turns."""
     formations = Formations()
     begin = swarm.time
     before = now = (swarm.time, swarm.true_positions)
@@ -131,7 +131,7 @@ def _film_times(swarm: Swarm, path: str | Path, start: float | None, end: float 
 
 
 def _recorded(swarm: Swarm, times: Array, note: str) -> Iterator[Frame]:
-    """Yield the frames of a recorded flight; between two turns places are interpolated."""
+    """Yield the frames of a recorded flight; positions are interpolated between turns."""
     record = swarm.record
     assert record is not None
     formations = Formations()
@@ -160,7 +160,7 @@ def watch_swarm(
     each_turn: EachTurn | None = None,
     **options: Any,
 ) -> None:
-    """Let a swarm fly in a live window; see :meth:`Swarm.watch`."""
+    """Fly a swarm in a live window; see :meth:`Swarm.watch`."""
     if not speed > 0.0:
         raise ValueError(f"watch: speed {speed} is not allowed, above 0, or infinite for as fast as it can")
     if not seconds > 0.0:
@@ -176,14 +176,14 @@ def watch_swarm(
 
 
 def play(swarm: Swarm, turn: Callable[[], bool], *, speed: float = 1.0, end: float = math.inf, **options: Any) -> None:
-    """Show a swarm in a live window until that is closed.
+    """Show a swarm in a live window until the window is closed.
 
     Args:
-        swarm: what is shown.
-        turn: lets one turn of the swarm pass; False ends the flight, and closes the window.
-        speed: simulated seconds a second of wall time, infinite for as fast as it can.
-        end: simulated time after which it stands still, s.
-        **options: of ``SwarmView``.
+        swarm: swarm to show.
+        turn: runs one turn of the swarm; a result of False ends the flight and closes the window.
+        speed: simulated seconds per second of wall time; infinite for as fast as possible.
+        end: simulated time at which the swarm stops, s.
+        **options: options of ``SwarmView``.
     """
     view = SwarmView(swarm.vehicles.names, **options)
     window = Window(view, f"XTDrone: {len(view.names)} UAVs")
@@ -191,19 +191,19 @@ def play(swarm: Swarm, turn: Callable[[], bool], *, speed: float = 1.0, end: flo
 
 
 class RealTimeFactor:
-    """How fast simulated time passes, over the last second or so of wall time."""
+    """The ratio of simulated to wall time over approximately the last second of wall time."""
 
     def __init__(self) -> None:
-        """Know nothing yet."""
+        """Start without a measurement."""
         self._factor = 0.0
         self._since: tuple[float, float] | None = None
 
     def restart(self) -> None:
-        """Measure from the next update on; what is known holds until then."""
+        """Restart the measurement at the next update; the last result remains valid until then."""
         self._since = None
 
     def update(self, sim_time: float) -> str:
-        """Return the factor in words, given simulated time, s; "" until it is known."""
+        """Return the factor as text, given the simulated time, s; "" before the first measurement."""
         wall = time.monotonic()
         if self._since is None or sim_time < self._since[1]:
             self._since = (wall, sim_time)
@@ -214,7 +214,7 @@ class RealTimeFactor:
 
 
 class _Player:
-    """Lets simulated time follow wall time, a bit before each picture, and says how fast it passes."""
+    """Advances simulated time with wall time before each picture, and reports the real-time factor."""
 
     def __init__(self, swarm: Swarm, window: Window, turn: Callable[[], bool], speed: float, end: float) -> None:
         self._swarm = swarm
@@ -229,11 +229,11 @@ class _Player:
         self._set_off()
 
     def _set_off(self) -> None:
-        """Measure times from now on."""
+        """Set the origin of both times to now."""
         self._origin = (time.monotonic(), self._swarm.time)
 
     def __call__(self) -> Frame | None:
-        """Fly on as far as wall time says or the budget allows, and return the state if it is a new one."""
+        """Advance the flight to the wall time or within the budget; return the state if it is new."""
         away = time.monotonic() - self._left
         frame = self._next(max(_BUDGET, min(away, _GREATEST_BUDGET)))
         self._left = time.monotonic()
@@ -263,5 +263,5 @@ class _Player:
                 self._window.close()
                 break
             if time.monotonic() >= deadline:
-                self._origin = (time.monotonic(), self._swarm.time)  # what cannot be kept up with is not made up for
+                self._origin = (time.monotonic(), self._swarm.time)  # a delay is not made up for
                 break

@@ -1,4 +1,4 @@
-"""The room around a swarm: floor and back walls with a grid, and metres along the edges."""
+"""The room around a swarm: floor and back walls with a grid, and scales in metres along the edges."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from matplotlib.transforms import IdentityTransform
 
 from xtdrone_swarm.view.camera import Array, Box, Projection
 
-_LINES = 7  # grid lines along the longest edge, about
+_LINES = 7  # approximate number of grid lines along the longest edge
 _GROUND, _FLOOR, _WALL = "#eaf0ea", "#f3f5f8", "#fafbfc"
 _GRID, _EDGE, _TEXT = "#d3dae1", "#aab4bf", "#51606e"
 _LETTERS = "xyz"
 
 
 class Room:
-    """Floor, walls, grid and figures, as artists in pixels."""
+    """Floor, walls, grid and scale labels, as artists in pixels."""
 
     def __init__(self, figure: Figure) -> None:
-        """Draw on ``figure``."""
+        """Create the artists on ``figure``."""
         self._figure = figure
         pixels = {"transform": IdentityTransform(), "figure": figure}
         self._panes = PolyCollection([], edgecolors="none", **pixels)
@@ -34,12 +34,12 @@ class Room:
         self._used = 0
 
     def place(self, box: Box, projection: Projection, unit: float) -> None:
-        """Compute where everything is.
+        """Compute the positions of all artists.
 
         Args:
-            box: what is shown.
-            projection: to pixels.
-            unit: points of a thing that is one pixel large in a picture 600 pixels high.
+            box: the displayed box.
+            projection: projection to pixels.
+            unit: size in points of one pixel of a picture 600 pixels high.
         """
         eye = projection.basis[2]
         near = np.where(eye >= 0.0, box.high, box.low)
@@ -52,7 +52,7 @@ class Room:
         lines = list(_grid_lines(box, step, (far[0], far[1], floor)))
         self._grid.set_segments([projection.pixels(np.array(line)) for line in lines])
         self._grid.set_linewidth(0.8 * unit)
-        # The edges that carry figures: nearer than the swarm and on the outline, so that nothing lies behind them.
+        # The labelled edges are nearer than the swarm and on the outline, so that no object lies behind them.
         side = self._side(box, projection, near, far)
         ends = [
             np.array([[box.low[0], near[1], floor], [box.high[0], near[1], floor]]),
@@ -74,12 +74,12 @@ class Room:
         return sides[int(np.argmin(columns))]
 
     def _label(self, axis: int, edge: Array, projection: Projection, middle: Array, step: float, unit: float) -> None:
-        """Write the figures along an edge, and its letter and unit, on the side away from the room's middle."""
+        """Label an edge with numbers, axis letter and unit, on the side away from the room's centre."""
         start, end = projection.pixels(edge)
         along = end - start
         length = float(np.hypot(*along))
         if length < 40.0:
-            return  # seen end-on
+            return  # the edge is seen end-on
         outward = np.array([-along[1], along[0]]) / length
         if outward @ (0.5 * (start + end) - middle) < 0.0:
             outward = -outward
@@ -98,7 +98,7 @@ class Room:
         )
 
     def _write(self, text: str, place: Array, size: float, colour: str) -> None:
-        """Put a text at a place, by an artist that is there already when there is one."""
+        """Place a text, with an existing artist if one is available."""
         if self._used == len(self._texts):
             centred = {"ha": "center", "va": "center", "transform": IdentityTransform()}
             self._texts.append(Text(0, 0, "", color=colour, figure=self._figure, **centred))
@@ -109,7 +109,7 @@ class Room:
         artist.set_fontsize(size)
 
     def draw(self, renderer: RendererBase) -> None:
-        """Draw it where it was placed."""
+        """Draw the room as placed by :meth:`place`."""
         self._panes.draw(renderer)
         self._grid.draw(renderer)
         self._edges.draw(renderer)
@@ -118,7 +118,7 @@ class Room:
 
 
 def grid_step(box: Box) -> float:
-    """Return the distance of the grid's lines, m: 1, 2 or 5 times a power of ten."""
+    """Return the spacing of the grid lines, m: 1, 2 or 5 times a power of ten."""
     rough = float((box.high - box.low).max()) / _LINES
     power = 10.0 ** math.floor(math.log10(rough))
     return power * min((1.0, 2.0, 5.0, 10.0), key=lambda f: abs(math.log(f * power / rough)))
@@ -130,7 +130,7 @@ def _ticks(low: float, high: float, step: float) -> Array:
 
 
 def _plane(box: Box, axis: int, value: float) -> Array:
-    """Return the corners of the box's cut at a value of an axis, in order round it, shape (4, 3)."""
+    """Return the corners of the box's cross-section at a value of an axis, in order around it, shape (4, 3)."""
     a, b = (k for k in range(3) if k != axis)
     corners = np.full((4, 3), value)
     corners[:, a] = [box.low[a], box.high[a], box.high[a], box.low[a]]
@@ -139,7 +139,7 @@ def _plane(box: Box, axis: int, value: float) -> Array:
 
 
 def _grid_lines(box: Box, step: float, planes: tuple[float, float, float]) -> Iterator[Array]:
-    """Yield the ends, shape (2, 3), of the grid's lines on one plane across each axis, and of the planes' outlines."""
+    """Yield the end points, shape (2, 3), of the grid lines and outlines of one plane across each axis."""
     for axis, value in enumerate(planes):
         a, b = (k for k in range(3) if k != axis)
         for across, along in ((a, b), (b, a)):

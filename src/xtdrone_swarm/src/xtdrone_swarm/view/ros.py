@@ -1,17 +1,17 @@
 """``visualize.py TYPE NUM``: the picture of a running ROS flight, simplified or full physics, or of real vehicles.
 
 ==================================  ============================  ===================================================
-subscribed                          type                          what for
+subscribed                          type                          purpose
 ==================================  ============================  ===================================================
-/gazebo/model_states                gazebo_msgs/ModelStates       where the vehicles are, by a simulator
-/T/mavros/local_position/pose       geometry_msgs/PoseStamped     likewise, where no simulator tells it
+/gazebo/model_states                gazebo_msgs/ModelStates       positions of the vehicles, from a simulator
+/T/mavros/local_position/pose       geometry_msgs/PoseStamped     likewise, without a simulator
 /xtdrone/formation_pattern          std_msgs/Float32MultiArray    slots
 /xtdrone/communication_topology     std_msgs/Int32MultiArray      edges
 /clock                              rosgraph_msgs/Clock           the window's time
 ==================================  ============================  ===================================================
 
-The window is no participant of the lockstep: the flight waits for it at no time, and it unpacks only those messages
-that it draws. A film is one: it draws every frame of simulated time, however long that takes.
+The window does not participate in the lockstep: the flight never waits for it, and it deserializes only the messages
+that it draws. A film does participate: it contains every frame of simulated time, however long drawing takes.
 """
 
 from __future__ import annotations
@@ -55,32 +55,32 @@ PATTERN_TOPIC = "/xtdrone/formation_pattern"
 TOPOLOGY_TOPIC = "/xtdrone/communication_topology"
 USAGE = "visualize.py TYPE NUM   (~film:=/path/film.mp4 ~fps:=25, or a live window)"
 
-_SAME = 1e-3  # m, between two slots that are one; offsets travel as 32-bit floats
-_SEARCH_PERIOD = 0.5  # s of wall time between two looks for a publisher of positions
-_REMINDER = 10.0  # s of wall time between two lines that say what is waited for
+_SAME = 1e-3  # m, distance below which two slots are equal; offsets are sent as 32-bit floats
+_SEARCH_PERIOD = 0.5  # s of wall time between two searches for a publisher of positions
+_REMINDER = 10.0  # s of wall time between two log lines about the missing publisher
 
 
 class Flight:
-    """What is known of a flight from its topics."""
+    """State of a flight, received from its topics."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        """Know nothing yet of the vehicles of these names, as ``iris_0``."""
+        """Create an empty state for vehicles with these names, for example ``iris_0``."""
         self.names = tuple(names)
         self._rows = {name: i for i, name in enumerate(names)}
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything."""
+        """Discard the received state."""
         self._positions = np.full((len(self.names), 3), np.nan)
         self._offsets: Array | None = None
         self._edges: Any = None
         self._title = ""
 
     def handlers(self, source: str) -> dict[str, tuple[Any, Callable[[Any], None]]]:
-        """Return the topics with their types and what takes their messages.
+        """Return the topics with their types and message handlers.
 
         Args:
-            source: of the positions: ``/gazebo/model_states``, or another for the vehicles' own poses.
+            source: source of the positions: ``/gazebo/model_states``, or another value for the vehicles' local poses.
         """
         topics: dict[str, tuple[Any, Callable[[Any], None]]] = {
             PATTERN_TOPIC: (Float32MultiArray, self._on_pattern),
@@ -94,7 +94,7 @@ class Flight:
         return topics
 
     def frame(self, moment: float, note: str = "") -> Frame | None:
-        """Return what is known as a frame; None while no vehicle's place is."""
+        """Return the state as a frame; None until a vehicle's position is known."""
         if not np.isfinite(self._positions).any():
             return None
         positions = self._positions.copy()
@@ -113,7 +113,7 @@ class Flight:
         self._positions[index] = p.x, p.y, p.z
 
     def _on_pattern(self, message: Float32MultiArray) -> None:
-        """Take the slots; what is of another size, as an empty one that takes a pattern back, means none."""
+        """Store the slots; a message of another size, such as an empty one that cancels a pattern, means no slots."""
         width = len(self.names) - 1
         if not width or len(message.data) != 3 * width:
             self._offsets, self._title = None, ""
@@ -129,15 +129,15 @@ class Flight:
 
 
 def pose_topic(name: str) -> str:
-    """Return the topic with a vehicle's own idea of where it is."""
+    """Return the topic of a vehicle's estimated pose."""
     return f"/{name}/mavros/local_position/pose"
 
 
 def pattern_name(offsets: Array) -> str:
-    """Return the name of the pattern with these slots, whoever has which; "" where it is none of ours.
+    """Return the name of the pattern with these slots in any assignment; "" for an unknown pattern.
 
     Args:
-        offsets: of all vehicles from the leader, shape (N, 3), m.
+        offsets: positions of all slots relative to the leader, shape (N, 3), m.
     """
     wanted = _ordered(offsets)
     patterns = Patterns(len(offsets))
@@ -148,19 +148,19 @@ def pattern_name(offsets: Array) -> str:
 
 
 def _ordered(points: Array) -> Array:
-    """Return points in the order of their places."""
+    """Return points sorted by their coordinates."""
     grid = np.round(points / _SAME).astype(np.int64)
     return points[np.lexsort(grid.T)]
 
 
 class Latest:
-    """Subscribes topics and keeps each one's last message packed until it is asked for.
+    """Subscribes to topics and keeps the last message of each in serialized form until it is needed.
 
-    Free riders of a fast simulation get thousands of messages a second and draw thirty.
+    Subscribers outside the lockstep receive thousands of messages a second from a fast simulation and draw thirty.
     """
 
     def __init__(self, topics: Mapping[str, tuple[Any, Callable[[Any], None]]]) -> None:
-        """Subscribe ``topics``: name to type and handler."""
+        """Subscribe to ``topics``, a mapping of names to type and handler."""
         self._topics = dict(topics)
         self._packed: dict[str, bytes] = {}
         self._subscribers = [
@@ -172,7 +172,7 @@ class Latest:
         self._packed[name] = message._buff
 
     def serve(self) -> bool:
-        """Call the handlers of what has come since the last call; return whether there was anything."""
+        """Call the handlers of the messages since the last call; return whether a message had arrived."""
         fresh = [name for name in self._topics if name in self._packed]
         for name in fresh:
             kind, handler = self._topics[name]
@@ -183,10 +183,10 @@ class Latest:
 
 
 def vehicle_names(arguments: Sequence[str]) -> list[str]:
-    """Return the names of the vehicles that TYPE and NUM mean.
+    """Return the names of the vehicles selected by TYPE and NUM.
 
     Raises:
-        ArgumentError: an unknown type, or a number that is no number or more than the fleet has.
+        ArgumentError: unknown type, or NUM is not a number or exceeds the fleet.
     """
     if len(arguments) != 2:
         raise ArgumentError(f"2 arguments are needed, {len(arguments)} were given")
@@ -202,18 +202,18 @@ def vehicle_names(arguments: Sequence[str]) -> list[str]:
 
 
 class _Rider:
-    """Gives the window the newest state; the flight does not know of it."""
+    """Provides the window with the newest state, without participating in the lockstep."""
 
     def __init__(self, names: Sequence[str], window: Window, ended: threading.Event) -> None:
         self._flight = Flight(names)
         self._window = window
-        self._ended = ended  # the window is to close
+        self._ended = ended  # returns whether to close the window
         self._hint = window.view.hint
         self._latest: Latest | None = None
         self._looked = -np.inf
         self._factor = RealTimeFactor()
         self._began = time.monotonic()
-        self._time: float | None = None  # s, of /clock; None: there is none
+        self._time: float | None = None  # s, of /clock; None: no message received
 
     def __call__(self) -> Frame | None:
         if rospy.is_shutdown() or self._ended.is_set():
@@ -227,7 +227,7 @@ class _Rider:
         return None
 
     def _look(self) -> None:
-        """Subscribe when somebody publishes positions."""
+        """Subscribe when a publisher of positions appears."""
         if time.monotonic() - self._looked < _SEARCH_PERIOD:
             return
         self._looked = time.monotonic()
@@ -243,19 +243,19 @@ class _Rider:
 
 
 def positions_source(names: Sequence[str]) -> str | None:
-    """Return the topic from which positions are to be had, a simulator's rather than the vehicles' own; None: none."""
+    """Return the topic of the positions, preferably a simulator's; None if they are not published."""
     published = {topic for topic, _ in rospy.get_published_topics()}
     return next((topic for topic in (MODEL_STATES, *map(pose_topic, names)) if topic in published), None)
 
 
 def _watch(names: Sequence[str]) -> None:
-    """Show a live window until it is closed, or the node is to end."""
+    """Show a live window until it is closed or the node shuts down."""
     check_display()
-    # Tk has the main thread; time is /clock's newest message rather than every one.
+    # Tk runs in the main thread; only the newest message on /clock is used.
     rospy.init_node("visualize", anonymous=True, disable_signals=True, disable_rostime=True)
-    # No KeyboardInterrupt: what runs under a first drawing, imports and destructors, swallows some.
+    # Not by KeyboardInterrupt: imports and destructors during the first drawing suppress some of them.
     ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job has the former ignored
+    for number in (signal.SIGINT, signal.SIGTERM):  # shells make background jobs ignore SIGINT
         signal.signal(number, lambda *_: ended.set())
     window = Window(SwarmView(names, trails=_trails()), f"XTDrone: {len(names)} UAVs")
     try:
@@ -268,7 +268,7 @@ def _watch(names: Sequence[str]) -> None:
 
 
 def _film(names: Sequence[str], path: Path, fps: float) -> None:
-    """Film the flight until the node is to end; every frame of simulated time, as the flight waits for it."""
+    """Film the flight until the node shuts down; the flight waits for every frame of simulated time."""
     check_film(path, fps)
     lockstep.init_node("visualize", rate=fps)
     view = SwarmView(names, trails=_trails())
@@ -282,7 +282,7 @@ def _film(names: Sequence[str], path: Path, fps: float) -> None:
 
 
 def _film_source(names: Sequence[str]) -> str:
-    """Return the topic with the positions; without a simulator it is waited for."""
+    """Return the topic of the positions; without a simulator, wait until it is published."""
     if rospy.get_param("/lockstep/uri", "") or rospy.get_param("/lockstep/wait", False):
         return MODEL_STATES
     while not rospy.is_shutdown():
@@ -290,12 +290,12 @@ def _film_source(names: Sequence[str]) -> str:
         if source is not None:
             return source
         rospy.loginfo_throttle(_REMINDER, f"visualize: waiting for {MODEL_STATES} or {pose_topic(names[0])}")
-        time.sleep(_SEARCH_PERIOD)  # nothing tells of a new publisher but the master, when it is asked
+        time.sleep(_SEARCH_PERIOD)  # the master reports new publishers only on request
     raise rospy.ROSInterruptException("shut down")
 
 
 def _turns(flight: Flight) -> Iterator[Frame]:
-    """Yield a frame each turn, from the first on that has a vehicle, until the node is to end."""
+    """Yield a frame each turn, from the first vehicle position until the node shuts down."""
     rate = lockstep.Rate()
     with contextlib.suppress(rospy.ROSInterruptException):
         while not rospy.is_shutdown():
@@ -309,7 +309,7 @@ def _turns(flight: Flight) -> Iterator[Frame]:
 
 
 def _own_parameter(name: str, default: Any) -> Any:
-    """Return a private parameter before the node is made, from the command line or the master."""
+    """Return a private parameter from the command line or the master, before the node is initialized."""
     given = load_command_line_node_params(sys.argv)
     return given[name] if name in given else rospy.get_param(f"{lockstep.future_name('visualize')}/{name}", default)
 
@@ -322,8 +322,8 @@ def visualize(arguments: Sequence[str]) -> None:
     """Run the program with its arguments, TYPE and NUM.
 
     Raises:
-        ArgumentError: they, or ~film, ~fps or ~trails, are not allowed.
-        ROSInitException: there is no display.
+        ArgumentError: the arguments, or ~film, ~fps or ~trails, are not allowed.
+        ROSInitException: no display is available.
     """
     names = vehicle_names(arguments)
     _trails()

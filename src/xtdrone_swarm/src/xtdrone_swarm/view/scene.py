@@ -1,4 +1,4 @@
-"""A swarm in space as a Matplotlib picture: vehicles, trails, topology, slots, shadows, in a room in metres."""
+"""A Matplotlib picture of a swarm: vehicles, trails, topology, slots and shadows in a room with scales in metres."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ TRAILS = 4.0  # s
 LEAST_SIZE, GREATEST_SIZE = 200, 4096  # pixels, of a picture's edge
 LEADER_COLOUR = "#15181c"
 _DPI = 72.0  # so that a point is a pixel
-_HEIGHT = 600.0  # pixels of the picture for which sizes below are meant
-_MAX_NAMES = 18  # vehicles; more are not named one by one
-_MAX_SHAPES = 40  # vehicles; more are plain dots
-_MAX_DROPS = 36  # vehicles; more have no line to the floor
+_HEIGHT = 600.0  # pixels, height of the picture to which the sizes below refer
+_MAX_NAMES = 18  # vehicles; larger swarms are drawn without names
+_MAX_SHAPES = 40  # vehicles; larger swarms are drawn as dots
+_MAX_DROPS = 36  # vehicles; larger swarms are drawn without lines to the floor
 _SHADES = 24  # colours of a swarm
 _SAMPLES = 48  # of a trail
-_FOG = 0.4  # how much of the farthest vehicle's colour the background takes
+_FOG = 0.4  # share of the background in the farthest vehicle's colour
 _SLOT, _SHADOW, _LINK, _TITLE, _NOTE = "#64748b", "#1f2937", "#475569", "#1b2733", "#51606e"
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What is shown at one time. All positions are ENU in the ``map`` frame, m; NaN where unknown.
+    """The displayed state at one time. All positions are ENU in the ``map`` frame, m; NaN where unknown.
 
     Attributes:
-        time: simulated, s.
-        positions: of all vehicles, the leader first, shape (N, 3).
-        slots: where each should be, shape (N, 3), the leader's own first; None without a formation.
+        time: simulated time, s.
+        positions: positions of all vehicles, the leader first, shape (N, 3).
+        slots: slots of all vehicles, the leader first, shape (N, 3); None without a formation.
         edges: pairs (i, j): i listens to j, shape (E, 2); None without a topology.
-        title: the pattern's name, say.
-        note: what stands on the right of the time, as the real-time factor.
+        title: title, for example the pattern's name.
+        note: text to the right of the time, for example the real-time factor.
     """
 
     time: float
@@ -61,9 +61,9 @@ class Frame:
 
 
 def palette(count: int) -> Array:
-    """Return one colour for each vehicle, RGB, shape (count, 3): the leader's, then those of the flight's other plots.
+    """Return one colour for each vehicle, RGB, shape (count, 3): the leader's, then those of the other plots.
 
-    A large swarm has 24 colours, so that trails of one colour are drawn at one go.
+    A large swarm has 24 colours, so that trails of one colour are drawn together.
     """
     if count <= 11:
         others = np.array(matplotlib.colormaps["tab10"].colors[: count - 1]).reshape(-1, 3)
@@ -74,17 +74,17 @@ def palette(count: int) -> Array:
 
 
 class SwarmView:
-    """The picture of a swarm. It takes every state by :meth:`update`, which is cheap, and draws when it is asked to.
+    """The picture of a swarm: :meth:`update` stores a state cheaply, and drawing happens only on request.
 
     Attributes:
         figure: the Matplotlib figure; ``view.figure.savefig("swarm.pdf")`` works, too.
-        camera: where from it is seen.
-        names: of the vehicles.
+        camera: viewpoint.
+        names: names of the vehicles.
         show_slots: whether the slots are drawn; may be changed at any time, like the next two.
         show_edges: whether the topology is drawn.
         trails: length of the trails, s of simulated time; 0: none.
-        hint: what stands in the lower right corner.
-        help: text in a box over the picture, "" for none.
+        hint: text in the lower right corner.
+        help: text in a box over the picture; "" for none.
     """
 
     def __init__(
@@ -99,14 +99,14 @@ class SwarmView:
         """Prepare the picture.
 
         Args:
-            names: of the vehicles, the leader's first; at least one.
+            names: names of the vehicles, the leader's first; at least one.
             slots: whether the slots are drawn.
             edges: whether the topology is drawn.
             trails: length of the trails, s of simulated time; 0: none.
             size: width and height, pixels.
 
         Raises:
-            ValueError: no vehicle; trails that are negative or not finite; a size out of range.
+            ValueError: ``names`` is empty, ``trails`` is negative or not finite, or ``size`` is out of range.
         """
         if not len(names):
             raise ValueError("view: no vehicle to show")
@@ -133,12 +133,13 @@ class SwarmView:
     # ---- states ----
 
     def update(self, frame: Frame) -> None:
-        """Take the state of a time; the next picture shows the last one taken.
+        """Store a state; the next picture shows the last one stored.
 
-        When time goes back, trails and picture begin anew.
+        When time runs backwards, trails and picture are reset.
+
 
         Raises:
-            ValueError: an array of another shape, or an edge to a vehicle that is not there.
+            ValueError: an array has a wrong shape, or an edge refers to a vehicle that does not exist.
         """
         frame = _checked(frame, len(self.names))
         if self._frame is not None and frame.time < self._frame.time:
@@ -156,19 +157,19 @@ class SwarmView:
 
     @property
     def frame(self) -> Frame | None:
-        """Return the last state taken, None before the first."""
+        """Return the last state stored; None before the first."""
         return self._frame
 
     # ---- pictures ----
 
     def draw(self) -> NDArray[np.uint8]:
-        """Draw the last state and return the picture, RGBA, shape (height, width, 4); the next one overwrites it."""
+        """Draw the last state and return the picture, RGBA, shape (height, width, 4), valid until the next call."""
         renderer = self.canvas.get_renderer()
         self._scene.draw_fast(self.canvas, renderer)
         return np.asarray(renderer.buffer_rgba())
 
     def refresh(self, canvas: Any) -> None:
-        """Draw the last state on another canvas of the Agg family, a window's, that has taken the figure."""
+        """Draw the last state on another Agg canvas, such as a window's, to which the figure is attached."""
         self._scene.draw_fast(canvas, canvas.get_renderer())
 
     @property
@@ -178,7 +179,7 @@ class SwarmView:
 
     @property
     def projection(self) -> Projection:
-        """Return the projection to pixels (y upwards) of the picture as it is now."""
+        """Return the current projection to pixels (y upwards)."""
         width, height = self.figure.bbox.width, self.figure.bbox.height
         pixel = self.pixel
         margins = (58.0 * pixel, 50.0 * pixel, 30.0 * pixel, 52.0 * pixel)  # left, bottom, right, top
@@ -187,7 +188,7 @@ class SwarmView:
 
     @property
     def pixel(self) -> float:
-        """Return how large a thing is, pixels, that has one pixel in a picture 600 pixels high."""
+        """Return the scale of the picture: 1 at a height of 600 pixels."""
         return min(self.figure.bbox.height / _HEIGHT, self.figure.bbox.width / _HEIGHT)
 
     def trail_points(self) -> tuple[Array, Array]:
@@ -199,12 +200,12 @@ class SwarmView:
 
     @property
     def box(self) -> Box:
-        """Return the box that is shown."""
+        """Return the displayed box."""
         return self._shown_box
 
 
 def _checked(frame: Frame, count: int) -> Frame:
-    """Return a frame with arrays of its own, of the right shapes."""
+    """Return a frame with copied arrays of validated shapes."""
     if not np.isfinite(frame.time):
         raise ValueError(f"view: time {frame.time} s is not allowed, it must be finite")
     positions = np.array(frame.positions, dtype=np.float64)
@@ -220,13 +221,13 @@ def _checked(frame: Frame, count: int) -> Frame:
 
 
 class _Scene(Artist):
-    """Everything in the picture, as one artist; a part that stands still is drawn once and kept."""
+    """The whole picture as one artist; static parts are drawn once and cached."""
 
     def __init__(self, view: SwarmView) -> None:
-        """Make the artists of ``view``."""
+        """Create the artists of ``view``."""
         super().__init__()
         self._view = view
-        self._kept: tuple[Any, Any] | None = None  # the room's picture, and what it depends on
+        self._kept: tuple[Any, Any] | None = None  # the room's picture, and the values that it depends on
         figure = view.figure
         pixels: dict[str, Any] = {"transform": IdentityTransform(), "figure": figure}
         marks: dict[str, Any] = {"offset_transform": IdentityTransform(), "snap": False, **pixels}
@@ -256,14 +257,14 @@ class _Scene(Artist):
     # ---- drawing ----
 
     def draw(self, renderer: RendererBase) -> None:
-        """Draw everything; Matplotlib calls it."""
+        """Draw everything; called by Matplotlib."""
         projection = self._view.projection
         self._place_room(projection)
         self._draw_still(renderer)
         self._draw_moving(renderer, projection)
 
     def draw_fast(self, canvas: Any, renderer: Any) -> None:
-        """Draw everything on an Agg canvas, the still part from what was kept of it."""
+        """Draw everything on an Agg canvas, with static parts from the cache."""
         projection = self._view.projection
         box, camera, figure = self._view.box, self._view.camera, self._view.figure
         state = (*box.low, *box.high, camera.azimuth, camera.elevation, camera.zoom, *figure.bbox.size, id(canvas))
@@ -283,7 +284,7 @@ class _Scene(Artist):
 
     @property
     def _points(self) -> float:
-        """Points of a thing that has one pixel in a picture 600 pixels high."""
+        """Size in points of one pixel of a picture 600 pixels high."""
         return self._view.pixel * 72.0 / self._view.figure.dpi
 
     def _draw_still(self, renderer: RendererBase) -> None:
@@ -300,7 +301,7 @@ class _Scene(Artist):
     def _draw_swarm(self, renderer: RendererBase, projection: Projection, frame: Frame) -> None:
         place, near = projection.pixels_and_nearness(frame.positions)
         known = np.flatnonzero(np.isfinite(place).all(axis=1))
-        known = known[np.argsort(near[known], kind="stable")]  # the nearest is drawn last
+        known = known[np.argsort(near[known], kind="stable")]  # the nearest last
         self._draw_shadows(renderer, projection, frame.positions[known])
         if self._view.show_edges and frame.edges is not None and len(frame.edges):
             self._draw_links(renderer, place, frame.edges)
@@ -315,11 +316,11 @@ class _Scene(Artist):
 
     @property
     def radius(self) -> float:
-        """Radius of a vehicle at the middle of the box, in pixels of a picture 600 pixels high."""
+        """Radius of a vehicle at the centre of the box, in pixels of a picture 600 pixels high."""
         return float(np.clip(7.5 * (9.0 / len(self._view.names)) ** 0.22, 2.2, 8.0))
 
     def _flat(self, projection: Projection, shape: Path) -> Path:
-        """Return a shape that lies level in space (x east, y north) as it is seen."""
+        """Return the projection of a shape that lies horizontally in space (x east, y north)."""
         level = projection.basis[:2, :2].T
         return Path(shape.vertices @ level, shape.codes)
 
@@ -379,7 +380,7 @@ class _Scene(Artist):
     def _draw_slots(self, renderer: RendererBase, projection: Projection, slots: Array) -> None:
         place, near = projection.pixels_and_nearness(slots)
         known = np.flatnonzero(np.isfinite(place).all(axis=1))
-        known = known[known > 0]  # the leader's is where it is
+        known = known[known > 0]  # without the leader, whose slot is its position
         if not len(known):
             return
         self._slots.set_offsets(place[known])
@@ -439,7 +440,7 @@ class _Scene(Artist):
             self._note.draw(renderer)
 
     def _draw_help(self, renderer: RendererBase) -> None:
-        """Write the hint and the help, where there are any."""
+        """Write the hint and the help text, if set."""
         width, pixel = self._view.figure.bbox.width, self._view.pixel
         for artist, text, height in ((self._hint, self._view.hint, 18.0), (self._help, self._view.help, 48.0)):
             if text:
@@ -449,7 +450,7 @@ class _Scene(Artist):
                 artist.draw(renderer)
 
     def _draw_key(self, renderer: RendererBase) -> None:
-        """Draw what the marks mean, in a line below the room."""
+        """Draw the legend of the markers in a line below the room."""
         pixel, points = self._view.pixel, self._points
         colour = self._view.colours[min(1, len(self._view.names) - 1)]
         entries: list[tuple[str, PathCollection | None]] = [("leader", self._leader), ("follower", self._vehicles)]
@@ -480,7 +481,7 @@ class _Scene(Artist):
 
 
 def _lines(points: Array) -> Path:
-    """Return lines through points, shape (lines, points of each, 2), as one path."""
+    """Return polylines as one path, from points of shape (lines, points per line, 2)."""
     lines, length, _ = points.shape
     codes = np.full((lines, length), Path.LINETO, dtype=Path.code_type)
     codes[:, 0] = Path.MOVETO
@@ -488,21 +489,21 @@ def _lines(points: Array) -> Path:
 
 
 def _groups(colours: Array) -> list[tuple[int, int]]:
-    """Return the first and the one after the last of each run of vehicles that have the same colour."""
+    """Return the half-open index range of each run of vehicles with the same colour."""
     cuts = np.flatnonzero(np.any(colours[1:] != colours[:-1], axis=1)) + 1
     bounds = [0, *cuts.tolist(), len(colours)]
     return list(pairwise(bounds))
 
 
 def _fogged(colours: Array, near: Array, projection: Projection) -> Array:
-    """Return colours that are the paler the farther away things are."""
+    """Return colours faded towards white with the distance."""
     low, high = projection.nearness_range
     fog = _FOG * np.clip((high - near) / (high - low), 0.0, 1.0) ** 2
     return colours + (1.0 - colours) * fog[:, None]
 
 
 def _rotors() -> Path:
-    """Return a quadrotor from above without its body: four rotors on arms, the rotors' middles at a distance of 1."""
+    """Return the top view of a quadrotor without its body: four rotors on arms, with the rotor centres at radius 1."""
     parts = []
     for angle in np.radians([45.0, 135.0, 225.0, 315.0]):
         along = np.array([np.cos(angle), np.sin(angle)])

@@ -1,4 +1,4 @@
-"""The live window: Matplotlib's picture on Tk, with mouse and keys. It draws what there is, as often as it can."""
+"""The live window: a Matplotlib picture on Tk with mouse and keys. It draws the newest state as often as possible."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Any
 
 from xtdrone_swarm.view.scene import Frame, SwarmView
 
-PERIOD = 1.0 / 30.0  # s of wall time between two pictures, at least
-ZOOM_STEP = 1.15  # a notch of the wheel
+PERIOD = 1.0 / 30.0  # s, minimum wall time between two pictures
+ZOOM_STEP = 1.15  # per notch of the wheel
 _TURN = 180.0  # deg, for a drag across the window
 _DISPLAY = re.compile(r"(?P<host>[^:/]*):(?P<number>\d+)(\.\d+)?")
 _X_PORT = 6000  # TCP, of display 0
 _PATIENCE = 2.0  # s of wall time
-_LEAST_WAIT = 1  # ms between two turns, so that mouse and keys are served
+_LEAST_WAIT = 1  # ms between two turns, so that mouse and keys are handled
 HINT = "h: help"
 HELP = """scroll   zoom
 drag     turn
@@ -33,24 +33,24 @@ q        close"""
 
 
 class WindowError(RuntimeError):
-    """A window that cannot be opened."""
+    """The window cannot be opened."""
 
 
 class Window:
     """A window with the picture of a swarm.
 
     Attributes:
-        view: what draws.
-        open: whether it has not been closed.
-        paused: whether the user wants the swarm to stand still.
-        pictures: drawn so far.
+        view: view that draws the pictures.
+        open: whether the window is open.
+        paused: whether the user has paused the swarm.
+        pictures: number of pictures drawn so far.
     """
 
     def __init__(self, view: SwarmView, title: str = "XTDrone") -> None:
         """Open a window of the view's size.
 
         Raises:
-            WindowError: there is no display, or no Tk.
+            WindowError: no display is available, or Tk is missing.
         """
         check_display()
         try:
@@ -103,14 +103,14 @@ class Window:
     # ---- running ----
 
     def run(self, source: Callable[[], Frame | None]) -> None:
-        """Show what ``source`` gives until the window is closed.
+        """Show the frames from ``source`` until the window is closed.
 
         Args:
-            source: called between pictures; the newest state, None when there is nothing new. What it takes is taken
-                from the window, so it should return within some hundredths of a second.
+            source: called between pictures; returns the newest state, or None if it is unchanged. The window is blocked
+                meanwhile, so it should return within a few hundredths of a second.
 
         Raises:
-            BaseException: what ``source`` raised, KeyboardInterrupt too; the window is closed then.
+            BaseException: any exception from ``source``, including KeyboardInterrupt; the window is closed.
         """
         self._timer = self._root.after(0, self._turn, source)
         try:
@@ -135,7 +135,7 @@ class Window:
         self._timer = self._root.after(wait, self._turn, source)
 
     def redraw(self) -> None:
-        """Draw if something has changed since the last picture."""
+        """Draw if the view has changed since the last picture."""
         if self._stale and self.open:
             self._stale = False
             self.view.refresh(self._canvas)
@@ -143,7 +143,7 @@ class Window:
             self.pictures += 1
 
     def say(self, text: str) -> None:
-        """Show a line in the lower right corner, "" for none."""
+        """Show a line of text in the lower right corner; "" for none."""
         if text != self._said:
             self._said = text
             self._set_hint()
@@ -156,18 +156,18 @@ class Window:
         self.open = False
         if self._timer:
             self._root.quit()
-        else:  # it has never run
+        else:  # run() was never called
             self._free()
 
     def _free(self) -> None:
-        """Give back all that is Tk's now: a collector at work in another thread later could end the process by it."""
+        """Release all Tk objects now: garbage collection in another thread could abort the process later."""
         self._root.destroy()
-        self.view.figure.set_canvas(self.view.canvas)  # the picture lets go of the window
+        self.view.figure.set_canvas(self.view.canvas)  # detach the figure from the window
         del self._canvas, self._root
         gc.collect()
 
     def _note_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        """Keep what was raised in a handler, which Tk would print and forget, for who has called :meth:`run`."""
+        """Store an exception from a handler for the caller of :meth:`run`; Tk would only print it."""
         if self._error is None:
             self._error = kind, error, trace
         self.close()
@@ -229,10 +229,10 @@ _ADVICE = "a film needs none: give a file name that ends with .mp4, .gif or .png
 
 
 def can_open() -> bool:
-    """Return whether a display is named and somebody answers there.
+    """Return whether the display in DISPLAY accepts connections.
 
-    Not by a window that is opened and closed again: an X server begins anew when its last client goes, and whoever
-    connects in that moment is thrown out.
+    Probe the socket rather than open and close a window: an X server resets when its last client disconnects, which
+    drops clients that connect at that moment.
     """
     name = _DISPLAY.fullmatch(os.environ.get("DISPLAY", ""))
     if name is None:
@@ -255,6 +255,6 @@ def _answers(place: tuple[int, Any]) -> bool:
 
 
 def check_display() -> None:
-    """Raise WindowError, with what to do instead, when no display is named."""
+    """Raise WindowError with advice if DISPLAY is not set."""
     if not os.environ.get("DISPLAY"):
         raise WindowError(f"window: there is no display (DISPLAY is not set); {_ADVICE}")

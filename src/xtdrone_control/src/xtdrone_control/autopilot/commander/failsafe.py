@@ -61,7 +61,7 @@ class Clear(enum.Enum):
 
 
 class Takeover(enum.IntEnum):
-    """How a pilot may take over, in ascending restriction."""
+    """The pilot's options to take over, in ascending restriction."""
 
     ALWAYS = 0
     MODE_SWITCH = 1

@@ -80,7 +80,7 @@ class Connection:
         return unpack_object(payload)
 
     def watch(self, reader: Reader, handler: Callable[[], None]) -> None:
-        """Have ``reader`` call ``handler`` whenever there is data to read."""
+        """Register ``handler``, which ``reader`` calls whenever data can be read."""
         sock = self._connected()
         sock.settimeout(None)
         reader.watch(sock.fileno(), handler)

@@ -218,7 +218,7 @@ class TickBarrier:
                 self._connections.drop(participant.connection, why)
 
     def _hung(self, participant: Participant, now: float) -> str:
-        """Return why a participant is to be dropped, empty if it is not."""
+        """Return the reason for dropping a participant, empty to keep it."""
         connection = participant.connection
         if connection is None:
             return ""

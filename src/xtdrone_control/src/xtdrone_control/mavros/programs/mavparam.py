@@ -123,7 +123,7 @@ def _set(mavros: Mavros, arguments: argparse.Namespace) -> None:
 
 
 def _pull(mavros: Mavros, force: bool) -> int:
-    """Have MAVROS copy all parameters to the ROS parameter server; return their number.
+    """Request that MAVROS copy all parameters to the ROS parameter server; return their number.
 
     Raises:
         ProgramError: the list is incomplete.

@@ -1,4 +1,4 @@
-"""Pictures of scenes: bodies of visuals, seen by pinhole cameras, drawn by pybullet (see docs/cameras.md)."""
+"""Rendering of scenes, bodies of visuals seen by pinhole cameras, with pybullet (see docs/cameras.md)."""
 
 from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Picture, Renderer, RendererError
 

@@ -1,4 +1,4 @@
-"""Which of pybullet's renderers draws: OpenGL through EGL, which needs no screen, or its own on the processor."""
+"""Selection of pybullet's renderer: OpenGL through EGL, which needs no screen, or TinyRenderer on the CPU."""
 
 from __future__ import annotations
 
@@ -25,39 +25,39 @@ _log = logging.getLogger(__name__)
 _PLUGIN = "eglRenderer"
 _SHADOW_PASS = "useShadowMap"  # bool of the plugin (Bullet's GLInstancingRenderer.cpp)
 _CHATTER = (b"Loaded EGL", b"GL_", b"Version =", b"Vendor =", b"Renderer =", b"ven =", b"EGL device", b"Destroy EGL")
-_TALKS = 3  # first pictures of a size, over some of which the plugin talks
+_TALKS = 3  # first pictures of a size, for some of which the plugin prints messages
 _TRIAL_LIMIT = 60.0  # s of wall time
-_one = threading.Lock()  # the plugin draws for one physics server of a process
+_one = threading.Lock()  # the plugin supports one physics server per process
 
 
 class RendererError(RuntimeError):
-    """There is no such renderer here; the text says why."""
+    """The renderer is not available; the message gives the reason."""
 
 
 class Backend:
     """A physics server with a renderer.
 
     Attributes:
-        client: the server.
+        client: number of the physics server.
         name: "egl" or "tiny".
     """
 
     def __init__(self, wanted: str = "auto") -> None:
-        """Start it.
+        """Start the server and load the renderer.
 
         Args:
-            wanted: one of ``BACKENDS``; "auto": EGL where it is, else the one on the processor, with a line in the log.
+            wanted: one of ``BACKENDS``; "auto": EGL if available, otherwise the CPU renderer, with a log message.
 
         Raises:
-            ValueError: ``wanted`` is none of them.
-            RendererError: EGL is wanted and cannot be had.
+            ValueError: ``wanted`` is not one of ``BACKENDS``.
+            RendererError: EGL is requested but not available.
         """
         check_choice("backend", wanted, BACKENDS)
         self.client: BulletClient = connect()
         self.name = "tiny"
         self._plugin = -1
         self._size = (0, 0)  # of the last picture
-        self._talks = 0  # pictures yet to come over which the plugin may talk
+        self._talks = 0  # further pictures for which the plugin may print messages
         if wanted == "tiny":
             return
         problem = self._load()
@@ -70,7 +70,7 @@ class Backend:
             _log.warning("pictures are drawn by pybullet's TinyRenderer, as there is no EGL renderer: %s", problem)
 
     def _load(self) -> str | None:
-        """Load the EGL plugin; return why not, else None."""
+        """Load the EGL plugin; return the reason for a failure, else None."""
         found = importlib.util.find_spec(_PLUGIN)
         if found is None or found.origin is None:
             return f"this pybullet comes without {_PLUGIN}"
@@ -88,7 +88,7 @@ class Backend:
         return "the plugin does not load"
 
     def picture(self, width: int, height: int, **how: Any) -> tuple[Any, ...]:
-        """Return what pybullet's getCameraImage does."""
+        """Draw a picture; return the result of pybullet's ``getCameraImage``."""
         if self.name == "tiny":
             return self.client.getCameraImage(width, height, renderer=pybullet.ER_TINY_RENDERER, **how)
         if (width, height) != self._size:
@@ -98,7 +98,7 @@ class Backend:
             return self.client.getCameraImage(width, height, renderer=pybullet.ER_BULLET_HARDWARE_OPENGL, **how)
 
     def close(self) -> None:
-        """End the server."""
+        """Shut down the server."""
         with without_lines(_CHATTER):
             if self._plugin >= 0:
                 self.client.unloadPlugin(self._plugin)
@@ -127,7 +127,7 @@ def _skip_shadow_pass(plugin: str) -> None:
 
 
 def _loaded_at(library: str) -> int | None:
-    """Return the address at which a library begins in this process, None where it is not loaded."""
+    """Return the base address of a library in this process; None if it is not loaded."""
     path = os.path.realpath(library)
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as lines:
         starts = [line.split("-")[0] for line in lines if line.rstrip("\n").endswith(path)]
@@ -136,7 +136,7 @@ def _loaded_at(library: str) -> int | None:
 
 @functools.cache
 def _trial(plugin: str) -> str | None:
-    """Load the plugin in a separate process, which it may crash; return why it does not load, else None."""
+    """Load the plugin in a separate process, which it may crash; return the reason for a failure, else None."""
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError as error:

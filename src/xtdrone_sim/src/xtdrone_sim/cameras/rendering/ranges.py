@@ -1,8 +1,8 @@
-"""Between which depths a picture is drawn.
+"""Depth ranges in which a picture is drawn.
 
-The EGL plugin's depth buffer has 16 bits, spread so that nearly all of them tell apart what is close to the near limit:
-with a limit of 5 cm, surfaces 10 cm apart become one at 20 m. So the near limit is moved out as far as nothing is
-missed, and where something close is seen there are two pictures, one of what is close and one of the rest.
+The EGL plugin's depth buffer has 16 bits, nearly all of which resolve depths close to the near limit: with a limit of
+5 cm, surfaces 10 cm apart merge at a distance of 20 m. So the near limit is moved out as far as no visible surface is
+cut off, and a view with close objects is drawn as two pictures, one of the near range and one of the rest.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from xtdrone_control.pinhole import Pinhole
 from xtdrone_sim.cameras.rendering.triangles import rotation_matrix
 from xtdrone_sim.vehicles.visual import Pose
 
-SPLIT = 2.0  # m; what is nearer gets a picture of its own
+SPLIT = 2.0  # m; nearer surfaces are drawn in a separate picture
 
 Array = NDArray[np.float64]
 
 
 class Extents:
-    """Where bodies are and how large."""
+    """Positions and sizes of the bodies."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Create an object without bodies."""
         self._corners: list[Array] = []  # of each body's triangles, (n, 3, 3), own frame
         self._low = np.empty((0, 3))
         self._high = np.empty((0, 3))
@@ -32,7 +32,7 @@ class Extents:
         self._shown = np.empty(0, bool)
 
     def add(self, corners: Array) -> None:
-        """Take the next body, at the origin: its triangles' corners (n, 3, 3), m."""
+        """Add the next body, at the origin, by the corners of its triangles, shape (n, 3, 3), m."""
         some = len(corners) > 0
         self._corners.append(corners)
         self._low = np.concatenate([self._low, [corners.min(axis=(0, 1)) if some else np.zeros(3)]])
@@ -42,28 +42,30 @@ class Extents:
         self._shown = np.append(self._shown, some)
 
     def place(self, body: int, pose: Pose | None) -> None:
-        """Note where a body is; None: hidden."""
+        """Store the pose of a body; None: hidden."""
         self._shown[body] = pose is not None and len(self._corners[body]) > 0
         if pose is not None:
             self._turns[body] = rotation_matrix(pose)
             self._places[body] = pose.position
 
     def ranges(self, pinhole: Pinhole, pose: Pose, near: float, far: float) -> list[tuple[float, float]]:
-        """Return the limits, m, of the pictures to draw one over the other, the farthest first.
+        """Return the limits, m, of the pictures to draw over each other, the farthest first.
 
         Args:
-            pinhole: the picture.
-            pose: of the optical frame.
-            near, far: limits that were asked for.
+            pinhole: projection.
+            pose: pose of the optical frame in the world.
+            near, far: requested limits, m.
         """
         if near >= SPLIT or far <= SPLIT:
             return [(near, far)]
         eye, turn = np.asarray(pose.position, float), rotation_matrix(pose)
-        seen = np.einsum("bij,bi->bj", self._turns, eye - self._places)  # the eye in the bodies' frames
+        seen = np.einsum("bij,bi->bj", self._turns, eye - self._places)  # the eye in the frames of the bodies
         apart = np.linalg.norm(np.maximum(self._low - seen, 0.0) + np.maximum(seen - self._high, 0.0), axis=1)
         x = max(pinhole.cx, pinhole.width - pinhole.cx) / pinhole.fx
         y = max(pinhole.cy, pinhole.height - pinhole.cy) / pinhole.fy
-        least = np.where(self._shown, apart / np.sqrt(1.0 + x * x + y * y), np.inf)  # depth of anything that is seen
+        least = np.where(
+            self._shown, apart / np.sqrt(1.0 + x * x + y * y), np.inf
+        )  # minimum depth of any visible point
         for body in np.flatnonzero(least < SPLIT):
             corners = self._corners[body] @ self._turns[body].T + self._places[body]
             depths = _depths_in_view(pinhole, (corners - eye) @ turn, near)
@@ -75,12 +77,12 @@ class Extents:
 
 
 def _depths_in_view(pinhole: Pinhole, corners: Array, near: float) -> Array:
-    """Return the least depths of the triangles that may be in the picture, of none that is surely outside.
+    """Return the minimum depths of the triangles that may be visible, without those certainly outside the picture.
 
     Args:
-        pinhole: the picture.
-        corners: (n, 3, 3) m, optical frame.
-        near: m.
+        pinhole: projection.
+        corners: corners of the triangles, shape (n, 3, 3), m, optical frame.
+        near: near limit, m.
     """
     x, y, z = corners[..., 0], corners[..., 1], corners[..., 2]
     outside = [

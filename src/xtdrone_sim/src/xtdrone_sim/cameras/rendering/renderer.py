@@ -1,4 +1,4 @@
-"""Bodies of visuals and the pictures that pinhole cameras take of them."""
+"""Renderer for scenes of bodies with visuals, seen by pinhole cameras."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from xtdrone_sim.worlds.sdf import Light
 
 __all__ = ["BACKENDS", "Light", "Picture", "Renderer", "RendererError"]
 
-_TILE = (1024, 768)  # pixels; what the EGL plugin draws at once
+_TILE = (1024, 768)  # pixels; largest picture that the EGL plugin draws in one call
 _OUT_OF_SIGHT = (0.0, 0.0, -1e7)
-_MASK = (1 << 24) - 1  # of a label: the body; its link stands above
-_INDEX_LIMIT = 120_000  # corners of one of pybullet's meshes
+_MASK = (1 << 24) - 1  # bits of a label with the body; the upper ones contain the link
+_INDEX_LIMIT = 120_000  # maximum number of corners in a pybullet mesh
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What a camera sees.
+    """The picture of a camera.
 
     Attributes:
-        rgb: (height, width, 3) uint8.
-        labels: (height, width) int32, the body that each pixel shows or -1; None where nobody asked for them.
+        rgb: colours, shape (height, width, 3), uint8.
+        labels: body at each pixel or -1, shape (height, width), int32; None if not requested.
     """
 
     rgb: NDArray[np.uint8]
@@ -41,35 +41,35 @@ class Picture:
 
 
 class Renderer:
-    """A scene that can be drawn.
+    """A scene to be drawn.
 
     Attributes:
         backend: "egl" or "tiny".
     """
 
     def __init__(self, backend: str = "auto") -> None:
-        """Begin with an empty scene.
+        """Create an empty scene.
 
         Args:
-            backend: "egl", "tiny", or "auto": EGL where there is one, else the other, with a line in the log.
+            backend: "egl", "tiny", or "auto": EGL if available, otherwise TinyRenderer, with a log message.
 
         Raises:
-            ValueError: it is none of them.
-            RendererError: EGL is wanted and cannot be had, or another renderer of this process has it.
+            ValueError: unknown backend.
+            RendererError: EGL is requested but not available, or in use by another renderer of this process.
         """
         self._backend = Backend(backend)
         self.backend = self._backend.name
         self._client = self._backend.client
         self._folder = tempfile.TemporaryDirectory(prefix="xtdrone-rendering-")
-        self._parts: list[list[int]] = []  # pybullet's bodies of each of ours
-        self._label_of = np.full(1, -1, np.int32)  # our body by pybullet's, and -1 at the end for none
+        self._parts: list[list[int]] = []  # pybullet bodies of each body
+        self._label_of = np.full(1, -1, np.int32)  # body by pybullet body, and -1 at the end for none
         self._triangles: dict[Geometry, Triangles] = {}
         self._files: dict[object, tuple[Path, ...]] = {}
         self._textures: dict[Path, int] = {}
         self._all_parts: list[int] = []
-        self._shapes: dict[Path, int] = {}  # their numbers, in order of their first use
+        self._shapes: dict[Path, int] = {}  # file to shape number, in order of first use
         self._places: list[Pose | None] = []
-        self._points: dict[tuple[Path, ...], NDArray[np.float64]] = {}  # triangles' corners by their files
+        self._points: dict[tuple[Path, ...], NDArray[np.float64]] = {}  # corners of the triangles, by files
         self._extents = Extents()
 
     def add(self, visuals: Iterable[Visual]) -> int:
@@ -77,7 +77,7 @@ class Renderer:
 
         Raises:
             MeshError: a mesh cannot be read.
-            ValueError: a colour, texture or pose cannot be used; the text names it.
+            ValueError: invalid colour, texture or pose; the message names it.
         """
         groups: dict[tuple[Colour, Path | None], list[Visual]] = {}
         for visual in visuals:
@@ -105,7 +105,7 @@ class Renderer:
         return body
 
     def _part(self, file: Path, colour: Colour, picture: int | None) -> int:
-        """Return a new body of pybullet's: one mesh of one colour and texture."""
+        """Create a pybullet body, one mesh of one colour and texture, and return its number."""
         shape = self._client.createVisualShape(
             pybullet.GEOM_MESH, fileName=str(file), rgbaColor=colour, specularColor=(0.0, 0.0, 0.0)
         )
@@ -113,7 +113,7 @@ class Renderer:
         self._all_parts.append(part)
         number = self._shapes.setdefault(file, len(self._shapes))
         if picture is not None:
-            # The EGL plugin takes a part's number for that of its shape, which parts of one file share.
+            # The EGL plugin uses a part's number as that of its shape, which parts of one file share.
             bearer = self._all_parts[number] if self.backend == "egl" else part
             self._client.changeVisualShape(bearer, -1, textureUniqueId=picture)
         return part
@@ -129,9 +129,9 @@ class Renderer:
         return self._textures[path]
 
     def _meshes(self, shapes: tuple[tuple[Geometry, Pose], ...], texture: Path | None) -> tuple[Path, ...]:
-        """Return files with all shapes in their places as one mesh, or as few as pybullet takes.
+        """Return files that combine all posed shapes into one mesh, or as few as pybullet supports.
 
-        Each texture has files of its own: with EGL, bodies of one file share their texture.
+        Files are separate for each texture: with EGL, bodies of one file share their texture.
         """
         key = (shapes, texture)
         if key not in self._files:
@@ -157,10 +157,10 @@ class Renderer:
         return self._parts[body]
 
     def place(self, body: int, pose: Pose) -> None:
-        """Put a body where it is to be seen; one that was hidden is seen again.
+        """Set the pose of a body, and show it if it was hidden.
 
         Raises:
-            KeyError: there is no such body.
+            KeyError: unknown body.
             ValueError: the orientation is not of length 1, or the position is not finite.
         """
         parts = self._parts_of(body)
@@ -175,10 +175,10 @@ class Renderer:
             self._client.resetBasePositionAndOrientation(part, pose.position, pose.orientation)
 
     def hide(self, body: int) -> None:
-        """Take a body out of sight until it is placed again.
+        """Hide a body until it is placed again.
 
         Raises:
-            KeyError: there is no such body.
+            KeyError: unknown body.
         """
         parts = self._parts_of(body)
         if self._places[body] is None:
@@ -197,17 +197,17 @@ class Renderer:
         light: Light | None = None,
         labels: bool = False,
     ) -> Picture:
-        """Return what a camera sees.
+        """Draw the view of a camera.
 
         Args:
-            pinhole: its picture.
-            pose: of its optical frame in the world: x right, y down, z ahead.
-            near, far: what it sees, m along its axis.
-            light: sun and sky; None: those of a world that names none.
-            labels: fill the picture's labels too.
+            pinhole: projection.
+            pose: pose of the optical frame in the world: x right, y down, z ahead.
+            near, far: limits of the visible depth, m.
+            light: sun and sky; None: the defaults of ``Light``.
+            labels: whether to return labels too.
 
         Raises:
-            ValueError: limits, picture or pose are not allowed.
+            ValueError: invalid limits, projection or pose.
         """
         check_range("near", near, 1e-3, 1e3, "m")
         check_range("far", far, near * 1.001, 1e6, "m")
@@ -245,8 +245,8 @@ class Renderer:
         light: Light,
         over: bool,
     ) -> None:
-        """Draw a part of the picture into it, or over what is there already."""
-        if self.backend == "tiny":  # it looks at pixels' corners instead of their middles
+        """Draw a tile of the picture, optionally over its present content."""
+        if self.backend == "tiny":  # it samples the corners of pixels instead of their centres
             tile = Pinhole(tile.width, tile.height, tile.fx, tile.fy, tile.cx - 0.5, tile.cy + 0.5)
         towards = -np.asarray(light.direction, float)
         _, _, rgb, depth, segments = self._backend.picture(
@@ -281,7 +281,7 @@ class Renderer:
             np.copyto(picture.labels[rows, columns], found, where=~nothing | (not over))
 
     def close(self) -> None:
-        """End it; nothing can be drawn any more."""
+        """Shut down the renderer; drawing is no longer possible."""
         self._backend.close()
         self._folder.cleanup()
 
@@ -293,7 +293,7 @@ class Renderer:
 
 
 def _view_matrix(pose: Pose) -> list[float]:
-    """Return OpenGL's view matrix of an optical frame, column by column: y and z turn round."""
+    """Return OpenGL's view matrix of an optical frame, column by column, with y and z inverted."""
     turn = rotation_matrix(pose)
     if not np.all(np.isfinite(pose.position)):
         raise ValueError(f"position: {pose.position!r} is not allowed, finite numbers")

@@ -1,7 +1,7 @@
-"""Shapes as triangles with normals and texture coordinates, and Wavefront files of them.
+"""Shapes as triangles with normals and texture coordinates, and Wavefront files of triangles.
 
-The renderer makes its own triangles of every shape: those of pybullet's spheres are coarse, its boxes take textures in
-one of its renderers only, and one mesh is drawn sooner than many.
+The renderer generates the triangles of every shape, because pybullet's spheres are coarse, its boxes support textures
+in only one of its renderers, and one mesh is drawn faster than many.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
 
-_AROUND = 24  # corners of a circle
+_AROUND = 24  # corners per circle
 _RINGS = 12  # from pole to pole of a sphere
 
 Array = NDArray[np.float64]
 
 
 class MeshError(ValueError):
-    """A mesh file that cannot be used."""
+    """An invalid mesh file."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Triangles:
     """Triangles, counter-clockwise as seen from outside.
 
     Attributes:
-        points: (n, 3, 3) corners, m.
-        normals: (n, 3, 3) outward at the corners, length 1.
-        uv: (n, 3, 2) texture coordinates, (0, 0) the picture's lower left corner.
+        points: corners, shape (n, 3, 3), m.
+        normals: outward unit normals at the corners, shape (n, 3, 3).
+        uv: texture coordinates, shape (n, 3, 2), with (0, 0) at the picture's lower left corner.
     """
 
     points: Array
@@ -42,16 +42,16 @@ class Triangles:
     uv: Array
 
     def placed(self, pose: Pose) -> Triangles:
-        """Return the same at ``pose``."""
+        """Return the triangles transformed by ``pose``."""
         turn = rotation_matrix(pose)
         return Triangles(self.points @ turn.T + pose.position, self.normals @ turn.T, self.uv)
 
 
 def rotation_matrix(pose: Pose) -> Array:
-    """Return the rotation (3, 3) of a pose, from its frame into the one in which it is given.
+    """Return the rotation matrix (3, 3) of a pose, from its frame to the parent frame.
 
     Raises:
-        ValueError: the quaternion is not of length 1 within a thousandth.
+        ValueError: the norm of the quaternion differs from 1 by more than 0.001.
     """
     x, y, z, w = pose.orientation
     length = math.sqrt(x * x + y * y + z * z + w * w)
@@ -68,10 +68,10 @@ def rotation_matrix(pose: Pose) -> Array:
 
 
 def triangles_of(geometry: Geometry) -> Triangles:
-    """Return a shape's triangles, around its own origin.
+    """Return the triangles of a shape in its frame.
 
     Raises:
-        MeshError: a mesh's file cannot be read.
+        MeshError: a mesh file cannot be read.
     """
     if isinstance(geometry, Box):
         return _box(geometry)
@@ -83,7 +83,7 @@ def triangles_of(geometry: Geometry) -> Triangles:
 
 
 def joined(parts: Iterable[Triangles]) -> Triangles:
-    """Return all as one."""
+    """Return all triangles as one object."""
     parts = list(parts)
     return Triangles(
         np.concatenate([part.points for part in parts]),
@@ -93,7 +93,7 @@ def joined(parts: Iterable[Triangles]) -> Triangles:
 
 
 def _box(box: Box) -> Triangles:
-    """Return six faces, each with the whole texture; on those at the sides its upper edge is up."""
+    """Return the six faces of a box, each with the whole texture, upright on the side faces."""
     half = 0.5 * np.asarray(box.size, float)
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     order = [0, 1, 2, 0, 2, 3]
@@ -128,12 +128,12 @@ def _grid(points: Array, normals: Array, uv: Array) -> Triangles:
 
     found = Triangles(corners(points), corners(normals), corners(uv))
     edges = np.cross(found.points[:, 1] - found.points[:, 0], found.points[:, 2] - found.points[:, 0])
-    some = np.linalg.norm(edges, axis=1) > 0.0  # at the poles every other one is a line
+    some = np.linalg.norm(edges, axis=1) > 0.0  # at the poles every second triangle is degenerate
     return Triangles(found.points[some], found.normals[some], found.uv[some])
 
 
 def _cylinder(cylinder: Cylinder) -> Triangles:
-    # As wide in the mean as the round one: half of the corners' excess over the edges' lack.
+    # The mean width equals that of the circle: corners lie outside by as much as edges lie inside.
     radius = cylinder.radius * 2.0 / (1.0 + math.cos(math.pi / _AROUND))
     turn = np.linspace(0.0, 2.0 * math.pi, _AROUND + 1)
     turn[-1] = 0.0
@@ -180,18 +180,18 @@ def _scaled(mesh: Triangles, geometry: Mesh) -> Triangles:
         raise MeshError(f"{geometry.path}: scale {geometry.scale!r} is not allowed, three numbers other than 0")
     normals = mesh.normals / scale
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
-    if np.prod(scale) < 0.0:  # mirrored: the corners' order turns round
+    if np.prod(scale) < 0.0:  # mirrored: reverse the order of the corners
         return Triangles((mesh.points * scale)[:, ::-1], normals[:, ::-1], mesh.uv[:, ::-1])
     return Triangles(mesh.points * scale, normals, mesh.uv)
 
 
 def read_obj(path: Path) -> Triangles:
-    """Return the triangles of a Wavefront file; faces without normals are flat, without texture coordinates (0, 0).
+    """Return the triangles of a Wavefront file. Missing normals are those of flat faces; missing uv are (0, 0).
 
-    Materials are passed over: colour and texture come with the visual.
+    Materials are ignored: the visual defines colour and texture.
 
     Raises:
-        MeshError: it is not there, is no such file, or has no faces; the text names file and line.
+        MeshError: the file is missing, malformed or without faces; the message names file and line.
     """
     values: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
     faces: list[tuple[tuple[int, int, int], ...]] = []
@@ -217,7 +217,7 @@ def read_obj(path: Path) -> Triangles:
 
 
 def _corner(word: str, values: dict[str, list[list[float]]]) -> tuple[int, int, int]:
-    """Return indices of point, texture coordinate and normal, from 0, -1 for none."""
+    """Return the indices of point, texture coordinate and normal, from 0; -1 for none."""
     parts = [*word.split("/"), "", ""][:3]
     found = []
     for part, kind in zip(parts, ("v", "vt", "vn"), strict=True):
@@ -242,7 +242,7 @@ def _triangles(path: Path, values: dict[str, list[list[float]]], faces: list) ->
     area = np.linalg.norm(flat, axis=1)
     some = area > 0.0
     corners, indices, flat = corners[some], indices[some], flat[some] / area[some, None]
-    given = normals[indices[:, :, 2]]  # an index of -1 is the zero that was put at the end
+    given = normals[indices[:, :, 2]]  # index -1 selects the zero appended at the end
     length = np.linalg.norm(given, axis=2, keepdims=True)
     out = np.where(length > 0.0, given / np.maximum(length, 1e-12), flat[:, None, :])
     return Triangles(corners, out, uv[indices[:, :, 1]])

@@ -1,4 +1,4 @@
-"""Scenery made from a seed: countryside with trees, houses, cars, other things, and people."""
+"""Scenery generated from a seed: countryside with trees, houses, cars, other objects and people."""
 
 from xtdrone_sim.worlds.scenery.ground import Ground, Rectangle
 from xtdrone_sim.worlds.scenery.outdoor import LIGHTS, OutdoorOptions, is_free, outdoor

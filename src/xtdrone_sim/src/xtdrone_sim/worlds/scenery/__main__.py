@@ -1,4 +1,4 @@
-"""Writes a world of scenery to a file: ``python -m xtdrone_sim.worlds.scenery --seed 3 --persons 2 -o my.world``."""
+"""Write a world of scenery to a file: ``python -m xtdrone_sim.worlds.scenery --seed 3 --persons 2 -o my.world``."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The scenery's meshes and textures: names, files, and the program that makes the files.
+"""Meshes and textures of the scenery: names, files, and the program that generates the files.
 
-``python -m xtdrone_sim.worlds.scenery.assets`` writes all of them anew; they come with the package.
+``python -m xtdrone_sim.worlds.scenery.assets`` regenerates all files, which are part of the package.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from xtdrone_sim.worlds.scenery.textures import Picture
 
 FOLDER = MODELS / "scenery"
 
-# maker, pixels, how many
+# generator, size in pixels, number of textures
 _TEXTURES: dict[str, tuple[Callable[[int, np.random.Generator], Picture], int, int]] = {
     "grass": (textures.grass, 512, 6),
     "meadow": (textures.meadow, 512, 4),
@@ -112,12 +112,12 @@ def mesh(kind: str, number: int = 0) -> Path:
 
 
 def texture_count(kind: str) -> int:
-    """Return how many textures of a kind there are."""
+    """Return the number of textures of a kind."""
     return _TEXTURES[kind][2]
 
 
 def mesh_count(kind: str) -> int:
-    """Return how many meshes of a kind there are."""
+    """Return the number of meshes of a kind."""
     return _MESHES[kind][1]
 
 
@@ -126,7 +126,7 @@ def _random(name: str, number: int) -> np.random.Generator:
 
 
 def write_all() -> None:
-    """Write all files."""
+    """Write all meshes and textures."""
     for folder in ("meshes", "textures"):
         (FOLDER / folder).mkdir(parents=True, exist_ok=True)
     for name, (paint, size, count) in _TEXTURES.items():

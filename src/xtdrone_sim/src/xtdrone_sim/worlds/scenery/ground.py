@@ -1,4 +1,4 @@
-"""Which ground of a world is free."""
+"""Test for free ground in a world."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from xtdrone_sim.worlds.sdf.shapes import box_of
 Rectangle = tuple[float, float, float, float]
 """x0, y0, x1, y1, m."""
 
-_FLAT = 0.05  # m under which something is ground
+_FLAT = 0.05  # m, height below which a shape counts as ground
 
 
 class Ground:
-    """The free ground of a world: where nothing stands, hangs or overhangs, of what is seen or can be hit."""
+    """The free ground of a world: without visuals or collisions on or above it."""
 
     def __init__(self, world: SdfWorld) -> None:
-        """Look at all shapes of ``world``, each by the rectangle along x and y that holds it."""
+        """Store the bounding rectangles, along x and y, of all shapes of ``world``."""
         boxes = []
         for model in world.models:
             for link in model.links:
@@ -34,14 +34,14 @@ class Ground:
         self._boxes: NDArray[np.float64] = np.array(boxes, float).reshape(-1, 4)
 
     def is_free(self, x: float, y: float, radius: float) -> bool:
-        """Say whether nothing is within ``radius`` m of (x, y)."""
+        """Return whether the ground within ``radius`` m of (x, y) is free."""
         boxes = self._boxes
         dx = np.maximum(np.maximum(boxes[:, 0] - x, x - boxes[:, 2]), 0.0)
         dy = np.maximum(np.maximum(boxes[:, 1] - y, y - boxes[:, 3]), 0.0)
         return not bool(np.any(dx * dx + dy * dy <= radius * radius))
 
     def is_free_way(self, start: tuple[float, float], end: tuple[float, float], radius: float) -> bool:
-        """Say the same of every point between two, looked at every ``radius``."""
+        """Return whether the line between two points is free, sampled every ``radius``, m."""
         pieces = max(1, math.ceil(math.dist(start, end) / radius))
         return all(
             self.is_free(

@@ -1,7 +1,7 @@
-"""Triangle meshes of the scenery, as numbers, and as Wavefront files.
+"""Triangle meshes of the scenery, as arrays and as Wavefront files.
 
-Metres, z up. Every triangle has its own three corners, so that faces look flat, and texture coordinates from 0 on
-(renderers differ in what they make of negative ones).
+Metres, z up. Every triangle has separate corners, so that faces look flat, and texture coordinates of 0 or more,
+because renderers treat negative ones differently.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Triangles:
-    """A mesh.
+    """A triangle mesh.
 
     Attributes:
-        corners: (n, 3, 3) m, counter-clockwise seen from outside.
-        texture: (n, 3, 2) texture coordinates.
+        corners: shape (n, 3, 3), m, counter-clockwise seen from outside.
+        texture: texture coordinates, shape (n, 3, 2).
     """
 
     corners: Array
@@ -36,12 +36,12 @@ def join(*parts: Triangles) -> Triangles:
 
 
 def moved(mesh: Triangles, offset: Sequence[float], scale: Sequence[float] = (1.0, 1.0, 1.0)) -> Triangles:
-    """Return it scaled, then moved."""
+    """Return the mesh scaled, then translated, m."""
     return Triangles(mesh.corners * np.asarray(scale) + np.asarray(offset), mesh.texture)
 
 
 def mapped(corners: Array, size: float = 1.0) -> Triangles:
-    """Return triangles with the texture laid on each along its main direction, once in ``size`` m."""
+    """Return triangles with the texture projected along the main direction of each, repeating every ``size`` m."""
     normal = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     axis = np.argmax(normal, axis=1)
     first, second = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
@@ -52,14 +52,14 @@ def mapped(corners: Array, size: float = 1.0) -> Triangles:
 
 
 def polyhedron(points: Sequence[Sequence[float]], faces: Sequence[Sequence[int]], size: float = 1.0) -> Triangles:
-    """Return flat faces (counter-clockwise from outside) over points."""
+    """Return a polyhedron of flat faces, lists of point indices counter-clockwise seen from outside."""
     p = np.asarray(points, float)
     triangles = [(f[0], f[i], f[i + 1]) for f in faces for i in range(1, len(f) - 1)]
     return mapped(p[np.array(triangles)], size)
 
 
 def cuboid(low: Sequence[float], high: Sequence[float]) -> Triangles:
-    """Return a box between two corners."""
+    """Return a box between its lowest and highest corner, m."""
     (a, b, c), (d, e, f) = low, high
     points = [(a, b, c), (d, b, c), (d, e, c), (a, e, c), (a, b, f), (d, b, f), (d, e, f), (a, e, f)]
     faces = [(3, 2, 1, 0), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
@@ -67,7 +67,7 @@ def cuboid(low: Sequence[float], high: Sequence[float]) -> Triangles:
 
 
 def prism(profile: Sequence[tuple[float, float]], width: float) -> Triangles:
-    """Return a convex or star-shaped outline (x, z), counter-clockwise seen from -y, drawn out along y."""
+    """Return a convex or star-shaped outline (x, z), counter-clockwise seen from -y, extruded along y."""
     n, y = len(profile), 0.5 * width
     near = [(x, -y, z) for x, z in profile]
     far = [(x, y, z) for x, z in profile]
@@ -81,7 +81,7 @@ def prism(profile: Sequence[tuple[float, float]], width: float) -> Triangles:
 
 
 def revolved(outline: Sequence[tuple[float, float]], sides: int) -> Triangles:
-    """Return an outline (radius, z), from bottom to top, turned about z."""
+    """Return an outline (radius, z), from bottom to top, revolved about z."""
     angle = np.arange(sides) * (2.0 * math.pi / sides)
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(sides, z)]) for r, z in outline]
     points = np.concatenate(rings)
@@ -101,7 +101,7 @@ def revolved(outline: Sequence[tuple[float, float]], sides: int) -> Triangles:
 
 
 def ball(divisions: int, roughness: float, rng: np.random.Generator) -> Triangles:
-    """Return a sphere of radius 1 from an octahedron, its points pushed in and out by up to ``roughness``."""
+    """Return a sphere of radius 1 from an octahedron, its points moved radially by up to ``roughness``."""
     axes = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
     corners = axes[np.array([(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)])]
     for _ in range(divisions):
@@ -110,14 +110,14 @@ def ball(divisions: int, roughness: float, rng: np.random.Generator) -> Triangle
         groups = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         corners = np.concatenate([np.stack(group, axis=1) for group in groups])
         corners /= np.linalg.norm(corners, axis=2, keepdims=True)
-    # the same push for the same point, whichever triangle it belongs to
+    # equal displacement of a point in all its triangles
     points, inverse = np.unique(np.round(corners.reshape(-1, 3), 6), axis=0, return_inverse=True)
     push = 1.0 + roughness * rng.uniform(-1.0, 1.0, len(points))
     return mapped((points * push[:, None])[inverse.reshape(-1)].reshape(-1, 3, 3))
 
 
 def crown(blobs: int, rng: np.random.Generator) -> Triangles:
-    """Return a tree's crown of radius and half height about 1 from several rough balls."""
+    """Return a tree's crown, radius and half height approximately 1, of several rough balls."""
     parts = [moved(ball(2, 0.16, rng), (0.0, 0.0, 0.0), (0.72, 0.72, 0.8))]
     for k in range(blobs):
         angle = 2.0 * math.pi * (k + rng.uniform(0.0, 0.6)) / blobs
@@ -128,7 +128,7 @@ def crown(blobs: int, rng: np.random.Generator) -> Triangles:
 
 
 def conifer(tiers: int, rng: np.random.Generator) -> Triangles:
-    """Return a spruce's crown from z = 0 to 1, radius about 1, from rough cones."""
+    """Return a spruce's crown from z = 0 to 1, radius approximately 1, of rough cones."""
     parts = []
     for k in range(tiers):
         low = k / (tiers + 0.6)
@@ -143,7 +143,7 @@ def conifer(tiers: int, rng: np.random.Generator) -> Triangles:
 
 
 def blob(rng: np.random.Generator) -> Triangles:
-    """Return an irregular patch of ground of radius about 1, the texture once in 2 m."""
+    """Return an irregular patch of ground, radius approximately 1, with a texture period of 2 m."""
     sides = 28
     angle = np.arange(sides) * (2.0 * math.pi / sides)
     radius = 1.0 + sum(
@@ -155,7 +155,7 @@ def blob(rng: np.random.Generator) -> Triangles:
 
 
 def grid(cells: int, times: int) -> Triangles:
-    """Return the square from -0.5 to 0.5 in ``cells`` each way, with the texture ``times`` each way in each."""
+    """Return the square from -0.5 to 0.5 as ``cells`` x ``cells``, with ``times`` x ``times`` textures in each cell."""
     at = np.linspace(-0.5, 0.5, cells + 1)
     corners, texture = [], []
     for i in range(cells):
@@ -170,7 +170,7 @@ def grid(cells: int, times: int) -> Triangles:
 
 
 def strip(pieces: int, sway: float, rng: np.random.Generator) -> Triangles:
-    """Return a way along x from -0.5 to 0.5, width 1, swaying by up to ``sway``, the texture once a piece."""
+    """Return a winding path along x from -0.5 to 0.5, width 1, offset up to ``sway``, one texture per piece."""
     x = np.linspace(-0.5, 0.5, pieces + 1)
     y = sum(
         sway / k * rng.uniform(0.3, 1.0) * np.sin(2.0 * math.pi * k * x + rng.uniform(0.0, 6.28)) for k in (1, 2, 3)

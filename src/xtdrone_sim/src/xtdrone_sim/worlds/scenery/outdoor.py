@@ -1,4 +1,4 @@
-"""Countryside from a seed: ground, trees, houses, a road with cars, many small things, and people among them."""
+"""Countryside generated from a seed: ground, trees, houses, a road with cars, many small objects, and people."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ REGION: Rectangle = (-10.0, -10.0, 90.0, 50.0)
 CLEAR: Rectangle = (-3.0, -3.0, 18.0, 13.0)
 LIGHTS = ("noon", "morning", "evening", "overcast", "any")
 
-_MARGIN = 40.0  # m around the region where scenery goes on, thinner, for oblique views
-_GROUND = 256.0  # m, side of one piece of ground
-# m; layers of ground, so far apart that cameras with coarse depth tell them apart from some height
+_MARGIN = 40.0  # m around the region, with sparser scenery for oblique views
+_GROUND = 256.0  # m, side of one tile of ground
+# m; layers of ground, separated enough for cameras with coarse depth at altitude
 _LAWN, _PATCH, _PATH, _ROAD = -0.12, -0.08, -0.04, 0.0
 _PATHS = 4
 _WHITE = (1.0, 1.0, 1.0, 1.0)
-# patches of ground: texture, m^2 of region for each, least and largest radius in m
+# patches of ground: texture, region area per patch in m^2, minimum and maximum radius in m
 _PATCHES = (
     ("crops", 1200.0, 8.0, 18.0),
     ("water", 8000.0, 3.0, 7.0),
@@ -46,10 +46,10 @@ _PATCHES = (
     ("grass", 700.0, 3.0, 8.0),
 )
 _TRIES = 60
-_PERSON = 0.5  # m, radius kept free for a person
+_PERSON = 0.5  # m, free radius around a person
 _DEGREES = math.pi / 180.0
 
-# how many in 1000 m^2, by default
+# default number per 1000 m^2
 _DENSITY = {"tree": 7.0, "bush": 5.0, "house": 0.6, "street": 1.6, "yard": 4.0, "lookalike": 2.5, "car": 0.7}
 
 
@@ -58,10 +58,10 @@ class OutdoorOptions(Settings):
     """Options of a scene.
 
     Attributes:
-        region: x0, y0, x1, y1, m ENU; area of things and persons, each side 10 to 2000 m.
-        clear: rectangle without things, where the vehicles start.
-        skins: persons to choose from; empty leaves the actors' skins open.
-        within: predicate of x, y (m ENU) where people may stand or turn; None for anywhere in ``region``.
+        region: x0, y0, x1, y1, m ENU; area of objects and people, each side 10 to 2000 m.
+        clear: rectangle without objects for the start of the vehicles.
+        skins: skins of the people; empty leaves the actors' skins unspecified.
+        within: predicate of x, y (m ENU) for the places where people may stand or turn; None: all of ``region``.
     """
 
     region: Rectangle = REGION
@@ -83,14 +83,14 @@ class OutdoorOptions(Settings):
 
 
 def outdoor(seed: int, **options: object) -> SdfWorld:
-    """Return the scene of a seed; the same seed and options give the same world.
+    """Generate the scene of a seed; equal seeds and options give the same world.
 
     Args:
         seed: 0 or more.
-        options: see :class:`OutdoorOptions`. People do not change where things are.
+        options: see :class:`OutdoorOptions`. The number of people does not affect the placement of objects.
 
     Raises:
-        ValueError: an option that is not allowed, or no free place for a person.
+        ValueError: an option is not allowed, or a person has no free place.
     """
     wanted = OutdoorOptions(**options)  # type: ignore[arg-type]
     check_range("seed", seed, 0)
@@ -101,21 +101,21 @@ def outdoor(seed: int, **options: object) -> SdfWorld:
 
 
 class _Scene:
-    """A scene while it is made."""
+    """A scene under construction."""
 
     def __init__(self, seed: int, options: OutdoorOptions) -> None:
         self._seed = seed
         self._options = options
         self.models: list[SdfModel] = []
         self._circles: list[tuple[float, float, float]] = []
-        self._road = 0.0  # y of its middle
+        self._road = 0.0  # y of the centre line, m
 
     def _kit(self, purpose: int) -> Kit:
-        """Return randomness of its own for each purpose, so that more of one thing does not move another."""
+        """Return a separate random kit for each purpose, so that the purposes do not influence each other."""
         return Kit(self._options.split, np.random.default_rng((self._seed, purpose)))
 
     def furnish(self) -> None:
-        """Make everything but people."""
+        """Add everything except people."""
         self._ground(self._kit(1))
         self._roadside(self._kit(2))
         self._scatter(3, "house", {"house": things.house})
@@ -127,7 +127,7 @@ class _Scene:
         self._scatter(9, "bush", {"bush": things.bush}, margin=True)
 
     def light(self) -> Light:
-        """Return sun and sky."""
+        """Return random sunlight and sky."""
         rng = self._kit(10).rng
         kind = self._options.light
         if kind == "any":
@@ -169,7 +169,7 @@ class _Scene:
         self.models.append(SdfModel("ground", links=(SdfLink("link", visuals=tuple(visuals)),)))
 
     def _lawn(self, kit: Kit) -> list[Visual]:
-        """Return the ground far and wide, in square pieces."""
+        """Return the ground, extending far beyond the region, in square tiles."""
         x0, y0, x1, y1 = self._options.region
         texture = kit.texture("grass")
         pieces = []
@@ -186,7 +186,7 @@ class _Scene:
         return pieces
 
     def _ways(self, kit: Kit) -> list[Visual]:
-        """Return paths, and a road along x on one side of the clear place."""
+        """Return footpaths, and a road along x on one side of the clear rectangle."""
         x0, y0, x1, y1 = self._options.region
         low, high = self._options.clear[3] + 6.0, y1 - 4.0
         if low > high:
@@ -203,10 +203,10 @@ class _Scene:
         pose = Pose((round(0.5 * (x0 + x1), 3), self._road, _ROAD))
         return [*ways, Visual(road, pose, _WHITE, kit.texture("asphalt"))]
 
-    # things
+    # objects
 
     def _roadside(self, kit: Kit) -> None:
-        """Put cars on the road, and keep the rest of it free."""
+        """Place cars on the road, and keep the rest of it free."""
         x0, _, x1, _ = self._options.region
         cars = round(self._options.objects * (x1 - x0) / 35.0)
         for _ in range(cars):
@@ -232,7 +232,7 @@ class _Scene:
                 self._try(kit, name, makers[name](kit), lambda: self._beside(kit))
 
     def _beside(self, kit: Kit) -> tuple[float, float]:
-        """Return a place outside the region, in its margin."""
+        """Return a random place in the margin around the region."""
         x0, y0, x1, y1 = self._options.region
         while True:
             x, y = kit.uniform(x0 - _MARGIN, x1 + _MARGIN), kit.uniform(y0 - _MARGIN, y1 + _MARGIN)
@@ -240,7 +240,7 @@ class _Scene:
                 return x, y
 
     def _try(self, kit: Kit, kind: str, thing: Thing, place: object, turn: float | None = None) -> None:
-        """Put a thing on free ground; give up where there is none."""
+        """Place an object on free ground; skip it after too many failed attempts."""
         yaw = kit.uniform(-3.14, 3.14) if turn is None else turn
         for _ in range(_TRIES):
             x, y = place()  # type: ignore[operator]
@@ -268,7 +268,7 @@ def _people(seed: int, options: OutdoorOptions, world: SdfWorld) -> list[SdfActo
     ground = Ground(world)
     actors: list[SdfActor] = []
     skins = list(options.skins)
-    # by itself: which people there are to choose from is no matter for where they are
+    # separate generator: the choice of skins does not affect the positions
     order = np.random.default_rng((seed, 21)).permutation(len(skins))
     for k in range(options.persons):
         skin = skins[order[k % len(order)]] if skins else ""
@@ -312,7 +312,7 @@ def _distance(rectangle: Rectangle, x: float, y: float) -> float:
 def _way(
     rng: np.random.Generator, options: OutdoorOptions, ground: Ground, start: tuple[float, float], speed: float
 ) -> Trajectory | None:
-    """Return a round of straight ways over free ground; None where there is no room to walk."""
+    """Return a closed walk of straight segments over free ground; None without room to walk."""
     corners = [start]
     x0, y0, x1, y1 = options.region
     for _ in range(400):
@@ -334,7 +334,7 @@ def _way(
 
 
 def _walk(corners: list[tuple[float, float]], speed: float) -> Trajectory:
-    """Return the way along corners, turning in place at each; the last one is the first one."""
+    """Return the walk along corners, turning in place at each; the last corner equals the first."""
     time, waypoints = 0.0, []
     legs = list(itertools.pairwise(corners))
     headings = [round(math.atan2(b[1] - a[1], b[0] - a[0]), 3) for a, b in legs]
@@ -352,5 +352,5 @@ def _waypoint(time: float, place: tuple[float, float], heading: float) -> Waypoi
 
 
 def is_free(world: SdfWorld, x: float, y: float, radius: float) -> bool:
-    """Say whether nothing but ground is within ``radius`` m of (x, y), m ENU, at any height; see ``ground.Ground``."""
+    """Return whether only ground is within ``radius`` m of (x, y), m ENU, at any height; see ``ground.Ground``."""
     return Ground(world).is_free(x, y, radius)

@@ -1,4 +1,4 @@
-"""Pictures of ground, walls, leaves and wood that go on seamlessly over their edges: filtered noise."""
+"""Seamless textures of ground, walls, leaves and wood from filtered noise."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ Colour = tuple[float, float, float]
 
 
 def noise(size: int, scales: dict[float, float], rng: np.random.Generator, stretch: float = 1.0) -> Array:
-    """Return periodic noise (size, size), mean 0, deviation 1.
+    """Return periodic noise, shape (size, size), mean 0, standard deviation 1.
 
     Args:
         size: pixels.
-        scales: weight for each size of spots, pixels.
-        rng: randomness.
-        stretch: how much longer the spots are along the picture's rows.
+        scales: weight for each spot size, pixels.
+        rng: random generator.
+        stretch: ratio of the spots' length along the picture's rows to that along the columns.
     """
     fy = np.fft.fftfreq(size)[:, None]
     fx = np.fft.rfftfreq(size)[None, :] * stretch
@@ -32,19 +32,19 @@ def noise(size: int, scales: dict[float, float], rng: np.random.Generator, stret
 
 
 def paint(value: Array, colours: list[Colour]) -> Array:
-    """Return (h, w, 3): colours from the first (value -2) to the last (value 2)."""
+    """Map values to colours, from the first (-2) to the last (2); return shape (h, w, 3)."""
     at = np.clip((value + 2.0) / 4.0, 0.0, 1.0) * (len(colours) - 1)
     table = np.asarray(colours, float)
     return np.stack([np.interp(at, np.arange(len(colours)), table[:, k]) for k in range(3)], axis=2)
 
 
 def finish(picture: Array) -> Picture:
-    """Return it as bytes."""
+    """Return a picture as 8-bit values."""
     return np.clip(np.round(picture * 255.0), 0, 255).astype(np.uint8)
 
 
 def _tint(colours: list[Colour], rng: np.random.Generator, by: float) -> list[Colour]:
-    """Return the colours with one random shift of brightness and hue for all."""
+    """Return the colours with a common random shift of brightness and hue."""
     factor = rng.uniform(1.0 - by, 1.0 + by, 3) * rng.uniform(1.0 - by, 1.0 + by)
     return [(r * factor[0], g * factor[1], b * factor[2]) for r, g, b in colours]
 
@@ -58,7 +58,7 @@ def grass(size: int, rng: np.random.Generator) -> Picture:
 
 
 def meadow(size: int, rng: np.random.Generator) -> Picture:
-    """Return high grass with flowers and dry spots."""
+    """Return tall grass with flowers and dry spots."""
     value = noise(size, {1.0: 0.8, 4.0: 0.6, 20.0: 0.7}, rng)
     colours = [(0.2, 0.27, 0.09), (0.36, 0.42, 0.17), (0.5, 0.5, 0.24), (0.63, 0.58, 0.36)]
     picture = paint(value, _tint(colours, rng, 0.12))
@@ -69,7 +69,7 @@ def meadow(size: int, rng: np.random.Generator) -> Picture:
 
 
 def crops(size: int, rng: np.random.Generator) -> Picture:
-    """Return rows of something growing, along the picture's rows."""
+    """Return rows of crops along the picture's rows."""
     rows = int(rng.integers(10, 22))
     across = np.sin(np.arange(size) * (2.0 * np.pi * rows / size))[:, None]
     value = 1.1 * across + 0.7 * noise(size, {1.5: 1.0, 6.0: 0.5}, rng, 3.0)
@@ -103,13 +103,13 @@ def asphalt(size: int, rng: np.random.Generator) -> Picture:
 
 
 def leaves(size: int, rng: np.random.Generator) -> Picture:
-    """Return foliage in bright grey-green, to be multiplied with a colour."""
+    """Return foliage in light grey-green, to be multiplied with a colour."""
     value = noise(size, {2.0: 1.0, 6.0: 0.9}, rng)
     return finish(paint(value, [(0.35, 0.38, 0.33), (0.62, 0.66, 0.58), (0.85, 0.88, 0.78), (1.0, 1.0, 0.93)]))
 
 
 def roof(size: int, rng: np.random.Generator) -> Picture:
-    """Return rows of tiles in bright grey, to be multiplied with a colour."""
+    """Return rows of roof tiles in light grey, to be multiplied with a colour."""
     rows, columns = 8, 10
     y, x = np.mgrid[0:size, 0:size] / size
     shade = 0.75 + 0.25 * ((y * rows) % 1.0)
@@ -121,7 +121,7 @@ def roof(size: int, rng: np.random.Generator) -> Picture:
 
 
 def wall(size: int, rng: np.random.Generator) -> Picture:
-    """Return plaster in bright grey, to be multiplied with a colour."""
+    """Return plaster in light grey, to be multiplied with a colour."""
     value = 0.93 + 0.04 * noise(size, {1.5: 1.0, 20.0: 0.8}, rng)
     return finish(np.repeat(value[:, :, None], 3, axis=2))
 
@@ -140,7 +140,7 @@ def bricks(size: int, rng: np.random.Generator) -> Picture:
 
 
 def wood(size: int, rng: np.random.Generator) -> Picture:
-    """Return boards in bright brown, to be multiplied with a colour."""
+    """Return boards in light brown, to be multiplied with a colour."""
     boards = 6
     y = (np.arange(size) * boards // size)[:, None]
     value = 0.8 + 0.06 * noise(size, {2.0: 1.0, 5.0: 0.6}, rng, 12.0) + rng.uniform(-0.08, 0.08, boards)[y]
@@ -155,12 +155,12 @@ def hay(size: int, rng: np.random.Generator) -> Picture:
 
 
 def stone(size: int, rng: np.random.Generator) -> Picture:
-    """Return rock in bright grey, to be multiplied with a colour."""
+    """Return rock in light grey, to be multiplied with a colour."""
     value = 0.75 + 0.12 * noise(size, {1.5: 0.7, 8.0: 0.8, 40.0: 0.6}, rng)
     return finish(np.repeat(value[:, :, None], 3, axis=2))
 
 
 def water(size: int, rng: np.random.Generator) -> Picture:
-    """Return a pond."""
+    """Return the surface of a pond."""
     value = noise(size, {3.0: 0.6, 15.0: 1.0}, rng, 2.0)
     return finish(paint(value, [(0.13, 0.2, 0.22), (0.19, 0.28, 0.3), (0.25, 0.34, 0.36), (0.36, 0.45, 0.47)]))

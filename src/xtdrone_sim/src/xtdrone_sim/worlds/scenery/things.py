@@ -1,6 +1,6 @@
-"""The single things of a scene: what they look like, where they can be hit, and how much room they take.
+"""The individual objects of a scene: their visuals, collisions and the space that they need.
 
-Each maker returns a thing that stands on z = 0 of its own frame.
+Each function returns an object that stands on z = 0 of its frame.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from xtdrone_sim.vehicles.visual import Box, Collision, Colour, Cylinder, Geomet
 from xtdrone_sim.worlds.scenery import assets
 from xtdrone_sim.worlds.scenery.kit import Kit
 
-HIGHEST = 8.5  # m, of all things: vehicles that look for people fly above them
+HIGHEST = 8.5  # m, maximum height of all objects: vehicles that search for people fly above them
 
 
 @dataclass(frozen=True)
 class Thing:
-    """One thing.
+    """An object of a scene.
 
     Attributes:
-        visuals: what can be seen.
-        collisions: what can be hit.
-        radius: m, of the circle that it takes on the ground.
+        visuals: visible shapes.
+        collisions: collision shapes.
+        radius: radius of the circle that it occupies on the ground, m.
     """
 
     visuals: tuple[Visual, ...]
@@ -37,7 +37,7 @@ def _at(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw
 
 
 def _solid(radius: float, *visuals: Visual) -> Thing:
-    """Return a thing that can be hit wherever it can be seen."""
+    """Return an object whose collision shapes equal its visuals."""
     return Thing(visuals, tuple(Collision(v.geometry, v.pose) for v in visuals), radius)
 
 
@@ -95,7 +95,7 @@ def bush(kit: Kit) -> Thing:
 
 
 def stump(kit: Kit) -> Thing:
-    """Return a tree's stump."""
+    """Return a tree stump."""
     radius, height = kit.uniform(0.18, 0.4), kit.uniform(0.3, 1.3)
     cut = kit.hsv((0.06, 0.12), (0.25, 0.5), (0.6, 0.85))
     return _solid(radius, _cylinder(radius, height, kit.brown()), _cylinder(0.93 * radius, 0.02, cut, height))
@@ -105,7 +105,7 @@ def stump(kit: Kit) -> Thing:
 
 
 def house(kit: Kit) -> Thing:
-    """Return a house: walls, roof, door, windows, perhaps a chimney."""
+    """Return a house: walls, roof, door, windows, possibly a chimney."""
     deep, wide, high = kit.uniform(5.0, 8.0), kit.uniform(6.0, 11.0), kit.uniform(2.6, 5.2)
     rise = kit.uniform(1.2, 2.8)
     if kit.rng.uniform() < 0.4:
@@ -227,7 +227,7 @@ def cone(kit: Kit) -> Thing:
 
 
 def fence(kit: Kit) -> Thing:
-    """Return a piece of fence of 4 m along x."""
+    """Return a 4 m section of fence along x."""
     colour = kit.brown() if kit.rng.uniform() < 0.7 else kit.grey()
     high = kit.uniform(0.9, 1.4)
     posts = [Visual(Box((0.1, 0.1, high)), _at(x, 0, 0.5 * high), colour) for x in (-1.95, 0.0, 1.95)]
@@ -291,7 +291,7 @@ def animal(kit: Kit) -> Thing:
     return _solid(round(0.85 * size, 3), body, face, *legs)
 
 
-# as high as a person, and none
+# of a person's size, but not a person
 
 
 def post(kit: Kit) -> Thing:
@@ -305,7 +305,7 @@ def post(kit: Kit) -> Thing:
 
 
 def scarecrow(kit: Kit) -> Thing:
-    """Return a cross of wood with a sack on it."""
+    """Return a wooden cross with a sack on it."""
     wood = kit.brown()
     mast, arm = (
         Visual(Box((0.08, 0.08, 1.8)), _at(0, 0, 0.9), wood),
@@ -318,7 +318,7 @@ def scarecrow(kit: Kit) -> Thing:
 
 
 def parcel(kit: Kit) -> Thing:
-    """Return something long in a tarpaulin, as long as a person, lying."""
+    """Return a lying bundle in a tarpaulin, as long as a person."""
     length, radius = kit.uniform(1.2, 2.0), kit.uniform(0.15, 0.3)
     body = Visual(Cylinder(radius, length), _at(0, 0, radius, 0.0, 0.5 * math.pi), kit.any_colour())
     return _solid(round(0.5 * length + 0.1, 3), body)

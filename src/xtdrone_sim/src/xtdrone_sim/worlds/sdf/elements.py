@@ -1,4 +1,4 @@
-"""Elements of SDF files: parsing with line numbers, and the values of elements with errors that name their place.
+"""Elements of SDF files: parsing with line numbers, and typed values, with errors that name file and line.
 
 expat parses the XML, because its events carry line numbers and prefixes as written and let entities be rejected before
 anything is expanded.
@@ -21,7 +21,7 @@ from xtdrone_sim.vehicles.visual import Pose, Quaternion, Vector
 from xtdrone_sim.worlds.sdf.types import SdfError
 
 _log = logging.getLogger("rosout.sdf")  # a child of ROS's logger: shown on screen and on /rosout in a ROS node
-LARGEST = 16 * MB  # of a file
+LARGEST = 16 * MB  # maximum size of a file
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 _QUATERNION = "quat_xyzw"
 _VARIABLES = ("XTDRONE_MODELS", "GAZEBO_MODEL_PATH")
@@ -36,8 +36,8 @@ class Element:
         attributes: as written.
         line: line of its start tag, from 1.
         children: in document order.
-        text: its own characters, without those of children.
-        file: the file that it belongs to.
+        text: character data, without that of children.
+        file: the file that contains the element.
     """
 
     tag: str
@@ -59,7 +59,7 @@ class Element:
         """Return the only child with this tag, or None.
 
         Raises:
-            SdfError: there are several.
+            SdfError: there is more than one.
         """
         found = list(self.all(tag))
         if len(found) > 1:
@@ -70,7 +70,7 @@ class Element:
         """Return the only child with this tag.
 
         Raises:
-            SdfError: there is none, or several.
+            SdfError: the child is missing, or there is more than one.
         """
         found = self.one(tag)
         if found is None:
@@ -81,7 +81,7 @@ class Element:
         """Return the attribute ``name``.
 
         Raises:
-            SdfError: it is missing or empty.
+            SdfError: the attribute is missing or empty.
         """
         name = self.attributes.get("name", "").strip()
         if not name:
@@ -92,7 +92,7 @@ class Element:
         """Return the text without surrounding white space.
 
         Raises:
-            SdfError: it is empty.
+            SdfError: the text is empty.
         """
         text = self.text.strip()
         if not text:
@@ -111,7 +111,7 @@ class Element:
         return self.numbers((1,), low, high)[0]
 
     def numbers(self, counts: Sequence[int], low: float = -math.inf, high: float = math.inf) -> tuple[float, ...]:
-        """Parse the text as finite numbers within limits; ``counts``: allowed numbers of them."""
+        """Parse the text as finite numbers within limits; ``counts`` lists the allowed numbers of values."""
         text = self.text.strip()
         try:
             values = tuple(float(word) for word in text.split())
@@ -126,7 +126,7 @@ class Element:
         return values
 
     def warn_unknown(self, known: Sequence[str], silent: Sequence[str] = ()) -> None:
-        """Warn of children that are neither supported (``known``) nor ignored on purpose (``silent``)."""
+        """Warn of children that are neither supported (``known``) nor deliberately ignored (``silent``)."""
         for child in self.children:
             if child.tag not in known and child.tag not in silent:
                 child.warn_ignored()
@@ -145,8 +145,8 @@ class File:
     """A file that is being read.
 
     Attributes:
-        path: of the file.
-        told: tags and texts that have been logged.
+        path: path of the file.
+        told: tags and texts already logged.
     """
 
     path: Path
@@ -164,7 +164,7 @@ def parse(text: str | bytes, path: Path) -> Element:
 
     Args:
         text: content of the file.
-        path: of the file, for messages and relative paths.
+        path: path of the file, for messages and relative paths.
 
     Raises:
         SdfError: malformed XML, an entity, too many elements, or too deep nesting.
@@ -227,7 +227,7 @@ def read_pose(parent: Element) -> Pose:
     """Read the <pose> of an element; the identity if it has none.
 
     Raises:
-        SdfError: it is relative to another frame, or does not have six numbers (seven with a quaternion).
+        SdfError: the pose is relative to another frame, or does not have six numbers (seven with a quaternion).
     """
     element = parent.one("pose")
     return Pose() if element is None else pose_of(element)
@@ -258,9 +258,9 @@ def pose_of(element: Element) -> Pose:
 
 
 def write_pose(pose: Pose, tag: str = "pose") -> str:
-    """Write a pose as an element that ``pose_of`` reads bit by bit the same.
+    """Write a pose as an element that ``pose_of`` restores bit for bit.
 
-    It has angles, which Gazebo Classic supports, where they are exact, otherwise a quaternion.
+    Angles, which Gazebo Classic supports, are written if they are exact, otherwise a quaternion.
     """
     place = " ".join(map(repr, pose.position))
     for digits in (4, 6, 9, 12, 15):
@@ -292,7 +292,7 @@ def resolve(element: Element) -> Path:
     a plain path may be relative to the folder of the element's file.
 
     Raises:
-        SdfError: it does not exist.
+        SdfError: the file or folder does not exist.
     """
     uri = element.string()
     beside = element.file.path.parent

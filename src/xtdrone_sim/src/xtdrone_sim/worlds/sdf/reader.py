@@ -38,8 +38,8 @@ def parse_world(text: str | bytes, path: Path, extended: Extended) -> SdfWorld:
 
     Args:
         text: content of the file.
-        path: of the file, for messages and relative paths.
-        extended: returns the world with the defaults.
+        path: path of the file, for messages and relative paths.
+        extended: returns the world that provides the defaults.
 
     Raises:
         SdfError: invalid content; the message names file, line, element, value and what is allowed.

@@ -22,7 +22,7 @@ TEXTURE = "xtdrone:texture"
 LARGEST_MESH = 64 * MB
 
 _FORMS = ("box", "cylinder", "sphere", "mesh", "plane")
-_THIN = 0.002  # m, thickness of the box that stands for a plane
+_THIN = 0.002  # m, thickness of the box that represents a plane
 _GREY = (0.7, 0.7, 0.7, 1.0)
 # plain materials of Gazebo
 _COLOURS = {

@@ -18,7 +18,7 @@ class Light:
     """Sun and sky; colours are red, green, blue in 0..1.
 
     Attributes:
-        direction: of the sunlight, world ENU, any length.
+        direction: direction of the sunlight, world ENU, any length.
         diffuse: colour of sunlight.
         ambient: colour of skylight.
         background: colour of the sky.
@@ -34,7 +34,7 @@ class Light:
 
 @dataclass(frozen=True)
 class SdfLink:
-    """A rigid part of a model; ``pose`` in the model's frame."""
+    """A rigid part of a model; ``pose`` in the model frame."""
 
     name: str
     pose: Pose = field(default_factory=Pose)
@@ -44,7 +44,7 @@ class SdfLink:
 
 @dataclass(frozen=True)
 class SdfModel:
-    """An object in the world; ``pose`` in the world's frame."""
+    """An object in the world; ``pose`` in the world frame."""
 
     name: str
     pose: Pose = field(default_factory=Pose)
@@ -54,7 +54,7 @@ class SdfModel:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Pose of an actor, of the point between its feet, in the world's frame, at a time of its script, s."""
+    """Pose of an actor's point between the feet, in the world frame, at a time of its script, s."""
 
     time: float
     pose: Pose
@@ -65,9 +65,9 @@ class Trajectory:
     """Path of an actor.
 
     Attributes:
-        waypoints: at least one, in order of time.
-        loop: restart after the last waypoint.
-        delay_start: s of simulated time before the start.
+        waypoints: at least one, in chronological order.
+        loop: whether to restart after the last waypoint.
+        delay_start: simulated time before the start, s.
         auto_start: if false, the actor stands at its first waypoint until a command moves it.
     """
 
@@ -82,10 +82,10 @@ class SdfActor:
     """A person.
 
     Attributes:
-        name: unique among models and actors.
-        skin: name of its appearance; empty for any.
-        pose: initial pose of the point between its feet, x forward, world.
-        trajectory: None for a standing actor.
+        name: name, unique among models and actors.
+        skin: name of the appearance; empty for any.
+        pose: initial pose of the point between the feet, x forward, world frame.
+        trajectory: path; None for a standing actor.
         speed: default walking speed of commands, m/s.
     """
 
@@ -101,13 +101,13 @@ class SdfWorld:
     """A world.
 
     Attributes:
-        name: in its file.
+        name: name of the world in its file.
         datum: WGS84 position of the map frame's origin.
-        gravity: m/s^2, down.
-        wind: m/s, ENU.
-        magnetic_field: gauss, ENU.
-        declination: of the magnetic field, degrees east.
-        friction, restitution: of ground and models.
+        gravity: gravitational acceleration, downwards, m/s^2.
+        wind: wind velocity, ENU, m/s.
+        magnetic_field: magnetic flux density, ENU, gauss.
+        declination: magnetic declination, degrees east.
+        friction, restitution: contact coefficients of ground and models.
         light: sun and sky.
         models: static objects.
         actors: people.

@@ -27,7 +27,7 @@ def world_path(name: str, beside: Path | None = None) -> Path | None:
     """Return the SDF file of a world; None for a YAML file.
 
     Args:
-        name: of a world of the package, or a path.
+        name: name of a world of the package, or a path.
         beside: base folder of relative paths; None for the working directory.
     """
     if name.endswith(_ENDINGS):
@@ -60,7 +60,7 @@ def load_world_file(name: str) -> SdfWorld:
     """Load a world.
 
     Args:
-        name: of ``worlds/*.world`` or ``config/worlds/*.yaml``, or a path with the suffix .world, .sdf, .yaml or .yml.
+        name: name of a file in ``worlds`` or ``config/worlds``, or a path ending in .world, .sdf, .yaml or .yml.
 
     Raises:
         ModelError: unknown name, or invalid file.
@@ -73,7 +73,7 @@ def read_world(text: str | bytes, path: Path) -> SdfWorld:
 
     Args:
         text: content of the file.
-        path: of the file, for messages and relative paths.
+        path: path of the file, for messages and relative paths.
 
     Raises:
         SdfError: invalid content; the message names file, line, element, value and what is allowed.

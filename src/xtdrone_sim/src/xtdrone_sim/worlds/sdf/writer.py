@@ -1,4 +1,4 @@
-"""Writer of SDF worlds; ``read_world`` restores the same world bit by bit."""
+"""Writer of SDF worlds; ``read_world`` restores the same world bit for bit."""
 
 from __future__ import annotations
 
