@@ -321,7 +321,7 @@ def test_mavros_s_programs_carry_missions(stack: Stack, typed: Typed, tmp_path: 
 
 def test_mavros_s_programs_command(stack: Stack, typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
     assert typed(mavsys, "--wait mode -c auto.loiter") == "Mode changed.\n"
-    assert "mode AUTO.NOWHERE is not known" in typed.fails(mavsys, "mode -c auto.nowhere")
+    assert "mode AUTO.NOWHERE is unknown to MAVROS" in typed.fails(mavsys, "mode -c auto.nowhere")
     assert typed(mavsys, "rate --position 5 --stream-id 10 5") == ""
     assert typed(mavsys, "-v message_interval --id 32 --rate 0") == "Command ACK: 0\n"
     assert "a value is not allowed" in typed.fails(mavsys, "rate --all 70000")
