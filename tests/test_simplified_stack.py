@@ -285,7 +285,7 @@ def test_setpoints_go_before_commands_and_what_is_not_flown_is_named(stack: Stac
     target.type_mask = 0b100111111000
     stack.graph.say(topic, target)
     stack.graph.call("/iris_2/mavros/set_mode", SetMode, custom_mode="OFFBOARD")
-    stack.command(2, "AUTO.LAND")  # of nobody's concern: the vehicle has setpoints
+    stack.command(2, "AUTO.LAND")  # without effect: the vehicle has setpoints
     stack.graph.call("/iris_2/mavros/cmd/arming", CommandBool, value=True)
     stack.wait(lambda: math.dist(place(stack, 2), (5.0, 6.0, 7.0)) < 0.2, "iris_2 is at its setpoint")
     stack.wait_state(2, mode="OFFBOARD", armed=True)

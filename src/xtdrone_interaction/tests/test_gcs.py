@@ -135,7 +135,7 @@ def test_a_vehicle_that_is_not_there_is_named(field):
     assert str(found["iris_1"]) == f"iris_1: UDP 127.0.0.1:{port}: no answer of system 2 within 0.3 s"
     assert "no answer of system 9" in str(found["iris_0"])  # it is another's port
     closed = station.run({peers[1]: plan_exchanges.download_plan(2)}, timeout=0.02, patience=0.3)
-    assert "nobody listens there" in str(closed["iris_1"])
+    assert "no program listens there" in str(closed["iris_1"])
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_failures_are_told_by_the_exit_status(tmp_path, capsys):
     assert main(["upload", str(tmp_path), "--patience", "0.2"]) == 1
     caught = capsys.readouterr()
     assert caught.out.split() == ["iris_249", "failed"]
-    assert "xtdrone gcs: iris_249: UDP 127.0.0.1:18819: nobody listens there" in caught.err
+    assert "xtdrone gcs: iris_249: UDP 127.0.0.1:18819: no program listens there" in caught.err
 
 
 def test_a_bad_file_keeps_all_at_home(field, as_named, tmp_path, capsys):

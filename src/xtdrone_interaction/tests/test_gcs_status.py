@@ -78,7 +78,7 @@ def test_a_vehicle_that_is_silent_is_named_and_the_others_are_told(field, capsys
     caught = capsys.readouterr()
     assert f"vehicle_{FIRST} " in caught.out
     assert "nothing heard yet" in caught.out
-    assert "vehicle_240: UDP 127.0.0.1:18810: nobody listens there" in caught.err
+    assert "vehicle_240: UDP 127.0.0.1:18810: no program listens there" in caught.err
 
 
 def test_status_over_a_line_that_loses_a_third(field, lossy):

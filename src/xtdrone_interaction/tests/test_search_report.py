@@ -91,9 +91,9 @@ def test_following_counts_the_pictures_that_show_the_person() -> None:
 
 
 def test_a_search_without_find_says_so_only_where_somebody_is() -> None:
-    somebody = record(outcome="not found")
-    assert make_report(somebody, {})["shortcomings"] == ["no person was found, but the region has 1 person"]
-    nobody = SearchRecord(**{**vars(somebody), "persons": {}})
+    one_person = record(outcome="not found")
+    assert make_report(one_person, {})["shortcomings"] == ["no person was found, but the region has 1 person"]
+    nobody = SearchRecord(**{**vars(one_person), "persons": {}})
     assert make_report(nobody, {})["shortcomings"] == []
 
 

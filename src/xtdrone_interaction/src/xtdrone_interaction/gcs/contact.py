@@ -164,6 +164,6 @@ class Contact:
     def _silence(self, patience: float) -> str:
         where = f"{self.peer.name}: {self.connection.where}"
         if self.connection.unreachable:
-            return f"{where}: nobody listens there; does the simulation run, with this vehicle?"
+            return f"{where}: no program listens there; is the simulation running, with this vehicle?"
         who = "any autopilot" if self.system == ANY else f"system {self.system}"
         return f"{where}: no answer of {who} within {patience:g} s"
