@@ -26,9 +26,9 @@ from benchmarks.search import SEARCHERS
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
+from xtdrone_interaction.launching.scripted_launch import LaunchError, Stopped, StopRequest
 from xtdrone_interaction.machine import machine_facts
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.scripted_launch import LaunchError, Stopped, StopRequest
 
 SCHEMA = 1  # of the JSON file
 _FLOWN = ("stack", "formation", "free")

@@ -13,9 +13,9 @@ from typing import Any
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_interaction import options
-from xtdrone_interaction.flight_events import read_events
-from xtdrone_interaction.process_tree import ProcessTree
-from xtdrone_interaction.scripted_launch import (
+from xtdrone_interaction.formation.flight_events import read_events
+from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.launching.scripted_launch import (
     NODE_PATIENCE,
     PATIENCE,
     LaunchError,

@@ -26,7 +26,7 @@ import sys
 from dataclasses import replace
 from rich.console import Console
 from validation.replay import check as replay_check
-from xtdrone_interaction.scripted_launch import StopRequest
+from xtdrone_interaction.launching.scripted_launch import StopRequest
 
 parser = argparse.ArgumentParser()
 replay_check.add_arguments(parser)

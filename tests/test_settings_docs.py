@@ -10,7 +10,7 @@ import pytest
 from xtdrone_control.communication.core import CommandSettings
 from xtdrone_control.settings import Settings
 from xtdrone_coordination.search.settings import MissionSettings
-from xtdrone_interaction.director import DirectorSettings
+from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
 from xtdrone_perception.detector import DetectorSettings
 from xtdrone_perception.following import FollowSettings

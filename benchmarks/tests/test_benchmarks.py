@@ -27,7 +27,8 @@ from benchmarks.measurements import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, search_probe, speed_search
 from benchmarks.programs import barrier
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_interaction import cli, machine, options, scripted_launch
+from xtdrone_interaction import cli, machine, options
+from xtdrone_interaction.launching import scripted_launch
 
 sys.path.append(str(options.repository() / "src" / "xtdrone_interaction" / "tests"))
 import fake_roslaunch

@@ -30,10 +30,9 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole
-from xtdrone_interaction.flight_events import read_events
-from xtdrone_interaction.options import OptionError, patterns_setting, seed_setting, vehicles_setting
-from xtdrone_interaction.process_tree import ProcessTree
-from xtdrone_interaction.scripted_launch import (
+from xtdrone_interaction.formation.flight_events import read_events
+from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.launching.scripted_launch import (
     NODE_PATIENCE,
     PATIENCE,
     LaunchError,
@@ -43,6 +42,7 @@ from xtdrone_interaction.scripted_launch import (
     launch_command,
     launch_environment,
 )
+from xtdrone_interaction.options import OptionError, patterns_setting, seed_setting, vehicles_setting
 
 TYPE = "iris"
 _POLL = 0.2  # s of wall time between polls of signals and progress

@@ -21,13 +21,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from xtdrone_interaction import formation_demo, options
+from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole
-from xtdrone_interaction.demo_launch import DemoError, run_flight
-from xtdrone_interaction.ended_nodes import EndedNodes
-from xtdrone_interaction.flight_events import read_events
-from xtdrone_interaction.formation_demo import DemoSettings
-from xtdrone_interaction.process_tree import ProcessTree, descendants, end_descendants
+from xtdrone_interaction.demos import formation_demo
+from xtdrone_interaction.demos.formation_demo import DemoSettings
+from xtdrone_interaction.formation.flight_events import read_events
+from xtdrone_interaction.launching.process_tree import ProcessTree, descendants, end_descendants
+from xtdrone_interaction.launching.supervised_launch import DemoError, run_flight
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 
 NODES = (
     "simulator",

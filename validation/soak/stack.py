@@ -18,8 +18,8 @@ from typing import Any
 
 from benchmarks.process_use import process_tree, program
 from xtdrone_interaction import options, sim_cli
-from xtdrone_interaction.process_tree import ProcessTree
-from xtdrone_interaction.scripted_launch import PATIENCE, StopRequest, launch_command, launch_environment
+from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.launching.scripted_launch import PATIENCE, StopRequest, launch_command, launch_environment
 
 _POLL = 0.05  # s of wall time
 _START_LIMIT = 300.0  # s of wall time until the first answer of the simulator

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Fly the formation demo: takeoff, the patterns in turn, landing. Topics: see xtdrone_interaction.director.
+"""Fly the formation demo: takeoff, the patterns in turn, landing. Topics: see xtdrone_interaction.formation.director.
 
 Parameters:
     /xtdrone/fleet (as ``iris:9``): the vehicles; the first leads.
     ~patterns (default ``cube,pyramid,triangle``): flown in turn between ``origin`` and ``origin``.
-    ~pattern_file, ~clearance, ~out, ~recorder: see ``xtdrone_interaction.director.DirectorSettings``.
+    ~pattern_file, ~clearance, ~out, ~recorder: see ``xtdrone_interaction.formation.director.DirectorSettings``.
 
 Exit status: 0 after a whole flight; 1 for parameters that are not allowed, after a flight that has lost a vehicle, and
 after a failed one (all vehicles are landed first).
@@ -18,7 +18,13 @@ import rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.director import RATE, RECORDER_LIMIT, DirectorSettings, FormationDirector, open_events
+from xtdrone_interaction.formation.director import (
+    RATE,
+    RECORDER_LIMIT,
+    DirectorSettings,
+    FormationDirector,
+    open_events,
+)
 from xtdrone_interaction.options import split_patterns, swarm_patterns
 
 

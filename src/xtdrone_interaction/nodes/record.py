@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Records a flight with rosbag, by a profile; see ``xtdrone_interaction.record_command``."""
+"""Records a flight with rosbag, by a profile; see ``xtdrone_interaction.bags.record``."""
 
 import sys
 

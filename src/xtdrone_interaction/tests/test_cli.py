@@ -16,7 +16,8 @@ from pathlib import Path
 import fake_roslaunch
 import pytest
 
-from xtdrone_interaction import cli, formation_cli, options, search_cli
+from xtdrone_interaction import cli, options
+from xtdrone_interaction.demos import formation_cli, search_cli
 
 DEMO = ["demo", "formation"]
 PATIENCE = 120.0  # s of wall time; bounds a broken test
@@ -192,7 +193,9 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     )
     program = textwrap.dedent(f"""
         import sys
-        from xtdrone_interaction import cli, options, search_cli, process_tree
+        from xtdrone_interaction import cli, options
+        from xtdrone_interaction.demos import search_cli
+        from xtdrone_interaction.launching import process_tree
         process_tree._STEPS = tuple((s, 0.5) for s, _ in process_tree._STEPS)
         options._taken = lambda number, kind: False
         sys.exit(cli.main(["demo", "formation", "--headless", "--out", {str(tmp_path / "out")!r}]))

@@ -10,7 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from xtdrone_interaction.compare_simulators import (
+from xtdrone_interaction.recording.formation import FormationRecord
+from xtdrone_interaction.recording.model import Change, RecordError
+from xtdrone_interaction.recording.positions import FleetTrack
+from xtdrone_interaction.report.compare_simulators import (
     FULL,
     as_data,
     compare,
@@ -19,9 +22,6 @@ from xtdrone_interaction.compare_simulators import (
     same_slots,
     save_pictures,
 )
-from xtdrone_interaction.recording.formation import FormationRecord
-from xtdrone_interaction.recording.model import Change, RecordError
-from xtdrone_interaction.recording.positions import FleetTrack
 
 GRID = np.array([[3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 3.0, 0.0]])
 LINE = np.array([[0.0, 2.0, 0.0], [0.0, 4.0, 0.0], [0.0, 6.0, 1.0]])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_interaction.ended_nodes import EndedNodes
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 
 BEFORE = "process[follower_2-12]: started with pid [7]\n"
 KILLED = "\x1b[31m[follower_2-12] process has died [pid 7, exit code -9, cmd /x/f.py].\nlog file: /l*.log\x1b[0m\n"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from xtdrone_interaction.formation_mission import CLEARANCE, COMMAND_LIMIT, FleetState, FormationMission, MissionError
+from xtdrone_interaction.formation.mission import CLEARANCE, COMMAND_LIMIT, FleetState, FormationMission, MissionError
 from xtdrone_interaction.options import swarm_patterns
 
 STEP = 1.0 / 30.0
@@ -250,7 +250,7 @@ def test_the_director_ignores_offsets_that_are_none(monkeypatch: pytest.MonkeyPa
     pytest.importorskip("rospy")
     from std_msgs.msg import Float32MultiArray
 
-    from xtdrone_interaction import director as module
+    from xtdrone_interaction.formation import director as module
 
     heard: dict[str, Callable[..., None]] = {}
     warnings: list[str] = []

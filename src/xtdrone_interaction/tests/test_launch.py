@@ -18,7 +18,7 @@ import fake_roslaunch
 import pytest
 
 from xtdrone_interaction import options
-from xtdrone_interaction.demo_launch import master_port
+from xtdrone_interaction.launching.supervised_launch import master_port
 
 pytestmark = pytest.mark.skipif(shutil.which("roslaunch") is None, reason="ROS is not there")
 LIMIT = 120.0  # s of wall time; only a broken run takes it
@@ -260,10 +260,13 @@ time.sleep(600)
 MUTE = "server = socket.create_server(('127.0.0.1', int(sys.argv[sys.argv.index('-p') + 1])))"
 IMPATIENT = """\
 import sys
-from xtdrone_interaction import cli, formation_demo, demo_launch, process_tree
+from xtdrone_interaction import cli
+from xtdrone_interaction.demos import formation_demo
+from xtdrone_interaction.launching import supervised_launch
+from xtdrone_interaction.launching import process_tree
 process_tree._STEPS = tuple((s, 0.3) for s, _ in process_tree._STEPS)
 process_tree._ORPHANED = process_tree._TERMINATED = 0.3
-demo_launch._PATIENCE = 0.3
+supervised_launch._PATIENCE = 0.3
 formation_demo._START_LIMIT, formation_demo._START_LIMIT_VEHICLE = 3.0, 0.0
 sys.exit(cli.main(sys.argv[1:]))
 """

@@ -10,8 +10,8 @@ import genpy
 import pytest
 from rich.console import Console
 
-from xtdrone_interaction.feed import standstill
-from xtdrone_interaction.progress_display import LineDisplay, LiveDisplay
+from xtdrone_interaction.launching.feed import standstill
+from xtdrone_interaction.monitoring.progress_display import LineDisplay, LiveDisplay
 
 PROGRESS: dict[str, Any] = {
     "phase": "pattern pyramid", "step": 12, "steps": 15, "sim_time": 1234.5, "error": 12.34, "least_distance": 12.82,

@@ -15,7 +15,7 @@ from matplotlib import image
 from rich.console import Console
 from synthetic import GRID, PATTERNS, RATE, WINDOW, make_bag
 
-from xtdrone_interaction.formation_geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
+from xtdrone_interaction.formation.geometry import ESTIMATE, SETTLED_ERROR, TRUTH, least_distances, offsets_from_message
 from xtdrone_interaction.metrics import formation as reports
 from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
 from xtdrone_interaction.pictures.formation import figures

@@ -11,9 +11,10 @@ from shapely.geometry import Point
 from shapely.ops import unary_union
 
 from xtdrone_control.plans import qgc_plan
-from xtdrone_interaction import cli, options, search_demo
+from xtdrone_interaction import cli, options
+from xtdrone_interaction.demos import search_demo
+from xtdrone_interaction.demos.search_prepare import SearchSettings, is_search, prepare, read_prepared
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.search_prepare import SearchSettings, is_search, prepare, read_prepared
 from xtdrone_sim.worlds.sdf import load_world_file
 
 REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [30, 0], [30, 5], [25, 5]]]\n"
@@ -130,7 +131,7 @@ def test_a_vehicle_without_the_camera_is_refused(settings: SearchSettings) -> No
 
 
 def test_the_launch_file_is_told(settings: SearchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("xtdrone_interaction.demo_launch.shutil.which", lambda program: program)
+    monkeypatch.setattr("xtdrone_interaction.launching.supervised_launch.shutil.which", lambda program: program)
     command = search_demo.flight(settings, prepare(settings)).command()
     assert "on_find:=hold" in command
     assert f"plans:={settings.out}/plans" in command

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from PIL import ImageGrab
 
-from xtdrone_interaction import cli, demo_launch, formation_cli, formation_demo, options, simplified_demo
-from xtdrone_interaction.formation_demo import DemoSettings
+from xtdrone_interaction import cli, options
+from xtdrone_interaction.demos import formation_cli, formation_demo, simplified_demo
+from xtdrone_interaction.demos.formation_demo import DemoSettings
+from xtdrone_interaction.launching import supervised_launch
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.model import Change
 from xtdrone_interaction.recording.positions import FleetTrack
@@ -92,7 +94,7 @@ def test_what_ros_does_not_have_is_named(
 def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The launch file is told of them, with whole paths."""
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
-    monkeypatch.setattr(demo_launch.shutil, "which", lambda program: program)
+    monkeypatch.setattr(supervised_launch.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []
     monkeypatch.setattr(simplified_demo, "run_ros_demo", lambda demo, console: flown.append(demo) or 1)
     monkeypatch.setattr(formation_cli, "run_demo", lambda demo, console: flown.append(demo) or 1)

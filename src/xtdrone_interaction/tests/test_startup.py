@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from xtdrone_interaction.ended_nodes import EndedNode
-from xtdrone_interaction.hints import advice, error_lines
-from xtdrone_interaction.missing import nodes, not_joined
-from xtdrone_interaction.startup import Startup
+from xtdrone_interaction.monitoring.ended_nodes import EndedNode
+from xtdrone_interaction.monitoring.hints import advice, error_lines
+from xtdrone_interaction.monitoring.missing_nodes import nodes, not_joined
+from xtdrone_interaction.monitoring.startup import Startup
 
 
 class Logs:

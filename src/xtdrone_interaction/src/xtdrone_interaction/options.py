@@ -28,7 +28,7 @@ from xtdrone_control.fleet import (
 from xtdrone_control.settings import Settings, setting
 from xtdrone_control.speed import LEAST_SPEED
 from xtdrone_coordination.patterns import Patterns, absolute_name
-from xtdrone_interaction.formation_geometry import ORIGIN
+from xtdrone_interaction.formation.geometry import ORIGIN
 
 DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N

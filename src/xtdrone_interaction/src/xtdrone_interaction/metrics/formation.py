@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_coordination.laws.assignment import assign
-from xtdrone_interaction.formation_geometry import SETTLED_ERROR, Array, close_pairs, formation_error, relative
+from xtdrone_interaction.formation.geometry import SETTLED_ERROR, Array, close_pairs, formation_error, relative
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.recording.positions import FleetTrack

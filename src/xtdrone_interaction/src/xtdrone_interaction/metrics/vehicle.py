@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from xtdrone_interaction.formation_geometry import least_distances
+from xtdrone_interaction.formation.geometry import least_distances
 from xtdrone_interaction.metrics.formation import make_report
 from xtdrone_interaction.metrics.tracking import trackings
 from xtdrone_interaction.recording.formation import FormationRecord

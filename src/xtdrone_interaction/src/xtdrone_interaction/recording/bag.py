@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from xtdrone_interaction.bags.decode import STAMP, Decoded, Fixed, Layout, List, MessageError, Texts, records_at
 from xtdrone_interaction.bags.ros1bag import BagError, Batch, Connection
 from xtdrone_interaction.bags.sources import Layouts, Losses, Source, by_connection, large_batches, open_sources
-from xtdrone_interaction.flight_events import EVENTS_FILE, parse_event, read_events
-from xtdrone_interaction.formation_geometry import (
+from xtdrone_interaction.formation.flight_events import EVENTS_FILE, parse_event, read_events
+from xtdrone_interaction.formation.geometry import (
     EVENTS_TOPIC,
     PATTERN_TOPIC,
     TOPOLOGY_TOPIC,

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.flight_events import parse_event
-from xtdrone_interaction.formation_geometry import (
+from xtdrone_interaction.formation.flight_events import parse_event
+from xtdrone_interaction.formation.geometry import (
     ESTIMATE,
     EVENTS_TOPIC,
     PATTERN_TOPIC,

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from xtdrone_interaction.formation_geometry import TRUTH
+from xtdrone_interaction.formation.geometry import TRUTH
 from xtdrone_interaction.recording.series import Series
 from xtdrone_interaction.recording.ulog import FlightLog
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from xtdrone_interaction.bags.ros1bag import BagError
-from xtdrone_interaction.formation_geometry import TRUTH, TRUTH_TOPIC, odometry_topic
+from xtdrone_interaction.formation.geometry import TRUTH, TRUTH_TOPIC, odometry_topic
 from xtdrone_interaction.recording.bag import SEARCH_EVENTS_TOPIC, read_bag
 from xtdrone_interaction.recording.model import LOG_TOPIC, RecordError, Recording
 from xtdrone_interaction.recording.positions import fleet_track

@@ -19,7 +19,7 @@ from xtdrone_msgs.msg import ObjectsOnGround
 from xtdrone_control import lockstep
 from xtdrone_control.program import check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.formation_geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
+from xtdrone_interaction.formation.geometry import PATTERN_TOPIC, TOPOLOGY_TOPIC, offsets_from_message
 from xtdrone_interaction.rviz.markers import TRAIL, SwarmMarkers, ground_view
 from xtdrone_interaction.rviz.views import FOR_MARKERS
 

@@ -21,8 +21,8 @@ import rosgraph
 
 from xtdrone_control.lockstep.server import LockstepServer
 from xtdrone_interaction import options
-from xtdrone_interaction.demo_launch import defer_signals
-from xtdrone_interaction.process_tree import ProcessTree
+from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.launching.supervised_launch import defer_signals
 from xtdrone_interaction.rviz.bag import Timed
 from xtdrone_interaction.rviz.film_options import FilmSettings
 from xtdrone_interaction.rviz.markers_node import SEARCH_EVENTS

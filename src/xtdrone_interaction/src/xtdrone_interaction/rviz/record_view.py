@@ -24,7 +24,7 @@ import rosgraph
 from rich.console import Console
 
 from xtdrone_interaction import options, sim_cli
-from xtdrone_interaction.demo_launch import DemoError, Interrupted, defer_signals, raise_on_signals
+from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, defer_signals, raise_on_signals
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.rviz.film_options import FilmSettings, add_arguments, film_settings, parse, settings_of
 from xtdrone_interaction.rviz.stage import DRAWER, Stage, StageError, check_tools, node_environment

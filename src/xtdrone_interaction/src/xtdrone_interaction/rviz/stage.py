@@ -17,8 +17,8 @@ import rosgraph
 import roslib.packages
 
 from xtdrone_control.fleet import parse_fleet
-from xtdrone_interaction.demo_launch import DemoError, defer_signals
-from xtdrone_interaction.process_tree import ProcessTree
+from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.launching.supervised_launch import DemoError, defer_signals
 from xtdrone_interaction.rviz.film_options import FilmSettings
 from xtdrone_interaction.rviz.views import SHIPPED, Array, make_view, marker_parameters
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle

@@ -25,9 +25,9 @@ from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import cli, options
 from xtdrone_interaction.console import PatientConsole
+from xtdrone_interaction.launching.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.machine import machine_facts
 from xtdrone_interaction.options import OptionError
-from xtdrone_interaction.scripted_launch import Stopped, StopRequest
 from xtdrone_interaction.sweep.plan import Plan
 from xtdrone_interaction.sweep.progress import Progress, one_line
 from xtdrone_interaction.sweep.run import FIGURES

@@ -18,7 +18,7 @@ from xtdrone_coordination.follower import Follower, FollowerOptions
 from xtdrone_coordination.leader import Leader, LeaderOptions
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.patterns import Patterns, with_leader
-from xtdrone_interaction.formation_geometry import Array, least_distances
+from xtdrone_interaction.formation.geometry import Array, least_distances
 from xtdrone_interaction.metrics.formation import measure
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.model import Change
@@ -225,7 +225,7 @@ def _airborne(swarm: Swarm, patterns: Sequence[str], hold: float, limit: float) 
 
 def _mission(swarm: Swarm, patterns: Sequence[str]) -> FormationRecord:
     """Fly the demo's whole mission, takeoff to landing."""
-    from xtdrone_interaction.swarm_flight import fly_formation
+    from xtdrone_interaction.formation.swarm_flight import fly_formation
 
     record = fly_formation(swarm, patterns)
     if record.events[-1]["event"] != "done":

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from xtdrone_interaction.process_tree import die_with_parent
+from xtdrone_interaction.launching.process_tree import die_with_parent
 
 ANSWER_LIMIT = 3.0  # s for a master to answer one call
 _ASK_PERIOD = 0.3  # s between two calls to a master that does not answer

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from xtdrone_control.fleet import Vehicle, check_instance, parse_fleet
-from xtdrone_interaction.ended_nodes import SIMULATOR
+from xtdrone_interaction.monitoring.ended_nodes import SIMULATOR
 from xtdrone_interaction.options import OptionError, repository
 
 _MAVLINK = "simulator.py"  # the simulator program with MAVLink

@@ -21,16 +21,16 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_control.fleet import GCS_REMOTE_PORT, instance_port
-from xtdrone_interaction.ended_nodes import EndedNode, EndedNodes
-from xtdrone_interaction.feed import Feed, answers
-from xtdrone_interaction.flight_events import read_events
-from xtdrone_interaction.hints import advice, error_lines
-from xtdrone_interaction.missing import not_joined
+from xtdrone_interaction.formation.flight_events import read_events
+from xtdrone_interaction.launching.feed import Feed, answers
+from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
+from xtdrone_interaction.monitoring.hints import advice, error_lines
+from xtdrone_interaction.monitoring.missing_nodes import not_joined
+from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
+from xtdrone_interaction.monitoring.startup import Startup
 from xtdrone_interaction.options import OptionError, check_master_port, free_port, repository
-from xtdrone_interaction.process_tree import ProcessTree
-from xtdrone_interaction.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.sim_cli import MASTER_FILE, announce
-from xtdrone_interaction.startup import Startup
 
 _POLL = 0.2  # s between two polls of the processes
 _LOGS_PERIOD = 1.0  # s between two reads of the logs

@@ -21,7 +21,7 @@ from scipy.spatial.distance import cdist
 
 from xtdrone_coordination.laws.assignment import Assignment
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.formation_geometry import Array, relative
+from xtdrone_interaction.formation.geometry import Array, relative
 from xtdrone_interaction.metrics.formation import measure
 from xtdrone_interaction.recording.formation import FormationRecord, PatternWindow
 from xtdrone_interaction.recording.model import RecordError

@@ -7,22 +7,24 @@ from types import SimpleNamespace
 
 import pytest
 
-from xtdrone_interaction import demo_launch
-from xtdrone_interaction.ended_nodes import EndedNodes
+from xtdrone_interaction.launching import supervised_launch
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     clock = SimpleNamespace(now=100.0)
-    monkeypatch.setattr(demo_launch.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(supervised_launch.time, "monotonic", lambda: clock.now)
     return clock
 
 
-def made(folder: Path) -> demo_launch.Watch:
+def made(folder: Path) -> supervised_launch.Watch:
     tree = SimpleNamespace(wait=lambda _: False)
     feed = SimpleNamespace(take=lambda _: [], lost=False)
     display = SimpleNamespace(note=lambda _: None, standstill=lambda _: None)
-    return demo_launch.Watch(tree, SimpleNamespace(out=folder), feed, display, EndedNodes(folder / "roslaunch.log"))
+    return supervised_launch.Watch(
+        tree, SimpleNamespace(out=folder), feed, display, EndedNodes(folder / "roslaunch.log")
+    )
 
 
 def test_time_in_which_the_watcher_itself_was_stopped_does_not_count(clock: SimpleNamespace, tmp_path: Path) -> None:
@@ -50,10 +52,10 @@ def test_a_flight_ends_when_the_simulator_drops_what_it_cannot_do_without(
     watch.running = lambda: next(looks, None) is not None  # type: ignore[method-assign]
     flight.events = lambda: [{"event": "done"}]
     if ends:
-        with pytest.raises(demo_launch.DemoError, match="cannot continue: mavros was dropped by the simulator"):
-            demo_launch._watch(watch, flight)
+        with pytest.raises(supervised_launch.DemoError, match="cannot continue: mavros was dropped by the simulator"):
+            supervised_launch._watch(watch, flight)
     else:
-        demo_launch._watch(watch, flight)
+        supervised_launch._watch(watch, flight)
 
 
 @pytest.mark.parametrize(("home", "moved"), [("/proc/self", True), ("", False)])
@@ -62,5 +64,5 @@ def test_nodes_run_where_they_can_when_the_home_cannot_be_written_to(
 ) -> None:
     monkeypatch.delenv("ROS_HOME", raising=False)
     monkeypatch.setenv("HOME", home or str(tmp_path))
-    environment = demo_launch.Launch("a.launch", {}, tmp_path, 11311, headless=True).environment()
+    environment = supervised_launch.Launch("a.launch", {}, tmp_path, 11311, headless=True).environment()
     assert environment.get("ROS_HOME") == (str(tmp_path / "logs") if moved else None)

@@ -14,10 +14,11 @@ from typing import Any
 from rich.console import Console
 
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.demo_launch import DemoError, Flight, escape, run_flight
-from xtdrone_interaction.ended_nodes import EndedNode, EndedNodes
-from xtdrone_interaction.formation_geometry import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.formation.geometry import EVENTS_TOPIC, PROGRESS_TOPIC
+from xtdrone_interaction.launching.supervised_launch import DemoError, Flight, escape, run_flight
 from xtdrone_interaction.metrics.formation import make_report, write_report
+from xtdrone_interaction.monitoring.ended_nodes import EndedNode, EndedNodes
+from xtdrone_interaction.monitoring.progress_display import Display
 from xtdrone_interaction.options import (
     DEFAULT_FOLLOWER,
     clearance_setting,
@@ -26,7 +27,6 @@ from xtdrone_interaction.options import (
     speed_setting,
     vehicles_setting,
 )
-from xtdrone_interaction.progress_display import Display
 from xtdrone_interaction.recording.formation import read_formation
 from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.report.terminal import print_formation, print_paths

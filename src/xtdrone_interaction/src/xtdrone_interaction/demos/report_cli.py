@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from xtdrone_interaction import formation_demo, search_demo
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.search_prepare import is_search
+from xtdrone_interaction.demos import formation_demo, search_demo
+from xtdrone_interaction.demos.search_prepare import is_search
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

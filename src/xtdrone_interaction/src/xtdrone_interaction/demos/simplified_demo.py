@@ -19,17 +19,12 @@ from rich.console import Console
 from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.follower import Follower
 from xtdrone_coordination.leader import Leader
-from xtdrone_interaction.compare_simulators import (
-    as_data,
-    compare,
-    print_comparison,
-    save_pictures,
-    with_assignments_of,
-)
-from xtdrone_interaction.demo_launch import DemoError, Interrupted, escape, raise_on_signals
-from xtdrone_interaction.formation_demo import DemoSettings, show_event
-from xtdrone_interaction.formation_demo import run_demo as run_ros_demo
+from xtdrone_interaction.demos.formation_demo import DemoSettings, show_event
+from xtdrone_interaction.demos.formation_demo import run_demo as run_ros_demo
+from xtdrone_interaction.formation.swarm_flight import FormationFlight, outcome_of
+from xtdrone_interaction.launching.supervised_launch import DemoError, Interrupted, escape, raise_on_signals
 from xtdrone_interaction.metrics.formation import make_report, write_report
+from xtdrone_interaction.monitoring.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.options import (
     MAX_SWARM,
     clearance_setting,
@@ -38,11 +33,16 @@ from xtdrone_interaction.options import (
     speed_setting,
     vehicles_setting,
 )
-from xtdrone_interaction.progress_display import Display, LineDisplay, LiveDisplay
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation, save_formation
 from xtdrone_interaction.recording.model import RecordError
+from xtdrone_interaction.report.compare_simulators import (
+    as_data,
+    compare,
+    print_comparison,
+    save_pictures,
+    with_assignments_of,
+)
 from xtdrone_interaction.report.terminal import print_formation
-from xtdrone_interaction.swarm_flight import FormationFlight, outcome_of
 
 if TYPE_CHECKING:
     from xtdrone_coordination.network import NetworkOptions

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from xtdrone_coordination.leader import CommandError
-from xtdrone_interaction.formation_geometry import ORIGIN, Array
-from xtdrone_interaction.formation_mission import CLEARANCE, SETTLE_LIMIT, FleetState, FormationMission, MissionError
+from xtdrone_interaction.formation.geometry import ORIGIN, Array
+from xtdrone_interaction.formation.mission import CLEARANCE, SETTLE_LIMIT, FleetState, FormationMission, MissionError
 from xtdrone_interaction.recording.formation import FormationRecord
 from xtdrone_interaction.recording.model import Change
 from xtdrone_interaction.recording.positions import FleetTrack

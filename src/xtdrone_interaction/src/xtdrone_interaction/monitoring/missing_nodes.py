@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from xtdrone_interaction.ended_nodes import SIMULATOR, EndedNode
+from xtdrone_interaction.monitoring.ended_nodes import SIMULATOR, EndedNode
 
 _NODE = re.compile(r"^    (?P<name>\S+) \((?P<package>[^/)]+)/(?P<program>[^)]+)\)$")
 _NAMESPACE = re.compile(r"^  (?P<name>/\S*)$")

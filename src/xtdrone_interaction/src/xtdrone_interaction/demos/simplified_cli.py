@@ -15,20 +15,20 @@ from xtdrone_coordination.leader import Leader
 from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.user_classes import load_class, nothing_overridden
 from xtdrone_interaction import options
-from xtdrone_interaction.compare_simulators import check_comparable
 from xtdrone_interaction.console import PatientConsole, run_reported
-from xtdrone_interaction.demo_launch import master_port
-from xtdrone_interaction.formation_demo import DemoSettings
-from xtdrone_interaction.formation_geometry import ORIGIN
-from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError, checked
-from xtdrone_interaction.recording.formation import FormationRecord, read_formation
-from xtdrone_interaction.simplified_demo import (
+from xtdrone_interaction.demos.formation_demo import DemoSettings
+from xtdrone_interaction.demos.simplified_demo import (
     MOST_COMPARED,
     FilmSettings,
     SwarmSettings,
     run_in_process,
     run_on_ros,
 )
+from xtdrone_interaction.formation.geometry import ORIGIN
+from xtdrone_interaction.launching.supervised_launch import master_port
+from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError, checked
+from xtdrone_interaction.recording.formation import FormationRecord, read_formation
+from xtdrone_interaction.report.compare_simulators import check_comparable
 
 WINDOW_SPEED = 10.0  # default real-time factor with a window
 _NETWORK = {  # option: unit, help

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from xtdrone_interaction.formation_geometry import ORIGIN, SETTLED_ERROR, Array, formation_error
+from xtdrone_interaction.formation.geometry import ORIGIN, SETTLED_ERROR, Array, formation_error
 
 Ticks = Iterator[None]
 

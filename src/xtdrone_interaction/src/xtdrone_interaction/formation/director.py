@@ -36,8 +36,8 @@ from std_msgs.msg import Float32MultiArray, String
 
 from xtdrone_control import lockstep
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction.flight_events import EventsFile
-from xtdrone_interaction.formation_geometry import (
+from xtdrone_interaction.formation.flight_events import EventsFile
+from xtdrone_interaction.formation.geometry import (
     ESTIMATE,
     EVENTS_TOPIC,
     PATTERN_TOPIC,
@@ -48,7 +48,7 @@ from xtdrone_interaction.formation_geometry import (
     least_distances,
     offsets_from_message,
 )
-from xtdrone_interaction.formation_mission import FleetState, FormationMission, MissionError
+from xtdrone_interaction.formation.mission import FleetState, FormationMission, MissionError
 
 RATE = 30.0  # Hz
 _PROGRESS_TICKS = 6  # 5 Hz of simulated time

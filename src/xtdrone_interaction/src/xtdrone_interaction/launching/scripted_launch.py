@@ -13,7 +13,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 from xtdrone_interaction import options
-from xtdrone_interaction.process_tree import end_descendants
+from xtdrone_interaction.launching.process_tree import end_descendants
 
 PATIENCE = 25.0  # s for roslaunch to stop its nodes
 NODE_PATIENCE = 8.0  # s for a node to stop

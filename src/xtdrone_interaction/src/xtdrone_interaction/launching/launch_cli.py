@@ -17,9 +17,11 @@ from rich.console import Console
 
 from xtdrone_control.fleet import INSTANCE_STEP, FleetError, instance_port
 from xtdrone_control.settings import Settings, setting
-from xtdrone_interaction import launch_file, options
+from xtdrone_interaction import options
 from xtdrone_interaction.console import PatientConsole
-from xtdrone_interaction.demo_launch import (
+from xtdrone_interaction.launching import launch_file
+from xtdrone_interaction.launching.launch_file import LaunchFile
+from xtdrone_interaction.launching.supervised_launch import (
     DemoError,
     Launch,
     Watch,
@@ -30,8 +32,7 @@ from xtdrone_interaction.demo_launch import (
     run_launch,
     watching,
 )
-from xtdrone_interaction.ended_nodes import EndedNodes
-from xtdrone_interaction.launch_file import LaunchFile
+from xtdrone_interaction.monitoring.ended_nodes import EndedNodes
 from xtdrone_interaction.options import OptionError, parse_instance
 
 _START_LIMIT = 60.0  # s of wall time without progress before it is ready

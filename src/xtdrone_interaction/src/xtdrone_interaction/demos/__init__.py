@@ -1,0 +1,1 @@
+"""The demos of ``./xtdrone demo``: the commands, their flights and their reports."""

@@ -1,0 +1,1 @@
+"""Run launch files: their own ROS master, their processes, and a clean end."""

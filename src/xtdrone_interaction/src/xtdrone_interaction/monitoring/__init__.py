@@ -1,0 +1,1 @@
+"""The state of a running launch, read from its logs and messages."""
