@@ -60,6 +60,32 @@ FORMATS: dict[str, Format] = {name: message_format(name) for name in NAMES}
 FILE, MAVLINK = 1, 2  # logger_status.backend
 
 
+def control_flags(mode: Mode, task: int) -> dict[str, bool]:
+    """Return the flags of vehicle_control_mode, after PX4 v1.14's ``getVehicleControlMode`` for a multirotor.
+
+    Args:
+        mode: flight mode.
+        task: ``TASK_...`` of the setpoint, by which OFFBOARD selects its controllers.
+    """
+    running = mode is not modes.TERMINATION
+    position = mode.needs_position and task not in (TASK_ATTITUDE, TASK_RATES)
+    altitude = position or mode is modes.ALTCTL
+    climb_rate = altitude or mode is modes.DESCEND
+    return {
+        "flag_control_manual_enabled": mode.sticks,
+        "flag_control_auto_enabled": mode.main == modes.MAIN_AUTO and mode is not modes.AUTO_FOLLOW_TARGET,
+        "flag_control_offboard_enabled": mode is modes.OFFBOARD,
+        "flag_control_termination_enabled": not running,
+        "flag_control_rates_enabled": running,
+        "flag_control_attitude_enabled": running and mode is not modes.ACRO and task != TASK_RATES,
+        "flag_control_velocity_enabled": position,
+        "flag_control_position_enabled": position,
+        "flag_control_altitude_enabled": altitude,
+        "flag_control_climb_rate_enabled": climb_rate,
+        "flag_multicopter_position_control_enabled": climb_rate,
+    }
+
+
 class StatusTopics:
     """Encoder of the status messages of one vehicle."""
 
@@ -203,20 +229,10 @@ class StatusTopics:
         self._emit("failsafe_flags", now_us)
 
     def _publish_control_mode(self, mode: Mode, now_us: int) -> None:
-        c = self._commander
-        task = int(c.view.setpoint["task"])
-        position = mode.needs_position and task not in (TASK_ATTITUDE, TASK_RATES)
-        altitude = position or mode in (modes.ALTCTL, modes.DESCEND)
         r = self._records["vehicle_control_mode"]
-        r["flag_armed"] = c.armed
-        r["flag_control_manual_enabled"] = bool(mode.flags & modes.MANUAL.flags & ~1)
-        r["flag_control_auto_enabled"] = mode.main == modes.MAIN_AUTO and mode is not modes.AUTO_FOLLOW_TARGET
-        r["flag_control_offboard_enabled"] = mode is modes.OFFBOARD
-        r["flag_control_rates_enabled"] = True
-        r["flag_control_attitude_enabled"] = mode is not modes.ACRO and task != TASK_RATES
-        r["flag_control_velocity_enabled"] = r["flag_control_position_enabled"] = position
-        r["flag_multicopter_position_control_enabled"] = altitude
-        r["flag_control_altitude_enabled"] = r["flag_control_climb_rate_enabled"] = altitude
+        r["flag_armed"] = self._commander.armed
+        for name, enabled in control_flags(mode, int(self._commander.view.setpoint["task"])).items():
+            r[name] = enabled
         self._emit("vehicle_control_mode", now_us)
 
     def _publish_battery(self, now_us: int) -> None:
