@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import inspect
-import sys
-from pathlib import Path
 from typing import TypeVar
 
 from xtdrone_control.program import ArgumentError
+from xtdrone_control.user_module import import_user_module
 
 _Base = TypeVar("_Base")
 
@@ -27,15 +24,7 @@ def load_class(text: str, base: type[_Base], what: str = "~class") -> type[_Base
     """
     place, _, name = text.partition(":")
     try:
-        if place.endswith(".py"):
-            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
-            assert spec is not None
-            assert spec.loader is not None
-            module = importlib.util.module_from_spec(spec)
-            sys.modules[spec.name] = module
-            spec.loader.exec_module(module)
-        else:
-            module = importlib.import_module(place)
+        module = import_user_module(place)
     except (Exception, SystemExit) as error:  # raised by the user's code
         raise ArgumentError(f"{what}: {place} cannot be imported: {type(error).__name__}: {error}") from error
     found = {

@@ -28,19 +28,15 @@ the ground with its motors off is not moved.
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import inspect
-import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.user_module import import_user_module
 from xtdrone_sim.physics.plant import ASLEEP, FREE, advance_rotors, integrate_free, rotor_wrench
 
 from .kernel import kernel
@@ -212,7 +208,7 @@ def _load_effect(entry: object, what: str) -> Effect:
     if not isinstance(place, str) or not path or not name or not isinstance(arguments, (Mapping, type(None))):
         raise EffectError(f"{what}: {entry!r} is not allowed, FILE.py:NAME, module:NAME or {{FILE.py:NAME: {{...}}}}")
     try:
-        found = getattr(_import(path), name)
+        found = getattr(import_user_module(path), name)
     except (Exception, SystemExit) as error:  # from the user's file
         raise EffectError(f"{what}: {place} cannot be loaded: {_described(error)}") from error
     if arguments is None and not inspect.isclass(found):
@@ -223,18 +219,6 @@ def _load_effect(entry: object, what: str) -> Effect:
     except Exception as error:
         raise EffectError(f"{what}: {place} with arguments {dict(arguments or {})}: {_described(error)}") from error
     return made
-
-
-def _import(path: str) -> ModuleType:
-    if not path.endswith(".py"):
-        return importlib.import_module(path)
-    spec = importlib.util.spec_from_file_location(Path(path).stem, Path(path).expanduser())
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def _names(effects: Sequence[Effect]) -> tuple[str, ...]:
