@@ -400,7 +400,7 @@ def test_arming_needs_a_stream_when_offboard_is_wanted(stack: Stack, gcs: Callab
     stack.wait_state(1, mode="AUTO.LAND")
     answer = stack.graph.call("/iris_1/mavros/cmd/arming", CommandBool, value=True)
     assert (answer.success, answer.result) == (False, mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
-    stack.log_has("mavros", "iris_1: FCU: Arming denied: The mode is none to arm in")
+    stack.log_has("mavros", "iris_1: FCU: Arming denied: Mode not suitable for arming")
     arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
     station.link.mav.command_long_send(2, 1, arm, 0, 2.0, *(0.0,) * 6)  # neither arm nor disarm: PX4 does not answer
     stack.log_has("mavros", "iris_1: FCU: Unsupported ARM_DISARM param: 2.000")

@@ -21,6 +21,7 @@ from xtdrone_control.autopilot.commander.failsafe import (
     can_run,
 )
 from xtdrone_control.autopilot.events import events
+from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE
 from xtdrone_control.autopilot.events.events import Event, event
 from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.autopilot.vehicle_view import VehicleView
@@ -40,17 +41,20 @@ class Check(NamedTuple):
 
     Attributes:
         name: name of PX4's event.
-        text: PX4's text of the event.
         level: log level, for example ``events.ERROR``.
         component: bit number of PX4's health_component_t.
         modes: bit mask of the navigation states in which the check prevents arming; 0 for a mere warning.
     """
 
     name: str
-    text: str
     level: int
     component: int
     modes: int
+
+    @property
+    def text(self) -> str:
+        """Message of the event."""
+        return CATALOGUE[self.name].message
 
 
 @dataclass(frozen=True)
@@ -111,65 +115,40 @@ def _mode_checks(flags: Flags, get: Get) -> list[Check]:
     """Return the unmet needs of the modes, as PX4's ModeChecks."""
     found = []
     if flags.attitude_invalid:
-        found.append(
-            Check(
-                "check_modes_attitude",
-                "No valid attitude estimate",
-                events.CRITICAL,
-                events.ATTITUDE_ESTIMATE,
-                _BY_NEED["attitude"],
-            )
-        )
+        found.append(Check("check_modes_attitude", events.CRITICAL, events.ATTITUDE_ESTIMATE, _BY_NEED["attitude"]))
     if flags.position_invalid:
         found.append(
             Check(
                 "check_modes_local_pos",
-                "No valid local position estimate",
                 events.ERROR,
                 events.LOCAL_POSITION,
                 _POSITIONED if flags.relaxed_position_invalid else _BY_NEED["position"],
             )
         )
     if flags.altitude_invalid:
-        found.append(
-            Check(
-                "check_modes_local_alt",
-                "No valid altitude estimate",
-                events.CRITICAL,
-                events.SYSTEM,
-                _BY_NEED["altitude"],
-            )
-        )
+        found.append(Check("check_modes_local_alt", events.CRITICAL, events.SYSTEM, _BY_NEED["altitude"]))
     if flags.mission_missing:
         concerned = _ALL_MODES if int(get("COM_ARM_MIS_REQ")) else _BY_NEED["mission"]
-        found.append(Check("check_modes_mission", "No valid mission available", events.INFO, events.SYSTEM, concerned))
+        found.append(Check("check_modes_mission", events.INFO, events.SYSTEM, concerned))
     if flags.offboard_lost:
-        found.append(
-            Check(
-                "check_modes_offboard_signal", "No offboard signal", events.ERROR, events.SYSTEM, _BY_NEED["offboard"]
-            )
-        )
+        found.append(Check("check_modes_offboard_signal", events.ERROR, events.SYSTEM, _BY_NEED["offboard"]))
     if flags.home_missing:
-        found.append(
-            Check("check_modes_home_position", "Home position not set", events.INFO, events.SYSTEM, _BY_NEED["home"])
-        )
+        found.append(Check("check_modes_home_position", events.INFO, events.SYSTEM, _BY_NEED["home"]))
     if flags.manual_lost:
         level = events.ERROR if int(get("COM_RC_IN_MODE")) == _STICKS_DISABLED else events.WARNING
-        found.append(
-            Check("check_modes_manual_control", "No manual control input", level, events.REMOTE_CONTROL, _BY_STICKS)
-        )
+        found.append(Check("check_modes_manual_control", level, events.REMOTE_CONTROL, _BY_STICKS))
     return found
 
 
 def _battery_checks(flags: Flags) -> list[Check]:
     if flags.battery_unhealthy:
-        return [Check("check_battery_unhealthy", "Battery unhealthy", events.ERROR, events.BATTERY, _ALL_MODES)]
-    name, text, level, concerned = {
-        BATTERY_LOW: ("check_battery_low", "Low battery", events.WARNING, 0),
-        BATTERY_CRITICAL: ("check_battery_critical", "Critical battery", events.CRITICAL, _ALL_MODES),
-        BATTERY_EMERGENCY: ("check_battery_emergency", "Emergency battery level", events.EMERGENCY, _ALL_MODES),
-    }.get(flags.battery, ("", "", events.INFO, 0))
-    return [Check(name, text, level, events.BATTERY, concerned)] if name else []
+        return [Check("check_battery_unhealthy", events.ERROR, events.BATTERY, _ALL_MODES)]
+    name, level, concerned = {
+        BATTERY_LOW: ("check_battery_low", events.WARNING, 0),
+        BATTERY_CRITICAL: ("check_battery_critical", events.CRITICAL, _ALL_MODES),
+        BATTERY_EMERGENCY: ("check_battery_emergency", events.EMERGENCY, _ALL_MODES),
+    }.get(flags.battery, ("", events.INFO, 0))
+    return [Check(name, level, events.BATTERY, concerned)] if name else []
 
 
 def _link_checks(flags: Flags, get: Get) -> list[Check]:
@@ -178,11 +157,7 @@ def _link_checks(flags: Flags, get: Get) -> list[Check]:
     needed = int(get("NAV_DLL_ACT")) > 0
     return [
         Check(
-            "check_rc_dl_no_dllink",
-            "No connection to the ground control station",
-            events.ERROR if needed else events.INFO,
-            events.LINKS,
-            _ALL_MODES if needed else 0,
+            "check_rc_dl_no_dllink", events.ERROR if needed else events.INFO, events.LINKS, _ALL_MODES if needed else 0
         )
     ]
 
@@ -190,21 +165,11 @@ def _link_checks(flags: Flags, get: Get) -> list[Check]:
 def _failure_checks(flags: Flags) -> list[Check]:
     found = []
     if flags.attitude_failure:
-        found.append(
-            Check(
-                "check_failure_detector_attitude",
-                "Attitude failure detected",
-                events.CRITICAL,
-                events.ATTITUDE_ESTIMATE,
-                _ALL_MODES,
-            )
-        )
+        found.append(Check("check_failure_detector_attitude", events.CRITICAL, events.ATTITUDE_ESTIMATE, _ALL_MODES))
     if flags.motor_failure:
-        found.append(
-            Check("check_failure_detector_motor", "Motor failure detected", events.CRITICAL, events.MOTORS, _ALL_MODES)
-        )
+        found.append(Check("check_failure_detector_motor", events.CRITICAL, events.MOTORS, _ALL_MODES))
     if flags.geofence:
-        found.append(Check("check_gf_violation", "Geofence violation", events.ERROR, events.SYSTEM, _ALL_MODES))
+        found.append(Check("check_gf_violation", events.ERROR, events.SYSTEM, _ALL_MODES))
     return found
 
 
@@ -248,11 +213,7 @@ class ArmingChecks:
         """
         found = []
         if not armed and mode.prevents_arming:
-            found.append(
-                Check(
-                    "check_modes_cannot_takeoff", "Mode not suitable for arming", events.INFO, events.SYSTEM, _UNARMABLE
-                )
-            )
+            found.append(Check("check_modes_cannot_takeoff", events.INFO, events.SYSTEM, _UNARMABLE))
         found += _mode_checks(flags, self._get)
         if not armed:
             found += self._estimator_checks()
@@ -265,25 +226,20 @@ class ArmingChecks:
     def _estimator_checks(self) -> list[Check]:
         get = self._get
         found = []
-        for ratio, limit, name, text, component in zip(
+        for ratio, limit, name, component in zip(
             self._ratios,
             ("COM_ARM_EKF_VEL", "COM_ARM_EKF_POS", "COM_ARM_EKF_HGT", "COM_ARM_EKF_YAW"),
             ("vel", "pos", "hgt", "heading"),
-            ("Velocity", "Position", "Height", "Heading"),
             (events.LOCAL_POSITION, events.LOCAL_POSITION, events.LOCAL_POSITION, events.ATTITUDE_ESTIMATE),
             strict=True,
         ):
             if ratio > get(limit):
-                text = f"{text} estimate not stable"
-                found.append(
-                    Check(f"check_estimator_{name}_not_stable", text, events.ERROR, component, _BY_NEED["position"])
-                )
+                found.append(Check(f"check_estimator_{name}_not_stable", events.ERROR, component, _BY_NEED["position"]))
         if self._view.sensors["gps_fix"] < _FIX_3D:
             needed = not int(get("COM_ARM_WO_GPS"))
             found.append(
                 Check(
                     "check_estimator_gps_fix_too_low",
-                    "GPS fix too low",
                     events.ERROR if needed else events.WARNING,
                     events.GPS,
                     _ALL_MODES if needed else 0,

@@ -19,7 +19,7 @@ from xtdrone_control.autopilot.commander.commander import ArmReason
 from xtdrone_control.autopilot.commander.failsafe import Action, Cause
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.event_catalogue import CATALOGUE, ENUM_TYPES, Definition
-from xtdrone_control.autopilot.events.event_words import ACTIONS, CAUSES, MODES
+from xtdrone_control.autopilot.events.event_texts import ACTIONS, CAUSES, MODES
 from xtdrone_control.autopilot.events.events import event_id
 from xtdrone_control.autopilot.parameters.parameter_choices import AT_START, BITS, CHOICES, FIXED
 from xtdrone_control.autopilot.parameters.parameters import INT32, NAMES, Parameter, Parameters, describe

@@ -11,7 +11,7 @@ import struct
 from typing import Any, NamedTuple
 
 from xtdrone_control.autopilot import modes
-from xtdrone_control.autopilot.events import event_words
+from xtdrone_control.autopilot.events import event_texts
 from xtdrone_control.autopilot.events.event_catalogue import HEALTH, WITH_CHECKS, Definition
 from xtdrone_control.autopilot.events.events import ERROR
 
@@ -70,7 +70,7 @@ class Refusals:
             event: the message.
             now_ns: ROS time.
         """
-        definition = event_words.definition_of(event.id)
+        definition = event_texts.definition_of(event.id)
         name = definition.name if definition else ""
         if name == _SUMMARY:
             self._coming = []
@@ -102,7 +102,7 @@ class Refusals:
 
     def _describe(self, event: Any, definition: Definition, now_ns: int) -> list[Line]:
         values = definition.layout.unpack_from(bytes(event.arguments))
-        words, level = event_words.render_message(definition, values), event.log_levels & 0xF
+        words, level = event_texts.render_message(definition, values), event.log_levels & 0xF
         if definition.kind != WITH_CHECKS:
             return [(level, words)]
         mode = modes.from_custom_mode(values[0])
