@@ -9,6 +9,7 @@ import pytest
 
 from xtdrone_control.communication.core import CommandSettings
 from xtdrone_control.settings import Settings
+from xtdrone_coordination.network import NetworkOptions
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_interaction.formation.director import DirectorSettings
 from xtdrone_interaction.rviz.markers_node import MarkerSettings
@@ -45,6 +46,7 @@ CLASSES: dict[str, type[Settings]] = {
         TrackingOptions,
         FollowSettings,
         MissionSettings,
+        NetworkOptions,
         DirectorSettings,
         MarkerSettings,
     )

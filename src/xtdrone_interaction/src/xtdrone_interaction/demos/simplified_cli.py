@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,18 +25,12 @@ from xtdrone_interaction.demos.simplified_demo import (
 )
 from xtdrone_interaction.formation.geometry import ORIGIN
 from xtdrone_interaction.launching.supervised_launch import master_port
-from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError, checked
+from xtdrone_interaction.options import DEFAULT_FOLLOWER, MachineSettings, OptionError
 from xtdrone_interaction.recording.formation import FormationRecord, read_formation
 from xtdrone_interaction.report.compare_simulators import check_comparable
 
 WINDOW_SPEED = 10.0  # default real-time factor with a window
-_NETWORK = {  # option: unit, help
-    "range": ("m", "range of the radio between vehicles"),
-    "delay": ("S", "time from transmission to arrival"),
-    "jitter": ("S", "maximum random addition to the delay of each message"),
-    "loss": ("PART", "probability that a message is lost, 0 to 1"),
-    "bandwidth": ("BIT/S", "capacity of the radio channel at any one place"),
-}
+_NETWORK = ("range", "delay", "jitter", "loss", "bandwidth")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,23 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--compare-with", type=Path, metavar="FILE",
         help="compare with a recorded flight instead: flight.bag of './xtdrone demo formation'")  # fmt: skip
     network = parser.add_argument_group("network", "Communication between the vehicles; only with --without-ros.")
-    for name, (unit, meaning) in _NETWORK.items():
-        network.add_argument(f"--{name}", type=checked(_number(name)), metavar=unit, help=meaning)
+    NetworkOptions.add_arguments(network, _NETWORK)
     add("--processes", choices=["per-uav", "shared"], default="per-uav",
         help="on ROS: a process per vehicle and role, or one per role (default: %(default)s)")  # fmt: skip
     SwarmSettings.add_arguments(parser, ("headless",))
     add("--out", type=Path, metavar="FOLDER", help="new folder for the results (default: runs/<time>)")
     options.add_master(parser)
-
-
-def _number(name: str) -> Callable[[str], float]:
-    def check(text: str) -> float:
-        try:
-            return float(text)
-        except ValueError:
-            raise OptionError(f"{name}: {text!r} is not a number") from None
-
-    return check
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -152,7 +134,7 @@ def ros_settings(arguments: argparse.Namespace, settings: SwarmSettings, film: F
             f"number of vehicles: '{settings.n}' is not allowed on ROS, 2 to {MAX_VEHICLES}; --without-ros flies more"
         )
     for name in _NETWORK:
-        if getattr(arguments, name) is not None:
+        if hasattr(arguments, name):
             raise OptionError(f"{name}: --{name} is available in one process only; add --without-ros")
     follower, follower_class = options.follower_program(arguments.follower)
     parse_fleet(f"{settings.kind}:{settings.n}")  # binds no port: there is no MAVLink
@@ -189,8 +171,9 @@ def _follower(text: str) -> type[Follower]:
 
 
 def _network(arguments: argparse.Namespace) -> NetworkOptions | None:
-    given = {name: getattr(arguments, name) for name in _NETWORK if getattr(arguments, name) is not None}
-    return NetworkOptions(**given) if given else None
+    if not any(hasattr(arguments, name) for name in _NETWORK):
+        return None
+    return NetworkOptions.from_arguments(arguments)
 
 
 def _compare(arguments: argparse.Namespace, count: int) -> bool:
