@@ -1,4 +1,4 @@
-# To be sourced: the environment in which the workspace runs. Another ROS or Python of the user's stays out of it.
+# Source this file: it sets the environment of the workspace, without the user's other ROS or Python installations.
 
 xtdrone_root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 
@@ -17,7 +17,7 @@ fi
 # catkin's set-up scripts read variables that may not be set.
 xtdrone_nounset="$(shopt -po nounset || true)"
 set +u
-# In a function, so that catkin's script does not take this script's arguments for its own.
+# In a function, so that catkin's script does not read this script's arguments.
 xtdrone_source() {
   # shellcheck disable=SC1091
   source "$xtdrone_root/devel/setup.bash"
@@ -32,7 +32,7 @@ export PATH="$VIRTUAL_ENV/bin:$PATH"
 # The packages beside src/, benchmarks and validation, are not built.
 export PYTHONPATH="${PYTHONPATH:+$PYTHONPATH:}$xtdrone_root"
 
-# Compiled kernels are kept in the user's cache; where they cannot be, every start would take minutes.
+# Compiled kernels are kept in the user's cache; without it, every start would take minutes.
 xtdrone_cache="${XDG_CACHE_HOME:-${HOME:-$(echo ~)}/.cache}"
 if ! mkdir -p "$xtdrone_cache/xtdrone" 2>/dev/null || [[ ! -w $xtdrone_cache/xtdrone ]]; then
   export XDG_CACHE_HOME="$xtdrone_root/.setup/cache"
@@ -40,8 +40,8 @@ if ! mkdir -p "$xtdrone_cache/xtdrone" 2>/dev/null || [[ ! -w $xtdrone_cache/xtd
 fi
 unset xtdrone_cache
 
-# Neither ROS nor MAVLink asks who calls (docs/multi-machine.md), so master and nodes listen on this machine alone unless
-# an address is named. A master on another machine has to call back, at an address that only the user knows.
+# ROS and MAVLink do not authenticate clients (docs/multi-machine.md), so master and nodes listen on this machine only,
+# unless an address is given. A master on another machine connects back to an address that only the user knows.
 if [[ -z ${ROS_IP:-}${ROS_HOSTNAME:-} ]]; then
   if [[ ${ROS_MASTER_URI:-http://localhost} =~ ^https?://(localhost|127\.[0-9.]+|\[::1\])(:|/|$) ]]; then
     export ROS_IP=127.0.0.1

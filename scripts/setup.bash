@@ -1,10 +1,10 @@
-# To be sourced by ../xtdrone: installs and builds what is missing. Needs `root` to be the repository's folder.
+# Sourced by ../xtdrone: installs and builds missing parts. `root` is the repository's folder.
 
 # shellcheck disable=SC2154
 readonly state_dir="$root/.setup"
 readonly venv="$root/.venv"
 
-# ---- saying what happens
+# ---- messages and logs
 
 say() {
   echo "xtdrone: $*"
@@ -16,10 +16,10 @@ fail() {
   exit 1
 }
 
-# Prints the last line of a log every so often until it is killed: in place on a terminal, rarely elsewhere.
+# Prints the last line of a log periodically until it is killed: in place on a terminal, rarely otherwise.
 watch_log() {
   local log="$1" began=$SECONDS line quiet
-  # A pipe on which nothing ever comes: waiting on it starts no process that would outlive this one.
+  # A pipe without a writer: waiting on it starts no process that would outlive this one.
   exec {quiet}<> <(:)
   while :; do
     if [[ -t 1 ]]; then
@@ -57,7 +57,7 @@ logged() {
   return "$status"
 }
 
-# A tree that was set up by root but belongs to somebody else stays that somebody's. What is not there is passed over.
+# After a set-up by root, gives files in a tree of another user to that user; missing paths are skipped.
 hand_over() {
   [[ $EUID -eq 0 && $(stat -c %u "$root") -ne 0 ]] || return 0
   local path
@@ -66,11 +66,11 @@ hand_over() {
   done
 }
 
-# The build's tools (catkin, roslaunch) take a blank in the path for its end, and other characters for their own.
+# The build's tools (catkin, roslaunch) end a path at a blank, and interpret other characters.
 check_place() {
   local strange="${root//[^][:space:]\"\'\`\\$&;:()<>|*?{\}!#%[]/}"
   [[ -z $strange ]] ||
-    fail "the folder '$root' has '${strange:0:1}' in its path, which ROS's build cannot take; move or clone it to another"
+    fail "the folder '$root' has '${strange:0:1}' in its path, which ROS's build does not support; move or clone it to another"
   [[ -w $root ]] || fail "the folder $root cannot be written to by $(id -un); clone the repository to a folder of your own"
 }
 
@@ -83,7 +83,7 @@ list_packages() {
 missing_packages() {
   local wanted
   mapfile -t wanted < <(list_packages)
-  # dpkg-query complains about packages it has never heard of: they are missing like the others.
+  # dpkg-query prints an error for unknown packages: they are missing, too.
   comm -23 <(printf '%s\n' "${wanted[@]}" | sort -u) \
     <(dpkg-query -W -f '${db:Status-Status} ${Package}\n' "${wanted[@]}" 2>/dev/null | sed -n 's/^installed //p' | sort -u)
 }
@@ -96,12 +96,12 @@ as_root() {
   fi
 }
 
-# Root's rights, or a message that says what to do without them.
+# Obtains root's rights, or fails with the command to run as root.
 need_root() {
   [[ $EUID -ne 0 ]] || return 0
   local way="have root run: apt-get update && apt-get install -y --no-install-recommends $*"
   command -v sudo >/dev/null || fail "Debian packages are missing, you are not root and there is no sudo; $way"
-  # A password is asked for here, where a person sees it: in the steps that follow the output goes to a log.
+  # Ask for the password here, on the terminal: the output of the following steps goes to a log.
   sudo -n true 2>/dev/null || { [[ -t 0 ]] && sudo -v; } || fail "Debian packages are missing and sudo refuses; $way"
 }
 
@@ -119,7 +119,7 @@ install_packages() {
   need_root "${missing[@]}"
   say "Debian packages: reading the package lists"
   logged apt-update apt update || fail "the package lists could not be read; is there a network?"
-  # An installation that was interrupted leaves packages that must be configured before anything else is.
+  # After an interrupted installation, unpacked packages must be configured first.
   logged dpkg-configure as_root DEBIAN_FRONTEND=noninteractive dpkg --configure -a || fail "dpkg could not be repaired"
   say "Debian packages: installing ${#missing[@]}: ${missing[*]}"
   logged apt-install apt install -y --no-install-recommends "${missing[@]}" ||
@@ -140,13 +140,13 @@ install_python() {
   hand_over "$venv"
 }
 
-# The environment names its own folder in many files, so one that was moved is made again.
+# A virtual environment has its folder's path in many files, so after a move it is created again.
 make_venv() {
   local stamp="$venv/.made-for"
   [[ ! -f $stamp || $(<"$stamp") != "$venv" || ! -x $venv/bin/python ]] || return 0
-  say "Python packages: making the virtual environment .venv"
+  say "Python packages: creating the virtual environment .venv"
   rm -rf "$venv"
-  logged venv /usr/bin/python3 -m venv --system-site-packages "$venv" || fail "no virtual environment could be made"
+  logged venv /usr/bin/python3 -m venv --system-site-packages "$venv" || fail "the virtual environment could not be created"
   printf '%s' "$venv" >"$stamp"
 }
 
@@ -161,13 +161,13 @@ digest() {
   (
     cd "$root" || exit
     find CMakeLists.txt src -type f \( -false "${tests[@]}" \) -print0 | LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum
-    # A node's content is read when it starts; only its name matters to the build.
+    # The build depends on a node's name only; its content is read at its start.
     find src -type f \( -path '*/nodes/*' -o -path '*/examples/*.py' \) ! -name '*.pyc' | LC_ALL=C sort | sha256sum
   )
 }
 
 configure_and_make() {
-  # Another ROS or Python of the user's must not get into what catkin writes down.
+  # The user's other ROS or Python installations must not get into catkin's files.
   local clean=(env -u PYTHONPATH -u PYTHONHOME -u ROS_PACKAGE_PATH -u CMAKE_PREFIX_PATH -u LD_LIBRARY_PATH
     PATH="$venv/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin")
   "${clean[@]}" cmake -S "$root" -B "$root/build" &&
@@ -179,7 +179,7 @@ build_workspace() {
   want="$root $(digest CMakeLists.txt package.xml setup.py '*.msg' '*.srv' '*.action' '*.cpp' '*.h')"
   [[ ! -f $stamp || ! -f $root/devel/setup.bash || $(<"$stamp") != "$want" ]] || return 0
   say "workspace: building"
-  # CMake refuses a build folder that was made elsewhere.
+  # CMake rejects a build folder that was created elsewhere.
   if [[ -f $root/build/CMakeCache.txt ]] && ! grep -qxF "CMAKE_HOME_DIRECTORY:INTERNAL=$root" "$root/build/CMakeCache.txt"; then
     rm -rf "$root/build" "$root/devel"
   fi
@@ -191,7 +191,7 @@ build_workspace() {
 
 # ---- kernels
 
-# Compiles the numba kernels ahead, so that the first flight does not wait for them.
+# Compiles the numba kernels in advance, so that the first flight does not wait for them.
 prepare_kernels() {
   local stamp="$state_dir/prepared" want
   want="$(digest '*.py')"
@@ -222,15 +222,15 @@ write_completion() {
   fi
 }
 
-# ---- all of it
+# ---- entry point
 
-# set_up COMMAND: what this command needs.
+# set_up COMMAND: installs and builds the parts that the command needs.
 set_up() {
   check_place
   mkdir -p "$state_dir/logs"
   exec 9>"$state_dir/lock"
   if ! flock -n 9; then
-    say "another set-up is at work in this folder; waiting for it"
+    say "another set-up is running in this folder; waiting for it"
     flock 9
   fi
   install_packages

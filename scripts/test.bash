@@ -5,7 +5,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 
 worst=0
 
-# Runs one check after saying its name, and remembers how it ended.
+# Prints the name of a check, runs it and keeps the worst status.
 check() {
   local title="$1" status=0
   shift
@@ -22,17 +22,17 @@ check "mypy" mypy
 ((${#cpp[@]} == 0)) || check "clang-format" clang-format --dry-run --Werror "${cpp[@]}"
 lint=$worst
 ((lint == 0)) || echo "== a check above failed (status $lint); the tests run all the same"
-# Tests that fail are run once more, by themselves: a machine that stood still for a while is no fault of theirs. What
-# passes then is named, for it is unsteady and is to be mended.
+# Runs failed tests a second time, alone, because the machine may have been suspended. Tests that pass then are listed:
+# they are unstable and need a fix.
 run_tests() {
   local status=0 names
-  # pybullet prints through C's own buffer, which empties after pytest's closing line unless it is kept by the line.
+  # pybullet prints through C's buffer, which is flushed after pytest's last line unless it is line-buffered.
   stdbuf -oL python -m pytest "$@" || status=$?
   ((status == 1)) || return "$status"
   names="$(python -m pytest --collect-only -q --last-failed "$@" 2>/dev/null | grep :: | head -n 20 || true)"
-  echo "== pytest: once more what failed"
+  echo "== pytest: second run of the failed tests"
   stdbuf -oL python -m pytest --last-failed "$@" || return
-  echo "== pytest: failed once and passed alone, to be mended:"
+  echo "== pytest: failed once and passed alone; unstable:"
   printf '%s\n' "$names"
 }
 check "pytest" run_tests "$@"

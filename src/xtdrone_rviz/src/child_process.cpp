@@ -18,13 +18,13 @@ namespace {
   throw ProcessError(program + ": cannot be started: " + std::strerror(number));
 }
 
-/// What happens in the child between fork and exec: only calls that are safe there. Returns only on failure.
+/// Runs in the child between fork and exec, with async-signal-safe calls only. Returns only on failure.
 void become(char* const* arguments, int input, int output, int log, bool dies_with_parent, pid_t parent) {
   setsid();
   if (dies_with_parent) {
     prctl(PR_SET_PDEATHSIG, SIGTERM);
     if (getppid() != parent) {
-      _exit(1);  // it died before the kernel knew
+      _exit(1);  // the parent died before the signal was set
     }
   }
   dup2(input, STDIN_FILENO);
@@ -54,7 +54,7 @@ ChildProcess::ChildProcess(const std::vector<std::string>& command, Pipe pipe, b
   arguments.push_back(nullptr);
 
   int ends[2] = {-1, -1};
-  int report[2];  // tells why exec failed, and closes when it succeeded
+  int report[2];  // carries the error of exec; closes when exec succeeds
   if ((pipe != Pipe::NONE && pipe2(ends, O_CLOEXEC) != 0) || pipe2(report, O_CLOEXEC) != 0) {
     fail(command[0], errno);
   }
@@ -136,7 +136,7 @@ void ChildProcess::stop(double patience) {
     return;
   }
   kill(pid_, SIGTERM);
-  // The kernel tells of a child's end by a descriptor.
+  // A pidfd becomes readable when the child ends.
   const int descriptor = static_cast<int>(syscall(SYS_pidfd_open, pid_, 0));
   if (descriptor >= 0) {
     pollfd watched{descriptor, POLLIN, 0};

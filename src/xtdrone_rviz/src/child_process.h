@@ -1,4 +1,4 @@
-/// Programs that this node starts and that do not outlive it.
+/// Programs started by this node, which end with it.
 #pragma once
 
 #include <sys/types.h>
@@ -9,17 +9,17 @@
 
 namespace xtdrone_rviz {
 
-/// A program that cannot be started, or has failed; the text says which and why.
+/// A program cannot be started or has failed; the text names it and the reason.
 class ProcessError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// A child process in a session of its own, so that Ctrl-C is for this node, which then ends it in its own time. The
-/// kernel ends it when this process dies by whatever cause.
+/// A child process in a separate session, so that Ctrl-C reaches only this node, which then ends the child. The kernel
+/// ends it when this process dies.
 class ChildProcess {
  public:
-  /// How a pipe between the two is used.
+  /// Use of a pipe between the two.
   enum class Pipe {
     NONE,
     TO_INPUT,         ///< this node writes, the child reads it as its standard input
@@ -27,24 +27,24 @@ class ChildProcess {
   };
   static constexpr int CHILD_DESCRIPTOR = 3;
 
-  /// Starts `command`, found on PATH. Its standard error goes to `log`, or nowhere.
+  /// Starts `command`, found on PATH. Its standard error goes to `log`; empty: discarded.
   ///
-  /// @param dies_with_parent  SIGTERM for the child when this process dies; else it must end by itself.
-  /// @throws ProcessError  It is not there or cannot be started.
+  /// @param dies_with_parent  send SIGTERM to the child when this process dies; otherwise the child must end by itself.
+  /// @throws ProcessError  The program does not exist or cannot be started.
   ChildProcess(const std::vector<std::string>& command, Pipe pipe, bool dies_with_parent, const std::string& log = "");
   ~ChildProcess();
   ChildProcess(const ChildProcess&) = delete;
   ChildProcess& operator=(const ChildProcess&) = delete;
 
-  /// This node's end of the pipe.
+  /// Returns this node's end of the pipe.
   int descriptor() const { return descriptor_; }
   /// Closes this node's end of the pipe.
   void closePipe();
-  /// Whether it runs.
+  /// Returns whether the child runs.
   bool alive();
-  /// Waits for its end and returns its status: the exit status, or 128 + the signal that ended it.
+  /// Waits for the child's end and returns its exit status, or 128 + the signal that ended it.
   int wait();
-  /// Ends it: SIGTERM, and SIGKILL after `patience` wall seconds.
+  /// Ends the child: SIGTERM, and SIGKILL after `patience` wall seconds.
   void stop(double patience = 5.0);
 
  private:

@@ -19,7 +19,7 @@ std::string number(double value) {
   return text.str();
 }
 
-/// Returns the path with a prefix to the file's name, which hides it.
+/// Returns the path with a dot before the file's name, which hides it.
 std::string hidden(const std::string& path, const std::string& ending) {
   const auto slash = path.rfind('/');
   const auto name = slash == std::string::npos ? 0 : slash + 1;
@@ -33,7 +33,7 @@ Film::Film(const std::string& path, unsigned width, unsigned height, double fps)
   if (!std::ofstream(part_)) {
     throw std::runtime_error("film " + path_ + ": cannot be written: " + std::strerror(errno));
   }
-  std::signal(SIGPIPE, SIG_IGN);  // ffmpeg's end is noticed by write
+  std::signal(SIGPIPE, SIG_IGN);  // write reports ffmpeg's end
   const std::string size = std::to_string(width) + "x" + std::to_string(height);
   try {
     encoder_ = std::make_unique<ChildProcess>(std::vector<std::string>{"ffmpeg",
@@ -78,7 +78,7 @@ Film::Film(const std::string& path, unsigned width, unsigned height, double fps)
 
 Film::~Film() {
   if (encoder_) {
-    encoder_.reset();  // which closes its pipe first: ffmpeg does not heed a signal while it waits for a picture
+    encoder_.reset();  // closes its pipe first: ffmpeg ignores signals while it waits for a picture
     std::remove(part_.c_str());
   }
   std::remove(log_.c_str());

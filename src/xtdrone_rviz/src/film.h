@@ -1,4 +1,4 @@
-/// A film that grows picture by picture.
+/// A film written picture by picture.
 #pragma once
 
 #include <memory>
@@ -9,21 +9,22 @@
 
 namespace xtdrone_rviz {
 
-/// An MP4 (H.264, 4:2:0) by ffmpeg, which reads raw pictures from a pipe. It is written beside its place and put there
-/// by finish(), so that a film which is there can be read. If this process dies, ffmpeg still finishes what it has.
+/// An MP4 (H.264, 4:2:0) by ffmpeg, which reads raw pictures from a pipe. It is written to a hidden file and moved to
+/// its path by finish(), so that a film at its path is complete. If this process dies, ffmpeg still finishes the film
+/// so far.
 class Film {
  public:
   /// @param path  Ends with .mp4.
-  /// @param fps   Pictures a second when it is played.
-  /// @throws ProcessError        No ffmpeg.
-  /// @throws std::runtime_error  The film cannot be written there.
+  /// @param fps   Pictures per second.
+  /// @throws ProcessError        ffmpeg is not installed.
+  /// @throws std::runtime_error  The film cannot be written.
   Film(const std::string& path, unsigned width, unsigned height, double fps);
-  /// Drops a film that was not finished.
+  /// Deletes an unfinished film.
   ~Film();
 
-  /// @throws std::runtime_error  ffmpeg has ended, as on a full disk; the text has its last words.
+  /// @throws std::runtime_error  ffmpeg has ended, for example on a full disk; the text has its last output.
   void add(const Picture& picture);
-  /// Puts the film into its place.
+  /// Moves the film to its path.
   ///
   /// @throws std::runtime_error  ffmpeg has failed.
   void finish();

@@ -10,7 +10,7 @@
 namespace xtdrone_rviz {
 
 bool Picture::plain() const {
-  // All equal exactly if the picture equals itself a pixel further on.
+  // All pixels are equal if and only if the picture equals itself shifted by one pixel.
   return data.size() <= 3 || std::memcmp(data.data(), data.data() + 3, data.size() - 3) == 0;
 }
 

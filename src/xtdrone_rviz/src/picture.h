@@ -1,4 +1,4 @@
-/// A picture in memory, and as a file.
+/// Pictures in memory and PNG files.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,7 @@
 
 namespace xtdrone_rviz {
 
-/// RGB, 8 bits a channel, rows from the top, without gaps.
+/// RGB, 8 bits per channel, rows from the top, without padding.
 struct Picture {
   unsigned width = 0;
   unsigned height = 0;
@@ -15,11 +15,11 @@ struct Picture {
 
   Picture(unsigned width_, unsigned height_) : width(width_), height(height_), data(3UL * width_ * height_) {}
 
-  /// Whether every pixel has the same colour: a view that shows nothing.
+  /// Returns whether every pixel has the same colour, as in an empty view.
   bool plain() const;
 };
 
-/// Writes a PNG file; it is there whole or not at all.
+/// Writes a PNG file atomically.
 ///
 /// @throws std::runtime_error  The file cannot be written.
 void writePng(const Picture& picture, const std::string& path);

@@ -3,20 +3,20 @@
 ///
 /// Parameters:
 ///   ~config: the .rviz file.
-///   ~rate (Hz of simulated time, 0.1 to 50, default 30): frames a simulated second.
+///   ~rate (Hz of simulated time, 0.1 to 50, default 30): frames per simulated second.
 ///   ~width, ~height (pixels, 64 to 4096, default 1280 and 720).
-///   ~antialiasing (default true): smooth edges, which takes about half of the time.
+///   ~antialiasing (default true): smooth edges, about half of the drawing time.
 ///   ~film: file that ends with .mp4; empty: none.
-///   ~fps (0.1 to 120, default ~rate): frames a second of the film when it is played.
-///   ~frames: folder, which is there, for a PNG of each frame, 000000.png and so on; empty: none.
-///   ~display: an X display that is there, as :0; empty: an Xvfb of its own, which ends with it.
+///   ~fps (0.1 to 120, default ~rate): frame rate of the film.
+///   ~frames: existing folder for a PNG of each frame, 000000.png and so on; empty: none.
+///   ~display: an existing X display, such as :0; empty: a separate Xvfb, which ends with the node.
 ///
 /// Topics (out):
-///   ~image (sensor_msgs/Image, rgb8): a frame. Its stamp is that of the newest /tf that it shows.
-///   ~camera_info (sensor_msgs/CameraInfo), ~camera_pose (geometry_msgs/PoseStamped): the view's camera, and where its
-///   optical frame is in the fixed frame. All three only while somebody listens to ~image.
+///   ~image (sensor_msgs/Image, rgb8): a frame, stamped with the newest /tf that it shows.
+///   ~camera_info (sensor_msgs/CameraInfo), ~camera_pose (geometry_msgs/PoseStamped): the view's camera, and the
+///   pose of its optical frame in the fixed frame. All three only while ~image has subscribers.
 ///
-/// The first frame is drawn when TF knows the configuration's fixed frame. Exit status: 0, 1 when it cannot go on,
+/// The first frame is drawn when TF knows the configuration's fixed frame. Exit status: 0, 1 after a failure,
 /// 2 for a parameter or a configuration that is not allowed.
 
 #include <X11/Xlib.h>
@@ -53,11 +53,11 @@ namespace {
 
 const char* const NAME = "rviz_offscreen";
 constexpr double DISPLAY_LIMIT = 30.0;  // wall s for Xvfb to start
-constexpr double FRAME_LIMIT = 5.0;     // simulated s without the fixed frame, then a word
+constexpr double FRAME_LIMIT = 5.0;     // simulated s without the fixed frame before a warning
 
 /// Starts an X server that draws into memory, and makes it this process's display.
 ///
-/// @throws DisplayError  There is none, or it does not start.
+/// @throws DisplayError  Xvfb is not installed, or does not start.
 std::unique_ptr<ChildProcess> startDisplay(unsigned width, unsigned height) {
   const std::string screen = std::to_string(width) + "x" + std::to_string(height) + "x24";
   std::unique_ptr<ChildProcess> server;
@@ -70,7 +70,7 @@ std::unique_ptr<ChildProcess> startDisplay(unsigned width, unsigned height) {
     throw DisplayError(std::string(error.what()) +
                        "; install it (Debian: apt-get install xvfb), or name a display by ~display");
   }
-  // It writes the number that it has chosen when it is ready.
+  // Xvfb writes its display number when it is ready.
   std::string number;
   for (char next = 0; next != '\n';) {
     pollfd watched{server->descriptor(), POLLIN, 0};
@@ -85,9 +85,9 @@ std::unique_ptr<ChildProcess> startDisplay(unsigned width, unsigned height) {
   return server;
 }
 
-/// Makes an X server that runs already this process's display.
+/// Makes a running X server this process's display.
 ///
-/// @throws DisplayError  None answers there. (Qt would abort.)
+/// @throws DisplayError  The server does not respond. (Qt would abort.)
 void useDisplay(const std::string& name) {
   Display* const connection = XOpenDisplay(name.c_str());
   if (connection == nullptr) {
@@ -97,7 +97,7 @@ void useDisplay(const std::string& name) {
   setenv("DISPLAY", name.c_str(), 1);
 }
 
-/// Writes frames wherever they are wanted.
+/// Writes frames to the topics, the folder and the film.
 class Recorder {
  public:
   explicit Recorder(const Settings& settings) : settings_(settings) {
@@ -116,7 +116,7 @@ class Recorder {
     });
   }
 
-  /// What there is of the film is kept, whatever ends the node.
+  /// Keeps the film so far when the node ends for any reason.
   ~Recorder() {
     at_exit = nullptr;
     tryToFinish();
@@ -141,7 +141,7 @@ class Recorder {
     ++count_;
   }
 
-  /// Puts the film into its place, once.
+  /// Moves the film to its final path, once.
   void finish() {
     const auto film = std::move(film_);
     if (film && count_ > 0) {
@@ -160,7 +160,7 @@ class Recorder {
     }
   }
 
-  /// The one whose film is finished when the process ends by exit(), as Xlib has it when the X server dies.
+  /// The recorder whose film is finished at exit(), which Xlib calls when the X server dies.
   static Recorder* at_exit;
 
   const Settings settings_;
@@ -205,7 +205,7 @@ class OffscreenNode {
       complain();
       return;
     }
-    if (after_reset_) {  // rviz notices by itself too, and forgets what has come in this turn
+    if (after_reset_) {  // rviz detects the reset, too, and drops the messages of this turn
       after_reset_ = false;
       return;
     }
@@ -278,7 +278,7 @@ class OffscreenNode {
 };
 
 int run(int argc, char** argv) {
-  // This alone registers nothing: a wrong parameter must not end the node that has this name now.
+  // This registers nothing yet: an invalid parameter must not shut down the node that has this name.
   ros::init(argc, argv, NAME, ros::init_options::NoSigintHandler);
   if (!ros::master::check()) {
     std::cerr << "no ROS master at " << ros::master::getURI() << ": start roscore or a launch file first" << std::endl;

@@ -32,10 +32,10 @@ namespace xtdrone_rviz {
 namespace {
 
 const char* const MANAGER = "Visualization Manager";
-constexpr double RELAY_LIMIT = 10.0;  // wall s for a message to go round within the process
+constexpr double RELAY_LIMIT = 10.0;  // wall s for a message to pass through the process
 constexpr double RELAY_SLICE = 0.1;   // wall s
 constexpr int SIZE_ROUNDS = 3;
-constexpr int MOST_ROUNDS = 20;  // of callbacks that bring callbacks, as filters do
+constexpr int MOST_ROUNDS = 20;  // of callbacks that queue callbacks, as filters do
 
 std::string text(const QString& words) { return words.toStdString(); }
 
@@ -48,7 +48,7 @@ bool endsWith(const std::string& word, const std::string& end) {
   return word.size() >= end.size() && word.compare(word.size() - end.size(), end.size(), end) == 0;
 }
 
-/// Calls `visit` with each display of a configuration, those in groups too.
+/// Calls `visit` with each display of a configuration, including those in groups.
 template <class Visit>
 void forEachDisplay(const rviz::Config& parent, const Visit& visit) {
   const rviz::Config displays = parent.mapGetChild("Displays");
@@ -90,10 +90,10 @@ rviz::Config readConfig(const std::string& path) {
   return manager;
 }
 
-/// Whether a display draws into a panel of its own, beside the view.
+/// Returns whether a display draws into a separate panel.
 bool hasOwnPanel(const std::string& name) { return name == "rviz/Image" || name == "rviz/Camera"; }
 
-/// Whether a display's topics are only bases of the names to which it subscribes.
+/// Returns whether a display derives the names of its subscriptions from its topics.
 bool readsImages(const std::string& name) { return name == "rviz/DepthCloud"; }
 
 bool isEnabled(const rviz::Config& display) {
@@ -104,7 +104,7 @@ bool isEnabled(const rviz::Config& display) {
 
 std::string relayOf(const std::string& topic) { return ros::names::resolve("~shown" + topic); }
 
-/// Has a display subscribe to relays of its topics, and notes these.
+/// Makes a display subscribe to relays of its topics, and adds these to the list.
 void relayTopics(rviz::Config display, std::set<std::string>& topics) {
   if (!isEnabled(display) || readsImages(stringOf(display, "Class"))) {
     return;
@@ -124,7 +124,7 @@ void relayTopics(rviz::Config display, std::set<std::string>& topics) {
   }
 }
 
-/// A topic within this process that is just like another one, save that its messages come when they are given to it.
+/// A topic within this process that mirrors another one, with messages passed to it explicitly.
 struct Relay {
   ros::Publisher publisher;
   ros::Subscriber counter;
@@ -150,10 +150,10 @@ struct Scene::Parts {
   std::string path;
   rviz::Config config;
   std::set<std::string> topics;
-  std::vector<std::string> left_out;  // a line for each display
+  std::vector<std::string> left_out;  // one line per display
   std::map<std::string, Relay> relays;
   ros::CallbackQueue heard;   // of the relays' counters
-  ros::CallbackQueue unused;  // of the listener that rviz wants
+  ros::CallbackQueue unused;  // of the TF listener that rviz requires
   std::string fixed_frame;
   int argc = 1;
   char name[16] = "rviz_offscreen";
@@ -168,7 +168,8 @@ struct Scene::Parts {
     if (manager) {
       manager->removeAllDisplays();
     }
-    // The panel is told when the manager's scene goes, so it goes after it; both need the application.
+    // The manager notifies the panel when its scene is deleted, so the panel is deleted later; both need the
+    // application.
     manager.reset();
     panel.reset();
     listener.reset();
@@ -203,7 +204,7 @@ Scene::Scene(const std::string& config, unsigned width, unsigned height, bool an
     parts.panel->setWindowFlags(Qt::FramelessWindowHint);
     parts.panel->setGeometry(0, 0, static_cast<int>(width), static_cast<int>(height));
     parts.buffer = std::make_shared<tf2_ros::Buffer>();
-    // rviz wants a listener. This one hears nothing: place() fills the buffer.
+    // rviz requires a TF listener. This one receives nothing: place() fills the buffer.
     ros::NodeHandle handle(
         "", {{"/tf", ros::names::resolve("~unused/tf")}, {"/tf_static", ros::names::resolve("~unused/tf_static")}});
     handle.setCallbackQueue(&parts.unused);
@@ -215,7 +216,7 @@ Scene::Scene(const std::string& config, unsigned width, unsigned height, bool an
     QCoreApplication::processEvents();
     parts.manager->initialize();
     parts.panel->getRenderWindow()->setAutoUpdated(false);
-    // Until the window has its size everywhere: Mesa looks how large it is when the buffers are swapped.
+    // Until all libraries know the window's size: Mesa reads it when the buffers are swapped.
     for (int round = 0; round < SIZE_ROUNDS; ++round) {
       QCoreApplication::processEvents();
       parts.panel->getRenderWindow()->update(true);
@@ -245,7 +246,7 @@ std::vector<std::string> Scene::load() {
   handle.setCallbackQueue(&parts_->heard);
   for (const std::string& topic : parts_->topics) {
     Relay& relay = parts_->relays[topic];
-    // After the displays' subscriptions: when this one has heard a message, it is in the displays' queue.
+    // After the displays' subscriptions: a message received here is already in the displays' queue.
     relay.counter = handle.subscribe<topic_tools::ShapeShifter>(
         relayOf(topic), 0,
         boost::function<void(const topic_tools::ShapeShifter::ConstPtr&)>([&relay](const auto&) { ++relay.heard; }));
@@ -295,10 +296,10 @@ void Scene::draw(Picture& picture) {
   QCoreApplication::processEvents();
   rviz::VisualizationManager& manager = *parts_->manager;
   manager.queueRender();
-  // What rviz's own timer calls: the displays take in what has come.
+  // As rviz's own timer does: the displays process the received messages.
   QMetaObject::invokeMethod(&manager, "onUpdate", Qt::DirectConnection);
-  // Not with OGRE's own round, which swaps the buffers: what the X server then shows may be a picture of before, and
-  // nobody looks at it.
+  // Not by OGRE's own frame loop, which swaps the buffers: the X server may then show an old picture, and no screen
+  // shows it.
   Ogre::RenderWindow& window = *parts_->panel->getRenderWindow();
   window.update(false);
   const Ogre::PixelBox pixels(picture.width, picture.height, 1, Ogre::PF_BYTE_RGB, picture.data.data());
@@ -308,7 +309,7 @@ void Scene::draw(Picture& picture) {
 Camera Scene::camera() const {
   const Ogre::Camera& camera = *parts_->manager->getViewManager()->getCurrent()->getCamera();
   const Ogre::Vector3 place = camera.getDerivedPosition();
-  // OGRE's cameras look along -z with y up: half a turn about x.
+  // OGRE's cameras look along -z with y up: rotate by half a turn about x.
   const Ogre::Quaternion turn = camera.getDerivedOrientation() * Ogre::Quaternion(0.0F, 1.0F, 0.0F, 0.0F);
   const double height = parts_->panel->getRenderWindow()->getHeight();
   return {{place.x, place.y, place.z},

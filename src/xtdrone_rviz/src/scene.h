@@ -1,4 +1,4 @@
-/// rviz without its window's frame: a configuration's displays and view, drawn when asked to.
+/// rviz without its main window: a configuration's displays and view, drawn on request.
 #pragma once
 
 #include <tf2_msgs/TFMessage.h>
@@ -15,13 +15,13 @@
 
 namespace xtdrone_rviz {
 
-/// A configuration that cannot be used; the text names the file and says why.
+/// An invalid configuration; the text names the file and the reason.
 class ConfigError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// No picture can be drawn here; the text says why.
+/// No picture can be drawn here; the text has the reason.
 class DisplayError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -34,38 +34,38 @@ struct Camera {
   double focal_length;                ///< pixels
 };
 
-/// The displays of one .rviz file. There can be one scene in a process.
+/// The displays of one .rviz file; at most one scene per process.
 class Scene {
  public:
   /// Opens a window on the display that the environment variable DISPLAY names; ROS must be started.
   ///
   /// @param config        The .rviz file.
   /// @param antialiasing  Whether edges are smoothed.
-  /// @throws ConfigError   The file cannot be used.
-  /// @throws DisplayError  OpenGL cannot be had there.
+  /// @throws ConfigError   The file is invalid.
+  /// @throws DisplayError  OpenGL is not available.
   Scene(const std::string& config, unsigned width, unsigned height, bool antialiasing);
   ~Scene();
   Scene(const Scene&) = delete;
   Scene& operator=(const Scene&) = delete;
 
-  /// The topics that its displays show. The displays themselves subscribe to others of this node's own, so that they
-  /// get what the lockstep has dispatched and nothing sooner; give it to them by show().
+  /// Returns the topics that its displays show. The displays subscribe to relays within this node, so that they receive
+  /// a message only after the lockstep has dispatched it; pass it on by show().
   std::set<std::string> topics() const;
-  /// Makes the displays, which subscribe.
+  /// Creates the displays, which subscribe.
   ///
-  /// @return What is left out: a line for each display that this rviz does not know, or that has a panel of its own.
+  /// @return One line for each omitted display: unknown to this rviz, or with a separate panel.
   /// @throws ConfigError  This rviz does not know the view.
   std::vector<std::string> load();
   /// Passes a message on to the displays of its topic; draw() shows it.
   void show(const std::string& topic, const topic_tools::ShapeShifter& message);
-  /// Takes transforms in.
+  /// Adds transforms.
   void place(const tf2_msgs::TFMessage& message, bool fixed);
   const std::string& fixedFrame() const;
-  /// Whether TF knows the fixed frame: before, nothing has a place.
+  /// Returns whether TF knows the fixed frame; without it nothing can be drawn.
   bool ready() const;
-  /// Forgets what was shown, for time has gone back.
+  /// Clears the displays after a reset of time.
   void reset();
-  /// Takes in what has come and draws it.
+  /// Processes the received messages and draws a frame.
   void draw(Picture& picture);
   Camera camera() const;
 

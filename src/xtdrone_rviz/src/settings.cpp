@@ -13,7 +13,7 @@ constexpr double LEAST_SIZE = 64.0;   // pixels
 constexpr double MOST_SIZE = 4096.0;  // pixels
 constexpr double LEAST_RATE = 0.1;    // Hz
 constexpr double MOST_RATE = 50.0;    // Hz of simulated time
-constexpr double MOST_FPS = 120.0;    // of a film that is played
+constexpr double MOST_FPS = 120.0;    // of the film
 
 [[noreturn]] void refuse(const std::string& name, const XmlRpc::XmlRpcValue& value, const std::string& allowed) {
   std::ostringstream text;

@@ -1,4 +1,4 @@
-/// What the parameters of the off-screen rviz ask.
+/// Parameters of the off-screen rviz.
 #pragma once
 
 #include <stdexcept>
@@ -6,7 +6,7 @@
 
 namespace xtdrone_rviz {
 
-/// A parameter that is not allowed; the text names it, its value and what is allowed.
+/// An invalid parameter; the text names it, its value and the allowed values.
 class SettingsError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -17,15 +17,15 @@ struct Settings {
   unsigned width = 0;        ///< ~width: pixels
   unsigned height = 0;       ///< ~height: pixels
   bool antialiasing = true;  ///< ~antialiasing: whether edges are smoothed
-  double rate = 0.0;         ///< ~rate: frames a simulated second, Hz
+  double rate = 0.0;         ///< ~rate: frames per simulated second, Hz
   std::string film;          ///< ~film: file that ends with .mp4; empty: none
-  double fps = 0.0;          ///< ~fps: frames a second of the film when it is played; by default ~rate
+  double fps = 0.0;          ///< ~fps: frame rate of the film; by default ~rate
   std::string frames;        ///< ~frames: folder for a PNG of each frame; empty: none
-  std::string display;       ///< ~display: an X display that is there, as :0; empty: an Xvfb of this node's own
+  std::string display;       ///< ~display: an existing X display, such as :0; empty: a separate Xvfb
 
   /// Reads the parameters.
   ///
-  /// @throws SettingsError  One that is not allowed.
+  /// @throws SettingsError  A parameter is invalid.
   static Settings fromParameters();
 };
 
