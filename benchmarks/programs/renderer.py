@@ -15,10 +15,10 @@ from typing import Any
 
 from benchmarks.programs.program import Column, Row, run
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.drawn_scene import ActorState, DrawnScene, SceneAt, View
 from xtdrone_sim.cameras.rendering.renderer import BACKENDS, Renderer, RendererError
-from xtdrone_sim.vehicles.poses import from_rpy
 from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf import load_world_file
 
@@ -48,7 +48,7 @@ def measure(width: int, height: int, backend: str, seconds: float) -> dict[str, 
         scene = DrawnScene(renderer, world)
         view = View("camera", Pinhole.of_view(width, height, _FIELD), 0.05, 500.0)
         x, y, _ = world.actors[0].pose.position
-        turned = [from_rpy(0.0, _PITCH, 2.0 * math.pi * k / _VIEWS) for k in range(_VIEWS)]
+        turned = [from_euler(0.0, _PITCH, 2.0 * math.pi * k / _VIEWS) for k in range(_VIEWS)]
         places = [
             SceneAt(
                 {"camera": Pose((x - 10.0 * math.cos(a), y - 10.0 * math.sin(a), _HEIGHT), turned[k])},

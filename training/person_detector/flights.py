@@ -25,9 +25,10 @@ import numpy as np
 from evaluate import SETTINGS, detector_of
 from make_data import REGION, Scene, View, people_of
 
+from xtdrone_control.rotation import from_euler
 from xtdrone_coordination.search.candidates import Candidate, Evidence, Sighting, nearest
 from xtdrone_coordination.search.settings import MissionSettings
-from xtdrone_sim.vehicles.poses import from_rpy, rotate
+from xtdrone_sim.vehicles.poses import rotate
 from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.scenery import Ground, outdoor
@@ -83,7 +84,7 @@ def put_people(scene: Scene, seed: int, count: int, folder: Path, options: argpa
         file = folder / f"{len(places)}.obj"
         file.write_text(people.wavefront(body, posture))
         number = scene.renderer.add([Visual(Mesh(file), texture=texture)])
-        scene.renderer.place(number, Pose((x, y, 0.0), from_rpy(0.0, 0.0, random.uniform(-math.pi, math.pi))))
+        scene.renderer.place(number, Pose((x, y, 0.0), from_euler(0.0, 0.0, random.uniform(-math.pi, math.pi))))
         places.append((x, y))
     return places
 

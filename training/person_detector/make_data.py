@@ -29,8 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.rendering import Renderer
-from xtdrone_sim.vehicles.poses import compose, from_rpy, rotate
+from xtdrone_sim.vehicles.poses import compose, rotate
 from xtdrone_sim.vehicles.urdf import Description
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel, load_vehicle
 from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
@@ -103,7 +104,7 @@ class Scene:
 
     def pose(self, view: View) -> Pose:
         """Return the camera's optical frame in a view."""
-        attitude = from_rpy(view.tilt[0], view.tilt[1], view.yaw)
+        attitude = from_euler(view.tilt[0], view.tilt[1], view.yaw)
         mount = mount_orientation(view.roll, view.pitch, 0.0)
         found = optical_pose(camera_link_pose(view.position, attitude, mount, self.offset))
         return Pose(found.position, found.orientation)
@@ -159,7 +160,7 @@ def random_others(view: View, random: np.random.Generator) -> list[Pose]:
         height = max(0.2, z + random.uniform(-1.0, 0.15) * min(away, 8.0))
         place = (x + away * math.cos(bearing), y + away * math.sin(bearing), height)
         tilt = random.normal(0, 0.1, 2)
-        found.append(Pose(place, from_rpy(tilt[0], tilt[1], random.uniform(-math.pi, math.pi))))
+        found.append(Pose(place, from_euler(tilt[0], tilt[1], random.uniform(-math.pi, math.pi))))
     return found
 
 
@@ -216,7 +217,7 @@ class Crowd:
                     continue
                 if any(math.dist((x, y), other.position[:2]) < 0.5 for other in places.values()):
                     continue
-                places[index] = Pose((float(x), float(y), 0.0), from_rpy(0.0, 0.0, random.uniform(-3.1, 3.1)))
+                places[index] = Pose((float(x), float(y), 0.0), from_euler(0.0, 0.0, random.uniform(-3.1, 3.1)))
                 break
         return places
 

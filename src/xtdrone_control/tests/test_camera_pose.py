@@ -11,13 +11,11 @@ from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, opt
 
 
 def turned(pose, vector):
-    x, y, z, w = pose.orientation
-    return frames.rotate((w, x, y, z), vector)
+    return frames.rotate(pose.orientation, vector)
 
 
 def attitude(roll, pitch, yaw):
-    w, x, y, z = frames.quaternion_from_rpy(roll, pitch, yaw)
-    return x, y, z, w
+    return frames.quaternion_from_rpy(roll, pitch, yaw)
 
 
 def test_looking_down_by_sixty_degrees_while_heading_north():

@@ -181,14 +181,14 @@ def test_no_vehicles_are_refused():
 
 def test_a_camera_that_looks_down_sees_a_rectangle_below():
     # optical frame: z ahead (down), x right (east), y down in the picture (south)
-    corners = ground_view((10.0, 20.0, 8.0), (1.0, 0.0, 0.0, 0.0), (400.0, 400.0), (800, 400))
+    corners = ground_view((10.0, 20.0, 8.0), (0.0, 1.0, 0.0, 0.0), (400.0, 400.0), (800, 400))
     assert corners == pytest.approx(np.array([[2, 24, 0], [18, 24, 0], [18, 16, 0], [2, 16, 0]], float))
 
 
 def test_a_camera_that_sees_the_horizon_has_no_view():
     half = math.sqrt(0.5)
-    assert len(ground_view((0.0, 0.0, 8.0), (-half, 0.0, 0.0, half), (400.0, 400.0), (800, 400))) == 0
-    assert len(ground_view((0.0, 0.0, -1.0), (1.0, 0.0, 0.0, 0.0), (400.0, 400.0), (800, 400))) == 0
+    assert len(ground_view((0.0, 0.0, 8.0), (half, -half, 0.0, 0.0), (400.0, 400.0), (800, 400))) == 0
+    assert len(ground_view((0.0, 0.0, -1.0), (0.0, 1.0, 0.0, 0.0), (400.0, 400.0), (800, 400))) == 0
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -37,9 +37,9 @@ class World:
         self.orders: list[tuple[float, str]] = []
 
     def view(self) -> View:
-        w, x, y, z = frames.quaternion_from_rpy(0.0, 0.0, self.yaw)
+        heading = frames.quaternion_from_rpy(0.0, 0.0, self.yaw)
         mount = mount_orientation(0.0, float(self.gimbal[0]), float(self.gimbal[1]))
-        link = camera_link_pose(tuple(self.position), (x, y, z, w), mount, (0.0, 0.0, 0.0))
+        link = camera_link_pose(tuple(self.position), heading, mount, (0.0, 0.0, 0.0))
         return View.of(PINHOLE, *optical_pose(link))
 
     def box(self) -> np.ndarray:

@@ -16,8 +16,8 @@ PINHOLE = Pinhole.of_view(640, 360, 2.0)
 
 
 def view(position=(0.0, 0.0, 20.0), pitch=-60.0, yaw=0.0) -> View:
-    w, x, y, z = frames.quaternion_from_rpy(0.0, 0.0, math.radians(yaw))
-    link = camera_link_pose(position, (x, y, z, w), mount_orientation(0.0, math.radians(pitch), 0.0), (0, 0, 0))
+    heading = frames.quaternion_from_rpy(0.0, 0.0, math.radians(yaw))
+    link = camera_link_pose(position, heading, mount_orientation(0.0, math.radians(pitch), 0.0), (0, 0, 0))
     return View.of(PINHOLE, *optical_pose(link))
 
 

@@ -12,6 +12,7 @@ from test_yolo_node import PATIENCE, ROSMASTER, Stack, rospy
 
 from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation
+from xtdrone_control.frames import to_xyzw
 
 if rospy is not None:
     from gazebo_msgs.msg import LinkStates
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.skipif(ROSMASTER is None or rospy is None, reason="need
 
 NODE = str(Path(__file__).parents[1] / "nodes" / "gimbal_control.py")
 MOUNT = mount_orientation(0.0, -1.0, 0.3)
-HEADING = (0.0, 0.0, math.sin(0.25), math.cos(0.25))  # 0.5 rad from east
+HEADING = (math.cos(0.25), 0.0, 0.0, math.sin(0.25))  # 0.5 rad from east
 TRUE = (7.0, 8.0, 9.0)
 
 
@@ -54,9 +55,9 @@ def vehicle(file: str) -> None:
         message.header.stamp = rospy.Time.now()
         p, q = message.pose.position, message.pose.orientation
         p.x, p.y, p.z = place_at(message.header.stamp.to_sec())
-        q.x, q.y, q.z, q.w = HEADING
+        q.w, q.x, q.y, q.z = HEADING
         pose.publish(message)
-        mount.publish(Quaternion(*MOUNT))
+        mount.publish(Quaternion(*to_xyzw(MOUNT)))
         true = Pose()
         true.position.x, true.position.y, true.position.z = TRUE
         true.orientation.w = 1.0
@@ -106,7 +107,7 @@ def test_the_gimbal_is_commanded_and_the_camera_pose_published(stack):
     assert len(poses) == pytest.approx(90, abs=4)
     for line in poses:
         wanted = camera_link_pose(place_at(line["stamp"]), HEADING, MOUNT, (0.041, 0.0, -0.122))
-        assert line["pose"] == pytest.approx([*wanted.position, *wanted.orientation], abs=1e-9)
+        assert line["pose"] == pytest.approx([*wanted.position, *to_xyzw(wanted.orientation)], abs=1e-9)
         assert line["frame"] == "map"
     assert "gimbal_cmd: (nan, 200.0, 0.0) is not allowed, -180 to 180 deg each" in stack.output("gimbal")
 

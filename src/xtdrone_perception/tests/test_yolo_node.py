@@ -17,6 +17,7 @@ from tiny_networks import write_darknet
 
 from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation, optical_pose
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_perception.geolocation import Geolocator, View
 
@@ -73,7 +74,7 @@ def eyes(pictures: str) -> None:
         p.x, p.y, p.z = place_at(now.to_sec())
         q.w = 1.0
         pose.publish(message)
-        mount.publish(Quaternion(*MOUNT))
+        mount.publish(Quaternion(*to_xyzw(MOUNT)))
         state.publish(State(armed=True))
         turn = round(now.to_sec() * 50.0)
         if any(begin <= now.to_sec() < end and turn % every == 0 for begin, end, every in phases):
@@ -168,7 +169,7 @@ def expected_box() -> tuple[float, float, float, float]:
 
 def expected_place(stamp: float) -> np.ndarray:
     """Return the position of the person in the box, from the camera pose at the exposure."""
-    link = camera_link_pose(place_at(stamp), (0.0, 0.0, 0.0, 1.0), MOUNT, (0.041, 0.0, -0.122))
+    link = camera_link_pose(place_at(stamp), (1.0, 0.0, 0.0, 0.0), MOUNT, (0.041, 0.0, -0.122))
     return Geolocator().locate(View.of(PINHOLE, *optical_pose(link)), expected_box()).position
 
 

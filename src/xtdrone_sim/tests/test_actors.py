@@ -12,7 +12,7 @@ STRIDE = 1.25
 
 
 def facing(x, y, yaw, z=0.0):
-    return Pose((x, y, z), (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)))
+    return Pose((x, y, z), (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)))
 
 
 def make(*actors):

@@ -25,8 +25,9 @@ import pytest
 
 from xtdrone_control import lockstep
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.server import LockstepServer
-from xtdrone_sim.vehicles.poses import from_rpy
+from xtdrone_control.rotation import from_euler
 
 ROSMASTER = shutil.which("rosmaster")
 try:
@@ -58,7 +59,7 @@ def teller() -> None:
         message = SceneState(links=links)
         message.header.stamp = now
         for k in range(len(links)):
-            turn = Quaternion(*from_rpy(0.0, 0.3 * now.to_sec(), 0.0))
+            turn = Quaternion(*to_xyzw(from_euler(0.0, 0.3 * now.to_sec(), 0.0)))
             message.poses.append(Pose(Point(3.0 * k, 0.0, 2.0), turn))
         publisher.publish(message)
 

@@ -14,15 +14,15 @@ import pytest
 
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.cameras.camera_worker import DrawingError, DrawingProcess, Drawn
 from xtdrone_sim.cameras.cameras import Exposures, cameras_of, turn_rate
 from xtdrone_sim.cameras.drawn_scene import SceneAt, View
-from xtdrone_sim.vehicles.poses import from_rpy
 from xtdrone_sim.vehicles.visual import Pose
 
 LINK = "typhoon_h480_0::cgo3_camera_link"
 VIEW = View(LINK, Pinhole.of_view(64, 36, 2.0), 0.1, 500.0)
-DOWN = SceneAt({LINK: Pose((1.0, 2.0, 20.0), from_rpy(0.0, 0.5 * math.pi, 0.0))}, {})
+DOWN = SceneAt({LINK: Pose((1.0, 2.0, 20.0), from_euler(0.0, 0.5 * math.pi, 0.0))}, {})
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,14 @@ import pytest
 from xtdrone_control.autopilot import modes
 from xtdrone_control.camera_pose import camera_link_pose, mount_orientation
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.physics.plant import PLANT
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.vehicles.gimbal import Gimbals
 from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.link_poses import Links
-from xtdrone_sim.vehicles.poses import compose, from_rpy, rotate
+from xtdrone_sim.vehicles.poses import compose, rotate
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Pose
 
@@ -41,8 +42,7 @@ class Rig:
 
     def turn(self, roll: float, pitch: float, yaw: float) -> None:
         """Put the body to an attitude: FLU in ENU, rad."""
-        x, y, z, w = from_rpy(roll, pitch, yaw)
-        self.plant["q"] = (w, x, y, z)
+        self.plant["q"] = from_euler(roll, pitch, yaw)
 
     def run(self, seconds: float) -> None:
         for step in range(round(seconds / STEP)):
@@ -51,7 +51,7 @@ class Rig:
     def camera(self) -> Pose:
         state = self.links.place(self.plant, self.gimbals.records, self.gears)[self.links.find(CAMERA)]
         w, x, y, z = state["q"].tolist()
-        return Pose(tuple(state["position"].tolist()), (x, y, z, w))
+        return Pose(tuple(state["position"].tolist()), (w, x, y, z))
 
     def looks(self) -> np.ndarray:
         """Return the camera's x (ahead), y (left) and z (up) in the world, as columns."""
@@ -60,7 +60,7 @@ class Rig:
 
 def turn_of(heading: float, roll: float, pitch: float, yaw: float) -> np.ndarray:
     """Return the camera's axes by the definition of roll, pitch (up), yaw (to the right)."""
-    return np.column_stack([rotate(from_rpy(roll, -pitch, heading - yaw), axis) for axis in np.eye(3).tolist()])
+    return np.column_stack([rotate(from_euler(roll, -pitch, heading - yaw), axis) for axis in np.eye(3).tolist()])
 
 
 @pytest.mark.parametrize("body", [(0.0, 0.0, 0.0), (0.3, -0.2, 1.0), (-0.4, 0.35, -2.5), (0.1, 0.5, 3.1)])
@@ -71,7 +71,7 @@ def test_the_camera_looks_where_it_is_told_whatever_the_body_does(body, wanted):
     rig.payload.gimbal = wanted
     rig.run(3.0)
     roll, pitch, yaw = body
-    ahead = rotate(from_rpy(roll, pitch, yaw), (1.0, 0.0, 0.0))
+    ahead = rotate(from_euler(roll, pitch, yaw), (1.0, 0.0, 0.0))
     heading = math.atan2(ahead[1], ahead[0])
     np.testing.assert_allclose(rig.looks(), turn_of(heading, *wanted), atol=1e-6)
     np.testing.assert_allclose(rig.payload.gimbal_attitude, wanted, atol=1e-6)
@@ -87,7 +87,7 @@ def test_what_it_reports_leads_to_the_camera_s_pose():
     w, x, y, z = rig.plant["q"][0].tolist()
     camera = rig.camera()
     told = camera_link_pose(
-        (10.0, -4.0, 30.0), (x, y, z, w), mount_orientation(*rig.payload.gimbal_attitude), (0, 0, 0)
+        (10.0, -4.0, 30.0), (w, x, y, z), mount_orientation(*rig.payload.gimbal_attitude), (0, 0, 0)
     )
     assert abs(np.dot(told.orientation, camera.orientation)) == pytest.approx(1.0, abs=1e-9)
     assert math.dist(told.position, camera.position) < 0.15  # of its offset from the body's origin
@@ -134,14 +134,14 @@ def test_links_are_where_the_urdf_puts_them():
     rig.plant["position"] = (1.0, 2.0, 3.0)
     rig.turn(0.2, -0.3, 0.7)
     rig.gimbals.records["joint"] = (0.5, -0.2, 0.9)
-    urdf, pose = MODEL.urdf, Pose((1.0, 2.0, 3.0), from_rpy(0.2, -0.3, 0.7))
+    urdf, pose = MODEL.urdf, Pose((1.0, 2.0, 3.0), from_euler(0.2, -0.3, 0.7))
     for name, turn in (
         ("cgo3_mount_joint", (0.0, 0.0, 0.0)),
         ("cgo3_vertical_arm_joint", (0.0, 0.0, 0.5)),
         ("cgo3_horizontal_arm_joint", (-0.2, 0.0, 0.0)),
         ("cgo3_camera_joint", (0.0, 0.9, 0.0)),
     ):
-        pose = compose(compose(pose, urdf.joint(name).pose), Pose(orientation=from_rpy(*turn)))
+        pose = compose(compose(pose, urdf.joint(name).pose), Pose(orientation=from_euler(*turn)))
     camera = rig.camera()
     np.testing.assert_allclose(camera.position, pose.position, atol=1e-12)
     assert abs(np.dot(camera.orientation, pose.orientation)) == pytest.approx(1.0, abs=1e-12)
@@ -159,14 +159,13 @@ def test_velocities_of_links_are_those_of_their_poses():
     before = rig.camera()
     dt = 1e-6
     rig.plant["position"] += dt * rig.plant["velocity"]
-    body = Pose(orientation=from_rpy(0.2, -0.3, 0.7))
-    turned = compose(body, Pose(orientation=from_rpy(*(dt * rig.plant["rates"][0]).tolist())))
-    x, y, z, w = turned.orientation
-    rig.plant["q"] = (w, x, y, z)
+    body = Pose(orientation=from_euler(0.2, -0.3, 0.7))
+    turned = compose(body, Pose(orientation=from_euler(*(dt * rig.plant["rates"][0]).tolist())))
+    rig.plant["q"] = turned.orientation
     rig.gimbals.records["joint"] += dt * rig.gimbals.records["joint_rate"]
     after = rig.camera()
     np.testing.assert_allclose((np.array(after.position) - before.position) / dt, told["velocity"], atol=1e-4)
-    spun = rotate(from_rpy(*(dt * told["spin"]).tolist()), rotate(before.orientation, (1.0, 2.0, 3.0)))
+    spun = rotate(from_euler(*(dt * told["spin"]).tolist()), rotate(before.orientation, (1.0, 2.0, 3.0)))
     np.testing.assert_allclose(spun, rotate(after.orientation, (1.0, 2.0, 3.0)), atol=1e-9)
 
 
@@ -190,7 +189,7 @@ def test_links_of_a_mixed_fleet_and_of_a_fixed_camera(tmp_path: Path):
     state = links.place(plant, Gimbals([MODEL, eyed]).records, LandingGears([MODEL, eyed]).records)[-1]
     np.testing.assert_allclose(state["position"], (5.0, 0.0, 1.95))
     w, x, y, z = state["q"].tolist()
-    np.testing.assert_allclose(rotate((x, y, z, w), (1.0, 0.0, 0.0)), (0.0, 0.0, -1.0), atol=1e-9)
+    np.testing.assert_allclose(rotate((w, x, y, z), (1.0, 0.0, 0.0)), (0.0, 0.0, -1.0), atol=1e-9)
 
 
 def test_the_simulation_turns_the_gimbal_and_tells_the_autopilot():
@@ -213,15 +212,15 @@ def test_legs_that_are_up_are_where_their_joints_turn_them():
     rig.turn(0.2, -0.3, 0.7)
     rig.gears["raised"], rig.gears["rate"] = 0.6, 0.5
     states = rig.links.place(rig.plant, rig.gimbals.records, rig.gears)
-    body = Pose(orientation=from_rpy(0.2, -0.3, 0.7))
+    body = Pose(orientation=from_euler(0.2, -0.3, 0.7))
     for name, side in (("left", 1.0), ("right", -1.0)):
         joint = MODEL.urdf.joint(f"{name}_leg_joint")
         angle = 0.6 * joint.upper * side
-        wanted = compose(compose(body, joint.pose), Pose(orientation=from_rpy(angle, 0.0, 0.0)))
+        wanted = compose(compose(body, joint.pose), Pose(orientation=from_euler(angle, 0.0, 0.0)))
         state = states[rig.links.find(f"typhoon_h480_0::{name}_leg")]
         np.testing.assert_allclose(state["position"], wanted.position, atol=1e-12)
         w, x, y, z = state["q"].tolist()
-        assert abs(np.dot((x, y, z, w), wanted.orientation)) == pytest.approx(1.0, abs=1e-12)
+        assert abs(np.dot((w, x, y, z), wanted.orientation)) == pytest.approx(1.0, abs=1e-12)
         turn = rotate(body.orientation, (0.5 * joint.upper * side, 0.0, 0.0))
         np.testing.assert_allclose(state["spin"], turn, atol=1e-12)
 

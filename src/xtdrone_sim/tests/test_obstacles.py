@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.physics.obstacles import Obstacles
 from xtdrone_sim.physics.plant import ASLEEP, FREE, PLANT, TOUCHING
 from xtdrone_sim.physics.world import World, load_world
-from xtdrone_sim.vehicles.poses import from_rpy
 from xtdrone_sim.vehicles.vehicle_model import MODEL, load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Geometry, Mesh, Pose, Sphere
 from xtdrone_sim.worlds.sdf import SdfLink, SdfModel
@@ -21,7 +21,7 @@ DT = 0.004
 
 
 def model(name: str, geometry: Geometry, position: tuple[float, float, float], yaw: float = 0.0) -> SdfModel:
-    shape = Collision(geometry, Pose((0.0, 0.0, 0.0), from_rpy(0.0, 0.0, yaw)))
+    shape = Collision(geometry, Pose((0.0, 0.0, 0.0), from_euler(0.0, 0.0, yaw)))
     return SdfModel(name, Pose(position), True, (SdfLink("link", collisions=(shape,)),))
 
 

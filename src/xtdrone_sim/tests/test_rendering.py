@@ -45,7 +45,7 @@ def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
 
 def _turn(axis: tuple[float, float, float], angle: float) -> tuple[float, float, float, float]:
     x, y, z = np.asarray(axis, float) / np.linalg.norm(axis) * math.sin(0.5 * angle)
-    return (x, y, z, math.cos(0.5 * angle))
+    return (math.cos(0.5 * angle), x, y, z)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def _turn(axis: tuple[float, float, float], angle: float) -> tuple[float, float,
 )
 def test_spheres_are_seen_where_the_closed_form_has_them(renderer: Renderer, pinhole: Pinhole) -> None:
     camera = Pose((3.0, -2.0, 10.0), _turn((0.3, -0.5, 0.8), 2.0))
-    x, y, z, w = camera.orientation
+    w, x, y, z = camera.orientation
     turn = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -245,7 +245,7 @@ def test_wrong_values_are_named(tmp_path: Path) -> None:
             renderer.draw(pinhole, Pose(), near=0.0)
         with pytest.raises(ValueError, match=r"far: 0.05 is not allowed"):
             renderer.draw(pinhole, Pose(), near=0.1, far=0.05)
-        with pytest.raises(ValueError, match=r"orientation: .* a quaternion \(x, y, z, w\) of length 1"):
+        with pytest.raises(ValueError, match=r"orientation: .* a quaternion \(w, x, y, z\) of length 1"):
             renderer.draw(pinhole, Pose(orientation=(1.0, 1.0, 0.0, 0.0)))
         with pytest.raises(ValueError, match=r"texture: there is no file .*none.png"):
             renderer.add([Visual(Sphere(1.0), texture=tmp_path / "none.png")])

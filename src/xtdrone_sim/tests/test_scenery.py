@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.package_files import MODELS
-from xtdrone_sim.vehicles.poses import compose, from_rpy
+from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.vehicles.visual import Box, Mesh, Pose
 from xtdrone_sim.worlds.scenery import Ground, is_free, outdoor
 from xtdrone_sim.worlds.scenery import __main__ as program
@@ -92,7 +93,7 @@ def test_people_walk_on_free_ground_facing_ahead(scene: SdfWorld) -> None:
             walked += way
             if way:
                 heading = math.atan2(end[1] - start[1], end[0] - start[0])
-                half = abs(np.dot(from_rpy(0.0, 0.0, heading), a.pose.orientation))
+                half = abs(np.dot(from_euler(0.0, 0.0, heading), a.pose.orientation))
                 assert half == pytest.approx(1.0, abs=1e-5)
                 assert way / (b.time - a.time) == pytest.approx(actor.speed, rel=0.01)
         assert walked > 5.0
@@ -167,5 +168,5 @@ def test_the_program_writes_what_the_function_returns(
 
 
 def test_a_thing_hangs_over_the_ground_it_takes() -> None:
-    low, high = box_of(Box((2.0, 1.0, 1.0)), Pose((5.0, 0.0, 0.5), from_rpy(0.0, 0.0, math.pi / 2)))
+    low, high = box_of(Box((2.0, 1.0, 1.0)), Pose((5.0, 0.0, 0.5), from_euler(0.0, 0.0, math.pi / 2)))
     assert [*low, *high] == pytest.approx([4.5, -1.0, 0.0, 5.5, 1.0, 1.0])

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError
 from xtdrone_sim.package_files import CONFIG, MODELS
-from xtdrone_sim.vehicles.poses import from_rpy
 from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf, read_urdf
 from xtdrone_sim.vehicles.visual import Box, Collision, Cylinder, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.sdf import (
@@ -61,7 +61,7 @@ def triples(low: float, high: float) -> st.SearchStrategy[tuple[float, float, fl
 
 
 ANGLES = numbers(-4.0, 4.0)
-QUATERNIONS = st.tuples(ANGLES, ANGLES, ANGLES).map(lambda angles: from_rpy(*angles))
+QUATERNIONS = st.tuples(ANGLES, ANGLES, ANGLES).map(lambda angles: from_euler(*angles))
 POSES = st.builds(Pose, triples(-1e4, 1e4), QUATERNIONS)
 COLOURS = st.tuples(*[numbers(0.0, 1.0)] * 4)
 GEOMETRIES = st.one_of(

@@ -13,11 +13,12 @@ import yaml
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.state import FAILURE_OFF
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.descriptions import ModelError, available, read_description
 from xtdrone_sim.package_files import CONFIG
 from xtdrone_sim.simulation import Simulation
 from xtdrone_sim.topics.robot_frames import RobotFrames
-from xtdrone_sim.vehicles.poses import compose, from_rpy, inverse, rotate
+from xtdrone_sim.vehicles.poses import compose, inverse, rotate
 from xtdrone_sim.vehicles.urdf import UrdfError, parse_urdf
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Pose
@@ -41,12 +42,12 @@ DUMB_BELL = """<robot name="dumb-bell">
 
 
 def test_poses_compose_and_undo():
-    pose = Pose((1.0, -2.0, 3.0), from_rpy(0.3, -0.4, 1.2))
+    pose = Pose((1.0, -2.0, 3.0), from_euler(0.3, -0.4, 1.2))
     back = compose(pose, inverse(pose))
     np.testing.assert_allclose(back.position, 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.abs(back.orientation), [0.0, 0.0, 0.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(rotate(from_rpy(0.0, 0.0, math.pi / 2), (1.0, 0.0, 0.0)), [0.0, 1.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(rotate(from_rpy(0.0, math.pi / 2, 0.0), (1.0, 0.0, 0.0)), [0.0, 0.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(np.abs(back.orientation), [1.0, 0.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(rotate(from_euler(0.0, 0.0, math.pi / 2), (1.0, 0.0, 0.0)), [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(rotate(from_euler(0.0, math.pi / 2, 0.0), (1.0, 0.0, 0.0)), [0.0, 0.0, -1.0], atol=1e-12)
 
 
 def test_urdf_of_a_dumb_bell():

@@ -2,19 +2,21 @@
 
 The orientation is MAVROS's ``mount_control/orientation``: the rotation from the camera (x ahead, y right, z down) to
 the level frame along the vehicle's heading (x ahead, y right, z down). As in MAVLink's MOUNT_ORIENTATION, pitch is
-positive upwards and yaw positive to the right. Quaternions are (x, y, z, w) in all functions of this module.
+positive upwards and yaw positive to the right. Quaternions are (w, x, y, z).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from xtdrone_control import frames, rotation
+from xtdrone_control.rotation import Quaternion, Vector
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
-_LINK_FROM_OPTICAL = (0.5, -0.5, 0.5, -0.5)  # (w, x, y, z): optical z is ahead, x right, y down
+_LINK_FROM_OPTICAL = (0.5, -0.5, 0.5, -0.5)  # optical z is ahead, x right, y down
 
 
 class CameraPose(NamedTuple):
@@ -22,7 +24,7 @@ class CameraPose(NamedTuple):
 
     Attributes:
         position: m.
-        orientation: (x, y, z, w), rotation from the camera frame to ``map``.
+        orientation: rotation from the camera frame to ``map``.
     """
 
     position: Vector
@@ -38,27 +40,30 @@ def camera_link_pose(position: Vector, attitude: Quaternion, mount: Quaternion, 
         mount: orientation of the gimbal, a unit quaternion.
         offset: offset of the camera from base_link, m, FLU.
     """
-    body = _to_wxyz(attitude)
-    shift = frames.rotate(body, offset)
-    heading = frames.quaternion_from_rpy(0.0, 0.0, frames.yaw_from_quaternion(body))
-    x, y, z, w = mount
+    shift = frames.rotate(attitude, offset)
+    heading = frames.quaternion_from_rpy(0.0, 0.0, frames.yaw_from_quaternion(attitude))
+    w, x, y, z = mount
     camera = (position[0] + shift[0], position[1] + shift[1], position[2] + shift[2])
-    return CameraPose(camera, _to_xyzw(rotation.multiply(heading, (w, x, -y, -z))))
+    return CameraPose(camera, rotation.multiply(heading, (w, x, -y, -z)))
 
 
 def optical_pose(link: CameraPose) -> CameraPose:
     """Return the pose of the optical frame (x right, y down, z ahead) of a camera's link."""
-    return CameraPose(link.position, _to_xyzw(rotation.multiply(_to_wxyz(link.orientation), _LINK_FROM_OPTICAL)))
+    return CameraPose(link.position, rotation.multiply(link.orientation, _LINK_FROM_OPTICAL))
 
 
 def mount_orientation(roll: float, pitch: float, yaw: float) -> Quaternion:
     """Return the gimbal's orientation for angles in rad; negative pitch looks down, yaw is relative to the heading."""
-    return _to_xyzw(frames.quaternion_from_rpy(roll, pitch, yaw))
+    return frames.quaternion_from_rpy(roll, pitch, yaw)
 
 
-def _to_wxyz(q: Quaternion) -> frames.Quaternion:
-    return q[3], q[0], q[1], q[2]
-
-
-def _to_xyzw(q: frames.Quaternion) -> Quaternion:
-    return q[1], q[2], q[3], q[0]
+def rotation_matrix(q: Sequence[float]) -> NDArray[np.float64]:
+    """Return the (3, 3) matrix of the rotation by a unit quaternion."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

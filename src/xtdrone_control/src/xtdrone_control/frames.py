@@ -110,6 +110,11 @@ def rotate_inverse(q: Quaternion, v: Vector) -> Vector:
     return rotation.rotate_inverse(q, *v)
 
 
+def to_xyzw(q: Sequence[float]) -> Quaternion:
+    """Return a quaternion (w, x, y, z) in the order of ROS messages and Bullet, (x, y, z, w)."""
+    return q[1], q[2], q[3], q[0]
+
+
 quaternion_from_rpy = rotation.from_euler
 rpy_from_quaternion = rotation.to_euler
 yaw_from_quaternion = rotation.yaw_of

@@ -37,12 +37,12 @@ import rospy
 from geometry_msgs.msg import Pose, PoseStamped
 from mavros_msgs.msg import MountControl, ParamValue, State, Waypoint, WaypointList, WaypointReached
 from mavros_msgs.srv import CommandBool, ParamSet, SetMode, WaypointPull, WaypointPush, WaypointSetCurrent
-from numpy.typing import NDArray
 from std_msgs.msg import Bool, Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
 from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
+from xtdrone_control.camera_pose import rotation_matrix
 from xtdrone_control.communication.setpoint import yaw_of
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
@@ -304,7 +304,8 @@ class SearchNode:
             for entry in message.objects
             if self._thing in ("", entry.object_class)
         ]
-        rotation = _rotation(q.x, q.y, q.z, q.w)
+        norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w) or 1.0
+        rotation = rotation_matrix((q.w / norm, q.x / norm, q.y / norm, q.z / norm))
         time = message.header.stamp.to_sec()
         self.control.on_picture(name, time, np.array([p.x, p.y, p.z]), rotation, sightings, _now())
 
@@ -318,19 +319,6 @@ def _pose(action: actions.GoTo) -> Pose:
     pose.position.x, pose.position.y, pose.position.z = action.position
     pose.orientation.z, pose.orientation.w = math.sin(0.5 * action.yaw), math.cos(0.5 * action.yaw)
     return pose
-
-
-def _rotation(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation matrix of a quaternion (x, y, z, w), normalised first."""
-    norm = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
 
 
 def to_item(waypoint: Waypoint) -> PlanItem:

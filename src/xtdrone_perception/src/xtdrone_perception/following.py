@@ -237,9 +237,3 @@ def _clipped(value: float, most: float) -> float:
 def _limited(vector: tuple[float, float], most: float) -> tuple[float, float]:
     length = math.hypot(*vector)
     return vector if length <= most else (vector[0] * most / length, vector[1] * most / length)
-
-
-def heading_of(q: tuple[float, float, float, float]) -> float:
-    """Return the yaw of a quaternion (x, y, z, w), rad."""
-    x, y, z, w = q
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

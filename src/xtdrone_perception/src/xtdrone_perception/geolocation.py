@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.camera_pose import rotation_matrix
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.settings import Settings, check_range, setting
 
@@ -63,8 +64,8 @@ class View:
 
     @staticmethod
     def of(pinhole: Pinhole, position: tuple[float, float, float], orientation: tuple[float, ...]) -> View:
-        """Return the view from a pose of the optical frame, quaternion (x, y, z, w)."""
-        return View(pinhole, np.array(position, float), rotation_of(orientation))
+        """Return the view from a pose of the optical frame, quaternion (w, x, y, z)."""
+        return View(pinhole, np.array(position, float), rotation_matrix(orientation))
 
 
 @dataclass(frozen=True)
@@ -85,18 +86,6 @@ class GroundPoint:
     def covariance(self) -> Array:
         """Total covariance, (3, 3) m^2."""
         return self.independent + self.shared
-
-
-def rotation_of(q: tuple[float, ...]) -> Array:
-    """Return the (3, 3) rotation matrix of a unit quaternion (x, y, z, w)."""
-    x, y, z, w = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 class Geolocator:

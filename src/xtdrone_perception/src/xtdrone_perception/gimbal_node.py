@@ -27,6 +27,7 @@ from mavros_msgs.msg import MountControl
 
 from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import camera_link_pose
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.settings import Settings, setting
 
 RATE = 30.0  # Hz
@@ -132,9 +133,9 @@ class GimbalControl:
         if not all(map(math.isfinite, (p.x, p.y, p.z, q.x, q.y, q.z, q.w, m.x, m.y, m.z, m.w))):
             return None
         found = camera_link_pose(
-            (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), (m.x, m.y, m.z, m.w), self._options.camera_offset
+            (p.x, p.y, p.z), (q.w, q.x, q.y, q.z), (m.w, m.x, m.y, m.z), self._options.camera_offset
         )
-        message = PoseStamped(pose=Pose(Point(*found.position), Quaternion(*found.orientation)))
+        message = PoseStamped(pose=Pose(Point(*found.position), Quaternion(*to_xyzw(found.orientation))))
         message.header.stamp = self._pose.header.stamp
         message.header.frame_id = "map"
         return message

@@ -27,9 +27,10 @@ from std_msgs.msg import Int32, String
 from xtdrone_msgs.msg import ObjectsOnGround
 
 from xtdrone_control import lockstep
+from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
 
-from .following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen, heading_of
+from .following import ANY, FOLLOWING, Command, Following, FollowSettings, Seen
 
 RATE = 30.0  # Hz
 _MOUNT_PERIOD = 0.2  # s between gimbal commands, each of which is a MAVLink command
@@ -101,7 +102,7 @@ class HumanTracking:
 
     def _on_pose(self, message: PoseStamped) -> None:
         p, q = message.pose.position, message.pose.orientation
-        self._pose = (p.x, p.y, p.z), heading_of((q.x, q.y, q.z, q.w))
+        self._pose = (p.x, p.y, p.z), yaw_of((q.w, q.x, q.y, q.z))
 
     def _on_follow(self, message: Int32) -> None:
         if message.data > 0:

@@ -42,6 +42,7 @@ from xtdrone_msgs.msg import ObjectOnGround, ObjectsOnGround
 
 from xtdrone_control import lockstep
 from xtdrone_control.camera_pose import CameraPose, camera_link_pose, optical_pose
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.lockstep.deferred import Deferred
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.program import ArgumentError
@@ -298,7 +299,7 @@ class VehicleDetection:
             return
         message = ObjectsOnGround(vehicle=self.name, dropped=self._dropped)
         message.header.stamp, message.header.frame_id = stamp, "map"
-        message.camera = Pose(Point(*camera.position), Quaternion(*camera.orientation))
+        message.camera = Pose(Point(*camera.position), Quaternion(*to_xyzw(camera.orientation)))
         message.objects = [object_message(track) for track in tracks]
         self._objects.publish(message)
 
@@ -310,7 +311,7 @@ class VehicleDetection:
         px, py, pz, qx, qy, qz, qw = pose.tolist()
         mx, my, mz, mw = mount.tolist()
         return optical_pose(
-            camera_link_pose((px, py, pz), (qx, qy, qz, qw), (mx, my, mz, mw), self._options.camera_offset),
+            camera_link_pose((px, py, pz), (qw, qx, qy, qz), (mw, mx, my, mz), self._options.camera_offset),
         )
 
 

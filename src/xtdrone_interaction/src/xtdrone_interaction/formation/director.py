@@ -30,11 +30,12 @@ from typing import Any, TextIO
 
 import rospy
 from gazebo_msgs.msg import ModelStates
-from geometry_msgs.msg import PoseStamped, Quaternion, Twist
+from geometry_msgs.msg import PoseStamped, Twist
 from mavros_msgs.msg import State
 from std_msgs.msg import Float32MultiArray, String
 
 from xtdrone_control import lockstep
+from xtdrone_control.rotation import yaw_of
 from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction.formation.flight_events import EventsFile
 from xtdrone_interaction.formation.geometry import (
@@ -140,7 +141,8 @@ class FormationDirector:
     def _place(self, index: int, pose: Any) -> None:
         self.view.position[index] = (pose.position.x, pose.position.y, pose.position.z)
         if index == 0:
-            self.view.leader_yaw = yaw_of(pose.orientation)
+            q = pose.orientation
+            self.view.leader_yaw = yaw_of((q.w, q.x, q.y, q.z))
 
     def _on_offsets(self, message: Float32MultiArray) -> None:
         size = 3 * (len(self.view.names) - 1)
@@ -261,11 +263,6 @@ class FormationDirector:
 def _finite(value: float) -> float | None:
     """Return ``value``, or None for NaN and infinity, which JSON lacks."""
     return float(value) if math.isfinite(value) else None
-
-
-def yaw_of(q: Quaternion) -> float:
-    """Return the heading of an orientation (x, y, z, w), rad from the frame's x axis."""
-    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 
 
 def open_events(folder: str) -> EventsFile | None:

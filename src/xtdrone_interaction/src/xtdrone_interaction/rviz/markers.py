@@ -32,6 +32,8 @@ from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from xtdrone_control.camera_pose import rotation_matrix
+
 Array = NDArray[np.float64]
 Place = tuple[float, float, float]
 
@@ -71,18 +73,13 @@ def ground_view(
 
     Args:
         position: of the camera, m ENU.
-        orientation: (x, y, z, w) of its optical frame: z ahead, x right, y down.
+        orientation: quaternion (w, x, y, z) of its optical frame: z ahead, x right, y down.
         focal: focal lengths along x and y, pixels.
         size: width and height of the picture, pixels; the optical axis goes through its middle.
     """
-    x, y, z, w = orientation
     right, down = 0.5 * size[0] / focal[0], 0.5 * size[1] / focal[1]
-    rotation = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
-    rays = np.array([[-right, -down, 1.0], [right, -down, 1.0], [right, down, 1.0], [-right, down, 1.0]]) @ rotation.T
+    ahead = np.array([[-right, -down, 1.0], [right, -down, 1.0], [right, down, 1.0], [-right, down, 1.0]])
+    rays: Array = ahead @ rotation_matrix(orientation).T
     height = float(position[2])
     if height <= 0.0 or not (rays[:, 2] < 0.0).all():
         return np.empty((0, 3))

@@ -87,7 +87,7 @@ class MarkersNode:
         lens = self._lenses.get(name)
         if lens is not None:
             size = (lens.width, lens.height)
-            corners = ground_view((p.x, p.y, p.z), (q.x, q.y, q.z, q.w), (lens.K[0], lens.K[4]), size)
+            corners = ground_view((p.x, p.y, p.z), (q.w, q.x, q.y, q.z), (lens.K[0], lens.K[4]), size)
             self._markers.on_view(name, corners)
 
     def _on_search_event(self, message: String) -> None:

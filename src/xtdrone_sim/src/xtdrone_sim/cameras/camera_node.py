@@ -236,7 +236,7 @@ def _scene_of(message: Any) -> SceneAt:
 
 def _pose(message: PoseMessage) -> Pose:
     p, q = message.position, message.orientation
-    return Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    return Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
 
 
 def private_parameters(arguments: Sequence[str]) -> dict[str, Any]:

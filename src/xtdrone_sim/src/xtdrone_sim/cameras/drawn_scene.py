@@ -14,7 +14,7 @@ from xtdrone_sim.vehicles.visual import Box, Pose, Visual
 from xtdrone_sim.worlds import people
 from xtdrone_sim.worlds.sdf import SdfActor, SdfWorld
 
-OPTICAL = Pose((0.0, 0.0, 0.0), (-0.5, 0.5, -0.5, 0.5))
+OPTICAL = Pose((0.0, 0.0, 0.0), (0.5, -0.5, 0.5, -0.5))
 """The optical frame (x right, y down, z ahead) in a camera's link (x ahead, y left, z up)."""
 
 _GROUND = Visual(Box((2000.0, 2000.0, 0.1)), Pose((0.0, 0.0, -0.05)), (0.45, 0.5, 0.4, 1.0))

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.frames import to_xyzw
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.physics.bullet import BulletClient, pybullet
 from xtdrone_sim.physics.plant import FREE, TOUCHING
@@ -150,7 +151,11 @@ class Obstacles:
             shape = meshes[geometry] if geometry in meshes else _shape(client, geometry)
             meshes[geometry] = shape
             body = client.createMultiBody(
-                0.0, shape, basePosition=pose.position, baseOrientation=pose.orientation, useMaximalCoordinates=True
+                0.0,
+                shape,
+                basePosition=pose.position,
+                baseOrientation=to_xyzw(pose.orientation),
+                useMaximalCoordinates=True,
             )
             client.changeDynamics(body, -1, lateralFriction=friction, restitution=restitution)
             owner_of[body] = owner

@@ -64,7 +64,7 @@ def _empty(name: str) -> Odometry:
 def in_body(pose: Pose, twist: Twist) -> Twist:
     """Return a twist, given in the world frame, in the frame of a body with this pose."""
     q, linear, angular = pose.orientation, twist.linear, twist.angular
-    inverse = conjugate((q.x, q.y, q.z, q.w))
+    inverse = conjugate((q.w, q.x, q.y, q.z))
     return Twist(
         Vector3(*rotate(inverse, (linear.x, linear.y, linear.z))),
         Vector3(*rotate(inverse, (angular.x, angular.y, angular.z))),

@@ -9,6 +9,7 @@ from gazebo_msgs.msg import ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
 from numpy.typing import NDArray
 
+from xtdrone_control.frames import to_xyzw
 from xtdrone_sim.physics.plant import rotate
 from xtdrone_sim.worlds.sdf import SdfModel
 
@@ -35,6 +36,6 @@ def model_states(names: Sequence[str], plant: NDArray[np.void], models: Sequence
         message.twist.append(Twist(Vector3(*v["velocity"].tolist()), Vector3(*spin)))
     for model in models:
         message.name.append(model.name)
-        message.pose.append(Pose(Point(*model.pose.position), Quaternion(*model.pose.orientation)))
+        message.pose.append(Pose(Point(*model.pose.position), Quaternion(*to_xyzw(model.pose.orientation))))
         message.twist.append(Twist())
     return message

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from xtdrone_sim.vehicles.poses import compose, from_axis_angle, from_rpy
+from xtdrone_control.rotation import from_euler
+from xtdrone_sim.vehicles.poses import compose, from_axis_angle
 from xtdrone_sim.vehicles.urdf import FIXED
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
 from xtdrone_sim.vehicles.visual import Pose
 
-OPTICAL = Pose(orientation=from_rpy(-1.5707963267948966, 0.0, -1.5707963267948966))  # z ahead, x right, y down
+OPTICAL = Pose(orientation=from_euler(-1.5707963267948966, 0.0, -1.5707963267948966))  # z ahead, x right, y down
 
 
 class Frame(NamedTuple):

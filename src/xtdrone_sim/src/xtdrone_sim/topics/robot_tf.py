@@ -13,6 +13,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from xtdrone_control import lockstep
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
 from xtdrone_control.settings import Settings, setting
 from xtdrone_sim.descriptions import ModelError
@@ -31,7 +32,7 @@ class TfSettings(Settings):
 def transform(frame: Frame, stamp: rospy.Time) -> TransformStamped:
     """Return the TF message of a frame."""
     header = Header(stamp=stamp, frame_id=frame.parent)
-    turn = Quaternion(*frame.pose.orientation)
+    turn = Quaternion(*to_xyzw(frame.pose.orientation))
     return TransformStamped(header, frame.child, Transform(Vector3(*frame.pose.position), turn))
 
 

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.rotation import Vector
 from xtdrone_control.rotation_kernels import exponential, multiply, rotate
 from xtdrone_sim.kernel import kernel
 from xtdrone_sim.vehicles.mounts import GimbalMount
 from xtdrone_sim.vehicles.poses import compose
 from xtdrone_sim.vehicles.poses import rotate as rotate_by
 from xtdrone_sim.vehicles.vehicle_model import VehicleModel
-from xtdrone_sim.vehicles.visual import Pose, Vector
+from xtdrone_sim.vehicles.visual import Pose
 
 _BODY = -1  # as parent: this link is the vehicle's body
 _STILL = -1  # as joint: not a joint of the gimbal
@@ -105,9 +106,8 @@ class Links:
             for link, parent, pose, joint in _entries(model):
                 entry[link] = len(rows)
                 raised, axis = _gear_joint(model, link, pose) if joint == _STILL else (0.0, _AXES[joint])
-                x, y, z, w = pose.orientation
                 above = _BODY if parent is None else entry[parent]
-                rows.append((vehicle, above, pose.position, (w, x, y, z), axis, joint, raised))
+                rows.append((vehicle, above, pose.position, pose.orientation, axis, joint, raised))
                 self.names.append(f"{name}::{link}")
                 self.vehicles.append(vehicle)
         self._table = np.array(rows, _TABLE)

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from xtdrone_control.pinhole import Pinhole
+from xtdrone_control.rotation import Quaternion, Vector, multiply
 from xtdrone_control.settings import check_range
-from xtdrone_sim.vehicles.poses import multiply
 from xtdrone_sim.vehicles.urdf import FIXED, Description, Joint, UrdfError
-from xtdrone_sim.vehicles.visual import Vector
 
 _CAMERA = {"name", "link", "width", "height", "hfov", "rate", "near", "far", "frame_id"}
 _GIMBAL = {"yaw", "roll", "pitch", "rate"}
@@ -163,7 +162,7 @@ def _sign(joint: Joint, name: str, urdf: Description) -> float:
     if joint.kind == FIXED:
         raise MountError(f"gimbal: {name} joint {joint.name!r} of type fixed is not allowed, revolute or continuous")
     rest = _rest_turn(joint, urdf)
-    if max(abs(part) for part in rest[:3]) > _ALIGNED:
+    if max(abs(part) for part in rest[1:]) > _ALIGNED:
         raise MountError(f"gimbal: {name} joint {joint.name!r}: rpy is not allowed in its origin, or below it: 0 0 0")
     along = sum(a * b for a, b in zip(joint.axis, _AXES[name], strict=True))
     if abs(abs(along) - 1.0) > _ALIGNED:
@@ -173,8 +172,8 @@ def _sign(joint: Joint, name: str, urdf: Description) -> float:
     return 1.0 if along > 0.0 else -1.0
 
 
-def _rest_turn(joint: Joint, urdf: Description) -> tuple[float, float, float, float]:
-    """Return the orientation of a joint's frame, at 0, in the moving link that carries it, (x, y, z, w)."""
+def _rest_turn(joint: Joint, urdf: Description) -> Quaternion:
+    """Return the orientation of a joint's frame, at 0, in the moving link that carries it, (w, x, y, z)."""
     _, pose = urdf.carrier(joint.parent)
     return multiply(pose.orientation, joint.pose.orientation)
 

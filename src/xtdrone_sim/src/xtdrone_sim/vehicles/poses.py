@@ -1,52 +1,28 @@
-"""Arithmetic of ``visual.Pose``: rotations as unit quaternions (x, y, z, w), positions in metres."""
+"""Arithmetic of ``visual.Pose``: unit quaternions (w, x, y, z), positions in metres."""
 
 from __future__ import annotations
 
 import math
 
-from xtdrone_sim.vehicles.visual import Pose, Quaternion, Vector
-
-
-def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Return the rotation by roll about x, then pitch about y, then yaw about z, fixed axes, rad (as URDF, SDF)."""
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
+from xtdrone_control.rotation import Quaternion, Vector, multiply
+from xtdrone_sim.vehicles.visual import Pose
 
 
 def from_axis_angle(axis: Vector, angle: float) -> Quaternion:
     """Return the rotation by ``angle`` (rad) about a unit vector."""
     s = math.sin(0.5 * angle)
-    return axis[0] * s, axis[1] * s, axis[2] * s, math.cos(0.5 * angle)
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the rotation ``b`` followed by ``a``."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
+    return math.cos(0.5 * angle), axis[0] * s, axis[1] * s, axis[2] * s
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:
-    """Return ``v`` rotated by ``q``."""
-    x, y, z, _ = multiply(multiply(q, (*v, 0.0)), conjugate(q))
+    """Return ``v`` rotated by ``q``, as the product q v q*."""
+    _, x, y, z = multiply(multiply(q, (0.0, *v)), conjugate(q))
     return x, y, z
 
 
 def conjugate(q: Quaternion) -> Quaternion:
     """Return the inverse rotation."""
-    return -q[0], -q[1], -q[2], q[3]
+    return q[0], -q[1], -q[2], -q[3]
 
 
 def compose(outer: Pose, inner: Pose) -> Pose:

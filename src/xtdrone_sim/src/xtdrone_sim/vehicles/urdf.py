@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xtdrone_control.bounded_file import MB, MOST_VALUES, ContentError, read_text
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.package_files import PACKAGE
-from xtdrone_sim.vehicles.poses import compose, from_rpy, rotate
+from xtdrone_sim.vehicles.poses import compose, rotate
 from xtdrone_sim.vehicles.visual import (
     Box,
     Collision,
@@ -322,7 +323,7 @@ class _Reader:
             return Pose()
         x, y, z = self._numbers(origin, "xyz", 3, where, "0 0 0")
         roll, pitch, yaw = self._numbers(origin, "rpy", 3, where, "0 0 0")
-        return Pose((x, y, z), from_rpy(roll, pitch, yaw))
+        return Pose((x, y, z), from_euler(roll, pitch, yaw))
 
     def _file(self, element: Element, where: str, suffixes: tuple[str, ...]) -> Path:
         uri = element.get("filename", "")

@@ -1,6 +1,6 @@
 """Visual and collision shapes of links, scenery and people.
 
-The readers of SDF, URDF and people produce them; renderer and physics use them. Metres, quaternions (x, y, z, w).
+The readers of SDF, URDF and people produce them; renderer and physics use them. Metres, quaternions (w, x, y, z).
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+from xtdrone_control.rotation import Quaternion, Vector
+
 Colour = tuple[float, float, float, float]
 
 
@@ -51,7 +51,7 @@ class Pose:
     """Position and orientation in the parent frame."""
 
     position: Vector = (0.0, 0.0, 0.0)
-    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

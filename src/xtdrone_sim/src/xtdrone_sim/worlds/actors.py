@@ -14,8 +14,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from xtdrone_control.rotation import Vector, yaw_of
 from xtdrone_control.settings import check_range
-from xtdrone_sim.vehicles.visual import Pose, Vector
 from xtdrone_sim.worlds.sdf import SdfActor, Trajectory
 
 TURN_RATE = 1.5  # rad/s, in place
@@ -91,7 +91,7 @@ class _Script:
         self._loop, self._stride = trajectory.loop, stride
         self._times_us = np.array([round(waypoint.time * 1e6) for waypoint in waypoints])
         self._places = np.array([waypoint.pose.position for waypoint in waypoints])
-        self._yaws = [yaw_of(waypoint.pose) for waypoint in waypoints]
+        self._yaws = [yaw_of(waypoint.pose.orientation) for waypoint in waypoints]
         legs = np.linalg.norm(np.diff(self._places[:, :2], axis=0), axis=1)
         self._ways = np.concatenate([[0.0], np.cumsum(legs)])
 
@@ -174,10 +174,4 @@ def _first_way(actor: SdfActor, time_us: int, stride: float) -> _Way:
     if trajectory is not None and trajectory.auto_start:
         return _Script(trajectory, time_us, stride)
     pose = actor.pose if trajectory is None else trajectory.waypoints[0].pose
-    return _Stand(ActorState(pose.position, yaw_of(pose), STANDING))
-
-
-def yaw_of(pose: Pose) -> float:
-    """Return the heading of a pose's x axis, rad, assuming that the z axis is vertical."""
-    x, y, z, w = pose.orientation
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return _Stand(ActorState(pose.position, yaw_of(pose.orientation), STANDING))

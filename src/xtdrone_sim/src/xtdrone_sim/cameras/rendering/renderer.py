@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control.frames import to_xyzw
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.settings import check_range
 from xtdrone_sim.cameras.rendering.backends import BACKENDS, Backend, RendererError
@@ -172,7 +173,7 @@ class Renderer:
         self._places[body] = pose
         self._extents.place(body, pose)
         for part in parts:
-            self._client.resetBasePositionAndOrientation(part, pose.position, pose.orientation)
+            self._client.resetBasePositionAndOrientation(part, pose.position, to_xyzw(pose.orientation))
 
     def hide(self, body: int) -> None:
         """Hide a body until it is placed again.

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xtdrone_control import camera_pose
 from xtdrone_sim.vehicles.visual import Box, Cylinder, Geometry, Mesh, Pose, Sphere
 
 _AROUND = 24  # corners per circle
@@ -53,18 +54,11 @@ def rotation_matrix(pose: Pose) -> Array:
     Raises:
         ValueError: the norm of the quaternion differs from 1 by more than 0.001.
     """
-    x, y, z, w = pose.orientation
+    w, x, y, z = pose.orientation
     length = math.sqrt(x * x + y * y + z * z + w * w)
     if not abs(length - 1.0) < 1e-3:
-        raise ValueError(f"orientation: {pose.orientation!r} is not allowed, a quaternion (x, y, z, w) of length 1")
-    x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+        raise ValueError(f"orientation: {pose.orientation!r} is not allowed, a quaternion (w, x, y, z) of length 1")
+    return camera_pose.rotation_matrix((w / length, x / length, y / length, z / length))
 
 
 def triangles_of(geometry: Geometry) -> Triangles:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from xtdrone_control.rotation import from_euler
 from xtdrone_control.settings import Settings, check_range, setting
-from xtdrone_sim.vehicles.poses import from_rpy
 from xtdrone_sim.vehicles.visual import Mesh, Pose, Visual
 from xtdrone_sim.worlds.scenery import assets, things
 from xtdrone_sim.worlds.scenery.ground import Ground, Rectangle
@@ -163,7 +163,7 @@ class _Scene:
                 texture = kit.texture(kind)
                 if all(math.hypot(x - a, y - b) > 1.3 * (size + r) for a, b, r in circles):
                     circles.append((x, y, size))
-                    pose = Pose((x, y, _PATCH), from_rpy(0.0, 0.0, turn))
+                    pose = Pose((x, y, _PATCH), from_euler(0.0, 0.0, turn))
                     visuals.append(Visual(form, pose, _WHITE, texture))
         visuals += self._ways(kit)
         self.models.append(SdfModel("ground", links=(SdfLink("link", visuals=tuple(visuals)),)))
@@ -197,7 +197,7 @@ class _Scene:
         for _ in range(max(1, min(_PATHS, round((x1 - x0) * (y1 - y0) / 3500.0)))):
             form = Mesh(kit.mesh("path"), (kit.uniform(40.0, 90.0), kit.uniform(1.0, 2.2), 1.0))
             place = (kit.uniform(x0, x1), kit.uniform(y0, y1), _PATH)
-            pose = Pose(place, from_rpy(0.0, 0.0, kit.uniform(-3.14, 3.14)))
+            pose = Pose(place, from_euler(0.0, 0.0, kit.uniform(-3.14, 3.14)))
             ways.append(Visual(form, pose, _WHITE, gravel))
         road = Mesh(assets.mesh("road"), (round(x1 - x0 + 2 * _MARGIN + 40.0, 3), 6.0, 1.0))
         pose = Pose((round(0.5 * (x0 + x1), 3), self._road, _ROAD))
@@ -251,7 +251,7 @@ class _Scene:
         self._circles.append((x, y, thing.radius))
         link = SdfLink("link", visuals=thing.visuals, collisions=thing.collisions)
         number = sum(model.name.rpartition("_")[0] == kind for model in self.models)
-        self.models.append(SdfModel(f"{kind}_{number}", Pose((x, y, 0.0), from_rpy(0.0, 0.0, yaw)), True, (link,)))
+        self.models.append(SdfModel(f"{kind}_{number}", Pose((x, y, 0.0), from_euler(0.0, 0.0, yaw)), True, (link,)))
 
     def _is_free(self, x: float, y: float, radius: float) -> bool:
         x0, y0, x1, y1 = self._options.clear
@@ -275,7 +275,7 @@ def _people(seed: int, options: OutdoorOptions, world: SdfWorld) -> list[SdfActo
         speed = round(float(rng.uniform(0.8, 1.4)), 2)
         x, y = _place(rng, options, ground, [actor.pose.position for actor in actors])
         yaw = round(float(rng.uniform(-3.14, 3.14)), 3)
-        pose = Pose((x, y, 0.0), from_rpy(0.0, 0.0, yaw))
+        pose = Pose((x, y, 0.0), from_euler(0.0, 0.0, yaw))
         way = _way(rng, options, ground, (x, y), speed) if options.walking else None
         actors.append(SdfActor(f"person_{k}", skin, pose, way, speed))
     return actors
@@ -348,7 +348,7 @@ def _walk(corners: list[tuple[float, float]], speed: float) -> Trajectory:
 
 
 def _waypoint(time: float, place: tuple[float, float], heading: float) -> Waypoint:
-    return Waypoint(time, Pose((*place, 0.0), from_rpy(0.0, 0.0, heading)))
+    return Waypoint(time, Pose((*place, 0.0), from_euler(0.0, 0.0, heading)))
 
 
 def is_free(world: SdfWorld, x: float, y: float, radius: float) -> bool:

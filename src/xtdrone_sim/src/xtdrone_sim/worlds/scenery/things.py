@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from xtdrone_sim.vehicles.poses import from_rpy
+from xtdrone_control.rotation import from_euler
 from xtdrone_sim.vehicles.visual import Box, Collision, Colour, Cylinder, Geometry, Mesh, Pose, Sphere, Visual
 from xtdrone_sim.worlds.scenery import assets
 from xtdrone_sim.worlds.scenery.kit import Kit
@@ -33,7 +33,7 @@ class Thing:
 
 
 def _at(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Pose:
-    return Pose((round(x, 4), round(y, 4), round(z, 4)), from_rpy(roll, pitch, yaw))
+    return Pose((round(x, 4), round(y, 4), round(z, 4)), from_euler(roll, pitch, yaw))
 
 
 def _solid(radius: float, *visuals: Visual) -> Thing:

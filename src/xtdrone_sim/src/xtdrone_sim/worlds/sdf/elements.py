@@ -15,9 +15,10 @@ from pathlib import Path
 from xml.parsers import expat
 
 from xtdrone_control.bounded_file import MB, MOST_DEPTH, MOST_VALUES
+from xtdrone_control.frames import to_xyzw
+from xtdrone_control.rotation import from_euler, to_euler
 from xtdrone_sim.package_files import MODELS, PACKAGE
-from xtdrone_sim.vehicles.poses import from_rpy
-from xtdrone_sim.vehicles.visual import Pose, Quaternion, Vector
+from xtdrone_sim.vehicles.visual import Pose
 from xtdrone_sim.worlds.sdf.types import SdfError
 
 _log = logging.getLogger("rosout.sdf")  # a child of ROS's logger: shown on screen and on /rosout in a ROS node
@@ -213,16 +214,6 @@ def parse(text: str | bytes, path: Path) -> Element:
 # poses: x y z, and roll pitch yaw or a quaternion x y z w
 
 
-def angles(q: Quaternion) -> Vector:
-    """Convert a quaternion (x, y, z, w) to roll, pitch, yaw, rad; ``from_rpy`` inverts it up to sign and rounding."""
-    x, y, z, w = q
-    return (
-        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
-        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-    )
-
-
 def read_pose(parent: Element) -> Pose:
     """Read the <pose> of an element; the identity if it has none.
 
@@ -249,12 +240,12 @@ def pose_of(element: Element) -> Pose:
     x, y, z = values[:3]
     if form != _QUATERNION:
         roll, pitch, yaw = values[3:]
-        return Pose((x, y, z), from_rpy(roll, pitch, yaw))
+        return Pose((x, y, z), from_euler(roll, pitch, yaw))
     qx, qy, qz, qw = values[3:]
     length = math.hypot(qx, qy, qz, qw)
     if abs(length - 1.0) > 1e-3:
         raise element.error(f"quaternion of length {length:g} is not allowed, of length 1")
-    return Pose((x, y, z), (qx, qy, qz, qw))
+    return Pose((x, y, z), (qw, qx, qy, qz))
 
 
 def write_pose(pose: Pose, tag: str = "pose") -> str:
@@ -264,10 +255,10 @@ def write_pose(pose: Pose, tag: str = "pose") -> str:
     """
     place = " ".join(map(repr, pose.position))
     for digits in (4, 6, 9, 12, 15):
-        rounded = [round(angle, digits) + 0.0 for angle in angles(pose.orientation)]
-        if from_rpy(*rounded) == pose.orientation:
+        rounded = [round(angle, digits) + 0.0 for angle in to_euler(pose.orientation)]
+        if from_euler(*rounded) == pose.orientation:
             return f"<{tag}>{place} {' '.join(map(repr, rounded))}</{tag}>"
-    turn = " ".join(map(repr, pose.orientation))
+    turn = " ".join(map(repr, to_xyzw(pose.orientation)))
     return f'<{tag} rotation_format="{_QUATERNION}">{place} {turn}</{tag}>'
 
 

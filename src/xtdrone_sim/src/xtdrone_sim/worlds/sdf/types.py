@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from xtdrone_control.geodesy.datum import Datum
+from xtdrone_control.rotation import Vector
 from xtdrone_sim.descriptions import ModelError
-from xtdrone_sim.vehicles.visual import Collision, Pose, Vector, Visual
+from xtdrone_sim.vehicles.visual import Collision, Pose, Visual
 
 
 class SdfError(ModelError):
