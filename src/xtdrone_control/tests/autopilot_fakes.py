@@ -33,7 +33,7 @@ class FakeAutopilot:
         self.rotors = np.full(count, 4)
         self.estimator["q"][:, 0] = 1.0
         self.control["sp_q"][:, 0] = 1.0
-        self.control["landed"] = 1
+        self.control["landing"]["landed"] = 1
         for field in ("initialised", "attitude_valid", "velocity_valid", "position_valid", "altitude_valid"):
             self.estimator[field] = 1
         for field in ("global_valid", "heading_good", "gps_good", "baro_good", "mag_good", "origin_set", "located"):
@@ -57,7 +57,7 @@ class FakeAutopilot:
         """Put a vehicle somewhere (m, NED), in the air when it is above 0.1 m."""
         self.estimator[index]["position"] = (x, y, z)
         self.estimator[index]["q"] = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
-        self.control[index]["landed"] = int(z > -0.1)
+        self.control[index]["landing"]["landed"] = int(z > -0.1)
 
 
 class Flight:

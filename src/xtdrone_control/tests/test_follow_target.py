@@ -87,7 +87,7 @@ class Following(Flight):
         self.run(0.1)
         self.control = self.autopilot.control[0]
         self.records = (self.control, self.setpoint, self.autopilot.estimator[0], self.autopilot.params[0])
-        start_following(self.control)
+        start_following(self.control["followed"])
 
     def report(self, x: float, y: float, z: float = 0.0, velocity: tuple[float, float, float] = UNKNOWN) -> None:
         place = self.commander.view.to_global((x, y, z))
@@ -177,7 +177,7 @@ def test_the_setpoint_has_no_steps(found, distance, angle, speed):
         flight.commander.request(modes.AUTO_FOLLOW_TARGET)
         for row in flight.fly(1.0):
             rows.append(row)
-            assert abs(flight.control["angle_velocity"][0]) * distance <= speed + 1e-9
+            assert abs(flight.control["followed"]["angle"]["velocity"][0]) * distance <= speed + 1e-9
     position, velocity, _ = np.array(rows).transpose(1, 0, 2)[:, :, :2]
     moved, changed = np.diff(position, axis=0), np.linalg.norm(np.diff(velocity, axis=0), axis=1)
     off = np.linalg.norm(moved - velocity[:-1] * DT, axis=1)

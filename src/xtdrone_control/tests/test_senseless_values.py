@@ -132,7 +132,7 @@ def test_projections_at_the_ends_of_the_globe():
 
 def test_no_speed_makes_no_time():
     served = Served()
-    served.autopilot.control["landed"] = 0
+    served.autopilot.control["landing"]["landed"] = 0
     served.parameters.set("MPC_XY_CRUISE", 0.0)
     served.ask(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
     served.link.telemetry.refresh(served.autopilot.time_us)

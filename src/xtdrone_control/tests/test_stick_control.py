@@ -60,7 +60,7 @@ def test_thrust_is_withheld_until_the_motors_have_spooled_up(parts):
 
 def test_least_thrust_is_zero_on_the_ground(parts):
     c, _, _, p = parts
-    c["landed"] = 1
+    c["landing"]["landed"] = 1
     for _ in range(round(3.0 / DT)):
         stick_control.update_throttle_limits(c, p, 1, DT)
     assert c["throttle_min"] == 0.0
@@ -70,7 +70,7 @@ def test_least_thrust_is_zero_on_the_ground(parts):
 def test_sticks_tilt_towards_where_they_point(parts, forward, right):
     c, s, e, p = parts
     e["q"] = rotation.from_euler(0.0, 0.0, 1.0)
-    c["smooth_yaw"] = 1.0
+    c["path"]["yaw"] = 1.0
     s["stick_x"], s["stick_y"], s["stick_z"] = forward, right, 0.0
     stick_control.stick_attitude(c, s, e, p, DT)
     x, y, z = rotation.rotate(c["sp_q"], 0.0, 0.0, 1.0)
@@ -85,11 +85,11 @@ def test_yaw_stick_turns_the_heading_unless_the_throttle_is_down(parts):
     s["stick_yaw"] = 0.5
     for _ in range(250):
         stick_control.stick_attitude(c, s, e, p, DT)
-    assert math.degrees(c["smooth_yaw"]) == pytest.approx(0.5 * p["mpc_man_y_max"], rel=1e-6)
+    assert math.degrees(c["path"]["yaw"]) == pytest.approx(0.5 * p["mpc_man_y_max"], rel=1e-6)
     s["stick_z"] = -1.0
-    before = float(c["smooth_yaw"])
+    before = float(c["path"]["yaw"])
     stick_control.stick_attitude(c, s, e, p, DT)
-    assert c["smooth_yaw"] == before
+    assert c["path"]["yaw"] == before
     assert c["sp_yaw_rate"] == 0.0
 
 
@@ -114,56 +114,56 @@ def test_half_a_stick_follows_the_rate_curve(parts):
 @pytest.mark.parametrize("truth", [0.4, 0.6])
 def test_hover_thrust_is_found(parts, truth):
     c, _, e, p = parts
-    hover_thrust.reset_hover_thrust(c, p)
+    hover_thrust.reset_hover_thrust(c["hover"], p)
     rng = np.random.default_rng(1)
     for _ in range(800):
         thrust = truth * (1.0 + 0.1 * rng.standard_normal())
         e["acceleration"] = (0.0, 0.0, -GRAVITY * (thrust / truth - 1.0) + 0.3 * rng.standard_normal())
-        hover_thrust.estimate_hover_thrust(c, e, p, thrust, 0.012)
-    assert c["hover_valid"] == 1
-    assert c["hover_estimate"] == pytest.approx(truth, rel=0.03)
+        hover_thrust.estimate_hover_thrust(c["hover"], e, p, thrust, 0.012)
+    assert c["hover"]["valid"] == 1
+    assert c["hover"]["estimate"] == pytest.approx(truth, rel=0.03)
 
 
 def test_hover_thrust_stays_in_its_range(parts):
     c, _, e, p = parts
-    hover_thrust.reset_hover_thrust(c, p)
+    hover_thrust.reset_hover_thrust(c["hover"], p)
     for _ in range(800):
-        hover_thrust.estimate_hover_thrust(c, e, p, 0.95, 0.012)
-    assert c["hover_estimate"] == pytest.approx(p["mpc_thr_hover"] + p["hte_thr_range"])
+        hover_thrust.estimate_hover_thrust(c["hover"], e, p, 0.95, 0.012)
+    assert c["hover"]["estimate"] == pytest.approx(p["mpc_thr_hover"] + p["hte_thr_range"])
 
 
 def test_takeoff_goes_through_its_stages(parts):
     c, _, _, p = parts
-    c["landed"] = 1
+    c["landing"]["landed"] = 1
     seen = []
     for step in range(500):
         c["armed_time"] = step * 0.012
-        takeoff.update_takeoff(c, 1, p, step * 0.012 > 1.5, False)
-        takeoff.update_ramp(c, p, 3.0, 0.012)
-        c["landed"] = 1 if c["takeoff_state"] < TAKEOFF_RAMPUP else 0
-        if not seen or seen[-1][0] != c["takeoff_state"]:
-            seen.append((int(c["takeoff_state"]), step * 0.012))
+        takeoff.update_takeoff(c["takeoff"], c, 1, p, step * 0.012 > 1.5, False)
+        takeoff.update_ramp(c["takeoff"], p, 3.0, 0.012)
+        c["landing"]["landed"] = 1 if c["takeoff"]["state"] < TAKEOFF_RAMPUP else 0
+        if not seen or seen[-1][0] != c["takeoff"]["state"]:
+            seen.append((int(c["takeoff"]["state"]), step * 0.012))
     states = [state for state, _ in seen]
     assert states == [TAKEOFF_SPOOLUP, TAKEOFF_READY, TAKEOFF_RAMPUP, TAKEOFF_FLIGHT]
     times = dict(seen)
     assert times[TAKEOFF_READY] == pytest.approx(p["com_spoolup_time"], abs=0.02)
     assert times[TAKEOFF_FLIGHT] - times[TAKEOFF_RAMPUP] == pytest.approx(p["mpc_tko_ramp_t"], abs=0.03)
-    takeoff.update_takeoff(c, 0, p, True, False)
-    assert c["takeoff_state"] == TAKEOFF_DISARMED
+    takeoff.update_takeoff(c["takeoff"], c, 0, p, True, False)
+    assert c["takeoff"]["state"] == TAKEOFF_DISARMED
 
 
 def test_ramp_begins_where_no_thrust_is_left(parts):
     c, _, _, p = parts
-    c["takeoff_state"] = TAKEOFF_RAMPUP
-    takeoff.update_ramp(c, p, 3.0, 0.0)
+    c["takeoff"]["state"] = TAKEOFF_RAMPUP
+    takeoff.update_ramp(c["takeoff"], p, 3.0, 0.0)
     start = -GRAVITY / p["mpc_z_vel_p_acc"]
-    assert c["ramp_speed"] == pytest.approx(start, abs=0.02)
-    c["ramp_progress"] = 0.5
-    takeoff.update_ramp(c, p, 3.0, 0.0)
-    assert c["ramp_speed"] == pytest.approx(0.5 * (start + 3.0))
+    assert c["takeoff"]["ramp_speed"] == pytest.approx(start, abs=0.02)
+    c["takeoff"]["ramp_progress"] = 0.5
+    takeoff.update_ramp(c["takeoff"], p, 3.0, 0.0)
+    assert c["takeoff"]["ramp_speed"] == pytest.approx(0.5 * (start + 3.0))
 
 
 def test_nothing_is_ramped_up_where_nothing_controls_the_climb(parts):
     c, _, _, p = parts
-    takeoff.update_takeoff(c, 1, p, False, True)
-    assert c["takeoff_state"] == TAKEOFF_FLIGHT
+    takeoff.update_takeoff(c["takeoff"], c, 1, p, False, True)
+    assert c["takeoff"]["state"] == TAKEOFF_FLIGHT

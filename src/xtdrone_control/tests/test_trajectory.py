@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from xtdrone_control.autopilot.flight_tasks import trajectory
-from xtdrone_control.autopilot.state import CONTROL
+from xtdrone_control.autopilot.state import PATH
 
 DT = 0.02
 
 
 def fly(wanted, accel=(3.0, 3.0, 3.0), jerk=4.0, seconds=8.0, start=(0.0, 0.0, 0.0)):
     """Return (n, 3) accelerations, velocities and positions of the path from rest at ``start`` velocity."""
-    c = np.zeros(1, CONTROL)[0]
-    c["smooth_velocity"] = start
+    path = np.zeros(1, PATH)[0]
+    path["velocity"] = start
     rows = []
     for _ in range(round(seconds / DT)):
-        trajectory.plan(c, wanted, (20.0, 20.0, 20.0), accel, jerk)
+        trajectory.plan(path, wanted, (20.0, 20.0, 20.0), accel, jerk)
         for axis in range(3):
-            trajectory.follow(c, axis, jerk, DT)
-        rows.append([c["smooth_acceleration"].copy(), c["smooth_velocity"].copy(), c["smooth_position"].copy()])
+            trajectory.follow(path, axis, jerk, DT)
+        rows.append([path["acceleration"].copy(), path["velocity"].copy(), path["position"].copy()])
     return tuple(np.array(part) for part in zip(*rows, strict=True))
 
 
@@ -50,12 +50,12 @@ def test_axes_arrive_together():
 
 
 def test_velocity_is_limited():
-    c = np.zeros(1, CONTROL)[0]
+    path = np.zeros(1, PATH)[0]
     for _ in range(400):
-        trajectory.plan(c, (50.0, 0.0, -50.0), (5.0, 5.0, 1.5), (3.0, 3.0, 3.0), 4.0)
+        trajectory.plan(path, (50.0, 0.0, -50.0), (5.0, 5.0, 1.5), (3.0, 3.0, 3.0), 4.0)
         for axis in range(3):
-            trajectory.follow(c, axis, 4.0, DT)
-    np.testing.assert_allclose(c["smooth_velocity"], (5.0, 0.0, -1.5), atol=1e-6)
+            trajectory.follow(path, axis, 4.0, DT)
+    np.testing.assert_allclose(path["velocity"], (5.0, 0.0, -1.5), atol=1e-6)
 
 
 @pytest.mark.parametrize("final", [0.0, 1.7])

@@ -90,7 +90,7 @@ def _stop_motors(c, p):
     _zero_thrust(c)
     for i in range(MAX_ROTORS):
         c.actuators[i] = 0.0
-    reset_hover_thrust(c, p)
+    reset_hover_thrust(c.hover, p)
     c.hover_thrust = p.mpc_thr_hover
 
 
@@ -117,21 +117,21 @@ def _suppress_thrust(c):
 @kernel
 def _control_position(c, e, p, dt):
     """Run the position and velocity loops: from the task's setpoint to an attitude and a thrust setpoint."""
-    flying = c.takeoff_state == TAKEOFF_FLIGHT
+    flying = c.takeoff.state == TAKEOFF_FLIGHT
     if not flying:
         c.hover_thrust = p.mpc_thr_hover
-    elif p.mpc_use_hte > 0.5 and c.hover_valid:
-        use_hover_thrust(c, c.hover_estimate)
+    elif p.mpc_use_hte > 0.5 and c.hover.valid:
+        use_hover_thrust(c, c.hover.estimate)
     start_loops(c)
     if not flying:
         c.sp_acceleration[2] = math.nan  # the takeoff ramp alone lifts the vehicle
-    if c.takeoff_state < TAKEOFF_RAMPUP or (flying and c.ground_contact):
+    if c.takeoff.state < TAKEOFF_RAMPUP or (flying and c.landing.ground_contact):
         _suppress_thrust(c)
     tilt = math.radians(p.mpc_tiltmax_air if flying else p.mpc_tiltmax_lnd)
     step = _TILT_SLEW * dt
     c.tilt_limit += min(max(tilt - c.tilt_limit, -step), step)
-    update_ramp(c, p, p.mpc_z_vel_max_up, dt)
-    position_loop(c, e, p, min(c.ramp_speed, p.mpc_z_vel_max_up), c.speed_down)
+    update_ramp(c.takeoff, p, p.mpc_z_vel_max_up, dt)
+    position_loop(c, e, p, min(c.takeoff.ramp_speed, p.mpc_z_vel_max_up), c.speed_down)
     velocity_loop(c, e, p, dt, c.tilt_limit, p.mpc_thr_min if flying else 0.0)
     thrust_to_attitude(c, e)
 
@@ -176,35 +176,35 @@ def _run_slow_loops(c, s, e, p, dt, climb_controlled):
         return
     slow = dt * POSITION_STEPS
     wants_takeoff = c.want_takeoff == 1 and s.task != TASK_IDLE
-    update_takeoff(c, s.armed, p, wants_takeoff, s.task != TASK_IDLE and not climb_controlled)
+    update_takeoff(c.takeoff, c, s.armed, p, wants_takeoff, s.task != TASK_IDLE and not climb_controlled)
     if not s.armed:
         return
     if climb_controlled and s.task != TASK_IDLE:
         _control_position(c, e, p, slow)
-    if not c.landed:
-        estimate_hover_thrust(c, e, p, -c.sp_thrust_vector[2], slow)
+    if not c.landing.landed:
+        estimate_hover_thrust(c.hover, e, p, -c.sp_thrust_vector[2], slow)
 
 
 @kernel
 def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
     climb_controlled = _controls_climb_rate(s.task)
     c.armed_time = c.armed_time + dt if s.armed else 0.0
-    follow_resets(c, e)
+    follow_resets(c.path, c.resets_seen, e)
     _run_slow_loops(c, s, e, p, dt, climb_controlled)
     c.tick += 1
     update_throttle_limits(c, p, s.armed, dt)
     if not s.armed:
         _stop_motors(c, p)
-    elif s.task == TASK_IDLE or c.takeoff_state < TAKEOFF_RAMPUP:
+    elif s.task == TASK_IDLE or c.takeoff.state < TAKEOFF_RAMPUP:
         _hold_on_ground(c, e)
         allocate(c, mix, unmix, rotors, 0)
     else:
         _control_attitude(c, s, e, p, dt)
-        rate_control(c, e, p, dt, not (c.landed or c.maybe_landed))
+        rate_control(c, e, p, dt, not (c.landing.landed or c.landing.maybe_landed))
         allocate(c, mix, unmix, rotors, int(p.mc_airmode))
-    if c.landed:
+    if c.landing.landed:
         c.ground_z = e.position[2]
-    detect_landing(c, s, e, sensors, p, dt, climb_controlled)
+    detect_landing(c.landing, c, s, e, sensors, p, dt, climb_controlled)
 
 
 @kernel
@@ -221,7 +221,7 @@ def step_all(sensors, estimator, setpoint, control, params, mix, unmix, rotors, 
     """
     for i in range(sensors.shape[0]):
         update_vibration(estimator[i], sensors[i], dt)
-        estimator[i].in_air = not control[i].landed
+        estimator[i].in_air = not control[i].landing.landed
         update_estimator(estimator[i], sensors[i], params[i], dt, work)
         if estimator[i].initialised:
             _control_vehicle(
@@ -272,7 +272,7 @@ class Autopilot:
     def _initialise_records(self, which: slice) -> None:
         """Set the initial values other than 0 in the records of the vehicles ``which``."""
         self.estimator["q"][which, 0] = 1.0
-        self.control["landed"][which] = 1
+        self.control["landing"]["landed"][which] = 1
         self.control["sp_q"][which, 0] = 1.0
         if self._datum is not None:
             self.estimator["origin_lat"][which] = self._datum.latitude
@@ -317,7 +317,7 @@ class Autopilot:
     def start_control(self, which: slice = slice(None)) -> None:
         """Initialise hover thrust and tilt limit of the vehicles ``which`` from their parameters."""
         self.control["hover_thrust"][which] = self.params["mpc_thr_hover"][which]
-        self.control["hover_estimate"][which] = self.params["mpc_thr_hover"][which]
+        self.control["hover"]["estimate"][which] = self.params["mpc_thr_hover"][which]
         self.control["tilt_limit"][which] = np.radians(self.params["mpc_tiltmax_lnd"][which])
 
     def step(self) -> None:

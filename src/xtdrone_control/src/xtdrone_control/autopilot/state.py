@@ -43,7 +43,7 @@ TASK_FOLLOW = 12  # AUTO.FOLLOW_TARGET: a position beside the target, relative t
 # SETPOINT.orbit_yaw: MAVLink ORBIT_YAW_BEHAVIOUR
 ORBIT_TO_CENTRE, ORBIT_INITIAL_HEADING, ORBIT_UNCONTROLLED, ORBIT_ALONG_CIRCLE = 0, 1, 2, 3
 
-# Takeoff state machine (CONTROL.takeoff_state), after PX4's mc_pos_control/Takeoff.
+# Takeoff state machine (TAKEOFF.state), after PX4's mc_pos_control/Takeoff.
 TAKEOFF_DISARMED = 0
 TAKEOFF_SPOOLUP = 1
 TAKEOFF_READY = 2
@@ -325,20 +325,19 @@ SETPOINT = np.dtype(
     align=True,
 )
 
-CONTROL = np.dtype(
+# The parts of CONTROL that one module writes.
+
+TAKEOFF = np.dtype(  # takeoff
     [
-        # autopilot
-        ("tick", "i8"),  # steps since the start, from which the slower loops are timed
-        ("armed_time", "f8"),  # s since arming
-        ("tilt_limit", "f8"),  # rad, slewed between MPC_TILTMAX_LND and MPC_TILTMAX_AIR
-        # takeoff
-        ("takeoff_state", "i4"),  # TAKEOFF_*
+        ("state", "i4"),  # TAKEOFF_*
         ("ramp_progress", "f8"),  # 0..1, progress of the takeoff ramp
         ("ramp_speed", "f8"),  # m/s, upward speed limit of the takeoff ramp
-        # stick_control
-        ("throttle_min", "f8"),  # 0..1, least thrust by stick, slewed to MPC_MANTHR_MIN in the air
-        ("throttle_max", "f8"),  # 0..1, largest thrust by stick, slewed up after arming
-        # land_detector
+    ],
+    align=True,
+)
+
+LANDING = np.dtype(  # land_detector
+    [
         ("landed", "i4"),
         ("maybe_landed", "i4"),
         ("ground_contact", "i4"),
@@ -349,28 +348,91 @@ CONTROL = np.dtype(
         ("freefall_time", "f8"),  # s
         ("least_thrust_time", "f8"),  # s at the least thrust
         ("since_maybe_landed", "f8"),  # s
-        # hover_thrust
+    ],
+    align=True,
+)
+
+HOVER = np.dtype(  # hover_thrust
+    [
+        ("estimate", "f8"),  # 0..1, state of the filter
+        ("variance", "f8"),
+        ("noise", "f8"),  # m^2/s^4, variance of the acceleration
+        ("residual", "f8"),  # m/s^2, low-passed
+        ("test_ratio", "f8"),  # low-passed, signed
+        ("valid_time", "f8"),  # s for which the variance has been small
+        ("valid", "i4"),
+    ],
+    align=True,
+)
+
+PATH = np.dtype(  # flight_tasks and estimator_resets: smoothed path, see ``trajectory``
+    [
+        ("acceleration", "f8", 3),  # m/s^2, local
+        ("position", "f8", 3),  # m, local
+        ("velocity", "f8", 3),  # m/s, local
+        ("times", "f8", (3, 3)),  # s of rising, constant and falling acceleration planned for each axis
+        ("direction", "f8", 3),  # sign of the first jerk in the plan
+        ("yaw", "f8"),  # rad
+        ("yaw_rate", "f8"),  # rad/s, filtered slope of yaw
+    ],
+    align=True,
+)
+
+ANGLE = np.dtype(  # follow_task: jerk-limited angle of the vehicle around the target, with the one axis of a PATH
+    [
+        ("position", "f8", (1,)),  # rad from north, bearing of the vehicle from the target, not wrapped
+        ("velocity", "f8", (1,)),  # rad/s
+        ("acceleration", "f8", (1,)),  # rad/s^2
+        ("times", "f8", (1, 3)),
+        ("direction", "f8", (1,)),
+    ],
+    align=True,
+)
+
+FOLLOWED = np.dtype(  # follow_task: filtered motion of the target
+    [
+        ("position", "f8", 3),  # m, local; NaN before the first estimate
+        ("velocity", "f8", 3),  # m/s, local
+        ("course", "f8"),  # rad from north, 0 until the target moves
+        ("angle", ANGLE),
+    ],
+    align=True,
+)
+
+RESETS = np.dtype(  # estimator_resets: counters of the resets already applied to the smoothed path
+    [
+        ("any", "i4"),
+        ("xy", "i4"),
+        ("vxy", "i4"),
+        ("z", "i4"),
+        ("vz", "i4"),
+        ("heading", "i4"),
+    ],
+    align=True,
+)
+
+CONTROL = np.dtype(
+    [
+        ("takeoff", TAKEOFF),
+        ("landing", LANDING),
+        ("hover", HOVER),
+        ("path", PATH),
+        ("followed", FOLLOWED),
+        ("resets_seen", RESETS),
+        # autopilot
+        ("tick", "i8"),  # steps since the start, from which the slower loops are timed
+        ("armed_time", "f8"),  # s since arming
+        ("tilt_limit", "f8"),  # rad, slewed between MPC_TILTMAX_LND and MPC_TILTMAX_AIR
+        # stick_control
+        ("throttle_min", "f8"),  # 0..1, least thrust by stick, slewed to MPC_MANTHR_MIN in the air
+        ("throttle_max", "f8"),  # 0..1, largest thrust by stick, slewed up after arming
+        # autopilot and position_control
         ("hover_thrust", "f8"),  # 0..1, thrust in use for 1 g: MPC_THR_HOVER, or the estimate in flight
-        ("hover_estimate", "f8"),  # 0..1, state of the filter
-        ("hover_variance", "f8"),
-        ("hover_noise", "f8"),  # m^2/s^4, variance of the acceleration
-        ("hover_residual", "f8"),  # m/s^2, low-passed
-        ("hover_test_ratio", "f8"),  # low-passed, signed
-        ("hover_valid_time", "f8"),  # s for which the variance has been small
-        ("hover_valid", "i4"),
         # position_control, rate_control and control_allocator
         ("velocity_integral", "f8", 3),  # m/s^2
         ("rate_integral", "f8", 3),  # normalised torque
         ("saturation_pos", "i4", 3),  # 1: the torque about this axis cannot rise
         ("saturation_neg", "i4", 3),  # 1: it cannot fall
-        # flight_tasks and trajectory: smoothed path, see ``trajectory``
-        ("smooth_acceleration", "f8", 3),
-        ("smooth_position", "f8", 3),
-        ("smooth_velocity", "f8", 3),
-        ("smooth_yaw", "f8"),
-        ("smooth_times", "f8", (3, 3)),  # s of rising, constant and falling acceleration planned for each axis
-        ("smooth_direction", "f8", 3),  # sign of the first jerk in the plan
-        ("smooth_yaw_rate", "f8"),  # rad/s, filtered slope of smooth_yaw
         # flight_tasks: GOTO and LAND
         ("last_task", "i4"),
         ("unsmoothed_climb", "f8"),  # m/s downwards, wanted speed before smoothing
@@ -389,15 +451,6 @@ CONTROL = np.dtype(
         ("brake_boost", "f8"),  # factor of the drag, raised while the sticks are centred
         ("hold_xy", "i4"),  # 1: the present position is held
         ("hold_z", "i4"),
-        # follow_task: filtered motion of the target, and the jerk-limited angle of the vehicle around it
-        ("followed_position", "f8", 3),  # m, local; NaN before the first estimate
-        ("followed_velocity", "f8", 3),  # m/s, local
-        ("followed_course", "f8"),  # rad from north, 0 until the target moves
-        ("angle_position", "f8", (1,)),  # rad from north, bearing of the vehicle from the target, not wrapped
-        ("angle_velocity", "f8", (1,)),  # rad/s
-        ("angle_acceleration", "f8", (1,)),  # rad/s^2
-        ("angle_times", "f8", (1, 3)),  # plan of the angle, as smooth_times and smooth_direction
-        ("angle_direction", "f8", (1,)),
         # flight_tasks: output, from which the position loop computes sp_*
         ("want_takeoff", "i4"),  # the task wants to leave the ground
         ("task_position", "f8", 3),
@@ -419,13 +472,6 @@ CONTROL = np.dtype(
         ("sp_thrust", "f8"),  # 0..1 collective
         ("sp_torque", "f8", 3),  # normalised
         ("actuators", "f8", MAX_ROTORS),  # 0..1 motor commands; 0 when disarmed, except for motor tests
-        # estimator_resets: counters of the resets already applied to the smoothed path
-        ("resets_seen", "i4"),
-        ("resets_seen_xy", "i4"),
-        ("resets_seen_vxy", "i4"),
-        ("resets_seen_z", "i4"),
-        ("resets_seen_vz", "i4"),
-        ("resets_seen_heading", "i4"),
     ],
     align=True,
 )

@@ -64,7 +64,7 @@ class VehicleView:
     @property
     def landed(self) -> bool:
         """Whether the land detector reports landed."""
-        return bool(self.control["landed"])
+        return bool(self.control["landing"]["landed"])
 
     @property
     def initialised(self) -> bool:

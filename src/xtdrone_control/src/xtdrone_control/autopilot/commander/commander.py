@@ -290,7 +290,7 @@ class Commander(FlightCommands):
     def _disarm_unless_flying(self, reason: ArmReason, force: bool = False) -> bool:
         if not self.armed:
             return True
-        on_ground = self.view.landed or bool(self.view.control["maybe_landed"])
+        on_ground = self.view.landed or bool(self.view.control["landing"]["maybe_landed"])
         by_pilot = self._active_mode in MANUAL_THRUST and reason in _BY_PILOT
         if not on_ground and not by_pilot and not force:
             if reason is not ArmReason.STICK:

@@ -21,26 +21,26 @@ _VALID_TIME = 2.0  # s for which the variance must have been small
 
 
 @kernel
-def reset_hover_thrust(c, p):
+def reset_hover_thrust(hover, p):
     """Reset the estimate to MPC_THR_HOVER with the standard deviation HTE_HT_ERR_INIT."""
-    c.hover_estimate = p.mpc_thr_hover
-    c.hover_variance = p.hte_ht_err_init * p.hte_ht_err_init
-    c.hover_noise = _FIRST_NOISE
-    c.hover_residual = 0.0
-    c.hover_test_ratio = 0.0
-    c.hover_valid_time = 0.0
-    c.hover_valid = 0
+    hover.estimate = p.mpc_thr_hover
+    hover.variance = p.hte_ht_err_init * p.hte_ht_err_init
+    hover.noise = _FIRST_NOISE
+    hover.residual = 0.0
+    hover.test_ratio = 0.0
+    hover.valid_time = 0.0
+    hover.valid = 0
 
 
 @kernel
-def estimate_hover_thrust(c, e, p, thrust, dt):
+def estimate_hover_thrust(hover, e, p, thrust, dt):
     """Update the filter in the air after ``dt`` s; ``thrust`` (0..1) is the vertical part of the thrust setpoint."""
-    h = c.hover_estimate
+    h = hover.estimate
     acceleration = -e.acceleration[2]
     fast_z = max(abs(e.velocity[2]) - p.hte_vz_thr + 1.0, 1.0)
     fast_xy = max(math.hypot(e.velocity[0], e.velocity[1]) - p.hte_vxy_thr + 1.0, 1.0)
-    noise = c.hover_noise * max(fast_z * fast_z, fast_xy * fast_xy)
-    variance = c.hover_variance + p.hte_ht_noise * p.hte_ht_noise * dt * dt
+    noise = hover.noise * max(fast_z * fast_z, fast_xy * fast_xy)
+    variance = hover.variance + p.hte_ht_noise * p.hte_ht_noise * dt * dt
     slope = -GRAVITY * thrust / (h * h)
     spread = max(slope * slope * variance + noise, noise)
     innovation = acceleration - (GRAVITY * thrust / h - GRAVITY)
@@ -52,15 +52,15 @@ def estimate_hover_thrust(c, e, p, thrust, dt):
         h = constrain(h + gain * innovation, max(low, 0.1), min(high, 0.9))
         variance = constrain((1.0 - gain * slope) * variance, 1e-10, 1.0)
         residual = acceleration - (GRAVITY * thrust / h - GRAVITY)
-    elif abs(c.hover_test_ratio) > _STUCK:
+    elif abs(hover.test_ratio) > _STUCK:
         variance += 1e3 * p.hte_ht_noise * p.hte_ht_noise * dt
-    c.hover_estimate, c.hover_variance = h, variance
+    hover.estimate, hover.variance = h, variance
     share = dt / (_RESIDUAL_TAU + dt)
-    c.hover_residual += share * (residual - c.hover_residual)
-    c.hover_test_ratio += share * (constrain(math.copysign(ratio, innovation), -1.0, 1.0) - c.hover_test_ratio)
+    hover.residual += share * (residual - hover.residual)
+    hover.test_ratio += share * (constrain(math.copysign(ratio, innovation), -1.0, 1.0) - hover.test_ratio)
     share = dt / (_NOISE_TAU + dt)
-    scatter = (residual - c.hover_residual) ** 2 + slope * slope * variance
-    c.hover_noise = constrain((1.0 - share) * c.hover_noise + share * scatter, 1.0, 400.0)
-    small = variance < _SMALL_VARIANCE and (c.hover_valid or ratio < 1.0)
-    c.hover_valid_time = c.hover_valid_time + dt if small else 0.0
-    c.hover_valid = 1 if c.hover_valid_time >= _VALID_TIME else 0
+    scatter = (residual - hover.residual) ** 2 + slope * slope * variance
+    hover.noise = constrain((1.0 - share) * hover.noise + share * scatter, 1.0, 400.0)
+    small = variance < _SMALL_VARIANCE and (hover.valid or ratio < 1.0)
+    hover.valid_time = hover.valid_time + dt if small else 0.0
+    hover.valid = 1 if hover.valid_time >= _VALID_TIME else 0

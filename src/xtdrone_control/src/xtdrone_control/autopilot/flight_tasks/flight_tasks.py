@@ -64,13 +64,13 @@ def clear_task(c):
 
 
 @kernel
-def _reset_smoothing(c, i, position, velocity, acceleration):
-    c.smooth_position[i] = position
-    c.smooth_velocity[i] = velocity
-    c.smooth_acceleration[i] = acceleration
-    c.smooth_direction[i] = 0.0
+def _reset_smoothing(path, i, position, velocity, acceleration):
+    path.position[i] = position
+    path.velocity[i] = velocity
+    path.acceleration[i] = acceleration
+    path.direction[i] = 0.0
     for k in range(3):
-        c.smooth_times[i, k] = 0.0
+        path.times[i, k] = 0.0
 
 
 # legs
@@ -86,7 +86,7 @@ def _start_leg(c, s, e):
         c.leg_start[i] = c.leg_goal[i] if onwards else e.position[i]
         c.leg_goal[i] = s.goal_position[i]
         c.leg_onward[i] = s.onward_position[i]
-    c.goal_from_ground = 1 if c.takeoff_state < TAKEOFF_RAMPUP else 0
+    c.goal_from_ground = 1 if c.takeoff.state < TAKEOFF_RAMPUP else 0
 
 
 @kernel
@@ -148,8 +148,8 @@ def _update_internal_leg(c, s, e, radius):
 @kernel
 def _turning(c, radius):
     """Return whether the smoothed path is in a turn: it moves, but not towards the goal."""
-    vx, vy = c.smooth_velocity[0], c.smooth_velocity[1]
-    gx, gy = c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1]
+    vx, vy = c.path.velocity[0], c.path.velocity[1]
+    gx, gy = c.way_goal[0] - c.path.position[0], c.way_goal[1] - c.path.position[1]
     speed, distance = math.hypot(vx, vy), math.hypot(gx, gy)
     return speed > 0.2 and distance > radius and vx * gx + vy * gy < 0.98 * speed * distance
 
@@ -161,9 +161,9 @@ def _lead_point(c, radius):
     length = math.sqrt(ux * ux + uy * uy + uz * uz)
     if length > 0.0:
         ux, uy, uz = ux / length, uy / length, uz / length
-    fx = c.smooth_position[0] - c.way_start[0]
-    fy = c.smooth_position[1] - c.way_start[1]
-    fz = c.smooth_position[2] - c.way_start[2]
+    fx = c.path.position[0] - c.way_start[0]
+    fy = c.path.position[1] - c.way_start[1]
+    fz = c.path.position[2] - c.way_start[2]
     along = fx * ux + fy * uy + fz * uz
     across2 = (fx - ux * along) ** 2 + (fy - uy * along) ** 2 + (fz - uz * along) ** 2
     lead = max(radius, _LEAD)
@@ -179,12 +179,12 @@ def _speed_through(c, p, radius, cruise):
     trajectory::computeStartXYSpeedFromWaypoints). The vehicle stops at waypoints where the height changes.
     """
     ox, oy = c.way_onward[0] - c.way_goal[0], c.way_onward[1] - c.way_goal[1]
-    gx, gy = c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1]
+    gx, gy = c.way_goal[0] - c.path.position[0], c.way_goal[1] - c.path.position[1]
     onward, distance = math.hypot(ox, oy), math.hypot(gx, gy)
     # a comparison with NaN (no onward waypoint) is false: stop
     if not (onward >= radius and onward > 1e-3 and distance > 1e-6):
         return 0.0
-    if abs(c.way_goal[2] - c.smooth_position[2]) >= p.nav_mc_alt_rad:
+    if abs(c.way_goal[2] - c.path.position[2]) >= p.nav_mc_alt_rad:
         return 0.0
     if abs(c.way_onward[2] - c.way_goal[2]) >= p.nav_mc_alt_rad:
         return 0.0
@@ -196,7 +196,7 @@ def _speed_through(c, p, radius, cruise):
 
 @kernel
 def _horizontal_speed(c, p, radius, cruise):
-    distance = math.hypot(c.way_goal[0] - c.smooth_position[0], c.way_goal[1] - c.smooth_position[1])
+    distance = math.hypot(c.way_goal[0] - c.path.position[0], c.way_goal[1] - c.path.position[1])
     final = _speed_through(c, p, radius, cruise)
     speed = min(stopping_speed(distance, p.mpc_acc_hor, p.mpc_jerk_auto, final), cruise)
     if _turning(c, radius):
@@ -231,7 +231,7 @@ def _wanted_velocity(c, p, radius, cruise, height_speed):
         px, py, pz = _lead_point(c, radius)
     else:
         px, py, pz = c.way_goal[0], c.way_goal[1], c.way_goal[2]
-    dx, dy, dz = px - c.smooth_position[0], py - c.smooth_position[1], pz - c.smooth_position[2]
+    dx, dy, dz = px - c.path.position[0], py - c.path.position[1], pz - c.path.position[2]
     norm = math.sqrt(dx * dx + dy * dy + dz * dz)
     if norm < 1e-9:
         return 0.0, 0.0, 0.0
@@ -247,7 +247,7 @@ def _wanted_horizontal(c, p, radius, cruise):
         px, py, _ = _lead_point(c, radius)
     else:
         px, py = c.way_goal[0], c.way_goal[1]
-    dx, dy = px - c.smooth_position[0], py - c.smooth_position[1]
+    dx, dy = px - c.path.position[0], py - c.path.position[1]
     norm = math.hypot(dx, dy)
     if norm < 1e-9:
         return 0.0, 0.0
@@ -267,14 +267,14 @@ def _vertical_limits(c, s, e, p):
         speed = _or_default(s.climb_speed, p.mpc_tko_speed)
         accel = min(accel, p.mpc_tko_speed / max(p.mpc_tko_ramp_t, 1e-3))
         # keep the path at the vehicle's height, so that it does not start below the ground
-        c.smooth_position[2] = e.position[2]
+        c.path.position[2] = e.position[2]
     return speed, accel
 
 
 @kernel
 def _update_braking(c, p):
-    speed = math.hypot(c.smooth_velocity[0], c.smooth_velocity[1])
-    down = c.smooth_velocity[2]
+    speed = math.hypot(c.path.velocity[0], c.path.velocity[1])
+    down = c.path.velocity[2]
     if not c.braking:
         too_fast = speed > _OVERSPEED * p.mpc_xy_vel_max
         too_fast = too_fast or down > _OVERSPEED * p.mpc_z_vel_max_dn or down < -_OVERSPEED * p.mpc_z_vel_max_up
@@ -286,8 +286,8 @@ def _update_braking(c, p):
 @kernel
 def _lag_stretch(c, e, p):
     """Return the time factor of the path, 0..1, which slows down for a vehicle that lags behind."""
-    dx, dy = c.smooth_position[0] - e.position[0], c.smooth_position[1] - e.position[1]
-    if dx * c.smooth_velocity[0] + dy * c.smooth_velocity[1] < 0.0:
+    dx, dy = c.path.position[0] - e.position[0], c.path.position[1] - e.position[1]
+    if dx * c.path.velocity[0] + dy * c.path.velocity[1] < 0.0:
         return 1.0
     return 1.0 - constrain(math.hypot(dx, dy) / p.mpc_xy_err_max, 0.0, 1.0)
 
@@ -301,15 +301,15 @@ def _smooth(c, s, e, p, wanted, dt):
     if c.braking:
         wanted = (0.0, 0.0, 0.0)
         accel_xy = accel_z = jerk = GRAVITY
-        speed_z = max(speed_z, abs(c.smooth_velocity[2]))
-        c.speed_down = max(c.speed_down, abs(c.smooth_velocity[2]))
+        speed_z = max(speed_z, abs(c.path.velocity[2]))
+        c.speed_down = max(c.speed_down, abs(c.path.velocity[2]))
     step = dt * _lag_stretch(c, e, p)
     for i in range(3):
-        follow(c, i, jerk, step)
-        c.task_position[i] = c.smooth_position[i]
-        c.task_velocity[i] = c.smooth_velocity[i]
-        c.task_acceleration[i] = c.smooth_acceleration[i]
-    plan(c, wanted, (p.mpc_xy_vel_max, p.mpc_xy_vel_max, speed_z), (accel_xy, accel_xy, accel_z), jerk)
+        follow(c.path, i, jerk, step)
+        c.task_position[i] = c.path.position[i]
+        c.task_velocity[i] = c.path.velocity[i]
+        c.task_acceleration[i] = c.path.acceleration[i]
+    plan(c.path, wanted, (p.mpc_xy_vel_max, p.mpc_xy_vel_max, speed_z), (accel_xy, accel_xy, accel_z), jerk)
     c.unsmoothed_climb = wanted[2]
 
 
@@ -319,11 +319,11 @@ def _smooth_yaw(c, wanted, p, dt):
     limit = math.radians(p.mpc_yawrauto_max)
     turn = 0.0
     if not math.isnan(wanted):
-        turn = constrain(wrap_pi(wanted - c.smooth_yaw), -limit * dt, limit * dt)
-    c.smooth_yaw = wrap_pi(c.smooth_yaw + turn)
-    c.smooth_yaw_rate += dt / (_YAW_TAU + dt) * (turn / dt - c.smooth_yaw_rate)
-    c.task_yaw = c.smooth_yaw
-    c.task_yaw_rate = constrain(c.smooth_yaw_rate, -limit, limit)
+        turn = constrain(wrap_pi(wanted - c.path.yaw), -limit * dt, limit * dt)
+    c.path.yaw = wrap_pi(c.path.yaw + turn)
+    c.path.yaw_rate += dt / (_YAW_TAU + dt) * (turn / dt - c.path.yaw_rate)
+    c.task_yaw = c.path.yaw
+    c.task_yaw_rate = constrain(c.path.yaw_rate, -limit, limit)
 
 
 @kernel
@@ -335,7 +335,7 @@ def _goal_radius(s, p):
 def _keep_path_at_vehicle(c, e):
     """Keep the smoothed path at the vehicle until the takeoff ramp starts."""
     for i in range(3):
-        _reset_smoothing(c, i, e.position[i], _WAIT_SPEED if i == 2 else 0.0, 0.0)
+        _reset_smoothing(c.path, i, e.position[i], _WAIT_SPEED if i == 2 else 0.0, 0.0)
 
 
 @kernel
@@ -344,11 +344,11 @@ def goto_task(c, s, e, p, dt):
     radius = _goal_radius(s, p)
     cruise = min(_or_default(s.cruise_speed, p.mpc_xy_cruise), p.mpc_xy_vel_max)
     _update_internal_leg(c, s, e, radius)
-    if c.takeoff_state < TAKEOFF_RAMPUP:
+    if c.takeoff.state < TAKEOFF_RAMPUP:
         _keep_path_at_vehicle(c, e)
     _update_braking(c, p)
     speed_z, accel_z = _vertical_limits(c, s, e, p)
-    distance = abs(c.way_goal[2] - c.smooth_position[2])
+    distance = abs(c.way_goal[2] - c.path.position[2])
     height_speed = min(speed_z, stopping_speed(distance, accel_z, p.mpc_jerk_auto, 0.0))
     wanted = _wanted_velocity(c, p, radius, cruise, height_speed)
     c.want_takeoff = 1 if wanted[2] < -_TAKEOFF_CLIMB else 0
@@ -374,7 +374,7 @@ def land_task(c, s, e, p, dt):
     radius = _goal_radius(s, p)
     cruise = min(_or_default(s.cruise_speed, p.mpc_xy_cruise), p.mpc_xy_vel_max)
     _update_internal_leg(c, s, e, radius)
-    if c.takeoff_state < TAKEOFF_RAMPUP:
+    if c.takeoff.state < TAKEOFF_RAMPUP:
         _keep_path_at_vehicle(c, e)
     _update_braking(c, p)
     x, y = _wanted_horizontal(c, p, radius, cruise)
@@ -448,13 +448,13 @@ def trajectory_task(c, s, e):
 def _stick_yaw(c, s, e, p, dt):
     """Command a low-passed yaw rate by stick; hold the heading when the stick is centred."""
     wanted = s.stick_yaw * math.radians(p.mpc_man_y_max)
-    c.smooth_yaw_rate += dt / (p.mpc_man_y_tau + dt) * (wanted - c.smooth_yaw_rate)
-    if abs(c.smooth_yaw_rate) > _YAW_STILL:
-        c.smooth_yaw = _NAN
-    elif math.isnan(c.smooth_yaw):
-        c.smooth_yaw = yaw_of(e.q)
-    c.task_yaw = c.smooth_yaw
-    c.task_yaw_rate = c.smooth_yaw_rate
+    c.path.yaw_rate += dt / (p.mpc_man_y_tau + dt) * (wanted - c.path.yaw_rate)
+    if abs(c.path.yaw_rate) > _YAW_STILL:
+        c.path.yaw = _NAN
+    elif math.isnan(c.path.yaw):
+        c.path.yaw = yaw_of(e.q)
+    c.task_yaw = c.path.yaw
+    c.task_yaw_rate = c.path.yaw_rate
 
 
 @kernel
@@ -468,28 +468,28 @@ def _stick_height(c, s, e, p, dt):
         upper, lower = max(p.mpc_land_alt1, p.mpc_land_alt2), p.mpc_land_alt2
         share = constrain((height - lower) / max(upper - lower, 1e-3), 0.0, 1.0)
         wanted = max(wanted, -(p.mpc_tko_speed + share * (p.mpc_z_vel_max_up - p.mpc_tko_speed)))
-    if c.takeoff_state < TAKEOFF_RAMPUP:
-        _reset_smoothing(c, 2, e.position[2], 0.0, 0.0)
-    accel = p.mpc_acc_up_max if wanted < c.smooth_velocity[2] else p.mpc_acc_down_max
-    follow(c, 2, p.mpc_jerk_max, dt)
-    plan_axis(c, 2, wanted, accel, p.mpc_jerk_max)
-    still = wanted == 0.0 and abs(c.smooth_velocity[2]) < 1e-3
+    if c.takeoff.state < TAKEOFF_RAMPUP:
+        _reset_smoothing(c.path, 2, e.position[2], 0.0, 0.0)
+    accel = p.mpc_acc_up_max if wanted < c.path.velocity[2] else p.mpc_acc_down_max
+    follow(c.path, 2, p.mpc_jerk_max, dt)
+    plan_axis(c.path, 2, wanted, accel, p.mpc_jerk_max)
+    still = wanted == 0.0 and abs(c.path.velocity[2]) < 1e-3
     if not still:
         c.hold_z = 0
     elif not c.hold_z and abs(e.velocity[2]) < p.mpc_hold_max_z:
         c.hold_z = 1
-        c.smooth_position[2] = e.position[2]
-    c.task_velocity[2] = c.smooth_velocity[2]
-    c.task_acceleration[2] = c.smooth_acceleration[2]
+        c.path.position[2] = e.position[2]
+    c.task_velocity[2] = c.path.velocity[2]
+    c.task_acceleration[2] = c.path.acceleration[2]
     if c.hold_z:
-        c.task_position[2] = c.smooth_position[2]
+        c.task_position[2] = c.path.position[2]
     c.want_takeoff = 1 if s.stick_z > _TAKEOFF_STICK else 0
 
 
 @kernel
 def _heading_to_local(c, e, x, y):
     """Return (x, y) of the heading frame rotated into the local frame, as a tuple."""
-    yaw = yaw_of(e.q) if math.isnan(c.smooth_yaw) else c.smooth_yaw
+    yaw = yaw_of(e.q) if math.isnan(c.path.yaw) else c.path.yaw
     cos, sin = math.cos(yaw), math.sin(yaw)
     return cos * x - sin * y, sin * x + cos * y
 
@@ -520,12 +520,12 @@ def _drag(c, p, centred, dt):
     """Return the deceleration (tuple, m/s^2) that limits the speed, and brakes when the sticks are centred."""
     boost = max(2.0, math.sqrt(p.mpc_vel_manual)) if centred else 1.0
     c.brake_boost += dt / (_BRAKE_TAU + dt) * (boost - c.brake_boost)
-    speed = math.hypot(c.smooth_velocity[0], c.smooth_velocity[1])
+    speed = math.hypot(c.path.velocity[0], c.path.velocity[1])
     if speed < 1e-9:
         return 0.0, 0.0
     shaped = speed if speed > 1.0 else math.sqrt(speed)  # stronger below 1 m/s, to reach standstill
     gain = 2.0 * p.mpc_acc_hor / p.mpc_vel_manual * c.brake_boost * shaped / speed
-    return gain * c.smooth_velocity[0], gain * c.smooth_velocity[1]
+    return gain * c.path.velocity[0], gain * c.path.velocity[1]
 
 
 @kernel
@@ -539,7 +539,7 @@ def _stick_accelerations(c, s, e, p, dt):
     c.stick_acceleration[1] += constrain(y * most - c.stick_acceleration[1], -step, step)
     ax, ay = c.stick_acceleration[0], c.stick_acceleration[1]
     dx, dy = _drag(c, p, x == 0.0 and y == 0.0, dt)
-    vx, vy = c.smooth_velocity[0], c.smooth_velocity[1]
+    vx, vy = c.path.velocity[0], c.path.velocity[1]
     if ax * ax + ay * ay < 1e-7 and vx * vx + vy * vy < (dx * dx + dy * dy) * dt * dt:
         dx = dy = vx = vy = 0.0
     ax, ay = ax - dx, ay - dy
@@ -554,8 +554,8 @@ def _stick_accelerations(c, s, e, p, dt):
         vx, vy = c.sp_velocity[0], c.sp_velocity[1]  # continue the velocity of the position loop
     elif not moving and not c.hold_xy:
         c.hold_xy = 1
-        c.smooth_position[0], c.smooth_position[1] = e.position[0], e.position[1]
-    c.smooth_velocity[0], c.smooth_velocity[1] = vx, vy
+        c.path.position[0], c.path.position[1] = e.position[0], e.position[1]
+    c.path.velocity[0], c.path.velocity[1] = vx, vy
     c.task_acceleration[0], c.task_acceleration[1] = ax, ay
 
 
@@ -565,33 +565,33 @@ def _stick_velocities(c, s, e, p, dt):
     x, y = _limit_to_unit(s.stick_x, s.stick_y)
     x, y = _heading_to_local(c, e, x, y)
     for i in range(2):
-        follow(c, i, p.mpc_jerk_max, dt)
-        c.task_acceleration[i] = c.smooth_acceleration[i]
-    plan_axis(c, 0, x * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
-    plan_axis(c, 1, y * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
+        follow(c.path, i, p.mpc_jerk_max, dt)
+        c.task_acceleration[i] = c.path.acceleration[i]
+    plan_axis(c.path, 0, x * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
+    plan_axis(c.path, 1, y * p.mpc_vel_manual, p.mpc_acc_hor, p.mpc_jerk_max)
     if x != 0.0 or y != 0.0:
         c.hold_xy = 0
     elif not c.hold_xy and math.hypot(e.velocity[0], e.velocity[1]) < p.mpc_hold_max_xy:
         c.hold_xy = 1
-        c.smooth_position[0], c.smooth_position[1] = e.position[0], e.position[1]
+        c.path.position[0], c.path.position[1] = e.position[0], e.position[1]
 
 
 @kernel
 def sticks_task(c, s, e, p, dt):
     """Fly POSCTL: sticks command motion in the heading frame; centred sticks brake, then hold the position."""
     _stick_yaw(c, s, e, p, dt)
-    if c.takeoff_state < TAKEOFF_RAMPUP:
+    if c.takeoff.state < TAKEOFF_RAMPUP:
         for i in range(2):
-            _reset_smoothing(c, i, e.position[i], 0.0, 0.0)
+            _reset_smoothing(c.path, i, e.position[i], 0.0, 0.0)
             c.stick_acceleration[i] = 0.0
     if p.mpc_pos_mode >= 3.5:
         _stick_accelerations(c, s, e, p, dt)
     else:
         _stick_velocities(c, s, e, p, dt)
     for i in range(2):
-        c.task_velocity[i] = c.smooth_velocity[i]
+        c.task_velocity[i] = c.path.velocity[i]
         if c.hold_xy:
-            c.task_position[i] = c.smooth_position[i]
+            c.task_position[i] = c.path.position[i]
     _stick_height(c, s, e, p, dt)
 
 
@@ -612,17 +612,17 @@ def _start_task(c, s, e):
             v = e.velocity[i]
         if not continues or math.isnan(a):
             a = 0.0
-        _reset_smoothing(c, i, x, v, a)
+        _reset_smoothing(c.path, i, x, v, a)
     heading = c.task_yaw
-    c.smooth_yaw = heading if continues and not math.isnan(heading) else yaw_of(e.q)
-    c.smooth_yaw_rate = 0.0
+    c.path.yaw = heading if continues and not math.isnan(heading) else yaw_of(e.q)
+    c.path.yaw_rate = 0.0
     c.braking = 0
     c.hold_xy = 0
     c.hold_z = 0
     c.brake_boost = 1.0
     c.unsmoothed_climb = 0.0
     c.leg_state = -1
-    start_following(c)
+    start_following(c.followed)
     for i in range(2):
         c.stick_acceleration[i] = 0.0
     for i in range(3):

@@ -191,7 +191,7 @@ class FollowTarget:
         if not self._is_following:
             return math.nan
         x, y, z = view.position
-        north, east, down = view.control["followed_position"].tolist()
+        north, east, down = view.control["followed"]["position"].tolist()
         mode = self._course.parameters.get("FLW_TGT_ALT_M")
         if mode != OVER_TARGET:
             measured = mode == OVER_GROUND and view.estimator["terrain_valid"]

@@ -8,7 +8,6 @@ course, and moves around the target to that angle on a jerk-limited path at up t
 from __future__ import annotations
 
 import math
-from collections import namedtuple
 
 from xtdrone_control.autopilot.flight_tasks.trajectory import follow, plan_axis, stopping_speed
 from xtdrone_control.kernel import kernel
@@ -26,62 +25,56 @@ _FACING_DISTANCE = 1.0  # m, least distance from the target at which the vehicle
 _TAKEOFF_RISE, _TAKEOFF_CLIMB = 0.2, 0.3  # m and m/s, climb above which a takeoff starts
 OVER_GROUND, OVER_TARGET = 1, 2  # FLW_TGT_ALT_M
 
-# view of the angle around the target as a one-axis smoothed path for ``trajectory``
-_AnglePath = namedtuple(
-    "_AnglePath", ("smooth_position", "smooth_velocity", "smooth_acceleration", "smooth_times", "smooth_direction")
-)
-
 
 @kernel
-def start_following(c):
+def start_following(followed):
     """Reset the filtered target and the angle; the target's course is north until it moves."""
     for i in range(3):
-        c.followed_position[i] = _NAN
-        c.followed_velocity[i] = 0.0
-    c.followed_course = 0.0
-    c.angle_position[0] = 0.0
-    c.angle_velocity[0] = 0.0
-    c.angle_acceleration[0] = 0.0
+        followed.position[i] = _NAN
+        followed.velocity[i] = 0.0
+    followed.course = 0.0
+    followed.angle.position[0] = 0.0
+    followed.angle.velocity[0] = 0.0
+    followed.angle.acceleration[0] = 0.0
 
 
 @kernel
-def _filter_target(c, s, dt):
+def _filter_target(followed, s, armed_time, dt):
     """Advance the filtered target by ``dt`` s; initialise it with the first estimate.
 
     The error is evaluated at the end of the step, so that a target of constant velocity is followed without lag.
     """
-    age = c.armed_time - s.target_time
+    age = armed_time - s.target_time
     for i in range(3):
         position = s.target_position[i] + (s.target_velocity[i] + 0.5 * s.target_acceleration[i] * age) * age
         velocity = s.target_velocity[i] + s.target_acceleration[i] * age
-        if math.isnan(c.followed_position[i]):
-            c.followed_position[i] = position
-            c.followed_velocity[i] = velocity
+        if math.isnan(followed.position[i]):
+            followed.position[i] = position
+            followed.velocity[i] = velocity
             continue
-        c.followed_position[i] += c.followed_velocity[i] * dt
-        error, slip = position - c.followed_position[i], velocity - c.followed_velocity[i]
-        c.followed_velocity[i] += (_FREQUENCY * error + 2.0 * _DAMPING * slip) * _FREQUENCY * dt
-    _update_course(c, s)
+        followed.position[i] += followed.velocity[i] * dt
+        error, slip = position - followed.position[i], velocity - followed.velocity[i]
+        followed.velocity[i] += (_FREQUENCY * error + 2.0 * _DAMPING * slip) * _FREQUENCY * dt
+    _update_course(followed, s)
 
 
 @kernel
-def _update_course(c, s):
+def _update_course(followed, s):
     """Update the course from the filtered velocity, unless the target is slow, as the filter overshoots at a stop."""
-    north, east = c.followed_velocity[0], c.followed_velocity[1]
+    north, east = followed.velocity[0], followed.velocity[1]
     moves = math.hypot(s.target_velocity[0], s.target_velocity[1]) >= _COURSE_SPEED
     if moves and math.hypot(north, east) >= _COURSE_SPEED:
-        c.followed_course = math.atan2(east, north)
+        followed.course = math.atan2(east, north)
 
 
 @kernel
-def _update_angle(c, p, distance, dt):
+def _update_angle(followed, p, distance, dt):
     """Advance the angle around the target by ``dt`` s towards FLW_TGT_FA, in the shorter direction."""
-    left = wrap_pi(c.followed_course + math.radians(p.flw_tgt_fa) - c.angle_position[0])
+    left = wrap_pi(followed.course + math.radians(p.flw_tgt_fa) - followed.angle.position[0])
     accel, jerk = _MAX_ACCELERATION / distance, _MAX_JERK / distance
     rate = min(stopping_speed(abs(left), accel, jerk, 0.0), max(p.flw_tgt_max_vel, 0.0) / distance)
-    path = _AnglePath(c.angle_position, c.angle_velocity, c.angle_acceleration, c.angle_times, c.angle_direction)
-    plan_axis(path, 0, math.copysign(rate, left), accel, jerk)
-    follow(path, 0, jerk, dt)
+    plan_axis(followed.angle, 0, math.copysign(rate, left), accel, jerk)
+    follow(followed.angle, 0, jerk, dt)
 
 
 @kernel
@@ -97,20 +90,20 @@ def _wanted_height(c, s, e, p):
     if mode == OVER_GROUND:
         return _ground(s, e) - p.flw_tgt_ht
     if mode == OVER_TARGET:
-        return c.followed_position[2] - p.flw_tgt_ht
+        return c.followed.position[2] - p.flw_tgt_ht
     return s.home_z - p.flw_tgt_ht
 
 
 @kernel
 def _fly_beside_target(c, e, distance):
     """Write the horizontal setpoint: a point that moves on the circle around the target."""
-    x, y = math.cos(c.angle_position[0]), math.sin(c.angle_position[0])
-    along, faster = c.angle_velocity[0] * distance, c.angle_acceleration[0] * distance
+    x, y = math.cos(c.followed.angle.position[0]), math.sin(c.followed.angle.position[0])
+    along, faster = c.followed.angle.velocity[0] * distance, c.followed.angle.acceleration[0] * distance
     inwards = along * along / distance
-    c.task_position[0] = c.followed_position[0] + x * distance
-    c.task_position[1] = c.followed_position[1] + y * distance
-    c.task_velocity[0] = c.followed_velocity[0] - y * along
-    c.task_velocity[1] = c.followed_velocity[1] + x * along
+    c.task_position[0] = c.followed.position[0] + x * distance
+    c.task_position[1] = c.followed.position[1] + y * distance
+    c.task_velocity[0] = c.followed.velocity[0] - y * along
+    c.task_velocity[1] = c.followed.velocity[1] + x * along
     c.task_acceleration[0] = -x * inwards - y * faster
     c.task_acceleration[1] = -y * inwards + x * faster
 
@@ -118,9 +111,9 @@ def _fly_beside_target(c, e, distance):
 @kernel
 def _face_target(c, e):
     """Point the heading at the target, unless the vehicle is almost above it."""
-    north, east = c.followed_position[0] - e.position[0], c.followed_position[1] - e.position[1]
+    north, east = c.followed.position[0] - e.position[0], c.followed.position[1] - e.position[1]
     if math.hypot(north, east) > _FACING_DISTANCE:
-        c.smooth_yaw = math.atan2(east, north)
+        c.path.yaw = math.atan2(east, north)
 
 
 @kernel
@@ -144,13 +137,13 @@ def follow_task(c, s, e, p, dt):
     if math.isnan(s.target_position[0]):
         for i in range(3):
             c.task_velocity[i] = 0.0
-        c.task_yaw = c.smooth_yaw
+        c.task_yaw = c.path.yaw
         return
     distance = max(p.flw_tgt_dst, _LEAST_DISTANCE)
-    _filter_target(c, s, dt)
-    _update_angle(c, p, distance, dt)
+    _filter_target(c.followed, s, c.armed_time, dt)
+    _update_angle(c.followed, p, distance, dt)
     _face_target(c, e)
-    c.task_yaw = c.smooth_yaw
+    c.task_yaw = c.path.yaw
     c.task_position[2] = _wanted_height(c, s, e, p)
     if _ground(s, e) - e.position[2] < _LEAST_HEIGHT:
         _climb_first(c, e)

@@ -18,7 +18,7 @@ _YAW_THROTTLE = -0.9  # throttle stick below which the heading is kept, as the v
 @kernel
 def update_throttle_limits(c, p, armed, dt):
     """Update c.throttle_min and c.throttle_max, the limits of the thrust by stick."""
-    least = 0.0 if c.landed else p.mpc_manthr_min
+    least = 0.0 if c.landing.landed else p.mpc_manthr_min
     step = _LEAST_THRUST_SLEW * dt
     c.throttle_min += constrain(least - c.throttle_min, -step, step)
     if armed and c.armed_time >= p.com_spoolup_time:
@@ -52,19 +52,19 @@ def stick_attitude(c, s, e, p, dt):
     if tilt > most:
         roll, pitch = roll * most / tilt, pitch * most / tilt
         tilt = most
-    if c.landed:
-        c.smooth_yaw = yaw_of(e.q)
+    if c.landing.landed:
+        c.path.yaw = yaw_of(e.q)
     rate = 0.0
     if s.stick_z > _YAW_THROTTLE or p.mc_airmode > 1.5:
         rate = s.stick_yaw * math.radians(p.mpc_man_y_max)
-    c.smooth_yaw = wrap_pi(c.smooth_yaw + rate * dt)
+    c.path.yaw = wrap_pi(c.path.yaw + rate * dt)
     scale = math.sin(0.5 * tilt) / tilt if tilt > 1e-6 else 0.5
     leaning = (math.cos(0.5 * tilt), roll * scale, pitch * scale, 0.0)
-    heading = (math.cos(0.5 * c.smooth_yaw), 0.0, 0.0, math.sin(0.5 * c.smooth_yaw))
+    heading = (math.cos(0.5 * c.path.yaw), 0.0, 0.0, math.sin(0.5 * c.path.yaw))
     q = multiply(heading, leaning)
     for i in range(4):
         c.sp_q[i] = q[i]
-    c.sp_yaw = c.smooth_yaw
+    c.sp_yaw = c.path.yaw
     c.sp_yaw_rate = rate
     c.sp_thrust = stick_thrust(c, p, 0.5 * (s.stick_z + 1.0))
 

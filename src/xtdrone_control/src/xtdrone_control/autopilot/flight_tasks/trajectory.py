@@ -2,8 +2,8 @@
 
 The profile of PX4's motion_planning library: in each axis the acceleration rises, stays constant and falls, so that the
 wanted velocity is reached in the least time within the limits of acceleration and jerk. Faster axes are stretched to
-the duration of the slowest. ``CONTROL`` holds the state (smooth_position, smooth_velocity, smooth_acceleration) and the
-plan that is followed until the next call of ``plan`` (smooth_times, smooth_direction).
+the duration of the slowest. A record ``PATH`` holds the state (position, velocity, acceleration) and the
+plan that is followed until the next call of ``plan`` (times, direction).
 """
 
 from __future__ import annotations
@@ -98,12 +98,12 @@ def _rise_time_within(total, a, dv, j, accel):
 
 
 @kernel
-def plan_axis(c, i, wanted, accel, jerk):
+def plan_axis(path, i, wanted, accel, jerk):
     """Plan axis ``i`` independently to the velocity ``wanted``, m/s; return the duration of the plan, s."""
-    a, v = c.smooth_acceleration[i], c.smooth_velocity[i]
+    a, v = path.acceleration[i], path.velocity[i]
     direction = _direction(a, v, wanted, jerk)
-    times = c.smooth_times[i]
-    c.smooth_direction[i] = direction
+    times = path.times[i]
+    path.direction[i] = direction
     if direction == 0.0:
         times[0] = times[1] = times[2] = 0.0
         return 0.0
@@ -120,25 +120,25 @@ def plan_axis(c, i, wanted, accel, jerk):
 
 
 @kernel
-def _stretch_axis(c, i, wanted, accel, jerk, total):
+def _stretch_axis(path, i, wanted, accel, jerk, total):
     """Replan axis ``i`` for the duration ``total``, s."""
-    direction = c.smooth_direction[i]
+    direction = path.direction[i]
     if direction == 0.0:
         return
-    a, j = c.smooth_acceleration[i], direction * jerk
-    rise = _rise_time_within(total, a, wanted - c.smooth_velocity[i], j, accel)
+    a, j = path.acceleration[i], direction * jerk
+    rise = _rise_time_within(total, a, wanted - path.velocity[i], j, accel)
     fall = max(a / j + rise, 0.0)
-    c.smooth_times[i, 0] = rise
-    c.smooth_times[i, 1] = max(total - rise - fall, 0.0)
-    c.smooth_times[i, 2] = fall
+    path.times[i, 0] = rise
+    path.times[i, 1] = max(total - rise - fall, 0.0)
+    path.times[i, 2] = fall
 
 
 @kernel
-def plan(c, wanted, speeds, accels, jerk):
+def plan(path, wanted, speeds, accels, jerk):
     """Plan all axes from the present state to the velocities ``wanted``, reached at the same time.
 
     Args:
-        c: ``CONTROL`` record.
+        path: ``PATH`` record.
         wanted, speeds, accels: 3-tuples: velocities (m/s), largest speeds (m/s) and accelerations (m/s^2).
         jerk: largest jerk, m/s^3.
     """
@@ -148,46 +148,46 @@ def plan(c, wanted, speeds, accels, jerk):
         constrain(wanted[2], -speeds[2], speeds[2]),
     )
     tx, ty, tz = (
-        plan_axis(c, 0, x, accels[0], jerk),
-        plan_axis(c, 1, y, accels[1], jerk),
-        plan_axis(c, 2, z, accels[2], jerk),
+        plan_axis(path, 0, x, accels[0], jerk),
+        plan_axis(path, 1, y, accels[1], jerk),
+        plan_axis(path, 2, z, accels[2], jerk),
     )
     longest = max(tx, ty, tz)
     if longest <= _EPSILON:
         return
     if tx < longest:
-        _stretch_axis(c, 0, x, accels[0], jerk, longest)
+        _stretch_axis(path, 0, x, accels[0], jerk, longest)
     if ty < longest:
-        _stretch_axis(c, 1, y, accels[1], jerk, longest)
+        _stretch_axis(path, 1, y, accels[1], jerk, longest)
     if tz < longest:
-        _stretch_axis(c, 2, z, accels[2], jerk, longest)
+        _stretch_axis(path, 2, z, accels[2], jerk, longest)
 
 
 @kernel
-def _coast(c, i, j, time):
+def _coast(path, i, j, time):
     """Advance axis ``i`` by ``time`` s at the constant jerk ``j``."""
-    a, v = c.smooth_acceleration[i], c.smooth_velocity[i]
-    c.smooth_acceleration[i] = a + j * time
-    c.smooth_velocity[i] = v + a * time + 0.5 * j * time * time
-    c.smooth_position[i] += v * time + 0.5 * a * time * time + j * time * time * time / 6.0
+    a, v = path.acceleration[i], path.velocity[i]
+    path.acceleration[i] = a + j * time
+    path.velocity[i] = v + a * time + 0.5 * j * time * time
+    path.position[i] += v * time + 0.5 * a * time * time + j * time * time * time / 6.0
 
 
 @kernel
-def follow(c, i, jerk, dt):
+def follow(path, i, jerk, dt):
     """Advance axis ``i`` along its plan by ``dt`` s."""
-    times = c.smooth_times[i]
-    j = c.smooth_direction[i] * jerk
+    times = path.times[i]
+    j = path.direction[i] * jerk
     time = min(dt, times[0])
-    _coast(c, i, j, time)
+    _coast(path, i, j, time)
     rest = dt - time
     if rest > 0.0:
         time = min(rest, times[1])
-        _coast(c, i, 0.0, time)
+        _coast(path, i, 0.0, time)
         rest -= time
     if rest > 0.0:
         time = min(rest, times[2])
-        _coast(c, i, -j, time)
+        _coast(path, i, -j, time)
         rest -= time
     if rest > 0.0:
-        c.smooth_acceleration[i] = 0.0
-        _coast(c, i, 0.0, rest)
+        path.acceleration[i] = 0.0
+        _coast(path, i, 0.0, rest)

@@ -250,7 +250,7 @@ def _control_flags(s: Samples) -> NDArray[np.int64]:
         (_CS_GPS, e["gps_used"]),
         (_CS_OPT_FLOW, e["flow_used"]),
         (_CS_MAG_HDG, e["mag_used"]),
-        (_CS_IN_AIR, s.control["landed"] == 0),
+        (_CS_IN_AIR, s.control["landing"]["landed"] == 0),
         (_CS_BARO_HGT, heights[..., HEIGHT_BARO]),
         (_CS_RNG_HGT, heights[..., HEIGHT_RANGE]),
         (_CS_GPS_HGT, heights[..., HEIGHT_GPS]),
@@ -345,16 +345,16 @@ def _states(m: np.ndarray, s: Samples) -> None:
 @_topic("hover_thrust_estimate", 100)
 def _hover_thrust(m: np.ndarray, s: Samples) -> None:
     c = s.control
-    m["hover_thrust"], m["hover_thrust_var"] = c["hover_estimate"], c["hover_variance"]
-    m["accel_innov"], m["accel_innov_test_ratio"] = c["hover_residual"], c["hover_test_ratio"]
-    m["accel_noise_var"] = c["hover_noise"]
-    m["valid"] = c["hover_valid"]
+    m["hover_thrust"], m["hover_thrust_var"] = c["hover"]["estimate"], c["hover"]["variance"]
+    m["accel_innov"], m["accel_innov_test_ratio"] = c["hover"]["residual"], c["hover"]["test_ratio"]
+    m["accel_noise_var"] = c["hover"]["noise"]
+    m["valid"] = c["hover"]["valid"]
 
 
 @_topic("vehicle_land_detected", 100)
 def _land_detected(m: np.ndarray, s: Samples) -> None:
     for name in ("freefall", "ground_contact", "maybe_landed", "landed"):
-        m[name] = s.control[name]
+        m[name] = s.control["landing"][name]
 
 
 # setpoints and actuators
@@ -424,5 +424,5 @@ def _outputs(m: np.ndarray, s: Samples) -> None:
 
 @_topic("takeoff_status", 1000)
 def _takeoff_status(m: np.ndarray, s: Samples) -> None:
-    m["takeoff_state"] = s.control["takeoff_state"] + 1  # PX4 counts from 1; 0 means "not initialised"
+    m["takeoff_state"] = s.control["takeoff"]["state"] + 1  # PX4 counts from 1; 0 means "not initialised"
     m["tilt_limit"] = s.control["tilt_limit"]

@@ -132,7 +132,7 @@ class VehicleTelemetry(Telemetry):
         get = self._commander.parameters.get
         height = self._height_over_home()
         distance = math.hypot(self.position[0] - home.position[0], self.position[1] - home.position[1])
-        if self._control["landed"]:
+        if self._control["landing"]["landed"]:
             seconds = 0.0
         else:
             top = max(get("RTL_RETURN_ALT"), height)
@@ -361,7 +361,7 @@ class VehicleTelemetry(Telemetry):
         variances = [max(value, 0.0) for value in self._variances.tolist()]
         state = _UTM_UNKNOWN
         if self._commander.armed:
-            state = _UTM_GROUND if self._control["landed"] else _UTM_AIRBORNE
+            state = _UTM_GROUND if self._control["landing"]["landed"] else _UTM_AIRBORNE
         return (
             EPOCH_US + self.time_us,
             lat,
@@ -386,7 +386,7 @@ class VehicleTelemetry(Telemetry):
         s = self.sensors
         vn, ve, vd = s["gps_vel"].tolist()
         fix = int(s["gps_fix"])
-        status = _ODID_GROUND if self._control["landed"] else _ODID_AIRBORNE
+        status = _ODID_GROUND if self._control["landing"]["landed"] else _ODID_AIRBORNE
         if self._commander.armed and self._commander.system_status == _CRITICAL_STATUS:
             status = _ODID_EMERGENCY
         course = round(math.degrees(math.atan2(ve, vn)) % 360.0) * 100
