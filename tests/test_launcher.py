@@ -46,6 +46,20 @@ def test_wrong_words_are_refused_with_what_is_allowed(
         assert word in run.stderr
 
 
+@pytest.mark.parametrize("arguments", [["help", "bench"], ["bench", "--quick", "--help"], ["demo", "formation", "-h"]])
+def test_help_is_printed_without_a_set_up(tmp_path: Path, arguments: list[str]) -> None:
+    """A workspace that was set up once, of which nothing is current, since it has no stamps."""
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / ".venv" / "bin" / "python").write_text('#!/bin/sh\necho "python $@"\n')
+    (tmp_path / ".venv" / "bin" / "python").chmod(0o755)
+    (tmp_path / "devel").mkdir()
+    (tmp_path / "devel" / "setup.bash").touch()
+    run = launcher(tmp_path, *arguments)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith("python -m ")
+    assert not (tmp_path / ".setup" / "logs").exists()
+
+
 def test_too_low_a_limit_of_memory_is_refused(tmp_path: Path) -> None:
     low = 'ulimit -v 300000; exec "$@"'
     run = subprocess.run(
