@@ -8,22 +8,24 @@ facts of the machine; the JSON is rewritten after each measurement, so that an i
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from benchmarks.baseline import Request, Tree, measured_rows, prepare, print_comparison, resolve, turns
+from benchmarks.calibration import calibrate
 from benchmarks.measurements import MEASUREMENTS
+from benchmarks.output import print_machine, progress, write_results
 from benchmarks.report import print_results, short_result
 from benchmarks.runner import TYPE, Bench, Case, Length
 from benchmarks.search import SEARCHERS
 from xtdrone_control.fleet import parse_fleet
+from xtdrone_control.settings import Settings, setting
 from xtdrone_coordination.patterns import PatternError
 from xtdrone_interaction import options
 from xtdrone_interaction.launching.scripted_launch import LaunchError, Stopped, StopRequest
@@ -33,13 +35,13 @@ from xtdrone_interaction.options import OptionError
 SCHEMA = 1  # of the JSON file
 _FLOWN = ("stack", "formation", "free")
 _MODES = {"both": ("per_uav", "shared"), "per-uav": ("per_uav",), "shared": ("shared",)}
-_MAX_REPEATS = 20
 
 FULL = Length(
     core_seconds=3.0,
     sweep_seconds=20.0,
     barrier_seconds=2.0,
     barrier_ticks=200,
+    telemetry_seconds=10.0,
     window=20.0,
     patterns=("cube", "pyramid", "triangle"),
     free_window=5.0,
@@ -50,6 +52,7 @@ QUICK = Length(
     sweep_seconds=3.0,
     barrier_seconds=0.5,
     barrier_ticks=50,
+    telemetry_seconds=2.0,
     window=5.0,
     patterns=("cube",),
     free_window=2.0,
@@ -57,24 +60,39 @@ QUICK = Length(
 )
 
 
-@dataclass(frozen=True)
-class BenchSettings:
+@dataclass(frozen=True, kw_only=True)
+class BenchSettings(Settings):
     """Selected measurements.
 
     Attributes:
         vehicles: numbers of vehicles (barrier: participants; sweep: workers; detector, renderer: width in pixels;
             analyse: size of the bag in MB; search: pictures per second of each camera) by part.
-        modes: of the formation: ``per_uav``, ``shared``.
-        repeat: number of repetitions of each measurement.
-        length: of the measurements.
         json: file of the results, absolute.
+        baseline: this tree and the commit to compare it with, empty without a comparison.
     """
 
     vehicles: dict[str, tuple[int, ...]]
-    modes: tuple[str, ...]
-    repeat: int
-    length: Length
     json: Path
+    processes: str = setting(
+        "both",
+        choices=tuple(_MODES),
+        text="formation with a process per vehicle and role, with one per role, or both",
+    )
+    repeat: int = setting(
+        1, low=1, high=20, metavar="TIMES", text="repetitions of each measurement, of which the tables show medians"
+    )
+    quick: bool = setting(False, text="short measurements: rough figures in a few minutes")
+    baseline: tuple[Tree, ...] = ()
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Modes of the formation: ``per_uav``, ``shared``."""
+        return _MODES[self.processes]
+
+    @property
+    def length(self) -> Length:
+        """Length of the measurements."""
+        return QUICK if self.quick else FULL
 
     @property
     def logs(self) -> Path:
@@ -96,11 +114,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="numbers of vehicles (barrier: participants; sweep: workers; detector, renderer: width in pixels; "
         "analyse: size of the bag in MB; search: pictures per second of each camera), separated by commas, for one "
         f"part (as core=1,100) or for all parts but {own} (as 9); default: {numbers}")  # fmt: skip
-    add("--processes", choices=list(_MODES), default="both",
-        help="formation with one process per vehicle and role, with one per role, or both (default)")  # fmt: skip
-    add("--repeat", default="1", metavar="TIMES",
-        help="repeat each measurement; the tables show medians (default: 1)")  # fmt: skip
-    add("--quick", action="store_true", help="short measurements: rough figures in a few minutes")
+    BenchSettings.add_arguments(parser)
+    add("--baseline", metavar="COMMIT",
+        help="compare this tree with another commit: check it out and set it up beside this one, measure both "
+        "alternately and print the ratio of each figure; --repeat 3 or more gives the spread")  # fmt: skip
     add("--json", type=Path, metavar="FILE", help="file of the results (default: runs/bench-<time>.json)")
 
 
@@ -111,16 +128,18 @@ def bench_settings(arguments: argparse.Namespace) -> BenchSettings:
         OptionError, PatternError: a value is not allowed.
     """
     vehicles = chosen_vehicles(chosen_parts(arguments.only), arguments.vehicles or [])
-    length = QUICK if arguments.quick else FULL
+    trees = resolve(arguments.baseline) if arguments.baseline is not None else ()
+    settings = BenchSettings.from_arguments(
+        arguments, vehicles=vehicles, json=_result_file(arguments.json), baseline=trees
+    )
     for count in {*vehicles.get("formation", ()), *vehicles.get("free", ())}:
-        options.swarm_patterns(count, list(length.patterns))
+        options.swarm_patterns(count, list(settings.length.patterns))
     flown = max((count for part in _FLOWN for count in vehicles.get(part, ())), default=0)
     if "search" in vehicles:
         flown = max(flown, SEARCHERS)
     if flown:
         options.check_vehicle_ports(parse_fleet(f"{TYPE}:{flown}"))
-    repeat = _whole_number("repeat", arguments.repeat, 1, _MAX_REPEATS)
-    return BenchSettings(vehicles, _MODES[arguments.processes], repeat, length, _result_file(arguments.json))
+    return settings
 
 
 def chosen_parts(text: str | None) -> list[str]:
@@ -224,14 +243,17 @@ def new_results(settings: BenchSettings) -> dict[str, Any]:
             **asdict(length),
         },
         "machine": machine_facts(options.repository()),
-        **{part: [] for part in settings.vehicles},
+        "calibration": calibrate(),
+        **({"rows": {}} if settings.baseline else {part: [] for part in settings.vehicles}),
     }
 
 
 def run_bench(settings: BenchSettings, console: Console) -> int:
     """Measure, print, write, and return the exit status."""
+    if settings.baseline:
+        return run_comparison(settings, console)
     results = new_results(settings)
-    _print_machine(results["machine"], console)
+    print_machine(results, console)
     status = 0
     try:
         with StopRequest() as stop:
@@ -240,11 +262,56 @@ def run_bench(settings: BenchSettings, console: Console) -> int:
     except Stopped as stopped:
         console.print(f"stopped by {stopped}; nothing is left running", highlight=False)
         status = 128 + stopped.number
-    _write(results, settings.json)
+    write_results(results, settings.json)
     print_results(results, console)
     console.print(f"Results: {settings.json}", highlight=False, soft_wrap=True)
     failed = any("error" in row for part in settings.vehicles for row in results[part])
     return status or int(failed)
+
+
+def run_comparison(settings: BenchSettings, console: Console) -> int:
+    """Measure this tree and its baseline alternately, print, write, and return the exit status."""
+    results = new_results(settings)
+    results["trees"] = {tree.name: str(tree) for tree in settings.baseline}
+    print_machine(results, console)
+    console.print(f"this tree: {settings.baseline[1]}; baseline: {settings.baseline[0]}", highlight=False)
+    status = 0
+    try:
+        with StopRequest() as stop:
+            _compare_all(settings, results, stop, console)
+        results["finished"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    except Stopped as stopped:
+        console.print(f"stopped by {stopped}; nothing is left running", highlight=False)
+        status = 128 + stopped.number
+    except LaunchError as error:
+        print(f"xtdrone: {error}", file=sys.stderr)
+        return 1
+    write_results(results, settings.json)
+    print_comparison(results, console)
+    console.print(f"Results: {settings.json}", highlight=False, soft_wrap=True)
+    return status or int(any("error" in row for rows in results["rows"].values() for row in rows))
+
+
+def _compare_all(settings: BenchSettings, results: dict[str, Any], stop: StopRequest, console: Console) -> None:
+    """Prepare the baseline and measure case by case; a failed one leaves a row with ``error``.
+
+    Raises:
+        Stopped: a signal was received.
+        LaunchError: the baseline cannot be prepared.
+    """
+    with progress(console, "baseline") as show:
+        baseline, this = settings.baseline
+        prepare(baseline, this, Bench(settings.logs, stop, show, settings.length))
+    more = ("--processes", settings.processes, *["--quick"] * settings.quick)
+    for part, counts in settings.vehicles.items():
+        for request in (Request(part, count, more) for count in counts):
+            for number, tree in enumerate(turns(settings.baseline, settings.repeat)):
+                stop.check()
+                head = f"{part}, {request.number}, {tree.name}, {number // 2 + 1} of {settings.repeat}"
+                with progress(console, head) as show:
+                    rows = measured_rows(tree, request, Bench(settings.logs, stop, show, settings.length))
+                results["rows"].setdefault(part, []).extend(rows)
+                write_results(results, settings.json)
 
 
 def _measure_all(settings: BenchSettings, results: dict[str, Any], stop: StopRequest, console: Console) -> None:
@@ -258,43 +325,15 @@ def _measure_all(settings: BenchSettings, results: dict[str, Any], stop: StopReq
         stop.check()
         head = f"\\[{number}/{len(cases)}] {case.title}"
         row = case.known | {"repeat": repetition}
-        with _progress(console, head) as progress:
-            bench = Bench(settings.logs, stop, progress, settings.length)
+        with progress(console, head) as show:
+            bench = Bench(settings.logs, stop, show, settings.length)
             try:
                 row |= MEASUREMENTS[case.part].command(bench, case)
             except (LaunchError, OptionError) as error:  # OptionError: a port has been taken in the meantime
                 row["error"] = str(error)
         console.print(f"{head}: {short_result(case.part, row)}", highlight=False, soft_wrap=True)
         results[case.part].append(row)
-        _write(results, settings.json)
-
-
-@contextmanager
-def _progress(console: Console, head: str) -> Iterator[Callable[[str], None]]:
-    """Show the progress of a measurement: in place on a terminal, else only its start."""
-    if not console.is_terminal:
-        console.print(f"{head} ...", highlight=False, soft_wrap=True)
-        yield lambda text: None
-        return
-    with console.status(head) as status:
-        yield lambda text: status.update(f"{head}: {text}")
-
-
-def _print_machine(machine: dict[str, Any], console: Console) -> None:
-    console.print(
-        f"{machine['cpu'] or 'unknown processor'}, {machine['cores']} cores, "
-        f"{machine['memory_bytes'] / 2**30:.0f} GiB, {machine['system'] or 'unknown system'}, "
-        f"Linux {machine['kernel']}, Python {machine['python']}, load {machine['load_before'][0]:.1f}",
-        highlight=False,
-        soft_wrap=True,
-    )
-
-
-def _write(results: dict[str, Any], path: Path) -> None:
-    """Replace the file atomically, so that it is complete at any time."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
+        write_results(results, settings.json)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.process_use import CpuSample, memory, process_tree
+from benchmarks.process_use import CpuSample, memory, overlap, process_tree
 from benchmarks.runner import TYPE, Bench, Event, Row, find
 
 
@@ -25,8 +25,9 @@ def stack_figures(events: Sequence[Event], began: float) -> Row:
 
     Returns:
         real_time_factor, window (``simulated`` and ``elapsed`` s), messages_per_second (of wall time),
-        messages_per_simulated_second (by topic), cpu_per_simulated_second (CPU s by program), others_cpu (cores used by
-        other programs), memory_bytes, processes, startup_seconds (from roslaunch to all armed).
+        messages_per_simulated_second (by topic), cpu_per_simulated_second (CPU s by program), overlap (share of all
+        cores that the programs used), others_cpu (cores used by other programs), memory_bytes, processes,
+        startup_seconds (from roslaunch to all armed).
 
     Raises:
         BenchError: an event is missing.
@@ -40,6 +41,7 @@ def stack_figures(events: Sequence[Event], began: float) -> Row:
         "messages_per_second": sum(received.values()) / elapsed,
         "messages_per_simulated_second": {topic: count / simulated for topic, count in received.items()},
         "cpu_per_simulated_second": {name: seconds / simulated for name, seconds in window["cpu"].items()},
+        "overlap": overlap(window["cpu"], elapsed),
         "others_cpu": window["others"] / elapsed,
         "memory_bytes": window["memory"],
         "processes": window["processes"],
@@ -116,14 +118,15 @@ def probe_figures(probe: FormationProbe) -> Row:
     """Return the figures sampled during a flight.
 
     Returns:
-        cpu_per_simulated_second (CPU s by program, arming to landing), others_cpu (cores used by other programs),
-        memory_bytes and processes in mid-flight.
+        cpu_per_simulated_second (CPU s by program, arming to landing), overlap (share of all cores that the programs
+        used), others_cpu (cores used by other programs), memory_bytes and processes in mid-flight.
     """
     (first, before), (last, after) = probe.samples[0], probe.samples[-1]
     simulated, elapsed = last["time"] - first["time"], last["wall"] - first["wall"]
     use = after.since(before)
     return {
         "cpu_per_simulated_second": {name: seconds / simulated for name, seconds in use.programs.items()},
+        "overlap": overlap(use.programs, elapsed),
         "others_cpu": use.others / elapsed,
         "memory_bytes": probe.memory,
         "processes": probe.processes,

@@ -7,6 +7,7 @@ entry of :data:`MEASUREMENTS`.
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,8 @@ _FILMS = ((1280, 720, True), (1280, 720, False), (640, 360, True))  # width and 
 _BACKENDS = ("egl", "tiny")
 _PARTICIPANTS = ("python", "cpp")
 _NO_PARTICIPANTS = "none"
+_STATIONS = 1  # ground stations of each vehicle
+_MOST_PER_UAV = 60  # vehicles; more are flown with a process per UAV only where that is chosen: 2 processes each
 
 Cases = Callable[[str, int, Sequence[str]], Iterator[Case]]
 """Yields the cases of a part (its name) for a number and for the modes of the formation."""
@@ -76,8 +79,14 @@ def _participants(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]
         yield Case(part, title, {"participants": count, "kind": kind}, f"{count}-{kind}")
 
 
+def _links(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    yield Case(part, _title(count), {"vehicles": count, "stations": _STATIONS}, str(count))
+
+
 def _formations(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
     for mode in modes:
+        if mode == "per_uav" and count > _MOST_PER_UAV and len(modes) > 1:
+            continue
         title = f"{_title(count)}, processes {mode.replace('_', ' ')}"
         yield Case(part, title, {"vehicles": count, "mode": mode}, f"{count}-{mode}")
 
@@ -127,6 +136,11 @@ def _analysis_summary(row: Row) -> str:
     return f"{row['megabytes_per_second']:.0f} MB/s, {row['memory_bytes'] * 1e-6:.0f} MB of memory"
 
 
+def _per_participant(rows: Sequence[Row]) -> str:
+    count = rows[0]["participants"]
+    return f"{statistics.median(row['median_us'] for row in rows) / count:.2f}" if count else ""
+
+
 _VEHICLES = _first("vehicles", _vehicle_label)
 
 # ---- the table
@@ -172,10 +186,11 @@ class Measurement:
 
 _CORE_SECONDS = {"seconds": "core_seconds"}
 _SPEED: Field = ("real-time\nfactor", spread("real_time_factor", " x"))
+_OVERLAP: Field = ("cores\nused", median("overlap", ".0%"))
 _PROCESSES: tuple[Field, ...] = (
-    ("start-up\ns", median("startup_seconds", ".1f")),
+    ("start\ns", median("startup_seconds", ".1f")),
     ("memory\nMB", median("memory_bytes", ".0f", 1e-6)),
-    ("processes", median("processes", ".0f")),
+    ("pro-\ncesses", median("processes", ".0f")),
 )
 
 
@@ -310,10 +325,11 @@ _TABLE = (
         limits=(0, MAX_VEHICLES),
         fields=(
             ("median", median("median_us", ".1f")),
+            ("of each", _per_participant),
             ("mean", median("mean_us", ".1f")),
             ("p99", median("p99_us", ".1f")),
             ("server\nCPU", median("server_cpu_us", ".1f")),
-            ("participants'\nCPU", median("participants_cpu_us", ".1f")),
+            ("their\nCPU", median("participants_cpu_us", ".1f")),
             ("ticks", median("ticks", ".0f")),
         ),
         summary=lambda row: f"{row['median_us']:.0f} us per tick",
@@ -323,15 +339,31 @@ _TABLE = (
         counted="participants",
     ),
     Measurement(
+        name="telemetry",
+        title="MAVLink server at the default rates, two clients each",
+        command=Program("telemetry", {"seconds": "telemetry_seconds"}),
+        numbers=(9, 30, 100),
+        limits=(1, MAX_VEHICLES),
+        fields=(
+            ("datagrams a\nsimulated s", median("messages", ".0f")),
+            ("ns/datagram", median("microseconds", ".0f", 1e3)),
+            ("datagrams a\nCPU s", lambda rows: f"{1e6 / statistics.median(r['microseconds'] for r in rows):.0f}"),
+            ("share of a core\nat real time", spread("share")),
+        ),
+        summary=lambda row: f"{row['microseconds'] * 1e3:.0f} ns a datagram",
+        cases=_links,
+    ),
+    Measurement(
         name="stack",
         title="Stack: simulator, MAVROS layer, one client",
         command=Flight("bench.launch", stack_arguments, stack_figures),
-        numbers=(1, 9, 30),
+        numbers=(1, 9, 30, 100),
         limits=(1, MAX_VEHICLES),
         fields=(
             _SPEED,
             _goal(["vehicles"], {(9,): 10.0}),
             ("messages/s", median("messages_per_second", ".0f")),
+            _OVERLAP,
             *_PROCESSES,
         ),
     ),
@@ -339,12 +371,13 @@ _TABLE = (
         name="formation",
         title="Formation flight",
         command=Flight("formation.launch", formation_arguments, formation_figures, formation_probe, probe_figures),
-        numbers=(9, 30),
+        numbers=(9, 30, 100),
         limits=(2, MAX_VEHICLES),
         fields=(
             _SPEED,
             _goal(["vehicles", "mode"], {(9, "per_uav"): 3.0, (30, "per_uav"): 1.0}),
-            ("simulated\ns", flight_time),
+            ("flight\ns", flight_time),
+            _OVERLAP,
             *_PROCESSES,
         ),
         cases=_formations,

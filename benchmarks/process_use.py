@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +59,16 @@ class CpuSample:
             programs[name] += seconds - before.processes.get(pid, (name, 0.0))[1]
         own = sum(programs.values())
         return CpuUse(dict(programs), max(0.0, self.machine - before.machine - own))
+
+
+def overlap(programs: Mapping[str, float], elapsed: float) -> float:
+    """Return the share of this machine's cores that programs used, 0 to 1: 1 if none ever waited for another.
+
+    Args:
+        programs: CPU s by program.
+        elapsed: wall time, s, above 0.
+    """
+    return sum(programs.values()) / (elapsed * len(os.sched_getaffinity(0)))
 
 
 def process_tree(root: int, proc: Path = PROC) -> list[int]:

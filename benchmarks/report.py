@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.calibration import describe
 from benchmarks.measurements import MEASUREMENTS, Measurement
 from benchmarks.runner import Row
 
@@ -17,9 +18,12 @@ MIN_CPU = 0.005  # CPU s per simulated s; programs that never use more have no l
 
 def print_results(results: dict[str, Any], console: Console) -> None:
     """Print a table for each part that was measured, then the notes on doubtful figures."""
+    caption = describe(results["calibration"]) if "calibration" in results else None
     for part, measurement in MEASUREMENTS.items():
         if results.get(part):
-            console.print(part_table(measurement, results[part]))
+            table = part_table(measurement, results[part])
+            table.caption, table.caption_justify = caption, "left"
+            console.print(table)
     if any("trials" in row for row in results.get("free", [])):
         console.print(trial_table(results["free"]))
     if _cpu_groups(results):

@@ -51,6 +51,7 @@ class Length:
         sweep_seconds: minimum wall time of a sweep's measurement with one worker, and of that with all workers, s.
         barrier_seconds: minimum wall time of one barrier measurement, s.
         barrier_ticks: minimum number of ticks of one barrier measurement.
+        telemetry_seconds: simulated time of one telemetry measurement, s.
         window: measured simulated time of the stack, s.
         patterns: flown by the formation.
         free_window: wall time for which each speed of the free-running flight is measured, s.
@@ -61,6 +62,7 @@ class Length:
     sweep_seconds: float
     barrier_seconds: float
     barrier_ticks: int
+    telemetry_seconds: float
     window: float
     patterns: tuple[str, ...]
     free_window: float

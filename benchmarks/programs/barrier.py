@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,10 @@ import roslib.packages
 
 from benchmarks.process_use import CpuSample
 from benchmarks.programs.program import Column, Row, run
+from xtdrone_control.fleet import MAX_VEHICLES
 from xtdrone_control.lockstep.protocol import BASE_STEP_US
 from xtdrone_control.lockstep.server import LockstepServer
+from xtdrone_control.settings import Settings, setting
 from xtdrone_interaction import options
 
 PROGRAMS = {"python": "lockstep_idle.py", "cpp": "lockstep_idle"}
@@ -210,20 +213,30 @@ COLUMNS = (
 )
 
 
+@dataclass(frozen=True, kw_only=True)
+class BarrierSettings(Settings):
+    """Settings of a measurement."""
+
+    kind: str = setting("python", choices=(*PROGRAMS, NOBODY), text="program of the participants")
+    participants: int = setting(9, low=0, high=MAX_VEHICLES, text="number of participants")
+    seconds: float = setting(2.0, low=0.0, high=3600.0, unit="s", text="minimum wall time of the measurement")
+    ticks: int = setting(200, low=1, high=10_000_000, text="minimum number of ticks")
+
+
 def main() -> int:
     """Measure the number of participants of the command line and return the exit status."""
     parser = argparse.ArgumentParser(description="Measure the lockstep's barrier with idle participants.")
-    parser.add_argument("--kind", choices=[*PROGRAMS, NOBODY], default="python")
-    parser.add_argument("--participants", type=int, required=True)
-    parser.add_argument("--seconds", type=float, default=2.0, help="minimum wall time of the measurement, s")
-    parser.add_argument("--ticks", type=int, default=200, help="minimum number of ticks")
+    BarrierSettings.add_arguments(parser)
     return run(parser, _cases, COLUMNS, (BarrierError,))
 
 
 def _cases(arguments: argparse.Namespace) -> Iterator[Row]:
-    kind, participants = arguments.kind, arguments.participants
-    figures_of_ticks = measure(kind, participants, arguments.seconds, arguments.ticks)
-    yield {"participants": participants, "kind": kind, **figures_of_ticks}
+    chosen = BarrierSettings.from_arguments(arguments)
+    yield {
+        "participants": chosen.participants,
+        "kind": chosen.kind,
+        **measure(chosen.kind, chosen.participants, chosen.seconds, chosen.ticks),
+    }
 
 
 if __name__ == "__main__":

@@ -21,8 +21,8 @@ import pytest
 import yaml
 from rich.console import Console
 
+from benchmarks import baseline, calibration, flights, free_running, process_use, report, runner, search
 from benchmarks import command as bench
-from benchmarks import flights, free_running, process_use, report, runner, search
 from benchmarks.measurements import MEASUREMENTS
 from benchmarks.nodes import bus_statistics, search_probe, speed_search
 from benchmarks.programs import barrier
@@ -34,6 +34,7 @@ sys.path.append(str(options.repository() / "src" / "xtdrone_interaction" / "test
 import fake_roslaunch
 
 TICKS = os.sysconf("SC_CLK_TCK")
+CORES = len(os.sched_getaffinity(0))
 PATIENCE = 120.0  # s of wall time; bounds a broken test
 
 
@@ -46,7 +47,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (
             ["--only", "core,wings"],
             "part 'wings' is unknown; there are: core, simplified, drawing, sweep, detector, renderer, rviz, analyse, "
-            "barrier, stack, formation, search, free",
+            "barrier, telemetry, stack, formation, search, free",
         ),
         (["--vehicles", "0"], "vehicles of core: '0' is not allowed; 1 to 250"),
         (["--vehicles", "10000"], "vehicles of core: '10000' is not allowed; 1 to 250"),
@@ -72,8 +73,12 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--vehicles", "barrier=-1"], "participants of barrier: '-1' is not allowed; 0 to 250"),
         (["--vehicles", "free=1"], "vehicles of free: '1' is not allowed; 2 to 250"),
         (["--vehicles", "=9"], "part '' in '=9' is not measured"),
-        (["--repeat", "0"], "repeat: '0' is not allowed; 1 to 20"),
-        (["--processes", "many"], "invalid choice: 'many'"),
+        (["--repeat", "0"], "--repeat: '0' is not allowed, a whole number from 1 to 20"),
+        (["--processes", "many"], "--processes: 'many' is not allowed, both, per-uav or shared"),
+        (
+            ["--baseline", "no such"],
+            "baseline: 'no such' is no commit of this repository; a hash, a branch or a tag is",
+        ),
         (["--json", "/"], "json: '/' is a folder"),
         (["--json", "/proc/bench.json"], "json: '/proc/bench.json' cannot be written"),
         (["--json", "/nowhere/my results.json"], "has a space in it"),
@@ -92,7 +97,7 @@ def test_bad_values_are_named(
 
 
 def test_vehicles_are_chosen_for_all_parts_or_for_one() -> None:
-    assert bench.chosen_vehicles(["core", "stack"], []) == {"core": (1, 9, 30, 100), "stack": (1, 9, 30)}
+    assert bench.chosen_vehicles(["core", "stack"], []) == {"core": (1, 9, 30, 100), "stack": (1, 9, 30, 100)}
     assert bench.chosen_vehicles(["core", "stack"], ["9", "core=1,100,1"]) == {"core": (1, 100), "stack": (9,)}
     assert bench.chosen_vehicles(["simplified", "sweep"], ["9"]) == {"simplified": (9,), "sweep": (2,)}
     assert bench.chosen_vehicles(["simplified", "sweep"], ["9", "sweep=2,4"]) == {"simplified": (9,), "sweep": (2, 4)}
@@ -102,7 +107,7 @@ def test_vehicles_are_chosen_for_all_parts_or_for_one() -> None:
 
 def test_plan_names_each_measurement(tmp_path: Path) -> None:
     settings = bench.BenchSettings(
-        {
+        vehicles={
             "core": (1,),
             "simplified": (1000,),
             "drawing": (9,),
@@ -112,14 +117,14 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
             "rviz": (30,),
             "analyse": (100,),
             "barrier": (0, 9),
-            "formation": (9,),
+            "telemetry": (30,),
+            "formation": (9, 100),
             "search": (5,),
             "free": (9,),
         },
-        ("per_uav", "shared"),
-        2,
-        bench.QUICK,
-        tmp_path / "b.json",
+        repeat=2,
+        quick=True,
+        json=tmp_path / "b.json",
     )
     planned = list(bench.plan(settings))
     assert [case.title for case, _ in planned] == [
@@ -155,10 +160,14 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
         "barrier, 9 participants, python, 2 of 2",
         "barrier, 9 participants, cpp, 1 of 2",
         "barrier, 9 participants, cpp, 2 of 2",
+        "telemetry, 30 vehicles, 1 of 2",
+        "telemetry, 30 vehicles, 2 of 2",
         "formation, 9 vehicles, processes per uav, 1 of 2",
         "formation, 9 vehicles, processes per uav, 2 of 2",
         "formation, 9 vehicles, processes shared, 1 of 2",
         "formation, 9 vehicles, processes shared, 2 of 2",
+        "formation, 100 vehicles, processes shared, 1 of 2",
+        "formation, 100 vehicles, processes shared, 2 of 2",
         "search, 5 Hz, 1 of 2",
         "search, 5 Hz, 2 of 2",
         "free, 9 vehicles, 1 of 2",
@@ -166,7 +175,7 @@ def test_plan_names_each_measurement(tmp_path: Path) -> None:
     ]
     known = [case.known | {"repeat": number} for case, number in planned]
     assert known[-3] == {"vehicles": 6, "repeat": 2, "camera_rate": 5}
-    assert known[-5] == {"vehicles": 9, "repeat": 2, "mode": "shared"}
+    assert known[-5] == {"vehicles": 100, "repeat": 2, "mode": "shared"}
     assert known[7] == {"workers": 2, "repeat": 2}
     assert known[31] == {"participants": 9, "repeat": 2, "kind": "cpp"}
 
@@ -270,6 +279,7 @@ def test_probe_samples_cpu_from_arming_to_landing_and_memory_between(monkeypatch
         probe(event, 1)
     figures = flights.probe_figures(probe)
     assert figures["cpu_per_simulated_second"] == {"leader": pytest.approx(6.0 / 58.0)}
+    assert figures["overlap"] == pytest.approx(6.0 / 16.0 / CORES)
     assert figures["others_cpu"] == pytest.approx(4.0 / 16.0)
     assert (figures["memory_bytes"], figures["processes"]) == (3000, 3)
 
@@ -291,6 +301,7 @@ def test_stack_figures() -> None:
         "messages_per_second": 155.0,
         "messages_per_simulated_second": {"pose": 30.0, "state": 1.0},
         "cpu_per_simulated_second": {"simulator": 0.1},
+        "overlap": 0.5 / CORES,
         "others_cpu": 0.25,
         "memory_bytes": 5,
         "processes": 6,
@@ -631,6 +642,26 @@ def test_comparison_goes_on_after_a_flight_that_broke_off(tmp_path: Path, monkey
     )
 
 
+# ---- calibration
+
+
+def test_calibration_does_the_documented_work() -> None:
+    """The results are those of the same loops in plain Python: whoever changes the work must change the reference."""
+    value = 88172645463325252
+    for _ in range(1000):
+        value ^= value << 13 & (1 << 64) - 1
+        value ^= value >> 7
+        value ^= value << 17 & (1 << 64) - 1
+    assert calibration._integer(1000) == value
+    assert calibration._floating(1000) == calibration._floating.py_func(1000)
+
+
+def test_calibration_compares_with_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    took = iter([100.0, 47.7, 49.6])
+    monkeypatch.setattr(calibration, "_shortest", lambda work, steps: next(took))
+    assert calibration.calibrate()["speed"] == pytest.approx(0.5 ** (1 / 3))
+
+
 # ---- results
 
 
@@ -651,10 +682,14 @@ def _formation_row(factor: float) -> dict[str, Any]:
         "mode": "per_uav",
         "real_time_factor": factor,
         "cpu_per_simulated_second": {"follower_consensus": 0.25, "rosout": 0.0001},
+        "overlap": 0.625,
         "others_cpu": 1.5,
         "memory_bytes": 900_000_000,
         "processes": 24,
     }
+
+
+CALIBRATION = {"integer_ms": 100.0, "floating_ms": 95.4, "python_ms": 99.2, "speed": 0.5}
 
 
 def _printed(results: dict[str, Any]) -> str:
@@ -667,6 +702,7 @@ def _printed(results: dict[str, Any]) -> str:
 def test_tables() -> None:
     results = {
         "machine": {"load_before": [2.5, 1.0, 1.0]},
+        "calibration": CALIBRATION,
         "core": [_core_row(9, 40.0), {"vehicles": 100, "error": "core: ended with status 1 [x]"}],
         "formation": [_formation_row(3.0), _formation_row(5.0), _formation_row(4.5)],
     }
@@ -674,12 +710,13 @@ def test_tables() -> None:
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
     assert ["9", "40.00 x", "30 x", "90000", "11.11"] in lines
     assert ["100", "failed", "failed", "failed", "failed"] in lines
-    assert ["9 per-uav", "4.50 x", "3 x", "80.0", "4.0", "900", "24"] in lines  # the median
+    assert ["9 per-uav", "4.50 x", "3 x", "80.0", "62%", "4.0", "900", "24"] in lines  # the median
     assert ["follower_consensus", "0.250"] in lines
     assert "3.00 to 5.00" in text
     assert "│ rosout" not in text  # too little for a line
     assert "…" not in text  # it fits a terminal of 80 columns
     flat = " ".join(text.split())
+    assert flat.count("calibration: 0.50 (integer 100 ms, floating 95 ms, python 99 ms)") == 2  # below each table
     assert "load average was 2.5 before the benchmark" in flat
     assert "core, 100: failed: core: ended with status 1 [x]" in flat
     assert "formation, 9 per-uav: other programs took 1.5 cores" in flat
@@ -713,9 +750,9 @@ def test_tables_of_barrier_and_comparison() -> None:
     }
     text = _printed(results)
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
-    assert ["0", "80.0", "91.2", "200.0", "30.0", "0.0", "999"] in lines
-    assert ["9 cpp", "80.0", "91.2", "200.0", "30.0", "40.0", "999"] in lines
-    assert ["9 python", *["failed"] * 6] in lines
+    assert ["0", "80.0", "", "91.2", "200.0", "30.0", "0.0", "999"] in lines
+    assert ["9 cpp", "80.0", "8.89", "91.2", "200.0", "30.0", "40.0", "999"] in lines
+    assert ["9 python", *["failed"] * 7] in lines
     assert ["9", "3.00 x", "4.00 x", "0.75", "0.70"] in lines
     assert ["30", "3.00 x", "0.00 x", "", ""] in lines
     assert ["50", *["failed"] * 4] in lines
@@ -854,16 +891,110 @@ def test_results_are_written_and_one_failure_leaves_the_others(tmp_path: Path, m
 
     core = dataclasses.replace(MEASUREMENTS["core"], command=measure)
     monkeypatch.setitem(MEASUREMENTS, "core", core)
+    monkeypatch.setattr(bench, "calibrate", lambda: CALIBRATION)
     file = tmp_path / "new" / "b.json"
     assert cli.main(["bench", "--only", "core", "--vehicles", "9,30", "--quick", "--json", str(file)]) == 1
     results = json.loads(file.read_text())
-    assert list(results) == ["schema", "started", "finished", "options", "machine", "core"]
+    assert list(results) == ["schema", "started", "finished", "options", "machine", "calibration", "core"]
     assert results["schema"] == 1
     assert results["finished"] >= results["started"]
     assert results["options"]["vehicles"] == {"core": [9, 30]}
     assert results["core"][0] == {"vehicles": 9, "repeat": 1, "error": "core: ended with status 1"}
     assert results["core"][1] == {"vehicles": 30, "repeat": 1} | _core_row(30, 50.0)
     assert list(file.parent.iterdir()) == [file]
+
+
+# ---- baseline
+
+
+FAKE_BENCH = """\
+#!{python}
+import json, os, signal, subprocess, sys, time
+option = dict(zip(sys.argv, sys.argv[1:]))
+if sys.argv[1] == "setup":
+    open("{folder}/set-up", "a").write("x")
+elif option["--only"] == "core":
+    row = dict(vehicles=9, real_time_factor={speed}, cpu=1.5, load_before=1.0, repeat=1)
+    json.dump(dict(core=[row]), open(option["--json"], "w"))
+elif option["--only"] == "barrier":
+    print("xtdrone: part is unknown")
+    sys.exit(2)
+else:
+    subprocess.Popen([sys.executable, "-c", "MARK = {folder!r}; import time; time.sleep(600)"], start_new_session=True)
+    with open(f"/proc/{{os.getppid()}}/stat") as file:  # of what guards this process
+        os.kill(int(file.read().rpartition(")")[2].split()[1]), signal.SIGINT)
+    time.sleep(600)
+"""
+
+
+def _program(folder: Path, speed: str) -> None:
+    (folder / "xtdrone").write_text(FAKE_BENCH.format(python=sys.executable, folder=str(folder), speed=speed))
+    (folder / "xtdrone").chmod(0o755)
+
+
+@pytest.fixture
+def commits(tmp_path: Path) -> Path:
+    """A repository whose first commit is half as fast as its working tree."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    (folder / "requirements.txt").write_text("numpy\n")
+    (folder / ".gitignore").write_text("/.setup\n/set-up\n/.venv\n")
+    (folder / ".venv").mkdir()
+    (folder / ".venv" / ".requirements.installed").write_text("numpy\n")
+    (folder / ".venv" / "package").write_text("kept")
+    _program(folder, "2.0")
+    for words in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "first"]):
+        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=b", "-C", folder, *words], check=True)
+    _program(folder, "4.0")
+    return folder
+
+
+def _compare(commits: Path, monkeypatch: pytest.MonkeyPatch, parts: str) -> tuple[int, dict[str, Any]]:
+    """Compare with the first commit; return exit status and results."""
+    monkeypatch.setattr(bench, "resolve", lambda name: baseline.resolve(name, commits))
+    monkeypatch.setattr(bench, "calibrate", lambda: CALIBRATION)
+    file = commits.with_name("b.json")
+    arguments = ["--only", parts, "--vehicles", "9", "--repeat", "2", "--json", str(file), "--baseline", "HEAD"]
+    return cli.main(["bench", *arguments]), json.loads(file.read_text())
+
+
+def test_a_baseline_is_compared_figure_by_figure(
+    commits: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, results = _compare(commits, monkeypatch, "core,barrier")
+    text = " ".join(capsys.readouterr().out.split())
+    assert status == 1  # neither has the part barrier
+    assert [(row["tree"], row["real_time_factor"]) for row in results["rows"]["core"]] == [
+        ("baseline", 2.0),
+        ("this", 4.0),
+        ("this", 4.0),
+        ("baseline", 2.0),
+    ]
+    assert results["trees"]["this"] == f"{results['trees']['baseline']} with changes"
+    assert "│ 9 │ real_time_factor │ 2 (2 to 2) │ 4 (4 to 4) │ 2.000 │" in text
+    assert "│ cpu │ 1.5 (1.5 to 1.5) │ 1.5 (1.5 to 1.5) │ 1.000 │" in text
+    assert "load_before" not in text
+    assert "barrier, 9, baseline: not measured by its benchmark: xtdrone: part is unknown" in text
+
+
+def test_a_baseline_is_kept_with_the_same_packages(
+    commits: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, results = _compare(commits, monkeypatch, "core")
+    kept = commits / ".setup" / "baselines" / results["trees"]["baseline"]
+    assert (kept / ".venv" / "package").samefile(commits / ".venv" / "package")
+    assert (kept / ".venv" / ".made-for").read_text() == str(kept / ".venv")
+    assert (status, _compare(commits, monkeypatch, "core")[0]) == (0, 0)
+    assert (commits / "set-up").read_text() == "xx"  # by the copy of its commit
+    (kept / "requirements.txt").write_text("changed")
+    assert _compare(commits, monkeypatch, "core")[0] == 1
+    assert f"{kept} is not the commit as it was checked out; remove that folder" in capsys.readouterr().err
+
+
+def test_an_interrupted_comparison_leaves_nothing_running(commits: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    status, results = _compare(commits, monkeypatch, "stack")
+    assert (status, results["finished"], results["rows"]) == (130, None, {})
+    assert fake_roslaunch.running(str(commits)) == []
 
 
 # ---- processes
@@ -941,7 +1072,9 @@ def _bench_with_fake_roslaunch(
     file = folder / "b.json"
     program = textwrap.dedent(f"""
         import sys
+        from benchmarks import command
         from xtdrone_interaction import cli, options
+        command.calibrate = lambda: {CALIBRATION}
         options.check_vehicle_ports = lambda fleet: None
         sys.exit(cli.main(["bench", *{arguments!r}, "--json", {str(file)!r}]))
     """)
