@@ -23,7 +23,7 @@ import numba
 from benchmarks.runner import Row
 
 REFERENCE = {"integer_ms": 50.0, "floating_ms": 47.7, "python_ms": 49.6}
-"""CPU ms of the three loops on the reference machine, a virtual core of an AMD EPYC server with AVX-512; Python 3.11."""
+"""CPU ms of the three loops on the reference machine, a virtual core of an AMD EPYC server with AVX-512."""
 _INTEGER_STEPS = 30_000_000
 _FLOATING_STEPS = 4_000_000
 _PYTHON_STEPS = 650_000
