@@ -24,9 +24,9 @@ from rich.table import Table
 from benchmarks.measurements import MEASUREMENTS
 from benchmarks.report import MIN_CPU, grouped
 from benchmarks.runner import Bench, BenchError, Row
+from xtdrone_interaction.launching.process_tree import ProcessTree
+from xtdrone_interaction.launching.scripted_launch import PATIENCE, cause, log_text
 from xtdrone_interaction.options import OptionError, repository
-from xtdrone_interaction.process_tree import ProcessTree
-from xtdrone_interaction.scripted_launch import PATIENCE, cause, log_text
 
 BASELINE, THIS = "baseline", "this"
 """The names of the two trees in the results."""

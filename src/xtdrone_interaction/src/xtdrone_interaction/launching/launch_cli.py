@@ -175,8 +175,6 @@ class _Monitor:
         if startup.joined:
             parts.append(f"{startup.joined} participant{'s' * (startup.joined > 1)}")
         parts += [f"ROS master {uri}", *self._ports(), f"logs {logs}"]
-        if startup.incomplete:
-            parts.append(startup.incomplete + self._watch.not_joined())
         return escape("ready: " + "; ".join(parts))
 
     def _ports(self) -> list[str]:

@@ -178,6 +178,7 @@ class Watch:
         self._moved = self._logs_read = self._looked = time.monotonic()
         self._shown: set[str] = set()
         self._first_end = 0.0
+        self._incomplete_shown = False
 
     @property
     def stalled_time(self) -> float:
@@ -213,6 +214,7 @@ class Watch:
             self._logs_read = now
             if self.startup.update() and (starting or self.startup.compiling):
                 self._moved = now
+            self._show_incomplete()
             self._show_standstill()
         self.show_ended_nodes(now)
         if self._feed.lost and self.running() and self.stalled_time > _GRACE:
@@ -231,6 +233,12 @@ class Watch:
             self._moved = now
         self.status = message
         self._show_standstill()
+
+    def _show_incomplete(self) -> None:
+        """Show once that time has started without all participants, and which nodes are missing."""
+        if self.startup.incomplete and not self._incomplete_shown:
+            self._incomplete_shown = True
+            self.display.note(f"  [yellow]{escape(self.startup.incomplete + self.not_joined())}[/yellow]")
 
     def _show_standstill(self) -> None:
         status = "" if self.status is None else self.status["text"]
