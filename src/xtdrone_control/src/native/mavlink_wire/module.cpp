@@ -1,25 +1,23 @@
-// MAVLink frames: checksums, packing, splitting.
+// MAVLink frames: checksums, packing, splitting, decoding; datagrams; telemetry from the autopilot's records.
 
-#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
 
-#include <cstdint>
+#include "checksum.h"
+#include "format.h"
 
 namespace nb = nanobind;
 
-namespace {
-/// Checksum of MAVLink (X.25), see https://mavlink.io/en/guide/serialization.html
-std::uint16_t checksum(nb::bytes data, std::uint16_t value) {
-  const auto* bytes = static_cast<const std::uint8_t*>(data.data());
-  for (std::size_t i = 0; i < data.size(); ++i) {
-    std::uint8_t mixed = bytes[i] ^ static_cast<std::uint8_t>(value);
-    mixed ^= static_cast<std::uint8_t>(mixed << 4);
-    value = static_cast<std::uint16_t>((value >> 8) ^ (mixed << 8) ^ (mixed << 3) ^ (mixed >> 4));
-  }
-  return value;
-}
-}  // namespace
-
 NB_MODULE(mavlink_wire, module) {
-  module.def("checksum", &checksum, nb::arg("data"), nb::arg("value") = 0xFFFF,
-             "Return the checksum of MAVLink (X.25) over ``data``, continued from ``value``.");
+  nb::set_leak_warnings(false);  // decoders live as long as the program
+  module.def(
+      "checksum",
+      [](nb::bytes data, std::uint16_t value) {
+        return mavlink_wire::checksum(static_cast<const std::uint8_t*>(data.data()), data.size(), value);
+      },
+      nb::arg("data"), nb::arg("value") = 0xFFFF,
+      "Return the checksum of MAVLink (X.25) over ``data``, continued from ``value``.");
+  mavlink_wire::bind_format(module);
+  mavlink_wire::bind_datagrams(module);
+  mavlink_wire::bind_streams(module);
+  mavlink_wire::bind_telemetry(module);
 }

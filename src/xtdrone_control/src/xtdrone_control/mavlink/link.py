@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control.mavlink.streams.streams import HEARTBEAT, Payloads, Streams
-from xtdrone_control.mavlink.streams.telemetry import Telemetry, Values
+from xtdrone_control.mavlink.streams.telemetry import Content, Telemetry, Values
 from xtdrone_control.mavlink.wire.packing import COMPONENT_ID, Format, PackingError, as_version_1
+from xtdrone_native import mavlink_wire
 
 from .rate_limit import CLIENT_CREDIT, MAX_CLIENT_CREDIT, Credit
 
@@ -43,8 +43,8 @@ class Endpoint(Protocol):
     def streams_changed(self) -> None:
         """Note that the rates of a link have changed."""
 
-    def send(self, datagram: bytes, peer: Address, now_us: int) -> bool:
-        """Send a datagram and return whether the operating system accepted it."""
+    def send(self, frames: mavlink_wire.Outbox, peer: Address, now_us: int) -> int:
+        """Send ``frames`` to ``peer``, each in a datagram; return how many the operating system did not accept."""
 
     def refuses(self, peer: Address) -> bool:
         """Return whether the operating system reported that ``peer`` has no socket."""
@@ -71,9 +71,7 @@ class Link:
         streams: periodic messages to the client.
         telemetry: source of the vehicle's telemetry messages.
         received: handled messages of this client.
-        sent: messages sent to it.
         received_bytes: bytes of its datagrams.
-        sent_bytes: bytes of the frames sent to it.
         malformed: datagrams of this client with bytes that are not valid MAVLink.
         dropped: datagrams of this client dropped by ``rate_limit``.
         lost: datagrams to it that the operating system did not accept.
@@ -94,27 +92,35 @@ class Link:
         self.telemetry: Telemetry = port.telemetry
         self.streams = self._new_streams()
         self.received = 0
-        self.sent = 0
         self.received_bytes = 0
-        self.sent_bytes = 0
         self.malformed = self.dropped = self.lost = 0
         self.is_first = False
         self.participant = False
         self.open = True
         self.credit = Credit(CLIENT_CREDIT, MAX_CLIENT_CREDIT)
         self._mav = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=COMPONENT_ID)
-        self._frames: deque[bytes] = deque()
+        self._frames = mavlink_wire.Outbox(*peer, self.system_id, COMPONENT_ID)
         self._heard_us = _NEVER_US
         self._heard_wall = 0.0
         self._beat_wall = 0.0
         self._text_id = 0
         self._pings = 0
         self._measured = (0, 0, 0)  # time, sent and received bytes at the last LINK_NODE_STATUS
-        self._sampled: tuple[bytes, float] | None = None  # magnetometer and barometer in the last HIGHRES_IMU
+        self._samples = mavlink_wire.Samples()
 
     def _new_streams(self) -> Streams:
         own = {"PING": self._ping, "LINK_NODE_STATUS": self._node_status, "HIGHRES_IMU": self._highres_imu}
         return Streams(self.telemetry, self._port.rates, own, self._port.streams_changed)
+
+    @property
+    def sent(self) -> int:
+        """Number of messages sent to the client."""
+        return self._frames.queued
+
+    @property
+    def sent_bytes(self) -> int:
+        """Bytes of the frames sent to the client."""
+        return self._frames.queued_bytes
 
     @property
     def data_rate(self) -> int:
@@ -184,32 +190,32 @@ class Link:
 
     def send_message(self, message: Any) -> None:
         """Queue a pymavlink message object; ``flush`` sends it."""
-        self._queue(message.pack(self._mav))
+        self._mav.seq = self._frames.sequence
+        self._queue(bytes(message.pack(self._mav)))
 
-    def send_values(self, message: Format, values: Values | list[Values], now_us: int) -> None:
-        """Queue one message, or a list of them, given by values in wire order; ``flush`` sends them."""
+    def send_values(self, message: Format, values: Content | list[Values], now_us: int) -> None:
+        """Queue one message, or a list of them, given by values in wire order or payload; ``flush`` sends them."""
         try:
             for one in values if isinstance(values, list) else [values]:
-                self.send_payload(message, message.payload(one))
+                self.send_payload(message, one if isinstance(one, bytes) else message.payload(one))
         except PackingError as error:
             self.warn("packing", f"not sent: {error}", now_us)
 
     def send_payload(self, message: Format, payload: bytes) -> None:
         """Queue a message given by its payload (``Format.payload``); ``flush`` sends it."""
-        self._queue(message.frame(payload, self._mav.seq, self.system_id, COMPONENT_ID))
+        if self.version == 2 and self.open:
+            self._frames.put(message.wire, payload)
+        else:
+            self._put_version_1(message.wire, payload)
+
+    def _put_version_1(self, message: mavlink_wire.Format, payload: bytes) -> None:
+        self._queue(message.frame(payload, self._frames.sequence, self.system_id, COMPONENT_ID))
 
     def _queue(self, frame: bytes) -> None:
         """Queue a MAVLink 2 frame in the client's version; frames without a MAVLink 1 form are dropped for that."""
-        if self.version == 1:
-            converted = as_version_1(frame)
-            if converted is None:
-                return
-            frame = converted
-        if self.open:
-            self._frames.append(frame)
-            self._mav.seq = self._mav.seq + 1 & 0xFF
-            self.sent += 1
-            self.sent_bytes += len(frame)
+        converted = as_version_1(frame) if self.version == 1 else frame
+        if self.open and converted is not None:
+            self._frames.put_frame(converted)
 
     def send_text(self, severity: int, text: str) -> None:
         """Queue a STATUSTEXT, split into numbered pieces if it is longer than one message holds."""
@@ -222,7 +228,7 @@ class Link:
             self.send_message(mavlink.MAVLink_statustext_message(severity, piece, number, i))
 
     def send_due(self, now_us: int, shared: Payloads) -> None:
-        """Send due telemetry and queued frames; for ``shared`` see ``Streams.due``."""
+        """Send due telemetry and queued frames; for ``shared`` see ``Streams.send_due``."""
         if now_us >= self.streams.next_due_us:
             self._queue_due(now_us, shared)
         if self._frames:
@@ -230,11 +236,13 @@ class Link:
 
     def _queue_due(self, now_us: int, shared: Payloads) -> None:
         self.telemetry.refresh(now_us)
-        for message, payloads in self.streams.due(now_us, shared, lambda text: self.warn("packing", text, now_us)):
-            if message is HEARTBEAT:
-                self._beat_wall = time.monotonic()
-            for payload in payloads:
-                self.send_payload(message, payload)
+        if self.streams.beat_due_us <= now_us:
+            self._beat_wall = time.monotonic()
+        convert = self._put_version_1 if self.version == 1 else None
+        self.streams.send_due(now_us, shared, self._frames, convert, self._report)
+
+    def _report(self, text: str) -> None:
+        self.warn("packing", text, self.telemetry.time_us)
 
     def _ping(self) -> Values:
         """Return PING, which PX4 sends to measure the round-trip time; the reply is ignored."""
@@ -262,14 +270,9 @@ class Link:
             0,
         )
 
-    def _highres_imu(self) -> Values:
+    def _highres_imu(self) -> bytes:
         """Return HIGHRES_IMU, flagging the sensors with a new sample since the last message on this link."""
-        s = self.telemetry.sensors
-        mag, baro = s["mag"].tobytes(), float(s["baro_pressure"])
-        before, self._sampled = self._sampled, (mag, baro)
-        return self.telemetry.highres_imu(
-            mag=before is None or before[0] != mag, baro=before is None or before[1] != baro
-        )
+        return self.telemetry.records.highres_imu(self._samples)
 
     def keep_alive(self, now_us: int) -> None:
         """Send a HEARTBEAT if the last one is older than a second of wall time.
@@ -282,7 +285,7 @@ class Link:
             return
         self._beat_wall = wall
         self.telemetry.refresh(now_us)
-        found = self.streams.values(HEARTBEAT.number, lambda text: self.warn("packing", text, now_us))
+        found = self.streams.values(HEARTBEAT.number, self._report)
         if found is not None:
             self.send_values(*found, now_us)
         self.flush(now_us)
@@ -290,10 +293,10 @@ class Link:
     def flush(self, now_us: int) -> None:
         """Send queued frames, one in a datagram: real MAVROS reads at most 296 bytes of a datagram."""
         frames = self._frames
-        probing = self.is_first and not self.streams.active and bool(frames)
-        while frames:
-            if not self._port.send(frames.popleft(), self.peer, now_us):
-                self.lost += 1
+        if not frames:
+            return
+        probing = self.is_first and not self.streams.active
+        self.lost += self._port.send(frames, self.peer, now_us)
         if probing and not self._port.refuses(self.peer):
             self.streams.start(now_us)
 

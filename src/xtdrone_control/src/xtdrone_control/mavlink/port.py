@@ -13,14 +13,17 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import socket
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from xtdrone_control.fleet import Vehicle
 from xtdrone_control.mavlink.streams.streams import Payloads
+from xtdrone_control.mavlink.streams.rare_telemetry import silent
 from xtdrone_control.mavlink.streams.telemetry import Telemetry
+from xtdrone_native.mavlink_wire import INTERRUPTED, Outbox, receive
 
 from .link import Address, Link
 
@@ -112,6 +115,7 @@ class Port:
         data_rate: int = 4_000_000,
         by_wall: bool = False,
         limit: ClientLimit | None = None,
+        due_changed: Callable[[], None] = silent,
     ) -> None:
         """Bind the port.
 
@@ -126,6 +130,7 @@ class Port:
             data_rate: see the attribute.
             by_wall: see the attribute.
             limit: client limit shared with other ports; ``MAX_CLIENTS`` by default.
+            due_changed: called when ``next_due_us`` may have changed.
 
         Raises:
             LinkError: the port cannot be bound, or ``host`` is not an address of this machine.
@@ -149,6 +154,7 @@ class Port:
         self._limit = limit or ClientLimit(MAX_CLIENTS)
         self._limit.ports.append(self)
         self._next_due_us: int | None = None
+        self._due_changed = due_changed
         self.default = self._first_client((LOOPBACK, remote_port))
         self._links: dict[Address, Link] = {self.default.peer: self.default}
         self._reserved: dict[Address, socket.socket] = {}
@@ -233,7 +239,7 @@ class Port:
         self.default.name, self.default.is_first = self.name, True
         self._links = {peer: self.default, **{link.peer: link for link in others}}
         self._update_participation(now_us)
-        self._next_due_us = None
+        self.streams_changed()
 
     # received datagrams
 
@@ -293,20 +299,22 @@ class Port:
         """Return whether ``sender`` has a reserved socket."""
         return sender in self._reserved
 
-    def read(self, source: socket.socket) -> tuple[bytes, Address] | None:
-        """Return the next datagram on one of the port's sockets and its sender, None when all are read."""
+    def read(self, source: socket.socket) -> tuple[list[tuple[bytes, Address]], bool]:
+        """Read datagrams on one of the port's sockets.
+
+        Returns:
+            The datagrams with their senders, and whether more may be waiting.
+        """
         while True:
             try:
-                datagram, sender = source.recvfrom(_LARGEST_DATAGRAM)
-            except BlockingIOError:
-                return None
+                datagrams, more = receive(source.fileno(), _LARGEST_DATAGRAM)
             except OSError as error:
                 if error.errno not in _ICMP_ERRORS:
                     raise
                 self._note_refusals(source)  # of an earlier datagram
                 continue
-            self.received += 1
-            return datagram, sender
+            self.received += len(datagrams)
+            return datagrams, more
 
     def find_link(self, sender: Address) -> Link | None:
         """Return the link to ``sender`` if it is a client."""
@@ -353,14 +361,15 @@ class Port:
         self._limit.left -= 1
         link = Link(self, sender, f"{self.name} to {sender[0]}:{sender[1]}")
         self._links[sender] = link
-        self._next_due_us = None
+        self.streams_changed()
         return link
 
     # sent datagrams
 
     def streams_changed(self) -> None:
-        """Recompute ``next_due_us``: the due times of a link's streams have changed."""
+        """Recompute ``next_due_us``: the due times of a link's streams, or the links, have changed."""
         self._next_due_us = None
+        self._due_changed()
 
     @property
     def next_due_us(self) -> int:
@@ -374,12 +383,12 @@ class Port:
 
         Args:
             now_us: simulated time, microseconds.
-            shared: see ``Streams.due``.
+            shared: see ``Streams.send_due``.
         """
         self.remove_silent(now_us)
         for link in self._links.values():
             link.send_due(now_us, shared)
-        self._next_due_us = None
+        self.streams_changed()
 
     def remove_silent(self, now_us: int, *, by_wall_alone: bool = False) -> None:
         """Remove silent clients, except the first one.
@@ -399,7 +408,7 @@ class Port:
             link.close()
             del self._links[link.peer]
             self._limit.left += 1
-            self._next_due_us = None
+            self.streams_changed()
             self._forget_counts()
 
     def _forget_counts(self) -> None:
@@ -425,22 +434,29 @@ class Port:
             if link.peer[1] not in counted:
                 link.flush(now_us)
 
-    def send(self, datagram: bytes, peer: Address, now_us: int) -> bool:
-        """Send a datagram and count it; return whether the operating system accepted it."""
-        try:
-            try:
-                self.socket.sendto(datagram, peer)
-            except OSError as error:
-                if error.errno not in _ICMP_ERRORS:
-                    raise
+    def send(self, frames: Outbox, peer: Address, now_us: int) -> int:
+        """Send ``frames`` to ``peer``, each in a datagram, and count them.
+
+        Returns:
+            Number of datagrams that the operating system did not accept.
+        """
+        lost, retried, descriptor = 0, False, self.socket.fileno()
+        while frames:
+            accepted, error = frames.send(descriptor)
+            if accepted:
+                self.sent[peer[1]] = self.sent.get(peer[1], 0) + accepted
+                retried = False
+            if not error:
+                break
+            if error == INTERRUPTED or (error in _ICMP_ERRORS and not retried):
                 self._note_refusals(self.socket)  # of an earlier datagram, to this or another client
-                self.socket.sendto(datagram, peer)
-        except OSError as error:
-            self.lost += 1
-            self.warn("send", f"cannot send to {peer[0]}:{peer[1]}: {error.strerror}", now_us)
-            return False
-        self.sent[peer[1]] = self.sent.get(peer[1], 0) + 1
-        return True
+                retried = True
+                continue
+            frames.drop()
+            lost, retried = lost + 1, False
+            self.warn("send", f"cannot send to {peer[0]}:{peer[1]}: {os.strerror(error)}", now_us)
+        self.lost += lost
+        return lost
 
     def refuses(self, peer: Address) -> bool:
         """Return whether the operating system has reported since the last call that ``peer`` has no socket."""

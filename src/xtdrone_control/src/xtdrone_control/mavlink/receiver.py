@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.mavlink.wire.codec import FrameError, decoder, split, version
+from xtdrone_control.mavlink.streams.rare_telemetry import silent
+from xtdrone_control.mavlink.wire.codec import FrameError, decoder, frame_error, version
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.packing import COMPONENT_ID
+from xtdrone_native.mavlink_wire import split
 
 from .link import Address, Link
 from .port import Port
@@ -63,10 +65,26 @@ class Receiver:
     """
 
     def __init__(
-        self, commander: Commander, autopilot: Autopilot, index: int, clients: Callable[[], list[Link]] = list
+        self,
+        commander: Commander,
+        autopilot: Autopilot,
+        index: int,
+        clients: Callable[[], list[Link]] = list,
+        due_changed: Callable[[], None] = silent,
     ) -> None:
-        """Create the services of vehicle ``index`` of ``autopilot``; ``clients`` returns the links with streams."""
+        """Create the services of vehicle ``index`` of ``autopilot``.
+
+        Args:
+            commander: the vehicle's state machine.
+            autopilot: autopilot that holds the records.
+            index: the vehicle's index in them.
+            clients: returns the links with active streams.
+            due_changed: called when ``next_due_us`` may have changed.
+        """
         self._vehicle = Vehicle(commander, autopilot, index, clients)
+        self._due_changed = due_changed
+        self._next_due_us: int | None = None
+        self._vehicle.due_changed = self._forget_due
         self._services = all_services(self._vehicle)
         self._transfers = [service for service in self._services if type(service).waiting is not Service.waiting]
         self._entries = {
@@ -90,13 +108,13 @@ class Receiver:
         """
         self._vehicle.now_us = now_us
         self._vehicle.participant = participant
-        try:
-            for number, system, component, frame in split(datagram):
-                entry = self._entries.get(number)
-                if entry is not None:
-                    self._dispatch(port, frame, sender, (system, component), entry)
-        except FrameError as error:
-            self._malformed(port, sender, error)
+        frames, end = split(datagram)
+        for number, system, component, frame in frames:
+            entry = self._entries.get(number)
+            if entry is not None:
+                self._dispatch(port, frame, sender, (system, component), entry)
+        if end < len(datagram):
+            self._malformed(port, sender, frame_error(datagram, end))
 
     def _dispatch(self, port: Port, frame: bytes, sender: Address, origin: tuple[int, int], entry: _Entry) -> None:
         now_us = self._vehicle.now_us
@@ -106,9 +124,9 @@ class Receiver:
             self._malformed(port, sender, error)
             return
         system = self._vehicle.system_id
-        if entry.system_field and getattr(message, entry.system_field) not in (_BROADCAST, system):
+        wanted = getattr(message, entry.system_field) if entry.system_field else system
+        if wanted not in (_BROADCAST, system):
             port.foreign += 1
-            wanted = getattr(message, entry.system_field)
             port.warn("foreign", f"message for system {wanted} ignored, this is {system}", now_us)
             return
         link = port.link_of(sender, now_us)
@@ -127,7 +145,13 @@ class Receiver:
     @property
     def next_due_us(self) -> int:
         """Simulated time, microseconds, at which ``update`` is due next."""
-        return min(service.due_us for service in self._services)
+        if self._next_due_us is None:
+            self._next_due_us = min(service.due_us for service in self._services)
+        return self._next_due_us
+
+    def _forget_due(self) -> None:
+        self._next_due_us = None
+        self._due_changed()
 
     def update(self, now_us: int) -> None:
         """Update the services that are due."""

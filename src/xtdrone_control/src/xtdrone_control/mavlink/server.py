@@ -10,7 +10,6 @@ import select
 import socket
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from xtdrone_control.autopilot.commander.commander import Commander
@@ -43,6 +42,7 @@ class _Vehicle:
     ) -> None:
         self.index = index
         self.commander = commander
+        self._next_due_us: int | None = None
         telemetry = VehicleTelemetry(commander, autopilot, index)
         ends = (
             ("offboard", vehicle.offboard_local_port, vehicle.offboard_remote_port, ONBOARD_RATES, _FAST, False),
@@ -64,12 +64,13 @@ class _Vehicle:
                         data_rate=data_rate,
                         by_wall=by_wall,
                         limit=limit,
+                        due_changed=self._due_changed,
                     )
                 )
         except OSError:
             self.close()
             raise
-        self.receiver = Receiver(commander, autopilot, index, self.clients)
+        self.receiver = Receiver(commander, autopilot, index, self.clients, self._due_changed)
 
     def clients(self) -> list[Link]:
         """Return the links with active streams, in a fixed order."""
@@ -81,9 +82,20 @@ class _Vehicle:
         sent = sum(link.sent for port in self.ports for link in port.links)
         return sent + len(self.commander.texts) + len(self.commander.events)
 
+    def _due_changed(self) -> None:
+        self._next_due_us = None
+
+    @property
+    def next_due_us(self) -> int:
+        """Simulated time, microseconds, at which ``send`` is due next, unless there are texts."""
+        if self._next_due_us is None:
+            self._next_due_us = min(self.receiver.next_due_us, *[port.next_due_us for port in self.ports])
+        return self._next_due_us
+
     def reboot(self, autopilot: Autopilot, commander: Commander) -> None:
         self.commander = commander
-        self.receiver = Receiver(commander, autopilot, self.index, self.clients)
+        self.receiver = Receiver(commander, autopilot, self.index, self.clients, self._due_changed)
+        self._due_changed()
         telemetry = VehicleTelemetry(commander, autopilot, self.index)
         for port in self.ports:
             port.reboot(telemetry, autopilot.time_us)
@@ -91,6 +103,8 @@ class _Vehicle:
     def send(self, now_us: int) -> None:
         """Send the texts, the telemetry and the messages of services that are due by ``now_us``."""
         texts = self.commander.texts
+        if not texts and now_us < self.next_due_us:
+            return
         wanted = bool(texts)
         if self.receiver.next_due_us <= now_us:
             self.receiver.update(now_us)
@@ -171,9 +185,7 @@ class MavlinkServer:
     @property
     def next_due_us(self) -> int:
         """Simulated time, microseconds, at which ``send_streams`` is due next."""
-        streams = (port.next_due_us for port in self._ports)
-        services = (served.receiver.next_due_us for served in self._vehicles)
-        return min(chain(streams, services), default=_NEVER)
+        return min([served.next_due_us for served in self._vehicles], default=_NEVER)
 
     @property
     def ports(self) -> list[Port]:
@@ -277,19 +289,17 @@ class MavlinkServer:
     def _read(self, entry: _Socket, now_us: int) -> int:
         """Read a socket: handle datagrams of participants, queue the others. Return the number of datagrams."""
         served, port, source = entry
-        count, from_participant = 0, False
-        while count < _MAX_DATAGRAMS:
-            arrived = port.read(source)
-            if arrived is None:
-                break
-            count += 1
-            datagram, sender = arrived
-            if source is not port.socket or port.is_reserved(sender):
-                from_participant = True
-                served.receiver.handle_datagram(port, datagram, sender, now_us, participant=True)
-                port.count_bytes(sender, len(datagram))
-            elif not self._queues.put((served, port), sender, datagram, known=port.find_link(sender) is not None):
-                port.drop(sender, now_us)
+        count, more, from_participant = 0, True, False
+        while more and count < _MAX_DATAGRAMS:
+            arrived, more = port.read(source)
+            count += len(arrived)
+            for datagram, sender in arrived:
+                if source is not port.socket or port.is_reserved(sender):
+                    from_participant = True
+                    served.receiver.handle_datagram(port, datagram, sender, now_us, participant=True)
+                    port.count_bytes(sender, len(datagram))
+                elif not self._queues.put((served, port), sender, datagram, known=port.find_link(sender) is not None):
+                    port.drop(sender, now_us)
         if from_participant:
             port.flush(now_us)
         return count

@@ -37,6 +37,7 @@ class Vehicle:
         on_command: MAV_CMD to the function that executes it, with parameters 1 to 7 and the client's link; services
         it. The function returns the result, None for no acknowledgement.
         capabilities: MAV_PROTOCOL_CAPABILITY bits of all services.
+        due_changed: called when the ``due_us`` of a service has changed.
         files: path to a function that returns the content, of files that MAVLink FTP serves beside the logs;
             services fill it.
     """
@@ -60,6 +61,7 @@ class Vehicle:
         self.on_command: dict[int, Callable[[Sequence[float], Link], Result | None]] = {}
         self.capabilities = 0
         self.files: dict[str, Callable[[], bytes]] = {}
+        self.due_changed: Callable[[], None] = lambda: None
         self._held: list[Callable[[], None]] | None = None
 
     def hold_setpoints(self) -> None:
@@ -91,7 +93,6 @@ class Service:
 
     Attributes:
         vehicle: the vehicle served.
-        due_us: simulated time, microseconds, of the next ``update``; ``NEVER_US`` for none.
     """
 
     MESSAGES: ClassVar[dict[str, str]] = {}
@@ -100,8 +101,18 @@ class Service:
     def __init__(self, vehicle: Vehicle) -> None:
         """Register the service with ``vehicle``."""
         self.vehicle = vehicle
-        self.due_us = NEVER_US
+        self._due_us = NEVER_US
         vehicle.capabilities |= self.CAPABILITIES
+
+    @property
+    def due_us(self) -> int:
+        """Simulated time, microseconds, of the next ``update``; ``NEVER_US`` for none."""
+        return self._due_us
+
+    @due_us.setter
+    def due_us(self, value: int) -> None:
+        self._due_us = value
+        self.vehicle.due_changed()
 
     @property
     def handlers(self) -> dict[str, Handler]:

@@ -18,7 +18,7 @@ from xtdrone_control.autopilot.commander.manual_control import CHANNELS
 from xtdrone_control.autopilot.navigator import gimbal
 from xtdrone_control.autopilot.state import TASK_GOTO, TASK_LAND
 from xtdrone_control.geodesy import geo
-from xtdrone_control.mavlink.streams.telemetry import EPOCH_US, Telemetry, Values
+from xtdrone_control.mavlink.streams.telemetry import EPOCH_US, Content, Telemetry, Values
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
@@ -440,6 +440,6 @@ def silent() -> None:
     """Return None: no values for a message in ``SILENT``."""
 
 
-def source(telemetry: Telemetry, name: str) -> Callable[[], Values | list[Values] | None]:
-    """Return the method that returns the values of message ``name``."""
+def source(telemetry: Telemetry, name: str) -> Callable[[], Content | list[Values] | None]:
+    """Return the method that returns the values or the payload of message ``name``."""
     return silent if name in SILENT else getattr(telemetry, name.lower())

@@ -8,20 +8,22 @@ connect later.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 from xtdrone_control.mavlink.streams.rare_telemetry import SILENT, silent, source
-from xtdrone_control.mavlink.streams.telemetry import Telemetry, Values
+from xtdrone_control.mavlink.streams.telemetry import Content, Telemetry, Values
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
-from xtdrone_control.mavlink.wire.packing import Format, PackingError
+from xtdrone_control.mavlink.wire.packing import Format
+from xtdrone_native import mavlink_wire
 
 _NEVER_US = 1 << 62
 _LEAST_INTERVAL_US = 4000  # the autopilot's step
 _LARGEST_INTERVAL_US = (1 << 31) - 1  # largest value of MESSAGE_INTERVAL
 _FALLBACK_RATE = 1.0  # Hz, default requested for a message that has none
 
-Source = Callable[[], Values | list[Values] | None]
-Payloads = dict[int, tuple[bytes, ...]]
+Source = Callable[[], Content | list[Values] | None]
+Payloads = dict[int, bytes | list[bytes] | None]
+Convert = Callable[[mavlink_wire.Format, bytes], None]
 
 ONBOARD_RATES: dict[str, float] = {
     "HEARTBEAT": 1.0,
@@ -144,55 +146,25 @@ def _allowed(interval_us: float) -> int:
 class _Stream:
     """One message of a link."""
 
-    __slots__ = ("format", "interval_us", "shared", "values")
+    __slots__ = ("format", "interval_us", "values", "wire")
 
     def __init__(self, message: Format, values: Source, shared: bool) -> None:
         self.format = message
         self.values = values
-        self.shared = shared  # the same for every client
+        number = message.number if shared else -1  # shared: the same for every client
+        self.wire = mavlink_wire.Stream(message.name, message.wire, values, message.general_payload, number)
         self.interval_us = _NEVER_US
 
-    def read(self, report: Callable[[str], None]) -> Values | list[Values] | None:
-        """Return the present values, None if there are none; pass errors to ``report``."""
-        try:
-            return self.values()
-        except (ValueError, ArithmeticError) as error:  # non-finite estimate, parameter 0
-            report(f"not sent: {self.format.name}: {error}")
-            return None
 
-    def payloads(self, report: Callable[[str], None]) -> tuple[bytes, ...]:
-        """Return the payloads of the present values, mostly one; pass errors to ``report``."""
-        values = self.read(report)
-        if values is None:
-            return ()
-        pack = self.format.payload
-        try:
-            return tuple(map(pack, values)) if isinstance(values, list) else (pack(values),)
-        except PackingError as error:
-            report(f"not sent: {error}")
-            return ()
-
-
-class _Group:
-    """Streams with the same interval, due together."""
-
-    __slots__ = ("due_us", "interval_us", "streams")
-
-    def __init__(self, interval_us: int, now_us: int) -> None:
-        self.interval_us = interval_us
-        self.streams: list[_Stream] = []
-        self.schedule(now_us)
-
-    def schedule(self, now_us: int) -> None:
-        """Set the first due time after ``now_us``."""
-        self.due_us = (now_us // self.interval_us + 1) * self.interval_us
+def _next_multiple(interval_us: int, now_us: int) -> int:
+    """Return the first multiple of ``interval_us`` after ``now_us``."""
+    return (now_us // interval_us + 1) * interval_us
 
 
 class Streams:
     """The streams of one link of one vehicle.
 
     Attributes:
-        next_due_us: simulated time of the next message, microseconds.
         active: whether all streams are sent, not only the heartbeat.
     """
 
@@ -209,7 +181,7 @@ class Streams:
             telemetry: source of the values.
             rates: default rates, message name to Hz.
             own: sources of the ``LINK_MESSAGES``; those without one are not sent.
-            changed: called when ``next_due_us`` has changed, except by ``due``.
+            changed: called when ``next_due_us`` has changed, except by ``send_due``.
         """
         self._defaults = rates
         self._changed = changed
@@ -222,11 +194,20 @@ class Streams:
         }  # fmt: skip
         for name, rate in rates.items():
             self._streams[MESSAGE_ID[name]].interval_us = round(1e6 / rate)
-        beat = self._streams[HEARTBEAT.number]
-        self._beat = _Group(beat.interval_us, -1)
-        self._beat.streams.append(beat)
-        self._groups = [self._beat]
-        self.next_due_us = self._beat.due_us
+        self._schedule = mavlink_wire.Schedule()
+        self._add_beat(_next_multiple(self._beat.interval_us, -1))
+
+    @property
+    def _beat(self) -> _Stream:
+        return self._streams[HEARTBEAT.number]
+
+    def _add_beat(self, due_us: int) -> None:
+        self._schedule.add(self._beat.interval_us, due_us, [self._beat.wire])
+
+    @property
+    def next_due_us(self) -> int:
+        """Simulated time of the next message, microseconds."""
+        return self._schedule.next_due_us
 
     def start(self, now_us: int) -> None:
         """Start all streams."""
@@ -269,55 +250,54 @@ class Streams:
 
     def _rebuild(self, now_us: int) -> None:
         """Group the streams by interval, keeping overdue ones due."""
-        groups: dict[int, _Group] = {}
-        if self.active:
-            known = {group.interval_us: group.due_us for group in self._groups if group is not self._beat}
-            for stream in self._streams.values():
-                interval = stream.interval_us
-                if interval == _NEVER_US or stream.format is HEARTBEAT:
-                    continue
-                group = groups.get(interval)
-                if group is None:
-                    group = groups[interval] = _Group(interval, now_us)
-                    group.due_us = min(known.get(interval, _NEVER_US), group.due_us)
-                group.streams.append(stream)
-        self._groups = [self._beat, *(groups[interval] for interval in sorted(groups))]
-        self.next_due_us = min(group.due_us for group in self._groups)
+        (_, beat_due_us), *others = self._schedule.due_times
+        known = dict(others)
+        groups: dict[int, list[mavlink_wire.Stream]] = {}
+        for stream in self._streams.values() if self.active else ():
+            if stream.interval_us != _NEVER_US and stream is not self._beat:
+                groups.setdefault(stream.interval_us, []).append(stream.wire)
+        self._schedule.clear()
+        self._add_beat(beat_due_us)
+        for interval in sorted(groups):
+            due_us = min(known.get(interval, _NEVER_US), _next_multiple(interval, now_us))
+            self._schedule.add(interval, due_us, groups[interval])
         self._changed()
 
-    def due(
-        self, now_us: int, shared: Payloads, report: Callable[[str], None]
-    ) -> Iterator[tuple[Format, tuple[bytes, ...]]]:
-        """Yield the messages due by ``now_us`` and schedule the next ones. Missed messages are not sent later.
+    @property
+    def beat_due_us(self) -> int:
+        """Simulated time of the next heartbeat, microseconds."""
+        return self._schedule.first_due_us
+
+    def send_due(
+        self,
+        now_us: int,
+        shared: Payloads,
+        outbox: mavlink_wire.Outbox,
+        convert: Convert | None,
+        report: Callable[[str], None],
+    ) -> None:
+        """Queue the messages due by ``now_us`` and schedule the next ones. Missed messages are not sent later.
 
         Args:
             now_us: simulated time, microseconds.
             shared: payloads packed at this time for other clients of the vehicle, by message id; extended here.
+            outbox: receives the messages as MAVLink 2 frames.
+            convert: receives format and payload of the messages instead, if not None.
             report: receives the error text of a message that cannot be packed from the present estimate.
-
-        Yields:
-            Message and its payloads, mostly one.
         """
-        for group in self._groups:
-            if group.due_us > now_us:
-                continue
-            group.schedule(now_us)
-            for stream in group.streams:
-                if not stream.shared:
-                    yield stream.format, stream.payloads(report)
-                    continue
-                number = stream.format.number
-                payloads = shared.get(number)
-                if payloads is None:
-                    payloads = shared[number] = stream.payloads(report)
-                yield stream.format, payloads
-        self.next_due_us = min(group.due_us for group in self._groups)
+        self._schedule.send_due(now_us, shared, outbox, convert, report)
 
-    def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Values | list[Values]] | None:
-        """Return the format and the present values of message ``number``, None if it has none.
+    def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Content | list[Values]] | None:
+        """Return the format and the present values or payload of message ``number``, None if it has none.
 
-        A list of values is a list of messages; ``report`` as in ``due``.
+        A list of values is a list of messages; ``report`` as in ``send_due``.
         """
         stream = self._streams.get(number)
-        values = None if stream is None else stream.read(report)
-        return None if stream is None or values is None else (stream.format, values)
+        if stream is None:
+            return None
+        try:
+            values = stream.values()
+        except (ValueError, ArithmeticError) as error:  # non-finite estimate, parameter 0
+            report(f"not sent: {stream.format.name}: {error}")
+            return None
+        return None if values is None else (stream.format, values)

@@ -1,6 +1,6 @@
-"""Field values of one vehicle's telemetry messages, in wire order.
+"""Field values of one vehicle's telemetry messages, in wire order; payloads of those with high rates.
 
-Local NED and body FRD, quaternions (w, x, y, z), as in MAVLink. Times are simulated; SYSTEM_TIME counts from a fixed
+``xtdrone_native.mavlink_wire`` builds the payloads directly from the autopilot's records. Local NED and body FRD, quaternions (w, x, y, z), as in MAVLink. Times are simulated; SYSTEM_TIME counts from a fixed
 date, so that the same flight yields the same bytes.
 """
 
@@ -11,26 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xtdrone_control import rotation
 from xtdrone_control.autopilot.commander.commander import Commander
-from xtdrone_control.geodesy import geo
-from xtdrone_control.geodesy.geo import GRAVITY
+from xtdrone_control.geodesy.geo import EARTH_RADIUS, GRAVITY
+from xtdrone_native import mavlink_wire
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot
 
 Values = tuple[Any, ...]
+Content = Values | bytes
+"""Field values of a message in wire order, or its payload."""
 
 EPOCH_US = 1_577_836_800_000_000  # 2020-01-01 00:00 UTC, simulated time 0
 PX4_AUTOPILOT = 12  # MAV_AUTOPILOT
 _MAVLINK_VERSION = 3
 _UNKNOWN_U16 = 0xFFFF
-_NAN = math.nan
 _INT16 = 32767
 _UINT32 = (1 << 32) - 1
-
-# HIGHRES_IMU_UPDATED_FLAGS
-_IMU_FIELDS, _MAG_FIELDS, _BARO_FIELDS = 0x3F, 0x1C0, 0x1E00
 
 # MAV_SYS_STATUS_SENSOR. PX4 v1.14 does not report controllers as sensors, and reports absent sensors as healthy.
 _GYRO, _ACCEL, _MAG, _BARO, _PITOT, _GPS = 1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 4, 1 << 5
@@ -40,11 +37,35 @@ _ALWAYS_HEALTHY = _ACCEL | _PITOT | _AVOIDANCE
 _HEALTHY_EXTENDED = 1
 _FIX_3D = 3  # GPS_FIX_TYPE
 
-_DISARMED_PWM, _LEAST_PWM = 900, 1000
-_FRAME_LOCAL_NED, _ESTIMATOR_AUTOPILOT = 1, 8
+_ESTIMATOR_FIELDS = (
+    "q",
+    "position",
+    "velocity",
+    "rates",
+    "P",
+    "origin_lat",
+    "origin_lon",
+    "origin_alt",
+    "terrain",
+    "initialised",
+    "altitude_valid",
+    "origin_set",
+    "terrain_valid",
+    "reset_counter",
+)
+_SENSOR_FIELDS = ("accel", "gyro", "mag", "baro_pressure", "baro_alt", "baro_temperature")
+_CONTROL_FIELDS = (
+    "sp_q",
+    "sp_rates",
+    "sp_thrust",
+    "sp_position",
+    "sp_velocity",
+    "sp_acceleration",
+    "sp_yaw",
+    "sp_yaw_rate",
+    "actuators",
+)
 _GRAVITY_UNITS = 1000.0 / GRAVITY
-# indices of the diagonal of a 6 x 6 matrix in its upper triangle, row by row
-_DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 
 def _clamped(value: float, limit: int) -> int:
@@ -63,21 +84,24 @@ def _dilution(value: float) -> int:
     return _unsigned(100.0 * value, _UNKNOWN_U16 - 1) if value > 0.0 else _UNKNOWN_U16
 
 
-def _diagonal(values: list[float]) -> list[float]:
-    matrix = [0.0] * 21
-    for i, value in zip(_DIAGONAL, values, strict=True):
-        matrix[i] = value
-    return matrix
+def _records(autopilot: Autopilot, index: int) -> mavlink_wire.Telemetry:
+    """Return the telemetry that is built from the records of vehicle ``index``."""
+    own = slice(index, index + 1)
+    fields = {name: autopilot.estimator[own][name] for name in _ESTIMATOR_FIELDS}
+    fields |= {name: autopilot.sensors[own][name] for name in _SENSOR_FIELDS}
+    fields |= {name: autopilot.control[own][name] for name in _CONTROL_FIELDS}
+    return mavlink_wire.Telemetry(fields, fields["P"].shape[1], EARTH_RADIUS)
 
 
 class Telemetry:
-    """Telemetry of one vehicle. A method with the name of a message in lower case returns the values of that message.
+    """Telemetry of one vehicle.
+
+    A method with the name of a message in lower case returns the values or the payload of that message.
 
     Attributes:
         time_us: simulated time of the values, microseconds.
         time_ms: the same in milliseconds, the unit of most messages.
-        aligned: whether the estimator has an attitude.
-        located: whether a position fix has been received.
+        records: payloads of the messages with high rates.
         sensors: the vehicle's ``SENSORS`` record.
     """
 
@@ -87,16 +111,12 @@ class Telemetry:
         self.sensors = autopilot.sensors[index]
         self._estimator = autopilot.estimator[index]
         self._control = autopilot.control[index]
-        # views of the fields that most messages need: access by name costs three times as much
+        self.records = _records(autopilot, index)
         self._position = autopilot.estimator["position"][index]
         self._velocity = autopilot.estimator["velocity"][index]
-        self._q = autopilot.estimator["q"][index]
-        self._rates = autopilot.estimator["rates"][index]
         self._variances = np.diagonal(autopilot.estimator["P"][index])
         self.time_us = -1
         self.time_ms = 0
-        self._euler: tuple[float, float, float] | None = None
-        self.aligned = self.located = False
 
     @property
     def protocol(self) -> int:
@@ -104,32 +124,31 @@ class Telemetry:
         return int(self._commander.parameters.get("MAV_PROTO_VER"))
 
     def refresh(self, now_us: int) -> None:
-        """Read the estimate, once for each ``now_us``."""
-        if now_us == self.time_us:
-            return
-        self.time_us = now_us
-        self.time_ms = now_us // 1000
-        self.position = self._position.tolist()
-        self.velocity = self._velocity.tolist()
-        self.q = self._q.tolist()
-        self.rates = self._rates.tolist()
-        self._euler = None
-        # both stay true: an estimate that has lost GPS is still valid
-        self.aligned = self.aligned or bool(self._estimator["initialised"])
-        self.located = self.located or bool(self._estimator["altitude_valid"])
+        """Set the time, and note whether the estimator has an attitude and a position by now."""
+        if now_us != self.time_us:
+            self.time_us = now_us
+            self.time_ms = now_us // 1000
+            self.records.refresh(now_us)
 
-    def _angles(self) -> tuple[float, float, float]:
-        """Return roll, pitch and yaw in radians."""
-        if self._euler is None:
-            self._euler = rotation.to_euler(self.q)
-        return self._euler
+    @property
+    def located(self) -> bool:
+        """Whether a position fix has been received; an estimate that has lost GPS is still valid."""
+        return self.records.located
 
-    def _heading(self) -> float:
-        """Return the heading in degrees, 0..360."""
-        return math.degrees(self._angles()[2]) % 360.0
+    @property
+    def position(self) -> list[float]:
+        """Estimated position, local NED, m."""
+        return self._position.tolist()  # type: ignore[no-any-return]
 
-    def _altitude(self) -> float:
-        return float(self._estimator["origin_alt"]) - self.position[2]
+    @property
+    def velocity(self) -> list[float]:
+        """Estimated velocity, local NED, m/s."""
+        return self._velocity.tolist()  # type: ignore[no-any-return]
+
+    def _home_z(self) -> float | None:
+        """Return the down coordinate of home in the local frame, m, if home is set."""
+        home = self._commander.home
+        return None if home is None else home.position[2]
 
     def _height_over_home(self) -> float:
         home = self._commander.home
@@ -201,77 +220,33 @@ class Telemetry:
 
     # attitude and position
 
-    def attitude(self) -> Values | None:
+    def attitude(self) -> bytes | None:
         """Return ATTITUDE: Euler angles (rad) and rates (rad/s), once the estimator is aligned."""
-        return None if not self.aligned else (self.time_ms, *self._angles(), *self.rates)
+        return self.records.attitude()
 
-    def attitude_quaternion(self) -> Values | None:
+    def attitude_quaternion(self) -> bytes | None:
         """Return ATTITUDE_QUATERNION: quaternion and rates (rad/s), once the estimator is aligned."""
-        return None if not self.aligned else (self.time_ms, *self.q, *self.rates, 0.0, 0.0, 0.0, 0.0)
+        return self.records.attitude_quaternion()
 
-    def local_position_ned(self) -> Values | None:
+    def local_position_ned(self) -> bytes | None:
         """Return LOCAL_POSITION_NED: position (m) and velocity (m/s), after the first fix."""
-        return None if not self.located else (self.time_ms, *self.position, *self.velocity)
+        return self.records.local_position_ned()
 
-    def global_position_int(self) -> Values | None:
+    def global_position_int(self) -> bytes | None:
         """Return GLOBAL_POSITION_INT while the global position is valid."""
-        if not self._commander.view.global_valid:
-            return None
-        lat, lon = self._latitude_longitude()
-        vx, vy, vz = self.velocity
-        return (
-            self.time_ms,
-            round(lat * 1e7),
-            round(lon * 1e7),
-            _clamped(self._altitude() * 1e3, 1 << 30),
-            _clamped(self._height_over_home() * 1e3, 1 << 30),
-            _clamped(vx * 100.0, _INT16),
-            _clamped(vy * 100.0, _INT16),
-            _clamped(vz * 100.0, _INT16),
-            int(self._heading() * 100.0),
-        )
+        return self.records.global_position_int(self._home_z()) if self._commander.view.global_valid else None
 
-    def _latitude_longitude(self) -> tuple[float, float]:
-        e = self._estimator
-        return geo.reproject(self.position[0], self.position[1], float(e["origin_lat"]), float(e["origin_lon"]))
-
-    def altitude(self) -> Values:
+    def altitude(self) -> bytes:
         """Return ALTITUDE: heights above sea, home, the local origin and, if known, the terrain, m."""
-        e = self._estimator
-        amsl = self._altitude() if e["origin_set"] else _NAN
-        ground = clearance = _NAN
-        if e["terrain_valid"]:
-            clearance = float(e["terrain"]) - self.position[2]
-            ground = amsl - clearance
-        return self.time_us, amsl, amsl, -self.position[2], self._height_over_home(), ground, clearance
+        return self.records.altitude(self._home_z())
 
-    def vfr_hud(self) -> Values:
+    def vfr_hud(self) -> bytes:
         """Return VFR_HUD: the values of a head-up display."""
-        vx, vy, vz = self.velocity
-        throttle = _unsigned(100.0 * float(self._control["sp_thrust"]), 100) if self._commander.armed else 0
-        return 0.0, math.hypot(vx, vy), self._altitude(), -vz, int(self._heading()), throttle
+        return self.records.vfr_hud(self._commander.armed)
 
-    def odometry(self) -> Values | None:
+    def odometry(self) -> bytes | None:
         """Return ODOMETRY: pose and velocity in local NED with variances, as from PX4 v1.14's EKF2; after a fix."""
-        if not self.located:
-            return None
-        p = self._variances.tolist()
-        pose, velocity = _diagonal(p[6:9] + p[0:3]), _diagonal(p[3:6] + p[9:12])
-        resets = int(self._estimator["reset_counter"]) & 0xFF
-        return (
-            self.time_us,
-            *self.position,
-            *self.q,
-            *self.velocity,
-            *self.rates,
-            *pose,
-            *velocity,
-            _FRAME_LOCAL_NED,
-            _FRAME_LOCAL_NED,
-            resets,
-            _ESTIMATOR_AUTOPILOT,
-            0,
-        )
+        return self.records.odometry()
 
     def estimator_status(self) -> Values:
         """Return ESTIMATOR_STATUS: innovation test ratios and accuracies (m)."""
@@ -349,27 +324,9 @@ class Telemetry:
             0,
         )
 
-    def highres_imu(self, *, mag: bool = True, baro: bool = True) -> Values:
-        """Return HIGHRES_IMU: accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa.
-
-        Args:
-            mag: whether the magnetometer has a new sample since the last message.
-            baro: whether the barometer has; this covers the differential pressure, 0 without an airspeed sensor.
-        """
-        s = self.sensors
-        updated = _IMU_FIELDS | (_MAG_FIELDS if mag else 0) | (_BARO_FIELDS if baro else 0)
-        return (
-            self.time_us,
-            *s["accel"].tolist(),
-            *s["gyro"].tolist(),
-            *s["mag"].tolist(),
-            float(s["baro_pressure"]) * 0.01,
-            0.0,
-            float(s["baro_alt"]),
-            float(s["baro_temperature"]),
-            updated,
-            0,
-        )
+    def highres_imu(self) -> bytes:
+        """Return HIGHRES_IMU: accelerometer, gyroscope, magnetometer, barometer, in SI units, gauss and hPa."""
+        return self.records.highres_imu(mavlink_wire.Samples())
 
     def scaled_imu(self) -> Values:
         """Return SCALED_IMU: accelerometer (milli-g), gyroscope (mrad/s), magnetometer (milligauss)."""
@@ -388,25 +345,14 @@ class Telemetry:
 
     # setpoints and outputs
 
-    def attitude_target(self) -> Values:
+    def attitude_target(self) -> bytes:
         """Return ATTITUDE_TARGET: setpoints of the attitude and rate controllers, and thrust."""
-        c = self._control
-        return (self.time_ms, *c["sp_q"].tolist(), *c["sp_rates"].tolist(), float(c["sp_thrust"]), 0)
+        return self.records.attitude_target()
 
-    def position_target_local_ned(self) -> Values:
+    def position_target_local_ned(self) -> bytes:
         """Return POSITION_TARGET_LOCAL_NED: trajectory setpoint; uncontrolled components are NaN and masked."""
-        c = self._control
-        values = [*c["sp_position"].tolist(), *c["sp_velocity"].tolist(), *c["sp_acceleration"].tolist()]
-        turn = [float(c["sp_yaw"]), float(c["sp_yaw_rate"])]
-        mask = sum(1 << bit for bit, value in enumerate(values) if value != value)
-        mask |= sum(1 << bit for bit, value in enumerate(turn, 10) if value != value)
-        return (self.time_ms, *values, *turn, mask, _FRAME_LOCAL_NED)
+        return self.records.position_target_local_ned()
 
-    def servo_output_raw(self) -> Values:
+    def servo_output_raw(self) -> bytes:
         """Return SERVO_OUTPUT_RAW: motor pulse widths, 1000..2000 us; 900 when disarmed and not under test."""
-        armed = self._commander.armed
-        pulses = [
-            _LEAST_PWM + _unsigned(1000.0 * value, 1000) if armed or value > 0.0 else _DISARMED_PWM
-            for value in self._control["actuators"].tolist()
-        ]
-        return (self.time_us & _UINT32, *pulses, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+        return self.records.servo_output_raw(self._commander.armed)

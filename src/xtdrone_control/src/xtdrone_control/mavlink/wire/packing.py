@@ -1,7 +1,7 @@
-"""MAVLink frames from tuples of field values, with pymavlink's tables.
+"""MAVLink frames from tuples of field values.
 
-Building and packing pymavlink's message objects costs 3 us, with the tables alone 0.8 us, as needed for telemetry of
-several thousand messages per second. Rare messages use message objects.
+The wire formats are pymavlink's; ``xtdrone_native.mavlink_wire`` packs and frames, as needed for telemetry of several
+thousand messages per second. Rare messages use pymavlink's message objects.
 """
 
 from __future__ import annotations
@@ -11,27 +11,18 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
+from xtdrone_native import mavlink_wire
 
 _HEADER = struct.Struct("<BBBBBBBHB")
 _HEADER_V1 = struct.Struct("<BBBBBB")
 _MAGIC_V1 = 0xFE
-_MAGIC_V2 = 0xFD
 _LARGEST_ID_V1 = 0xFF
 COMPONENT_ID = 1  # MAV_COMP_ID_AUTOPILOT1
 
 
 class PackingError(ValueError):
     """A value that a message's field cannot hold."""
-
-
-def _slow_crc(data: bytes) -> int:
-    return int(mavlink.x25crc(data).crc)
-
-
-_crc = mavlink.mcrf4xx or _slow_crc
 
 
 class Format:
@@ -41,9 +32,10 @@ class Format:
         name: MAVLink name.
         number: message id.
         size: payload size in bytes, including trailing zeros.
+        wire: the compiled format.
     """
 
-    __slots__ = ("_crc_extra", "_pack", "name", "number", "size")
+    __slots__ = ("_pack", "name", "number", "size", "wire")
 
     def __init__(self, name: str) -> None:
         """Look up message ``name`` in the dialect.
@@ -55,7 +47,7 @@ class Format:
         self.name = name
         self.number: int = cls.id
         self.size: int = cls.unpacker.size
-        self._crc_extra = bytes([cls.crc_extra])
+        self.wire = compiled(cls)
         self._pack = cls.unpacker.pack
 
     def payload(self, values: Sequence[Any]) -> bytes:
@@ -64,16 +56,24 @@ class Format:
         Raises:
             PackingError: a value of the wrong type, or outside the range of its field.
         """
+        payload = self.wire.payload(values)
+        return self.general_payload(values) if payload is None else payload
+
+    def general_payload(self, values: Sequence[Any]) -> bytes:
+        """Return what ``payload`` does, slowly, for all that ``struct`` accepts and with its error texts."""
         try:
-            return self._pack(*values).rstrip(b"\0") or b"\0"
+            return bytes(self._pack(*values).rstrip(b"\0") or b"\0")
         except (struct.error, OverflowError) as error:
             raise PackingError(f"{self.name}: {error}") from error
 
     def frame(self, payload: bytes, sequence: int, system: int, component: int) -> bytes:
         """Return the MAVLink 2 frame of ``payload``."""
-        number = self.number
-        header = _HEADER.pack(_MAGIC_V2, len(payload), 0, 0, sequence, system, component, number & 0xFFFF, number >> 16)
-        return header + payload + _crc(header[1:] + payload + self._crc_extra).to_bytes(2, "little")
+        return self.wire.frame(payload, sequence, system, component)
+
+
+def compiled(cls: Any) -> mavlink_wire.Format:
+    """Return the compiled format of a message type of the dialect."""
+    return mavlink_wire.Format(cls.id, cls.crc_extra, cls.unpacker.format)
 
 
 @functools.cache
@@ -97,4 +97,4 @@ def as_version_1(frame: bytes) -> bytes | None:
     size, crc_extra = found
     payload = frame[_HEADER.size : -2][:size].ljust(size, b"\0")
     header = _HEADER_V1.pack(_MAGIC_V1, size, sequence, system, component, number)
-    return header + payload + _crc(header[1:] + payload + crc_extra).to_bytes(2, "little")
+    return header + payload + mavlink_wire.checksum(header[1:] + payload + crc_extra).to_bytes(2, "little")

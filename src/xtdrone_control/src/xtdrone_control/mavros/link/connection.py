@@ -18,9 +18,10 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from xtdrone_control.mavlink.wire.codec import FrameError, split
+from xtdrone_control.mavlink.wire.codec import frame_error
 from xtdrone_control.mavros.lib.throttle import Throttle
 from xtdrone_control.mavros.link.packing import pack
+from xtdrone_native.mavlink_wire import receive, split
 
 log = logging.getLogger("rosout.mavros")
 
@@ -215,15 +216,23 @@ class Link:
 
     def read(self) -> None:
         """Read every datagram that has arrived; thread-safe."""
+        descriptor, more = self.socket.fileno(), True
         with self._read_lock:
-            while True:
+            while more:
                 try:
-                    datagram = self.socket.recv(_LARGEST_DATAGRAM)
-                except (BlockingIOError, ConnectionRefusedError):
+                    datagrams, more = receive(descriptor, _LARGEST_DATAGRAM)
+                except ConnectionRefusedError:
                     return
-                # Queue the frames before the count announces them.
-                self._dispatch(datagram, self.received + 1)
-                self.received += 1
+                for datagram, _ in datagrams:
+                    # Queue the frames before the count announces them.
+                    self._handle(datagram, self.received + 1)
+                    self.received += 1
+
+    def _handle(self, datagram: bytes, index: int) -> None:
+        try:
+            self._dispatch(datagram, index)
+        except Exception:  # a failing reply handler must not affect other datagrams
+            log.exception("%s: receiving MAVLink failed", self.name)
 
     def drain(self, count: int | None = None) -> list[tuple[int, bytes]]:
         """Return (message id, frame) of needed messages from the first ``count`` datagrams (None: all), in order."""
@@ -241,27 +250,31 @@ class Link:
     def _dispatch(self, datagram: bytes, index: int) -> None:
         wanted, target, from_any_sender = self.wanted, self.target, self.from_any_sender
         raw = RAW in wanted
-        try:
-            for number, system, component, frame in split(datagram):
-                if raw:
-                    self._queue.append((index, RAW, frame))
-                if number in from_any_sender:
+        frames, end = split(datagram)
+        for number, system, component, frame in frames:
+            if raw:
+                self._queue.append((index, RAW, frame))
+            if number in from_any_sender:
+                self._queue.append((index, number, frame))
+                continue
+            if system != target[0]:
+                continue
+            reply = self.replies.get(number)
+            if reply is not None:
+                reply(frame)
+            if number in wanted:
+                if component == target[1]:
                     self._queue.append((index, number, frame))
-                    continue
-                if system != target[0]:
-                    continue
-                reply = self.replies.get(number)
-                if reply is not None:
-                    reply(frame)
-                if number in wanted:
-                    if component == target[1]:
-                        self._queue.append((index, number, frame))
-                elif reply is None:
-                    self.seen[number] = self.seen.get(number, 0) + 1
-        except FrameError as error:
-            self.malformed += 1
-            if self._throttle.passes("malformed"):
-                log.warning("%s: MAVLink datagram of %d bytes dropped: %s", self.name, len(datagram), error)
+            elif reply is None:
+                self.seen[number] = self.seen.get(number, 0) + 1
+        if end < len(datagram):
+            self._note_malformed(datagram, end)
+
+    def _note_malformed(self, datagram: bytes, start: int) -> None:
+        self.malformed += 1
+        if self._throttle.passes("malformed"):
+            error = frame_error(datagram, start)
+            log.warning("%s: MAVLink datagram of %d bytes dropped: %s", self.name, len(datagram), error)
 
 
 class Receiver:
