@@ -60,6 +60,9 @@ double cosine(double angle) {
   return std::cos(angle);
 }
 
+/// As math.atan2, whose NaN is positive.
+double arctangent(double y, double x) { return std::isnan(y) || std::isnan(x) ? kNan : std::atan2(y, x); }
+
 /// Limit to -1..1 as Python's max(-1.0, min(1.0, value)) does: NaN becomes 1.
 double unit(double value) {
   const double least = value < 1.0 ? value : 1.0;
@@ -212,7 +215,7 @@ class Telemetry {
   std::optional<nb::bytes> attitude() const {
     if (!aligned) return std::nullopt;
     const double w = q_[0], x = q_[1], y = q_[2], z = q_[3];
-    const double roll = std::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y));
+    const double roll = arctangent(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y));
     const double pitch = std::asin(unit(2.0 * (w * y - z * x)));
     return begin_ms().real(roll).real(pitch).real(yaw()).reals(rates_.data(), 3).finish();
   }
@@ -318,7 +321,7 @@ class Telemetry {
   Payload begin_us() const { return Payload().add(time_us); }
 
   double yaw() const {
-    return std::atan2(2.0 * (q_[0] * q_[3] + q_[1] * q_[2]), 1.0 - 2.0 * (q_[2] * q_[2] + q_[3] * q_[3]));
+    return arctangent(2.0 * (q_[0] * q_[3] + q_[1] * q_[2]), 1.0 - 2.0 * (q_[2] * q_[2] + q_[3] * q_[3]));
   }
 
   double heading() const { return full_turn(degrees(yaw())); }
@@ -345,7 +348,7 @@ class Telemetry {
     if (sin_phi < -1.0) limited = -1.0;
     if (sin_phi > 1.0) limited = 1.0;
     const double phi = std::asin(limited);
-    const double turn = std::atan2(y * sin_angle, angle * cosine(phi0) * cos_angle - x * sine(phi0) * sin_angle);
+    const double turn = arctangent(y * sin_angle, angle * cosine(phi0) * cos_angle - x * sine(phi0) * sin_angle);
     latitude = degrees(phi);
     longitude += degrees(turn);
   }
