@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import socket
+from io import BytesIO
 from typing import Any
 
 import rospy
 import rospy.topics
 from rospy.msg import serialize_message
+
+from xtdrone_control.ros_codec import compile_class
 
 from ..protocol import Digest
 from .outlets import Ledger, Outlet
@@ -19,6 +22,8 @@ class CountingPublisher(PublisherImpl):
 
     def __init__(self, name: str, data_class: type[rospy.Message], ledger: Ledger) -> None:
         super().__init__(name, data_class)
+        codec = compile_class(data_class)
+        self._packet = None if codec is None else codec.packet
         self.outlets: dict[Any, Outlet] = {}
         self._stall_size: int | None = None
         self._ledger = ledger
@@ -76,10 +81,7 @@ class CountingPublisher(PublisherImpl):
             if not outlets and digests is None:
                 return False
             try:
-                buffer.seek(0)
-                buffer.truncate(0)
-                serialize_message(buffer, self.seq, message)
-                data = buffer.getvalue()
+                data = self._encode(buffer, message)
             except ValueError:
                 if not self.closed:
                     raise
@@ -97,6 +99,15 @@ class CountingPublisher(PublisherImpl):
             for connection in ended:
                 connection.close()
         return True
+
+    def _encode(self, buffer: BytesIO, message: rospy.Message) -> bytes:
+        data = None if self._packet is None else self._packet(message, self.seq)
+        if data is not None:
+            return data
+        buffer.seek(0)
+        buffer.truncate(0)
+        serialize_message(buffer, self.seq, message)
+        return buffer.getvalue()
 
     def remove_connection(self, connection: Any) -> None:
         """Remove a closed connection."""

@@ -10,6 +10,8 @@ import rospy
 import rospy.topics
 from rospy.impl.tcpros_base import TCPROSTransport
 
+from xtdrone_control.ros_codec import compile_class
+
 from .inbox import FOREIGN_QUEUE, Feed, Inbox
 from .reader import Reader
 from .rospy_internals import SubscriberImpl, add_subscriber_impl
@@ -32,6 +34,8 @@ class BufferingSubscriber(SubscriberImpl):
             reader: Reads the connections in the node's own thread while it is active; otherwise rospy's threads do.
         """
         super().__init__(name, data_class)
+        codec = compile_class(data_class)
+        self._decode_bytes = (lambda data: data_class().deserialize(data)) if codec is None else codec.decode
         self.tcp_nodelay = True
         self.inboxes: dict[tuple[str, int], Inbox] = {}
         self.most_foreign = FOREIGN_QUEUE
@@ -95,7 +99,7 @@ class BufferingSubscriber(SubscriberImpl):
 
     def _decode(self, connection: Any, data: bytes) -> rospy.Message | None:
         try:
-            message = self.data_class().deserialize(data)
+            message = self._decode_bytes(data)
         except Exception as error:
             rospy.logerr(f"cannot decode a message on {self.resolved_name} from {connection.callerid_pub}: {error}")
             return None
