@@ -88,7 +88,10 @@ class CountingPublisher(PublisherImpl):
                 # Closed concurrently by another thread, or by a signal handler in this one.
                 return super().publish(message, connection_override)
             if digests is not None and connection_override is None:
-                digests.setdefault(self.resolved_name, Digest()).add(self._ledger.time_us, memoryview(data)[4:])
+                digest = digests.get(self.resolved_name)
+                if digest is None:
+                    digest = digests[self.resolved_name] = Digest()
+                digest.add(self._ledger.time_us, memoryview(data)[4:])
             self.message_data_sent += len(data)
             ended = []
             for connection, send in outlets:
