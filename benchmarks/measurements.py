@@ -31,6 +31,8 @@ _PARTICIPANTS = ("python", "cpp")
 _NO_PARTICIPANTS = "none"
 _STATIONS = 1  # ground stations of each vehicle
 _MOST_PER_UAV = 60  # vehicles; more are flown with a process per UAV only where that is chosen: 2 processes each
+_MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")
+_CODEC_METHODS = ("encode", "genpy_encode", "decode", "genpy_decode")
 
 Cases = Callable[[str, int, Sequence[str]], Iterator[Case]]
 """Yields the cases of a part (its name) for a number and for the modes of the formation."""
@@ -73,6 +75,11 @@ def _bags(part: str, megabytes: int, modes: Sequence[str]) -> Iterator[Case]:
     yield Case(part, f"bag of {megabytes} MB", {"megabytes": megabytes}, str(megabytes))
 
 
+def _messages(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
+    for name in _MESSAGES:
+        yield Case(part, f"{name}, {_title(count)}", {"message": name, "vehicles": count}, f"{count}-{name}")
+
+
 def _participants(part: str, count: int, modes: Sequence[str]) -> Iterator[Case]:
     for kind in _PARTICIPANTS if count else (_NO_PARTICIPANTS,):
         title = f"{count} participants" + (f", {kind}" if count else "")
@@ -109,6 +116,10 @@ def _film_label(row: Row) -> str:
 
 def _formation_label(row: Row) -> str:
     return f"{row['vehicles']} {row['mode'].replace('_', '-')}"
+
+
+def _message_label(row: Row) -> str:
+    return f"{row['message']}, {_title(row['vehicles'])}"
 
 
 def _participant_label(row: Row) -> str:
@@ -316,6 +327,18 @@ _TABLE = (
         label=lambda row: f"{row['megabytes']} MB",
         first=_first("bag", lambda row: f"{row['megabytes']} MB"),
         counted="megabytes",
+    ),
+    Measurement(
+        name="codecs",
+        title="Codecs of ROS messages, compiled and genpy's: us per message",
+        command=Program("codecs", {"seconds": "core_seconds"}),
+        numbers=(9,),
+        limits=(1, MAX_VEHICLES),
+        fields=tuple((name.replace("_", "\n"), spread(name)) for name in _CODEC_METHODS),
+        summary=lambda row: f"encode {row['encode']:.2f} us, decode {row['decode']:.2f} us",
+        cases=_messages,
+        label=_message_label,
+        first=_first("message", _message_label),
     ),
     Measurement(
         name="barrier",

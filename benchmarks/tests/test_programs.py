@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.programs import analysis, detector, drawing, program, simplified
+from benchmarks.programs import analysis, codecs, detector, drawing, program, simplified
 from xtdrone_interaction.options import repository
 from xtdrone_interaction.recording.bag import read_bag
 
@@ -54,6 +54,12 @@ def test_the_analysis_is_measured(tmp_path: Path) -> None:
     assert row["megabytes_per_second"] > 0
     assert row["messages"] >= 27 * 200
     assert not list(tmp_path.glob("*.bag"))
+
+
+def test_the_codecs_are_measured() -> None:
+    row = codecs.measure("ModelStates", 2, 0.01)
+    assert row["bytes"] == 12 + 2 * (4 + 6 + 7 * 8 + 6 * 8)
+    assert 0.0 < row["decode"] < row["genpy_decode"]
 
 
 def test_the_simplified_simulator_is_measured():

@@ -12,6 +12,7 @@ import numpy as np
 import roslib.message
 
 from xtdrone_control.fleet import FleetError, Vehicle, parse_fleet
+from xtdrone_control.ros_codec import compile_class
 from xtdrone_interaction.bags.ros1bag import BagError, BagFile
 from xtdrone_interaction.bags.sources import large_batches
 
@@ -104,6 +105,7 @@ class FlightBag:
         cls = roslib.message.get_message_class(kind)
         if cls is None or cls._md5sum != self._md5sums[topic]:
             raise BagError(f"bag: {self._path}: {topic} has another {kind} than this workspace")
+        compile_class(cls)
         return cls
 
     def _raw(self, classes: Mapping[str, Any]) -> Iterator[tuple[int, int, str, bytes]]:
