@@ -25,6 +25,8 @@ from benchmarks.runner import Bench, Case, Flight, Program, Row
 from benchmarks.search import SEARCHERS, search_arguments, search_figures
 from xtdrone_control.fleet import MAX_VEHICLES
 
+_MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")
+_CODEC_METHODS = ("encode", "genpy_encode", "decode", "genpy_decode")
 _FILMS = ((1280, 720, True), (1280, 720, False), (640, 360, True))  # width and height in pixels, antialiasing
 _BACKENDS = ("egl", "tiny")
 _PARTICIPANTS = ("python", "cpp")
