@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 from collections.abc import Iterator
 from types import SimpleNamespace
 
@@ -10,12 +11,17 @@ import pytest
 
 pytest.importorskip("rospy", reason="needs rospy")
 
+import rospy
+from geometry_msgs.msg import Point, PointStamped, Vector3
 from rospy.impl.statistics import SubscriberStatisticsLogger
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_pubsub import TCPROSSub
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
+from xtdrone_control.lockstep.client import topics
 from xtdrone_control.lockstep.client.node import Node
+from xtdrone_control.lockstep.transport.outlets import Outlet
+from xtdrone_control.lockstep.transport.publisher import CountingPublisher
 from xtdrone_control.lockstep.transport.reader import Reader
 from xtdrone_control.lockstep.transport.subscriber import BufferingSubscriber
 
@@ -79,8 +85,8 @@ def test_closed_connection_is_replaced(subscriber: BufferingSubscriber) -> None:
     assert subscriber.connections == [second]
 
 
-class Subscription(SimpleNamespace):
-    """A subscriber as its node sees it."""
+class Record(SimpleNamespace):
+    """Stands for a subscriber, or for a connection of rospy."""
 
     __hash__ = object.__hash__
 
@@ -89,7 +95,7 @@ def test_a_topic_is_declared_until_its_last_subscriber_is_removed() -> None:
     node = Node()
     changes: list[list[list[str]]] = []
     node.counter = SimpleNamespace(topics_changed=lambda: changes.append(node.declaration()["subscriptions"]))
-    first, second = (Subscription(resolved_name="/x", type="T", impl=object()) for _ in range(2))
+    first, second = (Record(resolved_name="/x", type="T", impl=object()) for _ in range(2))
     node.add_subscriber(first)
     node.add_subscriber(second)
     assert changes == [[["/x", "T"]]]
@@ -99,3 +105,45 @@ def test_a_topic_is_declared_until_its_last_subscriber_is_removed() -> None:
     assert node.remove_subscriber(second)
     assert node.ends == {}
     assert node.declaration()["subscriptions"] == []
+
+
+# ---- publishers
+
+
+def published(message_class: type, message: object, monkeypatch: pytest.MonkeyPatch) -> bytes:
+    """Return what a subscriber receives of a message published by its topic's first publisher."""
+    ends = socket.socketpair()
+    monkeypatch.setattr(rospy.core, "_client_ready", True)
+    publisher = topics.Publisher.__new__(topics.Publisher)
+    publisher.impl, publisher.data_class = CountingPublisher("/topic", message_class, Node()), message_class
+    transport = Record(
+        socket=ends[0], endpoint_id="/subscriber", remote_endpoint=("127.0.0.1", 5), done=False, stat_num_msg=0,
+        stat_bytes=0, close=lambda: None,
+    )  # fmt: skip
+    publisher.impl.outlets[transport] = Outlet("/topic", transport, 1, Node())
+    try:
+        publisher.publish(message)
+        return ends[1].recv(1000, socket.MSG_DONTWAIT)
+    finally:
+        for end in ends:
+            end.close()
+
+
+def test_published_message_has_a_sequence_number_and_a_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    message = PointStamped(header=Header(seq=7, stamp=rospy.Time(2, 3)))
+    data = published(PointStamped, message, monkeypatch)
+    assert data == struct.pack("<5I3d", 40, 1, 2, 3, 0, 0.0, 0.0, 0.0)
+    assert message.header.seq == 1
+
+
+def test_published_values_of_other_classes_are_written_by_genpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    message = PointStamped(header=Header(frame_id="a"), point=Vector3(1.0, 2.0, 3.0))
+    data = published(PointStamped, message, monkeypatch)
+    assert data == struct.pack("<5Ic3d", 41, 1, 0, 0, 1, b"a", 1.0, 2.0, 3.0)
+
+
+def test_publishing_a_wrong_value_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(rospy.ROSSerializationException, match=r"field point\.x must be float type"):
+        published(PointStamped, PointStamped(point=Point(x="far")), monkeypatch)
+    with pytest.raises(TypeError, match="expected"):
+        published(PointStamped, Point(), monkeypatch)

@@ -136,7 +136,8 @@ class BufferingSubscriber(SubscriberImpl):
             boxes.sort(key=lambda item: item[0])
         taken: list[Any] = []
         for key, inbox in boxes:
-            taken += inbox.take(self.most_foreign)
+            if inbox.messages:
+                taken += inbox.take(self.most_foreign)
             if inbox.lost or (inbox.closed and inbox.target is None and not inbox.messages):
                 del self.inboxes[key]
         return taken
