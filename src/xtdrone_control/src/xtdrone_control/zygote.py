@@ -1,0 +1,344 @@
+"""A process that has imported the modules of a launch's Python nodes and forks each node on request.
+
+A fork starts in milliseconds and shares the memory of the modules with all others. ``node_launcher``, the launch-prefix
+of the nodes, starts one zygote for each roslaunch, connects to it and stands for the forked node in roslaunch. A node
+is executed as by the interpreter: same command line, environment, working directory, descriptors and signal handlers,
+in a session of its own. Its modules are those that its script imports at its top; further ones it imports itself.
+
+No node outlives its launcher or the zygote. The zygote ends with roslaunch, and interrupts remaining nodes before.
+"""
+
+from __future__ import annotations
+
+import array
+import ast
+import builtins
+import contextlib
+import ctypes
+import gc
+import importlib
+import os
+import select
+import signal
+import socket
+import struct
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+_PR_SET_PDEATHSIG = 1
+_PR_SET_NAME = 15
+_SIZES = struct.Struct("=II")  # bytes of the command line and of the environment
+_REPLY = struct.Struct("=c3xi")
+_MOST = 1 << 24  # bytes of a request
+_LIMIT = 5.0  # s for a launcher to send its request
+_PATIENCE = 10.0  # s for nodes to end after roslaunch has ended
+_DESCRIPTORS = 4  # of a request: standard input, output, error; working directory
+_BLOCKED = {signal.SIGINT, signal.SIGTERM}  # during a fork, so that a node receives them with its own handlers
+_Peer = socket.socket
+
+
+class RequestError(Exception):
+    """A malformed request."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A node to run.
+
+    Attributes:
+        command: path of its script, and its arguments.
+        environment: ``NAME=value``.
+        descriptors: standard input, output and error, and its working directory; owned by the request.
+    """
+
+    command: list[bytes]
+    environment: list[bytes]
+    descriptors: list[int]
+
+    def close(self) -> None:
+        """Close the descriptors."""
+        for descriptor in self.descriptors:
+            os.close(descriptor)
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A forked node.
+
+    Attributes:
+        connection: to its launcher.
+        pid: process and session id.
+        watch: pidfd, readable after its end.
+    """
+
+    connection: _Peer
+    pid: int
+    watch: int
+
+
+def receive(connection: _Peer) -> Request:
+    """Receive the request of a launcher.
+
+    Raises:
+        RequestError: it is malformed, or from another user.
+        OSError: it does not arrive.
+    """
+    peer = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    if struct.unpack("3i", peer)[1] != os.getuid():
+        raise RequestError("from another user")
+    connection.settimeout(_LIMIT)
+    data, descriptors = _first_part(connection)
+    try:
+        while len(data) < _SIZES.size or len(data) < _SIZES.size + sum(_SIZES.unpack_from(data)):
+            part = connection.recv(1 << 16)
+            if not part or len(data) > _MOST:
+                raise RequestError("incomplete or too long")
+            data += part
+        size, rest = _SIZES.unpack_from(data)
+        words = data[_SIZES.size :]
+        command, environment = words[:size], words[size : size + rest]
+        if len(descriptors) != _DESCRIPTORS or not command.endswith(b"\0"):
+            raise RequestError("without a command or descriptors")
+    except BaseException:
+        for descriptor in descriptors:
+            os.close(descriptor)
+        raise
+    connection.settimeout(None)
+    return Request(command.split(b"\0")[:-1], environment.split(b"\0")[:-1], descriptors)
+
+
+def _first_part(connection: _Peer) -> tuple[bytes, list[int]]:
+    descriptors = array.array("i")
+    space = socket.CMSG_SPACE(_DESCRIPTORS * descriptors.itemsize)
+    data, ancillary, _, _ = connection.recvmsg(1 << 16, space, socket.MSG_CMSG_CLOEXEC)
+    for level, kind, content in ancillary:
+        if (level, kind) == (socket.SOL_SOCKET, socket.SCM_RIGHTS):
+            descriptors.frombytes(content[: len(content) - len(content) % descriptors.itemsize])
+    return data, descriptors.tolist()
+
+
+def imported_modules(script: Path) -> list[str]:
+    """Return the modules that a script imports at its top, absolute imports only.
+
+    For the relay of catkin's devel space these are those of the script it executes. Modules that lie beside the script
+    are left out: another script may import others by the same names.
+    """
+    tree = ast.parse(script.read_bytes())
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
+            if any(isinstance(target, ast.Name) and target.id == "python_script" for target in node.targets):
+                tree = ast.parse(Path(node.value.value).read_bytes())
+                break
+    names = []
+    for node in tree.body:
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return [name for name in names if not _is_beside(script, name.split(".")[0])]
+
+
+def _is_beside(script: Path, name: str) -> bool:
+    return (script.parent / name).is_dir() or (script.parent / f"{name}.py").exists()
+
+
+@dataclass
+class Zygote:
+    """Forks nodes.
+
+    Attributes:
+        listener: where launchers connect.
+        roslaunch: its process id.
+        title: address and size of the memory with this process's command line.
+    """
+
+    listener: _Peer
+    roslaunch: int
+    title: tuple[int, int]
+    _nodes: dict[int, _Node] = field(default_factory=dict)  # by both descriptors
+    _known: set[str] = field(default_factory=set)
+    _environment: set[bytes] = field(default_factory=set)
+    _interrupt: Any = signal.SIG_DFL
+    _poll: select.poll = field(default_factory=select.poll)
+
+    def serve(self) -> Callable[[], None] | None:
+        """Fork nodes until roslaunch has ended; in each node's process, return the function that runs the node."""
+        self._environment = {name + b"=" + value for name, value in os.environb.items()}
+        self._interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        watch = os.pidfd_open(self.roslaunch)
+        if os.getppid() != self.roslaunch:
+            return None
+        self._poll.register(watch, select.POLLIN)
+        self._poll.register(self.listener, select.POLLIN)
+        patience = None
+        while patience is None or self._nodes:
+            ready = self._poll.poll(patience)
+            for descriptor, _ in ready:
+                if descriptor == watch:
+                    self._poll.unregister(watch)
+                    self._interrupt_nodes()
+                    patience = 1000.0 * _PATIENCE
+                elif descriptor == self.listener.fileno():
+                    run = self._accept(watch)
+                    if run is not None:
+                        return run
+                elif descriptor in self._nodes:
+                    self._end(self._nodes[descriptor], descriptor)
+            if not ready:
+                break
+        return None
+
+    def _accept(self, watch: int) -> Callable[[], None] | None:
+        connection = self.listener.accept()[0]
+        try:
+            request = receive(connection)
+        except (RequestError, OSError):
+            connection.close()
+            return None
+        run = None
+        if set(request.environment) == self._environment:
+            run = self._fork(request, connection, watch)
+        else:
+            _reply(connection, b"R", 0)
+            connection.close()
+        if run is None:
+            request.close()
+        return run
+
+    def _fork(self, request: Request, connection: _Peer, watch: int) -> Callable[[], None] | None:
+        script = Path(os.fsdecode(request.command[0]))
+        self._import(script)
+        zygote = os.getpid()
+        signal.pthread_sigmask(signal.SIG_BLOCK, _BLOCKED)
+        gc.freeze()  # the collector leaves the pages of these objects shared
+        pid = os.fork()
+        if pid == 0:
+            own = {watch, self.listener.detach(), connection.detach(), *self._nodes}
+            for descriptor in own:
+                os.close(descriptor)
+            _become(request, zygote, self.title, self._interrupt)
+            return lambda: _execute(script)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _BLOCKED)
+        node = _Node(connection, pid, os.pidfd_open(pid))
+        for descriptor in (connection.fileno(), node.watch):
+            self._nodes[descriptor] = node
+            self._poll.register(descriptor, select.POLLIN)
+        _reply(connection, b"P", pid)
+        return None
+
+    def _import(self, script: Path) -> None:
+        with contextlib.suppress(OSError, SyntaxError, ValueError):  # the node reports them
+            for name in imported_modules(script):
+                if name not in self._known:
+                    self._known.add(name)
+                    with contextlib.suppress(Exception):  # not a module, or the node reports it
+                        importlib.import_module(name)
+
+    def _end(self, node: _Node, descriptor: int) -> None:
+        """Report the end of a node, or kill it after the end of its launcher."""
+        self._poll.unregister(descriptor)
+        del self._nodes[descriptor]
+        if descriptor == node.watch:
+            os.close(descriptor)
+            ended = os.waitid(os.P_PID, node.pid, os.WEXITED | os.WNOWAIT)
+            assert ended is not None
+            status = ended.si_status << 8 if ended.si_code == os.CLD_EXITED else ended.si_status
+            _reply(node.connection, b"E", status)
+        elif node.watch in self._nodes:
+            _kill(node.pid, signal.SIGKILL)
+        if not {node.watch, node.connection.fileno()} & self._nodes.keys():
+            os.waitpid(node.pid, 0)  # until now its launcher could signal it by its id
+            node.connection.close()
+
+    def _interrupt_nodes(self) -> None:
+        for node in set(self._nodes.values()):
+            _kill(node.pid, signal.SIGINT)
+
+
+def _reply(connection: _Peer, kind: bytes, value: int) -> None:
+    with contextlib.suppress(OSError):  # the launcher has ended
+        connection.send(_REPLY.pack(kind, value), socket.MSG_NOSIGNAL)
+
+
+def _kill(pid: int, number: int) -> None:
+    """Send a signal to a node that has not been waited for, and to its children."""
+    try:
+        os.killpg(pid, number)
+    except ProcessLookupError:  # it has no group of its own yet
+        os.kill(pid, number)
+
+
+def _become(request: Request, zygote: int, title: tuple[int, int], interrupt: Any) -> None:
+    """Give a forked process the properties of a process that was started for the node."""
+    libc = ctypes.CDLL(None)
+    libc.prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+    if os.getppid() != zygote:  # it ended before
+        os._exit(1)
+    os.setsid()
+    *standard, folder = request.descriptors
+    for number, descriptor in enumerate(standard):
+        os.dup2(descriptor, number)
+    os.fchdir(folder)
+    request.close()
+    script = request.command[0]
+    _set_title(title, [os.fsencode(sys.executable), *request.command])
+    libc.prctl(_PR_SET_NAME, os.path.basename(script)[:15], 0, 0, 0)
+    sys.argv = [os.fsdecode(word) for word in request.command]
+    sys.orig_argv = [sys.executable, *sys.argv]
+    sys.path.insert(0, os.path.dirname(os.path.realpath(sys.argv[0])))
+    _open_standard_streams()
+    for module, function, arguments in (("rospy.names", "reload_mappings", (sys.argv,)), ("numpy.random", "seed", ())):
+        if module in sys.modules:  # has read the command line, or was seeded
+            getattr(sys.modules[module], function)(*arguments)
+    signal.signal(signal.SIGINT, interrupt)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _BLOCKED)
+
+
+def _set_title(title: tuple[int, int], words: list[bytes]) -> None:
+    """Write a command line to where /proc shows it."""
+    address, size = title
+    text = b"\0".join(words)[: size - 1]
+    ctypes.memmove(address, text.ljust(size, b"\0"), size)
+
+
+def _open_standard_streams() -> None:
+    """Open the standard streams anew: their buffering depends on what the descriptors are."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        old = getattr(sys, name)
+        mode = "w" if number else "r"
+        terminal = os.isatty(number)
+        buffering = 1 if number == 2 or (number and terminal) else -1
+        new = open(number, mode, buffering, old.encoding, old.errors, closefd=False)  # noqa: SIM115
+        setattr(sys, name, new)
+        setattr(sys, f"__{name}__", new)
+
+
+def _execute(script: Path) -> None:
+    """Run a script as the main module."""
+    main = types.ModuleType("__main__")
+    main.__dict__.update(__file__=str(script), __builtins__=builtins, __cached__=None)
+    sys.modules["__main__"] = main
+    exec(compile(script.read_bytes(), str(script), "exec"), main.__dict__)
+
+
+def _title() -> tuple[int, int]:
+    """Return address and size of the memory with this process's command line."""
+    fields = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rsplit(")", 1)[1].split()
+    begin, end = int(fields[45]), int(fields[46])  # fields 48 and 49
+    return begin, end - begin
+
+
+def main() -> None:
+    """Serve launchers: arguments are the descriptor of the listening socket and the process id of roslaunch."""
+    listener, roslaunch = (int(word) for word in sys.argv[1:3])
+    run = Zygote(socket.socket(fileno=listener), roslaunch, _title()).serve()
+    if run is not None:
+        run()
+
+
+if __name__ == "__main__":
+    main()
