@@ -38,6 +38,7 @@ _LIMIT = 5.0  # s for a launcher to send its request
 _PATIENCE = 10.0  # s for nodes to end after roslaunch has ended
 _DESCRIPTORS = 4  # of a request: standard input, output, error; working directory
 _BLOCKED = {signal.SIGINT, signal.SIGTERM}  # during a fork, so that a node receives them with its own handlers
+_COMMON = ("xtdrone_control.lockstep.client.api", "logging.config", "rosgraph.roslogging")
 _Peer = socket.socket
 
 
@@ -172,6 +173,7 @@ class Zygote:
         watch = os.pidfd_open(self.roslaunch)
         if os.getppid() != self.roslaunch:
             return None
+        self._prepare()
         self._poll.register(watch, select.POLLIN)
         self._poll.register(self.listener, select.POLLIN)
         patience = None
@@ -230,6 +232,14 @@ class Zygote:
         _reply(connection, b"P", pid)
         return None
 
+    def _prepare(self) -> None:
+        """Import what every node needs, some of it only when it starts, and find the packages."""
+        for name in _COMMON:
+            with contextlib.suppress(Exception):  # the nodes report it
+                importlib.import_module(name)
+        with contextlib.suppress(Exception):
+            _share_package_index()
+
     def _import(self, script: Path) -> None:
         with contextlib.suppress(OSError, SyntaxError, ValueError):  # the node reports them
             for name in imported_modules(script):
@@ -257,6 +267,23 @@ class Zygote:
     def _interrupt_nodes(self) -> None:
         for node in set(self._nodes.values()):
             _kill(node.pid, signal.SIGINT)
+
+
+def _share_package_index() -> None:
+    """Search the package path once: at its start each node asks a new ``rospkg.RosPack`` for one package."""
+    import rospkg
+
+    paths = rospkg.get_ros_paths()
+    index = rospkg.RosPack(paths)
+    index.list()
+
+    class RosPack(rospkg.RosPack):  # type: ignore[misc]  # rospkg has no types
+        def __init__(self, ros_paths: list[str] | None = None) -> None:
+            super().__init__(ros_paths)
+            if self._ros_paths == paths:
+                self._location_cache = dict(index._location_cache)
+
+    rospkg.RosPack = RosPack
 
 
 def _reply(connection: _Peer, kind: bytes, value: int) -> None:
