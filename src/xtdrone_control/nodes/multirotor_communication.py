@@ -33,7 +33,10 @@ def main(arguments: Sequence[str]) -> None:
     kind, ids, name = served_vehicles(arguments, rospy.get_param("/xtdrone/fleet", None))
     lockstep.init_node(f"{name}_communication", rate=RATE)
     settings = CommandSettings.from_parameters(rospy.get_param)
-    nodes = [MultirotorCommunication(f"{kind}_{i}", in_lockstep=lockstep.is_active(), **asdict(settings)) for i in ids]
+    with lockstep.registering_together():
+        nodes = [
+            MultirotorCommunication(f"{kind}_{i}", in_lockstep=lockstep.is_active(), **asdict(settings)) for i in ids
+        ]
 
     def step() -> None:
         for node in nodes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,23 @@ def test_a_change_elsewhere_does_not(package):
     before = kernel.cache_folder(package)
     (package / "logic.py").write_text("from .loops import f  # changed\n")
     assert kernel.cache_folder(package) == before
+
+
+def parsed_imports(name, is_package, source):
+    parents = name.split(".") if is_package else name.split(".")[:-1]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            relative = parents[: len(parents) + 1 - node.level] if node.level else []
+            base = ".".join([*relative, *([node.module] if node.module else [])])
+            yield from (base, *(f"{base}.{alias.name}" for alias in node.names))
+
+
+def test_no_import_of_a_package_with_kernels_is_missed():
+    for path in Path(kernel.__file__).parents[4].glob("xtdrone_*/src/**/*.py"):
+        given = ("a.b.c", path.name == "__init__.py", path.read_bytes())
+        assert set(parsed_imports(*given)) <= kernel.imported(*given), path
 
 
 def test_every_kernel_of_the_autopilot_counts():

@@ -46,7 +46,8 @@ def main() -> int:
     except ValueError as error:  # fleet, patterns and clearance
         rospy.logfatal("director: %s", error)
         return 1
-    director = FormationDirector([v.name for v in fleet], names, slots, settings.clearance, events)
+    with lockstep.registering_together():
+        director = FormationDirector([v.name for v in fleet], names, slots, settings.clearance, events)
     if settings.recorder and not director.wait_for_recorder(settings.recorder, RECORDER_LIMIT):
         rospy.logerr(
             "director: %s has not subscribed within %g s: the flight may not be recorded",

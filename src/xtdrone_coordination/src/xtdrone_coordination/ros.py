@@ -301,7 +301,8 @@ def run_follower(cls: type[Follower] = Follower, *, mode_argument: bool = False)
         followers = [chosen(i, count, swarm=swarm, options=settings, warn=rospy.logwarn) for i in ids]
         for follower in followers:
             follower.info = rospy.loginfo
-        node = FollowerNode(kind, followers)
+        with lockstep.registering_together():
+            node = FollowerNode(kind, followers)
         lockstep.start()
         lockstep.spin(node.step)
 

@@ -254,7 +254,8 @@ def main() -> int:
         settings = rospy.get_param("~", {})
         fleet = _fleet(settings)
         vehicles = connections(settings, fleet, rospy.get_name(), rospy.get_param("/xtdrone/instance", 0))
-        node = MavrosNode(vehicles, settings)
+        with lockstep.registering_together():
+            node = MavrosNode(vehicles, settings)
     except rospy.ROSInterruptException:
         return 0  # shut down while waiting
     except (FleetError, LinkError, ValueError) as error:

@@ -28,6 +28,7 @@ from xtdrone_control.log_output import survive_full_disk
 
 from ..protocol import Schedule
 from ..transport.rospy_internals import handle_signal, set_time_us
+from ..transport.rospy_internals import registering_together as registering_together
 from . import joining
 from .client import Client
 from .connection import URI_PARAM

@@ -11,6 +11,7 @@ import rosgraph.names
 import rospy
 
 from ..protocol import ProtocolError
+from ..transport.rospy_internals import watch_param
 from .client import Client
 from .connection import CONNECT_LIMIT, URI_PARAM, RefusedError
 from .node import Node
@@ -19,7 +20,7 @@ NAME_LIMIT = 3.0
 """Wall seconds for a participant with the node's name to end."""
 RETRY_PERIOD = 0.1
 """Wall seconds between attempts to reserve a name."""
-LOOK_PERIOD = 0.2
+LOOK_PERIOD = 0.05
 """Wall seconds between attempts to find the simulator."""
 PRIVATE_PARAM = "~lockstep"
 """ROS parameter by which a node opts out of the lockstep."""
@@ -98,8 +99,9 @@ def join(node: Node, reservation: Client | None) -> Client:
             rospy.logdebug(f"the simulator at {reservation.uri} reserved the name but refused the node: {error}")
             reservation.close()
     reported = answered = time.monotonic()
+    present_uri = watch_param(URI_PARAM)
     while not rospy.is_shutdown():
-        uri = rospy.get_param(URI_PARAM, "")
+        uri = present_uri()
         if not uri:
             if time.monotonic() - reported > CONNECT_LIMIT:
                 rospy.loginfo(f"waiting for a simulator ({URI_PARAM} is not set yet)")
@@ -118,6 +120,5 @@ def join(node: Node, reservation: Client | None) -> Client:
                         f"cannot join the simulator at {uri} ({URI_PARAM}): {error}. If there is no simulator, "
                         f"delete that parameter or set {PRIVATE_PARAM} to false."
                     ) from error
-        # Polled, as the parameter server offers nothing to wait for; the start of a simulator is not urgent.
         node.reader.wait_for(LOOK_PERIOD)
     raise rospy.ROSInterruptException("shut down while waiting for the simulator")

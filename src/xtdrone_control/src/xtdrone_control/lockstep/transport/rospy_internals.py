@@ -5,13 +5,18 @@ rospy offers no public way to replace the ends of a topic, to set the time or to
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any
+from xmlrpc.client import MultiCall
 
 import rospy
 import rospy.core
+import rospy.impl.paramserver
 import rospy.rostime
 import rospy.topics
-from rospy.impl.registration import Registration
+from rospy.impl.registration import Registration, RegistrationListener, RegManager, get_registration_listeners
+from rospy.impl.statistics import SubscriberStatisticsLogger
 
 PublisherImpl: Any = rospy.topics._PublisherImpl
 """Base class of a topic's publishing end, shared by all ``rospy.Publisher`` objects of the topic in a process."""
@@ -43,3 +48,95 @@ def add_subscriber_impl(impl: Any) -> None:
     """Register a receiving end with the topic manager and the master; the caller holds the manager's lock."""
     manager = rospy.topics.get_topic_manager()
     manager._add(impl, manager.subs, Registration.SUB)
+
+
+def watch_param(name: str) -> Callable[[], Any]:
+    """Subscribe to a parameter, and return a function that returns its present value, None if it is not set.
+
+    Unlike this function, ``rospy.get_param_cached`` asks the master at every call for a parameter that is not set.
+    """
+    rospy.get_param_cached(name, None)
+    cache = rospy.impl.paramserver.get_param_server_cache()
+
+    def value() -> Any:
+        try:
+            return cache.get(name)
+        except KeyError:
+            return None
+
+    return value
+
+
+# ---- registration with the master ----
+
+_MOST_CALLS = 500  # of one request, so that the master serves other nodes in between
+_CALLS = {
+    Registration.PUB: "registerPublisher",
+    Registration.SUB: "registerSubscriber",
+    Registration.SRV: "registerService",
+}
+
+
+class _Collector(RegistrationListener):  # type: ignore[misc]  # rospy has no types
+    """Collects registrations for one node's registration manager."""
+
+    def __init__(self, manager: RegManager) -> None:
+        self.manager = manager
+        self._added: list[tuple[str, str, str]] = []
+
+    def reg_added(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        """Collect a registration."""
+        self._added.append((resolved_name, data_type_or_uri, reg_type))
+
+    def reg_removed(self, resolved_name: str, data_type_or_uri: str, reg_type: str) -> None:
+        """Pass on the end of a registration, after all before it."""
+        self.flush()
+        self.manager.reg_removed(resolved_name, data_type_or_uri, reg_type)
+
+    def flush(self) -> None:
+        """Send the collected registrations; those that the master rejects are sent one by one, which logs the cause."""
+        added, self._added = self._added, []
+        for begin in range(0, len(added), _MOST_CALLS):
+            part = added[begin : begin + _MOST_CALLS]
+            for registration, publishers in zip(part, self._send(part), strict=True):
+                if publishers is None:
+                    self.manager.reg_added(*registration)
+                elif registration[2] == Registration.SUB:
+                    self.manager.publisher_update(registration[0], publishers)
+
+    def _send(self, registrations: list[tuple[str, str, str]]) -> list[Any]:
+        """Return the master's answer to each registration, None where it failed."""
+        calls = MultiCall(rospy.core.xmlrpcapi(self.manager.master_uri))
+        for name, what, kind in registrations:
+            getattr(calls, _CALLS[kind])(rospy.get_name(), name, what, self.manager.uri)
+        try:
+            return [value if code == 1 else None for code, _, value in calls()]
+        except Exception:  # of the network, of HTTP or of XML-RPC
+            return [None] * len(registrations)
+
+
+@contextlib.contextmanager
+def registering_together() -> Iterator[None]:
+    """Register the topics and services that are created inside with the master in few requests, at the end.
+
+    A request takes a millisecond of both processes, and rospy makes one for each topic, two for each subscription.
+    """
+    listeners = get_registration_listeners()
+    with_statistics = SubscriberStatisticsLogger.is_enabled()
+    SubscriberStatisticsLogger.is_enabled = classmethod(lambda _: with_statistics)
+    with listeners.lock:
+        collectors = [_Collector(found) for found in listeners.listeners if isinstance(found, RegManager)]
+        for collector in collectors:
+            listeners.listeners[listeners.listeners.index(collector.manager)] = collector
+    try:
+        yield
+    finally:
+        SubscriberStatisticsLogger.is_enabled = _IS_ENABLED
+        with listeners.lock:
+            for collector in collectors:
+                if collector in listeners.listeners:  # rospy empties the list at a shutdown
+                    listeners.listeners[listeners.listeners.index(collector)] = collector.manager
+                    collector.flush()
+
+
+_IS_ENABLED = SubscriberStatisticsLogger.__dict__["is_enabled"]
