@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.runner import Bench, Event, Row, find
 from xtdrone_control.fleet import parse_fleet, spawn_grid
-from xtdrone_coordination.search.planning.plans import Datum, SearchOptions, plan_search, write_plans
+from xtdrone_coordination.search.planning.plans import SearchOptions, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import read_region
 from xtdrone_interaction.demos.search_prepare import ROWS, camera_of, generate_world, shipped_region
 from xtdrone_sim.worlds.sdf import write_world
@@ -97,6 +97,5 @@ def _prepare(folder: Path) -> dict[str, Any]:
     fleet = parse_fleet(f"{_TYPE}:{SEARCHERS}")
     homes = {vehicle.name: (x, y) for vehicle, (x, y, _) in zip(fleet, spawn_grid(fleet, ROWS), strict=True)}
     plans = plan_search(region, homes, camera_of(_TYPE), _PLANNED)
-    datum = Datum(world.datum.latitude, world.datum.longitude, world.datum.altitude)
-    write_plans(plans_folder, plans, _PLANNED, datum)
+    write_plans(plans_folder, plans, _PLANNED, world.datum)
     return {"world": world_file, "plans": plans_folder}

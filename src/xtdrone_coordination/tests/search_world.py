@@ -20,12 +20,12 @@ from xtdrone_coordination.search import actions as control
 from xtdrone_coordination.search.candidates import Sighting
 from xtdrone_coordination.search.coverage_map import shows
 from xtdrone_coordination.search.mission import SearchMission
-from xtdrone_coordination.search.planning.plans import Datum, SearchOptions, mission_items, plan_search
+from xtdrone_coordination.search.planning.plans import DatumSettings, SearchOptions, mission_items, plan_search
 from xtdrone_coordination.search.settings import MissionSettings
 from xtdrone_coordination.search.vehicle import State
 
 CAMERA = Pinhole.of_view(640, 360, 2.0)
-DATUM = Datum()
+DATUM = DatumSettings()
 DT = 0.1
 REGION = Polygon([(15, -40), (135, -40), (135, 40), (15, 40)])
 

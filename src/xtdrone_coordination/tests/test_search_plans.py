@@ -14,7 +14,7 @@ from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
 from xtdrone_coordination.search.planning import plans as search_plans
 from xtdrone_coordination.search.planning.coverage_path import sweep
-from xtdrone_coordination.search.planning.plans import Datum, SearchOptions, plan_search, write_plans
+from xtdrone_coordination.search.planning.plans import DatumSettings, SearchOptions, plan_search, write_plans
 
 CAMERA = Pinhole.of_view(640, 360, 2.0)
 REGION = Polygon([(0, 20), (180, 20), (180, 140), (0, 140)], [[(60, 60), (90, 60), (90, 90)]])
@@ -46,7 +46,7 @@ def test_more_vehicles_fly_nearer_above_each_other() -> None:
 
 
 def test_plan_files_contain_the_paths(tmp_path: Path) -> None:
-    options, datum = SearchOptions(speed=4.0, gimbal_pitch=-50.0, person_pixels=10.0), Datum(-33.9, 151.2, 30.0)
+    options, datum = SearchOptions(speed=4.0, gimbal_pitch=-50.0, person_pixels=10.0), DatumSettings(-33.9, 151.2, 30.0)
     found = plan_search(REGION, HOMES, CAMERA, options)
     files = write_plans(tmp_path / "plans", found, options, datum)
     for name, vehicle in found.items():

@@ -13,7 +13,7 @@ from xtdrone_control.pinhole import Pinhole
 from xtdrone_coordination.search.candidates import Candidate, Evidence, nearest
 from xtdrone_coordination.search.coverage_map import CoverageMap
 from xtdrone_coordination.search.planning.coverage_path import Waypoint, length
-from xtdrone_coordination.search.planning.plans import Datum
+from xtdrone_coordination.search.planning.plans import DatumSettings
 from xtdrone_coordination.search.planning.region import make_region
 from xtdrone_coordination.search.reallocation import cut, share_out
 from xtdrone_coordination.search.vehicle import AssignedMission
@@ -91,7 +91,7 @@ def test_the_coverage_map_marks_the_ground_below_a_camera_pointing_down() -> Non
 
 
 def test_a_path_without_headings_looks_ahead() -> None:
-    datum = Datum()
+    datum = DatumSettings()
     places = [(10.0, 0.0), (10.0, 30.0), (-20.0, 30.0)]
     items = tuple(PlanItem(16, 3, (0.0, 0.0, 0.0, math.nan), *datum.place(*place), 15.0) for place in places)
     mission = AssignedMission(datum)

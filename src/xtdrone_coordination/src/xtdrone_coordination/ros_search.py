@@ -44,6 +44,7 @@ from xtdrone_control import lockstep
 from xtdrone_control.autopilot.navigator.plan import Items, PlanItem
 from xtdrone_control.camera_pose import rotation_matrix
 from xtdrone_control.communication.setpoint import yaw_of
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.program import ArgumentError, check_no_arguments, needed_fleet
 
@@ -51,7 +52,7 @@ from .search import actions
 from .search.actions import Action
 from .search.candidates import Sighting
 from .search.mission import SearchMission
-from .search.planning.plans import Datum
+from .search.planning.plans import DatumSettings
 from .search.planning.region import RegionError, read_region
 from .search.settings import MissionSettings
 from .search.vehicle import State as VehicleState
@@ -380,7 +381,7 @@ def datum_of(read: Callable[[str, Any], Any]) -> Datum:
         ArgumentError: a value is invalid.
     """
     try:
-        return Datum(**_mapping("~datum", read("~datum", {})))
+        return DatumSettings(**_mapping("~datum", read("~datum", {})))
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"~datum: {error}") from error
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
 from xtdrone_control.autopilot.navigator.plan import Items
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.pinhole import Pinhole
 
 from .actions import Action, Position, PushMission
@@ -26,7 +27,6 @@ from .association import Association
 from .candidates import Candidate, Sighting
 from .coverage_map import CoverageMap
 from .dispatch import Dispatch
-from .planning.plans import Datum
 from .reallocation import Reallocation
 from .reports import Event, Find, make_event, outcome_report, possible_report, progress_report, rounded_xy
 from .settings import MissionSettings

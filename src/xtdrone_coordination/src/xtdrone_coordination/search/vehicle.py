@@ -9,11 +9,12 @@ from itertools import pairwise
 
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import Items
+from xtdrone_control.geodesy.datum import Datum
 
 from .actions import Position
 from .candidates import Candidate, Evidence
 from .planning.coverage_path import Point, Waypoint
-from .planning.plans import Datum, waypoint_item
+from .planning.plans import waypoint_item
 
 _ENDS = (plan.RETURN, plan.LAND)
 _NO_PATH = (plan.TAKEOFF, plan.LAND, plan.VTOL_TAKEOFF, plan.VTOL_LAND)

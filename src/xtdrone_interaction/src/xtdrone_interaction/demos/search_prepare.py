@@ -19,10 +19,11 @@ from shapely.geometry import Point, Polygon
 from xtdrone_control.autopilot.navigator import plan as mission
 from xtdrone_control.bounded_file import load_yaml, read_text
 from xtdrone_control.fleet import Vehicle, parse_fleet, spawn_grid
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.settings import Settings, setting
-from xtdrone_coordination.search.planning.plans import Datum, SearchOptions, VehiclePlan, plan_search, write_plans
+from xtdrone_coordination.search.planning.plans import SearchOptions, VehiclePlan, plan_search, write_plans
 from xtdrone_coordination.search.planning.region import parse_region, read_region, region_data
 from xtdrone_interaction.formation.geometry import natural_order
 from xtdrone_interaction.options import OptionError, repository, seed_setting, speed_setting, vehicles_setting
@@ -134,7 +135,7 @@ def prepare(settings: SearchSettings) -> Prepared:
     for file in own:
         shutil.copyfile(file, folder / file.name)
     if plans:
-        write_plans(folder, plans, options, _datum(world))
+        write_plans(folder, plans, options, world.datum)
         _write_yaml(settings.out / PIECES, {name: region_data(plan.piece) for name, plan in plans.items()})
     return read_prepared(settings.out)
 
@@ -172,7 +173,7 @@ def read_prepared(folder: Path) -> Prepared:
         ValueError: a file is unusable.
     """
     world = load_world_file(str(folder / WORLD))
-    datum = _datum(world)
+    datum = world.datum
     plans = {file.stem: file for file in (folder / PLANS).glob(f"*{qgc_plan.SUFFIX}")}
     names = tuple(sorted(plans, key=natural_order))
     pieces = _read_pieces(folder / PIECES)
@@ -204,10 +205,6 @@ def _read_pieces(file: Path) -> dict[str, Polygon]:
         return {name: parse_region(data) for name, data in load_yaml(read_text(file)).items()}
     except (AttributeError, ValueError) as error:
         raise ValueError(f"{file}: no pieces of a region: {error}") from error
-
-
-def _datum(world: SdfWorld) -> Datum:
-    return Datum(world.datum.latitude, world.datum.longitude, world.datum.altitude)
 
 
 def shipped_region() -> Path:

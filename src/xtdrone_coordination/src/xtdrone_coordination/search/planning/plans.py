@@ -21,7 +21,7 @@ from shapely.geometry import Polygon
 from xtdrone_control.autopilot.navigator import plan
 from xtdrone_control.autopilot.navigator.plan import FRAME_MISSION, Items, PlanItem
 from xtdrone_control.fleet import FleetError, parse_fleet, spawn_grid
-from xtdrone_control.geodesy import geo
+from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.pinhole import Pinhole
 from xtdrone_control.plans import qgc_plan
 from xtdrone_control.settings import Settings, setting
@@ -35,21 +35,12 @@ _GROUND_SPEED = 1.0
 
 
 @dataclass(frozen=True)
-class Datum(Settings):
+class DatumSettings(Settings, Datum):
     """Origin of the map frame."""
 
     latitude: float = setting(47.397742, low=-90.0, high=90.0, unit="deg", text="latitude of the origin")
     longitude: float = setting(8.545594, low=-180.0, high=180.0, unit="deg", text="longitude of the origin")
     altitude: float = setting(488.0, low=-1000.0, high=10000.0, unit="m", text="altitude of the origin, AMSL")
-
-    def place(self, x: float, y: float) -> tuple[float, float]:
-        """Return the latitude and longitude, degrees, of a point in the map frame, m ENU."""
-        return geo.reproject(y, x, self.latitude, self.longitude)
-
-    def local(self, latitude: float, longitude: float) -> Point:
-        """Return the point in the map frame, m ENU, of a latitude and longitude, degrees."""
-        north, east = geo.project(latitude, longitude, self.latitude, self.longitude)
-        return east, north
 
 
 MIN_STEP = 0.5  # m between the heights of two vehicles, whose paths may cross
@@ -241,7 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="plan_search.py",
         description="Divide a region among vehicles and write a QGroundControl plan file for each.",
     )
-    datum = Datum()
+    datum = DatumSettings()
     parser.add_argument("region", help="YAML file {region: [[x, y], ...], holes: [...]}, m ENU in the map frame")
     parser.add_argument("--vehicles", default="typhoon_h480:6", help="fleet, as typhoon_h480:6 (the default)")
     parser.add_argument("--rows", type=int, default=3, help="vehicles per row of the spawn grid (3)")
@@ -262,7 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         width, height, fov = given.camera
         camera = Pinhole.of_view(int(width), int(height), fov)
         plans = plan_search(read_region(given.region), homes, camera, options)
-        files = write_plans(given.out, plans, options, Datum(*given.datum))
+        files = write_plans(given.out, plans, options, DatumSettings(*given.datum))
     except (RegionError, FleetError, ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
