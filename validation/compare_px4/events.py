@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from validation.compare_px4.metrics import SHARE
 from validation.compare_px4.reference import Event, Flight
+from xtdrone_control.autopilot import modes
 
 LIMIT = 0.2  # s
 _SECOND = 1.0  # s, between the reference's heartbeats
@@ -36,8 +37,6 @@ _FLOWN_TEXTS = (
     "RTL: land at",
 )
 _LATE_TEXT = "Landing detected"  # its order counts; its time does not, the recorded estimator sank on the ground
-_MAIN = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED"}
-_SUB = {2: "AUTO.TAKEOFF", 3: "AUTO.LOITER", 4: "AUTO.MISSION", 5: "AUTO.RTL", 6: "AUTO.LAND"}
 _LANDED = {"1": "on ground", "2": "in air", "3": "taking off", "4": "landing"}
 
 
@@ -86,9 +85,8 @@ def label(event: Event) -> str:
         return f"ack {name}: {mavlink.enums['MAV_RESULT'][int(result)].name.removeprefix('MAV_RESULT_')}"
     if event.kind == "mode":
         base, custom, status = (int(part) for part in value.split())
-        main, sub = custom >> 16 & 255, custom >> 24
-        mode = _SUB.get(sub, f"AUTO.{sub}") if main == 4 else _MAIN.get(main, str(main))
-        return f"mode {mode}, base_mode {base}, system_status {status}"
+        mode = modes.from_custom_mode(custom)
+        return f"mode {mode.name if mode else custom}, base_mode {base}, system_status {status}"
     if event.kind == "landed_state":
         return f"landed state: {_LANDED.get(value, value)}"
     if event.kind == "text":

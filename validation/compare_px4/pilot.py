@@ -17,6 +17,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from validation.compare_px4.reference import Event, Flight, Track
+from xtdrone_control.autopilot.modes import Mode
 from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.mavlink.server import MavlinkServer
 from xtdrone_sim.simulation import Simulation
@@ -146,9 +147,9 @@ class Pilot:
         values = [*params, *[0.0] * (7 - len(params))]
         self._say(mavlink.MAVLink_command_long_message(1, 1, number, 0, *values))
 
-    def set_mode(self, main: int, sub: int = 0) -> None:
+    def set_mode(self, mode: Mode) -> None:
         """Request a PX4 mode."""
-        self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, main, sub)
+        self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, mode.main, mode.sub)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set a float parameter."""

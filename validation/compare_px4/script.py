@@ -9,11 +9,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from validation.compare_px4.pilot import Pilot
 from validation.compare_px4.reference import Flight
+from xtdrone_control.autopilot import modes
 
 _NAN = math.nan
 _UNSET = (_NAN, _NAN, _NAN)
-MAIN_AUTO, MAIN_OFFBOARD = 4, 6
-TAKEOFF, LOITER, MISSION, RTL, LAND = 2, 3, 4, 5, 6  # PX4's AUTO sub modes
 _SIDE = 20.0  # m, of the mission's square
 _MISSION_HEIGHT = 10.0  # m
 
@@ -59,14 +58,14 @@ class _Script:
         pilot.set_parameter("MIS_TAKEOFF_ALT", 5.0)
         pilot.look_ahead()
         pilot.begin("ready")
-        pilot.set_mode(MAIN_AUTO, LOITER)
+        pilot.set_mode(modes.AUTO_LOITER)
         pilot.run(1.0)
 
     def takeoff(self) -> None:
         pilot = self._pilot
         pilot.begin("takeoff")
         pilot.run(1.0)
-        pilot.set_mode(MAIN_AUTO, TAKEOFF)
+        pilot.set_mode(modes.AUTO_TAKEOFF)
         pilot.run(0.312)
         pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
         pilot.run(38.228)
@@ -75,7 +74,7 @@ class _Script:
         pilot = self._pilot
         pilot.begin("offb_pos")
         pilot.run(0.06)
-        pilot.set_mode(MAIN_OFFBOARD)
+        pilot.set_mode(modes.OFFBOARD)
         pilot.run(0.5)
         self._enter_offboard("")
         pilot.run(4.016)
@@ -97,7 +96,7 @@ class _Script:
         self._hold = (pilot.position[0], pilot.position[1], -5.0)
         pilot.setpoint = (self._hold, _UNSET, 0.0)
         pilot.run(2.0)
-        pilot.set_mode(MAIN_OFFBOARD)
+        pilot.set_mode(modes.OFFBOARD)
         if not phase:
             return
         pilot.run(4.0)
@@ -137,10 +136,10 @@ class _Script:
         pilot.run(2.052)
         pilot.note_setpoints_stopped()
         pilot.run(7.28)
-        pilot.set_mode(MAIN_AUTO, LOITER)
+        pilot.set_mode(modes.AUTO_LOITER)
         pilot.run(4.0)
         pilot.begin("land")
-        pilot.set_mode(MAIN_AUTO, LAND)
+        pilot.set_mode(modes.AUTO_LAND)
         pilot.run_until(lambda: not pilot.armed, 40.0)
         pilot.run(1.0)
 
@@ -158,7 +157,7 @@ class _Script:
             ]
         )
         pilot.begin("mission")
-        pilot.set_mode(MAIN_AUTO, MISSION)
+        pilot.set_mode(modes.AUTO_MISSION)
         pilot.run(1.316)
         pilot.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
         if pilot.run_until(lambda: any("Mission finished" in text for text in pilot.texts), 80.0):
@@ -171,6 +170,6 @@ class _Script:
         pilot.reposition(self._corner[0] + 30.0, self._corner[1] + 10.0, altitude)
         pilot.run(14.55)
         pilot.begin("rtl")
-        pilot.set_mode(MAIN_AUTO, RTL)
+        pilot.set_mode(modes.AUTO_RTL)
         pilot.run_until(lambda: not pilot.armed, 120.0)
         pilot.run(1.0)

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 
+from xtdrone_control.autopilot import modes
 from xtdrone_swarm.simplified.kernel import kernel
 from xtdrone_swarm.swarm_vehicles import ACCELERATION, VELOCITY
 
 OFFBOARD, LOITER, POSCTL, TAKEOFF, LAND, RTL = 0, 1, 2, 3, 4, 5
-MODE_NAMES = ("OFFBOARD", "AUTO.LOITER", "POSCTL", "AUTO.TAKEOFF", "AUTO.LAND", "AUTO.RTL")
+MODES = (modes.OFFBOARD, modes.AUTO_LOITER, modes.POSCTL, modes.AUTO_TAKEOFF, modes.AUTO_LAND, modes.AUTO_RTL)
+MODE_NAMES = tuple(mode.name for mode in MODES)
 NO_ARMING = (LAND, RTL)
 """Modes in which PX4 refuses to arm."""
 
