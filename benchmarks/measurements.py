@@ -33,8 +33,6 @@ _PARTICIPANTS = ("python", "cpp")
 _NO_PARTICIPANTS = "none"
 _STATIONS = 1  # ground stations of each vehicle
 _MOST_PER_UAV = 60  # vehicles; more are flown with a process per UAV only where that is chosen: 2 processes each
-_MESSAGES = ("PositionTarget", "PoseStamped", "Imu", "Odometry", "TFMessage", "ModelStates")
-_CODEC_METHODS = ("encode", "genpy_encode", "decode", "genpy_decode")
 
 Cases = Callable[[str, int, Sequence[str]], Iterator[Case]]
 """Yields the cases of a part (its name) for a number and for the modes of the formation."""

@@ -63,7 +63,7 @@ class Core:
 
 
 def free_port() -> int:
-    """Return a TCP port that nobody has."""
+    """Return an unused TCP port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

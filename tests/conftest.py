@@ -34,7 +34,7 @@ START_LIMIT = 200.0  # s; longest for a simulator to start, with kernels that ar
 _PORTS_LIMIT = 240.0  # s of wall time for another simulation on this machine to end
 _SLICE = 0.05  # s between looks at what sends no message: logs, processes
 _MASTERS_OWN = {"rosdistro", "roslaunch", "rosversion", "run_id"}  # parameters that roscore sets
-os.environ.pop("DISPLAY", None)  # no simulator opens its window on the screen of whoever runs the tests
+os.environ.pop("DISPLAY", None)  # no simulator opens its window on the tester's screen
 _TAG = "XTDRONE_TEST_STACK"  # environment variable by which a stack's processes are found
 
 
@@ -142,13 +142,13 @@ class Graph:
         return self._ears[topic]
 
     def say(self, topic: str, message: Any) -> None:
-        """Publish a message, once somebody listens."""
+        """Publish a message as soon as there is a subscriber."""
         import rospy
 
         if topic not in self._mouths:
             self._mouths[topic] = rospy.Publisher(topic, type(message), queue_size=100, tcp_nodelay=True)
         mouth = self._mouths[topic]
-        poll(mouth.get_num_connections, f"somebody subscribes to {topic}")
+        poll(mouth.get_num_connections, f"a subscriber of {topic}")
         mouth.publish(message)
 
     def call(self, service: str, kind: type, **fields: Any) -> Any:
@@ -297,7 +297,7 @@ class Stack:
             try:
                 if f"{_TAG}={self.tag}".encode() in (entry / "environ").read_bytes():
                     found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-            except OSError:  # it has ended, or is somebody else's
+            except OSError:  # it has ended, or belongs to another user
                 continue
         return found
 

@@ -470,7 +470,7 @@ def _protocol(frame: bytes) -> str:
 
 def main() -> int:
     """Be the wire."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever made it says when it ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # its creator ends it
     parser = argparse.ArgumentParser(description=main.__doc__)
     for name in ("delay", "jitter", "loss"):
         parser.add_argument(f"--{name}", type=float, required=True)

@@ -84,7 +84,7 @@ def without_master() -> dict[str, subprocess.Popen[str]]:
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_a_missing_master_is_named(without_master: dict[str, subprocess.Popen[str]], name: str) -> None:
+def test_a_missing_master_is_reported(without_master: dict[str, subprocess.Popen[str]], name: str) -> None:
     status, output = ended(without_master[name])
     assert status == 1, output
     assert "no ROS master" in output
@@ -105,7 +105,7 @@ def _taken(port: int) -> socket.socket:
         (24540, "mavros", "iris_0: UDP port 24540 cannot be bound"),
     ],
 )
-def test_a_taken_port_ends_the_launch(graph: Graph, tmp_path: Path, port: int, node_name: str, words: str) -> None:
+def test_an_occupied_port_ends_the_launch(graph: Graph, tmp_path: Path, port: int, node_name: str, words: str) -> None:
     wait_for_ports()
     stack = Stack(graph, tmp_path)
     try:
@@ -351,7 +351,7 @@ def refused(stack: Stack) -> dict[str, subprocess.Popen[str]]:
         ("pattern size", 2, ("pattern 'mine'", "size 2 x 3", "1 x 3")),
     ],
 )
-def test_a_bad_value_is_refused_beside_a_running_system(
+def test_a_bad_value_is_rejected_beside_a_running_system(
     stack: Stack, refused: dict[str, subprocess.Popen[str]], name: str, status: int, words: tuple[str, ...]
 ) -> None:
     code, output = ended(refused[name])
@@ -362,24 +362,24 @@ def test_a_bad_value_is_refused_beside_a_running_system(
     assert all(program.alive for program in stack.programs.values())
 
 
-def test_an_unknown_mode_is_refused_by_the_service(stack: Stack) -> None:
+def test_an_unknown_mode_is_rejected_by_the_service(stack: Stack) -> None:
     answer = stack.graph.call("/iris_0/mavros/set_mode", SetMode, custom_mode="OFFBORD")
     assert not answer.mode_sent
     stack.log_has("mavros", "mode 'OFFBORD' is not known; allowed are", "OFFBOARD", "AUTO.LAND")
 
 
-def test_an_unknown_command_is_refused_with_what_is_allowed(stack: Stack) -> None:
+def test_an_unknown_command_is_rejected_with_what_is_allowed(stack: Stack) -> None:
     stack.command(0, "FLY")
     stack.log_has("communication_0", "FLY refused by mavros/set_mode", "no command (ARM, DISARM, HOVER)", "AUTO.LAND")
 
 
-def test_a_mode_that_is_not_flown_here_is_refused(stack: Stack) -> None:
+def test_an_unsupported_mode_is_rejected(stack: Stack) -> None:
     stack.command(0, "AUTO.RTGS")
     stack.log_has("mavros", "iris_0: FCU: Unsupported auto mode", "the autopilot refused AUTO.RTGS, result 1")
     stack.wait_state(0, mode="AUTO.LOITER")
 
 
-def test_unknown_patterns_and_broken_steering_are_refused_by_the_leader(stack: Stack) -> None:
+def test_unknown_patterns_and_invalid_steering_are_rejected_by_the_leader(stack: Stack) -> None:
     stack.graph.say("/xtdrone/leader/cmd", String(data="star"))
     stack.log_has("leader", "'star' is no pattern of 2 vehicles (", "cube")
     for name in ("cloud:/etc/passwd", "cloud:/dev/zero", "text:A:font=/etc/shadow"):
@@ -392,7 +392,7 @@ def test_unknown_patterns_and_broken_steering_are_refused_by_the_leader(stack: S
     stack.log_has("communication_0", "cmd_vel_flu: linear.x is nan; message ignored")
 
 
-def test_arming_needs_a_stream_when_offboard_is_wanted(stack: Stack, gcs: Callable[[int], Gcs]) -> None:
+def test_arming_in_offboard_requires_a_setpoint_stream(stack: Stack, gcs: Callable[[int], Gcs]) -> None:
     """There is one here, so the same is asked of a mode that is not for arming, and why is told by an event alone."""
     station = gcs(1)
     assert station.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 6.0) == mavlink.MAV_RESULT_ACCEPTED  # AUTO.LAND
@@ -419,7 +419,7 @@ def test_unknown_commands_are_answered(stack: Stack, gcs: Callable[[int], Gcs]) 
 # ---- in flight
 
 
-def test_arming_twice_changes_nothing_and_disarming_in_the_air_is_refused(
+def test_arming_twice_changes_nothing_and_disarming_in_the_air_is_rejected(
     stack: Stack, flying: list[tuple[float, float, float]], gcs: Callable[[int], Gcs]
 ) -> None:
     station = gcs(0)
@@ -469,7 +469,7 @@ def _broken_topics() -> dict[str, tuple[Any, str, str]]:
     }  # fmt: skip
 
 
-def test_setpoints_that_are_no_numbers_are_refused_on_every_topic(
+def test_non_finite_setpoints_are_rejected_on_every_topic(
     stack: Stack, flying: list[tuple[float, float, float]]
 ) -> None:
     sizes = {name: len(program.output) for name, program in stack.programs.items()}
@@ -482,7 +482,7 @@ def test_setpoints_that_are_no_numbers_are_refused_on_every_topic(
 
 
 @pytest.mark.parametrize("port", [OFFBOARD_PORT, GCS_PORT], ids=["offboard", "ground-station"])
-def test_setpoints_that_are_no_numbers_are_refused_over_mavlink(
+def test_non_finite_setpoints_are_rejected_over_mavlink(
     stack: Stack, flying: list[tuple[float, float, float]], port: int
 ) -> None:
     size, told = (len(stack.programs[name].output) for name in ("simulator", "mavros"))

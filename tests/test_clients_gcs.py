@@ -72,7 +72,7 @@ def test_all_go_to_a_place_of_the_map(until):
     until(lambda states: all(state.mode == "AUTO.LOITER" for state in states), "loiter")
 
 
-def test_one_that_has_landed_refuses_and_the_others_go_on(until, capsys):
+def test_a_landed_vehicle_rejects_and_the_others_continue(until, capsys):
     assert main(["land", "--vehicle", VEHICLES[0]]) == 0  # the lowest: the others are above it
     until(lambda states: not states[0].armed, "landed")
     capsys.readouterr()
@@ -131,7 +131,7 @@ def flown(watched: bool) -> tuple[np.ndarray, int]:
     return np.array(rows), len(futures)
 
 
-def test_a_station_that_only_asks_changes_nothing_in_the_flight():
+def test_a_read_only_station_does_not_change_the_flight():
     alone, _ = flown(False)
     watched, asked = flown(True)
     assert alone[-1, 2] > 0.2  # in the air

@@ -124,7 +124,7 @@ def test_telemetry(client):
     assert client.until(telemetry.imu()).acceleration_frd.down_m_s2 == pytest.approx(-9.8, abs=0.5)
 
 
-def test_a_rate_can_be_asked_for(client):
+def test_a_rate_can_be_requested(client):
     client.run(client.drone.telemetry.set_rate_position_velocity_ned(30.0))
     client.run(client.drone.telemetry.set_rate_attitude_euler(50.0))
 
@@ -161,7 +161,7 @@ def test_metadata_of_events_and_parameters(client):
     assert parameters["MPC_XY_VEL_MAX"]["units"] == "m/s"
 
 
-def test_events_in_words(client):
+def test_events_as_text(client):
     """MAVSDK reads the definitions itself and puts our events into words by them."""
     events = client.drone.events
 
@@ -206,7 +206,7 @@ def test_take_off(client):
     assert position.relative_altitude_m < 5.5
 
 
-def test_disarming_in_the_air_is_refused(client):
+def test_disarming_in_the_air_is_rejected(client):
     with pytest.raises(ActionError, match="COMMAND_DENIED"):
         client.run(client.drone.action.disarm())
 
@@ -316,7 +316,7 @@ def test_return_and_land(client):
     near(client, 3.0, 0.0, 0.0, 0.7)
 
 
-def test_the_flights_log_comes_down(client, core, tmp_path):
+def test_the_flights_log_is_downloaded(client, core, tmp_path):
     pyulog = pytest.importorskip("pyulog")
     logs = client.drone.log_files
     entries = client.run(logs.get_entries())

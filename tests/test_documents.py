@@ -61,7 +61,7 @@ def test_a_dead_link_is_found(tmp_path: Path) -> None:
     assert dead_links(document) == ["c.png", "a.md#four"]
 
 
-def test_documents_name_commands_and_launch_files_that_there_are() -> None:
+def test_documents_name_existing_commands_and_launch_files() -> None:
     usage = subprocess.run([REPOSITORY / "xtdrone", "--help"], check=True, capture_output=True, text=True).stdout
     commands = set(re.findall(r"^  ([a-z][a-z0-9-]*)", usage, re.MULTILINE))
     wrong = [

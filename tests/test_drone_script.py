@@ -137,7 +137,7 @@ def test_three_vehicles_then_one_free_running_that_is_interrupted(graph: Graph, 
         ("connect('iris_0', timeout=1.0)", "no autopilot on /iris_0/mavros/state within 1 s; is its MAVROS running?"),
     ],
 )
-def test_what_cannot_be_connected_is_named(graph: Graph, tmp_path: Path, code: str, text: str) -> None:
+def test_connection_failures_are_reported(graph: Graph, tmp_path: Path, code: str, text: str) -> None:
     rosgraph.Master("/system_tests").setParam("/xtdrone/fleet", "iris:2")
     stack = Stack(graph, tmp_path)
     try:

@@ -70,7 +70,7 @@ def _processes_with(text: str) -> list[str]:
             command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
             if text in command or text.encode() in (entry / "environ").read_bytes():
                 found.append(command)
-        except OSError:  # it ended, or is somebody else's
+        except OSError:  # it has ended, or belongs to another user
             continue
     return found
 

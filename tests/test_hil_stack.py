@@ -120,7 +120,7 @@ def test_one_px4_is_killed_and_the_other_flies_on(stack):
     assert abs(stack.height(1) - HEIGHT) < 0.5
 
 
-def test_a_new_px4_takes_the_vehicle_over(stack):
+def test_a_new_px4_takes_over_the_vehicle(stack):
     start_px4(stack, 0)
     stack.wait(lambda: stack.state(0) is not None and not stack.state(0).armed, "the new PX4 is heard, disarmed")
     hears(stack, "iris_0's PX4 has connected")

@@ -210,7 +210,7 @@ def test_a_terminal_that_goes_ends_it_and_stops_the_vehicles(graph: Graph, sit: 
 
 
 def heard(topic: str) -> bool:
-    """Whether somebody's connection to the keyboard's topic has been made; it may say that nobody listens before."""
+    """Return whether a subscriber is connected to the keyboard's topic; before, the keyboard may report none."""
     uri = rosgraph.Master("/system_tests").lookupNode("/multirotor_keyboard_control")
     _, _, connections = xmlrpc.client.ServerProxy(uri).getBusInfo("/system_tests")
     return any(entry[2] == "o" and entry[4] == topic and entry[5] for entry in connections)
@@ -270,7 +270,7 @@ def test_a_dumb_terminal_gets_lines(sit: Callable[..., Seat]) -> None:
 
 
 @pytest.mark.timeout(2 * START_LIMIT)
-def test_a_master_that_goes_and_another_are_told(
+def test_a_lost_and_a_new_master_are_reported(
     graph: Graph, sit: Callable[..., Seat], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     port = free_port()
@@ -322,7 +322,7 @@ def test_without_a_terminal_nothing_is_done(graph: Graph) -> None:
         (["iris", "1", "vel"], {"ROS_MASTER_URI": "http://127.0.0.1:1"}, 1, "no ROS master"),
     ],
 )
-def test_what_cannot_be_run_says_why(
+def test_a_failed_start_has_a_reason(
     graph: Graph,
     monkeypatch: pytest.MonkeyPatch,
     arguments: list[str],

@@ -19,7 +19,7 @@ def launcher(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("name", ["my drones", "it's", "a$b", "a(b)", "a:b", "a\\b", "a[b", "a]b", 'a"b', "tab\there"])
-def test_a_path_that_the_build_cannot_take_is_refused_at_once(tmp_path: Path, name: str) -> None:
+def test_a_path_that_the_build_does_not_support_is_rejected_at_once(tmp_path: Path, name: str) -> None:
     run = launcher(tmp_path / name, "setup")
     assert run.returncode == 1
     assert str(tmp_path / name) in run.stderr
@@ -37,7 +37,7 @@ def test_a_path_that_the_build_cannot_take_is_refused_at_once(tmp_path: Path, na
         (["demo", "formaton"], ("'formaton'", "formation simplified search")),
     ],
 )
-def test_wrong_words_are_refused_with_what_is_allowed(
+def test_invalid_words_are_rejected_with_the_allowed_ones(
     tmp_path: Path, arguments: list[str], words: tuple[str, ...]
 ) -> None:
     run = launcher(tmp_path, *arguments)
@@ -60,7 +60,7 @@ def test_help_is_printed_without_a_set_up(tmp_path: Path, arguments: list[str]) 
     assert not (tmp_path / ".setup" / "logs").exists()
 
 
-def test_too_low_a_limit_of_memory_is_refused(tmp_path: Path) -> None:
+def test_too_low_a_limit_of_memory_is_rejected(tmp_path: Path) -> None:
     low = 'ulimit -v 300000; exec "$@"'
     run = subprocess.run(
         ["bash", "-c", low, "_", REPOSITORY / "xtdrone", "demo", "formation"],
@@ -70,7 +70,7 @@ def test_too_low_a_limit_of_memory_is_refused(tmp_path: Path) -> None:
     assert "ulimit -v, is 300000 kB; at least 500000 are needed" in run.stderr
 
 
-def test_folders_that_cannot_be_written_to_have_others_take_their_place() -> None:
+def test_unwritable_folders_are_replaced() -> None:
     run = subprocess.run(
         ["bash", "-c", 'source "$0/scripts/env.bash"; echo "${TMPDIR-unset} $XDG_CACHE_HOME"', REPOSITORY],
         env={"PATH": "/usr/bin:/bin", "HOME": "/proc/self", "TMPDIR": "/proc/no"}, capture_output=True, text=True,

@@ -62,7 +62,7 @@ def fly(graph: Graph, folder: Path, count: int, kills: dict[float, str]) -> list
 
 
 @pytest.mark.timeout(2 * FLIGHT_LIMIT + 60.0)
-def test_the_flight_goes_on_without_dead_nodes_and_is_the_same_again(graph: Graph, tmp_path: Path) -> None:
+def test_the_flight_continues_without_dead_nodes_and_is_repeatable(graph: Graph, tmp_path: Path) -> None:
     kills = {18.0: COMMUNICATION.format(3), 25.0: FOLLOWER.format(2)}
     first, second = (fly(graph, tmp_path / name, 4, kills) for name in ("first", "second"))
     assert first == second

@@ -173,7 +173,7 @@ def test_mavros_on_another_host_flies_on_when_datagrams_get_lost(tmp_path: Path)
     assert "dropped" not in launch.output
 
 
-def test_hosts_that_go_take_only_their_participants_along(tmp_path: Path) -> None:
+def test_a_lost_host_removes_only_its_participants(tmp_path: Path) -> None:
     """One is cut off, on the other all is killed: the flight goes on without them, and says so."""
     with Network(3) as net:
         site = Site(net, tmp_path)

@@ -103,7 +103,7 @@ def test_told_by_the_program_and_put_back_by_a_reset(stack: Stack) -> None:
     poll(lambda: places(states.last)["bob"][:2] == (-6.0, 0.0), "he is there")
     missing = stack.run("control_actor_7", "xtdrone_sim", "control_actor.py", "7", "0", "0", "1")
     assert missing.end() == 1
-    assert "nobody listens to /actor_7/cmd_motion: the world has no person 7" in missing.output
+    assert "no subscriber of /actor_7/cmd_motion: the world has no person 7" in missing.output
     stack.graph.say("/actor_0/cmd_motion", ActorMotion(math.nan, 0.0, 1.0))
     poll(
         lambda: "ann: x: nan is not allowed" in (stack.folder / "roslaunch.log").read_text(errors="replace"),

@@ -105,7 +105,7 @@ def stack(graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
         stack.stop()
 
 
-def test_vehicles_fly_on_a_mavros_that_takes_no_part(stack: Stack) -> None:
+def test_vehicles_fly_with_a_mavros_outside_the_lockstep(stack: Stack) -> None:
     """iris_0 with a communication node in lockstep, iris_1 with nodes that know of none."""
     graph = stack.graph
     own = ["__name:=mavros", "__ns:=/iris_0", "_lockstep:=false", "_fcu_url:=udp://:24540@127.0.0.1:34580"]

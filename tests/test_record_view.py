@@ -130,7 +130,7 @@ def film(made: tuple[Path, str]) -> Path:
     return made[0]
 
 
-def test_only_a_display_with_a_panel_of_its_own_is_left_out(made: tuple[Path, str]) -> None:
+def test_only_a_display_with_a_separate_panel_is_omitted(made: tuple[Path, str]) -> None:
     said = [line for line in made[1].splitlines() if line.startswith("rviz: ")]
     words = "display 'Front' of class rviz/Image has a panel of its own, beside the view; it is left out"
     assert said == [f"rviz: {words}"]
@@ -187,7 +187,7 @@ def test_nothing_is_left(film: Path) -> None:
         (["formation", "--", "--n", "3"], "'--n': options of a demo are for --demo only"),
     ],
 )
-def test_what_is_not_allowed_is_named(
+def test_invalid_values_are_reported(
     arguments: list[str],
     message: str,
     capfd: pytest.CaptureFixture[str],
@@ -215,7 +215,7 @@ def test_options_after_two_dashes_are_the_demos(monkeypatch: pytest.MonkeyPatch,
     assert (settings.view, settings.demo, settings.rate) == ("search", "formation", 15.0)
 
 
-def test_a_file_that_is_no_bag_is_named(tmp_path: Path) -> None:
+def test_a_file_other_than_a_bag_is_reported(tmp_path: Path) -> None:
     (tmp_path / "flight.bag").write_text("no bag", encoding="utf-8")
     done = record("formation", "--bag", tmp_path / "flight.bag")
     assert done.returncode == 1
@@ -223,7 +223,7 @@ def test_a_file_that_is_no_bag_is_named(tmp_path: Path) -> None:
     assert not (tmp_path / "formation.mp4").exists()
 
 
-def test_a_part_of_which_the_bag_has_nothing_is_named(bag: Path, tmp_path: Path) -> None:
+def test_an_interval_outside_the_bag_is_reported(bag: Path, tmp_path: Path) -> None:
     done = record("formation", "--bag", bag, "--from", 30, "--out", tmp_path / "film.mp4")
     assert done.returncode == 2
     assert "from, to: nothing of the flight is in that part; " in done.stderr
@@ -277,7 +277,7 @@ def test_launch_files_start_rviz_and_time_waits_for_its_nodes(
     assert yaml.safe_load(ask("--dump-params"))["/simulator/participants"] == count
 
 
-def test_rviz_without_a_screen_says_what_does_without(graph: Graph) -> None:
+def test_rviz_without_a_screen_suggests_record_view(graph: Graph) -> None:
     graph.forget_parameters()
     import roslib.packages
 
@@ -297,7 +297,7 @@ def test_rviz_without_a_screen_says_what_does_without(graph: Graph) -> None:
     assert "parameter /xtdrone/fleet is not set" in done.stderr
 
 
-def test_without_xvfb_the_message_says_what_to_install(bag: Path, tmp_path: Path) -> None:
+def test_without_xvfb_the_message_names_the_package(bag: Path, tmp_path: Path) -> None:
     (tmp_path / "ffmpeg").symlink_to(shutil.which("ffmpeg") or "")
     done = record("formation", "--bag", bag, "--out", tmp_path / "film.mp4", PATH=str(tmp_path))
     assert done.returncode == 1
@@ -333,7 +333,7 @@ def run_drawer(graph: Graph, config: Path, *arguments: str, **environment: str) 
     ],
     ids=["broken", "old", "something-else", "no-displays", "ros2"],
 )
-def test_a_configuration_that_cannot_be_used_is_named(graph: Graph, tmp_path: Path, text: str, message: str) -> None:
+def test_an_invalid_configuration_is_reported(graph: Graph, tmp_path: Path, text: str, message: str) -> None:
     config = tmp_path / "bad.rviz"
     config.write_text(text, encoding="utf-8")
     done = run_drawer(graph, config)
@@ -354,9 +354,7 @@ def test_a_configuration_that_cannot_be_used_is_named(graph: Graph, tmp_path: Pa
         ("_display:=:7797", 1, "~display: no X server answers at ':7797'"),
     ],
 )
-def test_a_parameter_that_is_not_allowed_is_named(
-    graph: Graph, view: Path, argument: str, status: int, message: str
-) -> None:
+def test_an_invalid_parameter_is_reported(graph: Graph, view: Path, argument: str, status: int, message: str) -> None:
     graph.forget_parameters()
     done = run_drawer(graph, view, argument)
     graph.forget_parameters()
@@ -364,7 +362,7 @@ def test_a_parameter_that_is_not_allowed_is_named(
     assert message in done.stderr
 
 
-def test_without_a_master_the_node_says_so() -> None:
+def test_without_a_master_the_node_reports_it() -> None:
     environment = {**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:1"}
     done = subprocess.run([drawer()], env=environment, capture_output=True, text=True, timeout=LIMIT, check=False)
     assert done.returncode == 1

@@ -45,7 +45,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
 
 
 def record(stack: Stack, folder: Path) -> Program:
-    """Film the flight into film.mp4 of a folder until somebody ends it, and wait until a frame has been drawn."""
+    """Film the flight into film.mp4 of a folder until it is ended, and wait until a frame has been drawn."""
     robots = [
         {
             "Class": "rviz/RobotModel",
@@ -142,7 +142,7 @@ def seen_at(pose: PoseStamped, camera: PoseStamped, info: CameraInfo) -> np.ndar
     return np.array([info.K[2] + info.K[0] * ray[0] / ray[2], info.K[5] + info.K[4] * ray[1] / ray[2]])
 
 
-def test_the_flight_goes_on_without_the_film(stack: Stack, tmp_path: Path) -> None:
+def test_the_flight_continues_without_the_film(stack: Stack, tmp_path: Path) -> None:
     def interrupt() -> None:
         stack.programs["record-view"].process.send_signal(signal.SIGINT)
 

@@ -25,7 +25,7 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
     stack.stop()
 
 
-def test_record_launch_records_what_its_profile_takes(stack: Stack, tmp_path: Path) -> None:
+def test_record_launch_records_the_topics_of_its_profile(stack: Stack, tmp_path: Path) -> None:
     out = tmp_path / "new folder" / "flight"
     recorder = stack.launch("record.launch", f"bag:={out}", "profile:=light", "split:=100")
     active = out.with_name("flight_0.bag.active")

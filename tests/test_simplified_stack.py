@@ -141,7 +141,7 @@ def scripted(count: int) -> np.ndarray:
         (["iris", "251"], "1 to 250"),
     ],
 )
-def test_bad_arguments_are_named(
+def test_invalid_arguments_are_reported(
     arguments: list[str], word: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["simplified_simulator", *arguments])
@@ -159,7 +159,7 @@ def test_bad_arguments_are_named(
         ("setpoint_timeout", -1.0, "setpoint_timeout"),
     ],
 )
-def test_bad_parameters_are_named(graph: Graph, name: str, value: Any, word: str) -> None:
+def test_invalid_parameters_are_reported(graph: Graph, name: str, value: Any, word: str) -> None:
     rospy.set_param(f"~{name}", value)
     try:
         with pytest.raises(ValueError, match=word):
@@ -273,7 +273,7 @@ def test_commands_of_free_riders_are_flown(stack: Stack) -> None:
     stack.wait_landed(1)
 
 
-def test_setpoints_go_before_commands_and_what_is_not_flown_is_named(stack: Stack) -> None:
+def test_setpoints_precede_commands_and_unsupported_ones_are_reported(stack: Stack) -> None:
     target = PositionTarget(coordinate_frame=PositionTarget.FRAME_LOCAL_OFFSET_NED, type_mask=0b100111111000)
     topic = "/iris_2/mavros/setpoint_raw/local"
     stack.graph.say(topic, target)
@@ -316,7 +316,7 @@ def _status() -> type:
     return GetStatus
 
 
-def test_a_second_one_is_refused_and_the_first_ends_well(stack: Stack) -> None:
+def test_a_second_one_is_rejected_and_the_first_completes(stack: Stack) -> None:
     second = stack.run("second", "xtdrone_swarm", "simplified_simulator", "iris", "3")
     assert second.end() == 1
     assert "a simulator is running" in second.output

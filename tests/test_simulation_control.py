@@ -164,7 +164,7 @@ def test_steps_to_a_time(stack: Stack) -> None:
     assert now(stack) == answer.sim_time.to_sec()
 
 
-def test_impossible_steps_are_refused(stack: Stack) -> None:
+def test_impossible_steps_are_rejected(stack: Stack) -> None:
     for goal, words in (
         ({"until": Time(0, 1)}, "until: 0.000 s is not allowed, the simulated time is 0.636 s"),
         ({"duration": Duration(-1, 0)}, "duration: -1 s is not allowed"),
@@ -217,7 +217,7 @@ def test_a_pause_holds_everything_and_everything_answers(stack: Stack) -> None:
     assert not [text for text in texts.since(said) if "ailsafe" in text.text]
 
 
-def test_gazebos_words_do_the_same(stack: Stack) -> None:
+def test_gazebos_services_do_the_same(stack: Stack) -> None:
     stack.graph.call("/gazebo/pause_physics", Empty)
     assert status(stack).paused
     assert stack.graph.call("/gazebo/get_physics_properties", GetPhysicsProperties).pause
@@ -228,7 +228,7 @@ def test_gazebos_words_do_the_same(stack: Stack) -> None:
     assert not status(stack).paused
 
 
-def test_the_status_tells_of_changes(stack: Stack) -> None:
+def test_the_status_reports_changes(stack: Stack) -> None:
     told = stack.graph.hear("/simulator/status", SimulationStatus)
     poll(lambda: told.last, "the status is latched")
     for change, value in ((pause, True), (resume, False)):
@@ -273,7 +273,7 @@ def test_physics_properties_set_the_speed(stack: Stack) -> None:
     assert status(stack).speed == 0.0
 
 
-def test_wrong_values_are_named(stack: Stack) -> None:
+def test_invalid_values_are_reported(stack: Stack) -> None:
     call = stack.graph.call
     for speed in (0.009, -1.0, float("nan"), float("inf")):
         answer = call("/simulator/set_speed", SetSpeed, speed=speed)
@@ -310,7 +310,7 @@ def test_a_participant_cannot_step_in_its_turn(stack: Stack) -> None:
     passes(stack)
 
 
-def test_who_holds_the_world_still_is_named(stack: Stack) -> None:
+def test_the_participant_that_holds_time_is_reported(stack: Stack) -> None:
     process = stack.programs["meddler"].process
     process.send_signal(signal.SIGSTOP)
     try:
@@ -349,7 +349,7 @@ def _second(stack: Stack, name: str) -> Program:
 
 
 @pytest.mark.parametrize("name", ["simulator", "another"])
-def test_a_second_simulator_is_refused(stack: Stack, name: str) -> None:
+def test_a_second_simulator_is_rejected(stack: Stack, name: str) -> None:
     second = _second(stack, name)
     assert second.end() == 1
     assert f"a simulator is running on the ROS master {stack.graph.uri} already" in second.output
@@ -358,7 +358,7 @@ def test_a_second_simulator_is_refused(stack: Stack, name: str) -> None:
     assert set(status(stack).participants) == NAMES
 
 
-def test_a_simulator_with_the_name_of_another_node_is_refused(stack: Stack) -> None:
+def test_a_simulator_with_the_name_of_another_node_is_rejected(stack: Stack) -> None:
     import rospy
 
     uri = rospy.get_param("/lockstep/uri")
@@ -444,7 +444,7 @@ def test_the_command_line(stack: Stack) -> None:
     passes(stack)
 
 
-def test_the_command_line_refuses(stack: Stack) -> None:
+def test_the_command_line_rejects(stack: Stack) -> None:
     late = sim(stack, "step", "--until", "0.001")
     assert (late.returncode, late.stdout) == (1, "")
     assert "until: 0.001 s is not allowed" in late.stderr

@@ -118,7 +118,7 @@ def test_nothing_of_it_is_left_running(soaked: tuple[Path, int, str]) -> None:
     assert _left(soaked[0]) == []
 
 
-def test_a_soak_that_is_stopped_reports_what_was_done(tmp_path: Path) -> None:
+def test_a_stopped_soak_reports_its_progress(tmp_path: Path) -> None:
     out = tmp_path / "stopped"
     soak = _start(out, "--hours", "1")
     samples = out / "samples.csv"

@@ -452,7 +452,7 @@ def test_a_dead_part_ends_the_launch_and_leaves_nothing(stack: Stack, graph: Gra
     launch.end()
     assert "REQUIRED process [mavros" in launch.output
     assert "exit code -9" in launch.output
-    assert "SIGKILL" not in launch.output  # nobody else had to be forced
+    assert "SIGKILL" not in launch.output  # no other node was killed
     assert communication.end() == 0
     assert "the simulation has ended" in communication.output
     assert stack.processes() == {}

@@ -56,7 +56,7 @@ def test_setpoint_position_global_takes_it_there(legs: dict[str, Leg]) -> None:
     assert legs["global"][1] == pytest.approx([0.0, 6.0, 2.5], abs=2 * PLACE)
 
 
-def test_global_to_local_takes_it_there(legs: dict[str, Leg]) -> None:
+def test_global_to_local_sends_it_there(legs: dict[str, Leg]) -> None:
     assert legs["global to local"][1] == pytest.approx([2.0, 4.0, 2.5], abs=PLACE)
 
 

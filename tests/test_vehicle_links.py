@@ -53,7 +53,7 @@ def test_the_scene_is_told_at_exact_times(stack: Stack) -> None:
     assert last.poses[last.links.index(CAMERA)].position.z == pytest.approx(height - 0.122, abs=0.02)
 
 
-def test_link_states_have_what_gazebo_s_have(stack: Stack) -> None:
+def test_link_states_have_gazebos_entries(stack: Stack) -> None:
     heard = stack.graph.hear("/gazebo/link_states", LinkStates)
     states = stack.wait(lambda: heard.last, "link_states come")
     assert states.name[0] == "ground_plane::link"

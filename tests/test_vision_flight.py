@@ -49,7 +49,7 @@ def _simulator_is_up() -> bool:
     return bool(rosgraph.Master("/system_tests").hasParam("/lockstep/uri"))
 
 
-def test_it_takes_off_and_holds_its_place_by_vision(stack: Stack) -> None:
+def test_it_takes_off_and_holds_position_by_vision(stack: Stack) -> None:
     place = stack.fly(0, 3.0)
     assert stack.graph.call("/iris_0/mavros/param/get", ParamGet, param_id="EKF2_GPS_CTRL").value.integer == 0
     local = stack.graph.hear("/iris_0/mavros/local_position/pose", PoseStamped)
@@ -60,7 +60,7 @@ def test_it_takes_off_and_holds_its_place_by_vision(stack: Stack) -> None:
     assert stack.state(0).mode == "OFFBOARD"
 
 
-def test_without_vision_it_comes_down(stack: Stack) -> None:
+def test_without_vision_it_descends(stack: Stack) -> None:
     """The estimate ends some seconds after the last pose; the vehicle comes down by itself."""
     stack.programs["vision"].kill()
     stack.wait(lambda: stack.state(0).mode != "OFFBOARD", "it notices", sim=20.0)

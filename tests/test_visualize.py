@@ -184,7 +184,7 @@ def window_is_shown(display: str) -> bool:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_the_simulator_has_a_window_where_there_is_a_display_and_ends_it(
+def test_the_simulator_opens_a_window_on_a_display_and_closes_it(
     stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     monkeypatch.setenv("DISPLAY", display)
@@ -205,9 +205,7 @@ def test_closing_the_window_ends_nothing_else(stack: Stack, display: str, monkey
     stack.pass_time(1.0)
 
 
-def test_no_window_where_none_is_wanted_or_there_is_no_display(
-    stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_window_without_a_request_or_a_display(stack: Stack, display: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     node = start_simulator(stack, "_speed:=0")
     assert window_processes(stack) == []
@@ -265,7 +263,7 @@ def test_a_formation_flight_with_a_film(stack: Stack, tmp_path: Path) -> None:
         (["iris", "3", "_trails:=-1"], 2, "~trails: -1 is not allowed"),
     ],
 )
-def test_what_cannot_be_is_said(
+def test_impossible_values_are_reported(
     stack: Stack, monkeypatch: pytest.MonkeyPatch, arguments: list[str], status: int, words: str
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)

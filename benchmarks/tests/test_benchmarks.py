@@ -84,7 +84,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--json", "/nowhere/my results.json"], "has a space in it"),
     ],
 )
-def test_bad_values_are_named(
+def test_invalid_values_are_reported(
     arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
@@ -264,7 +264,7 @@ def test_formation_figures() -> None:
     }
 
 
-def test_missing_event_is_named() -> None:
+def test_missing_event_is_reported() -> None:
     with pytest.raises(runner.BenchError, match="no 'done' among start, phase, armed"):
         flights.formation_figures(FORMATION[:3], 1000.0)
 
@@ -609,7 +609,7 @@ def test_trial_that_broke_the_flight_off_is_one() -> None:
         free_running.new_trials(events[:1])
 
 
-def test_comparison_goes_on_after_a_flight_that_broke_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_comparison_continues_after_an_aborted_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flights: list[dict[str, Any]] = []
 
     def fly(
@@ -841,7 +841,7 @@ def test_tables_of_drawing_and_sweep() -> None:
     assert report.short_result("drawing", drawing) == "45.2 pictures a second"
 
 
-def test_drawing_and_sweep_give_their_benchmarks_what_was_chosen(
+def test_drawing_and_sweep_pass_the_options_to_their_benchmarks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
@@ -866,7 +866,7 @@ def test_drawing_and_sweep_give_their_benchmarks_what_was_chosen(
     ]
 
 
-def test_calm_machine_gets_no_note() -> None:
+def test_idle_machine_has_no_note() -> None:
     text = _printed({"machine": {"load_before": [0.4, 1.0, 1.0]}, "core": [_core_row(1, 90.0)]})
     assert "Note" not in text
     assert "90.00 x" in text

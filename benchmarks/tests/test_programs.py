@@ -25,7 +25,7 @@ def test_a_picture_of_640_by_360_fits_into_each_input():
     assert [detector.input_height(width) for width in (320, 416, 640)] == [192, 256, 384]
 
 
-def test_the_detector_is_measured_at_the_size_asked_for(tmp_path: Path):
+def test_the_detector_is_measured_at_the_requested_size(tmp_path: Path):
     write_darknet(tmp_path, width=640, height=384, anchors=[(8, 12)], classes=1,
                   weights=np.zeros((6, 3)), biases=np.zeros(6))  # fmt: skip
     (tmp_path / "tiny.names").write_text("human\n")

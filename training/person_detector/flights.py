@@ -248,7 +248,7 @@ def print_tables(flights: list[dict[str, Any]]) -> None:
         boxes = sum(probability >= threshold for flight in flights for probability in flight["boxes"])
         print(f"| {threshold:g} | {boxes / minutes:.2f} |")
     wrong = [look for look in looks if not look["right"]]
-    print(f"\n{len(looks)} second looks, {len(wrong)} of them where nobody is\n")
+    print(f"\n{len(looks)} second looks, {len(wrong)} of them without a person\n")
     print("| mean probability of the look | false finds | a minute | people found |\n|---|---|---|---|")
     for least in np.arange(0.50, 0.86, 0.05):
         false = sum(look["sure"] and look["mean"] >= least for look in wrong)

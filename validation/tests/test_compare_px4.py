@@ -79,26 +79,26 @@ def test_events_are_compared_by_order_and_time():
     assert [m.within for m in events.compare(theirs, more, "takeoff")] == [True, True, True, False]
 
 
-def test_what_a_heartbeat_shows_may_have_happened_in_the_second_before():
+def test_changes_in_a_heartbeat_may_be_one_second_older():
     theirs = recording((1.0, "ack", "176 0"), (1.9, "mode", "157 33816576 4"))
     for time, within in ((1.0, True), (1.9, True), (2.05, True), (2.2, False)):
         ours = recording((1.0, "ack", "176 0"), (time, "mode", "157 33816576 4"))
         assert events.compare(theirs, ours, "takeoff")[1].within is within
 
 
-def test_needed_flights_come_first():
+def test_required_flights_come_first():
     assert script.needed(("yaw_step",)) == ("takeoff", "yaw_step")
     assert script.needed(("rtl",)) == ("mission", "rtl")
 
 
-def test_report_counts_what_is_outside():
+def test_report_counts_values_outside():
     text = report("iris", [metrics.Figure("yaw step", "90 % reached", "s", 1.0, 2.0, 0.15)], [])
     assert "1 outside" in text
     assert "OUTSIDE" in text
 
 
 @pytest.mark.parametrize("arguments", [["--vehicle", "no_such"], ["--flights", "loop"]])
-def test_bad_values_are_named(arguments, capsys):
+def test_invalid_values_are_reported(arguments, capsys):
     try:
         status = cli.main(["compare-px4", *arguments])
     except SystemExit as stop:

@@ -82,14 +82,14 @@ def test_nothing_compared_is_not_the_same(tmp_path: Path) -> None:
     assert not compare(nothing, nothing, LATE).same
 
 
-def test_a_line_that_was_cut_short_is_left_out(tmp_path: Path) -> None:
+def test_a_truncated_line_is_skipped(tmp_path: Path) -> None:
     path = flight(tmp_path / "a")
     path.write_text(path.read_text() + '{"time": 3000000, "na')
     assert read_digests(path).end == 2 * SECOND
 
 
 @pytest.mark.parametrize("text", ["not json\n", '{"time": 1}\n', "[]\n"])
-def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
+def test_other_files_are_rejected(tmp_path: Path, text: str) -> None:
     (tmp_path / "x").write_text(text)
     with pytest.raises(DigestError, match="x"):
         read_digests(tmp_path / "x")
@@ -101,7 +101,7 @@ def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
     ("options", "word"),
     [(["--until", "-1"], "until"), (["--n", "1"], "--n"), (["--seed", "x"], "seed"), (["--out", "a b"], "space")],
 )
-def test_bad_values_are_named(options: list[str], word: str, capsys: Any) -> None:
+def test_invalid_values_are_reported(options: list[str], word: str, capsys: Any) -> None:
     try:
         status: Any = cli.main(["replay-check", *options])
     except SystemExit as ended:  # argparse
@@ -121,7 +121,7 @@ def test_the_short_form_is_short() -> None:
     assert 0.0 < settings.until <= 20.0
 
 
-def test_a_used_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_a_used_folder_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.setattr(replay_check.options, "check_vehicle_ports", lambda fleet: None)
     (tmp_path / "digest.jsonl").touch()
     assert cli.main(["replay-check", "--short", "--out", str(tmp_path)]) == 2

@@ -82,7 +82,7 @@ def test_the_short_script_has_every_kind_of_event():
         assert {event.arguments["what"] for event in events if event.action == "reset"} == {"simulation", "world"}
 
 
-def test_missions_take_off_fly_their_places_and_land():
+def test_missions_take_off_fly_their_waypoints_and_land():
     plan = mission({"places": [[10.0, 0.0], [0.0, 20.0]], "height": 7.0, "rounds": 3})
     assert [item.command for item in plan.mission] == [22, 16, 16, 177, 21]
     assert plan.mission[3].params[:2] == (1.0, 3.0)
@@ -120,14 +120,14 @@ def test_a_flat_noisy_series_is_flat():
     assert found.low < 0.0 < found.high
 
 
-def test_growth_within_its_allowance_is_flat_and_what_noise_explains_too():
+def test_growth_within_allowance_or_noise_is_flat():
     assert growth(*series(1.0, 0.1), allowance=2.0, warm_up=0.5).verdict == "flat"
     hours, values = series(0.0, 100.0, samples=9)
     values[-1] += 400.0
     assert growth(hours, values, allowance=0.0, warm_up=0.0).verdict == "flat"
 
 
-def test_what_grows_in_the_warm_up_alone_is_flat():
+def test_growth_during_the_warm_up_is_flat():
     hours, values = series(0.0, 1.0)
     values = [value - 100.0 * max(0.0, 0.5 - hour) for hour, value in zip(hours, values, strict=True)]
     assert growth(hours, values, allowance=0.5, warm_up=0.5).verdict == "flat"
@@ -279,7 +279,7 @@ def test_warnings_are_counted_by_kind_and_tracebacks_found(tmp_path: Path):
     assert logs.tracebacks[0].endswith("ValueError: no")
 
 
-def test_kinds_of_warnings_forget_what_varies():
+def test_kinds_of_warnings_ignore_varying_parts():
     assert kind_of("WARN", "/soak_12_follower_3", "iris_4: -0.5 m") == "WARN /soak_follower: iris_#: # m"
 
 

@@ -104,7 +104,7 @@ class Bench:
         self.link.close()
 
     def take(self, *topics: str) -> None:
-        """Let somebody subscribe to these topics."""
+        """Add a subscriber to these topics."""
         for topic in topics:
             self.ros.publishers[f"/iris_0/mavros/{topic}"].connections = 1
         self.uas.refresh()

@@ -42,7 +42,7 @@ def test_arguments_beyond_their_range_are_cut_and_their_number_must_be_right():
         event("no_such_event", events.INFO, 0)
 
 
-def test_arming_and_disarming_are_told_twice():
+def test_arming_and_disarming_are_announced_as_text_and_event():
     flight = Flight()
     taken(flight)
     flight.commander.texts.clear()
@@ -58,7 +58,7 @@ def test_arming_and_disarming_are_told_twice():
     ]
 
 
-def test_a_refused_mode_names_it():
+def test_a_rejected_mode_is_named():
     flight = Flight()
     flight.commander.arm_disarm(True)
     flight.place(0.0, 0.0, -5.0)
@@ -73,7 +73,7 @@ def test_a_refused_mode_names_it():
     assert not flight.commander.texts, "at most one a second"
 
 
-def test_checks_are_told_when_they_change_and_at_most_every_two_seconds():
+def test_checks_are_reported_on_change_at_most_every_two_seconds():
     flight = Flight()
     flight.run(3.0)
     taken(flight)

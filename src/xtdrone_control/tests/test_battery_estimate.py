@@ -114,7 +114,7 @@ def test_without_the_supply_check_any_battery_will_do():
     assert flight.commander.arm_disarm(True) is Result.ACCEPTED
 
 
-def test_a_warning_never_gets_better_in_flight():
+def test_a_warning_never_improves_in_flight():
     flight = Flight()
     cells = flight.parameters.get("BAT1_N_CELLS")
     flight.run(3.0)

@@ -40,7 +40,7 @@ def sparse(path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("bounded")
-def test_a_large_file_is_refused_by_its_size(tmp_path: Path) -> None:
+def test_a_large_file_is_rejected_by_its_size(tmp_path: Path) -> None:
     file = sparse(tmp_path / "large")
     with pytest.raises(OSError, match=r"it has 1024.0 MB, at most 4 MB are allowed"):
         read_text(file)
@@ -51,7 +51,7 @@ def test_a_large_file_is_refused_by_its_size(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("bounded")
 @pytest.mark.parametrize("kind", ["device", "pipe", "link"])
-def test_what_is_no_regular_file_is_refused_without_being_opened(tmp_path: Path, kind: str) -> None:
+def test_special_files_are_rejected_without_opening_them(tmp_path: Path, kind: str) -> None:
     path = tmp_path / kind
     if kind == "pipe":
         os.mkfifo(path)
@@ -63,7 +63,7 @@ def test_what_is_no_regular_file_is_refused_without_being_opened(tmp_path: Path,
         read_bytes(path, MB)
 
 
-def test_a_folder_and_a_missing_file_are_what_they_are(tmp_path: Path) -> None:
+def test_folders_and_missing_files_are_distinguished(tmp_path: Path) -> None:
     with pytest.raises(IsADirectoryError, match="Is a directory"):
         read_bytes(tmp_path, MB)
     with pytest.raises(FileNotFoundError):
@@ -109,13 +109,13 @@ def test_aliases_are_read_as_yaml_reads_them(text: str) -> None:
         ("!!python/object:os.system x", "^line 1, column 1: could not determine a constructor"),
     ],
 )
-def test_yaml_that_is_not_allowed_is_named_in_one_line(text: str, words: str) -> None:
+def test_invalid_yaml_is_reported_in_one_line(text: str, words: str) -> None:
     with pytest.raises(ContentError, match=words) as caught:
         load_yaml(text)
     assert "\n" not in str(caught.value)
 
 
-def test_many_values_are_refused_before_they_are_built(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_values_are_rejected_before_construction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded_file, "MOST_VALUES", 1000)
     with pytest.raises(ContentError, match="more than 1000 values"):
         load_yaml("[" + "1, " * 1001)  # its end is never looked at
@@ -131,7 +131,7 @@ def test_many_values_are_refused_before_they_are_built(monkeypatch: pytest.Monke
         ('{"a": 1', "Expecting"),
     ],
 )
-def test_json_that_is_not_allowed_is_named(text: str, words: str) -> None:
+def test_invalid_json_is_reported(text: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         load_json(text)
     with pytest.raises(qgc_plan.PlanError, match=f"plan: is no JSON: .*{words}"):

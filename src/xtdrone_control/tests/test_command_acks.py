@@ -48,7 +48,7 @@ def test_zero_parameters_disarmed(number, name, result, texts):
     assert (found_result, [text.rstrip("\t") for text in found_texts]) == (result, texts), name
 
 
-def test_what_is_answered_otherwise_is_in_the_reference():
+def test_deviating_answers_are_in_the_reference():
     reference = {number: (result, texts) for number, _, result, texts in _reference()}
     for number, (result, texts, why) in _OTHERWISE.items():
         assert reference[number] != (result, texts)
@@ -72,12 +72,12 @@ def served():
 
 
 @pytest.mark.parametrize(("system", "component"), [(0, 1), (0, 0), (SYSTEM, 100), (SYSTEM + 1, 1)])
-def test_commands_to_others_are_passed_over_without_a_word(served, system, component):
+def test_commands_to_other_systems_are_ignored_silently(served, system, component):
     assert not served.ask(command_long(401, system=system, component=component))
     assert served.ask(command_long(401, component=0)), "all components include the autopilot"
 
 
-def test_questions_who_is_there_may_go_to_all_systems(served):
+def test_discovery_requests_may_be_broadcast(served):
     for number, name in ((519, "PROTOCOL_VERSION"), (520, "AUTOPILOT_VERSION")):
         served.ask(command_long(number, system=0))
         assert [found for found, _ in served.link.sent] == [name, "COMMAND_ACK"]
@@ -139,7 +139,7 @@ def test_actuators_are_set(served):
     assert served.commander.navigator.payload.actuators[:3] == [0.5, 0.0, -1.0]
 
 
-def test_landing_starts_where_the_mission_says(served):
+def test_landing_starts_at_the_missions_land_start(served):
     home = served.commander.home
     items = [
         PlanItem(number, 6, (0.0, 0.0, 0.0, math.nan), home.latitude, home.longitude, 10.0)
@@ -171,7 +171,7 @@ def test_versions(served):
     assert served.ask(command_long(512, 259))[0].result == 2, "no camera"
 
 
-def test_flights_are_told(served):
+def test_flights_are_announced(served):
     served.ask(command_long(528))
     assert (served.link.sent[0][1].arming_time_utc, served.link.sent[0][1].flight_uuid) == (0, 0)
     assert served.command(400, 1)[0] == 0

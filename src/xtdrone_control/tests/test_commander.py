@@ -40,7 +40,7 @@ def fly_offboard(flight):
     flight.texts()
 
 
-def test_heartbeat_words_are_px4s(flight):
+def test_heartbeat_fields_are_px4s(flight):
     c = flight.commander
     assert (c.base_mode, c.custom_mode, c.system_status) == (29, 50593792, 3)
     c.arm_disarm(True)
@@ -63,7 +63,7 @@ def test_disarmed_every_mode_can_be_chosen(flight):
         (3 << 16 | 1 << 24, []),  # orbit
     ],
 )
-def test_modes_that_are_refused(flight, custom_mode, texts):
+def test_rejected_modes(flight, custom_mode, texts):
     assert flight.commander.set_mode(1, custom_mode) is Result.TEMPORARILY_REJECTED
     assert flight.texts() == texts
     assert flight.commander.mode is modes.AUTO_LOITER
@@ -135,7 +135,7 @@ def test_arming_twice_is_accepted(flight):
     assert flight.commander.arm_disarm(True) is Result.ACCEPTED
 
 
-def test_arming_again_in_the_air_asks_for_no_checks_for_five_seconds(flight):
+def test_rearming_in_the_air_skips_checks_for_five_seconds(flight):
     fly_offboard(flight)
     flight.commander.arm_disarm(False, force=True)
     flight.run(1.5)  # the setpoints are too old for OFFBOARD
@@ -207,7 +207,7 @@ def test_disarms_when_unused(flight):
     assert not flight.commander.armed
 
 
-def test_armed_loiter_stays_on_the_ground(flight):
+def test_armed_loiter_remains_on_the_ground(flight):
     flight.commander.arm_disarm(True)
     flight.run(1.0)
     assert flight.setpoint["task"] == TASK_IDLE
@@ -314,7 +314,7 @@ def test_offboard_loss_sinks_as_px4_does_and_disarms(flight):
     assert (c.mode, c.system_status) == (modes.OFFBOARD, 3)
 
 
-def test_offboard_comes_back_with_its_stream(flight):
+def test_offboard_returns_with_its_stream(flight):
     fly_offboard(flight)
     flight.run(1.2)
     flight.run(0.1, flight.hover)
@@ -360,7 +360,7 @@ def test_offboard_without_a_position_falls_back_to_altitude_control_and_recovers
     assert not flight.commander.failsafe
     flight.run(0.3, flight.hover)
     assert flight.commander.mode is modes.ALTCTL
-    assert flight.setpoint["task"] == TASK_DESCEND, "nobody steers"
+    assert flight.setpoint["task"] == TASK_DESCEND, "no manual control"
     assert flight.commander.request(modes.AUTO_LOITER) is Result.TEMPORARILY_REJECTED
     assert flight.setpoint["task"] == TASK_DESCEND
     flight.autopilot.estimator["position_valid"] = 1
@@ -393,7 +393,7 @@ def test_attitude_flight_needs_no_position(flight):
     assert not flight.commander.failsafe
 
 
-def test_ground_station_loss_is_told(flight):
+def test_ground_station_loss_is_announced(flight):
     fly_offboard(flight)
     flight.commander.gcs_heartbeat()
     flight.run(10.2, flight.hover)
@@ -404,7 +404,7 @@ def test_ground_station_loss_is_told(flight):
     assert flight.texts() == ["GCS connection regained"]
 
 
-def test_ground_station_loss_returns_when_told_to():
+def test_ground_station_loss_returns_if_configured():
     flight = Flight(NAV_DLL_ACT=2)
     assert flight.commander.arm_disarm(True) is Result.TEMPORARILY_REJECTED, "without a ground station"
     flight.commander.gcs_heartbeat()
@@ -460,7 +460,7 @@ def test_sticks_allow_arming_in_posctl(flight):
     assert flight.setpoint["task"] == TASK_STICKS
 
 
-def test_warnings_come_once_a_second(flight):
+def test_warnings_are_logged_once_a_second(flight):
     flight.run(1.0, lambda: flight.commander.warn("no"))
     assert flight.texts() == ["no"]
     flight.run(0.1, lambda: flight.commander.warn("no"))

@@ -107,7 +107,7 @@ def test_before_any_input_holds_still_then_the_present_pose(core: MultirotorCore
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e39])
 @pytest.mark.parametrize("kind", ["pose", "velocity", "acceleration"])
-def test_refuses_what_no_vehicle_can_fly(core: MultirotorCore, log: Recorder, kind: str, bad: float) -> None:
+def test_rejects_plans_that_no_vehicle_can_fly(core: MultirotorCore, log: Recorder, kind: str, bad: float) -> None:
     send(core, kind, False, (1.0, 1.0, 1.0), 0.1)
     before = core.tick(0.0)
     send(core, kind, False, (1.0, bad, 1.0), 0.1)
@@ -224,7 +224,7 @@ def test_mission_label_is_kept(core: MultirotorCore) -> None:
     assert request.arm is None
 
 
-def test_unknown_mode_goes_out_as_it_is_and_its_refusal_lists_the_allowed(core: MultirotorCore, log: Recorder) -> None:
+def test_unknown_mode_is_sent_unchanged_and_its_rejection_lists_modes(core: MultirotorCore, log: Recorder) -> None:
     request = core.on_command("OFBOARD", 0.0)
     assert request is not None
     assert (request.service, request.command) == ("mavros/set_mode", "OFBOARD")
@@ -249,7 +249,7 @@ def test_repeated_command_is_ignored_while_its_state_holds(core: MultirotorCore)
     assert core.on_command("OFFBOARD", 100.0) is None
 
 
-def test_repeated_command_is_sent_again_after_a_refusal(core: MultirotorCore) -> None:
+def test_repeated_command_is_sent_again_after_a_rejection(core: MultirotorCore) -> None:
     request = core.on_command("OFFBOARD", 0.0)
     assert core.on_command("OFFBOARD", 0.1) is None, "the answer is still to come"
     core.on_result(request, False, "", 0.2)

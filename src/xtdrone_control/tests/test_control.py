@@ -83,12 +83,12 @@ def test_rotor_counts_are_limited(count):
         control_allocator.mixing_matrix(np.ones((count, 3)), np.ones(count))
 
 
-def test_uncontrollable_rotors_are_refused():
+def test_uncontrollable_rotors_are_rejected():
     with pytest.raises(ValueError, match="cannot control all four axes"):
         control_allocator.mixing_matrix(IRIS, np.zeros(4))
 
 
-def test_hover_gives_level_attitude_and_hover_thrust(parts):
+def test_hover_results_in_level_attitude_and_hover_thrust(parts):
     c, e, p = parts
     clear(c)
     c["sp_position"] = 0.0
@@ -175,7 +175,7 @@ def test_an_octocopter_keeps_all_axes_without_a_rotor():
 
 
 @pytest.mark.parametrize("rotor", range(4))
-def test_a_quadrotor_without_a_rotor_gives_up_yaw_and_stays_level(rotor):
+def test_a_quadrotor_without_a_rotor_gives_up_yaw_and_remains_level(rotor):
     control = allocate((0.0, 0.0, 0.3), 0.4, failed=1 << rotor)
     assert control["actuators"][rotor] == 0.0
     roll, pitch, _, thrust = produced(control)
@@ -184,7 +184,7 @@ def test_a_quadrotor_without_a_rotor_gives_up_yaw_and_stays_level(rotor):
     assert abs(pitch) < 0.02 * thrust
 
 
-def test_saturation_flags_tell_what_is_missing():
+def test_saturation_flags_name_the_unallocated_axes():
     control = allocate((0.0, 0.0, -2.0), 0.5)
     assert control["saturation_neg"].tolist() == [0, 0, 1]
     assert control["saturation_pos"].tolist() == [0, 0, 0]

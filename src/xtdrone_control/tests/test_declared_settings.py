@@ -246,14 +246,14 @@ def test_values_within_limits_are_returned_as_numbers(value: float) -> None:
 
 
 @pytest.mark.parametrize("value", [-0.1, 2.1, math.nan, math.inf, True, "1", None])
-def test_other_values_are_named_with_what_is_allowed(value: object) -> None:
+def test_invalid_values_are_reported_with_the_allowed_ones(value: object) -> None:
     with pytest.raises(ValueError, match=r"^speed: .* is not allowed, 0 to 2 m/s$"):
         check_range("speed", value, 0.0, 2.0, "m/s")
     with pytest.raises(ValueError, match=r"^seed: -1 is not allowed, at least 0$"):
         check_range("seed", -1, 0)
 
 
-def test_a_choice_names_what_there_is() -> None:
+def test_a_choice_lists_the_available_values() -> None:
     assert check_choice("law", "vel", ("vel", "accel")) == "vel"
     with pytest.raises(ValueError, match=r"^law: 'pos' is not allowed, vel or accel$"):
         check_choice("law", "pos", ("vel", "accel"))

@@ -141,14 +141,14 @@ def test_a_rejection_carries_the_autopilots_text(autopilot: Autopilot, drone: Dr
     assert (found.value.vehicle, found.value.verb) == ("iris_0", "arm")
 
 
-def test_a_mode_that_does_not_come_is_a_rejection(autopilot: Autopilot, drone: Drone) -> None:
+def test_a_missing_mode_change_is_a_rejection(autopilot: Autopilot, drone: Drone) -> None:
     drone.arm()
     autopilot.rejections["OFFBOARD"] = ("", "No offboard signal")
     with pytest.raises(RejectedError, match=r"takeoff: the mode stays AUTO.LOITER, not OFFBOARD: No offboard signal"):
         drone.takeoff(2.0)
 
 
-def test_a_time_out_says_how_far_it_is(autopilot: Autopilot, drone: Drone) -> None:
+def test_a_timeout_reports_the_remaining_distance(autopilot: Autopilot, drone: Drone) -> None:
     drone.arm()
     began = autopilot.time
     with pytest.raises(TimedOutError, match=r"go_to: 1[0-9]\.\d m from the goal after 4 s"):
@@ -156,7 +156,7 @@ def test_a_time_out_says_how_far_it_is(autopilot: Autopilot, drone: Drone) -> No
     assert autopilot.time - began == pytest.approx(4.0, abs=2 * TURN)
 
 
-def test_an_answer_that_never_comes_times_out(autopilot: Autopilot, drone: Drone) -> None:
+def test_a_missing_answer_times_out(autopilot: Autopilot, drone: Drone) -> None:
     autopilot.deaf = True
     with pytest.raises(TimedOutError, match="arm: no answer from MAVROS within 15 s"):
         drone.arm()

@@ -103,7 +103,7 @@ class Flight:
         )
 
 
-def test_converges_on_a_circle_and_learns_the_gyro_bias():
+def test_converges_on_a_circle_and_estimates_the_gyro_bias():
     flight = Flight()
     flight.run(60.0)
     position, velocity, attitude = flight.errors()

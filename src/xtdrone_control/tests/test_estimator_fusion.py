@@ -156,7 +156,7 @@ def test_heading_update_reads_its_parameters():
     assert e["time_heading_fuse_us"][0] == 5
 
 
-def test_resets_count_and_tell_what_they_changed():
+def test_resets_count_and_publish_their_deltas():
     e = estimate()
     e["located"] = e["altitude_valid"] = 1
     fusion.reset_position(e[0], 10.0, -10.0, 0.25)

@@ -50,7 +50,7 @@ def test_events_go_to_everybody_at_the_next_look(served):
     assert not events(served.run(1.0)), "each once"
 
 
-def test_the_latest_number_comes_every_three_seconds(served):
+def test_the_latest_sequence_is_sent_every_three_seconds(served):
     found = [(t, m) for t, name, m in served.run(20.0) if name == "CURRENT_EVENT_SEQUENCE"]
     assert len(found) == 7, "as the reference had it"
     assert {m.flags for _, m in found} == {1}, "nothing has happened yet"
@@ -59,7 +59,7 @@ def test_the_latest_number_comes_every_three_seconds(served):
     assert (last.sequence, last.flags) == (_FIRST, 0)
 
 
-def test_missed_events_are_told_again(served):
+def test_missed_events_are_sent_again(served):
     happen(served, 15)
     served.run(0.1)
     assert request(served, _FIRST + 3, _FIRST + 3) == [("EVENT", _FIRST + 3)]
@@ -68,7 +68,7 @@ def test_missed_events_are_told_again(served):
     assert 0 in wrapped
 
 
-def test_what_is_gone_is_said_so(served):
+def test_requests_for_expired_events_are_answered_with_an_error(served):
     happen(served, 30)
     served.run(0.1)
     oldest = (_FIRST + 10) & 0xFFFF

@@ -107,7 +107,7 @@ def test_modes_that_need_no_manual_control(mode, bit):
     assert worst(mode, flags, getter(COM_RCL_EXCEPT=7 & ~bit)) == Action.RETURN
 
 
-def test_manual_control_that_was_never_there_is_not_missed():
+def test_manual_control_that_never_existed_is_not_lost():
     assert worst(modes.AUTO_LOITER, Flags(manual_lost=True), getter(), manual_needed=False) == Action.NONE
     assert worst(modes.AUTO_LOITER, Flags(manual_lost=True), getter(COM_RC_IN_MODE=4)) == Action.NONE
 
@@ -239,7 +239,7 @@ def test_more_that_is_wrong_is_never_answered_by_less(mode, flags, more, paramet
 
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(MODES, SOME_FLAGS, SETTINGS, st.booleans())
-def test_what_is_flown_can_be_flown(mode, flags, parameters, sticks):
+def test_every_flown_plan_is_feasible(mode, flags, parameters, sticks):
     course = Course(mode, **parameters)
     for _ in range(3):
         outcome = course.step(flags, sticks=sticks)
@@ -309,7 +309,7 @@ def test_a_delayed_failsafe_ends_only_with_a_mode_change():
     assert course.failsafe.outcome.action is Action.NONE
 
 
-def test_a_mode_change_takes_over_from_a_failsafe_that_still_holds():
+def test_a_mode_change_overrides_a_failsafe_in_its_hold_delay():
     course = Course(modes.AUTO_MISSION, NAV_DLL_ACT=2)
     lost = Flags(gcs_lost=True)
     course.run(6.0, lost)
@@ -351,7 +351,7 @@ def test_a_landing_vehicle_does_not_climb_to_return():
     assert (outcome.mode, outcome.action) == (modes.AUTO_LAND, Action.WARN)
 
 
-def test_a_condition_that_comes_and_goes_acts_at_last():
+def test_an_intermittent_condition_acts_eventually():
     """Three quarters of a second lost in every second: the delay shrinks faster than it grows again."""
     course = Course(modes.POSCTL, NAV_RCL_ACT=3)
     for flags in itertools.islice(itertools.cycle([Flags(manual_lost=True)] * 8 + [Flags()] * 2), 120):

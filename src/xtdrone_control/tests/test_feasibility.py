@@ -66,7 +66,7 @@ def test_a_waypoint_below_home_is_only_warned_of():
     assert flight.commander.navigator.mission_denial() == ""
 
 
-def test_things_to_do_may_come_before_the_takeoff():
+def test_commands_may_precede_the_takeoff():
     flight = MissionFlight()
     flight.load(do(plan.CHANGE_SPEED, 1, 3), do(plan.GIMBAL_PITCHYAW, -45, 0), TAKEOFF, GOOD)
     assert flight.commander.navigator.mission_denial() == ""

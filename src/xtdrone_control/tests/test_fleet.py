@@ -33,6 +33,6 @@ def test_instance_0_has_upstreams_ports_and_ids_are_the_same_in_all() -> None:
 
 
 @pytest.mark.parametrize("value", [-1, 8, "x", "", True, 1.5])
-def test_an_instance_that_there_is_not_is_named(value: object) -> None:
+def test_an_invalid_instance_is_reported(value: object) -> None:
     with pytest.raises(FleetError, match="is not allowed, a whole number from 0 to 7"):
         check_instance(value)

@@ -123,7 +123,7 @@ class Following(Flight):
         (2.0, {"FLW_TGT_ALT_M": 2, "FLW_TGT_DST": -3.0}, -9.5),  # no nearer than 1 m
     ],
 )
-def test_place_beside_the_target(speed, parameters, z):
+def test_position_beside_the_target(speed, parameters, z):
     """Distance, height and angle in closed form, for a target 1.5 m over home that stands or moves to the south-east.
 
     The filter has no error behind a constant velocity; what is left of the start after 20 s is below 1 mm: the slowest
@@ -185,7 +185,7 @@ def test_the_setpoint_has_no_steps(found, distance, angle, speed):
     assert (off <= changed * DT + (speed * DT) ** 2 / distance + 1e-9).all()
 
 
-def test_without_a_target_it_stops_and_with_a_lost_one_it_stays_beside_it():
+def test_without_a_target_it_stops_and_with_a_lost_one_it_holds_position():
     flight = Following()
     flight.commander.request(modes.AUTO_FOLLOW_TARGET)
     position, velocity, _ = flight.step()
@@ -213,7 +213,7 @@ def test_near_the_ground_it_climbs_and_far_from_its_height_it_goes_nowhere_else(
     assert np.isnan(velocity).all()
 
 
-def test_it_is_refused_without_a_position_and_cannot_be_armed_in():
+def test_it_is_rejected_without_a_position_and_prevents_arming():
     flight = Flight()
     assert flight.commander.request(modes.AUTO_FOLLOW_TARGET) is Result.ACCEPTED  # disarmed every mode can be chosen
     assert (flight.commander.base_mode, flight.commander.custom_mode) == (17, 4 << 16 | 8 << 24)
@@ -230,7 +230,7 @@ def test_it_is_refused_without_a_position_and_cannot_be_armed_in():
     assert flight.texts() == ["Switching to AUTO_FOLLOW_TARGET is currently not available"]
 
 
-def test_without_a_home_it_stays_where_it_is_until_there_is_one():
+def test_without_a_home_it_holds_position_until_one_is_set():
     flight = Following()
     navigator = flight.commander.navigator
     home, navigator.home = navigator.home, None

@@ -110,6 +110,6 @@ def test_items_make_areas():
         [fence_item(plan.FENCE_INCLUSION, 0, 0, 3), *(fence_item(plan.FENCE_EXCLUSION, x, 1, 3) for x in range(2))],
     ],
 )
-def test_what_makes_no_area_is_left_out_with_a_warning(items, caplog):
+def test_degenerate_areas_are_skipped_with_a_warning(items, caplog):
     assert geofence.build(items[:2], plane).areas == ()
     assert "skipped" in caplog.text

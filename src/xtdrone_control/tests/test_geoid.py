@@ -26,7 +26,7 @@ def test_it_is_that_of_the_model(latitude, longitude, height):
     assert undulation(latitude, longitude) == pytest.approx(height, abs=0.05)
 
 
-def test_at_px4s_home_it_is_what_mavros_adds():
+def test_at_px4s_home_the_offset_is_that_of_mavros():
     assert undulation(47.397742, 8.545594) == pytest.approx(47.3, abs=0.1)
 
 
@@ -50,6 +50,6 @@ def test_the_poles_are_one_place_each(pole, height):
 
 
 @pytest.mark.parametrize("place", [(90.1, 0.0), (float("nan"), 0.0), (0.0, float("inf"))])
-def test_no_place_is_refused(place):
+def test_no_position_is_rejected(place):
     with pytest.raises(ValueError, match="not allowed"):
         undulation(*place)

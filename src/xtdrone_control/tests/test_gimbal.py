@@ -84,7 +84,7 @@ def test_a_place_is_looked_at_wherever_the_vehicle_is(flight, gimbal):
     assert gimbal.angles == approx(0.0, -math.pi / 4, behind)
 
 
-def test_what_is_not_finite_leaves_it_where_it_is(gimbal):
+def test_non_finite_commands_do_not_move_it(gimbal):
     gimbal.look((0.0, DOWN, 0.0))
     gimbal.look((math.inf, -math.inf, NAN), rates=(math.inf, NAN))
     gimbal.look_at((0.0, NAN, 0.0))
@@ -95,7 +95,7 @@ def test_what_is_not_finite_leaves_it_where_it_is(gimbal):
 # MAVLink
 
 
-def test_without_a_gimbal_nothing_is_acknowledged_and_nothing_told():
+def test_without_a_gimbal_commands_and_telemetry_are_absent():
     served = Served()
     for command in (204, 205, 1000, 1001):
         assert served.command(command) == (None, [])
@@ -121,7 +121,7 @@ def set_pitch_yaw(pitch, flags=0):
     return mavlink.MAVLink_gimbal_manager_set_pitchyaw_message(SYSTEM, 1, flags, 0, pitch, 0.2, NAN, NAN)
 
 
-def test_only_who_has_control_steers(served):
+def test_only_the_client_in_control_steers(served):
     payload = served.commander.navigator.payload
     assert served.command(1000, -30.0, 10.0, NAN, NAN)[0] == 2
     served.ask(set_pitch_yaw(-0.3))
@@ -146,7 +146,7 @@ def test_only_who_has_control_steers(served):
 
 
 @pytest.mark.parametrize("wrong", [(300.0, 1.0), (NAN, 1.0), (0.0, 0.0), (1.0, -5.0), (1e30, 1e30)])
-def test_control_stays_where_it_is_when_the_request_means_nothing(wrong):
+def test_an_invalid_request_does_not_change_control(wrong):
     gimbal = GimbalManager(Flight().commander.view)
     gimbal.configure(GCS, (-2.0, 0.0, *wrong))
     assert (gimbal.primary, gimbal.secondary) == (GCS, (0, 0))
@@ -212,7 +212,7 @@ def test_mavros_sends_the_command(bench):
     assert bench.received() == []
 
 
-def test_mavros_tells_the_orientation(bench):
+def test_mavros_publishes_the_orientation(bench):
     bench.uas.set_connected(True)
     bench.received()
     bench.take("mount_control/orientation")

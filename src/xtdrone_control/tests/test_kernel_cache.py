@@ -64,7 +64,7 @@ def half(x):
 
 
 @pytest.mark.parametrize(("place", "times"), [("", 1), ("/proc/nowhere", 2)])
-def test_what_is_compiled_is_told_of_and_kept_where_it_can_be(tmp_path, monkeypatch, place, times):
+def test_compilation_is_announced_and_cached_where_possible(tmp_path, monkeypatch, place, times):
     monkeypatch.setenv("XDG_CACHE_HOME", place or str(tmp_path))
     told = []
     announcer = kernel.Announcer(told.append, lambda name, seconds: told.append((name, seconds >= 0.0)))

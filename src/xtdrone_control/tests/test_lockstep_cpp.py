@@ -282,7 +282,7 @@ def test_killed_node_is_dropped_and_may_rejoin(graph: MixedGraph, server: Lockst
         assert [t for t in from_b if t >= 700_000] == [t for t in turns if 700_000 <= t < last]
 
 
-def test_second_node_of_a_name_is_refused_and_the_first_lives_on(graph: MixedGraph, server: LockstepServer) -> None:
+def test_second_node_of_a_name_is_rejected_and_the_first_continues(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("participant", "a", "50", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     first = graph.processes["a"]
@@ -301,7 +301,7 @@ def test_second_node_of_a_name_is_refused_and_the_first_lives_on(graph: MixedGra
     assert first.poll() is None
 
 
-def test_other_protocol_version_is_refused_with_the_reason(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_protocol_version_is_rejected_with_the_reason(graph: MixedGraph, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("xtdrone_control.lockstep.server.frames.VERSION", 99)
     server = LockstepServer()
     graph.set_param("/lockstep/uri", server.uri)
@@ -464,7 +464,7 @@ def test_reset_hook_runs_before_callbacks(graph: MixedGraph, server: LockstepSer
     assert {int(line[0]) for line in lines[reset + 1 :]} == set(due_times(50.0, 200_000)[1:])
 
 
-def test_reset_is_noticed_by_an_earlier_node(graph: MixedGraph, server: LockstepServer) -> None:
+def test_reset_is_detected_by_an_earlier_node(graph: MixedGraph, server: LockstepServer) -> None:
     graph.start_cpp("reader", "a", "50")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     server.tick(20_000)
@@ -487,7 +487,7 @@ def test_reset_ends_a_sleep_and_a_failing_hook_ends_nothing(graph: MixedGraph, s
     assert graph.transcript("a") == ["0 reset", "0 awake"]
 
 
-def test_clock_jump_back_is_noticed_without_lockstep(graph: MixedGraph) -> None:
+def test_clock_jump_back_is_detected_without_lockstep(graph: MixedGraph) -> None:
     graph.set_param("/use_sim_time", True)
     clock = graph.start("rewinder", "clock")
     graph.start_cpp("sleeper", "a", "50")
@@ -664,7 +664,7 @@ def test_missing_master_is_reported(graph: MixedGraph) -> None:
 
 
 @pytest.mark.parametrize("program", ["lockstep_idle", "lockstep_idle.py"])
-def test_idle_participant_takes_every_turn(graph: MixedGraph, server: LockstepServer, program: str) -> None:
+def test_idle_participant_gets_every_turn(graph: MixedGraph, server: LockstepServer, program: str) -> None:
     path = Path(str(NODE)).with_name(program)
     graph.processes["idle"] = graph._popen("idle", [str(path), "idle_1", "125"])
     assert server.wait_for(["/idle_1"], timeout=PATIENCE)

@@ -582,7 +582,7 @@ def test_others_continue_after_a_kill_and_the_node_may_rejoin(graph: Graph, serv
     assert {t for t in from_b if t >= 800_000} == {t for t in turns if 800_000 <= t < last}
 
 
-def test_taken_name_is_refused_before_ros_shuts_down_its_owner(graph: Graph, server: LockstepServer) -> None:
+def test_duplicate_name_is_rejected_before_ros_shuts_down_its_owner(graph: Graph, server: LockstepServer) -> None:
     graph.start("participant", "a", "0", "a")
     assert server.wait_for(["/a"], timeout=PATIENCE)
     now = run(server, 100_000)

@@ -355,7 +355,7 @@ def test_start_waits_for_connections_between_declared_topics(server):
     assert a.peers == [{"made": [], "lost": [], "counted": [1], "uncounted": []}]
 
 
-def test_connection_never_made_is_given_up_with_a_warning(log):
+def test_a_connection_that_is_never_made_times_out_with_a_warning(log):
     server = LockstepServer(connect_limit=0.2, log=log)
     _a = FakeParticipant(server, "/a", publications=[["/x", "T"]])
     _b = FakeParticipant(server, "/b", subscriptions=[["/x", "T"]])
@@ -381,7 +381,7 @@ def test_type_mismatch_is_reported_and_not_waited_for(server, log):
         ({"name": "/a"}, "taken", "the name /a is taken by a participant connected from 127.0.0.1"),
     ],
 )
-def test_refusal_gives_the_reason(server, change, code, text):
+def test_rejection_has_the_reason(server, change, code, text):
     a = FakeParticipant(server, "/a")
     joined(server, a)
     content = {"name": "/b", "rate": 30.0, **change}
@@ -876,7 +876,7 @@ class Reserving(Stranger):
         self.send_object(Kind.RESERVE, {"version": protocol.VERSION, "name": name, **content})
 
 
-def test_reserved_name_is_taken_until_its_owner_joins_or_disconnects(server, log):
+def test_reserved_name_is_held_until_its_owner_joins_or_disconnects(server, log):
     first, second = Reserving(server, "/a"), Reserving(server, "/a")
     answered(server, first, second)
     first.expect(Kind.WELCOME)

@@ -54,7 +54,7 @@ def finish(made: TCPROSTransport) -> socket.socket:
     return publisher
 
 
-def test_second_connection_is_refused_while_the_first_is_being_made(subscriber: BufferingSubscriber) -> None:
+def test_second_connection_is_rejected_while_the_first_is_being_made(subscriber: BufferingSubscriber) -> None:
     assert subscriber.add_connection(connection())
     assert not subscriber.add_connection(connection())
     assert subscriber.add_connection(connection("http://other:1"))

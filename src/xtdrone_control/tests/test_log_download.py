@@ -109,7 +109,7 @@ def test_download_is_the_file(tmp_path, loss):
     world.close()
 
 
-def test_parts_and_what_is_not_there(world):
+def test_parts_and_missing_entries(world):
     world.log_list()
     whole = world.files[0].read_bytes()
     for offset, count, sizes in ((4950, 90, [50]), (4950, 5000, [50]), (100, 200, [90, 90, 20]), (5000, 90, [0])):
@@ -210,7 +210,7 @@ def test_ftp_lists_the_tree(client):
     assert client.one(3, _LOGS, offset=2) == (_NAK, bytes([6]))
 
 
-def test_ftp_lists_what_fits(client, world):
+def test_ftp_lists_entries_that_fit(client, world):
     for minute in range(60):
         (world.folder.root / f"2020-01-02/11_{minute:02d}_00.ulg").write_bytes(b"x" * minute)
     names, offset = [], 0
@@ -312,7 +312,7 @@ def test_ftp_writes_nothing(client, world):
     assert sorted(str(p) for p in world.folder.root.rglob("*")) == before
 
 
-def test_ftp_takes_anything(client, world):
+def test_ftp_handles_any_request(client, world):
     source = random.Random(1)
     for _ in range(500):
         payload = source.randbytes(251)
@@ -326,7 +326,7 @@ def test_ftp_takes_anything(client, world):
 
 
 def test_pymavlinks_ftp_client(world, tmp_path):
-    """Somebody else's client lists the logs and gets one, while simulated time goes on beside it."""
+    """A foreign client lists and downloads logs while simulated time advances."""
     done = threading.Event()
 
     def fly():
@@ -360,14 +360,14 @@ def test_pymavlinks_ftp_client(world, tmp_path):
         flying.join()
 
 
-def test_version_tells_of_ftp(world):
+def test_version_has_the_ftp_capability(world):
     world.client.receive()
     _, answers = world.command(520, 1)
     (version,) = named(answers, "AUTOPILOT_VERSION")
     assert version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_FTP
 
 
-def test_commands_are_told_to_the_logger(world):
+def test_commands_are_passed_to_the_logger(world):
     told = []
     world.commander.on_command = lambda *what: told.append(what)
     world.client.receive()

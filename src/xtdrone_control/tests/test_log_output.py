@@ -28,6 +28,6 @@ def status(survive: bool) -> int:
         return subprocess.run(program, stdout=full, stderr=full, timeout=60.0, check=False).returncode
 
 
-def test_a_node_goes_on_when_its_log_cannot_be_written():
+def test_a_node_continues_when_its_log_cannot_be_written():
     assert status(survive=False) != 0, "rospy's handler raises"
     assert status(survive=True) == 0

@@ -50,7 +50,7 @@ def test_sources(mode, radio, joystick):
         assert (manual.sticks is not None) is expected
 
 
-def test_the_other_source_takes_over_or_not():
+def test_the_other_source_takes_over_if_allowed():
     for mode, other in ((2, True), (3, False)):
         manual = pilot(COM_RC_IN_MODE=mode, **MAPPED)
         manual.radio(channels(*MIDDLE), 1_000_000)
@@ -98,7 +98,7 @@ def test_reversed_channel_and_other_ends():
     assert manual.sticks == (0.0, -1.0, 0.0, 0.0)
 
 
-def test_a_radio_without_a_stick_is_none():
+def test_a_radio_without_a_stick_is_invalid():
     manual = pilot(COM_RC_IN_MODE=0, RC_MAP_ROLL=1, RC_MAP_PITCH=2, RC_MAP_YAW=4)
     manual.radio(channels(*MIDDLE), 1_000_000)
     manual.update(1_000_000)
@@ -119,7 +119,7 @@ def test_a_radio_without_a_stick_is_none():
         ([1500] * 8 + [0, 1500] + [UNUSED] * 8, 10),
     ],
 )
-def test_channels_left_out(pulses, count):
+def test_channels_omitted(pulses, count):
     assert channel_count(pulses) == count
 
 
@@ -174,7 +174,7 @@ class Piloted:
         self.flight.texts()
 
 
-def test_a_pilot_who_comes_first_gets_position_control():
+def test_the_first_pilot_gets_position_control():
     piloted = Piloted()
     piloted.run(0.2)
     assert piloted.commander.mode is modes.POSCTL

@@ -83,7 +83,7 @@ def test_intervals_are_a_clients_own(world, clients):
     assert counts == [100, 2, 100, 100]
 
 
-def test_answers_go_to_whoever_asked_and_texts_to_all(world, clients):
+def test_replies_go_to_the_sender_and_texts_to_all(world, clients):
     (ack,) = named(world.ask(mavlink.MAVLink_command_long_message(_SYSTEM, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0),
                              client=clients[2]), "COMMAND_ACK")  # fmt: skip
     assert (ack.result, ack.target_system, ack.target_component) == (0, 252, 190)
@@ -94,7 +94,7 @@ def test_answers_go_to_whoever_asked_and_texts_to_all(world, clients):
         assert [m.text for m in named(client.receive(), "STATUSTEXT")] == ["Armed by external command\t"]
 
 
-def test_a_client_that_is_silent_is_forgotten_and_may_come_back(world, clients, monkeypatch):
+def test_a_silent_client_is_dropped_and_may_reconnect(world, clients, monkeypatch):
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
     for client in clients:
@@ -111,18 +111,18 @@ def test_a_client_that_is_silent_is_forgotten_and_may_come_back(world, clients, 
     assert named(clients[3].receive(), "ATTITUDE")
 
 
-def test_what_is_sent_to_a_forgotten_client_goes_nowhere(world, clients):
+def test_messages_to_a_dropped_client_are_discarded(world, clients):
     link = world.server.ports[1].links[3]
     link.close()
     clients[3].receive()
     for _ in range(1000):
-        link.send_text(6, "nobody hears this")
+        link.send_text(6, "no client receives this")
     link.flush(world.autopilot.time_us)
     assert link.waiting == 0
     assert not clients[3].receive()
 
 
-def test_a_strangers_ports_take_no_slot_from_the_living_and_no_memory(world, clients, caplog):
+def test_unknown_ports_use_no_slot_of_clients_and_no_memory(world, clients, caplog):
     port = world.server.ports[1]
     strangers = [Client(0, world.fleet[0].gcs_local_port) for _ in range(200)]
     for stranger in strangers:
@@ -153,7 +153,7 @@ def test_clients_of_all_ports_share_one_room():
     world.close()
 
 
-def test_room_for_all_ports_comes_back_while_time_stands(monkeypatch):
+def test_all_ports_recover_while_time_is_paused(monkeypatch):
     """Stations that have left every other port's room full keep a newcomer out for 5 s of wall time at most."""
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
@@ -167,7 +167,7 @@ def test_room_for_all_ports_comes_back_while_time_stands(monkeypatch):
     world.close()
 
 
-def test_stations_may_come_and_go_while_time_stands(world, monkeypatch):
+def test_stations_may_connect_and_disconnect_while_time_is_paused(world, monkeypatch):
     wall = [0.0]
     monkeypatch.setattr("xtdrone_control.mavlink.link.time.monotonic", lambda: wall[0])
     port = world.server.ports[1]
@@ -257,7 +257,7 @@ _FLOOD = 40  # frames a step: 10,000 a second
     ("offboard", "offboard_remote_port", 1), ("offboard", "", 1), ("payload", "payload_remote_port", 1),
     ("gcs", "gcs", 1), ("gcs", "", 4),
 ])  # fmt: skip
-def test_frames_that_are_acted_on_in_a_step_are_bounded_whoever_sends_them(world, acted, kind, link, own, count):
+def test_frames_handled_in_a_step_are_bounded_for_every_sender(world, acted, kind, link, own, count):
     vehicle = world.fleet[0]
     world.client.socket.close()
     source = GCS_REMOTE_PORT if own == "gcs" else getattr(vehicle, own, 0)
@@ -274,7 +274,7 @@ def test_frames_that_are_acted_on_in_a_step_are_bounded_whoever_sends_them(world
     flooder.close()
 
 
-def test_a_client_that_asks_little_is_answered_at_once_in_a_flood(world, clients):
+def test_a_modest_client_is_answered_at_once_during_a_flood(world, clients):
     flooders = [Flooder(0, port, 3) for port in (world.fleet[0].gcs_local_port, world.fleet[0].offboard_local_port)]
     world.server.receive()
     for step in range(_STEPS):
@@ -305,7 +305,7 @@ def test_a_transfer_in_small_steps_loses_nothing_at_full_speed(world):
     station.socket.close()
 
 
-def test_what_is_too_much_at_once_is_answered_later(world, clients, caplog):
+def test_excess_requests_are_answered_later(world, clients, caplog):
     flooder, stranger = clients[1], Client(0, world.fleet[0].gcs_local_port)
     for client in (flooder, stranger):
         for _ in range(150):  # a socket's buffer holds no more than some hundred
@@ -358,7 +358,7 @@ class TestParticipants:
         world.server.release_setpoints()
         assert select.select([world.server], [], [], 0.0)[0], "after the tick everybody is heard"
 
-    def test_a_full_buffer_of_others_takes_no_room_from_them(self, world, flooder, acted):
+    def test_a_full_buffer_of_one_client_leaves_the_others_theirs(self, world, flooder, acted):
         participant = world.client.socket.getsockname()
         world.server.reserve({participant[1]: {"127.0.0.1"}})
         flooder.send(bytes(1000), 5000)
@@ -366,7 +366,7 @@ class TestParticipants:
         assert world.server.receive() < 5000
         assert acted.count(participant) == 1
 
-    def test_what_came_before_and_what_comes_after_keeps_its_order(self, world):
+    def test_earlier_and_later_messages_keep_their_order(self, world):
         numbers = []
         port = world.client.socket.getsockname()[1]
         vehicle = world.server._vehicles[0]
@@ -386,7 +386,7 @@ class TestParticipants:
             with pytest.raises(OSError, match="in use"):
                 other.bind(("127.0.0.1", port.local_port))
 
-    def test_others_are_heard_in_a_long_tick(self, world, flooder, acted, monkeypatch):
+    def test_other_clients_are_served_in_a_long_tick(self, world, flooder, acted, monkeypatch):
         self.exhaust(world, flooder)
         wall = time.monotonic() + 1.0
         monkeypatch.setattr("xtdrone_control.mavlink.server.time.monotonic", lambda: wall)
@@ -461,7 +461,7 @@ class TestVersion1:
         world.close()
 
     @pytest.mark.parametrize("name", ["SET_ATTITUDE_TARGET", "MANUAL_CONTROL"])
-    def test_extension_fields_are_zero_in_what_comes(self, name):
+    def test_extension_fields_of_received_frames_are_zero(self, name):
         cls = MESSAGES[MESSAGE_ID[name]]
         size = version_1_dialect.mavlink_map[cls.id].unpacker.size
         frame = as_version_1(Format(name).frame(bytes(range(1, size + 1)), 0, 7, 8))
@@ -470,7 +470,7 @@ class TestVersion1:
             value = getattr(message, field)
             assert (value in (0, 0.0, [0.0] * 3, (0.0,) * 3)) == (field in _EXTENSIONS), field
 
-    def test_extension_fields_and_large_ids_stay_away(self):
+    def test_extension_fields_and_large_ids_are_omitted(self):
         parser = mavlink.MAVLink(None)
         values = (-1, -1, 0, *[7] * 10, -1, 0, 1, 1, 100, 0, 1, 9, 9, 9, 9, 3, 5)
         status = Format("BATTERY_STATUS")
@@ -482,7 +482,7 @@ class TestVersion1:
         assert as_version_1(origin.frame(b"\0", 0, 1, 1)) is None
 
 
-def test_a_signed_frame_is_taken_as_an_unsigned_one(world):
+def test_a_signed_frame_is_accepted_like_an_unsigned_one(world):
     client = Client(0, world.fleet[0].gcs_local_port)
     client.mav.signing.secret_key = b"k" * 32
     client.mav.signing.sign_outgoing = True
@@ -494,7 +494,7 @@ def test_a_signed_frame_is_taken_as_an_unsigned_one(world):
     client.socket.close()
 
 
-def test_no_socket_stays_open(world):
+def test_no_socket_remains_open(world):
     ports = [port.local_port for port in world.server.ports]
     world.server.close()
     for number in ports:
@@ -502,7 +502,7 @@ def test_no_socket_stays_open(world):
             probe.bind(("127.0.0.1", number))
 
 
-def test_a_key_for_signing_is_refused_with_one_text(world):
+def test_a_key_for_signing_is_rejected_with_one_text(world):
     setup = mavlink.MAVLink_setup_signing_message(_SYSTEM, 1, list(range(32)), 7)
     world.ask(setup)
     world.ask(setup)

@@ -87,7 +87,7 @@ def test_decoder_agrees_with_pymavlink(name, packer):
             assert (list(value) if isinstance(value, tuple) else value) == getattr(expected, field)
 
 
-def test_zeros_that_mavlink_2_cuts_come_back(packer):
+def test_zeros_truncated_by_mavlink_2_are_restored(packer):
     frame = bytes(mavlink.MAVLink_local_position_ned_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0).pack(packer))
     assert len(frame) < 20
     assert codec.decoder("LOCAL_POSITION_NED")(frame) == (0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -100,7 +100,7 @@ def test_mavlink_1_frames_are_decoded(packer):
     assert codec.decoder("LOCAL_POSITION_NED")(cut).y == 2.0
 
 
-def test_split_gives_every_frame_with_its_sender(packer):
+def test_split_returns_every_frame_with_its_sender(packer):
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 29, 0, 3, 3)
     datagram = b"".join(bytes(m.pack(packer)) for m in (heartbeat, LOCAL_POSITION, heartbeat))
     parts = list(codec.split(datagram))
@@ -132,7 +132,7 @@ def test_a_flipped_bit_is_found(packer):
         (lambda f: f[:5], "begins no MAVLink frame"),
     ],
 )
-def test_split_names_what_is_wrong(damage, said, packer):
+def test_split_reports_errors(damage, said, packer):
     frame = bytes(LOCAL_POSITION.pack(packer))
     with pytest.raises(codec.FrameError, match=said):
         list(codec.split(damage(frame)))
@@ -158,7 +158,7 @@ def test_mode_numbers_are_px4s(name, number):
     assert px4_modes.mode_name(81, number) == name
 
 
-def test_every_mode_comes_back_by_name():
+def test_every_mode_round_trips_by_name():
     for name in PX4_MODES:
         assert px4_modes.mode_name(1, px4_modes.mode_number(name)) == name
 
@@ -191,7 +191,7 @@ def test_fcu_url(url, parts):
 
 
 @pytest.mark.parametrize("url", ["", "serial:///dev/ttyACM0:57600", "udp://:70000@localhost:1", "udp://:0@h:1"])
-def test_bad_fcu_url_is_named(url):
+def test_invalid_fcu_url_is_reported(url):
     with pytest.raises(LinkError, match="fcu_url"):
         parse_fcu_url(url)
 
@@ -204,7 +204,7 @@ def test_settings_of_the_vehicle_go_before_those_of_the_node():
 
 
 @pytest.mark.parametrize(("value", "default"), [("yes", True), (1, True), ("2", 1.0), (True, 1.0), (3, "text")])
-def test_setting_of_the_wrong_type_is_named(value, default):
+def test_setting_of_the_wrong_type_is_reported(value, default):
     with pytest.raises(ParamError, match=r"imu/frame_id.*" + type(default).__name__):
         Params({"imu": {"frame_id": value}}).get("imu/frame_id", default)
 
@@ -216,34 +216,34 @@ class TestStreams:
         self.asked = []
         self.streams = Streams(lambda number, interval: self.asked.append((number, interval)), {"VFR_HUD": 4.0})
 
-    def test_asks_once_for_what_is_wanted(self):
+    def test_requests_each_wanted_stream_once(self):
         self.streams.update({32, 74}, set())
         self.streams.update({32, 74}, set())
         assert self.asked == [(32, DEFAULT_RATE_US), (74, 250000)]
 
-    def test_switches_off_what_arrives_unwanted_but_no_events(self):
+    def test_disables_unwanted_streams_but_no_events(self):
         self.streams.update(set(), {30, 0, 253, 77})
         assert self.asked == [(30, OFF_US)]
 
-    def test_gives_up_on_an_autopilot_that_goes_on_sending(self):
+    def test_gives_up_on_an_autopilot_that_keeps_sending(self):
         for _ in range(10):
             self.streams.update(set(), {30})
         assert self.asked == [(30, OFF_US)] * 3
 
-    def test_asks_again_when_a_subscriber_comes_back(self):
+    def test_repeats_the_request_for_a_returning_subscriber(self):
         self.streams.update({32}, set())
         self.streams.update(set(), {32})
         self.streams.update({32}, set())
         assert self.asked == [(32, DEFAULT_RATE_US), (32, OFF_US), (32, DEFAULT_RATE_US)]
 
-    def test_leaves_to_the_user_what_the_user_has_set(self):
+    def test_keeps_the_users_settings(self):
         self.streams.leave(30)
         self.streams.update({30}, set())
         self.streams.update(set(), {30})
         assert self.asked == []
 
     @pytest.mark.parametrize("rates", [{"NO_SUCH": 1.0}, {"VFR_HUD": 0.0}, {"VFR_HUD": float("nan")}])
-    def test_bad_rates_are_named(self, rates):
+    def test_invalid_rates_are_reported(self, rates):
         with pytest.raises(ValueError, match="stream_rates"):
             Streams(lambda *_: None, rates)
 
@@ -285,7 +285,7 @@ class TestCommands:
         assert self.commands.call(400, lambda attempt: attempt, limit=0.04, resends=3) is None
         assert self.sent == [0]
 
-    def test_what_goes_on_while_an_ack_is_waited_for_ends_with_it(self):
+    def test_the_meanwhile_context_ends_with_the_acknowledgement(self):
         course = []
 
         @contextlib.contextmanager
@@ -312,7 +312,7 @@ class TestCommands:
 class TestLink:
     """UDP ends and the receiver thread."""
 
-    def test_taken_port_is_named_with_its_vehicle(self):
+    def test_occupied_port_is_reported_with_its_vehicle(self):
         taken = udp_socket()
         port = taken.getsockname()[1]
         with pytest.raises(LinkError, match=f"iris_3: UDP port {port} "):
@@ -337,7 +337,7 @@ class TestLink:
             receiver.stop()
             fcu.close()
 
-    def test_what_came_before_the_simulator_counted_belongs_to_the_first_turn(self):
+    def test_messages_before_the_first_count_belong_to_the_first_turn(self):
         link = Link("iris_0", FcuUrl("127.0.0.1", free_udp_port(), "127.0.0.1", 9))
         link.wanted = frozenset({32})
         receiver = Receiver([link])  # its thread may be late: it is not started

@@ -86,7 +86,7 @@ ONBOARD = {
 # Recorded too, and not streams of the autopilot: HEARTBEAT of component 190, the recording ground station's own that
 # PX4 forwards to its other link (there is no forwarding here); CURRENT_EVENT_SEQUENCE, which goes with the events.
 NO_STREAMS = {"CURRENT_EVENT_SEQUENCE"}
-# Ours besides: PX4 sends the origin when it changes; here it also comes every 10 s, for whoever asks later.
+# Additional: PX4 sends the origin on change; here it is also sent every 10 s, for later clients.
 ONLY_WITH_A_SOURCE = {  # on by default in PX4 too; there was nothing to send
     "DISTANCE_SENSOR",
     "GIMBAL_DEVICE_ATTITUDE_STATUS",
@@ -240,7 +240,7 @@ def test_the_pilots_input(world):
     assert radio.chancount == 5
 
 
-def test_more_than_four_escs_take_two_messages():
+def test_more_than_four_escs_need_two_messages():
     world = World()
     world.server.close()
     world.autopilot.rotors[:] = 6
@@ -289,7 +289,7 @@ def test_the_place_that_an_automatic_mode_flies_to(world):
     assert (utm.next_lat, utm.next_alt, utm.flags & 128, utm.flight_state) == (473977420, 495_000, 128, 3)
 
 
-def test_a_link_tells_of_itself(world, station):
+def test_a_link_reports_its_status(world, station):
     world.ask(local_target(system=_SYSTEM), client=station)
     world.ask(heartbeat(6), client=station)
     world.run(1.0)
@@ -306,7 +306,7 @@ def test_a_link_tells_of_itself(world, station):
     assert second.rx_rate == 21
 
 
-def test_streams_without_a_source_may_be_asked_for_and_stay_silent(world):
+def test_streams_without_a_source_may_be_requested_and_send_nothing(world):
     world.hear()
     for name in SILENT:
         number = next(n for n, cls in mavlink.mavlink_map.items() if cls.msgname == name)

@@ -181,7 +181,7 @@ def named(messages, name):
 # streams
 
 
-def test_a_first_client_gets_the_streams_unasked_and_for_ever(world):
+def test_a_first_client_gets_the_streams_without_a_request_and_without_timeout(world):
     messages = world.run(20.0, 20_000)
     kinds = {m.get_type() for m in messages}
     assert len(kinds) >= 27
@@ -208,7 +208,7 @@ def test_a_first_client_without_a_socket_gets_heartbeats_until_it_has_one(world)
     assert port.lost == 0
 
 
-def test_a_refusal_of_one_client_costs_the_others_nothing(world):
+def test_a_rejected_client_does_not_affect_the_others(world):
     port = world.server.ports[0]
     gone = Client(0, world.fleet[0].offboard_local_port)
     world.hear()
@@ -221,7 +221,7 @@ def test_a_refusal_of_one_client_costs_the_others_nothing(world):
     assert not link.streams.active
 
 
-def test_a_participant_gets_the_streams_from_the_moment_it_takes_part(world):
+def test_a_participant_gets_the_streams_from_its_join(world):
     world.client.socket.close()
     world.take_part()
     port = world.server.ports[0]
@@ -256,7 +256,7 @@ def test_one_message_a_datagram_and_counters(world):
     assert world.server.received[world.fleet[0].offboard_local_port] == 1
 
 
-def test_highres_imu_tells_what_has_been_sampled_since_the_last_one_on_the_link(world):
+def test_highres_imu_flags_the_sensors_sampled_since_the_last_one_on_the_link(world):
     world.hear()
     sensors = world.autopilot.sensors[0]
     (first,) = named(world.run(0.02), "HIGHRES_IMU")
@@ -468,7 +468,7 @@ def test_arm_disarm_and_texts(world):
 
 
 @pytest.mark.parametrize("rest", ["rest", ""])
-def test_long_texts_come_in_pieces_of_which_the_last_is_not_full(world, rest):
+def test_long_texts_are_sent_in_chunks_with_a_short_last_one(world, rest):
     world.hear()
     world.commander.say(2, "x" * 100 + rest)
     pieces = named(world.run(0.004), "STATUSTEXT")
@@ -566,7 +566,7 @@ def test_commands_for_other_components_are_ignored(world):
     assert not world.commander.armed
 
 
-def test_setpoints_for_all_systems_are_taken_commands_are_not_but_for_questions_who_is_there(world):
+def test_broadcast_setpoints_and_discovery_requests_are_accepted_other_commands_are_not(world):
     assert not world.ask(mavlink.MAVLink_command_long_message(0, 0, 400, 0, 1, 0, 0, 0, 0, 0, 0))
     assert not world.commander.armed
     answers = world.ask(mavlink.MAVLink_command_long_message(0, 0, 520, 0, 1, 0, 0, 0, 0, 0, 0))
@@ -766,7 +766,7 @@ def test_origin_is_not_moved_in_the_air_nor_to_no_place(world):
     assert world.ask(beyond)[0].latitude == round(ORIGIN[0] * 1e7)
 
 
-def test_answers_go_to_whoever_asked(world):
+def test_replies_go_to_the_sender(world):
     other = Client(0, world.fleet[0].offboard_local_port)
     world.hear()
     assert world.command(401, client=other)[0] == 0
@@ -785,7 +785,7 @@ def test_ground_station_is_noted(world):
 # bad input
 
 
-def test_taken_port_is_named():
+def test_occupied_port_is_reported():
     vehicle = Vehicle("iris", 3, FIRST_ID)
     blocker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     blocker.bind(("127.0.0.1", vehicle.gcs_local_port))
@@ -851,7 +851,7 @@ def test_random_payloads_with_a_right_checksum_do_no_harm(world):
     assert world.command(401)[0] == 0
 
 
-def test_held_setpoints_come_after_the_commands_of_the_tick_whatever_the_order_of_arrival(world):
+def test_held_setpoints_follow_the_commands_of_the_tick_in_any_order_of_arrival(world):
     steer = local_target(x=9.0, y=2.0, z=-5.0, mask=_ALL_BUT_POSITION)
     loiter = mavlink.MAVLink_command_long_message(_SYSTEM, 1, 176, 0, 1, 4, 3, 0, 0, 0, 0)
     outcomes = []

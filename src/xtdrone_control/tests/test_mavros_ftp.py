@@ -206,7 +206,7 @@ class TestPx4:
         assert px4.call("rmdir", FileRemoveDirRequest("/c")).r_errno == errno.ENOSYS
         assert px4.call("truncate", FileTruncateRequest("/c", 1 << 32)).r_errno == errno.EFBIG
 
-    def test_an_answer_to_a_client_before_is_not_taken_for_ours(self, px4):
+    def test_an_answer_to_an_earlier_client_is_ignored(self, px4):
         px4.server.files["/a"] = bytearray(_CONTENT)
         px4.server.last = 1, struct.pack("<HBBBBBBI", 1, 0, 129, 1, 4, 0, 0, 0).ljust(251, b"\x0a")
         assert px4.call("remove", FileRemoveRequest("/a")).success

@@ -27,15 +27,15 @@ def resolver(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("resolver")
 class TestBindHost:
-    def test_autopilots_here_are_heard_on_loopback(self):
+    def test_local_autopilots_are_received_on_loopback(self):
         assert bind_host_for("127.0.0.1") == "127.0.0.1"
         assert bind_host_for("localhost") == "127.0.0.1"
 
-    def test_a_name_without_an_address_is_named(self):
+    def test_a_host_name_without_an_address_is_reported(self):
         with pytest.raises(connection.LinkError, match=r"fcu_host: 'nowhere' has no IPv4 address: Name or service"):
             bind_host_for("nowhere")
 
-    def test_a_host_without_a_way_is_named_with_its_address(self):
+    def test_an_unreachable_host_is_reported_with_its_address(self):
         # A plain socket may not send to everybody; that stands for every address to which there is no way.
         with pytest.raises(
             connection.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
@@ -87,14 +87,14 @@ def _port(host: str, port: int) -> Port:
     return Port(Vehicle("iris", 0, 0), "offboard", port, 24540, _NoTelemetry(), {"HEARTBEAT": 1.0}, host)
 
 
-def test_an_autopilots_link_is_bound_where_it_is_told_to(free_port):
+def test_an_autopilots_link_is_bound_to_the_given_address(free_port):
     for host in ("127.0.0.1", "0.0.0.0"):
         port = _port(host, free_port)
         assert port.socket.getsockname() == (host, free_port)
         port.close()
 
 
-def test_an_autopilots_link_on_another_machines_address_is_refused(free_port):
+def test_an_autopilots_link_on_another_machines_address_is_rejected(free_port):
     with pytest.raises(LinkError, match=rf"UDP port {free_port} cannot be bound on 192\.0\.2\.1.*of this machine"):
         _port("192.0.2.1", free_port)
 
@@ -115,7 +115,7 @@ def test_a_link_points_where_it_is_directed_until_its_client_speaks(free_port):
     port.close()
 
 
-def test_a_client_who_spoke_before_the_link_is_pointed_at_him_keeps_his_link(free_port):
+def test_a_client_that_sent_before_the_link_was_redirected_to_it_keeps_its_link(free_port):
     port = _port("127.0.0.1", free_port)
     early = port.link_of(("10.0.0.2", 24540), 0)
     early.heard(0, 2)

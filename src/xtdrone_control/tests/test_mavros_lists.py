@@ -42,12 +42,12 @@ def test_patterns_without_an_effect_are_complained_of():
     ]
 
 
-def test_a_pattern_that_is_no_text_is_named():
+def test_a_pattern_that_is_not_a_text_is_reported():
     with pytest.raises(ParamError, match="plugin_denylist: 3 is no pattern"):
         PluginLists(Params({"plugin_denylist": [3]}))
 
 
-def test_what_is_part_of_the_node_is_not_listed():
+def test_features_of_the_node_itself_are_not_listed():
     bench = Bench(PLUGINS, {"plugin_allowlist": ["imu"]})
     assert {plugin.name for plugin in bench.uas.plugins if plugin.listed} == {"imu"}
     assert "/iris_0/mavlink/to" in bench.ros.subscribers
@@ -65,7 +65,7 @@ class TestWatch:
         state = publishers, self.SUBSCRIBERS | (subscribers or {})
         return Watch(self.OWN, ["/iris_0/mavros", "/iris_1/mavros"], left_out, lambda: state)
 
-    def test_a_topic_that_is_left_out_is_told_of_once(self, caplog):
+    def test_a_skipped_topic_is_reported_once(self, caplog):
         watch = self.watch({"/iris_1/mavros/setpoint_accel/accel": ["/leader"]})
         watch.check()
         watch.check()
@@ -84,7 +84,7 @@ class TestWatch:
             ("/iris_0/mavros/setpoint_raw/local", None),
         ],
     )
-    def test_what_is_told(self, caplog, topic, said):
+    def test_suspicious_topics_are_reported(self, caplog, topic, said):
         self.watch({topic: ["/leader"]}).check()
         if said is None:
             assert caplog.text == ""

@@ -180,7 +180,7 @@ def test_topics_and_services_of_one_vehicle(master):
     try:
         seen = json.loads(client.stdout.readline())
         fcu.wait(lambda: len(fcu.setpoints) == 3)
-        # The client took pose and imu and went away again; nobody ever took vfr_hud.
+        # The client subscribed to pose and imu and has left; vfr_hud never had a subscriber.
         vfr_hud, position = MESSAGE_ID["VFR_HUD"], MESSAGE_ID["LOCAL_POSITION_NED"]
         fcu.wait(lambda: fcu.intervals.get(vfr_hud) == -1 and fcu.intervals.get(position) == -1)
     finally:
@@ -211,7 +211,7 @@ def test_topics_and_services_of_one_vehicle(master):
     assert body_offset.yaw == pytest.approx(-0.3, abs=1e-6)
 
 
-def test_lockstep_takes_what_was_counted_and_counts_what_it_sends(master):
+def test_lockstep_reads_the_counted_messages_and_counts_its_own(master):
     """The simulator's half is played here: each tick a datagram goes out before TICK, and DONE says what came back."""
     proxy, environment = master
     server = LockstepServer("127.0.0.1", hang_limit=LIMIT)
@@ -256,7 +256,7 @@ def test_lockstep_takes_what_was_counted_and_counts_what_it_sends(master):
         (["_fcu_url:=udp://:1@", "_conn/timeout:=soon"], "conn/timeout"),
     ],
 )
-def test_what_cannot_be_served_is_named(master, arguments, said):
+def test_startup_errors_are_reported(master, arguments, said):
     _, environment = master
     if "_conn/timeout:=soon" in arguments:
         arguments[0] = f"_fcu_url:=udp://:{free_udp_port()}@"
@@ -266,7 +266,7 @@ def test_what_cannot_be_served_is_named(master, arguments, said):
     assert said in output
 
 
-def test_taken_port_is_named(master):
+def test_occupied_port_is_reported(master):
     _, environment = master
     taken = udp_socket()
     port = taken.getsockname()[1]
@@ -277,7 +277,7 @@ def test_taken_port_is_named(master):
     assert f"iris_0: UDP port {port} cannot be bound" in output
 
 
-def test_the_master_is_asked_who_publishes(master, monkeypatch):
+def test_publishers_are_looked_up_at_the_master(master, monkeypatch):
     proxy, environment = master
     monkeypatch.setenv("ROS_MASTER_URI", environment["ROS_MASTER_URI"])
     leader = "/leader", "/iris_0/mavros/wheel/send"
@@ -291,7 +291,7 @@ def test_the_master_is_asked_who_publishes(master, monkeypatch):
         system_state()
 
 
-def test_missing_master_is_named():
+def test_missing_master_is_reported():
     uri = f"http://127.0.0.1:{free_tcp_port()}"
     node = start_node({**os.environ, "ROS_MASTER_URI": uri})
     output, _ = node.communicate(timeout=LIMIT)

@@ -22,7 +22,7 @@ def test_messages_without_stamps_pair_in_their_order():
     assert fed((0, 0), (1, 0), (0, 0), (0, 0), (1, 0)) == [[], [(0, 0)], [], [], [(0, 0)]]
 
 
-def test_the_later_of_the_first_messages_waits_for_what_comes_after_it():
+def test_the_later_of_the_first_messages_waits_for_its_successors():
     assert fed((0, 100), (1, 107), (0, 108)) == [[], [], [(108, 107)]]  # 1 after is nearer than 7 before
     assert fed((0, 100), (1, 107), (0, 114)) == [[], [], [(100, 107)]]  # 7 after is not
 
@@ -32,7 +32,7 @@ def test_a_later_partner_counts_a_tenth_farther():
     assert fed((0, 0), (1, 110), (0, 210))[-1] == [(0, 110)]  # 1.1 * 100 is not
 
 
-def test_earlier_messages_are_left_out():
+def test_earlier_messages_are_skipped():
     assert fed((0, 1), (0, 2), (0, 3), (1, 3), (0, 4), (1, 4)) == [[], [], [], [(3, 3)], [], [(4, 4)]]
 
 
@@ -46,7 +46,7 @@ def test_only_the_newest_are_kept():
     assert fed(*stamps, (1, 1), (1, 3), size=3)[-2:] == [[], [(3, 3)]]
 
 
-def test_nothing_comes_after_clear():
+def test_nothing_is_drawn_after_clear():
     pairing = Pairing()
     pairing.add(0, 5, "a")
     pairing.clear()

@@ -42,7 +42,7 @@ def test_unknown_names_fail(pair, monkeypatch):
         ("RTL_CONE_ANG", ParamValue(0, 0.0), 0),
     ],
 )
-def test_set_takes_the_parameters_type(pair, name, value, stored):
+def test_set_uses_the_parameters_type(pair, name, value, stored):
     answer = pair.call("param/set", ParamSetRequest(name, value))
     assert answer.success
     assert pair.served.parameters.get(name) == stored
@@ -76,7 +76,7 @@ def test_pull_over_a_lossy_line(pair, monkeypatch):
     assert (answer.success, answer.param_received) == (True, len(NAMES))
 
 
-def test_push_writes_what_differs(pair):
+def test_push_writes_changed_parameters(pair):
     pair.call("param/pull", ParamPullRequest(True))
     pair.bench.ros.params["/iris_0/mavros/param"]["MPC_XY_CRUISE"] = 6.5
     pair.bench.ros.params["/iris_0/mavros/param"]["NOBODYS"] = 1

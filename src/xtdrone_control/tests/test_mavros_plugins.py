@@ -150,7 +150,7 @@ class TestSettings:
         assert same_rotation(wxyz(transform.transform.rotation), Q_ENU)
         bench.close()
 
-    def test_heartbeats_say_what_sends_them(self):
+    def test_heartbeats_have_the_senders_type(self):
         bench = Bench(PLUGINS, {"conn": {"heartbeat_mav_type": "GCS"}})
         bench.uas.step(0)
         assert [m.type for m in bench.received() if m.get_type() == "HEARTBEAT"] == [mavlink.MAV_TYPE_GCS]
@@ -166,7 +166,7 @@ class TestSettings:
         bench.close()
 
     @pytest.mark.parametrize(("group", "name"), [("conn", "heartbeat_mav_type"), ("time", "timesync_mode")])
-    def test_words_that_are_none_are_named(self, group, name):
+    def test_invalid_names_are_reported(self, group, name):
         with pytest.raises(ParamError, match=f"{group}/{name}: 'ROUGH'"):
             Bench(PLUGINS, {group: {name: "ROUGH"}})
 
@@ -186,7 +186,7 @@ class TestImu:
         assert data.linear_acceleration_covariance[0] == pytest.approx(9e-8)
         assert data.orientation_covariance[4] == 1.0
 
-    def test_data_without_an_acceleration_says_so(self, bench):
+    def test_data_without_an_acceleration_is_flagged(self, bench):
         bench.take("imu/data")
         bench.send(ATTITUDE)
         [data] = bench.published("imu/data")
@@ -206,7 +206,7 @@ class TestImu:
         assert bench.published("imu/temperature_imu")[0].temperature == 25.0
         assert raw.header.stamp.to_sec() == 20.004
 
-    def test_what_is_not_updated_is_not_published(self, bench):
+    def test_unchanged_values_are_not_published(self, bench):
         bench.take("imu/data_raw", "imu/mag", "imu/static_pressure")
         bench.send(mavlink.MAVLink_highres_imu_message(1, *[0.0] * 13, 0x3F))
         assert len(bench.published("imu/data_raw")) == 1
@@ -311,7 +311,7 @@ class TestSysStatus:
         [sent] = [m for m in bench.received() if m.get_type() == "SET_MODE"]
         assert (sent.target_system, sent.base_mode, sent.custom_mode) == (1, 0x81, number)
 
-    def test_unknown_mode_is_refused_with_the_list(self, bench, caplog):
+    def test_unknown_mode_is_rejected_with_the_list(self, bench, caplog):
         response = bench.ros.services["/iris_0/mavros/set_mode"](SetModeRequest(custom_mode="OFFBORD"))
         assert not response.mode_sent
         assert bench.received() == []
@@ -337,7 +337,7 @@ class TestGlobalPosition:
         assert xyz(velocity.twist.linear) == approx((5.0, 0.0, 0.0))  # course 90 deg: east
         assert bench.published("global_position/raw/satellites")[0].data == 11
 
-    def test_global_takes_status_and_accuracy_of_the_receiver(self, bench):
+    def test_global_has_status_and_accuracy_of_the_receiver(self, bench):
         bench.take("global_position/global", "global_position/rel_alt", "global_position/compass_hdg")
         position = mavlink.MAVLink_global_position_int_message(
             4000, 473977420, 85455940, 490_000, 2_000, 100, 200, -300, 4500
@@ -387,7 +387,7 @@ class TestGlobalPosition:
         assert (sent.x, sent.y, sent.z) == (1.0, 2.0, -3.0)
 
     @pytest.mark.parametrize("model", ["none", "egm2008"])
-    def test_heights_over_mean_sea_level_are_asked_for_by_name(self, model):
+    def test_amsl_heights_are_requested_by_name(self, model):
         params = {"global_position": {"geoid": model}}
         if model != "none":
             with pytest.raises(ValueError, match="'egm2008' is not allowed, egm96 and none are"):
@@ -433,7 +433,7 @@ class TestSmallTopics:
 class TestTime:
     """Stamps outside simulation."""
 
-    def test_offset_comes_from_timesync(self):
+    def test_offset_is_that_of_timesync(self):
         bench = Bench(PLUGINS, use_sim_time=False)
         bench.take("local_position/pose")
         bench.ros.time_ns = 1_000_000_000_000
@@ -490,7 +490,7 @@ class TestSetpoints:
 
     @pytest.mark.parametrize("value", [NAN, math.inf, -math.inf])
     @pytest.mark.parametrize("field", ["velocity.y", "yaw_rate"])
-    def test_what_is_not_finite_is_named_and_kept_back(self, bench, caplog, value, field):
+    def test_non_finite_values_are_reported_and_not_forwarded(self, bench, caplog, value, field):
         target = raw_target(1, PositionTarget.IGNORE_PX)
         parent, _, leaf = field.rpartition(".")
         setattr(target.velocity if parent else target, leaf, value)
@@ -498,20 +498,20 @@ class TestSetpoints:
         assert bench.received() == []
         assert f"/iris_0/mavros/setpoint_raw/local: {field} is" in caplog.text
 
-    def test_what_is_masked_out_need_not_be_finite(self, bench):
+    def test_masked_fields_may_be_non_finite(self, bench):
         target = raw_target(1, PositionTarget.IGNORE_PX | PositionTarget.IGNORE_YAW)
         target.position.x = target.yaw = NAN
         bench.call("setpoint_raw/local", target)
         assert len(bench.received()) == 1
 
-    def test_warnings_do_not_come_at_the_rate_of_the_stream(self, bench, caplog):
+    def test_warnings_are_throttled(self, bench, caplog):
         target = raw_target(1, 0)
         target.position.x = NAN
         for _ in range(50):
             bench.call("setpoint_raw/local", target)
         assert caplog.text.count("not forwarded") == 1
 
-    def test_unknown_frame_is_refused(self, bench, caplog):
+    def test_unknown_frame_is_rejected(self, bench, caplog):
         bench.call("setpoint_raw/local", raw_target(3, 0))
         assert bench.received() == []
         assert "coordinate_frame 3" in caplog.text
@@ -569,7 +569,7 @@ class TestSetpoints:
         [sent] = bench.received()
         assert (sent.coordinate_frame, sent.vx, sent.vy) == (8, 1.0, -2.0)
 
-    def test_targets_come_back_in_enu(self, bench):
+    def test_targets_are_published_in_enu(self, bench):
         bench.take("setpoint_raw/target_local", "setpoint_raw/target_attitude")
         numbers = (2.0, 1.0, -3.0, 5.0, 4.0, -6.0, 8.0, 7.0, -9.0, math.pi / 2 - 0.3, -0.4)
         bench.send(
@@ -638,9 +638,9 @@ class TestCommandServices:
 
 
 class TestDemand:
-    """Only what somebody takes is decoded and asked for."""
+    """Only messages of topics with subscribers are decoded and requested."""
 
-    def test_nothing_is_decoded_that_nobody_takes(self, bench):
+    def test_messages_without_a_subscriber_are_not_decoded(self, bench):
         bench.send(HEARTBEAT)
         bench.send(ATTITUDE, POSITION)
         assert bench.link.wanted == {mavlink.MAVLINK_MSG_ID_HEARTBEAT, 253, 242, 42, 46, 49, 410, 118, 120}
@@ -682,7 +682,7 @@ class TestDemand:
         assert bench.link.malformed == 1
         assert "iris_0: MAVLink datagram of 3 bytes dropped" in caplog.text
 
-    def test_plugins_can_be_left_out(self):
+    def test_plugins_can_be_disabled(self):
         bench = Bench(PLUGINS, {"plugin_blacklist": ["setpoint_*", "imu"]})
         names = [plugin.name for plugin in bench.uas.plugins]
         assert "imu" not in names

@@ -66,7 +66,7 @@ def test_parameter_files_look_as_mavros_writes_them():
         ("A,1", QGC, "line 1: 1 columns are not allowed, 5 with tabs between"),
     ],
 )
-def test_parameter_files_that_are_none(text, kind, message):
+def test_invalid_parameter_files(text, kind, message):
     with pytest.raises(FormatError) as error:
         parameter_formats.read(text, "a.parm", kind)
     assert message in str(error.value)
@@ -132,7 +132,7 @@ ITEM = "0 1 3 16 0 0 0 0 47 8 10 1"
         ("QGC WPL 110\n" + "9" * 5000 + ITEM[1:], "index"),
     ],
 )
-def test_mission_files_that_are_none(text, message):
+def test_invalid_mission_files(text, message):
     with pytest.raises(WaypointFileError) as error:
         waypoint_file.read(text, "a.wp")
     assert message in str(error.value)
@@ -189,7 +189,7 @@ def test_a_mission_is_shown_as_a_table():
         (mavsafety, "safetyarea -p1 -10 -10 0 -p2 10 10 20"),
     ],
 )
-def test_command_lines_of_mavros_are_taken(program, line):
+def test_command_lines_of_mavros_are_accepted(program, line):
     assert callable(program.parser().parse_args(line.split()).run)
 
 

@@ -56,7 +56,7 @@ def test_a_frame_by_hand():
     st.binary(max_size=255),
     st.integers(0, 0xFFFF),
 )
-def test_a_frame_comes_back_as_it_was(kind, sequence, number, payload, checksum):
+def test_a_frame_round_trips(kind, sequence, number, payload, checksum):
     version, signed = kind
     ids = bytes([sequence, 7, 1, number])
     if version == 1:
@@ -84,7 +84,7 @@ def test_a_damaged_frame_is_marked(bench):
         ({"magic": 0}, "magic 0"),
     ],
 )
-def test_what_is_no_frame_is_refused(bench, caplog, fields, said):
+def test_invalid_frames_are_rejected(bench, caplog, fields, said):
     with pytest.raises(RawFrameError, match=said):
         to_frame(Mavlink(**fields))
     bench.ros.subscribers["/iris_0/mavlink/to"](Mavlink(**fields))
@@ -145,7 +145,7 @@ class TestDiagnostics:
         assert bench.ros.publishers["/diagnostics"].messages == []
         assert not {1, 24, 147} & bench.link.wanted
 
-    def test_before_anything_has_come(self, bench):
+    def test_before_the_first_message(self, bench):
         self.listen(bench)
         found = self.statuses(bench)
         assert {name: entry[:2] for name, entry in found.items()} == {

@@ -277,7 +277,7 @@ IN = [
 
 
 @pytest.mark.parametrize(("sent", "topic", "kind", "expected"), OUT, ids=[row[1] for row in OUT])
-def test_what_the_autopilot_says_is_published(bench, sent, topic, kind, expected):
+def test_the_autopilots_messages_are_published(bench, sent, topic, kind, expected):
     path = f"/iris_0/mavros/{topic}"
     assert bench.ros.kinds[path] is kind
     bench.take(topic)
@@ -294,7 +294,7 @@ def test_what_the_autopilot_says_is_published(bench, sent, topic, kind, expected
 
 
 @pytest.mark.parametrize(("topic", "ros", "name", "expected"), IN, ids=[row[0] for row in IN])
-def test_what_programs_say_is_forwarded(bench, topic, ros, name, expected):
+def test_messages_of_programs_are_forwarded(bench, topic, ros, name, expected):
     assert bench.ros.kinds[f"/iris_0/mavros/{topic}"] is type(ros)
     bench.call(topic, ros)
     [sent] = bench.received()
@@ -319,7 +319,7 @@ FIRST_FLOATS = {
 
 @pytest.mark.parametrize("value", [NAN, INF, 1e300])
 @pytest.mark.parametrize("topic", FIRST_FLOATS)
-def test_what_is_no_number_for_mavlink_is_refused_by_name(bench, caplog, topic, value):
+def test_values_that_mavlink_cannot_hold_are_rejected_by_name(bench, caplog, topic, value):
     ros = type(next(row[1] for row in IN if row[0] == topic))()
     parent, _, leaf = FIRST_FLOATS[topic].rpartition(".")
     setattr(attrgetter(parent)(ros) if parent else ros, leaf, value)
@@ -338,7 +338,7 @@ def test_what_is_no_number_for_mavlink_is_refused_by_name(bench, caplog, topic, 
         ("debug_value/send", msg.DebugValue(type=1, data=[0.0, NAN, INF]), "y"),
     ],
 )
-def test_no_number_may_be_what_is_to_be_said(bench, topic, ros, field):
+def test_nan_is_forwarded(bench, topic, ros, field):
     bench.call(topic, ros)
     assert math.isnan(getattr(bench.received()[0], field))
 
@@ -355,13 +355,13 @@ def test_no_number_may_be_what_is_to_be_said(bench, topic, ros, field):
         ("hil/gps", msg.HilGPS(vn=400), "HIL_GPS.vn is 40000; -32768 to 32767"),
     ],
 )
-def test_what_does_not_fit_is_refused_by_name(bench, caplog, topic, ros, said):
+def test_values_out_of_range_are_rejected_by_name(bench, caplog, topic, ros, said):
     bench.call(topic, ros)
     assert bench.received() == []
     assert f"/iris_0/mavros/{topic}: {said}" in caplog.text
 
 
-def test_nothing_is_wanted_without_a_subscriber(bench):
+def test_nothing_is_requested_without_a_subscriber(bench):
     assert bench.link.wanted == {MESSAGE_ID[name] for name in (
         "HEARTBEAT", "STATUSTEXT", "EVENT", "HOME_POSITION", "MISSION_CURRENT", "MISSION_ITEM_REACHED",
         "GPS_GLOBAL_ORIGIN", "LOG_ENTRY", "LOG_DATA")}  # fmt: skip
@@ -480,7 +480,7 @@ class TestOdometryFrames:
         assert (got.header.frame_id, got.child_frame_id, list(got.pose.covariance)) == ("map", "base_link", [0.0] * 36)
         assert not caplog.records
 
-    def test_a_frame_that_is_not_known_is_named(self, bench, caplog):
+    def test_an_unknown_frame_is_reported(self, bench, caplog):
         assert self.send(bench, 1, 21) == []
         assert "ODOMETRY in frames 1, 21 is not published" in caplog.text
 
@@ -488,7 +488,7 @@ class TestOdometryFrames:
 class TestFromAnyone:
     """Radio, traffic and programs speak with ids of their own."""
 
-    def test_the_radio_is_heard(self, bench):
+    def test_radio_status_is_published(self, bench):
         bench.take("radio_status", "gpsstatus/gps1/raw")
         radio = mavlink.MAVLink(None, srcSystem=ord("3"), srcComponent=ord("D"))
         bench.send_raw(bytes(made("RADIO_STATUS", rssi=1).pack(radio)) + bytes(made("GPS_RAW_INT").pack(radio)))
@@ -604,7 +604,7 @@ class TestDistanceSensors:
         assert agrees(plain(transform.transform.rotation), frames.quaternion_from_rpy(0.0, math.radians(270.0), 0.0))
 
     @pytest.mark.parametrize("values", [{"orientation": 24}, {"orientation": 25, "type": 9}, {"id": 7}])
-    def test_what_is_not_as_it_is_said_to_be(self, bench, caplog, values):
+    def test_distance_sensors_of_other_id_or_type_are_rejected(self, bench, caplog, values):
         bench.take("distance_sensor/down")
         bench.send(made("DISTANCE_SENSOR", **values))
         assert bench.published("distance_sensor/down") == []
@@ -629,7 +629,7 @@ class TestDistanceSensors:
             ({"id": 1, "subscriber": True, "orientation": "UP"}, "'UP' is not allowed; NONE, YAW_45"),
         ],
     )
-    def test_a_setting_that_is_wrong_is_named(self, sensor, said):
+    def test_an_invalid_setting_is_reported(self, sensor, said):
         with pytest.raises(ValueError, match=re.escape(said)):
             Bench([kind for kind in PLUGINS if kind.name == "distance_sensor"], {"distance_sensor": {"x": sensor}})
 
@@ -708,16 +708,16 @@ def test_topics_by_parameter(params, topic, kind):
         ({"landing_target": {"land_target_type": "X"}}, "'X' is not allowed; LIGHT_BEACON"),
     ],
 )
-def test_words_that_mavlink_has_not_are_named(params, said):
+def test_names_unknown_to_mavlink_are_reported(params, said):
     with pytest.raises(ValueError, match=re.escape(said)):
         Bench([k for k in PLUGINS if k.name in ("obstacle_distance", "landing_target")], params)
 
 
-def test_the_settings_that_come_with_it_are_allowed():
+def test_the_shipped_settings_are_valid():
     Bench(PLUGINS, yaml.safe_load((CONFIG / "px4_config.yaml").read_text())).close()
 
 
-def test_the_list_of_what_is_left_out_names_plugins():
+def test_the_list_of_omissions_names_plugins():
     denied = yaml.safe_load((CONFIG / "px4_pluginlists.yaml").read_text())
     assert set(denied["plugin_denylist"]) < {kind.name for kind in PLUGINS}
     bench = Bench(PLUGINS, denied)
@@ -844,7 +844,7 @@ class TestServices:
         assert (everyone.success, everyone.vehicles) == (True, [])
 
 
-def test_a_gimbal_that_says_the_opposite_is_set_right():
+def test_an_inverted_gimbal_is_corrected():
     bench = Bench(PLUGINS, {"mount_control": {"negate_measured_pitch": True}})
     bench.take("mount_control/orientation")
     bench.send(made("MOUNT_ORIENTATION", roll=10.0, pitch=20.0, yaw=30.0))

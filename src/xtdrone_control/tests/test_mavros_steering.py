@@ -130,7 +130,7 @@ class TestAttitude:
         assert (sent.type_mask, sent.thrust, sent.time_boot_ms) == (0b1000_0000, 0.25, 40)
         assert (sent.body_roll_rate, sent.body_pitch_rate, sent.body_yaw_rate) == approx((0.1, -0.2, -0.3))
 
-    def test_the_setting_says_which_topic_there_is(self, bench):
+    def test_the_setting_selects_the_topic(self, bench):
         assert "/iris_0/mavros/setpoint_attitude/attitude" not in bench.ros.subscribers
         with opened(QUATERNION) as other:
             assert "/iris_0/mavros/setpoint_attitude/cmd_vel" not in other.ros.subscribers
@@ -159,21 +159,21 @@ class TestAttitude:
         assert [m.time_boot_ms for m in sent] == [100, 120, 140, 160, 180]
         assert [m.thrust for m in sent] == approx([0.0, 0.1, 0.2, 0.3, 0.4])
 
-    def test_what_waits_is_forgotten_with_the_vehicle(self, bench):
+    def test_queued_messages_are_dropped_with_the_vehicle(self, bench):
         bench.call("setpoint_attitude/cmd_vel", TwistStamped())
         for plugin in bench.uas.plugins:
             plugin.connected(False)
         bench.call("setpoint_attitude/thrust", Thrust())
         assert bench.received() == []
 
-    def test_what_is_no_number_is_kept_back(self, caplog):
+    def test_nan_is_not_forwarded(self, caplog):
         with opened(QUATERNION) as bench:
             pose = self.attitude(0, 0.0, 0.0, 0.0)
             pose.pose.orientation.x = math.inf
             bench.call("setpoint_attitude/thrust", Thrust())
             assert refused(bench, caplog, "setpoint_attitude/attitude", pose, "pose.orientation.x is inf")
 
-    def test_no_rotation_is_kept_back(self, caplog):
+    def test_a_zero_rotation_is_not_forwarded(self, caplog):
         with opened(QUATERNION) as bench:
             bench.call("setpoint_attitude/thrust", Thrust())
             assert refused(
@@ -220,7 +220,7 @@ class TestAcceleration:
         assert (sent.coordinate_frame, sent.type_mask, sent.time_boot_ms) == (1, mask, 1500)
         assert (sent.afx, sent.afy, sent.afz) == (2.0, 1.0, -3.0)
 
-    def test_what_is_no_number_is_kept_back(self, bench, caplog):
+    def test_nan_is_not_forwarded(self, bench, caplog):
         message = Vector3Stamped()
         message.vector.z = NAN
         assert refused(bench, caplog, "setpoint_accel/accel", message, "vector.z is nan")
@@ -249,10 +249,10 @@ class TestGlobalPosition:
         assert (sent.yaw, sent.yaw_rate) == approx((math.pi / 2 - 0.3, 0.0))
 
     @pytest.mark.parametrize("topic", ["setpoint_position/global", "setpoint_position/global_to_local"])
-    def test_what_is_no_number_is_kept_back(self, bench, caplog, topic):
+    def test_nan_is_not_forwarded(self, bench, caplog, topic):
         assert refused(bench, caplog, topic, geo_pose(latitude=NAN), "pose.position.latitude is nan")
 
-    def test_what_does_not_fit_is_kept_back(self, bench, caplog):
+    def test_values_out_of_range_are_not_forwarded(self, bench, caplog):
         assert refused(
             bench,
             caplog,
@@ -261,7 +261,7 @@ class TestGlobalPosition:
             "SET_POSITION_TARGET_GLOBAL_INT.lat_int",
         )
 
-    def test_a_goal_that_is_no_place_is_kept_back(self, bench, caplog):
+    def test_an_invalid_goal_is_not_forwarded(self, bench, caplog):
         topic = "setpoint_position/global_to_local"
         assert refused(bench, caplog, topic, geo_pose(latitude=91.0), "latitude 91.0")
 
@@ -278,7 +278,7 @@ class TestGlobalPosition:
         bench.send(self.LOCAL, self.HERE)
         assert bench.received() == [], "a goal is sent once"
 
-    def test_the_position_is_asked_for_while_goals_come(self, bench):
+    def test_the_position_is_requested_while_goals_arrive(self, bench):
         assert not {32, 33} & bench.link.wanted
         bench.call("setpoint_position/global_to_local", geo_pose())
         assert {32, 33} <= bench.link.wanted
@@ -295,7 +295,7 @@ class TestGlobalPosition:
         bench.send(self.LOCAL, self.HERE)
         assert len(bench.received()) == 1
 
-    def test_a_goal_that_waits_is_told_of(self, bench, caplog):
+    def test_a_pending_goal_is_reported(self, bench, caplog):
         bench.call("setpoint_position/global_to_local", geo_pose())
         bench.uas.step(0)
         assert "a goal is waiting" not in caplog.text
@@ -344,7 +344,7 @@ class TestListening:
         assert frames.rpy_from_quaternion(sent.q) == approx((0.0, 0.0, math.pi / 2 - 0.3))
 
     @pytest.mark.parametrize(("topic", "kept"), [("/tf", 0), ("/tf_static", 1)])
-    def test_what_moves_is_forgotten_with_the_vehicle(self, topic, kept):
+    def test_transfers_are_dropped_with_the_vehicle(self, topic, kept):
         with opened({"setpoint_attitude": {"tf": {"listen": True}}}) as bench:
             self.tell(bench, "map", "target_attitude", 2000, (0.0, 0.0, 0.0), 0.3, topic)
             for plugin in bench.uas.plugins:
@@ -353,7 +353,7 @@ class TestListening:
             assert len(bench.received()) == kept
 
     @pytest.mark.parametrize("rate", [0.0, -1.0, math.inf])
-    def test_a_rate_that_makes_no_sense_is_refused(self, rate):
+    def test_an_invalid_rate_is_rejected(self, rate):
         with pytest.raises(ValueError, match="setpoint_position/tf/rate_limit"):
             Bench(PLUGINS, {"setpoint_position": {"tf": {"listen": True, "rate_limit": rate}}})
 
@@ -383,20 +383,20 @@ class TestRawGlobal:
         assert (sent.yaw, sent.yaw_rate) == approx((math.pi / 2 - 0.3, -0.4))
 
     @pytest.mark.parametrize("field", ["longitude", "altitude", "yaw_rate"])
-    def test_what_is_no_number_is_kept_back(self, bench, caplog, field):
+    def test_nan_is_not_forwarded(self, bench, caplog, field):
         target = global_target(**{field: math.inf})
         assert refused(bench, caplog, "setpoint_raw/global", target, f"{field} is inf")
 
-    def test_what_is_masked_out_need_not_be_a_number(self, bench):
+    def test_masked_fields_may_be_nan(self, bench):
         mask = GlobalPositionTarget.IGNORE_LATITUDE | GlobalPositionTarget.IGNORE_YAW
         bench.call("setpoint_raw/global", global_target(mask=mask, latitude=NAN, yaw=NAN))
         [sent] = bench.received()
         assert sent.type_mask == mask
 
-    def test_unknown_frame_is_refused(self, bench, caplog):
+    def test_unknown_frame_is_rejected(self, bench, caplog):
         assert refused(bench, caplog, "setpoint_raw/global", global_target(1), "coordinate_frame 1 is not allowed")
 
-    def test_a_yaw_that_is_not_controlled_comes_back_as_none(self, bench):
+    def test_an_uncontrolled_yaw_is_returned_as_none(self, bench):
         bench.take("setpoint_raw/target_global")
         bench.send(mavlink.MAVLink_position_target_global_int_message(3021, 5, 0, 0, 0, 0.0, *[0.0] * 6, NAN, NAN))
         [target] = bench.published("setpoint_raw/target_global")
@@ -429,7 +429,7 @@ class TestRawGlobal:
 
 
 @pytest.mark.parametrize("scaling", [-1.0, NAN, math.inf])
-def test_a_thrust_scaling_that_makes_no_sense_is_refused(scaling):
+def test_an_invalid_thrust_scaling_is_rejected(scaling):
     with pytest.raises(ValueError, match="setpoint_raw/thrust_scaling"):
         Bench(PLUGINS, {"setpoint_raw": {"thrust_scaling": scaling}})
 
@@ -463,7 +463,7 @@ class TestSetpointTrajectory:
             bench.uas.step(bench.ros.time_ns)
         return [m for m in bench.received() if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
 
-    def test_points_are_sent_when_their_time_comes(self, bench):
+    def test_points_are_sent_at_their_times(self, bench):
         self.fly(bench, *[point(0.5 * (index + 1), (float(index), 0.0, 0.0)) for index in range(4)])
         assert [(m.y, m.time_boot_ms) for m in self.until(bench, 3000)] == [
             (0.0, 10_500),
@@ -500,7 +500,7 @@ class TestSetpointTrajectory:
             ({"acceleration": (1.0, 2.0, 3.0)}, 0b1100_0011_1111),
         ],
     )
-    def test_what_a_point_lacks_is_masked_out(self, bench, given_parts, mask):
+    def test_missing_fields_of_a_point_are_masked(self, bench, given_parts, mask):
         self.fly(bench, point(0.0, **given_parts))
         [sent] = self.until(bench, 20)
         assert sent.type_mask == mask
@@ -534,11 +534,11 @@ class TestSetpointTrajectory:
             plugin.connected(False)
         assert self.until(bench, 1000) == []
 
-    def test_one_without_points_is_refused(self, bench, caplog):
+    def test_a_fence_without_points_is_rejected(self, bench, caplog):
         self.fly(bench)
         assert "the trajectory has no points" in caplog.text
 
-    def test_what_is_no_number_is_kept_back(self, bench, caplog):
+    def test_nan_is_not_forwarded(self, bench, caplog):
         self.fly(bench, point(0.0, (1.0, 2.0, 3.0)), point(1.0, velocity=(0.0, NAN, 0.0)))
         assert self.until(bench, 2000) == []
         assert "setpoint_trajectory/local: points[1].velocities[0].linear.y is nan" in caplog.text
@@ -651,11 +651,11 @@ class TestPilot:
         assert (sent.target, sent.x, sent.y, sent.z, sent.r, sent.buttons) == (1, 100, -200, 500, 1000, 5)
 
     @pytest.mark.parametrize("value", [NAN, math.inf, 40_000.0])
-    def test_sticks_that_do_not_fit_are_kept_back(self, bench, caplog, value):
+    def test_sticks_out_of_range_are_not_forwarded(self, bench, caplog, value):
         assert refused(bench, caplog, "manual_control/send", ManualControl(y=value), "")
         assert "-32768 to 32767 is allowed" in caplog.text
 
-    def test_sticks_come_back_as_parts_of_one(self, bench):
+    def test_sticks_are_returned_as_fractions(self, bench):
         bench.take("manual_control/control")
         bench.ros.time_ns = 5_000_000_000
         bench.send(mavlink.MAVLink_manual_control_message(1, 100, -200, 500, 1000, 5))
@@ -690,19 +690,19 @@ class TestActuators:
         assert (sent.get_type(), sent.time_usec, sent.group_mlx) == ("SET_ACTUATOR_CONTROL_TARGET", 1_500_000, 3)
         assert (sent.target_system, sent.target_component, sent.controls) == (1, 1, self.CONTROLS)
 
-    def test_controls_come_in_as_they_are(self, bench):
+    def test_controls_are_passed_unchanged(self, bench):
         bench.take("target_actuator_control")
         bench.send(mavlink.MAVLink_actuator_control_target_message(1_500_000, 0, self.CONTROLS))
         [target] = bench.published("target_actuator_control")
         assert (target.group_mix, list(target.controls)) == (0, self.CONTROLS)
         assert target.header.stamp.to_sec() == 1.5
 
-    def test_what_is_no_number_is_kept_back(self, bench, caplog):
+    def test_nan_is_not_forwarded(self, bench, caplog):
         message = ActuatorControl(controls=[0.0] * 7 + [NAN])
         assert refused(bench, caplog, "actuator_control", message, "controls[7] is nan")
 
 
-def test_what_px4_does_not_send_by_itself_is_asked_for_at_a_rate(bench):
+def test_streams_that_px4_does_not_send_by_default_are_requested_at_a_rate(bench):
     """PX4 has no default rate for these on a companion's link: 0 would leave them off."""
     bench.send(mavlink.MAVLink_heartbeat_message(2, 12, 0x91, 6 << 16, 4, 3))
     bench.received()
@@ -711,7 +711,7 @@ def test_what_px4_does_not_send_by_itself_is_asked_for_at_a_rate(bench):
     assert asked == {69: 200_000.0, 140: 100_000.0, 65: 0.0}
 
 
-def test_a_target_is_not_decoded_while_there_is_no_subscriber(bench):
+def test_a_target_without_a_subscriber_is_not_decoded(bench):
     local = mavlink.MAVLink_position_target_global_int_message(3021, 5, 0, 0, 0, 0.0, *[0.0] * 8)
     bench.send(local, mavlink.MAVLink_rc_channels_message(0, 0, *range(18), 0))
     assert bench.link.seen == {87: 1, 65: 1}

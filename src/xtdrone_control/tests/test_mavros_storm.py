@@ -198,7 +198,7 @@ def storm(bench: Bench, call: Callable[[Any], Any], cls: Any, seed: str) -> tupl
     return sent, kept
 
 
-def test_every_topic_takes_any_message(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+def test_every_topic_accepts_any_message(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     bench.uas._throttle = Throttle(0.0)
     topics = bench.ros.subscribers
     assert len(topics) >= 11
@@ -270,7 +270,7 @@ def raw(vy: float) -> PositionTarget:
         ("home_position/set", home(w=1e300), "SET_HOME_POSITION.q[0] is 7.07106781"),
     ],
 )
-def test_a_value_that_does_not_fit_is_named_once(
+def test_a_value_out_of_range_is_reported_once(
     bench: Bench, caplog: pytest.LogCaptureFixture, topic: str, sent: Any, words: str
 ) -> None:
     for _ in range(20):
@@ -281,7 +281,7 @@ def test_a_value_that_does_not_fit_is_named_once(
     assert record.getMessage().endswith("is allowed; the message is not forwarded")
 
 
-def test_a_masked_value_that_does_not_fit_is_named(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_masked_value_out_of_range_is_reported(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     """It would be ignored, but MAVLink cannot carry it."""
     target = raw(-1e300)
     target.type_mask = PositionTarget.IGNORE_VY
@@ -301,7 +301,7 @@ def test_a_masked_value_that_does_not_fit_is_named(bench: Bench, caplog: pytest.
         ("set_message_interval", MessageIntervalRequest(1, 1e-40), "COMMAND_LONG.param2 is 1.0000000000000001e+46"),
     ],
 )
-def test_a_request_that_does_not_fit_is_refused_before_anything_is_sent(
+def test_an_oversized_request_is_rejected_before_sending(
     bench: Bench, caplog: pytest.LogCaptureFixture, service: str, request_: Any, words: str
 ) -> None:
     response = bench.ros.services[f"/iris_0/mavros/{service}"](request_)

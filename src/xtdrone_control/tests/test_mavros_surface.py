@@ -123,21 +123,21 @@ def offered() -> dict[Offered, str]:
     return ours()
 
 
-def test_all_of_mavros_is_offered_or_left_out(offered):
+def test_every_feature_of_mavros_is_offered_or_listed_as_missing(offered):
     neither = {e for e in mavros() - set(offered) if (e.direction, e.name) not in left_out()}
     assert {" ".join(entry) for entry in neither} <= _OTHERS
 
 
-def test_what_is_offered_is_not_called_left_out(offered):
+def test_offered_features_are_not_listed_as_omitted(offered):
     both = {(entry.direction, entry.name) for entry in offered} & set(left_out())
     assert not both, "to be taken out of left_out.py"
 
 
-def test_what_is_left_out_is_mavros():
+def test_omitted_features_belong_to_mavros():
     assert set(left_out()) <= {(entry.direction, entry.name) for entry in mavros()}
 
 
-def test_the_page_says_the_same():
+def test_the_page_is_current():
     found = _TABLE.search(_PAGE.read_text(encoding="utf-8"))
     assert found, "the table's marks"
     assert found[0] == table(), f"run {Path(__file__).name} as a program"

@@ -67,7 +67,7 @@ def test_calls_name_events_of_the_catalogue():
                         assert text in CATALOGUE, (path, node.lineno)
 
 
-def test_only_what_is_an_event_too_ends_with_a_tab():
+def test_only_texts_with_an_event_end_with_a_tab():
     """Only ``Announcements`` puts tabs behind texts, where it adds the event; the others take them away."""
     assert {path.stem for path, value in literals() if value.endswith("\t")} <= {
         "announcements",
@@ -120,7 +120,7 @@ def definitions():
     return json.loads(metadata.event_definitions())
 
 
-def test_definitions_of_events_are_as_libevents_wants_them(definitions):
+def test_event_definitions_follow_libevents_schema(definitions):
     """Facts of libevents' schema and of its check script."""
     assert definitions["version"] in (1, 2)
     ((component, content),) = definitions["components"].items()

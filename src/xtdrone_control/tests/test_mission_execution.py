@@ -59,7 +59,7 @@ def test_a_square_in_order(flight):
     assert math.isnan(flight.setpoint["climb_speed"])
 
 
-def test_the_way_goes_on_through_a_waypoint_but_not_through_a_hold(hovering):
+def test_the_path_continues_through_a_waypoint_but_not_through_a_hold(hovering):
     fly(hovering, at(20, 0), at(20, 20, 10, plan.WAYPOINT, 3.0, 1.0), at(0, 20))
     assert hovering.setpoint["onward_position"].tolist() == pytest.approx([20, 20, -10], abs=0.01)
     assert hovering.setpoint["goal_radius"] == 2.0
@@ -125,7 +125,7 @@ def test_a_region_of_interest_turns_the_vehicle(hovering):
     assert hovering.setpoint["goal_yaw"] == pytest.approx(math.atan2(30, -20), abs=0.01)
 
 
-def test_pause_and_resume_go_on_with_the_same_item(hovering):
+def test_pause_and_resume_continue_with_the_same_item(hovering):
     fly(hovering, at(20, 0), at(40, 0), at(60, 0))
     hovering.tick()
     assert hovering.current == 1
@@ -210,7 +210,7 @@ def test_jumps_that_lead_nowhere_end_the_mission(hovering, jump):
 
 
 @pytest.mark.parametrize("index", [700, -3])
-def test_a_jump_out_of_bounds_is_told(hovering, index):
+def test_a_jump_out_of_bounds_is_reported(hovering, index):
     fly(hovering, at(0, 0), do(plan.JUMP, index, 5))
     for _ in ticks(hovering, 5):
         pass
@@ -255,7 +255,7 @@ def test_a_gate_is_passed_at_right_angles(hovering):
     assert hovering.current == 1
 
 
-def test_a_gripper_gets_its_time(hovering):
+def test_the_mission_waits_for_the_gripper(hovering):
     fly(hovering, do(plan.GRIPPER, 1, 0), at(20, 0))
     hovering.run(4.9)
     assert hovering.current == 0
@@ -270,7 +270,7 @@ def test_set_current_in_flight(hovering):
     assert not hovering.commander.navigator.set_current(3)
 
 
-def test_a_new_mission_in_flight_goes_on_at_the_same_index(hovering):
+def test_a_new_mission_in_flight_continues_at_the_same_index(hovering):
     fly(hovering, at(20, 0), at(40, 0), at(60, 0))
     hovering.tick()
     hovering.load(at(0, 20), at(0, 40), at(0, 60))
@@ -284,7 +284,7 @@ def test_a_new_mission_in_flight_goes_on_at_the_same_index(hovering):
     assert hovering.commander.mode is modes.AUTO_LOITER
 
 
-def test_a_waypoint_first_on_the_ground_takes_off_where_it_stands(flight):
+def test_a_first_waypoint_on_the_ground_takes_off_in_place(flight):
     flight.load(at(30, 0, 1.0), at(60, 0))
     flight.start()
     assert "Takeoff to 2.5 meters above home" in flight.texts()
@@ -301,7 +301,7 @@ def test_items_without_sense_do_no_harm(hovering):
         assert all(map(math.isfinite, hovering.setpoint["goal_position"].tolist()))
 
 
-def test_no_autocontinue_stays(hovering):
+def test_without_autocontinue_the_mission_waits(hovering):
     fly(hovering, at(20, 0, autocontinue=False), at(40, 0))
     for _ in range(20):
         hovering.tick()

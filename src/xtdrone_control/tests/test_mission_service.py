@@ -94,7 +94,7 @@ def test_the_first_request_is_the_old_one_then_that_of_integers(served):
     assert len(served.commander.navigator.plans.mission) == 3
 
 
-def test_float_items_are_taken(served):
+def test_float_items_are_accepted(served):
     served.ask(number(2))
     (second,) = served.ask(float_item(0))
     assert kind_of(second) == "MISSION_REQUEST"
@@ -134,7 +134,7 @@ def test_content_is_not_judged_at_upload(served, wrong):
         ({"command": 5100}, 1),
     ],
 )
-def test_refused_items(served, wrong, result):
+def test_rejected_items(served, wrong, result):
     assert upload(served, [item(0), item(1, **wrong)]) == result
     assert served.commander.navigator.plans.mission == ()
     assert upload(served, [item(0)]) == 0  # the refusal ended the transfer
@@ -144,12 +144,12 @@ def test_refused_items(served, wrong, result):
     ("kind", "items", "result"),
     [(0, 65535, 4), (1, 64, 4), (2, 32, 4), (99, 1, 4), (0, 0, 0), (1, 0, 0), (99, 0, 0)],
 )
-def test_refused_and_empty_counts(served, kind, items, result):
+def test_rejected_and_empty_counts(served, kind, items, result):
     (answer,) = served.ask(number(items, kind))
     assert (kind_of(answer), answer.type, answer.mission_type) == ("MISSION_ACK", result, kind)
 
 
-def test_a_second_client_is_refused_during_an_upload(served):
+def test_a_second_client_is_rejected_during_an_upload(served):
     served.ask(number(2))
     served.ask(item(0))
     (answer,) = served.ask(number(1), served.other)
@@ -172,7 +172,7 @@ def test_the_last_item_again_is_acknowledged_again(served):
     assert served.ask(item(0))[0].type == 1
 
 
-def test_wrong_and_repeated_numbers_are_ignored_and_asked_again(served):
+def test_wrong_and_repeated_numbers_are_ignored_and_requested_again(served):
     served.ask(number(3))
     served.ask(item(0))
     assert served.ask(item(2)) == []
@@ -216,7 +216,7 @@ def test_a_client_may_cancel(served):
     assert upload(served, [item(0)]) == 0
 
 
-def test_an_unsupported_request_is_asked_for_in_the_other_form(served):
+def test_an_unsupported_request_is_repeated_in_the_other_form(served):
     assert names(served.ask(number(2))) == ["MISSION_REQUEST"]
     assert names(served.ask(ack(3))) == ["MISSION_REQUEST_INT"]
 
@@ -231,7 +231,7 @@ def test_a_closed_client_does_not_block_the_others(served):
 # download
 
 
-def test_a_mission_comes_back(served):
+def test_a_mission_round_trips(served):
     items = [
         item(0, 22, params=(0.0, 0.0, 0.0, NAN)),
         item(1, 16, frame=5, params=(3.0, 1.5, 0.0, -90.0)),
@@ -257,7 +257,7 @@ def test_the_old_request_gets_the_old_item(served):
     assert answer.x == pytest.approx(LATITUDE * 1e-7, abs=1e-5)
 
 
-def test_fence_and_rally_points_come_back(served):
+def test_fence_and_rally_points_round_trip(served):
     square = [item(i, 5001, kind=1, params=(4.0, 0.0, 0.0, 0.0)) for i in range(4)]
     assert upload(served, square, kind=1) == 0
     assert upload(served, [item(0, 5100, kind=2)], kind=2) == 0
@@ -281,7 +281,7 @@ def test_an_unexpected_request_ends_the_download(served):
     assert served.ask(mavlink.MAVLink_mission_request_int_message(SYSTEM, 1, 0, 0)) == []
 
 
-def test_an_item_may_be_asked_for_again(served):
+def test_an_item_may_be_requested_again(served):
     upload(served, [item(i) for i in range(3)])
     served.ask(mavlink.MAVLink_mission_request_list_message(SYSTEM, 1, 0))
     ask = mavlink.MAVLink_mission_request_int_message(SYSTEM, 1, 0, 0)
@@ -321,7 +321,7 @@ def test_set_current(served):
     assert served.commander.navigator.plans.current == 2
 
 
-def test_the_current_item_is_told_once_a_second_while_there_is_a_mission(served):
+def test_the_current_item_is_sent_at_1_hz_during_a_mission(served):
     assert run(served, 3.0) == []
     upload(served, [item(0), item(1)])
     found = [(name, m.seq, m.total, m.mission_state) for _, name, m in run(served, 5.0)]
@@ -331,7 +331,7 @@ def test_the_current_item_is_told_once_a_second_while_there_is_a_mission(served)
     assert run(served, 3.0) == []
 
 
-def test_a_reached_item_is_told_eleven_times(served):
+def test_a_reached_item_is_sent_eleven_times(served):
     upload(served, [item(0), item(1)])
     run(served, 0.2)
     served.commander.navigator.mission.reached = 0
@@ -339,7 +339,7 @@ def test_a_reached_item_is_told_eleven_times(served):
     assert found == [0] * 11
 
 
-def test_camera_triggers_are_told(served):
+def test_camera_triggers_are_reported(served):
     served.commander.navigator.payload.execute(plan.START_IMAGES, (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
     upload(served, [item(0)])
     found = [m.seq for _, name, m in run(served, 0.2) if name == "CAMERA_TRIGGER"]

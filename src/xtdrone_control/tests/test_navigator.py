@@ -180,7 +180,7 @@ def test_bad_reposition_is_denied(flight, place):
     assert goal(flight) == before
 
 
-def test_reposition_on_the_ground_is_refused():
+def test_reposition_on_the_ground_is_rejected():
     flight = Flight()
     flight.commander.arm_disarm(True)
     assert flight.commander.reposition((47.0, 8.0, 500.0), math.nan, math.nan) is Result.TEMPORARILY_REJECTED

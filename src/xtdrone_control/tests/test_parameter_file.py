@@ -22,7 +22,7 @@ files = st.builds(
 
 @settings(max_examples=100, deadline=None)
 @given(files)
-def test_what_is_written_is_read_again(content):
+def test_written_files_can_be_read(content):
     assert parameter_file.parse(parameter_file.text_of(content)) == content
 
 
@@ -56,19 +56,19 @@ def test_a_file_of_qgroundcontrol_is_read(tmp_path):
         ("1\t1\tA\t1\tfloat", "a type of"),
     ],
 )
-def test_files_that_are_none(text, message):
+def test_invalid_files(text, message):
     with pytest.raises(ParameterFileError) as error:
         parameter_file.parse(text, "a.params")
     assert message in str(error.value)
     assert str(error.value).startswith("a.params")
 
 
-def test_a_file_that_is_not_there(tmp_path):
+def test_a_missing_file(tmp_path):
     with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
         parameter_file.read(tmp_path / "none.params")
 
 
-def test_a_file_without_an_end_is_refused(tmp_path):
+def test_a_file_without_an_end_is_rejected(tmp_path):
     with (tmp_path / "large.params").open("wb") as file:
         file.truncate(1 << 30)
     with pytest.raises(ParameterFileError, match=r"cannot be read: it has 1024\.0 MB, at most 4 MB are allowed"):

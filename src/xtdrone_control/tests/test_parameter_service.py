@@ -31,7 +31,7 @@ def write(name, value, kind=FLOAT, system=SYSTEM):
     return mavlink.MAVLink_param_set_message(system, 1, name.encode(), value, kind)
 
 
-def test_list_begins_and_ends_with_the_hash_and_comes_in_bursts(served):
+def test_list_begins_and_ends_with_the_hash_and_is_sent_in_bursts(served):
     first = served.ask(request_list())
     assert [m.param_id for m in first] == ["_HASH_CHECK"]
     found = values(served.run(1.0))
@@ -91,7 +91,7 @@ def test_messages_to_all_systems_are_left_alone_as_px4_does(served):
     assert not values(served.run(1.0))
 
 
-def test_everybody_hears_of_a_written_value(served):
+def test_all_clients_receive_a_written_value(served):
     for value in (1.0, 50.0):  # out of range is taken too
         answers = served.ask(write("MPC_XY_P", value))
         assert [(m.param_id, m.param_value) for m in answers] == [("MPC_XY_P", value)]
@@ -102,7 +102,7 @@ def test_everybody_hears_of_a_written_value(served):
     ("name", "value", "kind"),
     [("NO_SUCH", 1.0, FLOAT), ("MPC_XY_P", 1.0, INT32), ("NAV_DLL_ACT", 1.0, FLOAT), ("MPC_XY_P", float("nan"), FLOAT)],
 )
-def test_silence_for_what_cannot_be_written(served, name, value, kind):
+def test_unwritable_messages_are_not_answered(served, name, value, kind):
     before = served.parameters.hash()
     assert not served.ask(write(name, value, kind))
     assert not served.other.sent
@@ -140,7 +140,7 @@ def test_a_file_of_qgroundcontrol_is_read(tmp_path):
     assert (parameters.get("MPC_XY_CRUISE"), parameters.get("NAV_DLL_ACT")) == (7.5, 3)
 
 
-def test_what_cannot_be_used_is_named_and_skipped(tmp_path, caplog):
+def test_invalid_entries_are_reported_and_skipped(tmp_path, caplog):
     file = tmp_path / "iris_0.params"
     file.write_text(
         "1\t1\tNO_SUCH\t1.0\t9\n1\t1\tMPC_XY_P\tmuch\t9\n1\t1\tMPC_XY_P\t1\t6\nMPC_XY_P 1\n1\t1\tMAV_SYS_ID\t9\t6\n"

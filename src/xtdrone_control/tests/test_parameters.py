@@ -74,7 +74,7 @@ def test_record_follows():
         ("NAV_DLL_ACT", 2.0**31, None, "integer"),
     ],
 )
-def test_bad_values_are_refused(name, value, kind, text):
+def test_invalid_values_are_rejected(name, value, kind, text):
     p = Parameters()
     before = p.hash()
     with pytest.raises(ParameterError, match=text):

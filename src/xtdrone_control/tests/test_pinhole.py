@@ -16,5 +16,5 @@ def test_projection_and_rays_are_inverse():
     assert camera.rays(camera.project(points)) == pytest.approx(points / points[:, 2:])
 
 
-def test_what_lies_behind_is_not_seen():
+def test_points_behind_the_camera_are_not_visible():
     assert np.isnan(Pinhole.of_view(640, 360, 2.0).project(np.array([[0.0, 0.0, -1.0]]))).all()

@@ -22,7 +22,7 @@ def test_ids(text: str, ids: list[int]) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "-1", "9", "0-9", "3-1", "x", "1,,2", "1.5"])
-def test_bad_ids_are_named(text: str) -> None:
+def test_invalid_ids_are_reported(text: str) -> None:
     with pytest.raises(ArgumentError, match="id: "):
         parse_ids(text, 0, 8)
 

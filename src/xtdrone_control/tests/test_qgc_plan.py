@@ -83,7 +83,7 @@ def same(a, b):
     return repr(a) == repr(b)  # NaN is equal to itself here
 
 
-def test_what_qgroundcontrol_writes_is_read():
+def test_qgroundcontrols_files_are_read():
     found = qgc_plan.parse(json.dumps(DRAWN))
     assert [(item.command, item.frame) for item in found.mission] == [
         (22, 3), (530, 2), (16, 3), (206, 2), (4501, 3), (16, 0), (177, 2), (20, 2)
@@ -140,18 +140,18 @@ ITEM = ("mission", "items", 0)
         (("rallyPoints", "points"), [[91, 0, 0]], r"rallyPoints: points: point 1: number 1: 91 is not allowed"),
     ],
 )
-def test_what_cannot_be_used_is_named(path, value, message):
+def test_invalid_entries_are_reported(path, value, message):
     with pytest.raises(PlanError, match=message):
         qgc_plan.parse(drawn(*path, value=value), "p")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, '{"fileType": NaN}', "null", "[]"])
-def test_what_is_no_plan_is_named(text):
+def test_files_other_than_plans_are_reported(text):
     with pytest.raises(PlanError, match=r"^p: "):
         qgc_plan.parse(text, "p")
 
 
-def test_a_file_that_is_not_there_or_no_text_is_named(tmp_path):
+def test_a_missing_or_binary_file_is_reported(tmp_path):
     with pytest.raises(PlanError, match=r"none\.plan: cannot be read: No such file or directory$"):
         qgc_plan.read(tmp_path / "none.plan")
     (tmp_path / "b.plan").write_bytes(b"\xff\xfe")
@@ -211,7 +211,7 @@ plans = st.builds(lambda m, f, r, home: Plan(m, f, tuple(r), home, 12.0, 4.0), m
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(plans)
-def test_what_is_written_is_read_back(content):
+def test_written_values_are_read_back(content):
     assert same(qgc_plan.parse(qgc_plan.text_of(content)), content)
 
 
@@ -236,6 +236,6 @@ def test_a_file_holds_it_and_looks_like_qgroundcontrols(tmp_path):
         (Plan((), fence=(PlanItem(16, 0, (3.0, 0, 0, 0), 1.0, 1.0, 0.0),)), "fence item 1: command 16"),
     ],
 )
-def test_what_cannot_be_written_is_named(content, message):
+def test_write_errors_are_reported(content, message):
     with pytest.raises(PlanError, match=message):
         qgc_plan.text_of(content)

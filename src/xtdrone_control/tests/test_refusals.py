@@ -61,11 +61,11 @@ class Told:
         return [text for _, text in lines]
 
 
-def test_a_report_that_nobody_asked_for_is_not_told() -> None:
+def test_an_unrequested_report_is_not_shown() -> None:
     assert Told().by(*report(STREAM, MISSION)) == []
 
 
-def test_a_refusal_is_explained_by_what_stands_against_the_mode() -> None:
+def test_a_rejection_is_explained_by_the_modes_failing_checks() -> None:
     told = Told()
     told.by(*report(MISSION))
     told.refusals.arming_refused(SECOND)
@@ -75,7 +75,7 @@ def test_a_refusal_is_explained_by_what_stands_against_the_mode() -> None:
     assert told.by(*report(STREAM, BATTERY), now_ns=SECOND) == []  # once
 
 
-def test_a_refusal_without_a_known_reason_tells_all_that_stands_against_any_mode() -> None:
+def test_a_rejection_without_a_known_reason_lists_all_failing_checks() -> None:
     told = Told(modes.AUTO_LOITER)
     told.refusals.arming_refused(0)
     assert told.by(*report(STREAM, STATION)) == ["Arming denied: No offboard signal"]
@@ -83,13 +83,13 @@ def test_a_refusal_without_a_known_reason_tells_all_that_stands_against_any_mode
     assert told.by(*report()) == ["Arming denied: for a reason that is not known here"]
 
 
-def test_a_report_that_comes_long_after_the_refusal_does_not_explain_it() -> None:
+def test_a_late_report_does_not_explain_a_rejection() -> None:
     told = Told()
     told.refusals.arming_refused(0)
     assert told.by(*report(STREAM), now_ns=SECOND) == []
 
 
-def test_checks_that_are_not_in_the_catalogue_are_told_by_number() -> None:
+def test_checks_outside_the_catalogue_are_shown_by_number() -> None:
     told = Told()
     told.refusals.arming_refused(0)
     first, *last = report()
@@ -100,7 +100,7 @@ def test_checks_that_are_not_in_the_catalogue_are_told_by_number() -> None:
 
 
 @pytest.mark.parametrize("first", [True, False], ids=["report first", "failsafe first"])
-def test_a_failsafe_is_told_with_its_reason(first: bool) -> None:
+def test_a_failsafe_is_shown_with_its_reason(first: bool) -> None:
     told = Told()
     failsafe = event("commander_failsafe_enter_generic", events.CRITICAL, 0, modes.OFFBOARD.custom_mode, Action.POSCTL)
     if first:
@@ -112,7 +112,7 @@ def test_a_failsafe_is_told_with_its_reason(first: bool) -> None:
     assert told.by(*report(STREAM), now_ns=2 * SECOND) == []
 
 
-def test_a_failsafe_with_a_cause_is_told_in_words() -> None:
+def test_a_failsafe_with_a_cause_is_shown_as_text() -> None:
     failsafe = event(
         "commander_failsafe_enter_hold",
         events.CRITICAL,
@@ -125,7 +125,7 @@ def test_a_failsafe_with_a_cause_is_told_in_words() -> None:
     assert Told().by(failsafe) == ["Failsafe because of low battery: return in 5 s"]
 
 
-def test_a_mode_that_is_refused_is_told_with_its_reason() -> None:
+def test_a_rejected_mode_is_shown_with_its_reason() -> None:
     told = Told(modes.AUTO_LOITER)
     told.by(*report(STREAM, MISSION))
     refused = event(
@@ -138,7 +138,7 @@ def test_a_mode_that_is_refused_is_told_with_its_reason() -> None:
     assert told.by(refused) == ["Switching to offboard is not possible now: No offboard signal"]
 
 
-def test_what_is_told_by_a_text_as_well_is_not_told_again() -> None:
+def test_events_that_repeat_a_text_are_not_shown() -> None:
     assert Told().by(event("commander_armed_by", events.INFO, 0, 4)) == []
 
 
@@ -183,7 +183,7 @@ def refuse(bench: Bench, *, arm: bool) -> None:
     assert not caller.is_alive()
 
 
-def test_a_refused_arming_is_logged_and_published(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_rejected_arming_is_logged_and_published(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     bench.take("statustext/recv")
     bench.send(mavlink.MAVLink_heartbeat_message(2, 12, 0x1D, modes.OFFBOARD.custom_mode, 3, 3))
     bench.received()
@@ -194,7 +194,7 @@ def test_a_refused_arming_is_logged_and_published(bench: Bench, caplog: pytest.L
     assert "iris_0: FCU: Arming denied: No offboard signal" in caplog.text
 
 
-def test_a_refused_disarming_is_not_taken_for_arming(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_rejected_disarming_does_not_count_as_arming(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     bench.send(mavlink.MAVLink_heartbeat_message(2, 12, 0x9D, modes.OFFBOARD.custom_mode, 3, 3))
     bench.received()
     refuse(bench, arm=False)

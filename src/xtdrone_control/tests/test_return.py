@@ -177,7 +177,7 @@ def test_without_a_target_it_lands_after_a_search():
 
 
 @pytest.mark.parametrize(("mode", "task"), [(0.0, TASK_LAND), (1.0, TASK_LAND), (2.0, TASK_GOTO)])
-def test_a_mission_lands_precisely_as_its_item_says(mode, task):
+def test_a_mission_lands_precisely_in_the_mode_of_its_item(mode, task):
     flight = flying()
     flight.load(at(0, 0), at(0, 0, 0, plan.LAND, 0, mode))
     flight.commander.request(modes.AUTO_MISSION)

@@ -48,13 +48,13 @@ def test_a_vehicle_that_may_not_brake_stops_all_the_same(flight, value):
     assert flight.setpoint["goal_position"].tolist() == pytest.approx([9.25, 0.0, -10.0])
 
 
-def test_a_covariance_that_is_none_counts_as_exact(flight):
+def test_an_invalid_covariance_counts_as_exact(flight):
     flight.autopilot.estimator[0]["P"][6, 6] = -1.0
     flight.run(0.2)
     assert flight.commander.mode is modes.AUTO_LOITER
 
 
-def test_a_gate_that_lets_nothing_through():
+def test_a_gate_of_zero_allows_arming():
     flight = Flight(EKF2_HDG_GATE=0.0)
     flight.run(0.2)
     assert flight.commander.ready_to_arm
@@ -189,7 +189,7 @@ def test_a_client_that_goes_in_the_middle_of_an_upload_leaves_the_door_open():
     assert type(answer).__name__ == "MISSION_REQUEST"
 
 
-def test_a_failsafe_that_is_asked_for_late_acts():
+def test_a_failsafe_action_set_late_acts():
     flight = Flight(COM_FAIL_ACT_T=0.0)
     flight.commander.gcs_heartbeat()
     flight.commander.arm_disarm(True)

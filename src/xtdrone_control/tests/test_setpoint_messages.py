@@ -129,7 +129,7 @@ def test_offset_frame_counts_from_the_vehicle():
 
 
 @pytest.mark.parametrize("frame", [0, 2, 4, 7, 10, 12, 20, 255])
-def test_frames_that_px4_does_not_take(frame):
+def test_frames_that_px4_rejects(frame):
     with pytest.raises(setpoints.RefusedSetpointError, match=f"coordinate frame {frame} unsupported"):
         setpoints.local_target(Recorder(), local([0.0] * 9, 0, frame))
 
@@ -150,7 +150,7 @@ def test_global_altitudes(frame, z):
     assert all(map(math.isnan, velocity))
 
 
-def test_a_global_place_is_taken_whole_or_not():
+def test_a_global_position_is_applied_completely_or_not_at_all():
     commander = Recorder()
     setpoints.global_target(commander, place(0b111000001, frame=99))
     ((_, position, velocity, *_),) = commander.taken
@@ -168,7 +168,7 @@ def test_a_global_place_is_taken_whole_or_not():
         (place(0b111111000, lat=91.0), False, "not allowed"),
     ],
 )
-def test_global_targets_that_are_refused(message, aloud, text):
+def test_global_targets_that_are_rejected(message, aloud, text):
     with pytest.raises(SetpointError, match=text) as caught:
         setpoints.global_target(Recorder(), message)
     assert isinstance(caught.value, setpoints.RefusedSetpointError) == aloud
@@ -233,7 +233,7 @@ def flying():
         ((_NAN, 2.0, 3.0, 0, 0, 0, 0, 0, 0), 0b111111000),
     ],
 )
-def test_what_cannot_be_flown_stops_the_vehicle_and_keeps_offboard_alive(flying, values, mask):
+def test_unsupported_setpoints_stop_the_vehicle_and_keep_offboard_alive(flying, values, mask):
     for _ in range(20):
         flying.autopilot.time_us += 100_000
         assert not flying.ask(local(values, mask))
@@ -250,7 +250,7 @@ def test_what_cannot_be_flown_stops_the_vehicle_and_keeps_offboard_alive(flying,
     assert len(flying.link.warnings) == warned
 
 
-def test_what_is_refused_is_said_once_a_second_and_does_not_keep_offboard_alive(flying):
+def test_rejected_setpoints_are_reported_at_1_hz_and_do_not_keep_offboard_alive(flying):
     before = str(flying.autopilot.setpoint)
     for _ in range(9):
         flying.autopilot.time_us += 100_000

@@ -101,7 +101,7 @@ def test_an_origin_that_another_px4_begins_with_is_moved_too(px4):
     assert px4.origin == SHARED
 
 
-def test_one_that_does_not_obey_is_named_and_let_go(px4, caplog):
+def test_a_vehicle_that_rejects_the_origin_is_reported_and_skipped(px4, caplog):
     px4.origin, px4.in_air = SPAWN, True
     for _ in range(MOST_TRIES + 10):
         px4.pass_time()
@@ -133,7 +133,7 @@ def test_nothing_is_sent_without_the_parameter(px4, value):
     assert px4.bench.uas.arming_held == ""
 
 
-def test_a_parameter_that_is_no_place_is_refused():
+def test_a_parameter_that_is_not_a_position_is_rejected():
     assert parse_origin(WORLD) == SHARED
     for bad in ({"latitude": 47.0}, {**WORLD, "latitude": 91.0}, {**WORLD, "altitude": "high"}, "47, 8, 488", [1, 2]):
         with pytest.raises(ValueError, match=r"/xtdrone/shared_origin: .* is not allowed"):

@@ -59,7 +59,7 @@ def station(world):
     client.socket.close()
 
 
-def test_a_ground_station_hears_a_heartbeat_a_second_while_time_stands_still(world, station, clock):
+def test_heartbeats_continue_at_1_hz_while_time_is_paused(world, station, clock):
     station.receive()
     for _ in range(100):  # 10 s of wall time
         clock.now += 0.1
@@ -91,7 +91,7 @@ def test_a_heartbeat_by_simulated_time_is_enough(world, station, clock):
     assert types(station.receive()).count("HEARTBEAT") == 11  # at 1.1 s, at 2 s, ... at 11 s
 
 
-def test_no_pause_takes_the_telemetry_away(world, clock):
+def test_telemetry_survives_every_pause(world, clock):
     world.hear()
     world.run(1.0)
     clock.now += 3600.0
@@ -179,7 +179,7 @@ def test_mavros_begins_anew_when_time_goes_back(bench):
     assert [pose.header.stamp.to_sec() for pose in poses] == pytest.approx([0.1 * k for k in range(1, 51)])
 
 
-def test_mavros_asks_an_autopilot_that_was_rebooted_again(bench):
+def test_mavros_repeats_its_requests_after_a_reboot(bench):
     bench.take("local_position/pose")
     bench.send(beat(mavlink.MAV_STATE_UNINIT))
     fly(bench, 3.0)
@@ -242,7 +242,7 @@ def test_participants_are_due_as_at_a_start_when_time_is_set_back():
         server.close()
 
 
-def test_what_was_under_way_is_void_after_time_was_set_back():
+def test_messages_in_flight_are_void_after_a_time_reset():
     server = LockstepServer()
     try:
         writer = FakeParticipant(server, "/w", rate=10.0, publications=[["/t", "std_msgs/String"]])

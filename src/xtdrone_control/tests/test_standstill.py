@@ -69,7 +69,7 @@ def test_the_parameter_list(world, clock, station):
     assert "PARAM_VALUE" not in [m.get_type() for m in station.receive()]
 
 
-def test_a_list_that_time_stops_in_goes_on_in_the_middle(world, clock, station):
+def test_a_transfer_interrupted_by_a_pause_continues(world, clock, station):
     station.send(mavlink.MAVLink_param_request_list_message(world.fleet[0].system_id, 1))
     world.server.receive(1.0)
     world.run(0.05)
@@ -90,7 +90,7 @@ def test_time_that_is_slow_does_not_stand(world, clock, station):
     assert [m.param_id for m in heard if m.get_type() == "PARAM_VALUE"] == ["_HASH_CHECK"]
 
 
-def test_who_is_counted_waits_for_simulated_time(world, clock, station):
+def test_counted_nodes_wait_for_simulated_time(world, clock, station):
     """What a lockstep participant hears is the same in every run."""
     port = station.socket.getsockname()[1]
     station.send(mavlink.MAVLink_param_request_list_message(world.fleet[0].system_id, 1))
@@ -141,7 +141,7 @@ def test_a_log_is_downloaded(world, clock, station, tmp_path):
     assert b"".join(bytes(m.data[: m.count]) for m in parts) == log
 
 
-def test_what_is_asked_at_once_is_answered_at_once(world, clock, station):
+def test_immediate_requests_are_answered_immediately(world, clock, station):
     """Missions go question by question, and need no time at all."""
     system = world.fleet[0].system_id
     station.send(mavlink.MAVLink_mission_count_message(system, 1, 1, 0))

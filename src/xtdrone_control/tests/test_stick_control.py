@@ -124,7 +124,7 @@ def test_hover_thrust_is_found(parts, truth):
     assert c["hover"]["estimate"] == pytest.approx(truth, rel=0.03)
 
 
-def test_hover_thrust_stays_in_its_range(parts):
+def test_hover_thrust_is_limited_to_its_range(parts):
     c, _, e, p = parts
     hover_thrust.reset_hover_thrust(c["hover"], p)
     for _ in range(800):

@@ -60,7 +60,7 @@ def test_velocity_is_limited():
 
 @pytest.mark.parametrize("final", [0.0, 1.7])
 @pytest.mark.parametrize("distance", [0.1, 2.0, 50.0])
-def test_stopping_speed_lets_the_vehicle_slow_down(distance, final):
+def test_stopping_speed_suffices_to_slow_down(distance, final):
     """v^2 - final^2 = 2 a d less what the rising deceleration costs: v 2 a / j on the way."""
     accel, jerk = 3.0, 4.0
     speed = trajectory.stopping_speed(distance, accel, jerk, final)

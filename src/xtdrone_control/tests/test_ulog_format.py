@@ -165,7 +165,7 @@ def test_a_file_cut_anywhere_in_its_data_is_readable(capsys):
         assert point.data["timestamp"].tolist() == list(range(1, (end - definitions) // size + 1))
 
 
-def test_errors_name_the_thing():
+def test_errors_name_the_element():
     made, _ = writer(_POINT)
     other = Format.parse("point", "uint64_t timestamp;double x")
     late = Format.parse("late", "uint64_t timestamp")

@@ -74,7 +74,7 @@ def test_vision_position_estimate(world):
     assert np.isnan(s["vision_velocity"]).all()
 
 
-def test_unknown_covariance_and_what_is_no_number(world):
+def test_unknown_covariance_and_nan(world):
     world.take(mavlink.MAVLink_vision_position_estimate_message(0, NAN, math.inf, 1e9, NAN, 0.0, 0.0, UNKNOWN, 0))
     s = world.sensors
     assert np.isnan(s["vision_position"]).all()

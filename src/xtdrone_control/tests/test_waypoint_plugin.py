@@ -113,7 +113,7 @@ def test_push_and_pull(layer):
     assert shown.waypoints[1].param1 == 1.0
 
 
-def test_a_refused_item_tells_how_far_it_got(layer):
+def test_a_rejected_item_reports_the_progress(layer):
     bad = [*MISSION[:2], waypoint(20, 9999), waypoint(30)]
     answer = layer.call("mission/push", WaypointPushRequest(waypoints=bad))
     assert (answer.success, answer.wp_transfered) == (False, 3)
@@ -159,7 +159,7 @@ def test_geofence_and_rally_points(layer):
     assert layer.published("mission/waypoints") == []
 
 
-def test_what_is_reached_is_published(layer):
+def test_reached_waypoints_are_published(layer):
     layer.call("mission/push", WaypointPushRequest(waypoints=[waypoint(0, 22), waypoint(2), waypoint(4)]))
     layer.stop_serving()
     assert layer.flight.commander.request(modes.AUTO_MISSION) == 0

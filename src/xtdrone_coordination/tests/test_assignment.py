@@ -31,7 +31,7 @@ def test_known_cases() -> None:
     assert assign(nine.offsets("pyramid"), nine.offsets("cube")).cost == pytest.approx(26.5, abs=0.05)
 
 
-def test_who_is_there_already_stays() -> None:
+def test_an_existing_node_keeps_its_name() -> None:
     cube = Patterns(9).offsets("cube")
     order = np.random.default_rng(1).permutation(8)
     solved = assign(cube[order], cube)
@@ -47,7 +47,7 @@ def test_shapes_are_checked(here: np.ndarray, there: np.ndarray) -> None:
         assign(here, there)
 
 
-def test_nan_is_refused() -> None:
+def test_nan_is_rejected() -> None:
     with pytest.raises(ValueError, match="finite"):
         assign([[np.nan, 0, 0]], [[0, 0, 0]])
 
@@ -81,7 +81,7 @@ def test_a_thousand_are_assigned_in_the_best_way(before: str, after: str) -> Non
     assert reduced_costs(here, there, solved.slots).min() > -1e-9
 
 
-def test_the_proof_of_the_best_finds_what_is_not() -> None:
+def test_the_proof_of_optimality_detects_other_assignments() -> None:
     patterns = Patterns(300)
     here, there = patterns.offsets("origin"), patterns.offsets("sphere")
     slots = assign(here, there).slots.copy()

@@ -55,7 +55,7 @@ def test_sums_over_those_near_and_ignores_the_unknown() -> None:
     assert avoid(2, positions) == (0.0, 0.0, 0.0)
 
 
-def test_giving_way_takes_only_the_closing_part() -> None:
+def test_giving_way_removes_only_the_closing_component() -> None:
     other = [(0.0, 0.0, 0.0), (1.1, 0.0, 0.0)]
     # half of the way remains: a quarter in each of the two rounds
     assert give_way(0, other, (1.0, 0.5, 0.0), 1.5, 0.7) == pytest.approx((1.0 / 16.0, 0.5, 0.0))
@@ -65,7 +65,7 @@ def test_giving_way_takes_only_the_closing_part() -> None:
     assert give_way(0, other, (1.0, 0.5, 0.0), 1.5, 0.0) == (1.0, 0.5, 0.0), "clearance 0 is the paper alone"
 
 
-def test_what_is_taken_away_for_one_does_not_lead_into_another() -> None:
+def test_giving_way_to_one_vehicle_does_not_approach_another() -> None:
     """Two neighbours side by side: giving way to the first turns the velocity towards the second."""
     positions = [(0.0, 0.0, 0.0), (0.6, 0.2, 0.0), (0.6, -0.2, 0.0)]
     velocity = give_way(0, positions, (1.0, 0.0, 0.0), 1.5, 0.7)

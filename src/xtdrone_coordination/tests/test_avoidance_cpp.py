@@ -206,7 +206,7 @@ def heard(graph: Graph, program: str, topic: str, ids: str) -> list[str]:
 def test_publishes_what_the_python_node_publishes(graph: Graph, topic: str, ids: str) -> None:
     python = heard(graph, "avoid.py", topic, ids)
     assert len(python) > 5 * 12
-    # at 0 it knows nobody's position, not even after others were known: the first avoidance is of 36 ms
+    # at 0 no position is known, also after a reset: the first avoidance is published at 36 ms
     times = [int(line.split()[0]) for line in python]
     assert min(times) == 40_000
     assert times.index(40_000, times.index(380_000)) > 0
@@ -235,7 +235,7 @@ def test_rejects_wrong_arguments_as_the_python_node(graph: Graph) -> None:
 
 
 @needs_ros
-def test_without_a_master_it_says_so(graph: Graph) -> None:
+def test_a_missing_master_is_reported(graph: Graph) -> None:
     graph.processes[0].kill()
     graph.processes[0].wait()
     done = graph.run(str(PROGRAMS["avoid_cpp"]), "iris", "9", "vel")

@@ -349,7 +349,7 @@ def test_a_law_in_arrays_of_the_wrong_shape_stops_the_vehicle_not_the_swarm() ->
     assert all("control_laws returned" in text for follower in twins.batched for text in follower.problem_log.current)
 
 
-def test_an_avoidance_that_is_heard() -> None:
+def test_received_avoidance_velocities_are_used() -> None:
     twins = Twins(3, [Follower], [FollowerOptions(avoid="topic")])
     twins.pattern(Patterns(3).offsets("cube"))
     twins.hear(np.zeros((3, 3)), np.zeros((3, 3)))
@@ -359,7 +359,7 @@ def test_an_avoidance_that_is_heard() -> None:
         twins.turn()
 
 
-def test_options_and_methods_may_be_given_to_single_followers_in_flight() -> None:
+def test_options_and_methods_of_single_followers_may_change_in_flight() -> None:
     twins = Twins(8, [Follower, InArrays], [FollowerOptions(vel_max=9.0)])
     twins.pattern(Patterns(8).offsets("cube"))
     rng = np.random.default_rng(4)
@@ -401,7 +401,7 @@ def test_weights_and_offsets_may_be_replaced_in_a_follower() -> None:
         twins.turn()
 
 
-def test_one_that_restarts_says_its_problems_again() -> None:
+def test_a_restarted_follower_repeats_its_warnings() -> None:
     twins = Twins(3, [Follower], [FollowerOptions()])
     places = np.array([[math.nan] * 3, [0.0] * 3, [0.5] * 3])
     for _ in range(2):

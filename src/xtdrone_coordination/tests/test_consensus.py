@@ -78,7 +78,7 @@ def test_all_vehicles_of_a_swarm_agree_with_the_equation(
         assert acceleration[i] == pytest.approx(second)
 
 
-def test_leader_alone_stays() -> None:
+def test_leader_alone_remains() -> None:
     assert velocity_law((1.0, 2.0, 3.0), (0.0, 0.0, 0.0), [], 1.0) == (0.0, 0.0, 0.0)
 
 

@@ -115,7 +115,7 @@ def test_speed_is_limited_continuously() -> None:
         assert np.linalg.norm(swarm.followers[0].update()) == pytest.approx(speed, rel=1e-6)
 
 
-def test_overriding_takes_a_few_lines() -> None:
+def test_overriding_needs_a_few_lines() -> None:
     class LeaderKeepsNumbers(Leader):
         def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
             return Assignment(np.arange(len(target)), 0.0)
@@ -208,7 +208,7 @@ def test_a_position_that_is_not_finite_is_not_used() -> None:
     assert state.positions[0] == (1.0, 2.0, 3.0)
 
 
-def test_avoidance_may_come_from_elsewhere_or_not_at_all() -> None:
+def test_avoidance_may_be_external_or_absent() -> None:
     at = [(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]
     moves = {}
     for avoid in ("own", "topic", "off"):
@@ -223,7 +223,7 @@ def test_avoidance_may_come_from_elsewhere_or_not_at_all() -> None:
     assert abs(moves["own"][2]) == pytest.approx(1 - 0.5 / 1.5)
 
 
-def test_an_avoidance_that_falls_silent_is_replaced_by_the_own_one_until_it_comes_again() -> None:
+def test_own_avoidance_replaces_a_silent_one_until_it_returns() -> None:
     """Counted in ticks, as the age of positions is."""
     follower, warnings = follower_alone(avoid="topic", clearance=0.0, vel_max=9.0, pose_timeout=0.1)
     own, _ = follower_alone(avoid="own", clearance=0.0, vel_max=9.0)
@@ -267,7 +267,7 @@ def test_an_avoidance_that_never_came_is_replaced_by_the_own_one() -> None:
 
 
 @pytest.mark.parametrize(("avoid", "remains"), [("own", 0.0), ("topic", 0.0), ("off", 0.5)])
-def test_gives_way_whoever_computes_the_avoidance(avoid: str, remains: float) -> None:
+def test_gives_way_with_every_source_of_the_avoidance(avoid: str, remains: float) -> None:
     follower, _ = follower_alone(avoid=avoid, clearance=0.7, vel_max=9.0)
     follower.on_pattern(OFFSETS)
     for j, p in enumerate([(0.0, 0.0, 0.0), (5.0, 0.5, 0.0), (5.0, 0.0, 0.0)]):
@@ -279,7 +279,7 @@ def test_gives_way_whoever_computes_the_avoidance(avoid: str, remains: float) ->
     "bad",
     [{"Kp": 0.0}, {"Kp": math.nan}, {"mode": "position"}, {"avoid": "yes"}, {"vel_max": "fast"}, {"clearance": 2}],
 )
-def test_bad_settings_are_named(bad: dict[str, object]) -> None:
+def test_invalid_settings_are_reported(bad: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         FollowerOptions(**bad)  # type: ignore[arg-type]
 
@@ -290,7 +290,7 @@ def test_follower_ids(id: int) -> None:
         Follower(id, 9)
 
 
-def test_wrong_sizes_are_refused_by_followers() -> None:
+def test_wrong_sizes_are_rejected_by_followers() -> None:
     follower, _ = follower_alone()
     with pytest.raises(PatternError, match="2 x 3"):
         follower.on_pattern([[1, 2, 3]])
@@ -310,12 +310,12 @@ def test_leader_passes_flight_commands_and_ignores_the_keyboards_idling() -> Non
     assert leader.pattern == ""
 
 
-def test_leader_refuses_the_unknown_and_lists_patterns() -> None:
+def test_leader_rejects_unknown_patterns_and_lists_the_known() -> None:
     with pytest.raises(CommandError, match=r"'cuboid'.*origin, cube, pyramid, triangle, .*text:WORDS"):
         Leader(9).on_command("cuboid")
 
 
-def test_leader_takes_shapes_with_arguments_as_commands() -> None:
+def test_leader_accepts_shapes_with_arguments_as_commands() -> None:
     leader = Leader(9)
     assert leader.on_command("text:XTD:spacing=2.5") is None
     assert leader.pattern == "text:XTD:spacing=2.5"
@@ -330,7 +330,7 @@ def test_leader_takes_shapes_with_arguments_as_commands() -> None:
     assert leader.pattern == "text:XTD:spacing=2.5", "the old pattern stays"
 
 
-def test_vehicles_that_hear_nothing_of_the_leader_are_named() -> None:
+def test_vehicles_without_a_path_to_the_leader_are_reported() -> None:
     class Halves(Leader):
         """The upper half of the numbers goes round in a circle."""
 
@@ -349,7 +349,7 @@ def test_vehicles_that_hear_nothing_of_the_leader_are_named() -> None:
     assert said == []
 
 
-def test_vehicles_that_listen_to_nobody_are_named() -> None:
+def test_vehicles_without_neighbours_are_reported() -> None:
     class Deaf(Leader):
         def topology(self, offsets: np.ndarray) -> np.ndarray:
             listens = np.eye(self.count, k=-1, dtype=int)
@@ -374,7 +374,7 @@ def test_vehicles_that_listen_to_nobody_are_named() -> None:
         ("abc", "overridden topology"),
     ],
 )
-def test_topologies_that_cannot_travel_are_refused(given: object, message: str) -> None:
+def test_topologies_that_cannot_be_sent_are_rejected(given: object, message: str) -> None:
     class Strange(Leader):
         def topology(self, offsets: np.ndarray) -> object:  # type: ignore[override]
             return given
@@ -383,7 +383,7 @@ def test_topologies_that_cannot_travel_are_refused(given: object, message: str) 
         Strange(9).choose("cube")
 
 
-def test_an_assignment_that_is_none_is_refused() -> None:
+def test_an_invalid_assignment_is_rejected() -> None:
     class Strange(Leader):
         def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
             return None  # type: ignore[return-value]
@@ -392,7 +392,7 @@ def test_an_assignment_that_is_none_is_refused() -> None:
         Strange(9).choose("cube")
 
 
-def test_many_numbers_are_said_in_short() -> None:
+def test_long_lists_of_numbers_are_abbreviated() -> None:
     assert number_list([4]) == "4"
     assert number_list([1, 2, 3, 7, 9, 10]) == "1-3, 7, 9-10"
     assert number_list(list(range(1, 1000, 2))) == "1, 3, 5, 7, 9, 11, 13, 15, ... (500 in all)"
@@ -408,7 +408,7 @@ def test_a_thousand_vehicles_are_led() -> None:
     assert least_separation(leader.offsets) == pytest.approx(2.0)
 
 
-def test_a_wrong_permutation_of_many_is_said_in_short() -> None:
+def test_a_wrong_permutation_of_many_is_abbreviated() -> None:
     class Broken(Leader):
         def assignment(self, current: np.ndarray, target: np.ndarray) -> Assignment:
             return Assignment(np.zeros(len(target), dtype=np.intp), 0.0)
@@ -436,7 +436,7 @@ def test_leader_assigns_from_offsets_while_positions_are_unknown() -> None:
     assert leader.distance == pytest.approx(assign(pyramid, leader.patterns.offsets("cube")).cost)
 
 
-def test_leader_refuses_a_pattern_that_reaches_into_the_ground() -> None:
+def test_leader_rejects_a_pattern_that_reaches_into_the_ground() -> None:
     leader = Leader(9)
     leader.swarm.on_position(0, (0.0, 0.0, 3.0))
     with pytest.raises(CommandError, match=r"climb to 4\.5 m"):
@@ -522,7 +522,7 @@ def test_a_restart_brings_back_the_state_after_construction() -> None:
     assert swarm.state.positions is positions  # who holds the list sees it
 
 
-def test_a_subclass_restarts_what_it_has_added() -> None:
+def test_a_subclass_resets_its_own_attributes() -> None:
     class Counting(Follower):
         def __init__(self, *args: object, **kwargs: object) -> None:
             super().__init__(*args, **kwargs)  # type: ignore[arg-type]

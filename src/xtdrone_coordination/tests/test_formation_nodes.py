@@ -75,7 +75,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Graph:
     return graph
 
 
-def test_followers_ignore_what_was_latched_before_time_was_set_back(graph: Graph) -> None:
+def test_followers_ignore_messages_latched_before_a_time_reset(graph: Graph) -> None:
     follower = Follower(1, 3)
     node = FollowerNode("iris", [follower])
     offsets, listeners = (3.0, 0.0, 0.0, 3.0, 0.0, 0.0), (0, 0, 0, 1, 0, 0, 1, 1, 0)
@@ -92,7 +92,7 @@ def test_followers_ignore_what_was_latched_before_time_was_set_back(graph: Graph
         node.step()
 
 
-def test_an_empty_pattern_is_none(graph: Graph) -> None:
+def test_an_empty_pattern_is_invalid(graph: Graph) -> None:
     follower = Follower(1, 3)
     FollowerNode("iris", [follower])
     graph.pattern()
@@ -142,9 +142,7 @@ def test_an_avoidance_node_that_dies_is_replaced_until_it_speaks_again(graph: Gr
     assert (len(warnings), len(news)) == (count - 1, 1)
 
 
-def test_many_followers_of_a_process_are_computed_together_and_say_the_same(
-    graph: Graph, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_followers_of_a_process_in_a_batch_publish_the_same(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros.rospy, "get_param", lambda name, default: "/swarm" if "swarm" in name else default)
     assert [type(ros.make_swarm(40, n)) for n in (1, ros.MANY - 1, ros.MANY)] == [SwarmState, SwarmState, ArraySwarm]
     rng = np.random.default_rng(1)
@@ -167,7 +165,7 @@ def test_many_followers_of_a_process_are_computed_together_and_say_the_same(
     assert said[0] == said[1]
 
 
-def test_the_leader_takes_back_what_it_has_latched(graph: Graph) -> None:
+def test_the_leader_withdraws_its_latched_messages(graph: Graph) -> None:
     leader = Leader(3)
     node = LeaderNode("iris", leader, republish_rate=10)
     (restart,) = graph.hooks
@@ -193,7 +191,7 @@ def test_the_leader_takes_back_what_it_has_latched(graph: Graph) -> None:
     assert flights[1] == flights[0]
 
 
-def test_a_follower_that_listens_to_nobody_is_named(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_follower_without_neighbours_is_reported(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(ros.rospy, "logwarn", said.append)
     node = FollowerNode("iris", [Follower(1, 3)])

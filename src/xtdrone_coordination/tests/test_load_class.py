@@ -37,7 +37,7 @@ def test_class_of_a_module() -> None:
         ("xtdrone_coordination.follower", "one class that inherits Follower, found 2"),
     ],
 )
-def test_what_cannot_be_loaded_is_explained(text: str, message: str) -> None:
+def test_load_errors_are_explained(text: str, message: str) -> None:
     with pytest.raises(ArgumentError, match=message):
         load_class(text, Follower)
 
@@ -51,14 +51,14 @@ def test_a_follower_is_no_leader() -> None:
     ("text", "message"),
     [("import sys\nsys.exit(4)", "SystemExit: 4"), ("1 / 0", "ZeroDivisionError: "), ("x = (", "SyntaxError: ")],
 )
-def test_a_file_that_does_not_load_is_named(tmp_path: Path, text: str, message: str) -> None:
+def test_a_file_that_does_not_load_is_reported(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "strange.py"
     file.write_text(text)
     with pytest.raises(ArgumentError, match=rf"strange\.py cannot be imported: {message}"):
         load_class(str(file), Follower)
 
 
-def test_a_class_that_overrides_nothing_is_said() -> None:
+def test_a_class_that_overrides_nothing_is_reported() -> None:
     class Misspelt(Follower):
         def contrl_law(self, position, peers):
             return position

@@ -128,7 +128,7 @@ def test_without_impairments_followers_fly_as_on_the_shared_state() -> None:
 
 @QUICK
 @given(st.floats(0.0, 1.5))
-def test_delay_gives_exactly_the_sample_of_that_long_ago(delay: float) -> None:
+def test_delay_selects_exactly_the_sample_of_that_age(delay: float) -> None:
     turns = math.ceil(delay * RATE - 1e-9)
     known = others(fly(Network(3, NetworkOptions(delay=delay)), walk(3, turns + 5)))
     assert np.isnan(known[:turns]).all()
@@ -175,7 +175,7 @@ def test_neither_all_nor_nothing_is_lost_unless_it_should() -> None:
     assert np.isnan(others(fly(Network(4, NetworkOptions(loss=1.0, burst=1.0)), track))).all()
 
 
-def test_bursts_have_their_length_and_the_loss_stays() -> None:
+def test_bursts_have_their_length_at_the_same_loss() -> None:
     turns, count, loss, burst = 2000, 6, 0.3, 0.4
     known = others(fly(Network(count, NetworkOptions(loss=loss, burst=burst, memory=60.0), seed=2), walk(count, turns)))
     lost = known != np.arange(turns)[:, None]
@@ -184,7 +184,7 @@ def test_bursts_have_their_length_and_the_loss_stays() -> None:
     assert lost.sum() / starts == pytest.approx(burst * RATE, rel=0.08)
 
 
-def test_nothing_comes_from_beyond_the_range_when_it_was_sent() -> None:
+def test_nothing_is_received_from_beyond_the_range_at_sending() -> None:
     reach, turns = 8.0, 120
     track = walk(7, turns, seed=9, size=8.0, speed=12.0)
     delay = 4
@@ -207,7 +207,7 @@ def test_nothing_comes_from_beyond_the_range_when_it_was_sent() -> None:
     st.one_of(st.just(math.inf), st.floats(4.0, 25.0)),
     st.integers(0, 1000),
 )
-def test_no_receiver_gets_more_bits_than_the_air_takes(bandwidth: float, queue: int, reach: float, seed: int) -> None:
+def test_no_receiver_gets_more_bits_than_the_bandwidth(bandwidth: float, queue: int, reach: float, seed: int) -> None:
     count, turns, bits = 7, 120, 320
     options = NetworkOptions(range=reach, bandwidth=bandwidth, queue=queue, message_bits=bits)
     network = Network(count, options, seed)
@@ -280,7 +280,7 @@ def test_the_seed_alone_decides() -> None:
 
 
 @pytest.mark.parametrize("options", [HARD, dataclasses.replace(HARD, burst=0.3)])
-def test_it_does_not_matter_who_asks_first_or_whether_anybody_asks(options: NetworkOptions) -> None:
+def test_queries_in_any_order_or_none_give_the_same_result(options: NetworkOptions) -> None:
     track = walk(6, 60)
     asked, silent = Network(6, options, seed=3), Network(6, options, seed=3)
     known = fly(asked, track)
@@ -301,14 +301,14 @@ def test_the_numbering_of_vehicles_does_not_matter() -> None:
     np.testing.assert_array_equal(renumbered, known[:, order][:, :, order])
 
 
-def test_a_loss_belongs_to_its_link_whatever_the_number_of_vehicles() -> None:
+def test_losses_of_a_link_are_independent_of_the_number_of_vehicles() -> None:
     options = NetworkOptions(loss=0.5, jitter=0.1)
     track = walk(8, 50)
     small, large = fly(Network(5, options), track[:, :5]), fly(Network(8, options), track)
     np.testing.assert_array_equal(small, large[:, :5, :5])
 
 
-def test_what_was_heard_is_forgotten_after_a_while_but_not_the_own_state() -> None:
+def test_received_samples_expire_but_not_the_own_state() -> None:
     network = Network(2, NetworkOptions(memory=0.5))
     track = walk(2, 40)
     track[10:] = np.nan
@@ -324,7 +324,7 @@ def test_what_was_heard_is_forgotten_after_a_while_but_not_the_own_state() -> No
     assert network.known(0).fresh(0, 30)
 
 
-def test_what_is_known_reads_like_a_list() -> None:
+def test_known_states_behave_like_a_list() -> None:
     network = Network(30, NetworkOptions(loss=0.5, memory=0.1), seed=1)
     track = walk(30, 3)
     for turn, x in enumerate(track):
@@ -349,7 +349,7 @@ def test_what_is_known_reads_like_a_list() -> None:
     assert known.velocities[7] == (3.0, 7.0, 0.0)
 
 
-def test_one_that_forgets_knows_what_comes_later() -> None:
+def test_a_restarted_vehicle_receives_later_samples() -> None:
     network = Network(3, NetworkOptions(delay=0.1))
     track = walk(3, 12)
     for turn in range(8):
@@ -393,7 +393,7 @@ def test_those_near_are_found_by_where_they_are_believed_to_be(
             assert [tuple(p) for p in near.positions[entries].tolist()] == [known[j] for j in expected]
 
 
-def test_vehicles_out_of_touch_with_the_leader_are_named() -> None:
+def test_vehicles_out_of_reach_of_the_leader_are_reported() -> None:
     network = Network(6, NetworkOptions(range=5.0))
     places = np.array([[0.0, 0, 0], [4, 0, 0], [8, 0, 0], [20, 0, 0], [22, 0, 0], [1, 0, 0]])
     adjacency = np.zeros((6, 6))
@@ -415,7 +415,7 @@ def test_vehicles_out_of_touch_with_the_leader_are_named() -> None:
         network.unreachable(np.eye(6))
 
 
-def test_an_ideal_network_is_none() -> None:
+def test_an_ideal_network_is_omitted() -> None:
     assert make_network(9, None) is None
     assert make_network(9, NetworkOptions(burst=1.0, queue=4)) is None
     network = make_network(9, NetworkOptions(loss=0.1), seed=3)
@@ -463,6 +463,6 @@ def test_options_are_checked(name: str, value: object, message: str) -> None:
         (lambda: Network(3).step(np.zeros((3, 3)), np.zeros(3)), r"network velocities: shape \(3,\) .* \(3, 3\)"),
     ],
 )
-def test_wrong_use_is_said(what: Callable[[], object], message: str) -> None:
+def test_wrong_use_is_reported(what: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         what()

@@ -150,7 +150,7 @@ def test_together_is_as_one_by_one(
     assert missed
 
 
-def test_a_network_batch_takes_only_its_own_followers() -> None:
+def test_a_network_batch_accepts_only_its_own_followers() -> None:
     network, other = Network(4), Network(4)
     followers = [Follower(i, 4, swarm=network.known(i)) for i in range(1, 4)]
     with pytest.raises(ValueError, match="follower 1: its swarm is not what the network brings to vehicle 1"):

@@ -55,7 +55,7 @@ def test_offsets_are_a_copy() -> None:
     assert patterns.offsets("cube").max() == 2.0
 
 
-def test_unknown_name_lists_what_there_is() -> None:
+def test_unknown_name_lists_the_known() -> None:
     with pytest.raises(PatternError, match=r"'cuboid' is unknown for 9 vehicles.*origin, cube, pyramid, triangle"):
         Patterns(9).offsets("cuboid")
 
@@ -98,12 +98,12 @@ def test_bad_files_are_explained(tmp_path: Path, text: str, message: str) -> Non
         Patterns(3, file)
 
 
-def test_missing_file_is_named(tmp_path: Path) -> None:
+def test_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(PatternError, match=r"nowhere\.yaml"):
         Patterns(3, tmp_path / "nowhere.yaml")
 
 
-def test_nothing_is_made_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_patterns_are_generated_on_first_use(monkeypatch: pytest.MonkeyPatch) -> None:
     from xtdrone_coordination.patterns import generated as module
 
     made: list[str] = []

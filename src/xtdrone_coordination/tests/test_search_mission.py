@@ -65,7 +65,7 @@ def test_a_find_is_confirmed_by_a_second_look_and_followed(on_find: str) -> None
     assert world.nearest > 0.9
 
 
-def test_a_false_candidate_is_rejected_and_the_search_goes_on() -> None:
+def test_a_false_candidate_is_rejected_and_the_search_continues() -> None:
     world = World(things=[decoy(80.0, 12.0)], look_pitch=-60.0)
     end = _finished(world)
     assert end["outcome"] == "not found"
@@ -181,7 +181,7 @@ def test_a_walking_person_is_found_and_followed() -> None:
     assert world.named("follow_ended")[0]["reason"] == "time"
 
 
-def test_another_person_beside_the_followed_one_is_not_followed_instead() -> None:
+def test_a_person_near_the_followed_one_is_not_followed() -> None:
     """The track is followed even if the person runs farther than ``same_place`` between two pictures."""
     world = World(things=[person(100.0, 10.0)], follow_time=20.0)
     world.run(lambda w: w.named("following"))
@@ -290,7 +290,7 @@ def test_another_takes_over_when_the_follower_loses_the_person() -> None:
     assert end["possible"] == []
 
 
-def test_taking_over_finds_a_person_who_has_walked_on_unseen() -> None:
+def test_a_takeover_finds_a_person_that_has_moved_unseen() -> None:
     world = World(things=[person(100.0, 10.0)], follow_time=60.0)
     world.run(lambda w: w.named("following"))
     world.run(lambda w: w.time > w.named("following")[0]["time"] + 5.0)
@@ -321,7 +321,7 @@ def test_the_follower_looks_again_when_no_other_is_available() -> None:
     assert end["outcome"] == "found"
 
 
-def test_a_refused_second_look_loses_the_vehicle_but_not_the_candidate() -> None:
+def test_a_rejected_second_look_loses_the_vehicle_but_not_the_candidate() -> None:
     world = World(things=[person(100.0, 10.0)])
     world.run(lambda w: w.named("candidate"))
     finder = world.named("candidate")[0]["vehicle"]
@@ -339,7 +339,7 @@ def test_the_time_limit_ends_the_search() -> None:
     assert 0.0 < end["covered_fraction"] < 0.9
 
 
-def test_a_vehicle_that_never_gets_ready_is_lost_and_the_others_fly_its_part() -> None:
+def test_a_vehicle_that_never_becomes_ready_is_lost_and_the_others_cover_its_part() -> None:
     world = World(start_timeout=20.0)
     world[1].dead = True
     end = _finished(world)

@@ -238,14 +238,14 @@ def test_a_search_from_takeoff_to_landing(master: xmlrpc.client.ServerProxy, tmp
     assert "Traceback" not in (tmp_path / "search.out").read_text()
 
 
-def test_a_missing_region_file_is_named(master: xmlrpc.client.ServerProxy, tmp_path: Path) -> None:
+def test_a_missing_region_file_is_reported(master: xmlrpc.client.ServerProxy, tmp_path: Path) -> None:
     _parameters(master, tmp_path, region="/nowhere/region.yaml")
     node = _start(tmp_path, "search", sys.executable, str(NODE), "__name:=search_mission")
     assert node.wait(PATIENCE) == 2
     assert "~region: /nowhere/region.yaml: " in (tmp_path / "search.out").read_text()
 
 
-def test_invalid_parameters_are_named() -> None:
+def test_invalid_parameters_are_reported() -> None:
     for read, name, value, what in (
         (ros_search.settings_of, "~on_find", "wait", "~on_find: 'wait' is not allowed, hold, return or continue"),
         (ros_search.camera_of, "~camera", {"horizontal_fov": 9.0}, "~camera: horizontal_fov: 9.0 is not allowed"),

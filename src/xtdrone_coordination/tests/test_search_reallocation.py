@@ -68,7 +68,7 @@ def test_the_position_of_a_candidate_is_extrapolated() -> None:
     assert nearest([walker], (16.0, 0.0), 7.0, 3.0) is None
 
 
-def test_a_rejected_candidate_stands_still() -> None:
+def test_a_rejected_candidate_does_not_move() -> None:
     """A circling camera measures a velocity of standing objects, which must not split them into two candidates."""
     post = Candidate((10.0, 0.0), (2.5, 0.0), (1.0, 0.0, 0.0, 1.0), seen_at=20.0)
     assert nearest([post], (10.0, 0.0), 30.0, 6.0) is None

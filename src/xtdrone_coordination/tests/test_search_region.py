@@ -111,7 +111,7 @@ def test_pieces_of_a_compact_region_are_compact() -> None:
             assert 4.0 * math.pi * piece.area / piece.length**2 > 0.6  # a square has 0.79, one of 1:2 has 0.70
 
 
-def test_the_same_region_gives_the_same_pieces() -> None:
+def test_the_same_region_is_divided_equally() -> None:
     one, two = (divide(SHAPES["holes"], 7) for _ in range(2))
     assert [piece.wkb for piece in one] == [piece.wkb for piece in two]
 

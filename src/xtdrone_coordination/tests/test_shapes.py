@@ -60,7 +60,7 @@ def test_every_shape_fits_any_swarm(count: int, torus: str) -> None:
 
 
 @pytest.mark.parametrize("count", [9, 30, 200, 1000])
-def test_shapes_are_what_they_are_called(count: int) -> None:
+def test_shapes_match_their_names(count: int) -> None:
     patterns = Patterns(count)
     grid = with_leader(patterns.offsets("grid"))
     assert np.allclose(grid / 3.0, np.round(grid / 3.0))
@@ -107,7 +107,7 @@ def test_many_vehicles_fill_the_letters_and_few_line_them() -> None:
     assert len(np.unique(many[:, 0].round(1))) > 10
 
 
-def test_a_hole_stays_open() -> None:
+def test_a_hole_remains_open() -> None:
     ring = with_leader(Patterns(1000).offsets("text:O"))
     middle = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
     assert np.linalg.norm(ring - middle, axis=1).min() > 0.2 * np.ptp(ring[:, 2])
@@ -152,7 +152,7 @@ def test_wrong_names_are_explained(name: str, message: str) -> None:
         Patterns(9).offsets(name)
 
 
-def test_names_are_taken_apart() -> None:
+def test_names_are_parsed() -> None:
     request = parse_name("text:12:30 a=b:font=/a:b.ttf:spacing=2.5")
     assert (request.kind, request.argument, request.font, request.spacing) == ("text", "12:30 a=b", "/a:b.ttf", 2.5)
     assert str(request) == "text:12:30 a=b:font=/a:b.ttf:spacing=2.5"
@@ -171,7 +171,7 @@ def test_files_in_names_get_their_whole_paths(tmp_path: Path, monkeypatch: pytes
         assert absolute_name(name) == whole
 
 
-def test_xtdrones_own_sphere_stays_and_can_be_stretched() -> None:
+def test_xtdrones_own_sphere_is_kept_and_can_be_scaled() -> None:
     patterns = Patterns(18)
     assert patterns.offsets("sphere")[3].tolist() == [12.0, 0.0, 0.0]
     assert np.allclose(patterns.offsets("sphere:spacing=9"), patterns.offsets("sphere") * 9 / 4.592, rtol=1e-3)
@@ -248,7 +248,7 @@ def test_bad_clouds_are_explained(tmp_path: Path, name: str, data: bytes, messag
 
 
 @pytest.mark.parametrize("values", [np.zeros(3), np.zeros((3, 2)), np.array([["a", "b", "c"]])])
-def test_arrays_of_another_shape_are_refused(tmp_path: Path, values: np.ndarray) -> None:
+def test_arrays_of_another_shape_are_rejected(tmp_path: Path, values: np.ndarray) -> None:
     np.save(tmp_path / "a.npy", values)
     with pytest.raises(PatternError, match=r"\(points, 3\) of numbers is needed"):
         Patterns(3).offsets(f"cloud:{tmp_path / 'a.npy'}")
@@ -286,7 +286,7 @@ SECRET = b"salt:$6$salt$salt:19000::::::\n"
 
 @pytest.mark.parametrize("name", ["secret", "secret.xyz", "secret.ply", "secret.npy"])
 @pytest.mark.parametrize("head", [b"", b"0 0 0\n", b"ply\nformat ascii 1.0\nelement vertex 3\n", b"\x93NUMPY\1\0"])
-def test_what_a_file_holds_is_never_said(tmp_path: Path, name: str, head: bytes) -> None:
+def test_contents_of_a_file_never_appear_in_messages(tmp_path: Path, name: str, head: bytes) -> None:
     for tail in (b"", b"property float x\nproperty float y\nproperty float z\nend_header\n0 0 "):
         (tmp_path / name).write_bytes(head + tail + SECRET)
         with pytest.raises(PatternError, match=f"cloud .*{name}: ") as caught:
@@ -296,7 +296,7 @@ def test_what_a_file_holds_is_never_said(tmp_path: Path, name: str, head: bytes)
 
 
 @pytest.mark.parametrize("option", ["cloud:{}", "text:A:font={}"])
-def test_files_without_an_end_are_refused(tmp_path: Path, option: str) -> None:
+def test_files_without_an_end_are_rejected(tmp_path: Path, option: str) -> None:
     os.mkfifo(tmp_path / "pipe")
     with (tmp_path / "large.ply").open("wb") as file:
         file.truncate(1 << 30)
@@ -307,7 +307,7 @@ def test_files_without_an_end_are_refused(tmp_path: Path, option: str) -> None:
             Patterns(3).offsets(option.format(file))
 
 
-def test_text_of_too_many_points_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_of_too_many_points_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clouds, "MAX_TEXT_POINTS", 3)
     (tmp_path / "a.xyz").write_bytes(FILES["a.xyz"])
     (tmp_path / "a.ply").write_bytes(FILES["a.ply"])
@@ -317,7 +317,7 @@ def test_text_of_too_many_points_is_refused(tmp_path: Path, monkeypatch: pytest.
         Patterns(3).offsets(f"cloud:{tmp_path / 'a.ply'}")
 
 
-def test_an_array_that_claims_more_than_its_file_has_is_refused(tmp_path: Path) -> None:
+def test_an_array_larger_than_its_file_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "a.npy"
     np.save(file, np.zeros((9, 3)))
     file.write_bytes(file.read_bytes().replace(b"(9, 3), }" + b" " * 12, b"(9" + b"0" * 12 + b", 3), }"))
@@ -345,7 +345,7 @@ def test_files_over_topics_lie_below_a_folder(tmp_path: Path) -> None:
     assert patterns.offsets("text:A").shape == (3, 3)
 
 
-def test_no_file_is_read_over_topics_where_no_folder_is_named(tmp_path: Path) -> None:
+def test_topics_read_no_file_without_a_configured_folder(tmp_path: Path) -> None:
     (tmp_path / "a.xyz").write_bytes(FILES["a.xyz"])
     leader = Leader(4, Patterns(4, below=""))
     for name in (f"cloud:{tmp_path / 'a.xyz'}", "cloud:/etc/shadow", "cloud:", f"text:A:font={tmp_path}"):

@@ -65,7 +65,7 @@ def test_offsets_that_are_not_finite() -> None:
         veteran_topology([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
 
 
-def test_who_does_not_hear_of_the_leader() -> None:
+def test_followers_without_the_leaders_state() -> None:
     chain = np.eye(5, k=-1)
     assert unreachable(chain) == []
     chain[2, 1], chain[2, 3] = 0, 1  # 2 and 3 listen to each other alone
@@ -77,14 +77,14 @@ def test_who_does_not_hear_of_the_leader() -> None:
 
 @settings(max_examples=50, deadline=None, derandomize=True)
 @given(count=st.integers(1, 12), seed=st.integers(0, 2**31), density=st.floats(0.0, 0.4))
-def test_who_is_cut_off_has_no_path_of_any_length(count: int, seed: int, density: float) -> None:
+def test_unreachable_vehicles_have_no_path_of_any_length(count: int, seed: int, density: float) -> None:
     links = np.random.default_rng(seed).random((count, count)) < density
     np.fill_diagonal(links, False)
     hears = np.linalg.matrix_power(links.astype(int) + np.eye(count, dtype=int), count) > 0
     assert unreachable(links) == np.flatnonzero(~hears[:, 0]).tolist()
 
 
-def test_who_listens_to_nobody_gets_the_leader() -> None:
+def test_a_follower_without_neighbours_gets_the_leader() -> None:
     matrix = check_adjacency([0, 0, 0, 0, 0, 0, 0, 2, 0], 3)
     assert matrix.tolist() == [[0, 0, 0], [1, 0, 0], [0, 2, 0]]
 

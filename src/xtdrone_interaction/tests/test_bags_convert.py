@@ -81,7 +81,7 @@ def test_tables_hold_the_same(bag: Path, flight_bag: Path, tmp_path: Path, form:
     assert len(json.loads(pattern["data"])) == 24  # layout.dim has texts in a list: field by field as JSON
 
 
-def test_damaged_messages_are_left_out_and_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_damaged_messages_are_skipped_and_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A text whose length is beyond its message, a pattern with half its layout, and one with bytes too many."""
     path = tmp_path / "flight.bag"
     kind = "std_msgs/msg/Float32MultiArray"
@@ -115,7 +115,7 @@ def test_damaged_messages_are_left_out_and_named(tmp_path: Path, capfd: pytest.C
     assert "that can be read; 1 messages of /only" in capfd.readouterr().err
 
 
-def test_wrong_conversions_are_said(bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_invalid_conversions_are_reported(bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "there").mkdir()
     for arguments, status, words in (
         ([str(bag), "--to", "csv", "--out", str(tmp_path / "there")], 2, "exists already"),

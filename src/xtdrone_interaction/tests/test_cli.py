@@ -51,7 +51,7 @@ PATIENCE = 120.0  # s of wall time; bounds a broken test
         (["--pattern-file", "/nowhere.yaml"], "pattern file /nowhere.yaml"),
     ],
 )
-def test_bad_values_are_named(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_invalid_values_are_reported(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
     try:
         status = cli.main([*DEMO, *arguments])
     except SystemExit as error:  # argparse
@@ -60,7 +60,7 @@ def test_bad_values_are_named(arguments: list[str], message: str, capfd: pytest.
     assert message in capfd.readouterr().err
 
 
-def test_a_pattern_of_the_wrong_size_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_pattern_of_the_wrong_size_is_rejected(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("9: {row: [[1, 0, 0], [2, 0, 0]]}")
     assert cli.main([*DEMO, "--pattern-file", str(file), "--patterns", "row"]) == 2
@@ -76,7 +76,7 @@ def test_a_pattern_of_the_wrong_size_is_refused(tmp_path: Path, capfd: pytest.Ca
         ("--leader", "from xtdrone_coordination.follower import Follower\nclass A(Follower): ...", "inherits Leader"),
     ],
 )
-def test_a_class_that_cannot_fly_is_refused_before_anything_starts(
+def test_a_class_that_cannot_fly_is_rejected_before_anything_starts(
     tmp_path: Path, option: str, code: str, words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "unflyable_class.py").write_text(code)
@@ -86,7 +86,7 @@ def test_a_class_that_cannot_fly_is_refused_before_anything_starts(
     assert not out.exists()
 
 
-def test_a_taken_master_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_master_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(options, "check_vehicle_ports", lambda fleet: None)  # another simulation may be running
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
@@ -94,14 +94,14 @@ def test_a_taken_master_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: 
     assert f"port: {port} is taken" in capfd.readouterr().err
 
 
-def test_a_taken_mavlink_port_is_refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_mavlink_port_in_use_is_rejected(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(options, "_taken", lambda number, kind: number == 24542)
     assert cli.main([*DEMO, "--instance", "0"]) == 2
     assert "port: UDP 24542 of iris_2 is taken" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("demo", ["formation", "search"])
-def test_a_demo_takes_the_first_instance_whose_ports_are_free(
+def test_a_demo_uses_the_first_instance_with_free_ports(
     demo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(options, "_taken", lambda number, kind: number in (24542, 19110))  # of instances 0 and 1
@@ -114,7 +114,7 @@ def test_a_demo_takes_the_first_instance_whose_ports_are_free(
     assert flown == [3]
 
 
-def test_a_missing_master_is_named(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_master_is_reported(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     uri = f"http://127.0.0.1:{options.free_port()}"
     monkeypatch.setenv("ROS_MASTER_URI", uri)
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
@@ -122,7 +122,7 @@ def test_a_missing_master_is_named(monkeypatch: pytest.MonkeyPatch, capfd: pytes
     assert uri in capfd.readouterr().err
 
 
-def test_a_used_folder_is_refused(
+def test_a_used_folder_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
@@ -131,7 +131,7 @@ def test_a_used_folder_is_refused(
     assert "not an empty folder" in capfd.readouterr().err
 
 
-def test_a_disk_that_is_nearly_full_is_refused_before_the_flight(
+def test_a_nearly_full_disk_is_rejected_before_the_flight(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda place: types.SimpleNamespace(free=3 << 20))
@@ -140,7 +140,7 @@ def test_a_disk_that_is_nearly_full_is_refused_before_the_flight(
     assert not (tmp_path / "new").exists()
 
 
-def test_who_has_read_enough_does_not_end_a_flight(tmp_path: Path) -> None:
+def test_a_closed_output_pipe_does_not_end_a_flight(tmp_path: Path) -> None:
     options = ["--n", "4", "--patterns", "triangle", "--film", "none", "--no-compare", "--headless"]
     command = [sys.executable, "-m", "xtdrone_interaction", "demo", "simplified", "--without-ros", *options]
     with subprocess.Popen([*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, text=True) as demo:
@@ -213,7 +213,7 @@ def test_nothing_is_left_running(tmp_path: Path, then: str, number: int | None, 
     assert fake_roslaunch.running(mark) == []
 
 
-def test_help_says_each_default_once_as_it_is_typed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_each_default_once_as_typed(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.main([*DEMO, "--help"])
     said = " ".join(capsys.readouterr().out.split())

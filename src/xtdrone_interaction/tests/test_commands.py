@@ -30,7 +30,7 @@ def test_each_command_has_a_description_and_arguments(name: str, capsys: pytest.
 
 
 @pytest.mark.parametrize("words", [[], ["fly"], ["demo"], ["demo", "fly"]])
-def test_an_unknown_command_is_refused_with_all_names(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_command_is_rejected_with_all_names(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(words)
     assert ended.value.code == 2

@@ -96,14 +96,14 @@ def test_the_rms_of_two_first_order_approaches() -> None:
     assert line.settling_time[1] == pytest.approx(np.log(4.0 * greatest / 0.15) / b, abs=0.1)
 
 
-def test_a_steady_difference_is_what_it_is() -> None:
+def test_a_constant_difference_is_measured() -> None:
     line = compare(flight(rate=50.0), flight(rate=50.0, shift=(0.06, 0.0, 0.08)))[1]
     assert line.rms == pytest.approx(0.1, abs=0.005)
     assert line.steady_error[0] == pytest.approx(0.0, abs=1e-6)
     assert line.steady_error[1] == pytest.approx(0.1, abs=1e-6)
 
 
-def test_other_assignments_are_told_and_compared_by_slot(capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_assignments_are_reported_and_compared_by_slot(capsys: pytest.CaptureFixture[str]) -> None:
     differences = compare(flight(rate=50.0), flight(rate=50.0, order=(1, 0, 2)))
     assert [d.reassigned for d in differences] == [0, 2]
     assert differences[1].greatest < 5.0  # from where they came; later they are in the same slots

@@ -26,7 +26,7 @@ def add(log: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_a_killed_node_is_told_once_with_its_signal(log: Path, first: bool) -> None:
+def test_a_killed_node_is_reported_once_with_its_signal(log: Path, first: bool) -> None:
     ended_nodes = EndedNodes(log)
     assert ended_nodes.update(11.0) == []
     add(log, DROPPED if first else KILLED)
@@ -48,7 +48,7 @@ def test_a_killed_node_is_told_once_with_its_signal(log: Path, first: bool) -> N
          "a was dropped by the simulator (has not answered for 60 s) at 1.0 s"),
     ],
 )  # fmt: skip
-def test_each_end_is_said_in_its_words(log: Path, line: str, text: str) -> None:
+def test_each_kind_of_end_has_its_text(log: Path, line: str, text: str) -> None:
     ended_nodes = EndedNodes(log)
     add(log, line[:12])
     assert ended_nodes.update(1.0) == [], "the line is not whole yet"
@@ -56,7 +56,7 @@ def test_each_end_is_said_in_its_words(log: Path, line: str, text: str) -> None:
     assert [str(ended) for ended in ended_nodes.update(1.0)] == [f"{text}, see {log}"]
 
 
-def test_a_window_may_be_closed_and_the_flight_is_as_good_without_one_that_died(log: Path) -> None:
+def test_a_closed_or_crashed_window_does_not_affect_the_flight(log: Path) -> None:
     ended_nodes = EndedNodes(log)
     add(log, "[visualize-9] process has finished cleanly\n")
     assert ended_nodes.update(1.0) == []
@@ -75,12 +75,12 @@ def test_the_ground_station_may_go_when_it_has_done_its_work(log: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["[leader-5] killing on exit\n", "Initiating shutdown!\n"])
-def test_what_ends_with_the_flight_is_no_death(log: Path, line: str) -> None:
+def test_nodes_that_end_with_the_flight_are_not_reported(log: Path, line: str) -> None:
     add(log, line + KILLED)
     assert EndedNodes(log).update(1.0) == []
 
 
-def test_the_file_with_the_traceback_is_named(log: Path) -> None:
+def test_the_file_with_the_traceback_is_reported(log: Path) -> None:
     own = log.parent / "run" / "follower_2-12-stdout.log"
     own.parent.mkdir()
     own.write_text("Traceback (most recent call last):\n")
@@ -107,7 +107,7 @@ def test_a_required_nodes_normal_end_is_no_failure(log: Path) -> None:
     assert (ended_nodes.required is not None, ended_nodes.failure, ended_nodes.all()) == (True, None, [])
 
 
-def test_the_simulator_that_failed_comes_before_those_who_ended_with_it(log: Path) -> None:
+def test_a_failed_simulator_is_listed_before_its_participants(log: Path) -> None:
     """roslaunch may notice a participant's end first."""
     ended_nodes = EndedNodes(log)
     add(log, "[follower_1-9] process has died [pid 9, exit code 1, cmd x].\n" + KILLED)
@@ -121,7 +121,7 @@ def test_the_simulator_that_failed_comes_before_those_who_ended_with_it(log: Pat
     assert ended_nodes.consequences == ["follower_1"]
 
 
-def test_the_masters_end_is_told(log: Path) -> None:
+def test_the_masters_end_is_reported(log: Path) -> None:
     ended_nodes = EndedNodes(log)
     add(
         log,

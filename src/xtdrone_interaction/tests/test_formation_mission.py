@@ -87,7 +87,7 @@ def test_whole_flight() -> None:
     assert not any(fleet.view.armed)
 
 
-def test_every_slot_stays_clear_of_the_ground() -> None:
+def test_every_slot_is_clear_of_the_ground() -> None:
     fleet = PointFleet()
     lowest = np.inf
     for _ in fleet.mission.fly():
@@ -105,7 +105,7 @@ def test_the_leader_moves_forward_between_patterns() -> None:
     np.testing.assert_allclose(fleet.view.position[0, :2], [1.0, 2.0 + 8.0], atol=0.3)
 
 
-def test_refused_arming_is_repeated() -> None:
+def test_rejected_arming_is_repeated() -> None:
     fleet = PointFleet()
     fleet.refuses = lambda index, command: command == "ARM" and index == 2 and fleet.view.time < 5.0
     fleet.fly()
@@ -113,7 +113,7 @@ def test_refused_arming_is_repeated() -> None:
     assert fleet.log.count((3, "ARM")) == 1
 
 
-def test_a_vehicle_that_never_arms_is_named() -> None:
+def test_a_vehicle_that_never_arms_is_reported() -> None:
     fleet = PointFleet()
     fleet.refuses = lambda index, command: command == "ARM" and index == 2
     with pytest.raises(MissionError, match=r"iris_2 \(disarmed, mode 'AUTO.TAKEOFF'\): did not arm within 40 s"):
@@ -127,7 +127,7 @@ def lost(fleet: PointFleet) -> list[tuple[str, str]]:
     return [(e["vehicle"], e["reason"]) for e in fleet.events if e["event"] == "lost"]
 
 
-def test_the_flight_goes_on_without_a_follower_that_leaves_offboard() -> None:
+def test_the_flight_continues_without_a_follower_that_leaves_offboard() -> None:
     """It does what PX4's failsafe does, and nothing waits for it: it is still armed at the end."""
     fleet = PointFleet()
     fleet.refuses = lambda index, command: index == 4 and fleet.view.mode[4] == "POSCTL"
@@ -211,7 +211,7 @@ def test_a_flight_without_followers_ends() -> None:
         ("AUTO.LAND", "iris_3 (armed, mode 'OFFBOARD') did not land and disarm within 90 s"),
     ],
 )
-def test_a_follower_that_does_not_do_as_it_is_told_in_flight_is_lost(deaf_to: str, reason: str) -> None:
+def test_a_follower_that_ignores_commands_in_flight_is_lost(deaf_to: str, reason: str) -> None:
     fleet = PointFleet()
     fleet.refuses = lambda index, command: index == 3 and command == deaf_to
     fleet.fly()
@@ -230,7 +230,7 @@ def test_a_pattern_that_does_not_settle_is_noted() -> None:
     assert event["error"] > 1.0
 
 
-def test_a_leader_that_knows_no_pattern_ends_the_flight() -> None:
+def test_a_leader_without_the_pattern_ends_the_flight() -> None:
     fleet = PointFleet()
     fleet.slots["cube"] = fleet.slots["cube"] + 1.0  # what the mission expects is not what the leader gives
     fleet.leader = lambda command: setattr(fleet.view, "offsets", fleet.slots["origin"])  # type: ignore[method-assign]
@@ -238,14 +238,14 @@ def test_a_leader_that_knows_no_pattern_ends_the_flight() -> None:
         fleet.fly()
 
 
-def test_vehicles_that_never_connect_are_named() -> None:
+def test_vehicles_that_never_connect_are_reported() -> None:
     fleet = PointFleet()
     fleet.view.connected[7] = False
     with pytest.raises(MissionError, match="iris_7"):
         fleet.fly()
 
 
-def test_the_director_ignores_offsets_that_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_director_ignores_invalid_offsets(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pattern that any node may publish: another size, or numbers by which all would be in their slots."""
     pytest.importorskip("rospy")
     from std_msgs.msg import Float32MultiArray

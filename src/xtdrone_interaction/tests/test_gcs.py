@@ -57,7 +57,7 @@ def run(jobs, timeout=0.05):
     return station.run(jobs, timeout=timeout, patience=PATIENCE)
 
 
-def test_all_vehicles_get_their_plans_and_tell_them_again(field, as_named):
+def test_uploaded_plans_can_be_downloaded_from_all_vehicles(field, as_named):
     plans = {name: survey(10 * i) for i, name in enumerate(field.names)}
     seen = []
     upload_plans(plans, watch=lambda *progress: seen.append(progress), patience=PATIENCE)
@@ -91,14 +91,14 @@ def test_it_works_over_a_line_that_loses_a_third(field, seed):
     assert line.lost > 50
 
 
-def test_a_plan_that_is_there_is_replaced_whole(field):
+def test_an_existing_plan_is_replaced_completely(field):
     (peer, *_) = field.peers()
     run({peer: plan_exchanges.upload_plan(peer.system, survey(0))})
     run({peer: plan_exchanges.upload_plan(peer.system, Plan((waypoint(1),)))})
     assert field.lists(0) == [1, 0, 0]
 
 
-def test_what_a_vehicle_refuses_is_told_and_leaves_nothing_half_done(field):
+def test_a_rejected_upload_is_reported_and_leaves_no_partial_plan(field):
     (peer, *_) = field.peers()
     bad = Plan((waypoint(0), PlanItem(183, 2, (0.0,) * 4, 0.0, 0.0, 0.0)))
     (error,) = run({peer: plan_exchanges.upload_plan(peer.system, bad)}).values()
@@ -108,7 +108,7 @@ def test_what_a_vehicle_refuses_is_told_and_leaves_nothing_half_done(field):
     assert not isinstance(result, GcsError)
 
 
-def test_an_upload_that_somebody_left_off_does_not_block_the_next(field):
+def test_an_aborted_upload_does_not_block_the_next(field):
     (peer, *_) = field.peers()
 
     def interrupted():
@@ -124,14 +124,14 @@ def test_an_upload_that_somebody_left_off_does_not_block_the_next(field):
     assert not isinstance(result, GcsError)
 
 
-def test_a_vehicle_that_is_not_there_is_named(field):
-    nobody = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    nobody.bind(("127.0.0.1", 0))
-    port = nobody.getsockname()[1]
+def test_a_missing_vehicle_is_reported(field):
+    unused = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    unused.bind(("127.0.0.1", 0))
+    port = unused.getsockname()[1]
     first = field.peers()[0]
     peers = [Peer("iris_0", 9, "127.0.0.1", first.port), Peer("iris_1", 2, "127.0.0.1", port)]
     found = station.run({peer: plan_exchanges.download_plan(peer.system) for peer in peers}, timeout=0.02, patience=0.3)
-    nobody.close()
+    unused.close()
     assert str(found["iris_1"]) == f"iris_1: UDP 127.0.0.1:{port}: no answer of system 2 within 0.3 s"
     assert "no answer of system 9" in str(found["iris_0"])  # it is another's port
     closed = station.run({peers[1]: plan_exchanges.download_plan(2)}, timeout=0.02, patience=0.3)
@@ -194,7 +194,7 @@ def test_a_folder_that_cannot_be_written_to(field, as_named, capsys):
         assert "typhoon_h480_0: its " in capsys.readouterr().err
 
 
-def test_one_file_goes_to_the_vehicle_that_is_named(field, as_named, tmp_path):
+def test_one_file_goes_to_the_named_vehicle(field, as_named, tmp_path):
     qgc_plan.write(tmp_path / "mine.plan", survey(0))
     assert main(["upload", str(tmp_path / "mine.plan"), "--vehicle", field.names[1], "--patience", "60"]) == 0
     assert [field.lists(i)[0] for i in range(COUNT)] == [0, 9, 0]
@@ -208,7 +208,7 @@ def test_a_file_that_is_called_after_no_vehicle(tmp_path, capsys):
         assert "or --vehicle says whose it is" in said
 
 
-def test_failures_are_told_by_the_exit_status(tmp_path, capsys):
+def test_failures_set_the_exit_status(tmp_path, capsys):
     qgc_plan.write(tmp_path / "iris_249.plan", survey(0))
     assert main(["upload", str(tmp_path), "--patience", "0.2"]) == 1
     caught = capsys.readouterr()
@@ -236,12 +236,12 @@ def test_a_bad_file_keeps_all_at_home(field, as_named, tmp_path, capsys):
         (["clear", "--vehicle", "iris"], "'iris' is not allowed"),
     ],
 )
-def test_what_is_not_allowed_is_named(arguments, message, tmp_path, capsys):
+def test_invalid_values_are_reported(arguments, message, tmp_path, capsys):
     assert main([argument.format(tmp_path) for argument in arguments]) == 2
     assert message in capsys.readouterr().err
 
 
-def test_check_says_what_px4_would(tmp_path, capsys):
+def test_check_reports_px4s_result(tmp_path, capsys):
     qgc_plan.write(tmp_path / "good.plan", survey(0))
     assert main(["check", str(tmp_path)]) == 0
     assert "good.plan: 9 items, 4 of fence, 1 of rally points; 25 m of way" in capsys.readouterr().out
@@ -261,7 +261,7 @@ def terminal(monkeypatch):
     return file
 
 
-def test_a_terminal_shows_what_has_room_and_in_the_end_all(terminal, monkeypatch):
+def test_a_terminal_shows_what_fits_and_everything_at_the_end(terminal, monkeypatch):
     names = [f"iris_{i}" for i in range(5)]
     monkeypatch.setattr(display, "_REDRAW", 0.0)
     shown = display.Display(names, terminal)
@@ -275,7 +275,7 @@ def test_a_terminal_shows_what_has_room_and_in_the_end_all(terminal, monkeypatch
     assert terminal.getvalue()[seen:] == "\x1b[3A\x1b[J" + "".join(f"{name}  {name} has it\n" for name in names)
 
 
-def test_what_is_no_terminal_gets_the_results_alone(terminal, monkeypatch):
+def test_without_a_terminal_only_the_results_are_printed(terminal, monkeypatch):
     monkeypatch.setenv("TERM", "dumb")
     shown = display.Display(["iris_0"], terminal)
     shown.watch("iris_0", "sending mission", 3, 9)

@@ -46,7 +46,7 @@ class Obedient:
         return [message.command for message in self.obeyed]
 
 
-def test_a_px4_takes_off_to_an_altitude_and_is_armed_then():
+def test_a_px4_gets_a_takeoff_altitude_and_is_then_armed():
     vehicle = Obedient()
     assert talk(flight.take_off(beat(), 5.0), vehicle) == 5.0
     assert vehicle.numbers == [mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_COMPONENT_ARM_DISARM]
@@ -64,7 +64,7 @@ def test_an_ardupilot_is_guided_and_armed_and_takes_off_to_a_height():
     assert (vehicle.obeyed[0].param2, vehicle.obeyed[2].param7) == (4.0, 5.0)
 
 
-def test_nobody_takes_off_twice():
+def test_no_vehicle_takes_off_twice():
     flying = mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_IN_AIR)
     vehicle = Obedient(KNOWN | {flying.id: flying})
     with pytest.raises(RefusalError, match="in the air"):
@@ -80,7 +80,7 @@ def test_nobody_takes_off_twice():
         (Target(place=(47.397742, 8.545594), altitude=3.0, over_home=True), 493.0),
     ],
 )
-def test_places_are_told_over_the_sea(target, altitude):
+def test_positions_have_amsl_altitudes(target, altitude):
     vehicle = Obedient()
     talk(flight.go_to(beat(), target), vehicle)
     (message,) = vehicle.obeyed
@@ -98,7 +98,7 @@ def test_local_places_are_east_north_up():
 
 
 @pytest.mark.parametrize("target", [Target(local=(0.0, 0.0, 0.0)), Target(place=(1.0, 1.0), over_home=True)])
-def test_what_a_vehicle_does_not_know_of_itself_is_told(target):
+def test_a_vehicles_missing_state_is_reported(target):
     with pytest.raises(RefusalError, match="has no"):
         talk(flight.go_to(beat(), target), Obedient({}))
 
@@ -120,7 +120,7 @@ def test_modes_by_name(autopilot, kind, name, params):
     assert (message.param1, message.param2, message.param3) == (1, *params)
 
 
-def test_a_mode_that_is_none():
+def test_an_invalid_mode():
     with pytest.raises(RefusalError, match=r"mode: 'GUIDED' is not allowed, one of the vehicle's: ACRO, ALTCTL, AUTO"):
         talk(flight.set_mode(beat(), "GUIDED"), Obedient())
     with pytest.raises(RefusalError, match="neither PX4 nor ArduPilot"):
@@ -134,7 +134,7 @@ def test_each_ardupilot_holds_in_its_own_way(kind, mode):
     assert vehicle.obeyed[0].param2 == mode
 
 
-def test_a_refusal_says_why_and_an_end_is_waited_for():
+def test_a_rejection_has_a_reason_and_completion_is_awaited():
     why = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, b"Arming denied: no GPS\t")
     busy, denied = mavlink.MAV_RESULT_IN_PROGRESS, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
     number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -143,7 +143,7 @@ def test_a_refusal_says_why_and_an_end_is_waited_for():
         talk(flight.arm(beat()), lambda _: [ack(number, busy), ack(512, 0), ack(number, denied), told(why)])
 
 
-def test_a_vehicle_that_never_comes_to_an_end_is_left():
+def test_a_vehicle_that_never_finishes_is_abandoned():
     number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
     with pytest.raises(RefusalError, match="does not tell how it ends"):
         talk(flight.arm(beat()), lambda _: [ack(number, mavlink.MAV_RESULT_IN_PROGRESS)])
@@ -160,7 +160,7 @@ def field():
     field.close()
 
 
-def test_one_of_three_refuses(field, capsys):
+def test_one_of_three_rejects(field, capsys):
     """Arming by force does not ask for checks."""
     vehicles = [str(vehicle.id) for vehicle in field.vehicles]
     assert main(["arm", "--force", "--vehicle", *vehicles[:2]]) == 0
@@ -190,7 +190,7 @@ def test_commands_over_a_line_that_loses_a_third(field):
         line.close()
 
 
-def test_a_goto_on_the_ground_is_refused(field):
+def test_a_goto_on_the_ground_is_rejected(field):
     peer = field.peers()[0]
     job = {peer: lambda beat: flight.go_to(beat, Target(place=(47.0, 8.0), altitude=500.0))}
     (result,) = station.run(job, on_abort=station.no_abort_messages).values()
@@ -209,13 +209,13 @@ def test_a_goto_on_the_ground_is_refused(field):
         (["land"], "which vehicles?"),
     ],
 )
-def test_what_is_said_by_halves(arguments, message, capsys):
+def test_incomplete_arguments_are_rejected(arguments, message, capsys):
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["takeoff", "nan"], ["takeoff", "-1"], ["goto", "1", "2", "far"]])
-def test_numbers_that_are_none(arguments, capsys):
+def test_invalid_numbers(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main([*arguments, "--vehicle", "0"])
     assert ended.value.code == 2

@@ -24,7 +24,7 @@ def field():
     field.close()
 
 
-def test_one_list_goes_up_and_down_and_the_others_stay(field, tmp_path, capsys):
+def test_one_list_is_uploaded_and_downloaded_and_the_others_remain(field, tmp_path, capsys):
     vehicle = ["--vehicle", str(FIRST)]
     path = tmp_path / "mine.plan"
     qgc_plan.write(path, survey(0))
@@ -59,7 +59,7 @@ def test_a_plan_that_cannot_be_read_is_not_written_over(field, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(("firmware", "words"), [(3, "ArduPilot"), (0, "no autopilot in particular")])
-def test_a_plan_for_another_autopilot_is_taken_with_a_note(field, tmp_path, capsys, firmware, words):
+def test_a_plan_for_another_autopilot_is_accepted_with_a_note(field, tmp_path, capsys, firmware, words):
     path = tmp_path / "mine.plan"
     document = json.loads(qgc_plan.text_of(survey(0)))
     document["mission"]["firmwareType"] = firmware

@@ -64,7 +64,7 @@ def test_logs_are_downloaded(field, tmp_path, capsys):
         assert [(folder / name).read_bytes() for name in FILES] == content(field, index)
 
 
-def test_what_was_broken_off_is_gone_on_with(field, tmp_path):
+def test_an_interrupted_study_is_continued(field, tmp_path):
     whole = content(field, 0)[0]
     folder = tmp_path / f"vehicle_{FIRST}"
     folder.mkdir()
@@ -107,7 +107,7 @@ def test_a_folder_that_cannot_be_written(field, tmp_path, capsys):
     assert "cannot be written: File exists" in capsys.readouterr().err
 
 
-def test_a_log_that_is_shorter_than_it_was_said_to_be():
+def test_a_log_shorter_than_announced():
     end = told(mavlink.MAVLink_log_data_message(1, 90, 0, [0] * 90))
     first = told(mavlink.MAVLink_log_data_message(1, 0, 90, [7] * 90))
     with pytest.raises(RefusalError, match="log 1: it ends before 180 bytes"):

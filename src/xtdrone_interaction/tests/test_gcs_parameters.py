@@ -93,7 +93,7 @@ def test_an_ardupilot_is_read_and_set():
     assert vehicle.values["RTL_ALT"] == (2000, INT32)
 
 
-def test_what_a_vehicle_does_not_take_is_told():
+def test_rejected_values_are_reported():
     vehicle = Store({"A": (1, INT32), "B": (1, INT32)}, fixed="A")
     with pytest.raises(RefusalError, match="A: 5 is not taken, 1 stays"):
         talk(parameters.change(beat(ARDUPILOT), "A", 5), vehicle)
@@ -199,7 +199,7 @@ def test_over_a_line_that_loses_a_third(field):
         line.close()
 
 
-def test_bytes_or_numbers_by_what_the_autopilot_says():
+def test_the_autopilots_capabilities_select_bytes_or_numbers():
     version = mavlink.MAVLink_autopilot_version_message(16, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
     assert talk(parameters.uses_bytewise(beat(PX4)), lambda _: [])
     assert not talk(parameters.uses_bytewise(beat(ARDUPILOT)), lambda _: [])

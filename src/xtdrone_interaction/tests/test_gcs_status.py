@@ -49,13 +49,13 @@ def words(field):
     return [str(vehicle.id) for vehicle in field.vehicles]
 
 
-def test_all_that_are_there_are_found_with_their_system_ids(field):
+def test_all_vehicles_are_found_with_their_system_ids(field):
     found = {peer.port: peer for peer in discovery.find(limit=PATIENCE)}
     assert [found[v.gcs_local_port].system for v in field.vehicles] == [v.system_id for v in field.vehicles]
     assert found[field.vehicles[0].gcs_local_port].name == f"vehicle_{FIRST}"
 
 
-def test_status_once_while_time_stands(field, capsys):
+def test_status_once_while_time_is_paused(field, capsys):
     assert main(["status", "--once", "--vehicle", *words(field)]) == 0
     titles, *rows = capsys.readouterr().out.splitlines()
     assert titles.split()[:4] == ["VEHICLE", "SYS", "TYPE", "ARMED"]
@@ -73,7 +73,7 @@ def test_status_as_json(field, capsys):
     assert first["age"] < PATIENCE
 
 
-def test_a_vehicle_that_is_silent_is_named_and_the_others_are_told(field, capsys):
+def test_a_silent_vehicle_is_reported_beside_the_others(field, capsys):
     assert main(["status", "--once", "--patience", "3", "--vehicle", str(FIRST), "240"]) == 1
     caught = capsys.readouterr()
     assert f"vehicle_{FIRST} " in caught.out
@@ -89,7 +89,7 @@ def test_status_over_a_line_that_loses_a_third(field, lossy):
         assert [state.system for state in ground.states()] == [v.system_id for v in field.vehicles]
 
 
-def test_a_station_with_a_thread_of_its_own_tells_changes_and_beats(field):
+def test_a_station_in_a_separate_thread_reports_changes_and_sends_heartbeats(field):
     heard = threading.Event()
     peers = field.peers()
     before = [commander.health._gcs_us for commander in field.commanders]
@@ -106,7 +106,7 @@ def test_a_station_with_a_thread_of_its_own_tells_changes_and_beats(field):
         station_.submit(peers[0], protocol.request_state)
 
 
-def test_what_waits_can_be_cancelled_and_what_runs_ends_with_the_station(field):
+def test_queued_jobs_can_be_cancelled_and_running_ones_end_with_the_station(field):
     def endless(beat):
         while True:
             yield []
@@ -130,7 +130,7 @@ def test_what_waits_can_be_cancelled_and_what_runs_ends_with_the_station(field):
         running.result(0.0)
 
 
-def test_a_watcher_that_fails_is_logged_and_the_station_goes_on(field, caplog):
+def test_a_failing_watcher_is_logged_and_the_station_continues(field, caplog):
     def fail(state):
         raise ZeroDivisionError("a fault of the caller's")
 
@@ -280,7 +280,7 @@ def test_places_have_the_digits_of_the_wire():
         assert f"{text}," in told
 
 
-def test_a_screen_draws_in_place_and_cuts_what_has_no_room(monkeypatch):
+def test_a_screen_draws_in_place_and_truncates_long_lines(monkeypatch):
     monkeypatch.setenv("COLUMNS", "10")
     monkeypatch.setenv("LINES", "4")
     written = io.StringIO()
@@ -295,7 +295,7 @@ def test_a_screen_draws_in_place_and_cuts_what_has_no_room(monkeypatch):
     assert written.getvalue().endswith("\x1b[2J\x1b[H\x1b[2Ka\n\x1b[J")
 
 
-def test_a_narrow_table_leaves_out_what_matters_least_and_no_text():
+def test_a_narrow_table_omits_the_least_important_columns_and_no_text():
     states = [VehicleState(f"iris_{i}", i + 1, heard=9.0, kind="quadrotor", mode="AUTO.LOITER") for i in range(2)]
     states[1].texts = [(4, "Disarming denied! Not landed")]
     assert status_command.table(states, 10.0)[2].split() == [
@@ -332,7 +332,7 @@ def test_vehicles_that_lead_nowhere(arguments, message, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_a_host_that_is_none(capsys):
+def test_an_invalid_host(capsys):
     assert main(["status", "--once", "--host", "a..b"]) == 1
     assert capsys.readouterr().err.startswith("xtdrone gcs: a..b: no such machine: ")
     assert main(["status", "--once", "--connect", "udpout:a..b:14550"]) == 1
@@ -357,7 +357,7 @@ FRAMES = [
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.sampled_from(FRAMES)), st.lists(st.integers(1, 30), min_size=1), st.binary(max_size=5))
-def test_a_stream_is_cut_into_its_frames_however_it_comes(frames, sizes, noise):
+def test_a_stream_is_split_into_frames_at_any_chunk_size(frames, sizes, noise):
     stream = bytes(set(noise) - {0xFD, 0xFE}) + b"".join(frames)
     found, rest = [], b""
     while stream:

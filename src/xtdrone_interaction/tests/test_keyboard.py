@@ -45,7 +45,7 @@ def test_each_press_counts_by_a_hundredth_and_nothing_else_moves(keys: list[str]
 
 @settings(deadline=None, derandomize=True)
 @given(st.sampled_from(sorted(STEERING)), st.integers(0, 2500))
-def test_speeds_stay_within_xtdrones_limits(key: str, presses: int) -> None:
+def test_speeds_are_within_xtdrones_limits(key: str, presses: int) -> None:
     pilot = Pilot()
     for _ in range(presses):
         pilot.press(key)
@@ -57,8 +57,8 @@ def test_speeds_stay_within_xtdrones_limits(key: str, presses: int) -> None:
 
 @settings(deadline=None, derandomize=True)
 @given(st.lists(st.sampled_from([*KEYS, "cycle"]), max_size=200))
-def test_whoever_was_told_a_speed_is_told_zero_before_he_is_left(keys: list[str]) -> None:
-    """Also at the end; and nobody who rests is told anything but once."""
+def test_a_vehicle_with_a_commanded_speed_is_stopped_before_it_is_deselected(keys: list[str]) -> None:
+    """Also at the end; a vehicle at rest gets one message."""
     pilot = Pilot(digits(Patterns(6).names))
     told = dict.fromkeys(Target, Setpoint(Target.ALL))
     for key in [*keys, "end"]:
@@ -101,7 +101,7 @@ def test_commands_are_xtdrones() -> None:
         assert pilot.cycle() is None
 
 
-def test_the_documented_take_off() -> None:
+def test_the_documented_takeoff() -> None:
     pilot = Pilot()
     for _ in range(35):
         assert pilot.press("i") == []
@@ -128,7 +128,7 @@ def test_the_leader_alone_is_steered_after_g() -> None:
 
 
 @pytest.mark.parametrize("count", [*range(1, 21), 100, 250])
-def test_digits_are_patterns_that_there_are(count: int) -> None:
+def test_digits_are_existing_patterns(count: int) -> None:
     patterns = Patterns(count) if count > 1 else None
     pilot = Pilot(digits(patterns.names) if patterns else {})
     for digit in "0123456789":
@@ -155,7 +155,7 @@ def test_the_first_digits_are_xtdrones(count: int, names: list[str]) -> None:
     assert len(set(chosen)) == len(chosen) <= 9
 
 
-def test_other_keys_do_nothing_and_are_named() -> None:
+def test_other_keys_have_no_effect_and_are_shown() -> None:
     pilot = Pilot()
     for key in "W!qz?":
         assert pilot.press(key) == []
@@ -187,7 +187,7 @@ def test_keys_of_bytes_in_one_piece_and_in_many(data: bytes, keys: list[str]) ->
     assert [key for byte in data for key in decoder.feed(bytes([byte]))] == keys
 
 
-def test_escape_alone_takes_nothing_of_what_comes_later() -> None:
+def test_escape_alone_does_not_consume_later_keys() -> None:
     decoder = KeyDecoder()
     assert decoder.feed(b"\x1b") == []
     decoder.drop_partial()
@@ -247,7 +247,7 @@ def test_the_formation_is_the_first_types() -> None:
         (["solo", "1", "vel"], "iris:3", "not in the fleet"),
     ],
 )
-def test_bad_command_lines_are_named(arguments: list[str], fleet: str | None, word: str) -> None:
+def test_invalid_command_lines_are_reported(arguments: list[str], fleet: str | None, word: str) -> None:
     with pytest.raises(ArgumentError, match=word):
         parse_arguments(arguments, parse_fleet(fleet) if fleet else None)
 
@@ -300,7 +300,7 @@ def test_more_vehicles_than_rows_are_paged() -> None:
     assert frame(narrow, 40, 10, layout(40, 10, 100, {}, False))[-1] == "97-100 of 100, p next, Ctrl-C ends"
 
 
-def test_what_is_wrong_with_a_vehicle_is_said() -> None:
+def test_problems_of_a_vehicle_are_shown() -> None:
     shown = layout(80, 24, 3, {}, None)
     page = [
         VehicleStatus("iris_0"),

@@ -113,7 +113,7 @@ def launch_file(tmp_path: Path) -> Path:
         ("0", "sleep 600", 1, "worker has died (SIGKILL)"),
     ],
 )
-def test_the_status_tells_whether_all_ended_as_it_should(
+def test_the_exit_status_shows_whether_all_nodes_ended_normally(
     launch_file: Path, code: str, kill: str, status: int, words: str
 ) -> None:
     command = Command(launch_file.parent, "launch", str(launch_file), f"code:={code}")
@@ -151,7 +151,7 @@ def test_a_signal_ends_all_of_it(launch_file: Path, number: int) -> None:
         (["multi_vehicle", "--instance", "1", "instance:=2"], "--instance 1 and instance:=2 contradict"),
     ],
 )
-def test_what_cannot_be_launched_is_refused_before_anything_starts(
+def test_invalid_launch_files_are_rejected_before_the_start(
     tmp_path: Path, arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     from xtdrone_interaction import cli
@@ -166,7 +166,7 @@ def test_what_cannot_be_launched_is_refused_before_anything_starts(
 
 
 @pytest.mark.parametrize("command", ["launch", "demo formation"])
-def test_a_library_that_memory_is_too_short_for_is_told_in_one_line(tmp_path: Path, command: str) -> None:
+def test_a_library_that_does_not_fit_into_memory_is_reported_in_one_line(tmp_path: Path, command: str) -> None:
     (tmp_path / "numpy.py").write_text("raise ImportError('lib.so: failed to map segment from shared object')")
     path = os.pathsep.join([str(tmp_path), *sys.path])
     run = subprocess.run(
@@ -178,7 +178,7 @@ def test_a_library_that_memory_is_too_short_for_is_told_in_one_line(tmp_path: Pa
     assert run.stderr.count("\n") == 1
 
 
-def test_a_missing_program_is_named_before_anything_starts(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_program_is_reported_before_the_start(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     from xtdrone_interaction import cli
 
     for package, words in (("rosbag", "package 'rosbag' has no program 'no_such'"), ("no_pkg", "no package 'no_pkg'")):
@@ -208,7 +208,7 @@ def _sockets(pids: dict[int, str]) -> list[tuple[str, str, str]]:
     return found
 
 
-def test_a_simulation_says_when_it_is_ready_listens_here_alone_and_who_died_first(tmp_path: Path) -> None:
+def test_a_simulation_reports_readiness_listens_locally_and_reports_the_first_death(tmp_path: Path) -> None:
     command = Command(tmp_path, "launch", "multi_vehicle", "vehicles:=iris:2", "--instance", "5")
     command.wait_for("ready: iris:2; world empty; 1 x real time; 1 participant; ROS master http://127.0.0.1:")
     assert "UDP ground stations 21270-21271 -> 17250; offboard 37280-37281 -> 27240-27241" in command.output
@@ -294,7 +294,7 @@ def test_a_demo_whose_launch_hangs_is_ended(tmp_path: Path, then: str) -> None:
     assert command.running() == {}
 
 
-def test_a_mute_master_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mute_master_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         uri = f"http://127.0.0.1:{server.getsockname()[1]}"
         monkeypatch.setenv("ROS_MASTER_URI", uri)

@@ -61,7 +61,7 @@ def test_a_standstill_replaces_the_figures_until_it_is_over() -> None:
     display.close()
 
 
-def test_lines_tell_of_a_standstill_once() -> None:
+def test_lines_report_a_standstill_once() -> None:
     console = Console(file=io.StringIO())
     display = LineDisplay(console)
     for text in ("", "waiting for /a (1 s)", "waiting for /a (2 s)", "paused", "", ""):

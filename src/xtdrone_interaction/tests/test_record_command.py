@@ -29,7 +29,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("name", TAKEN)
-def test_profiles_take_what_they_are_for(name: str) -> None:
+def test_profiles_select_their_topics(name: str) -> None:
     profile = read_profile(name)
     assert {topic for topic in set().union(*TAKEN.values()) if profile.includes(topic)} == TAKEN[name]
     arguments = rosbag_arguments(profile, "/tmp/out")
@@ -81,7 +81,7 @@ def test_profiles_of_ones_own_are_checked(tmp_path: Path, text: str, words: str)
         read_profile(str(tmp_path / "mine.yaml"))
 
 
-def test_wrong_arguments_are_said(capfd: pytest.CaptureFixture[str]) -> None:
+def test_invalid_arguments_are_reported(capfd: pytest.CaptureFixture[str]) -> None:
     for arguments, words in (
         (["heavy"], "'heavy' is unknown; there are: cameras, full, light"),
         (["light", "--duration", "long"], "'long' is not allowed"),
@@ -155,7 +155,7 @@ def test_a_master_without_a_simulator_is_that_of_real_uavs(
     assert (environment, origin) == (dict(os.environ), "")
 
 
-def test_what_roslaunch_starts_records_on_its_master(workspace: Path, masters: Callable[[bool], str]) -> None:
+def test_a_launched_recorder_uses_the_master_of_roslaunch(workspace: Path, masters: Callable[[bool], str]) -> None:
     (workspace / "other").mkdir()
     (workspace / "other" / sim_cli.MASTER_FILE).write_text(masters(True))
     assert ros_environment("", launched=True) == (dict(os.environ), "")

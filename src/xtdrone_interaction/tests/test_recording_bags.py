@@ -96,7 +96,7 @@ def test_the_chunk_that_was_being_written_is_read_to_its_end(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("packing", ["", "lz4", "bz2"])
-def test_damage_costs_what_is_damaged_alone(tmp_path: Path, packing: str) -> None:
+def test_damage_affects_only_the_damaged_part(tmp_path: Path, packing: str) -> None:
     path = tmp_path / "whole.bag"
     expected = small_bag(path, packing)
     data = bytearray(path.read_bytes())
@@ -123,7 +123,7 @@ def records(data: bytes) -> Iterator[tuple[bytes, int]]:
 
 @pytest.mark.parametrize("packing", ["", "lz4", "bz2"])
 @pytest.mark.parametrize("kind", [b"op=\x05", b"op=\x04"])
-def test_a_size_that_is_wrong_does_not_hide_what_follows(tmp_path: Path, packing: str, kind: bytes) -> None:
+def test_a_wrong_size_does_not_hide_the_following_entries(tmp_path: Path, packing: str, kind: bytes) -> None:
     """The second chunk's, or that of an index of messages: far beyond the end of the file."""
     path = tmp_path / "whole.bag"
     expected = small_bag(path, packing)
@@ -148,7 +148,7 @@ def test_a_chunk_whose_last_byte_is_wrong_is_read_and_noted(tmp_path: Path) -> N
     assert any("cannot be unpacked further" in note for note in notes)
 
 
-def test_topics_whose_descriptions_are_damaged_are_taken_from_the_index(tmp_path: Path) -> None:
+def test_damaged_topic_descriptions_are_read_from_the_index(tmp_path: Path) -> None:
     path = tmp_path / "whole.bag"
     expected = small_bag(path, "")
     data = bytearray(path.read_bytes())
@@ -174,7 +174,9 @@ def test_topics_whose_descriptions_are_damaged_are_taken_from_the_index(tmp_path
         ),
     ],
 )
-def test_what_is_no_bag_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str], content: bytes, words: str) -> None:
+def test_other_files_are_reported(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: bytes, words: str
+) -> None:
     path = tmp_path / "bad.bag"
     path.write_bytes(content)
     assert cli.main(["analyse", str(path)]) == 1
@@ -183,7 +185,7 @@ def test_what_is_no_bag_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str
     assert str(path) in error
 
 
-def test_missing_files_and_folders_are_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_missing_files_and_folders_are_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["analyse", str(tmp_path / "no.bag")]) == 1
     assert "does not exist" in capfd.readouterr().err
     assert cli.main(["analyse", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
@@ -192,7 +194,7 @@ def test_missing_files_and_folders_are_said(tmp_path: Path, capfd: pytest.Captur
     assert cli.main(["analyse", str(tmp_path / "file"), "--out", str(tmp_path / "file")]) == 2
 
 
-def test_layouts_find_what_rosbags_finds(tmp_path: Path, flight_bag: Path) -> None:
+def test_layouts_agree_with_rosbags(tmp_path: Path, flight_bag: Path) -> None:
     """All numbers and texts of all types in a flight, and a message that is too short."""
     bag = BagFile(flight_bag)
     checked = set()
@@ -250,7 +252,7 @@ def test_real_mavros_under_any_namespace(tmp_path: Path, more: str) -> None:
         assert figures["armed_time"] == pytest.approx(9.45)
 
 
-def test_without_velocities_they_are_taken_from_places(tmp_path: Path) -> None:
+def test_without_velocities_they_are_derived_from_positions(tmp_path: Path) -> None:
     with Bag(tmp_path / "made.bag") as bag:
         for k in range(200):
             bag.pose("/iris_0", helix(0.05 * k), 0.05 * k + 1.0)
@@ -259,7 +261,7 @@ def test_without_velocities_they_are_taken_from_places(tmp_path: Path) -> None:
     np.testing.assert_allclose(speed, np.hypot(RADIUS * TURN, CLIMB), rtol=1e-3)
 
 
-def test_places_that_cannot_be_are_left_out_and_noted(tmp_path: Path) -> None:
+def test_invalid_positions_are_skipped_and_reported(tmp_path: Path) -> None:
     with Bag(tmp_path / "made.bag") as bag:
         for k in range(100):
             bag.pose("/iris_0", (2.7e306, 0.0, 0.0) if k == 50 else helix(0.1 * k), 0.1 * k)
@@ -434,7 +436,7 @@ def test_a_chunk_that_unpacks_to_far_more_than_it_should_fills_no_memory(
     assert most < 5e7
 
 
-def test_a_bag_of_which_nothing_is_left_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_bag_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_flight(tmp_path / "whole.bag", ["/iris_0"], 1.0)
     stump = tmp_path / "stump.bag"
     stump.write_bytes((tmp_path / "whole.bag").read_bytes()[:100])

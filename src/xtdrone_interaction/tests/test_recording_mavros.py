@@ -109,7 +109,7 @@ class MavrosBag(Bag):
 
 
 def make(path: Path, packing: str) -> None:
-    """Write two vehicles, one under a namespace; latched missions; a type of which nobody knows; diagnostics."""
+    """Write two vehicles, one under a namespace; latched missions; an unknown type; diagnostics."""
     with MavrosBag(path, packing) as bag:
         for space in ("/uav0", ""):
             kind = "mavros_msgs/msg/WaypointList"
@@ -166,7 +166,7 @@ def test_bags_of_mavros_are_read_whole_and_cut_off(tmp_path: Path, packing: str)
     check(flight, SECONDS - 1.0)
 
 
-def test_the_vibration_of_imus_is_shown_and_what_a_battery_does_not_know_is_not(tmp_path: Path) -> None:
+def test_imu_vibration_is_shown_and_unknown_battery_values_are_not(tmp_path: Path) -> None:
     make(tmp_path / "real.bag", "lz4")
     shown = {picture.name: picture.figure for picture in pictures(read_bag([tmp_path / "real.bag"]), None)}
     for panel, expected in zip(shown["spectra"].axes, (TURNING, SHAKING), strict=True):
@@ -178,7 +178,7 @@ def test_the_vibration_of_imus_is_shown_and_what_a_battery_does_not_know_is_not(
     assert [found.get_ydata()[0] for found in shown["batteries"].axes[1].lines] == pytest.approx([12.0, 12.0])
 
 
-def test_types_that_nobody_knows_become_tables(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_unknown_types_become_tables(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     make(tmp_path / "real.bag", "")
     assert cli.main(["convert", str(tmp_path / "real.bag"), "--to", "csv"]) == 0
     assert "Note" not in capfd.readouterr().out

@@ -106,7 +106,7 @@ def test_figures_are_those_of_the_motion(tmp_path: Path, data: bytes) -> None:
     assert ("Position", "up [m]") not in rows  # it was never told a height
 
 
-def test_what_the_log_does_not_know_is_not_shown(tmp_path: Path, data: bytes) -> None:
+def test_values_missing_in_the_log_are_not_shown(tmp_path: Path, data: bytes) -> None:
     """The estimator's place before it has one, a message alone with a time of its own, sticks of before the log."""
     log = read_log(write(tmp_path / "log.ulg", data))
     assert log.duration == pytest.approx(SECONDS)
@@ -179,7 +179,7 @@ def test_a_log_cut_off_anywhere_gives_its_beginning(tmp_path: Path, data: bytes)
             read_log(write(tmp_path / "cut.ulg", data[:cut]))
 
 
-def test_damage_is_said_and_what_is_before_it_is_shown(tmp_path: Path, data: bytes) -> None:
+def test_damage_is_reported_and_the_data_before_it_is_shown(tmp_path: Path, data: bytes) -> None:
     rng = np.random.default_rng(2)
     for _ in range(8):
         bad = bytearray(data)
@@ -202,6 +202,6 @@ def test_the_report_is_one_page(tmp_path: Path, data: bytes) -> None:
     assert {"track", "position", "velocity", "rates", "imu", "spectra", "spectrogram_acceleration"} <= names
 
 
-def test_what_is_no_log_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_files_other_than_logs_are_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["analyse", str(write(tmp_path / "log.ulg", b"#ROSBAG V2.0\n"))]) == 1
     assert "is no ULog" in capfd.readouterr().err

@@ -47,7 +47,7 @@ def test_offsets_are_read_row_major() -> None:
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no bag at all"])
-def test_unreadable_bags_are_named(tmp_path: Path, content: bytes | None) -> None:
+def test_unreadable_bags_are_reported(tmp_path: Path, content: bytes | None) -> None:
     bag = tmp_path / "broken.bag"
     if content is not None:
         bag.write_bytes(content)
@@ -56,7 +56,7 @@ def test_unreadable_bags_are_named(tmp_path: Path, content: bytes | None) -> Non
 
 
 @pytest.mark.parametrize("name", ["flight", "flight.plan", "old.bag", "log.bag"])
-def test_other_files_are_refused_with_who_reads_them(tmp_path: Path, name: str) -> None:
+def test_other_files_are_rejected_with_the_command_that_reads_them(tmp_path: Path, name: str) -> None:
     begin = {"old.bag": b"#ROSBAG V1.2\n", "log.bag": b"ULog\x01\x12\x35\x01"}.get(name, b"#ROSBAG V2.0\n")
     (tmp_path / name).write_bytes(begin + bytes(100))
     with pytest.raises(RecordError, match=r"neither a bag of version 2\.0 .*analyse"):
@@ -68,7 +68,7 @@ def test_a_folder_is_no_record(tmp_path: Path) -> None:
         read_formation(tmp_path)
 
 
-def test_a_pattern_that_is_taken_back_is_none(tmp_path: Path) -> None:
+def test_a_withdrawn_pattern_is_absent(tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", patterns=("origin",), taken_back=True)
     record = read_formation(tmp_path / "flight.bag")
     assert [len(change.value) for change in record.patterns] == [8]
@@ -115,7 +115,7 @@ def test_bad_flight_is_called_bad(tmp_path: Path) -> None:
     assert report["reconfigurations"][0]["settling_time"] is None
 
 
-def test_a_lost_vehicle_is_named_and_counts_until_it_is_lost(tmp_path: Path) -> None:
+def test_a_lost_vehicle_is_reported_and_counts_until_its_loss(tmp_path: Path) -> None:
     make_bag(tmp_path / "flight.bag", patterns=("cube", "pyramid"), offset=0.3)
     record = read_formation(tmp_path / "flight.bag")
     whole = reports.make_report(record)
@@ -181,7 +181,7 @@ def crossing(simulator: str) -> dict[str, Any]:
     return reports.make_report(record, {"simulator": simulator})
 
 
-def test_pairs_that_came_too_close_are_counted_and_the_closest_is_named() -> None:
+def test_pairs_that_came_too_close_are_counted_and_the_closest_is_reported() -> None:
     report = crossing("simplified")
     found = report["too_close"]
     assert (found["pairs"], found["vehicles"]) == (2, 3)
@@ -195,7 +195,7 @@ def test_pairs_that_came_too_close_are_counted_and_the_closest_is_named() -> Non
     json.dumps(report, allow_nan=False)
 
 
-def test_the_words_on_touching_are_the_simulators() -> None:
+def test_the_texts_on_contacts_are_the_simulators() -> None:
     said = {}
     for simulator in ("simplified", "full"):
         output = io.StringIO()
@@ -271,7 +271,7 @@ def test_table_names_every_pattern(flight_bag: Path, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "report.json").read_text())["vehicles"] == report["vehicles"]
 
 
-def test_names_with_words_and_paths_make_names_of_files(tmp_path: Path) -> None:
+def test_names_with_blanks_and_slashes_become_file_names(tmp_path: Path) -> None:
     from matplotlib.figure import Figure
 
     name = "response_1_text:A B_to_cloud:/data/$5$.ply:spacing=3"

@@ -66,7 +66,7 @@ def test_the_page_of_two_formation_flights(flight_bag: Path, tmp_path: Path) -> 
     assert (out / "difference.png").is_file()
 
 
-def test_what_cannot_be_compared_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_incomparable_files_are_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     make_flight(tmp_path / "a.bag", ("/uav0", "/uav1"), 2.0)
     make_flight(tmp_path / "b.bag", ("/uav2", "/uav3"), 2.0)
     a, b = str(tmp_path / "a.bag"), str(tmp_path / "b.bag")
@@ -87,7 +87,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path, capfd: pytest.CaptureFi
         assert words in capfd.readouterr().err, arguments
 
 
-def test_names_tell_runs_apart() -> None:
+def test_runs_have_distinct_names() -> None:
     assert names_of([Path("/runs/1/flight.bag"), Path("/runs/2/flight.bag")], None) == ["1/flight.bag", "2/flight.bag"]
     assert names_of([Path("/a.bag"), Path("/a.bag")], None) == ["1: a.bag", "2: a.bag"]
     logs = [Path(f"/log/iris_{number}/2020-01-01/00_00_00.ulg") for number in range(2)]

@@ -22,7 +22,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "flight.bag"
 
 
-def test_messages_come_in_the_order_of_their_stamps(path: Path) -> None:
+def test_messages_are_read_in_the_order_of_their_stamps(path: Path) -> None:
     bag = FlightBag(path)
     assert (bag.fleet, bag.begin_us, bag.end_us) == ("iris:2", 500_000, 4_450_000)
     messages = list(bag.messages(POSES))
@@ -44,7 +44,7 @@ def test_a_bag_that_is_cut_off_is_shown_as_far_as_it_goes(path: Path) -> None:
     assert bag.end_us == messages[-1].time_us
 
 
-def test_what_is_no_bag_is_named(tmp_path: Path) -> None:
+def test_files_other_than_bags_are_reported(tmp_path: Path) -> None:
     (tmp_path / "flight.bag").write_text("no bag")
     with pytest.raises(BagError, match=r"flight\.bag cannot be read"):
         FlightBag(tmp_path / "flight.bag")

@@ -78,7 +78,7 @@ def test_lines_and_letters_grow_with_the_scale_and_spots_stand_at_the_vehicles()
 
 
 @pytest.mark.parametrize("options", [{"scale": 0.0}, {"scale": math.inf}, {"spot": -1.0}, {"spot": math.nan}])
-def test_a_size_that_is_not_allowed_is_refused(options):
+def test_an_invalid_size_is_rejected(options):
     with pytest.raises(ValueError, match="not allowed"):
         SwarmMarkers(NAMES, **options)
 
@@ -90,14 +90,14 @@ def test_slots_stand_about_the_leader(markers):
     assert points(shown(markers)["slots", 0]) == [(13.0, 0.0, 5.0), (10.0, 3.0, 6.0)]
 
 
-def test_an_edge_goes_from_who_is_heard_to_who_listens(markers):
+def test_an_edge_points_from_sender_to_receiver(markers):
     adjacency = np.zeros((3, 3), int)
     adjacency[2, 1] = 1  # 2 listens to 1
     markers.on_topology(adjacency)
     assert points(shown(markers)["topology", 0]) == [PLACES[1], PLACES[2]]
 
 
-def test_a_topology_for_another_swarm_is_refused(markers):
+def test_a_topology_for_another_swarm_is_rejected(markers):
     with pytest.raises(ValueError, match="16 values are not allowed, 3 x 3"):
         markers.on_topology(np.zeros(16, int))
 
@@ -110,7 +110,7 @@ def test_avoidance_is_an_arrow_that_goes_when_it_ends(markers):
     assert ("avoidance", 1) not in shown([first, markers.array(0.1)])
 
 
-def test_a_trail_is_as_long_as_asked_and_ends_at_the_vehicle():
+def test_a_trail_has_the_requested_length_and_ends_at_the_vehicle():
     markers = SwarmMarkers(NAMES, trail=2.0)
     for k in range(100):
         markers.on_position("iris_0", 0.1 * k, (0.3 * k, 0.0, 5.0))
@@ -119,7 +119,7 @@ def test_a_trail_is_as_long_as_asked_and_ends_at_the_vehicle():
     assert trail[0][0] == pytest.approx(0.3 * 79, abs=0.31)
 
 
-def test_detections_come_and_go(markers):
+def test_detections_appear_and_disappear(markers):
     things = [(5.0, 6.0, 0.0), (7.0, 6.0, 0.0)]
     arrays = []
     for time, seen in enumerate([things, things[:1], []]):
@@ -142,7 +142,7 @@ def test_a_view_is_a_closed_line_just_above_the_ground(markers):
     assert ((line[..., 2] > 0.0) & (line[..., 2] < 0.2)).all()
 
 
-def test_a_find_stays_until_time_goes_back(markers):
+def test_a_find_remains_until_a_time_reset(markers):
     markers.on_find((5.0, 6.0), "found by iris_0")
     first = markers.array(0.0)
     assert shown([first])["finds", 1].text == "found by iris_0"
@@ -169,12 +169,12 @@ def test_a_list_without_points_is_never_shown_and_no_marker_twice(markers):
 
 
 @pytest.mark.parametrize("trail", [-1.0, math.nan, math.inf])
-def test_a_trail_of_no_length_is_refused(trail):
+def test_a_trail_of_no_length_is_rejected(trail):
     with pytest.raises(ValueError, match="0 or more"):
         SwarmMarkers(NAMES, trail)
 
 
-def test_no_vehicles_are_refused():
+def test_no_vehicles_are_rejected():
     with pytest.raises(ValueError, match="no vehicles"):
         SwarmMarkers([])
 
@@ -235,6 +235,6 @@ def assert_seen(text, places):
     assert (abs(seen @ np.cross(away, right)) / depth < high).all()
 
 
-def test_an_unknown_view_is_refused():
+def test_an_unknown_view_is_rejected():
     with pytest.raises(OptionError, match="'top' is unknown; there are: vehicle, formation, search"):
         make_view("top", NAMES)

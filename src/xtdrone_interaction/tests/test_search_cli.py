@@ -38,7 +38,7 @@ REGION = "region: [[15, -8], [45, -8], [45, 16], [15, 16]]\nholes: [[[25, 0], [3
         (["--world", "outdoor", "--persons", "3"], "persons: they are in the world's file"),
     ],
 )
-def test_what_is_not_allowed_is_named(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_invalid_values_are_reported(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
     try:
         status = cli.main(["demo", "search", *arguments])
     except SystemExit as ended:  # argparse
@@ -102,7 +102,7 @@ def test_plans_of_ones_own_are_read(settings: SearchSettings, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("count", [3, 11])  # of eleven, the tenth's name comes before the second's
-def test_what_was_prepared_is_read_back(settings: SearchSettings, count: int) -> None:
+def test_preparations_are_read_back(settings: SearchSettings, count: int) -> None:
     made = prepare(replace(settings, n=count))
     assert is_search(settings.out)
     back = read_prepared(settings.out)
@@ -113,7 +113,7 @@ def test_what_was_prepared_is_read_back(settings: SearchSettings, count: int) ->
         assert back.ways[name] == pytest.approx(made.ways[name], abs=0.05)
 
 
-def test_what_was_prepared_and_damaged_then_is_refused(settings: SearchSettings) -> None:
+def test_damaged_preparations_are_rejected(settings: SearchSettings) -> None:
     prepare(settings)
     for text in ("[1, 2]", "typhoon_h480_0: {region: 5}", "{"):
         (settings.out / "pieces.yaml").write_text(text, encoding="utf-8")
@@ -123,14 +123,14 @@ def test_what_was_prepared_and_damaged_then_is_refused(settings: SearchSettings)
     assert not is_search(settings.out)
 
 
-def test_a_vehicle_without_the_camera_is_refused(settings: SearchSettings) -> None:
+def test_a_vehicle_without_the_camera_is_rejected(settings: SearchSettings) -> None:
     nowhere = settings.out / "new"
     with pytest.raises(OptionError, match="'iris' has no camera cgo3_camera"):
         prepare(replace(settings, type="iris", out=nowhere))
     assert not nowhere.exists()
 
 
-def test_the_launch_file_is_told(settings: SearchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_launch_file_gets_the_options(settings: SearchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("xtdrone_interaction.launching.supervised_launch.shutil.which", lambda program: program)
     command = search_demo.flight(settings, prepare(settings)).command()
     assert "on_find:=hold" in command

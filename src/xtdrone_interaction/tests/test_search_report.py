@@ -60,7 +60,7 @@ def test_a_good_find_has_no_shortcoming() -> None:
     assert report["shortcomings"] == []
 
 
-def test_a_search_that_goes_on_is_to_find_everybody() -> None:
+def test_a_continued_search_must_find_all_people() -> None:
     search = record(confirmed(10.0, 0.2), confirmed(10.0, 40.0, time=70.0, vehicle="typhoon_h480_1"))
     search.persons["person_1"] = np.tile([50.0, 50.0, 0.0], (1001, 1))
     report = make_report(search, {"on_find": "continue"})
@@ -90,14 +90,14 @@ def test_following_counts_the_pictures_that_show_the_person() -> None:
     assert report["shortcomings"] == ["typhoon_h480_0 had the person in view in 73 % of its pictures"]
 
 
-def test_a_search_without_find_says_so_only_where_somebody_is() -> None:
+def test_a_search_without_a_find_is_a_shortcoming_only_if_people_are_present() -> None:
     one_person = record(outcome="not found")
     assert make_report(one_person, {})["shortcomings"] == ["no person was found, but the region has 1 person"]
-    nobody = SearchRecord(**{**vars(one_person), "persons": {}})
-    assert make_report(nobody, {})["shortcomings"] == []
+    empty = SearchRecord(**{**vars(one_person), "persons": {}})
+    assert make_report(empty, {})["shortcomings"] == []
 
 
-def test_losses_and_collisions_are_named() -> None:
+def test_losses_and_collisions_are_reported() -> None:
     silent = {"event": "camera_silent", "time": 20.0, "vehicle": "typhoon_h480_0", "position": [20.0, 0.0]}
     bad = record(confirmed(10.0, 0.0), silent, lost=["typhoon_h480_1"])
     bad.collisions.append("collision of typhoon_h480_1 and house_3")
@@ -108,7 +108,7 @@ def test_losses_and_collisions_are_named() -> None:
     ]
 
 
-def test_a_search_that_was_cut_short_says_so_and_what_is_known() -> None:
+def test_an_aborted_search_is_reported_with_the_known_results() -> None:
     follow = {"event": "following", "time": 90.0, "vehicle": "typhoon_h480_0"}
     changes = {"outcome": CUT_SHORT, "vehicle": None, "covered_area": None, "covered_fraction": 0.25}
     report = make_report(record(confirmed(10.3, 0.4), follow, **changes), {"on_find": "continue"})
@@ -121,7 +121,7 @@ def test_a_search_that_was_cut_short_says_so_and_what_is_known() -> None:
     assert "Covered 25.0 %, in 100 s." in printed.get()
 
 
-def test_a_bag_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_missing_bag_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="does not exist"):
         read_search(tmp_path / "flight.bag", ("a",), ())
 

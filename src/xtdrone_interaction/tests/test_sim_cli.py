@@ -53,7 +53,7 @@ def test_a_web_server_is_no_ros_master(web_server, capsys):
         ("--for", "nan", "2147483648"),
     ],
 )
-def test_times_that_ros_cannot_hold_are_refused(option, value, end, capsys):
+def test_times_beyond_the_range_of_ros_are_rejected(option, value, end, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main(["sim", "step", option, value])
     assert ended.value.code == 2
@@ -89,12 +89,12 @@ def test_a_flight_in_runs_needs_no_pointer(tmp_path):
         ({"waiting_for": ["/a"], "reason": "waiting for /a (1.0 s)"}, "waiting"),
     ],
 )
-def test_the_state_in_words(values, state):
+def test_the_state_as_text(values, state):
     plain = {"paused": False, "stepping": False, "waiting_for": [], "reason": ""}
     assert sim_cli._state(types.SimpleNamespace(**{**plain, **values})) == state
 
 
-def test_the_limit_that_has_passed_is_named(monkeypatch):
+def test_the_exceeded_limit_is_reported(monkeypatch):
     from std_srvs.srv import Trigger, TriggerRequest
 
     with socket.create_server(("127.0.0.1", 0)) as silent:
@@ -104,7 +104,7 @@ def test_the_limit_that_has_passed_is_named(monkeypatch):
             sim_cli.call("http://127.0.0.1:1", "/simulator/pause", Trigger, TriggerRequest())
 
 
-def test_ctrl_c_leaves_a_step_under_way_and_says_so(monkeypatch, capsys):
+def test_ctrl_c_during_a_step_is_reported_and_the_step_continues(monkeypatch, capsys):
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 

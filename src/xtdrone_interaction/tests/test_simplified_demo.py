@@ -61,7 +61,7 @@ def no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         (["--compare-with", "/nowhere.bag"], "comparison: /nowhere.bag does not exist"),
     ],
 )
-def test_bad_values_are_named(
+def test_invalid_values_are_reported(
     arguments: list[str], message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert _status([*ALONE, *arguments]) == 2
@@ -69,7 +69,7 @@ def test_bad_values_are_named(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_film_that_cannot_be_written_is_named(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_film_that_cannot_be_written_is_reported(capfd: pytest.CaptureFixture[str]) -> None:
     short = ["--n", "2", "--patterns", "origin", "--no-compare", "--headless"]
     assert _status([*ALONE, *short, "--film", "/proc/flight.png"]) == 1
     assert "Error: film /proc/flight.png: cannot be written" in " ".join(capfd.readouterr().out.split())
@@ -83,7 +83,7 @@ def test_a_film_that_cannot_be_written_is_named(capfd: pytest.CaptureFixture[str
         (["--range", "20"], "range: --range is available in one process only; add --without-ros"),
     ],
 )
-def test_what_ros_does_not_have_is_named(
+def test_options_unavailable_on_ros_are_reported(
     arguments: list[str], message: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
@@ -141,7 +141,7 @@ def test_a_recorded_flight_is_compared_with(
         (["--patterns", "triangle"], "patterns origin, triangle, origin cannot be compared with origin, cube, "),
     ],
 )
-def test_another_flight_than_the_recorded_one_is_refused_before_it_is_flown(
+def test_another_flight_than_the_recorded_one_is_rejected_before_it_is_flown(
     tmp_path: Path, flight_bag: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert _status([*ALONE, "--compare-with", str(flight_bag), *arguments]) == 2
@@ -234,7 +234,7 @@ def test_a_flight_with_ones_own_follower(tmp_path: Path, capfd: pytest.CaptureFi
     assert str(out / "report.json") in said
 
 
-def test_a_follower_that_raises_is_named_with_its_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_follower_that_raises_is_reported_with_its_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "typo.py").write_text(FOLLOWER.replace("super().control_law(", "super().contrl_law("))
     arguments = ["--n", "3", "--patterns", "circle", "--follower", "typo.py", "--film", "none", "--no-compare"]
     assert cli.main([*ALONE, *arguments, "--out", "out"]) == 1
@@ -244,7 +244,7 @@ def test_a_follower_that_raises_is_named_with_its_line(tmp_path: Path, capfd: py
     assert not (tmp_path / "out").exists(), "nothing has come into it"
 
 
-def test_a_follower_file_that_is_not_there_is_said(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_follower_file_is_reported(capfd: pytest.CaptureFixture[str]) -> None:
     assert cli.main([*ALONE, "--follower", "nowhere.py"]) == 2
     assert "follower: nowhere.py does not exist" in capfd.readouterr().err
 
@@ -288,7 +288,7 @@ def test_pacing_makes_up_for_a_picture_but_not_for_a_pause(monkeypatch: pytest.M
     assert simplified_demo._Pacing(0.0).ahead(5.0) == 0.0
 
 
-def test_help_says_each_default_once_as_it_is_typed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_each_default_once_as_typed(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.main([*DEMO, "--help"])
     said = " ".join(capsys.readouterr().out.split())

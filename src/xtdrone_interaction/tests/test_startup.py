@@ -34,7 +34,7 @@ def logs(tmp_path: Path) -> Logs:
     return Logs(tmp_path)
 
 
-def test_a_line_moves_once_whatever_the_time(logs: Logs) -> None:
+def test_a_line_is_redrawn_once_at_any_time(logs: Logs) -> None:
     line = "[INFO] [{}, 0.0]: simulator: holding time at 0: {} of 20 participants have joined\n"
     assert logs.add(line.format(1795250671.65, 7))
     assert not logs.startup.update()
@@ -55,7 +55,7 @@ def test_a_kernel_moves_for_as_long_as_it_is_compiled(logs: Logs) -> None:
     assert not logs.startup.update()
 
 
-def test_what_the_simulator_says_of_the_start_is_understood(logs: Logs) -> None:
+def test_the_simulators_start_messages_are_parsed(logs: Logs) -> None:
     logs.add("process[rosout-1]: started with pid [5]\nprocess[simulator-2]: started with pid [7]\n", "roslaunch.log")
     assert (logs.startup.started, logs.startup.runs, logs.startup.joined) == (1, False, None)
     logs.add("[INFO] [1.5, 0.0]: simulator: 5 participants have joined, time starts\n")
@@ -84,7 +84,7 @@ process[team/mine-4]: started with pid [{pid}]
 """
 
 
-def test_nodes_that_have_not_joined_are_named_with_what_is_known(tmp_path: Path) -> None:
+def test_nodes_that_have_not_joined_are_reported_with_their_state(tmp_path: Path) -> None:
     log = tmp_path / "run" / "team-mine-4-stdout.log"
     log.parent.mkdir()
     log.write_text("reading the map\n")
@@ -100,7 +100,7 @@ def test_nodes_that_have_not_joined_are_named_with_what_is_known(tmp_path: Path)
     assert "team/mine is gone" in not_joined(_NODES.format(pid=1 << 30).splitlines(), [], {}, tmp_path)
 
 
-def test_advice_is_given_for_what_is_known() -> None:
+def test_advice_is_given_for_known_errors() -> None:
     assert advice("[INFO] all is well") == []
     assert "--instance" in advice("FATAL: iris_1 ground-station link: UDP port 18571 cannot be bound")[0]
     assert "ulimit -n" in advice("OSError: [Errno 24] Too many open files")[0]
@@ -140,7 +140,7 @@ _SHOWN = [
 ]
 
 
-def test_trouble_is_what_went_wrong_and_nothing_else() -> None:
+def test_shortcomings_list_failures_only() -> None:
     done = _LOG.format(node="formation_director-11", how="finished cleanly")
     assert error_lines(done.splitlines()) == _SHOWN
     how = "died [pid 7, exit code -11, cmd /a/simulator.py]."

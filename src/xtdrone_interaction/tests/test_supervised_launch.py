@@ -39,7 +39,7 @@ def test_time_in_which_the_watcher_itself_was_stopped_does_not_count(clock: Simp
 
 
 @pytest.mark.parametrize(("node", "ends"), [("mavros", True), ("follower_2", False)])
-def test_a_flight_ends_when_the_simulator_drops_what_it_cannot_do_without(
+def test_a_flight_ends_when_a_required_node_is_dropped(
     clock: SimpleNamespace, tmp_path: Path, node: str, ends: bool
 ) -> None:
     line = (

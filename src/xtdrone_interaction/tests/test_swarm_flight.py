@@ -34,7 +34,7 @@ def record() -> FormationRecord:
     return fly()
 
 
-def test_a_whole_flight_gives_a_good_report(record: FormationRecord, tmp_path: Path) -> None:
+def test_a_complete_flight_has_a_report_without_shortcomings(record: FormationRecord, tmp_path: Path) -> None:
     assert outcome_of(record) == ("done", "")
     phases = [e["phase"] for e in record.phases]
     assert phases == [
@@ -96,7 +96,7 @@ class Stubborn(CoreVehicles):
         return "no" if index == 3 and text == "ARM" else super().command(index, text)
 
 
-def test_a_failed_flight_lands_and_says_why() -> None:
+def test_a_failed_flight_lands_and_reports_the_reason() -> None:
     vehicles = Stubborn(COUNT)
     events: list[dict[str, Any]] = []
     progress: list[dict[str, Any]] = []
@@ -111,7 +111,7 @@ def test_a_failed_flight_lands_and_says_why() -> None:
     vehicles.close()
 
 
-def test_unknown_patterns_are_refused() -> None:
+def test_unknown_patterns_are_rejected() -> None:
     with pytest.raises(PatternError, match="'heart' is unknown for 6 vehicles"):
         fly_formation(Swarm(COUNT, airborne=False), ["heart"])
 
@@ -127,7 +127,7 @@ def test_turn_by_turn(record: FormationRecord) -> None:
     np.testing.assert_array_equal(part.position, record.track.position[: len(part.time)])
 
 
-def test_the_saved_record_has_what_was_flown_and_is_read_again(record: FormationRecord, tmp_path: Path) -> None:
+def test_the_saved_record_has_the_flight_and_can_be_read(record: FormationRecord, tmp_path: Path) -> None:
     save_formation(record, tmp_path / "flight.npz")
     with np.load(tmp_path / "flight.npz") as saved:
         np.testing.assert_array_equal(saved["position"], record.track.position)
@@ -141,13 +141,13 @@ def test_the_saved_record_has_what_was_flown_and_is_read_again(record: Formation
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
-def test_an_archive_that_is_none_is_named(tmp_path: Path, content: bytes) -> None:
+def test_an_invalid_archive_is_reported(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "flight.npz").write_bytes(content)
     with pytest.raises(RecordError, match=r"flight record: .*flight\.npz cannot be read"):
         read_formation(tmp_path / "flight.npz")
 
 
-def test_an_archive_of_something_else_is_named(tmp_path: Path) -> None:
+def test_an_archive_of_other_content_is_reported(tmp_path: Path) -> None:
     np.savez(tmp_path / "flight.npz", position=np.zeros((3, 3)))
     with pytest.raises(RecordError, match=r"flight\.npz cannot be read \(.*pattern_time"):
         read_formation(tmp_path / "flight.npz")

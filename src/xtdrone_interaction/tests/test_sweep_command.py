@@ -247,7 +247,7 @@ def test_a_corrected_file_replaces_runs_that_all_failed(tmp_path: Path, capsys: 
     assert (out / "picture.png").is_file()
 
 
-def test_commonest_reasons_are_said_each_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_most_frequent_reasons_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, out = write_study(tmp_path, shares="[0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]", seeds=1), tmp_path / "out"
     failing = 'raise ValueError("a\\n" + "xxxyyzw"[round(10 * self.share) - 1])'
     text = (tmp_path / "mine.py").read_text()
@@ -271,7 +271,7 @@ def test_the_metric_of_the_documentation_works(tmp_path: Path) -> None:
     assert 0.0 < row["longest_way"] < 100.0
 
 
-def test_no_runs_leave_no_folder_and_no_word_of_results(
+def test_without_runs_there_is_no_folder_and_no_results_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip
     file, out = str(write_study(tmp_path)), tmp_path / "new" / "out"
@@ -286,7 +286,7 @@ def test_no_runs_leave_no_folder_and_no_word_of_results(
     assert not out.parent.exists()
 
 
-def test_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_unsupported_requests(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = str(write_study(tmp_path))
     with pytest.raises(SystemExit, match=r"^2$"):
         main([file, "--out", str(tmp_path / "out"), "--workers", "0"])

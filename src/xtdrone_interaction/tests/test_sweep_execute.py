@@ -109,7 +109,7 @@ def test_rows_of_a_worker_that_dies_after_it_has_handed_them_over_count(client: 
     assert executor._rows(future, rows) == rows
 
 
-def test_tasks_are_taken_as_they_are_flown(client: Client) -> None:
+def test_tasks_are_started_in_order(client: Client) -> None:
     taken = flown = most = 0
 
     def counted() -> Iterator[dict[str, Any]]:
@@ -128,7 +128,7 @@ def test_tasks_are_taken_as_they_are_flown(client: Client) -> None:
     assert most <= 1000  # ten batches of a hundred, never all
 
 
-def test_a_stop_is_heard_at_once_and_what_runs_is_given_up(client: Client, tmp_path: Path) -> None:
+def test_a_stop_acts_at_once_and_aborts_the_running_batches(client: Client, tmp_path: Path) -> None:
     class StopError(Exception):
         pass
 
@@ -162,7 +162,7 @@ def test_local_cluster_listens_on_loopback_only(client: Client) -> None:
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "no address", "ftp://127.0.0.1:80"])
-def test_scheduler_that_is_not_there(address: str) -> None:
+def test_missing_scheduler(address: str) -> None:
     with (
         pytest.raises(SweepError, match=r"scheduler: no Dask scheduler answers at .*start one with"),
         remote_client(address),
@@ -198,7 +198,7 @@ def scheduler_of_its_own(port: int) -> Iterator[subprocess.Popen[bytes]]:
             process.wait(PATIENCE)
 
 
-def test_scheduler_lost_in_the_middle_ends_the_sweep_with_what_has_come() -> None:
+def test_scheduler_lost_during_a_sweep_ends_it_with_the_results_so_far() -> None:
     port = options.free_port()
     rows: list[dict[str, Any]] = []
     with scheduler_of_its_own(port) as scheduler:

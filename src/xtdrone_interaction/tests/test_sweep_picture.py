@@ -77,7 +77,7 @@ def test_wanted_names_count_and_missing_figures_are_counted() -> None:
     assert draw(some).axes[0].get_title().endswith("1 failed, 1 not settled")
 
 
-def test_refuses_by_name(tmp_path: Path) -> None:
+def test_rejects_by_name(tmp_path: Path) -> None:
     some = results(a=[1, 2])
     with pytest.raises(OptionError, match="metric: 'beauty' is unknown; there are: settling_time, own"):
         draw(some, "beauty")

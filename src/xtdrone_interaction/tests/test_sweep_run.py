@@ -70,7 +70,7 @@ def flown(tmp_path: Path, way: float, **data: Any) -> dict[str, Any]:
     ("way", "error"),
     [(1, "SystemExit: enough"), (2, "Mute: it cannot be written"), (3, "Locked: <unlocked _thread.lock object")],
 )
-def test_whatever_a_class_raises_is_a_row_that_travels(tmp_path: Path, way: float, error: str) -> None:
+def test_errors_of_a_users_class_become_a_picklable_row(tmp_path: Path, way: float, error: str) -> None:
     row = flown(tmp_path, way)
     assert row["error"].startswith(error)
     assert "mine.py:" in row["error"]
@@ -84,6 +84,6 @@ def test_a_metric_may_not_take_a_parameters_name(tmp_path: Path) -> None:
     assert row["class.way"] == 0.0
 
 
-def test_a_file_that_exits_is_refused() -> None:
+def test_a_file_that_exits_is_rejected() -> None:
     with pytest.raises(OptionError, match=r"mine\.py cannot be loaded: SystemExit: 3"):
         load("follower", Source("/tmp/mine.py", "A", "import sys\nsys.exit(3)\n"))

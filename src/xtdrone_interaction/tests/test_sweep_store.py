@@ -34,7 +34,7 @@ def opened(folder: Path) -> Store:
     return store
 
 
-def test_rows_come_back_in_the_plans_order_with_types_and_study(tmp_path: Path) -> None:
+def test_rows_are_read_in_the_plans_order_with_types_and_study(tmp_path: Path) -> None:
     with opened(tmp_path / "a") as store:
         store.add([row(2), row(0, error="it broke", settled=None, time=None)])
         store.flush()
@@ -107,7 +107,7 @@ def test_a_killed_writer_leaves_every_committed_row_and_no_half_of_a_commit(tmp_
             known = set(store.rows)
 
 
-def test_a_second_process_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+def test_a_second_process_is_rejected_and_changes_nothing(tmp_path: Path) -> None:
     with opened(tmp_path / "a") as store:
         store.add([row(0)])
         second = subprocess.run(
@@ -156,7 +156,7 @@ def test_no_runs_make_an_empty_table(tmp_path: Path) -> None:
     assert table.column_names == list(COLUMNS)
 
 
-def test_a_new_folder_without_runs_goes_again_and_others_stay(tmp_path: Path) -> None:
+def test_a_new_folder_without_runs_is_removed_and_others_remain(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     for folder in (tmp_path / "new" / "deep", tmp_path / "mine"):
         with opened(folder) as store:
@@ -170,7 +170,7 @@ def test_a_new_folder_without_runs_goes_again_and_others_stay(tmp_path: Path) ->
     assert (tmp_path / "mine" / "runs.sqlite").is_file()  # it was there before
 
 
-def test_dropped_runs_are_gone_and_others_stay(tmp_path: Path) -> None:
+def test_dropped_runs_are_removed_and_others_remain(tmp_path: Path) -> None:
     with opened(tmp_path) as store:
         store.add([row(0, error="it broke"), row(1), row(2, error="it broke")])
         store.drop({"k0", "k2"})
@@ -180,7 +180,7 @@ def test_dropped_runs_are_gone_and_others_stay(tmp_path: Path) -> None:
         assert pq.read_table(again.finish(["k0", "k1", "k2"]))["key"].to_pylist() == ["k1"]
 
 
-def test_refuses_folders_by_name(tmp_path: Path) -> None:
+def test_rejects_folders_by_name(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OptionError, match=r"file' is a file; a folder is needed"):
         opened(tmp_path / "file")

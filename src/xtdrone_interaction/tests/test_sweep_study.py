@@ -69,7 +69,7 @@ def test_ranges_are_linear_or_logarithmic_with_plain_numbers(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("combine", ["random", "latin"])
-def test_samples_lie_in_their_ranges_and_come_again(tmp_path: Path, combine: str) -> None:
+def test_samples_are_in_range_and_repeatable(tmp_path: Path, combine: str) -> None:
     parameters = {
         "follower.Kp": {"from": 0.01, "to": 100.0, "log": True},
         "n": {"from": 3, "to": 5},
@@ -93,7 +93,7 @@ def test_latin_hypercube_has_one_sample_in_each_part(tmp_path: Path) -> None:
     assert sorted(math.floor(10 * (float(run.varied["follower.Kp"]) - 1.0)) for run in plan) == list(range(10))
 
 
-def test_keys_depend_on_what_is_flown_alone(tmp_path: Path) -> None:
+def test_keys_depend_only_on_the_flight(tmp_path: Path) -> None:
     def keys(**data: Any) -> set[str]:
         return {run.key for run in Plan(study(tmp_path, **data))}
 
@@ -169,12 +169,12 @@ BAD: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("data", "message"), BAD)
-def test_refuses_by_name(tmp_path: Path, data: dict[str, Any], message: str) -> None:
+def test_rejects_by_name(tmp_path: Path, data: dict[str, Any], message: str) -> None:
     with pytest.raises(OptionError, match=message):
         study(tmp_path, **data)
 
 
-def test_refuses_what_cannot_be_flown_together(tmp_path: Path) -> None:
+def test_rejects_incompatible_options(tmp_path: Path) -> None:
     with pytest.raises(
         OptionError, match=r"follower\.clearance=3\.0.*clearance: 3\.0 is not allowed, below avoid_radius"
     ):
@@ -199,14 +199,14 @@ def test_refuses_what_cannot_be_flown_together(tmp_path: Path) -> None:
         ("? [1, 2]\n: 3", "is not YAML: while constructing a mapping"),
     ],
 )
-def test_refuses_files(tmp_path: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_files(tmp_path: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "study.yaml"
     file.write_text(text)
     assert main([str(file)]) == 2
     assert message in capsys.readouterr().err
 
 
-def test_refuses_own_python_that_does_not_fit(tmp_path: Path) -> None:
+def test_rejects_an_incompatible_python(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(FOLLOWER)
     (tmp_path / "broken.py").write_text("import nothing_of_that_name")
     with pytest.raises(OptionError, match=r"broken\.py cannot be loaded: ModuleNotFoundError"):

@@ -96,7 +96,7 @@ class World:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_walking_person_stays_in_view_for_a_minute(seed):
+def test_a_walking_person_is_in_view_for_a_minute(seed):
     world = World(seed)
     views, ranges, heights = [], [], []
     world.walk = np.array([0.8, -0.9])
@@ -115,7 +115,7 @@ def test_a_walking_person_stays_in_view_for_a_minute(seed):
     assert heights == pytest.approx([15.0] * len(heights), abs=0.3)
 
 
-def test_behind_a_person_who_walks_straight_the_distance_is_kept():
+def test_the_distance_to_a_person_walking_straight_is_kept():
     world = World(1, lost=0.0)
     world.walk = np.array([1.5, 0.0])
     while world.time < 40.0:

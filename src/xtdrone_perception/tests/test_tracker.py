@@ -26,7 +26,7 @@ def place(track):
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("along", [1.0, -1.0])
-def test_two_people_who_pass_at_one_metre_keep_their_ids(seed, along):
+def test_two_people_passing_at_one_metre_keep_their_ids(seed, along):
     """They walk towards each other, or one overtakes the other; one picture in five shows only one of them."""
     random = np.random.default_rng(seed)
     bias = random.normal(0.0, 0.5, 2)  # error of the vehicle's position, the same in all pictures

@@ -38,7 +38,7 @@ def main() -> int:
     end = rospy.Time.now() + rospy.Duration.from_sec(LIMIT)
     while not publisher.get_num_connections():
         if rospy.Time.now() > end:
-            print(f"control_actor: nobody listens to {topic}: the world has no person {options.id}", file=sys.stderr)
+            print(f"control_actor: no subscriber of {topic}: the world has no person {options.id}", file=sys.stderr)
             return 1
         rate.sleep()
     publisher.publish(ActorMotion(options.x, options.y, options.v))

@@ -66,7 +66,7 @@ def test_script_that_waits_ends_or_is_not_begun():
     assert actors.states(61_500_000)[0].position == pytest.approx((2.0, 1.0, 0.0))
 
 
-def test_one_that_is_sent_turns_walks_straight_and_stands():
+def test_a_commanded_actor_turns_walks_straight_and_stands():
     actors = make(SdfActor("a", pose=facing(1.0, 2.0, 0.0)), SdfActor("b", pose=facing(0.0, 0.0, 0.0)))
     actors.send(0, 1.0, 5.0, 1.5, 2_000_000)
     turning = (math.pi / 2) / TURN_RATE
@@ -84,7 +84,7 @@ def test_one_that_is_sent_turns_walks_straight_and_stands():
     assert actors.states(9_000_000)[1].position == (0.0, 0.0, 0.0)
 
 
-def test_small_turns_are_made_while_walking_and_the_walk_goes_on():
+def test_small_turns_are_made_while_walking():
     actors = make(SdfActor("a", pose=facing(0.0, 0.0, 0.0)))
     actors.send(0, 10.0, 0.0, 1.0, 0)
     before = actors.states(3_000_000)[0]
@@ -96,7 +96,7 @@ def test_small_turns_are_made_while_walking_and_the_walk_goes_on():
     assert state.phase == pytest.approx(3.5 / STRIDE)
 
 
-def test_speed_of_its_own_stop_and_what_is_refused():
+def test_own_speed_stop_and_rejected_commands():
     actors = make(SdfActor("a", pose=facing(0.0, 0.0, 0.0), speed=0.7), script())
     actors.send(0, 7.0, 0.0, -1.0, 0)
     assert actors.states(1_000_000)[0].position == pytest.approx((0.7, 0.0, 0.0))

@@ -18,7 +18,7 @@ HOVER_SPEED = 663.0  # rad/s, of iris
 
 
 class Bench:
-    """Batteries of some vehicles whose rotors somebody turns."""
+    """Batteries of some vehicles with given rotor speeds."""
 
     def __init__(self, *models: BatteryModel, **changes: float) -> None:
         count = len(models)
@@ -51,7 +51,7 @@ DRAIN = BatteryModel()
 CELLS = BatteryModel(cells=True)
 
 
-def test_on_the_ground_it_stays_as_the_reference_showed_it():
+def test_on_the_ground_it_remains_as_in_the_reference():
     """A real PX4's SITL: 4 cells, 16.2 V, -1 A, 100 %."""
     sensors = Bench(DRAIN, BAT1_N_CELLS=4).run(60.0)
     assert sensors["battery_voltage"] == pytest.approx(16.2)
@@ -70,7 +70,7 @@ def test_it_drains_by_the_clock_while_armed(seconds, charge):
     assert bench.batteries.charge[0] == 1.0
 
 
-def test_cells_give_what_the_motors_take():
+def test_cells_supply_the_motors_current():
     bench = Bench(CELLS)
     bench.fly()
     sensors = bench.run(0.1)
@@ -123,7 +123,7 @@ def test_vehicles_have_their_own():
     assert bench.autopilot.sensors["battery_current"][1] > 10.0
 
 
-def test_a_motor_that_idles_takes_more_than_the_failure_detector_asks_for():
+def test_an_idling_motor_draws_more_than_the_failure_detectors_limit():
     """FD_ACT_MOT_C2T 2 A at full throttle, over FD_ACT_MOT_THR 0.2: no false alarm at any command."""
     iris = load_vehicle("iris").record
     for command in np.linspace(0.2, 1.0, 17):
@@ -140,7 +140,7 @@ def test_a_motor_that_idles_takes_more_than_the_failure_detector_asks_for():
         ("{capacity: -1}", "capacity: -1.0 is not allowed"),
     ],
 )
-def test_descriptions_that_are_refused(tmp_path, battery, text):
+def test_descriptions_that_are_rejected(tmp_path, battery, text):
     description = read_description("vehicles", "iris")
     description["battery"] = yaml.safe_load(battery)
     path = tmp_path / "odd.yaml"

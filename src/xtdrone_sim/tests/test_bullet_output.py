@@ -33,7 +33,7 @@ def _run(script: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=120)
 
 
-def test_a_world_says_nothing() -> None:
+def test_a_world_prints_nothing() -> None:
     done = _run(WORLD)
     assert done.stdout.split() == ["before", "after"]
     assert done.stderr == ""

@@ -214,7 +214,7 @@ def read(file: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in file.read_text().splitlines()]
 
 
-def test_pictures_come_at_exact_times_and_are_the_same_after_a_reset(graph: Graph, server: LockstepServer) -> None:
+def test_pictures_have_exact_times_and_repeat_after_a_reset(graph: Graph, server: LockstepServer) -> None:
     graph.set_param("/cameras", {"rate": RATE, "backend": "tiny"})
     file = graph.folder / "taker.json"
     graph.start("cameras", sys.executable, str(NODE))
@@ -244,7 +244,7 @@ def test_pictures_come_at_exact_times_and_are_the_same_after_a_reset(graph: Grap
     assert infos[0]["p"] == pytest.approx([focal, 0, 320, 0, 0, focal, 180, 0, 0, 0, 1, 0])
 
 
-def test_flight_goes_on_while_a_picture_is_drawn_and_nobody_draws_for_nobody(
+def test_flight_continues_while_a_picture_is_drawn_and_only_for_subscribers(
     graph: Graph, server: LockstepServer
 ) -> None:
     file, drawn = graph.folder / "taker.json", graph.folder / "drawn.txt"
@@ -266,7 +266,7 @@ def test_flight_goes_on_while_a_picture_is_drawn_and_nobody_draws_for_nobody(
     assert set(drawn.read_text().splitlines()) == {"typhoon_h480_0::cgo3_camera_link"}  # the other is not heard
 
 
-def test_a_fleet_without_cameras_is_named(graph: Graph) -> None:
+def test_a_fleet_without_cameras_is_reported(graph: Graph) -> None:
     graph.set_param("/cameras/fleet", "iris:2")
     node = graph.start("cameras", sys.executable, str(NODE))
     assert node.wait(PATIENCE) == 2
@@ -282,7 +282,7 @@ def test_a_fleet_without_cameras_is_named(graph: Graph) -> None:
         ({"backend": "gl"}, "~backend: 'gl' is not allowed, auto, egl or tiny"),
     ],
 )
-def test_parameters_that_cannot_be_are_named(parameters: dict[str, Any], words: str) -> None:
+def test_invalid_parameters_are_reported(parameters: dict[str, Any], words: str) -> None:
     from xtdrone_sim.cameras.camera_node import CameraSettings
 
     with pytest.raises(ValueError, match=re.escape(words)):

@@ -142,7 +142,7 @@ def test_reports_are_throttled_and_complete(monkeypatch):
     assert rig.warnings[1:] == [f"2 datagrams to UDP port {PORT} did not come; 3 are lost so far"]
 
 
-def test_what_comes_late_is_not_taken_for_what_is_to_come(monkeypatch):
+def test_late_replies_are_not_matched_to_later_requests(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     rig.turn(sent=5, lost=2)
     rig.mavlink.received[PORT] += 1  # one of the two was only late
@@ -156,7 +156,7 @@ def test_what_comes_late_is_not_taken_for_what_is_to_come(monkeypatch):
     assert rig.mavlink.received[PORT] == 106
 
 
-def test_what_is_not_counted_yet_is_no_late_comer(monkeypatch):
+def test_uncounted_messages_are_not_late(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     rig.turn(sent=5, lost=1)
     for _ in range(200):
@@ -167,7 +167,7 @@ def test_what_is_not_counted_yet_is_no_late_comer(monkeypatch):
     assert len(rig.warnings) == 1
 
 
-def test_what_is_in_the_sockets_is_read_whatever_was_counted(monkeypatch):
+def test_the_sockets_are_read_empty_for_every_count(monkeypatch):
     rig = Rig(monkeypatch, away=False)
     rig.mavlink.received[PORT] = 7  # a stranger's
     rig.mavlink.in_socket = 1
@@ -188,7 +188,7 @@ def test_a_strangers_datagrams_upset_the_counts_for_a_while_only(monkeypatch):
     assert rig.warnings == []
 
 
-def test_a_surplus_that_was_none_costs_little_once(monkeypatch):
+def test_a_false_surplus_delays_once(monkeypatch):
     rig = Rig(monkeypatch, away=False)
     rig.turn(sent=1)
     rig.mavlink.received[PORT] += 1  # sent after each turn, and counted in the next
@@ -201,7 +201,7 @@ def test_a_surplus_that_was_none_costs_little_once(monkeypatch):
     assert rig.warnings == []  # nothing is lost
 
 
-def test_a_stop_and_the_lockstep_are_heard_while_waiting(monkeypatch):
+def test_a_stop_and_the_lockstep_are_served_while_waiting(monkeypatch):
     rig = Rig(monkeypatch, away=False)
     rig.turn(sent=2)
     assert rig.server.polls == 2
@@ -225,7 +225,7 @@ def test_links_point_at_participants_on_other_machines_once(monkeypatch):
     assert rig.datagrams.counted_ports() == {24540, 24541}
 
 
-def test_links_follow_a_participant_that_comes_back_from_elsewhere(monkeypatch):
+def test_links_follow_a_participant_that_returns_at_another_address(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     for participant in (
         Participant("127.0.0.1:4710", False, [24540]),
@@ -244,7 +244,7 @@ def test_links_follow_a_participant_that_comes_back_from_elsewhere(monkeypatch):
     ]
 
 
-def test_a_port_stays_with_whom_had_it_first_as_long_as_he_is_there(monkeypatch):
+def test_a_port_belongs_to_its_first_client_while_connected(monkeypatch):
     rig = Rig(monkeypatch, away=True)
     first, second = Participant("10.0.0.2:1", True, [24540]), Participant("10.0.0.3:1", True, [24540])
     rig.server.participants = {"/first": first}
@@ -257,7 +257,7 @@ def test_a_port_stays_with_whom_had_it_first_as_long_as_he_is_there(monkeypatch)
     assert rig.mavlink.directed[1:] == [([24540], "10.0.0.3", True)]
 
 
-def test_participants_elsewhere_are_told_an_address_that_they_reach(monkeypatch):
+def test_remote_participants_get_a_reachable_address(monkeypatch):
     monkeypatch.setenv("ROS_IP", "10.1.2.3")
     monkeypatch.delenv("ROS_HOSTNAME", raising=False)
     assert reachable_uri("tcp://anything:4711", "0.0.0.0") == "tcp://10.1.2.3:4711"

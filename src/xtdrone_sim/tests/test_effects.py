@@ -130,7 +130,7 @@ def test_restart_resets_state_and_noise_and_the_seed_changes_it():
     assert counter.push != first
 
 
-def test_sleeping_vehicles_stay():
+def test_sleeping_vehicles_do_not_move():
     world = flying_world(pushed_and_turned, places=((0.0, 0.0, 0.0),))
     world.plant["still_steps"] = 1000
     run(world, 50)
@@ -202,12 +202,12 @@ class Broken:
         ("gust", r"effect str: cannot be called"),
     ],
 )
-def test_a_bad_effect_is_named_before_the_flight(effect, text):
+def test_an_invalid_effect_is_reported_before_the_flight(effect, text):
     with pytest.raises(EffectError, match=text):
         flying_world(effect)
 
 
-def test_an_effect_that_fails_in_flight_is_named_with_the_time():
+def test_an_effect_that_fails_in_flight_is_reported_with_the_time():
     def late(time, vehicles, models, force, torque):
         force[0, 2] = math.inf if time > 0.05 else 0.0
 
@@ -216,7 +216,7 @@ def test_an_effect_that_fails_in_flight_is_named_with_the_time():
         run(world, 50)
 
 
-def test_two_of_a_name_are_told_apart_and_draw_noise_of_their_own():
+def test_effects_of_the_same_name_are_numbered_and_draw_separate_noise():
     first, second = Counter(), Counter()
     world = flying_world(first, second)
     assert world._effects.names == ("Counter", "Counter_2")

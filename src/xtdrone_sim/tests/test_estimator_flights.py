@@ -145,7 +145,7 @@ def test_on_the_ground_with_gps_the_flags_are_those_of_px4():
     assert e["height_used"][HEIGHT_GPS] == e["height_used"][HEIGHT_BARO] == 1
 
 
-def test_lost_gps_leads_to_dead_reckoning_and_comes_back_with_a_reset():
+def test_lost_gps_leads_to_dead_reckoning_and_returns_with_a_reset():
     flight = Flight()
     flight.take_off(25.0)
     flight.hold()
@@ -196,7 +196,7 @@ def test_gps_that_fails_its_checks_is_not_used():
     assert flight.until("position_valid", 1, 2.0) == pytest.approx(0.5, abs=0.25)  # EKF2_REQ_GPS_H
 
 
-def test_a_jump_of_gps_is_refused_until_it_stays():
+def test_a_gps_jump_is_rejected_until_it_persists():
     flight = Flight()
     flight.take_off(25.0)
     flight.hold()
@@ -226,7 +226,7 @@ def test_frames_share_a_datum_or_start_at_home(shared):
 # vision
 
 
-def test_vision_alone_gives_position_in_its_frame():
+def test_vision_alone_provides_position_in_its_frame():
     flight = Flight(parameters=VISION_ONLY, shared_datum=False)
     flight.run(2.0)
     assert flight.e["position_valid"] == 0
@@ -244,7 +244,7 @@ def test_vision_alone_gives_position_in_its_frame():
 
 
 def test_with_vision_alone_there_is_no_home_until_there_is_an_origin():
-    """It flies by local position; what needs a place on Earth waits for somebody to set the origin, as with PX4."""
+    """It flies by local position; global functions wait for an origin, as with PX4."""
     flight = Flight(parameters=VISION_ONLY, shared_datum=False)
     commander = flight.commander
     flight.vision = camera()
@@ -304,7 +304,7 @@ def test_vision_that_begins_anew_resets_the_position():
     np.testing.assert_allclose(flight.e["delta_xy"], (2.0, -1.0), atol=0.1)
 
 
-def test_vision_beside_gps_learns_where_its_frame_lies():
+def test_vision_beside_gps_estimates_its_frame():
     flight = Flight()
     flight.run(2.0)
     flight.vision = camera(offset=(40.0, 7.0, 3.0))
@@ -419,7 +419,7 @@ def test_failures_change_the_samples_and_end(unit, field, kind):
     np.testing.assert_array_equal(*samples)
 
 
-def test_a_slow_sensor_gives_a_tenth_of_its_samples():
+def test_a_slow_sensor_publishes_a_tenth_of_its_samples():
     flight = Flight()
     flight.run(1.0)
     counts = []
@@ -450,7 +450,7 @@ def test_a_motor_fails(kind, speed):
     assert after[0] > 100.0
 
 
-def test_the_same_failure_gives_the_same_flight():
+def test_the_same_failure_repeats_the_flight():
     finals = []
     for _ in range(2):
         flight = Flight()
@@ -461,7 +461,7 @@ def test_the_same_failure_gives_the_same_flight():
     assert finals[0] == finals[1]
 
 
-def test_a_loiter_goes_on_smoothly_over_a_reset():
+def test_a_loiter_continues_smoothly_over_a_reset():
     """The goal is a place: the vehicle flies there from where it now knows that it is, without a jerk."""
     resets = [0]
     offset = np.zeros(3)

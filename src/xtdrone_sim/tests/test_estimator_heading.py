@@ -90,14 +90,14 @@ def minutes() -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in seen.items()}
 
 
-def test_the_heading_stays_right_for_minutes():
+def test_the_heading_is_accurate_for_minutes():
     """A bias of 0.005 gauss (1 sigma) in a field of 0.21 gauss is 1.4 degrees; turns make it smaller."""
     error = np.degrees(np.abs(minutes()["error"]))
     assert error.max() < 5.0  # 24 vehicles: 3 sigma
     assert error[-10:].max() < 0.5, "after the turns"
 
 
-def test_the_heading_is_as_good_as_it_says():
+def test_the_heading_error_agrees_with_its_variance():
     """No look may differ much from its standard deviation; on the average of 24 vehicles chi-square holds."""
     seen = minutes()
     squares = (seen["error"] / seen["deviation"]) ** 2
@@ -116,11 +116,11 @@ def test_the_heading_does_not_wander_at_rest():
     assert np.abs(change).max() < 1.0
 
 
-def test_no_magnetometer_is_refused_for_long():
+def test_no_magnetometer_is_rejected_for_long():
     assert minutes()["refused"].max() < 2.0
 
 
-def test_a_refused_magnetometer_sets_the_heading_once_and_is_faulty_then():
+def test_a_rejected_magnetometer_sets_the_heading_once_and_is_faulty_then():
     """The declination is changed in flight, so that the magnetometer seems to be wrong by 25 degrees."""
     fleet = Fleet(1, seed=3, EKF2_MAG_DECL=3.0)
     e, commander = fleet.estimator[0], fleet.simulation.commanders[0]

@@ -33,7 +33,7 @@ def test_turns_are_a_multiple_of_the_rate(rate: float, turns: float) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 51.0, math.nan])
-def test_rates_that_cannot_be_are_refused(rate: float) -> None:
+def test_invalid_rates_are_rejected(rate: float) -> None:
     with pytest.raises(ValueError, match=r"rate: .* is not allowed, 0.1 to 50 Hz"):
         turn_rate([rate])
 
@@ -74,7 +74,7 @@ def process() -> Iterator[DrawingProcess]:
     made.close()
 
 
-def test_a_drawing_process_that_is_killed_costs_its_picture_and_no_more(process: DrawingProcess) -> None:
+def test_a_killed_drawing_process_loses_only_its_picture(process: DrawingProcess) -> None:
     first = process.draw(DOWN, VIEW)
     assert first is not None
     assert len(first) == 64 * 36 * 3
@@ -98,7 +98,7 @@ def test_closing_over_a_picture_starts_no_other_process(process: DrawingProcess)
     assert (drawn, process.ended) == ([None], 0)
 
 
-def test_a_world_that_cannot_be_drawn_is_named(tmp_path: Path) -> None:
+def test_a_world_that_cannot_be_drawn_is_reported(tmp_path: Path) -> None:
     process = DrawingProcess(Drawn(str(tmp_path / "none.world"), "typhoon_h480:1", "tiny"))
     try:
         with pytest.raises(DrawingError, match=r"none.world.*No such file"):

@@ -134,7 +134,7 @@ def test_loss_of_the_pilot(sortie):
     assert {"commander_rc_lost", "commander_failsafe_enter_hold", "commander_failsafe_enter"} <= set(flight.named)
 
 
-def test_the_pilot_comes_back_and_takes_over(sortie):
+def test_the_pilot_returns_and_takes_over(sortie):
     flight = sortie(COM_FAIL_ACT_T=1.0)
     flight.sticks()
     flight.run(0.5)
@@ -163,7 +163,7 @@ def test_loss_of_the_ground_station(sortie, action, mode):
         assert flight.until_mode(mode) == pytest.approx(1.0, abs=TOLERANCE)
 
 
-def test_loss_of_the_ground_station_is_only_told_by_default(sortie):
+def test_loss_of_the_ground_station_is_only_announced_by_default(sortie):
     flight = sortie(COM_DL_LOSS_T=5)
     flight.commander.gcs_heartbeat()
     flight.run(5.3)
@@ -248,7 +248,7 @@ def test_a_flight_to_a_place_beyond_the_fence_is_stopped_at_the_fence(sortie, de
     assert math.hypot(*flight.commander.view.velocity[:2]) < 0.3
 
 
-def test_a_place_beyond_the_fence_is_refused(sortie):
+def test_a_place_beyond_the_fence_is_rejected(sortie):
     flight = sortie(GF_ACTION=2, GF_MAX_HOR_DIST=15.0)
     start = flight.commander.view.position[0]
     assert _goto(flight, 30.0) == 0  # PX4's commander accepts what its navigator then refuses

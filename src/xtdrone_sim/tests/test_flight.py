@@ -235,7 +235,7 @@ def test_follows_a_target(flying):
     assert flying.commander.request(modes.OFFBOARD) == 0
 
 
-def test_estimate_stays_with_the_truth(flying):
+def test_estimate_follows_the_truth(flying):
     error = flying.estimate() - flying.position
     assert np.linalg.norm(error) < 0.15
 

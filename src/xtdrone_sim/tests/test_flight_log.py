@@ -136,7 +136,7 @@ def test_log_ends_a_second_after_disarming(flight, log):
     assert other.last_timestamp == max(flight.records)
 
 
-def test_what_is_shown_first_is_there(log):
+def test_the_initial_view_exists(log):
     for topic, fields in SHOWN.items():
         data = log.get_dataset(topic).data
         for field in fields:
@@ -310,7 +310,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_what_was_written_before_a_crash_is_there(tmp_path):
+def test_data_written_before_a_crash_is_readable(tmp_path):
     done = subprocess.run([sys.executable, "-c", _CRASH, str(tmp_path)], capture_output=True, timeout=200, check=False)
     assert done.returncode == -signal.SIGKILL
     (path,) = tmp_path.rglob("*.ulg")
@@ -351,7 +351,7 @@ def _booted_with(folder: Path, mode: int) -> Flight:
     return flight
 
 
-def test_an_older_log_stays(tmp_path):
+def test_an_older_log_is_kept(tmp_path):
     for _ in range(2):
         simulation = Simulation(parse_fleet("iris:1"), autopilots=partial(BuiltinAutopilot, logs=tmp_path))
         simulation.run_until(400_000)

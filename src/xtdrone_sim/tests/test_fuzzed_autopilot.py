@@ -1,4 +1,4 @@
-"""Clients that ask for anything legal, at any time: nothing raises, and the vehicles that nobody troubles fly on.
+"""Clients send any legal request at any time: nothing raises, and the other vehicles are not affected.
 
 Everything comes as MAVLink messages without sockets, so that many simulated minutes fit into a test.
 """

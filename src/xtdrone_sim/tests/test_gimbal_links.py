@@ -65,7 +65,7 @@ def turn_of(heading: float, roll: float, pitch: float, yaw: float) -> np.ndarray
 
 @pytest.mark.parametrize("body", [(0.0, 0.0, 0.0), (0.3, -0.2, 1.0), (-0.4, 0.35, -2.5), (0.1, 0.5, 3.1)])
 @pytest.mark.parametrize("wanted", [(0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, -math.pi / 2, 0.0), (0.0, -0.7, 2.0)])
-def test_the_camera_looks_where_it_is_told_whatever_the_body_does(body, wanted):
+def test_the_camera_holds_the_commanded_direction_for_every_attitude(body, wanted):
     rig = Rig()
     rig.turn(*body)
     rig.payload.gimbal = wanted
@@ -77,7 +77,7 @@ def test_the_camera_looks_where_it_is_told_whatever_the_body_does(body, wanted):
     np.testing.assert_allclose(rig.payload.gimbal_attitude, wanted, atol=1e-6)
 
 
-def test_what_it_reports_leads_to_the_camera_s_pose():
+def test_the_reported_orientation_gives_the_cameras_pose():
     """What MAVROS tells of the mount, and the vehicle's pose, say where the camera is."""
     rig = Rig()
     rig.plant["position"] = (10.0, -4.0, 30.0)
@@ -93,7 +93,7 @@ def test_what_it_reports_leads_to_the_camera_s_pose():
     assert math.dist(told.position, camera.position) < 0.15  # of its offset from the body's origin
 
 
-def test_it_is_level_and_ahead_until_somebody_asks():
+def test_the_camera_is_level_and_ahead_without_a_command():
     rig = Rig()
     rig.turn(0.2, 0.2, 0.5)
     rig.run(1.0)
@@ -192,7 +192,7 @@ def test_links_of_a_mixed_fleet_and_of_a_fixed_camera(tmp_path: Path):
     np.testing.assert_allclose(rotate((w, x, y, z), (1.0, 0.0, 0.0)), (0.0, 0.0, -1.0), atol=1e-9)
 
 
-def test_the_simulation_turns_the_gimbal_and_tells_the_autopilot():
+def test_the_simulation_turns_the_gimbal_and_reports_to_the_autopilot():
     simulation = Simulation(parse_fleet("iris:1,typhoon_h480:1"))
     payload = simulation.commanders[1].navigator.payload
     simulation.run_until(100_000)
@@ -252,7 +252,7 @@ def test_the_landing_gear_is_up_in_flight_and_down_to_land():
 
 
 @pytest.mark.parametrize("joints", ["left_leg_joint", [7], ["rotor_0_joint"], ["cgo3_vertical_arm_joint"]])
-def test_a_landing_gear_of_other_joints_is_refused(tmp_path: Path, joints):
+def test_a_landing_gear_of_other_joints_is_rejected(tmp_path: Path, joints):
     (tmp_path / "odd.yaml").write_text(f"extends: typhoon_h480\nlanding_gear: {joints}\n")
     with pytest.raises(ModelError, match=r"landing_gear: .*(not allowed|not there)"):
         load_vehicle(str(tmp_path / "odd.yaml"))

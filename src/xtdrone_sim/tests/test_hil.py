@@ -318,7 +318,7 @@ def test_strange_bytes_are_passed_over_or_end_the_link(monkeypatch):
         assert made.hil.links[0].connection is not None
 
 
-def test_a_second_px4_is_refused_while_the_first_one_answers():
+def test_a_second_px4_is_rejected_while_the_first_one_answers():
     with world() as made:
         first = made.start()
         made.run(0.5)
@@ -330,7 +330,7 @@ def test_a_second_px4_is_refused_while_the_first_one_answers():
         assert len(first.sent) >= 250
 
 
-def test_a_port_that_is_taken_is_named_and_nothing_stays_bound():
+def test_an_occupied_port_is_reported_and_no_port_stays_bound():
     with world(), pytest.raises(HilError, match=r"iris_0: TCP port 4631 of PX4's simulator link cannot be bound"):
         World()
     with world():

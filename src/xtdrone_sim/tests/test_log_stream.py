@@ -325,7 +325,7 @@ def ended(world: World, client: Client) -> bool:
     return len(client.unacked) == count
 
 
-def test_a_silent_client_gets_nothing_more(world):
+def test_a_silent_client_receives_nothing_more(world):
     client, other = world.client(port=world.fleet[0].offboard_local_port), world.client(system=254)
     assert world.ask(client, START) == ACCEPTED
     world.run(1.5)

@@ -133,7 +133,7 @@ def test_acro_mode_turns_at_the_rate_of_the_stick():
 
 
 @pytest.mark.parametrize("failure_mode", [0, 1])
-def test_rotor_that_stops_is_left_out_if_asked_for(failure_mode):
+def test_a_stopped_rotor_is_excluded_if_configured(failure_mode):
     pilot = Pilot("iris")
     pilot.commander.parameters.set("MPC_THR_HOVER", 0.56)
     pilot.commander.parameters.set("CA_FAILURE_MODE", failure_mode)

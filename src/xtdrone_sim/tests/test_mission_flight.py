@@ -98,11 +98,11 @@ def test_the_order_is_px4s(flown):
     assert [text for text, _ in flown.said] == [text for text, _ in REFERENCE]
 
 
-def test_it_takes_px4s_time(flown):
+def test_it_has_px4s_duration(flown):
     assert dict(flown.said)["Mission finished, loitering"] == pytest.approx(REFERENCE_TIME, rel=0.1)
 
 
-def test_the_sides_take_px4s_time(flown):
+def test_the_sides_have_px4s_duration(flown):
     ours, theirs = dict(flown.said), dict(REFERENCE)
     for side in range(1, 5):
         took = ours[f"reached {side}"] - ours[f"reached {side - 1}"]

@@ -63,7 +63,7 @@ def test_a_vehicle_stops_at_a_wall_and_falls_down():
 
 
 @pytest.mark.parametrize("speed", [0.0, 5.0])
-def test_only_those_that_come_near_are_near(speed):
+def test_only_vehicles_that_come_near_are_near(speed):
     """Against the distances to all boxes, for random boxes and places."""
     rng = np.random.default_rng(4)
     sizes = rng.uniform(0.2, 12.0, (60, 3))

@@ -27,7 +27,7 @@ def test_does_not_catch_up_after_a_stall():
 
 
 @pytest.mark.parametrize("speed", [-1.0, 0.009, float("nan"), float("inf")])
-def test_refuses_other_speeds(speed):
+def test_rejects_other_speeds(speed):
     with pytest.raises(ValueError, match="speed"):
         Pacer(speed)
 

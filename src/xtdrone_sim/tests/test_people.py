@@ -44,7 +44,7 @@ def test_standing_foot_goes_back_with_the_ground(name):
         assert all(np.median(points[:, 2]) < 0.03 for points in way)
 
 
-def test_splits_share_nobody():
+def test_splits_share_no_person():
     train, test = people.names("train"), people.names("test")
     assert sorted(train + test) == NAMES
     assert not set(train) & set(test)

@@ -103,7 +103,7 @@ def other_flies(reboot: bool, logs: Path) -> np.ndarray:
         fleet.close()
 
 
-def test_the_others_fly_on_to_the_bit(tmp_path):
+def test_the_others_continue_bit_identically(tmp_path):
     assert np.array_equal(other_flies(True, tmp_path / "a"), other_flies(False, tmp_path / "b"))
 
 

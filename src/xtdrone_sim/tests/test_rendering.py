@@ -87,7 +87,7 @@ def test_spheres_are_seen_where_the_closed_form_has_them(renderer: Renderer, pin
     assert set(np.unique(labels)) == {-1, *bodies}
 
 
-def test_shapes_cover_what_they_should(renderer: Renderer) -> None:
+def test_shapes_cover_the_expected_pixels(renderer: Renderer) -> None:
     """Box and cylinder from above, a mesh from its outer side only, in one body and in several colours."""
     camera = Pose((0.0, 0.0, 10.0), _turn((1.0, 0.0, 0.0), math.pi))  # looks down; y of the world is up in the picture
     pinhole = Pinhole(640, 480, 400.0, 400.0, 320.0, 240.0)
@@ -187,7 +187,7 @@ def test_bodies_of_one_shape_and_those_after_them_keep_their_textures(renderer: 
         assert renderer.draw(pinhole, camera, light=SKY).rgb[120, 160].astype(int) == pytest.approx(colour, abs=10)
 
 
-def test_what_is_hidden_comes_back(renderer: Renderer) -> None:
+def test_hidden_bodies_reappear(renderer: Renderer) -> None:
     pinhole, camera = Pinhole.of_view(64, 48, 1.0), Pose()
     body = renderer.add([Visual(Sphere(1.0), Pose((0.0, 0.0, 5.0)))])
     shown = renderer.draw(pinhole, camera, labels=True)
@@ -203,7 +203,7 @@ def test_what_is_hidden_comes_back(renderer: Renderer) -> None:
     assert renderer.draw(pinhole, camera).labels is None
 
 
-def test_close_and_far_things_are_told_apart_at_once(renderer: Renderer) -> None:
+def test_close_and_far_objects_are_resolved_together(renderer: Renderer) -> None:
     """Whatever the depth buffer: two sheets 4 cm apart 60 m away, behind a thing at 0.3 m."""
     green, blue = (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
     sheets = [renderer.add([Visual(Box((80.0, 80.0, 0.001)), colour=colour)]) for colour in (green, blue)]
@@ -230,7 +230,7 @@ def test_the_ground_is_seen_to_the_horizon(renderer: Renderer) -> None:
     assert (labels[63:] == ground).all()
 
 
-def test_drawing_says_nothing_on_the_terminal(renderer: Renderer, capfd: pytest.CaptureFixture[str]) -> None:
+def test_drawing_prints_nothing(renderer: Renderer, capfd: pytest.CaptureFixture[str]) -> None:
     renderer.add([Visual(Sphere(1.0))])
     for width in (64, 64, 64, 80):
         renderer.draw(Pinhole.of_view(width, 48, 1.0), Pose())
@@ -238,7 +238,7 @@ def test_drawing_says_nothing_on_the_terminal(renderer: Renderer, capfd: pytest.
     assert capfd.readouterr() == ("", "")
 
 
-def test_wrong_values_are_named(tmp_path: Path) -> None:
+def test_invalid_values_are_reported(tmp_path: Path) -> None:
     with Renderer("tiny") as renderer:
         pinhole = Pinhole.of_view(64, 48, 1.0)
         with pytest.raises(ValueError, match=r"near: 0.0 is not allowed, 0.001 to 1000 m"):
@@ -264,7 +264,7 @@ def test_wrong_values_are_named(tmp_path: Path) -> None:
     ("text", "words"),
     [("v 0 0 0\n", "has no faces"), ("v 0 0 0\nf 1 2 3\n", "line 2: 'f 1 2 3'"), ("v 0 0 x\n", "line 1: 'v 0 0 x'")],
 )
-def test_meshes_that_cannot_be_read_are_named(tmp_path: Path, text: str, words: str) -> None:
+def test_unreadable_meshes_are_reported(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "broken.obj"
     file.write_text(text)
     with pytest.raises(MeshError, match=words):

@@ -43,7 +43,7 @@ def test_from_zero_it_is_the_same_flight(simulation):
     assert fly(simulation) == first
 
 
-def test_time_can_go_on(simulation):
+def test_time_can_continue(simulation):
     start = simulation.world.plant["position"].copy()
     fly(simulation)
     old = simulation.world.plant["position"].copy()
@@ -57,7 +57,7 @@ def test_time_can_go_on(simulation):
     assert simulation.world.plant["position"] == pytest.approx(old, abs=0.3)
 
 
-def test_parameters_stay(simulation):
+def test_parameters_are_kept(simulation):
     simulation.commanders[1].parameters.set("MPC_XY_VEL_MAX", 3.5)
     simulation.restart()
     assert simulation.commanders[1].parameters.get("MPC_XY_VEL_MAX") == 3.5
@@ -65,6 +65,6 @@ def test_parameters_stay(simulation):
 
 
 @pytest.mark.parametrize("time_us", [-4000, 2000])
-def test_other_times_are_refused(simulation, time_us):
+def test_other_times_are_rejected(simulation, time_us):
     with pytest.raises(ValueError, match=f"time: {time_us} us"):
         simulation.restart(time_us)

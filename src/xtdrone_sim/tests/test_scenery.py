@@ -27,12 +27,12 @@ def scene() -> SdfWorld:
     return outdoor(3, persons=4, walking=True, skins=("anna", "bert"))
 
 
-def test_the_same_seed_gives_the_same_world(scene: SdfWorld) -> None:
+def test_the_same_seed_repeats_the_world(scene: SdfWorld) -> None:
     assert outdoor(3, persons=4, walking=True, skins=("anna", "bert")) == scene
     assert outdoor(4, persons=4).models != scene.models
     alone = outdoor(3, persons=1)
     assert alone.models == scene.models
-    assert alone.actors[0].pose == scene.actors[0].pose  # whoever it is and however many they are
+    assert alone.actors[0].pose == scene.actors[0].pose  # for every skin and number of people
     assert {actor.skin for actor in scene.actors} == {"anna", "bert"}
     assert read_world(write_world(scene), Path("/x.world")) == scene
 
@@ -64,7 +64,7 @@ def collision_circles(world: SdfWorld) -> np.ndarray:
     return np.array(rows)
 
 
-def test_nothing_stands_in_another_thing(scene: SdfWorld) -> None:
+def test_objects_do_not_overlap(scene: SdfWorld) -> None:
     circles = collision_circles(scene)
     apart = np.hypot(*(circles[:, None, :2] - circles[None, :, :2]).transpose(2, 0, 1))
     other = circles[:, None, 3] != circles[None, :, 3]
@@ -149,12 +149,12 @@ def test_all_files_are_there(scene: SdfWorld) -> None:
         ({"person_distance": 500.0}, "no free place is 500 m away"),
     ],
 )
-def test_what_is_not_allowed_is_named(options: dict[str, object], words: str) -> None:
+def test_invalid_values_are_reported(options: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         outdoor(0, **options)
 
 
-def test_the_program_writes_what_the_function_returns(
+def test_the_program_writes_the_functions_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "my.world"
@@ -167,6 +167,6 @@ def test_the_program_writes_what_the_function_returns(
     assert "persons: 101 is not allowed" in capsys.readouterr().err
 
 
-def test_a_thing_hangs_over_the_ground_it_takes() -> None:
+def test_an_object_covers_its_ground_area() -> None:
     low, high = box_of(Box((2.0, 1.0, 1.0)), Pose((5.0, 0.0, 0.5), from_euler(0.0, 0.0, math.pi / 2)))
     assert [*low, *high] == pytest.approx([4.5, -1.0, 0.0, 5.5, 1.0, 1.0])

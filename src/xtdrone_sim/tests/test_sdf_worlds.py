@@ -122,7 +122,7 @@ def worlds(draw: st.DrawFn) -> SdfWorld:
 
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(worlds())
-def test_what_is_written_is_read_again(made: SdfWorld) -> None:
+def test_written_files_can_be_read(made: SdfWorld) -> None:
     assert read_world(write_world(made), FILE) == made
 
 
@@ -192,7 +192,7 @@ def test_a_world_of_gazebos(caplog: pytest.LogCaptureFixture) -> None:
     assert "'walk.dae' is not supported, skins are names of people" in words
 
 
-def test_what_the_file_is_silent_about_is_as_in_the_empty_world() -> None:
+def test_unspecified_values_are_those_of_the_empty_world() -> None:
     silent, empty = read_world(world(""), FILE), load_world_file("empty")
     assert silent == SdfWorld(
         "w",
@@ -202,7 +202,7 @@ def test_what_the_file_is_silent_about_is_as_in_the_empty_world() -> None:
     )
 
 
-def test_unsupported_things_are_named_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_unsupported_elements_are_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     read_world(
         world("\n".join([visual("<geometry><heightmap/></geometry>").replace("'m'", f"'m{k}'") for k in (1, 2)])), FILE
     )
@@ -250,7 +250,7 @@ def test_unsupported_things_are_named_once(caplog: pytest.LogCaptureFixture) -> 
         ),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named(text: str, words: str) -> None:
+def test_errors_are_reported(text: str, words: str) -> None:
     with pytest.raises(SdfError) as caught:
         read_world(text, FILE)
     assert str(caught.value).startswith(f"{FILE}: line ")
@@ -266,14 +266,14 @@ def test_what_is_wrong_is_named(text: str, words: str) -> None:
         ("<sdf>" + "<a/>" * 200_000, "line 1: more than 200000 elements"),
     ],
 )
-def test_what_unfolds_is_refused(text: str, words: str) -> None:
+def test_expanding_files_are_rejected(text: str, words: str) -> None:
     with pytest.raises(SdfError, match=words):
         read_world(text, FILE)
     with pytest.raises(UrdfError, match=r"<!ENTITY is not allowed|more than 200000 elements|not XML"):
         parse_urdf(text, FILE)
 
 
-def test_large_files_are_refused_by_their_size(tmp_path: Path) -> None:
+def test_large_files_are_rejected_by_their_size(tmp_path: Path) -> None:
     names = ("a.world", "a.sdf", "a.yaml", "a.urdf", "a.obj")
     for name in names:
         with (tmp_path / name).open("wb") as file:

@@ -51,7 +51,7 @@ def test_participants_are_a_number_or_names(settings, given, meant):
 @pytest.mark.parametrize(
     "value", [True, -1, 1.5, "", "/mavros,,/leader", "two words", [1], "/mavros,~leader", "/a b/c"]
 )
-def test_other_participants_are_refused(settings, value):
+def test_other_participants_are_rejected(settings, value):
     with pytest.raises(ValueError, match=r"/simulator/participants: .* is not allowed"):
         settings(participants=value)
 
@@ -59,7 +59,7 @@ def test_other_participants_are_refused(settings, value):
 @pytest.mark.parametrize(
     ("name", "value"), [("rows", True), ("seed", False), ("speed", True), ("until", True), ("shared_datum", 1)]
 )
-def test_truth_values_and_numbers_are_told_apart(settings, name, value):
+def test_booleans_and_numbers_are_distinguished(settings, name, value):
     with pytest.raises(ValueError, match=f"/simulator/{name}: {value} is not allowed"):
         settings(**{name: value})
 
@@ -74,7 +74,7 @@ def test_truth_values_and_numbers_are_told_apart(settings, name, value):
         ("busy_limit", -2, ("busy_limit: -2 is not allowed", "0 to")),
     ],
 )
-def test_bad_values_are_named_with_what_is_allowed(settings, name, value, words):
+def test_invalid_values_are_reported_with_the_allowed_ones(settings, name, value, words):
     with pytest.raises(ValueError, match="allowed") as refusal:
         settings(**{name: value})
     for word in words:
@@ -109,7 +109,7 @@ def test_one_that_cannot_be_closed_does_not_keep_the_others_open():
     assert closed == ["server", "mavlink"]
 
 
-def test_changed_parameters_outlive_the_simulator_where_a_folder_is_given(settings, tmp_path):
+def test_changed_parameters_are_kept_in_a_configured_folder(settings, tmp_path):
     assert settings().params == ""
     assert settings(params="/somewhere").params == "/somewhere"
     fleet = parse_fleet("iris:2")

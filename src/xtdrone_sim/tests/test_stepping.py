@@ -118,7 +118,7 @@ ACTIONS = st.one_of(
     cost=st.sampled_from([0.0, 0.001]),
     paused=st.booleans(),
 )
-def test_simulated_time_keeps_to_what_was_asked_for(actions, cost, paused):
+def test_simulated_time_follows_the_requested_speed(actions, cost, paused):
     loop = Loop(1.0, paused=paused, cost=cost)
     steps: list[tuple[Future, int]] = []
     for (kind, value), seconds in actions:
@@ -187,7 +187,7 @@ def test_duration_counts_from_now():
         ({"ticks": 1, "until_us": 4000}, "only one of them"),
     ],
 )
-def test_impossible_steps_are_refused(request_, words):
+def test_impossible_steps_are_rejected(request_, words):
     loop = Loop(0.0, paused=True)
     loop.step()
     loop.run(1.0)
@@ -199,7 +199,7 @@ def test_impossible_steps_are_refused(request_, words):
     assert loop.now_us == TICK_US
 
 
-def test_a_step_under_way_is_ended_by_what_comes_after():
+def test_a_running_step_is_ended_by_the_next_command():
     for end, words in (
         (lambda loop: loop.control.pause("/user"), "it was paused"),
         (lambda loop: loop.control.resume("/user"), "resumed"),
@@ -241,7 +241,7 @@ def test_resets_of_one_tick_are_one():
     assert all(answer.done() for answer in answers)
 
 
-def test_what_cannot_begin_is_given_up_with_the_reason():
+def test_runs_that_cannot_start_fail_with_the_reason():
     loop = Loop(1.0)
     loop.barrier.participants["/follower"] = FakeParticipant()
     step, reset = loop.step(), loop.reset(Reset.WORLD)
@@ -257,7 +257,7 @@ def test_what_cannot_begin_is_given_up_with_the_reason():
     assert loop.resets == []  # it was told that it has not been made
 
 
-def test_the_log_names_for_whom_the_world_stands_still():
+def test_the_log_names_the_participant_that_time_waits_for():
     loop = Loop(1.0)
     loop.barrier.participants |= {"/quick": FakeParticipant(), "/slow": FakeParticipant(heard=loop.wall + 5.0)}
     loop.stuck("/slow", 4.0)
@@ -280,7 +280,7 @@ def test_nothing_steps_before_time_starts():
     assert loop.control.status().reason == "time has not started: 1 of 3 participants have joined"
 
 
-def test_the_end_leaves_nobody_waiting():
+def test_the_end_releases_all_waiting_clients():
     loop = Loop(1.0, paused=True)
     answers = [loop.step(ticks=100)]
     loop.run(0.1)
@@ -326,7 +326,7 @@ def test_mailbox_brings_requests_to_the_thread_that_serves():
     assert len(threads) == 1
 
 
-def test_a_reset_that_fails_is_told_to_those_who_asked_and_to_the_simulator():
+def test_a_failed_reset_is_reported_to_its_clients_and_the_simulator():
     loop = Loop(1.0, paused=True)
     answers = [loop.reset(Reset.WORLD), loop.reset(Reset.SIMULATION)]
 

@@ -92,7 +92,7 @@ def test_urdf_of_a_dumb_bell():
         ("</robot>", "", "not XML"),
     ],
 )
-def test_urdf_refuses(old, new, words):
+def test_urdf_rejects(old, new, words):
     assert old in DUMB_BELL
     with pytest.raises(UrdfError) as raised:
         parse_urdf(DUMB_BELL.replace(old, new, 1), Path("bell.urdf"))
@@ -134,7 +134,7 @@ def test_inertias_are_complete_as_other_readers_of_urdf_want_them(name):
 
 
 @pytest.mark.parametrize("name", ["iris", TYPHOON])
-def test_every_link_has_a_place_before_any_joint_is_told_of(name):
+def test_every_link_has_a_pose_before_the_first_joint_state(name):
     model = load_vehicle(name)
     frames = RobotFrames(name, model)
     placed = {frame.child for frame in (*frames.fixed, *frames.at_rest())}
@@ -216,7 +216,7 @@ def test_robot_description_names_files_that_any_node_finds(own_folder):
         ({"extends": "own"}, "extends: 'own' is not allowed, it leads back to"),
     ],
 )
-def test_yaml_refuses(own_folder, changes, words):
+def test_yaml_rejects(own_folder, changes, words):
     write(own_folder, "own", changes)
     with pytest.raises(ModelError) as raised:
         load_vehicle("own")
@@ -232,7 +232,7 @@ def test_yaml_refuses(own_folder, changes, words):
         ("far", 0.01, "far: 0.01 is not allowed"),
     ],
 )
-def test_a_camera_is_refused(own_folder, field, value, words):
+def test_a_camera_is_rejected(own_folder, field, value, words):
     camera = {**read_description("vehicles", TYPHOON)["cameras"][0], field: value}
     write(own_folder, "own", {"cameras": [camera]})
     with pytest.raises(ModelError, match=r"cameras, number 1 \(cgo3_camera\)") as raised:
@@ -240,7 +240,7 @@ def test_a_camera_is_refused(own_folder, field, value, words):
     assert words in str(raised.value)
 
 
-def test_a_folder_that_is_not_there_is_named(monkeypatch):
+def test_a_missing_folder_is_reported(monkeypatch):
     monkeypatch.setenv("XTDRONE_VEHICLES", "/nowhere/at/all")
     with pytest.raises(ModelError, match="XTDRONE_VEHICLES: '/nowhere/at/all' is no folder"):
         load_vehicle("iris")
@@ -300,7 +300,7 @@ def test_hexacopter_flies_a_square_and_holds_in_wind(hovering):
     assert fly(start, 15.0) < 0.2
 
 
-def test_hexacopter_stays_upright_without_a_motor(hovering):
+def test_hexacopter_remains_upright_without_a_motor(hovering):
     """Yaw is given up: it turns on the spot, and holds its place and height."""
     (commander,) = hovering.commanders
     commander.request(modes.AUTO_LOITER)

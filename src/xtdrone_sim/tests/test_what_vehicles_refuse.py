@@ -20,7 +20,7 @@ def vehicles(request: pytest.FixtureRequest) -> Iterator[Vehicles]:
     made.close()
 
 
-def test_both_refuse_what_makes_no_sense(vehicles: Vehicles) -> None:
+def test_both_reject_invalid_values(vehicles: Vehicles) -> None:
     all_of_them, still = np.ones(2, dtype=bool), np.zeros((2, 3))
     for index in (-1, 2):
         with pytest.raises(IndexError, match=f"vehicle {index} is not there; 0 to 1"):

@@ -85,17 +85,17 @@ def test_far_vehicles_do_not_influence_each_other():
     np.testing.assert_array_equal(alone.plant["position"][0], pair.plant["position"][0])
 
 
-def test_unknown_world_names_what_there_is():
+def test_unknown_world_lists_the_known():
     with pytest.raises(ModelError, match="empty"):
         load_world("mars")
 
 
-def test_a_world_file_that_is_not_there_is_named():
+def test_a_missing_world_file_is_reported():
     with pytest.raises(ModelError, match=r"no/such/file\.yaml: No such file"):
         load_world("no/such/file.yaml")
 
 
-def test_unknown_vehicle_names_what_there_is():
+def test_unknown_vehicle_lists_the_known():
     with pytest.raises(ModelError, match="iris"):
         load_vehicle("hovercraft")
 

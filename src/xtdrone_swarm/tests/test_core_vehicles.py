@@ -95,7 +95,7 @@ def test_hold_turn_position_and_acceleration(vehicles: CoreVehicles) -> None:
     assert 0.4 < vehicles.velocity[1, 0] < 0.9
 
 
-def test_refusals_say_why(vehicles: CoreVehicles) -> None:
+def test_rejections_have_a_reason(vehicles: CoreVehicles) -> None:
     assert vehicles.command(1, "ARM") == "iris_1: arming denied: No valid attitude estimate"
     run(vehicles, 3.0)
     assert "iris_0: 'FLY' is no command (ARM, DISARM, HOVER) and no PX4 mode (MANUAL," in vehicles.command(0, "FLY")
@@ -133,7 +133,7 @@ def test_a_restart_flies_the_same_to_the_bit(vehicles: CoreVehicles) -> None:
     np.testing.assert_array_equal(first, fly())
 
 
-def test_bad_values_are_refused() -> None:
+def test_invalid_values_are_rejected() -> None:
     with pytest.raises(FleetError, match="number of vehicles: 251 is not allowed in full physics; 1 to 250"):
         CoreVehicles(251)
     with pytest.raises(ValueError, match="places: 2 x 2 numbers are not allowed; 2 x 3 finite ones"):

@@ -85,7 +85,7 @@ class Deep(Follower):
 
 
 class Sparse(Leader):
-    """Its topology leaves some to nobody, and cuts others off."""
+    """A leader whose topology leaves some followers without neighbours, and disconnects others."""
 
     def topology(self, offsets: np.ndarray) -> np.ndarray:
         listens = veteran_topology(offsets)

@@ -58,11 +58,11 @@ def test_without_yaw_and_yaw_rate_the_heading_is_kept() -> None:
         (Setpoint(1, 0b010111000111, velocity=ZERO, yaw_rate=math.nan), "yaw_rate is nan"),
     ],
 )
-def test_what_is_not_flown_is_named(setpoint: Setpoint, word: str) -> None:
+def test_unsupported_setpoints_are_reported(setpoint: Setpoint, word: str) -> None:
     with pytest.raises(SetpointError, match=word):
         wanted(setpoint, HERE, NORTH)
 
 
-def test_what_is_masked_out_may_be_anything() -> None:
+def test_masked_fields_may_have_any_value() -> None:
     mixed = Setpoint(1, 0b110111000111, position=(math.nan, 0.0, 0.0), velocity=VECTOR, yaw=math.nan)
     assert wanted(mixed, HERE, NORTH).vector == VECTOR

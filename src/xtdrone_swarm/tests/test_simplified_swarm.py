@@ -48,7 +48,7 @@ def test_the_same_inputs_lead_to_the_same_flight():
     assert flights[0] == flights[1] == other.record.positions.tobytes()
 
 
-def test_what_the_leader_says_is_heard_a_turn_later():
+def test_the_leaders_messages_arrive_one_turn_later():
     swarm = Swarm(4)
     swarm.step()
     swarm.choose("pyramid")
@@ -196,7 +196,7 @@ def ideal_end() -> bytes:
     return swarm.record.positions.tobytes()
 
 
-def test_who_is_cut_off_is_named(caplog):
+def test_unreachable_vehicles_are_reported(caplog):
     class Chain(Leader):
         def topology(self, offsets):
             w = np.zeros((self.count, self.count))
@@ -251,7 +251,7 @@ def test_the_example_is_a_follower_for_all():
         ({"seed": "x"}, "seed: 'x' is not allowed"),
     ],
 )
-def test_numbers_out_of_range_are_refused(settings, message):
+def test_numbers_out_of_range_are_rejected(settings, message):
     with pytest.raises(ValueError, match=message):
         Swarm(**settings)
 
@@ -263,7 +263,7 @@ def test_settling_needs_numbers(name, value):
         Swarm(3).run_until(**{name: value})
 
 
-def test_what_was_seen_stays_as_it_was():
+def test_taken_views_do_not_change():
     swarm = Swarm(3)
     seen = swarm.positions, swarm.velocities, swarm.true_positions
     before = [array.copy() for array in seen]

@@ -72,7 +72,7 @@ def test_delay_is_exact_to_a_step(axis, steps):
     assert vehicles.velocity[0, axis] > 0.0
 
 
-def test_first_order_takes_the_velocity_at_once_within_the_limits():
+def test_first_order_reaches_the_velocity_at_once_within_the_limits():
     vehicles = flown(replace(load_model("iris"), order=1))
     vehicles.steer_one(0, VELOCITY, (30.0, 40.0, 9.0))
     fly(vehicles, 0.004)
@@ -209,7 +209,7 @@ def test_return_to_launch():
     assert vehicles.armed == [False]
 
 
-def test_disarms_when_it_has_not_taken_off_and_stays_on_the_ground():
+def test_disarms_without_a_takeoff_and_remains_on_the_ground():
     vehicles = SimplifiedVehicles(1)
     vehicles.steer_one(0, VELOCITY, (1.0, 0.0, -1.0))
     vehicles.command(0, "ARM")

@@ -131,7 +131,7 @@ def test_nearer_vehicles_hide_farther_ones_but_never_the_leader():
     assert nearest_vehicle(at(view.draw(), spot), view.colours) == 2
 
 
-def test_edges_trails_and_slots_are_drawn_where_they_are_and_only_when_wanted():
+def test_edges_trails_and_slots_are_drawn_only_on_request():
     view = make_view(3, trails=10.0)
     places = np.array([[0.0, 0.0, 20.0], [6.0, 0.0, 20.0], [0.0, 6.0, 22.0]])
     for k in range(20):
@@ -183,7 +183,7 @@ def test_a_long_trail_of_a_fast_film_has_few_points():
     assert 45 <= len(view.trail_points()[0]) <= 52
 
 
-def test_what_is_kept_of_a_picture_is_drawn_as_anew():
+def test_cached_parts_of_a_picture_equal_a_new_drawing():
     """The room is drawn once while the camera rests; figure.savefig draws everything: the same pixels."""
     view = make_view(30)
     for frame in flight(30, 8):
@@ -194,7 +194,7 @@ def test_what_is_kept_of_a_picture_is_drawn_as_anew():
     assert (np.asarray(view.canvas.buffer_rgba()) == fast).all()
 
 
-def test_an_unknown_vehicle_is_left_out():
+def test_an_unknown_vehicle_is_skipped():
     view = make_view(9)
     frame = formation(9)
     view.update(frame)
@@ -220,7 +220,7 @@ def test_a_thousand_vehicles_are_all_in_the_picture():
     assert len(np.unique(palette(1000), axis=0)) == 25
 
 
-def test_names_stand_beside_few_vehicles_only():
+def test_names_are_shown_for_few_vehicles_only():
     assert len(make_view(18)._scene._names) == 18
     assert len(make_view(19)._scene._names) == 0
 
@@ -334,7 +334,7 @@ def interrupted(error: type[BaseException]) -> Iterator[Frame]:
 
 
 @pytest.mark.parametrize("kind", [".mp4", ".gif", ".png"])
-def test_a_film_that_fails_leaves_what_was_there(tmp_path, kind):
+def test_a_failed_film_leaves_the_previous_one(tmp_path, kind):
     path = tmp_path / f"swarm{kind}"
     path.write_text("an older film")
     with pytest.raises(RuntimeError, match="enough"):
@@ -379,7 +379,7 @@ def test_a_swarm_is_filmed_while_it_flies_and_afterwards(tmp_path):
     assert swarm.time == pytest.approx(2.0, abs=0.034)
 
 
-def test_frames_of_a_flight_are_what_was_flown():
+def test_frames_of_a_flight_show_the_flight():
     swarm, other = Swarm(6), Swarm(6)
     live = list(_flying(swarm, 2.0, 0.1, "", fly_cube))
     recorded = list(_recorded(swarm, 0.1 * np.arange(1, 21), ""))
@@ -406,7 +406,7 @@ def test_frames_of_a_flight_are_what_was_flown():
         ({"seconds": 1.0, "fps": 0.0}, "0.0 frames a second are not allowed"),
     ],
 )
-def test_a_flight_that_cannot_be_filmed_is_said(tmp_path, options, words):
+def test_a_flight_that_cannot_be_filmed_is_reported(tmp_path, options, words):
     with pytest.raises(FilmError, match=words):
         Swarm(3).film(tmp_path / "a.mp4", progress=False, **options)
     assert os.listdir(tmp_path) == []
@@ -505,7 +505,7 @@ def test_dragging_turns(window):
     assert window.view.camera.elevation == pytest.approx(before[1] + 180.0 * 30 / 300)
 
 
-def test_keys_switch_what_is_drawn(window):
+def test_keys_toggle_the_drawn_elements(window):
     view, seen = window.view, []
 
     def note() -> None:
@@ -559,7 +559,7 @@ def test_nothing_of_tk_outlives_the_window(window):
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_what_the_simulation_raises_closes_the_window_and_is_raised(window, error):
+def test_errors_of_the_simulation_close_the_window_and_propagate(window, error):
     def fail() -> None:
         raise error("enough")
 
@@ -568,7 +568,7 @@ def test_what_the_simulation_raises_closes_the_window_and_is_raised(window, erro
     assert not window.open
 
 
-def test_a_swarm_is_watched_at_the_speed_that_is_asked_for(display, monkeypatch):
+def test_a_swarm_is_shown_at_the_requested_speed(display, monkeypatch):
     monkeypatch.setenv("DISPLAY", display)
     swarm, turns = Swarm(4), []
 
@@ -582,7 +582,7 @@ def test_a_swarm_is_watched_at_the_speed_that_is_asked_for(display, monkeypatch)
     assert np.diff(turns) == pytest.approx(1.0 / 30.0, abs=0.005)  # no turn is left out
 
 
-def test_a_paused_swarm_stands_still(window, monkeypatch):
+def test_a_paused_swarm_does_not_move(window, monkeypatch):
     monkeypatch.setattr(flight_module, "_BUDGET", 0.0)  # one turn a picture
     swarm = Swarm(9)
     player = _Player(swarm, window, lambda: not swarm.step(), float("inf"), 1.0)
@@ -624,7 +624,7 @@ def test_whether_a_window_can_be_opened(window, monkeypatch):
     assert not can_open()
 
 
-def test_without_a_display_the_message_says_what_to_do(monkeypatch):
+def test_without_a_display_the_message_has_the_remedy(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(WindowError, match=r"DISPLAY is not set.*a film needs none.*Swarm.film"):
         Swarm(3).watch()
@@ -634,7 +634,7 @@ def test_without_a_display_the_message_says_what_to_do(monkeypatch):
 
 
 @pytest.mark.parametrize("options", [{"speed": 0.0}, {"speed": float("nan")}, {"seconds": -1.0}])
-def test_watching_at_no_speed_is_refused(options):
+def test_watching_at_no_speed_is_rejected(options):
     with pytest.raises(ValueError, match="not allowed"):
         Swarm(3).watch(**options)
 
@@ -659,13 +659,13 @@ def test_matplotlib_is_loaded_only_for_pictures():
         ("folder.mp4", 25.0, "is a folder"),
     ],
 )
-def test_a_film_that_cannot_be_written_is_refused_before_it_is_drawn(tmp_path, name, fps, words):
+def test_a_film_that_cannot_be_written_is_rejected_before_it_is_drawn(tmp_path, name, fps, words):
     (tmp_path / "folder.mp4").mkdir()
     with pytest.raises(FilmError, match=words):
         film(interrupted(AssertionError), tmp_path / name, fps=fps, progress=False)
 
 
-def test_a_folder_that_takes_no_file_is_named():
+def test_an_unwritable_folder_is_reported():
     with pytest.raises(FilmError, match=r"film /proc/swarm.png: .*(writable|cannot be written)"):
         film(flight(), "/proc/swarm.png", progress=False)
 
@@ -688,7 +688,7 @@ def test_an_ffmpeg_that_dies_is_quoted(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["bin"]
 
 
-def test_a_film_without_frames_is_refused(tmp_path):
+def test_a_film_without_frames_is_rejected(tmp_path):
     for kind in ("gif", "mp4", "png"):
         with pytest.raises(FilmError, match="no frame"):
             film([], tmp_path / f"a.{kind}", progress=False)
@@ -706,7 +706,7 @@ def test_a_film_without_frames_is_refused(tmp_path):
         (Frame(float("nan"), np.zeros((9, 3))), "time nan"),
     ],
 )
-def test_a_frame_that_does_not_fit_is_refused(frame, words):
+def test_a_frame_of_the_wrong_size_is_rejected(frame, words):
     with pytest.raises(ValueError, match=words):
         make_view(9).update(frame)
 
@@ -720,6 +720,6 @@ def test_a_frame_that_does_not_fit_is_refused(frame, words):
         (9, {"size": (100, 480)}, r"size \(100, 480\) is not allowed, 200 to 4096"),
     ],
 )
-def test_a_view_that_cannot_be_is_refused(count, options, words):
+def test_an_invalid_view_is_rejected(count, options, words):
     with pytest.raises(ValueError, match=words):
         make_view(count, **options)
