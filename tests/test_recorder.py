@@ -1,4 +1,4 @@
-"""The recorder as it is launched: it records by a profile, and the bag is whole when it is asked to end."""
+"""The recorders: of a profile, and of the demos. The bag is whole when they are asked to end."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from conftest import Graph, Stack, poll
 
 pytest.importorskip("rospy")
 
+import rosgraph
+import roslib.packages
 from std_msgs.msg import String
 
 from xtdrone_interaction.bags.ros1bag import BagFile
 
+RECORDER = roslib.packages.find_node("xtdrone_interaction", "recorder")
 WRITTEN = 10_000  # bytes of a bag that has more than its header
 
 
@@ -25,21 +28,64 @@ def stack(graph: Graph, tmp_path: Path) -> Iterator[Stack]:
     stack.stop()
 
 
-def test_record_launch_records_the_topics_of_its_profile(stack: Stack, tmp_path: Path) -> None:
-    out = tmp_path / "new folder" / "flight"
-    recorder = stack.launch("record.launch", f"bag:={out}", "profile:=light", "split:=100")
-    active = out.with_name("flight_0.bag.active")
+def _record(stack: Stack, active: Path) -> None:
+    """Publish until the recorder has written some of it."""
 
     def recorded() -> bool:
         stack.graph.say("/xtdrone/notes", String("word " * 50_000))  # the recorder packs and writes every 768 kB
         return active.is_file() and active.stat().st_size > WRITTEN
 
     poll(recorded, "the recorder writes")
+
+
+def _read(bag: BagFile) -> tuple[int, set[int]]:
+    """Return the number of messages, and their times, ns."""
+    times = [time for batch in bag.batches() for time in batch.time]
+    assert bag.whole, bag.notes
+    return len(times), set(times)
+
+
+def test_record_launch_records_the_topics_of_its_profile(stack: Stack, tmp_path: Path) -> None:
+    out = tmp_path / "new folder" / "flight"
+    recorder = stack.launch("record.launch", f"bag:={out}", "profile:=light", "split:=100")
+    active = out.with_name("flight_0.bag.active")
+
+    _record(stack, active)
     recorder.process.send_signal(signal.SIGINT)
     assert recorder.end() == 0
     assert not active.exists()
     bag = BagFile(out.with_name("flight_0.bag"))
-    count = sum(len(batch.time) for batch in bag.batches())
-    assert bag.whole, bag.notes
-    assert count >= 3
+    assert _read(bag)[0] >= 3
     assert {connection.topic for connection in bag.connections.values()} <= {"/xtdrone/notes", "/rosout"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_demos_recorder_writes_what_comes_before_the_clock(
+    stack: Stack, tmp_path: Path, number: signal.Signals
+) -> None:
+    rosgraph.Master("/system_tests").setParam("/use_sim_time", True)
+    file = tmp_path / "flight.bag"
+    recorder = stack.start("recorder", [*RECORDER, str(file), "/xtdrone/notes", "/xtdrone/never", "__name:=recorder"])
+    _record(stack, file.with_name("flight.bag.active"))
+    recorder.process.send_signal(number)
+    assert recorder.end() == 0, recorder.output
+    assert not file.with_name("flight.bag.active").exists()
+    bag = BagFile(file)
+    count, times = _read(bag)
+    assert count >= 3
+    assert times == {1}  # ns; a bag has no time 0
+    assert [(c.topic, c.type) for c in bag.connections.values()] == [("/xtdrone/notes", "std_msgs/String")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["/nowhere/flight.bag", "/a"], 1, "/nowhere/flight.bag cannot be recorded"),
+        (["/tmp/flight.bag"], 2, "Usage: recorder FILE TOPIC..."),
+        (["/proc/flight.bag", "/a topic"], 1, "cannot be recorded"),
+    ],
+)
+def test_what_cannot_be_recorded_is_named(stack: Stack, arguments: list[str], status: int, words: str) -> None:
+    recorder = stack.start("recorder", [*RECORDER, *arguments])
+    assert recorder.end() == status
+    assert words in recorder.output

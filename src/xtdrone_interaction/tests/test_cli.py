@@ -136,7 +136,7 @@ def test_a_nearly_full_disk_is_rejected_before_the_flight(
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda place: types.SimpleNamespace(free=3 << 20))
     assert cli.main([*DEMO, "--out", str(tmp_path / "new" / "flight")]) == 2
-    assert "is on a disk with 3 MB left; rosbag records with at least 1024 MB" in capfd.readouterr().err
+    assert "is on a disk with 3 MB left; a flight is recorded with at least 1024 MB" in capfd.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

@@ -33,7 +33,7 @@ from xtdrone_interaction.formation.geometry import ORIGIN
 DEFAULT_FOLLOWER = "follower_consensus.py"
 MAX_SWARM = 10_000  # vehicles in one process; the topology is a matrix of N x N
 _LONGEST_NAME = 90  # bytes of an abstract socket's name, with room for the prefix
-_BAG_ROOM = 1 << 30  # bytes; rosbag record stops if less is free
+_BAG_ROOM = 1 << 30  # bytes; the recorder stops if less is free
 
 
 PATTERNS_HELP = (
@@ -186,7 +186,7 @@ def results_folder(wanted: Path | None, *, recorded: bool = False) -> Path:
 
     Args:
         wanted: None for the default.
-        recorded: whether ``rosbag record`` will write into it, which needs free disk space.
+        recorded: whether a bag will be written into it, which needs free disk space.
 
     Raises:
         OptionError: see :func:`new_folder`; or the disk is too full.
@@ -208,7 +208,7 @@ def _check_room(folder: Path) -> None:
     free = shutil.disk_usage(there).free
     if free < _BAG_ROOM:
         raise OptionError(
-            f"out: {str(folder)!r} is on a disk with {free >> 20} MB left; rosbag records with at least "
+            f"out: {str(folder)!r} is on a disk with {free >> 20} MB left; a flight is recorded with at least "
             f"{_BAG_ROOM >> 20} MB; choose --out"
         )
 
