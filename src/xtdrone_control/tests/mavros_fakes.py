@@ -46,6 +46,11 @@ class FakeRos:
         self.kinds: dict[str, Any] = {}  # of topics and services
         self.params: dict[str, Any] = {}
 
+    @property
+    def connection_changes(self) -> int:
+        """Return a number that changes with the tests' settings."""
+        return hash(tuple(publisher.connections for publisher in self.publishers.values()))
+
     def now_ns(self) -> int:
         """Return what the test set."""
         return self.time_ns

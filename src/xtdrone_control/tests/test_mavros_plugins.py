@@ -660,6 +660,24 @@ class TestDemand:
         asked = {m.param1: m.param2 for m in bench.received() if m.get_type() == "COMMAND_LONG"}
         assert asked == {31: -1.0, 32: -1.0}
 
+    def test_changes_are_noticed_within_half_a_second(self, bench):
+        def asked():
+            return {m.param1: m.param2 for m in bench.received() if m.get_type() == "COMMAND_LONG"}
+
+        bench.send(HEARTBEAT)
+        bench.uas.step(0)
+        bench.received()
+        bench.ros.publishers["/iris_0/mavros/local_position/pose"].connections = 1
+        bench.uas.step(480_000_000)
+        assert asked() == {}
+        bench.uas.step(500_000_000)
+        assert asked() == {31: 0.0, 32: 0.0}
+        bench.send(mavlink.MAVLink_vfr_hud_message(*[0] * 6))
+        bench.uas.step(980_000_000)
+        assert asked() == {}
+        bench.uas.step(1_000_000_000)
+        assert asked() == {74: -1.0}
+
     def test_streams_are_left_alone_on_request(self):
         bench = Bench(PLUGINS, {"manage_streams": False})
         bench.send(HEARTBEAT)

@@ -26,6 +26,10 @@ class Ros(Protocol):
 
     use_sim_time: bool
 
+    @property
+    def connection_changes(self) -> int:
+        """Number of subscribers' connections made and lost so far, on all topics of ``publisher``."""
+
     def now_ns(self) -> int:
         """Return the ROS time in nanoseconds."""
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 import itertools
 import resource
 import sys
+import threading
 import time
 import xmlrpc.client
 from collections.abc import Callable, Iterable, Mapping
@@ -58,6 +59,31 @@ class Connection(NamedTuple):
     target: tuple[int, int]
 
 
+class _Connections(rospy.SubscribeListener):
+    """Counts the subscribers' connections made and lost.
+
+    Attributes:
+        changes: their number.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.changes = 0
+        self._lock = threading.Lock()
+
+    def peer_subscribe(self, topic_name: str, topic_publish: Any, peer_publish: Any) -> None:
+        """Count a new connection; called in rospy's threads."""
+        self._count()
+
+    def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
+        """Count a closed connection; called in any thread."""
+        self._count()
+
+    def _count(self) -> None:
+        with self._lock:
+            self.changes += 1
+
+
 class LockstepRos:
     """Topics and services for the plugins, on top of the lockstep client.
 
@@ -68,6 +94,12 @@ class LockstepRos:
     def __init__(self) -> None:
         """Determine whether the time is simulated."""
         self.use_sim_time = bool(lockstep.is_active() or rospy.get_param("/use_sim_time", False))
+        self._connections = _Connections()
+
+    @property
+    def connection_changes(self) -> int:
+        """Number of subscribers' connections made and lost so far."""
+        return self._connections.changes
 
     def now_ns(self) -> int:
         """Return the ROS time in nanoseconds."""
@@ -75,7 +107,7 @@ class LockstepRos:
 
     def publisher(self, topic: str, kind: type, latch: bool) -> Publisher:
         """Advertise a topic."""
-        return lockstep.Publisher(topic, kind, latch=latch)
+        return lockstep.Publisher(topic, kind, latch=latch, subscriber_listener=self._connections)
 
     def subscriber(self, topic: str, kind: type, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic."""
@@ -195,8 +227,9 @@ class MavrosNode:
         now_ns = self._ros.now_ns()
         for uas in self._uas:
             uas.step(now_ns)
+        report = lockstep.datagrams_sent
         for link in self._links:
-            lockstep.datagrams_sent(link.remote[1], link.sent)
+            report(link.remote[1], link.sent)
 
     def watch(self) -> None:
         """Start watching for publishers on topics without a subscriber here."""
@@ -218,24 +251,28 @@ class MavrosNode:
         """Receive and publish: in lockstep the datagrams counted by the simulator, otherwise all that have arrived."""
         if expected is None:
             self._receiver.wait_any(timeout)
+            now_ns = self._ros.now_ns()
             for uas in self._uas:
-                self._receive(uas)
+                self._receive(uas, now_ns)
         else:
             targets = self._receiver.wait_counted(expected, timeout)
-            for uas, link in zip(self._uas, self._links, strict=True):
-                if link.port in targets:
-                    self._receive(uas, targets[link.port])
+            now_ns = self._ros.now_ns()
+            for uas in self._uas:
+                count = targets.get(uas.link.port)
+                if count is not None:
+                    self._receive(uas, now_ns, count)
         return self._receiver.counted()
 
     def _receive_uncounted(self) -> None:
         """Receive from autopilots outside the simulator, whose datagrams are not counted."""
-        for uas, link in zip(self._uas, self._links, strict=True):
-            if not self._receiver.is_counted(link.port):
-                self._receive(uas)
+        now_ns = self._ros.now_ns()
+        for uas in self._uas:
+            if not self._receiver.is_counted(uas.link.port):
+                self._receive(uas, now_ns)
 
-    def _receive(self, uas: Uas, datagrams: int | None = None) -> None:
+    def _receive(self, uas: Uas, now_ns: int, datagrams: int | None = None) -> None:
         try:
-            uas.receive(self._ros.now_ns(), datagrams)
+            uas.receive(now_ns, datagrams)
         except Exception:  # a bad message from one vehicle must not stop the topics of all others
             if not rospy.is_shutdown():  # while shutting down, topics are closed under the plugins
                 uas.failed("receiving MAVLink failed")

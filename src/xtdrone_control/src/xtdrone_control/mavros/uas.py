@@ -138,6 +138,7 @@ class Uas:
         self._throttle = Throttle()
         self._topics: list[Topic] = []
         self._timers: list[_Timer] = []
+        self._connections_seen = -1  # Ros.connection_changes at the latest refresh
         self._slots: dict[int, _Slot] = {RAW: _Slot(lambda frame: frame)}
         self._attitude_of: Any = None
         self._attitude: tuple[frames.Quaternion, frames.Vector] | None = None
@@ -149,7 +150,7 @@ class Uas:
         self.plugins = [kind(self) for kind in plugins if not kind.listed or lists.loads(kind.name)]
         for plugin in self.plugins:
             self._connect(plugin)
-        self.timer(_REFRESH_PERIOD, self.refresh)
+        self.timer(_REFRESH_PERIOD, self._refresh_if_changed)
         self.refresh()  # so that the first heartbeat is handled
 
     # Interface for plugins
@@ -224,11 +225,13 @@ class Uas:
 
     def stamp(self, header: Any, time_boot_ms: int) -> None:
         """Set a header's stamp from the autopilot's boot time in milliseconds."""
-        self._stamp_ns(header, time_boot_ms * 1_000_000)
+        self.stamp_us(header, time_boot_ms * 1000)
 
     def stamp_us(self, header: Any, time_us: int) -> None:
         """Set a header's stamp from the autopilot's boot time in microseconds."""
-        self._stamp_ns(header, time_us * 1000)
+        offset = self.time_offset_ns
+        seconds, header.stamp.nsecs = divmod(self.now_ns if offset is None else time_us * 1000 + offset, _NS)
+        header.stamp.secs = seconds & 0xFFFFFFFF  # the autopilot may send any number
 
     def stamp_now(self, header: Any) -> None:
         """Set a header's stamp to the ROS time."""
@@ -330,6 +333,12 @@ class Uas:
             slot.frame = None
             self.warn("frame", "MAVLink frame dropped: %s", error)
 
+    def _refresh_if_changed(self) -> None:
+        """Refresh if a subscriber has come or gone, or if an unneeded message has arrived, since the latest refresh."""
+        if self._connections_seen != self.ros.connection_changes or self.link.seen:
+            self._connections_seen = self.ros.connection_changes
+            self.refresh()
+
     def refresh(self) -> None:
         """Check which topics are needed, and request the messages for them from the autopilot."""
         for topic in self._topics:
@@ -393,12 +402,6 @@ class Uas:
                 slot.frame = None
                 self.warn("frame", "MAVLink frame dropped: %s", error)
         return slot.message
-
-    def _stamp_ns(self, header: Any, boot_ns: int) -> None:
-        offset = self.time_offset_ns
-        ns = self.now_ns if offset is None else boot_ns + offset
-        seconds, header.stamp.nsecs = divmod(ns, _NS)
-        header.stamp.secs = seconds & 0xFFFFFFFF  # the autopilot may send any number
 
     def _request_interval(self, number: int, interval_us: int) -> None:
         log.debug("%s: %s every %d us", self.name, message_name(number), interval_us)

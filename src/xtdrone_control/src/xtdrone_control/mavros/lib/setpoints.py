@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import isfinite
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from xtdrone_control import frames
-from xtdrone_control.mavros.link.packing import whole
+from xtdrone_control.mavros.link.packing import FLOAT32_MAX, whole
 from xtdrone_control.mavros.uas import Uas
 
 # Frames with vectors in FLU (ROS) and FRD (MAVLink); in all others they are ENU and NED.
@@ -137,6 +138,11 @@ def attitude_target(
         *frames.flu_to_frd(*rates),
         thrust,
     )
+
+
+def certainly_finite(numbers: Iterable[float]) -> bool:
+    """Return whether the absolute values of all numbers together fit into a 32-bit float, as those of setpoints do."""
+    return sum(map(abs, numbers)) <= FLOAT32_MAX
 
 
 def xyz(vector: Any) -> frames.Vector:

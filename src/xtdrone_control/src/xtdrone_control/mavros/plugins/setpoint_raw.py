@@ -11,6 +11,7 @@ from mavros_msgs.msg import AttitudeTarget, GlobalPositionTarget, PositionTarget
 from xtdrone_control import frames
 from xtdrone_control.mavros.lib.setpoints import (
     attitude_target,
+    certainly_finite,
     global_target,
     position_target,
     set_xyz,
@@ -31,6 +32,14 @@ _GLOBAL_FRAMES = (
     GlobalPositionTarget.FRAME_GLOBAL_REL_ALT,
     GlobalPositionTarget.FRAME_GLOBAL_TERRAIN_ALT,
 )
+_POSITION = ("position.x", "position.y", "position.z")
+_PLACE = ("latitude", "longitude", "altitude")
+_OTHER_FIELDS = (
+    *(f"{name}.{axis}" for name in ("velocity", "acceleration_or_force") for axis in "xyz"),
+    "yaw",
+    "yaw_rate",
+)
+_MASK_BITS = (*range(9), 10, 11)  # of the position and the other fields
 
 
 class SetpointRawPlugin(Plugin):
@@ -65,7 +74,8 @@ class SetpointRawPlugin(Plugin):
         uas.subscribe("setpoint_raw/attitude", AttitudeTarget, self._attitude)
 
     def _local(self, target: PositionTarget) -> None:
-        if not self._accepts("setpoint_raw/local", target, _LOCAL_FRAMES, vector_fields("position", target.position)):
+        place = xyz(target.position)
+        if not self._accepts("setpoint_raw/local", target, _LOCAL_FRAMES, _POSITION, place):
             return
         self.uas.link.send(
             position_target(
@@ -73,7 +83,7 @@ class SetpointRawPlugin(Plugin):
                 self.uas.boot_ms(target.header),
                 target.coordinate_frame,
                 target.type_mask,
-                xyz(target.position),
+                place,
                 xyz(target.velocity),
                 xyz(target.acceleration_or_force),
                 target.yaw,
@@ -82,8 +92,8 @@ class SetpointRawPlugin(Plugin):
         )
 
     def _global(self, target: GlobalPositionTarget) -> None:
-        place = [(name, getattr(target, name)) for name in ("latitude", "longitude", "altitude")]
-        if not self._accepts("setpoint_raw/global", target, _GLOBAL_FRAMES, place):
+        place = target.latitude, target.longitude, target.altitude
+        if not self._accepts("setpoint_raw/global", target, _GLOBAL_FRAMES, _PLACE, place):
             return
         self.uas.link.send(
             global_target(
@@ -91,7 +101,7 @@ class SetpointRawPlugin(Plugin):
                 self.uas.boot_ms(target.header),
                 target.coordinate_frame,
                 target.type_mask,
-                (target.latitude, target.longitude, target.altitude),
+                place,
                 xyz(target.velocity),
                 xyz(target.acceleration_or_force),
                 target.yaw,
@@ -99,13 +109,27 @@ class SetpointRawPlugin(Plugin):
             )
         )
 
-    def _accepts(self, topic: str, target: Any, allowed: Sequence[int], place: list[tuple[str, float]]) -> bool:
-        """Return whether a target's frame is allowed and its unmasked fields are finite; otherwise warn."""
-        if target.coordinate_frame in allowed:
-            return self.uas.finite(topic, _used_fields(target, place))
-        text = "%s: coordinate_frame %d is not allowed, %s are; the setpoint is not forwarded"
-        self.uas.warn(topic, text, topic, target.coordinate_frame, allowed)
-        return False
+    def _accepts(
+        self, topic: str, target: Any, allowed: Sequence[int], names: Sequence[str], place: frames.Vector
+    ) -> bool:
+        """Return whether a target's frame is allowed and its unmasked fields are finite; otherwise warn.
+
+        Args:
+            topic: name of the topic, for the warning.
+            target: the ROS message.
+            allowed: its allowed frames.
+            names: names of the fields in ``place``.
+            place: its position.
+        """
+        if target.coordinate_frame not in allowed:
+            text = "%s: coordinate_frame %d is not allowed, %s are; the setpoint is not forwarded"
+            self.uas.warn(topic, text, topic, target.coordinate_frame, allowed)
+            return False
+        numbers = *place, *xyz(target.velocity), *xyz(target.acceleration_or_force), target.yaw, target.yaw_rate
+        if certainly_finite(numbers):
+            return True
+        fields = zip((*names, *_OTHER_FIELDS), numbers, _MASK_BITS, strict=True)
+        return self.uas.finite(topic, [(name, n) for name, n, bit in fields if not target.type_mask >> bit & 1])
 
     def _attitude(self, target: AttitudeTarget) -> None:
         mask, q = target.type_mask, target.orientation
@@ -162,15 +186,3 @@ class SetpointRawPlugin(Plugin):
         set_xyz(message.body_rate, frames.frd_to_flu(*rates))
         message.thrust = target.thrust
         self._target_attitude.publish(message)
-
-
-def _used_fields(target: Any, place: list[tuple[str, float]]) -> list[tuple[str, float]]:
-    """Return (field, value) of a target's unmasked fields; ``place`` has the first three."""
-    fields = place + vector_fields("velocity", target.velocity)
-    fields += vector_fields("acceleration_or_force", target.acceleration_or_force)
-    used = [field for bit, field in enumerate(fields) if not target.type_mask >> bit & 1]
-    if not target.type_mask & PositionTarget.IGNORE_YAW:
-        used.append(("yaw", target.yaw))
-    if not target.type_mask & PositionTarget.IGNORE_YAW_RATE:
-        used.append(("yaw_rate", target.yaw_rate))
-    return used
