@@ -174,7 +174,9 @@ class Node:
     def dispatch(self) -> None:
         """Run the callbacks by subscriber (in order of declaration), publisher's name, and order of sending."""
         ready: dict[int, list[Any]] = {}
-        for entry in list(self.subscribers):
+        # Most topics of a fleet have no publisher.
+        entries = [entry for entry in list(self.subscribers) if entry.pending or (entry.impl and entry.impl.inboxes)]
+        for entry in entries:
             impl = entry.impl
             if impl is None:  # unregistered by an earlier callback
                 continue
