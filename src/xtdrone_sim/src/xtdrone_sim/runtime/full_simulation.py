@@ -24,7 +24,7 @@ from xtdrone_sim.runtime.backend import Idle
 from xtdrone_sim.runtime.mailbox import Mailbox
 from xtdrone_sim.runtime.simulator_node import NodeSettings, close_all, log, run_node
 from xtdrone_sim.simulation import Simulation
-from xtdrone_sim.topics.gazebo_messages import model_states
+from xtdrone_sim.topics.gazebo_messages import ModelStatesMessage
 from xtdrone_sim.topics.link_topics import LinkTopics
 from xtdrone_sim.worlds.actor_topics import ActorTopics
 from xtdrone_sim.worlds.sdf import world_file
@@ -111,9 +111,10 @@ class FullSimulation:
         rospy.set_param("/xtdrone/world", str(world_file(settings.world)))
         rospy.set_param("/xtdrone/shared_origin", self._origin_for_px4s(settings))
         self.step_us = self._simulation.step_us
-        self._models = self._simulation.world.model.models
+        models = self._simulation.world.model.models
+        self._model_states = ModelStatesMessage(self.names, models)
         self.actors: Sequence[str] = [actor.name for actor in self._simulation.world.model.actors]
-        self.scenery: Sequence[str] = [*(model.name for model in self._models), *self.actors]
+        self.scenery: Sequence[str] = [*(model.name for model in models), *self.actors]
         self._autopilots = self._simulation.autopilots
         self._mavlink = MavlinkServer(
             self._autopilots.served, self._simulation.autopilot, self._simulation.commanders, settings.host
@@ -188,7 +189,7 @@ class FullSimulation:
         """Receive MAVLink datagrams and the data of the autopilots."""
         if self._mavlink.fileno() in ready or self._mavlink.backlog:
             self._mavlink.receive(0.0)
-        if not set(ready).isdisjoint(self._autopilots.descriptors):
+        if any(descriptor in ready for descriptor in self._autopilots.descriptors):
             self._autopilots.serve()
         self._mavlink.keep_alive(self._datagrams.counted_ports)
 
@@ -231,7 +232,7 @@ class FullSimulation:
 
     def model_states(self) -> ModelStates:
         """Return the poses and velocities of all models in Gazebo's format."""
-        message = model_states(self.names, self._simulation.world.plant, self._models)
+        message = self._model_states.fill(self._simulation.world.plant)
         self._actors.add_to(message)
         return message
 

@@ -141,6 +141,7 @@ class SimulatorNode:
         self._settings = settings
         self._backend = backend
         self._stop = stop
+        self._patience = _SLICE  # longest wait given by the back end, wall s
         self._names = [*backend.names, *backend.scenery]
         pacer = Pacer(settings.speed)
         host = lockstep.host()
@@ -155,6 +156,7 @@ class SimulatorNode:
             on_digest=self._digests.write if self._digests and settings.digest_topics else None,
         )
         self._clock = lockstep.UncountedPublisher("/clock", Clock, queue_size=10)
+        self._clock_message = Clock()
         self._server.attach_host(host)
         self._states = lockstep.Publisher("/gazebo/model_states", ModelStates)
         self._truth = GroundTruth([*backend.names, *backend.actors])
@@ -343,10 +345,11 @@ class SimulatorNode:
         """
         if self._stop.requested():
             raise rospy.ROSInterruptException("shutdown")
-        if timeout > 0.0:
-            timeout = min(timeout, self._backend.patience)
-        ready = {descriptor for descriptor, _ in self._poll.poll(timeout)}
+        ready = {descriptor for descriptor, _ in self._poll.poll(min(timeout, self._patience))}
         self._backend.serve(ready)
+        if timeout > 0.0 and self._server.fileno() not in ready:
+            # A participant's answer does not change it, and ends most waits.
+            self._patience = self._backend.patience
         if self._mailbox.fileno() in ready:
             self._mailbox.serve()
         self._services.tend()
@@ -373,7 +376,10 @@ class SimulatorNode:
             self._server.poll(0.0)
 
     def _publish_clock(self) -> None:
-        self._clock.publish(Clock(clock=rospy.Time.from_sec(0) + rospy.Duration(0, self._backend.time_us * 1000)))
+        clock = self._clock_message.clock
+        clock.secs, micros = divmod(self._backend.time_us, 1_000_000)
+        clock.nsecs = micros * 1000
+        self._clock.publish(self._clock_message)
 
     def _publish_states(self, now: int) -> None:
         self._next_states_us = now - now % self._states_period_us + self._states_period_us

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from gazebo_msgs.msg import ModelStates
-from geometry_msgs.msg import Point, Pose, Quaternion, Twist, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from numpy.typing import NDArray
 
 from xtdrone_control.frames import to_xyzw
@@ -14,28 +14,44 @@ from xtdrone_sim.physics.plant import rotate
 from xtdrone_sim.worlds.sdf import SdfModel
 
 
-def model_states(names: Sequence[str], plant: NDArray[np.void], models: Sequence[SdfModel] = ()) -> ModelStates:
-    """Return the true state of the ground plane, of all vehicles, and of the models in the world.
+class ModelStatesMessage:
+    """The true state of the ground plane, of all vehicles, and of the models in the world, in one reused message."""
 
-    Args:
-        names: model names.
-        plant: (n,) ``PLANT``.
-        models: static models of the world.
+    def __init__(self, names: Sequence[str], models: Sequence[SdfModel] = ()) -> None:
+        """Create the message.
 
-    Returns:
-        Poses in the world frame (ENU, quaternion x, y, z, w) and twists in the world frame, as Gazebo gives them.
-    """
-    message = ModelStates(name=["ground_plane", *names])
-    level = Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-    message.pose.append(level)
-    message.twist.append(Twist())
-    for v in plant:
-        w, x, y, z = v["q"].tolist()
-        message.pose.append(Pose(Point(*v["position"].tolist()), Quaternion(x, y, z, w)))
-        spin = rotate(v["q"], *v["rates"].tolist())
-        message.twist.append(Twist(Vector3(*v["velocity"].tolist()), Vector3(*spin)))
-    for model in models:
-        message.name.append(model.name)
-        message.pose.append(Pose(Point(*model.pose.position), Quaternion(*to_xyzw(model.pose.orientation))))
-        message.twist.append(Twist())
-    return message
+        Args:
+            names: names of the vehicles.
+            models: static models of the world.
+        """
+        poses = [Pose(Point(*model.pose.position), Quaternion(*to_xyzw(model.pose.orientation))) for model in models]
+        level = Pose(orientation=Quaternion(0.0, 0.0, 0.0, 1.0))
+        self._message = ModelStates(
+            ["ground_plane", *names, *(model.name for model in models)],
+            [level, *(Pose() for _ in names), *poses],
+            [Twist() for _ in range(1 + len(names) + len(models))],
+        )
+        self._size = len(self._message.name)
+
+    def fill(self, plant: NDArray[np.void]) -> ModelStates:
+        """Return the message of this moment; models added to it earlier are removed.
+
+        Args:
+            plant: (n,) ``PLANT``.
+
+        Returns:
+            Poses in the world frame (ENU, quaternion x, y, z, w) and twists in the world frame, as Gazebo gives them.
+        """
+        message = self._message
+        for column in (message.name, message.pose, message.twist):
+            del column[self._size :]
+        vehicles = slice(1, 1 + len(plant))
+        quaternions, rates = plant["q"], plant["rates"].tolist()
+        positions, velocities = plant["position"].tolist(), plant["velocity"].tolist()
+        for i, (pose, twist) in enumerate(zip(message.pose[vehicles], message.twist[vehicles], strict=True)):
+            place, turn, linear, angular = pose.position, pose.orientation, twist.linear, twist.angular
+            place.x, place.y, place.z = positions[i]
+            turn.w, turn.x, turn.y, turn.z = quaternions[i].tolist()
+            linear.x, linear.y, linear.z = velocities[i]
+            angular.x, angular.y, angular.z = rotate(quaternions[i], *rates[i])
+        return message
