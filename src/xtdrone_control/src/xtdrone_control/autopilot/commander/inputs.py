@@ -28,8 +28,8 @@ def _can_be_flown(parts: Sequence[Sequence[float]]) -> bool:
 
     Source: PX4 ``PositionControl::_inputValid``.
     """
-    pairs = all(math.isnan(x) == math.isnan(y) for x, y, _ in parts)
-    return pairs and all(not all(map(math.isnan, axis)) for axis in zip(*parts, strict=True))
+    x, y, z = ([not math.isnan(value) for value in axis] for axis in zip(*parts, strict=True))
+    return x == y and any(x) and any(z)
 
 
 def _collective(thrust: float) -> float:

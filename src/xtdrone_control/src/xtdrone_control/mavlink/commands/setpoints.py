@@ -44,6 +44,9 @@ def _used(mask: int, bit: int, value: float) -> float:
 
 
 def _vector(mask: int, first_bit: int, x: float, y: float, z: float) -> Vector:
+    ignored = mask >> first_bit & _ALL
+    if ignored in (0, _ALL):
+        return _UNSET if ignored else (x, y, z)
     return _used(mask, first_bit, x), _used(mask, first_bit + 1, y), _used(mask, first_bit + 2, z)
 
 
