@@ -157,7 +157,7 @@ def test_all_subscribers_of_a_topic_receive_the_last_message_of_a_lost_connectio
     received: list[tuple[str, str]] = []
     for name in ("first", "second"):
         invoke = partial(lambda name, message: received.append((name, message)), name)
-        node.add_subscriber(Subscription(resolved_name="/x", type="T", impl=subscriber, pending=[], invoke=invoke))
+        node.add_subscriber(Record(resolved_name="/x", type="T", impl=subscriber, pending=[], invoke=invoke))
     inbox = subscriber.inbox("/publisher", 5)
     inbox.messages.append("last")
     inbox.received = inbox.target = 1
