@@ -6,7 +6,8 @@ returns and report their results to :meth:`SearchMission.on_result`.
 Each vehicle flies its own mission at its own height. Several pictures of a person make a candidate: a vehicle leaves
 its path, descends and circles it, and the pictures taken on the circle confirm or reject it. The vehicle then follows
 the person, or goes back to where it left its path. Paths of lost vehicles, or of vehicles with a failed camera, are
-reallocated to the others. What a vehicle does in each state is in ``states``, the events are in ``reports``.
+reallocated to the others (``losses``). ``states`` has a vehicle's behaviour in each state, ``conclusion`` the end of the search,
+``reports`` the events.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ from xtdrone_control.pinhole import Pinhole
 from .actions import Action, Position, PushMission
 from .association import Association
 from .candidates import Candidate, Sighting
+from .conclusion import Conclusion
 from .coverage_map import CoverageMap
 from .dispatch import Dispatch
+from .losses import Losses
 from .reallocation import Reallocation
-from .reports import Event, Find, make_event, outcome_report, possible_report, progress_report, rounded_xy
+from .reports import Event, Find, make_event, progress_report, rounded_xy
 from .settings import MissionSettings
 from .states.base import VehicleState, because
 from .states.following import FollowingPerson
@@ -37,10 +40,9 @@ from .states.rejoining import Rejoining
 from .states.returning import Holding, Returning
 from .states.searching import Searching
 from .states.second_look import TakingSecondLook
-from .vehicle import BUSY, LookStage, SecondLook, State, Vehicle
+from .vehicle import BUSY, DONE, LookStage, SecondLook, State, Vehicle
 
 _MAX_PUSHES = 8
-_DONE = (State.LANDED, State.LOST)
 
 
 class SearchMission:
@@ -52,8 +54,6 @@ class SearchMission:
         candidates: all possible persons seen so far.
         coverage: part of the region seen so far.
         now: time of the current step, s.
-        finished: whether the search is over; no more actions are requested.
-        ending: whether all vehicles have been sent home.
     """
 
     def __init__(
@@ -73,8 +73,6 @@ class SearchMission:
         self.candidates: list[Candidate] = []
         self.coverage = CoverageMap(region, camera, ground=settings.ground, pixels=settings.person_pixels)
         self.now = 0.0
-        self.finished = False
-        self.ending = False
         self._association = Association(self.candidates, region, settings, self.report)
         self._reallocation = Reallocation(self)
         self._dispatch = Dispatch(self, self.candidates)
@@ -93,12 +91,10 @@ class SearchMission:
             State.HOLDING: self._holding,
             State.RETURNING: self._returning,
         }
-        self._begun: float | None = None
-        self._started: float | None = None
-        self._ended = 0.0
-        self._finds: list[Find] = []
-        self._reason = ""
-        self._failed = False
+        self._losses = Losses(self, self._reallocation, self._following)
+        self._conclusion = Conclusion(
+            self, self._reallocation, self._following, self.coverage, self.candidates, self._cancel_takeoff
+        )
         self._actions: list[Action] = []
         self._events: list[Event] = []
 
@@ -193,27 +189,32 @@ class SearchMission:
 
     # outputs
 
+    @property
+    def finished(self) -> bool:
+        """Whether the search is over; no more actions are requested."""
+        return self._conclusion.finished
+
     def step(self, now: float) -> list[Action]:
         """Decide, and return the actions to carry out now.
 
         Args:
             now: ROS time, s; not less than before.
         """
-        dt = now - self.now if self._begun is not None else 0.0
+        dt = now - self.now if self._conclusion.begun is not None else 0.0
         self.now = now
-        if self._begun is None:
-            self._begun = now
+        if self._conclusion.begun is None:
+            self._conclusion.begun = now
             for vehicle in self.vehicles.values():
                 vehicle.enter(State.WAITING, now)
         if not self.finished:
             for vehicle in self.vehicles.values():
                 self._check(vehicle)
             for vehicle in self.vehicles.values():
-                if vehicle.state not in _DONE:
+                if vehicle.state not in DONE:
                     self._states[vehicle.state].update(vehicle, dt)
             self._reallocation.update()
             self._dispatch.update()
-            self._conclude(now)
+            self._conclusion.update()
         actions, self._actions = self._actions, []
         return actions
 
@@ -224,7 +225,7 @@ class SearchMission:
 
     def progress(self) -> dict[str, Any]:
         """Return the progress, see :func:`reports.progress_report`."""
-        started = self._started is not None
+        started = self._conclusion.started is not None
         return progress_report(
             self.vehicles, self.coverage, self.now, started=started, ending=self.ending, finished=self.finished
         )
@@ -232,9 +233,14 @@ class SearchMission:
     # interface of the vehicle states
 
     @property
+    def ending(self) -> bool:
+        """Whether all vehicles have been sent home."""
+        return self._conclusion.ending
+
+    @property
     def found(self) -> bool:
         """Whether a find has ended the search."""
-        return bool(self._finds) and self.settings.on_find != "continue"
+        return bool(self._conclusion.finds) and self.settings.on_find != "continue"
 
     def act(self, action: Action) -> None:
         """Request an action."""
@@ -246,8 +252,8 @@ class SearchMission:
 
     def started(self) -> None:
         """Note that a vehicle has armed."""
-        if self._started is None:
-            self._started = self.now
+        if self._conclusion.started is None:
+            self._conclusion.started = self.now
             self.report("started", vehicles=list(self.vehicles))
 
     def begin_look(self, vehicle: Vehicle, candidate: Candidate, takes_over: float | None) -> None:
@@ -271,7 +277,7 @@ class SearchMission:
         if self.settings.on_find == "hold" and not self.ending:
             self._holding.begin(vehicle)
         else:
-            self.return_home(vehicle, "a person was found" if self._finds else "the search is over")
+            self.return_home(vehicle, "a person was found" if self._conclusion.finds else "the search is over")
 
     def land(self, vehicle: Vehicle) -> None:
         """Note that a vehicle is on the ground."""
@@ -282,49 +288,28 @@ class SearchMission:
     # losses
 
     def _check(self, vehicle: Vehicle) -> None:
-        if vehicle.state not in _DONE:
+        if vehicle.state not in DONE:
             self._states[vehicle.state].check(vehicle)
-        if vehicle.state in _DONE or vehicle.blind or not self._states[vehicle.state].needs_camera:
+        if vehicle.state in DONE or vehicle.blind or not self._states[vehicle.state].needs_camera:
             return
         if self.now - max(vehicle.picture_heard, vehicle.since) > self.settings.camera_timeout:
             self.camera_failed(vehicle)
 
     def lose(self, vehicle: Vehicle, reason: str) -> None:
         """Give a vehicle up and reassign its work."""
-        position = None if vehicle.position is None else rounded_xy(vehicle.position)
-        self.report("lost_vehicle", vehicle, reason=reason, position=position)
-        self._release_work(vehicle)
-        vehicle.enter(State.LOST, self.now)
-        vehicle.request.mode = ""
+        self._losses.lose(vehicle, reason)
 
     def camera_failed(self, vehicle: Vehicle) -> None:
         """Return a vehicle whose camera has failed and reassign its work."""
-        assert vehicle.position is not None
-        vehicle.blind = True
-        self.report("camera_silent", vehicle, position=rounded_xy(vehicle.position))
-        self._release_work(vehicle)
-        self.return_home(vehicle, "its camera is silent")
+        self._losses.camera_failed(vehicle)
 
-    def _release_work(self, vehicle: Vehicle) -> None:
-        """Hand a vehicle's following, second look and path over to the others."""
-        following = vehicle.following
-        if following is not None:
-            self._following.end(vehicle, "the camera is silent" if vehicle.blind else "the vehicle is lost")
-            self._following.release(following.candidate, vehicle)
-            self.hand_over(following.candidate, following.until - self.now)
-        look, vehicle.look = vehicle.look, None
-        if look is not None and look.candidate.status == "looked at":
-            look.candidate.status = "seen"
-            self.hand_over(look.candidate, look.takes_over)
-        self._reallocation.take_from(vehicle)
-
-    # finds and the end
+    # finds
 
     def record_find(self, vehicle: Vehicle, look: SecondLook) -> None:
         """Record a confirmed person and stop the other vehicles if the settings say so."""
         candidate = look.candidate
         find = Find(vehicle.name, candidate.position, candidate.covariance, candidate.seen_at)
-        self._finds.append(find)
+        self._conclusion.finds.append(find)
         self.report(
             "confirmed",
             vehicle,
@@ -361,62 +346,3 @@ class SearchMission:
         self._actions = [action for action in self._actions if action.vehicle != vehicle.name]
         self.land(vehicle)
         return True
-
-    def _conclude(self, now: float) -> None:
-        """End the search when nothing is left to do, and finish it when all have landed."""
-        if not self.ending and (reason := self._end_reason(now)):
-            self._end(reason)
-        if not self.ending:
-            return
-        waited = now - self._ended
-        late = [vehicle.name for vehicle in self.vehicles.values() if vehicle.state not in _DONE]
-        if late and waited <= self.settings.return_timeout:
-            return
-        if late:
-            self._reason += f"; not landed after {waited:.0f} s: {', '.join(late)}"
-        self._finish()
-
-    def _end_reason(self, now: float) -> str:
-        """Return why the search ends now, empty if it continues."""
-        begun = self._begun if self._started is None else self._started
-        assert begun is not None
-        if now - begun > self.settings.time_limit:
-            return f"the time limit of {self.settings.time_limit:g} s is over"
-        states = [vehicle.state for vehicle in self.vehicles.values()]
-        busy = (State.FOLLOWING, State.SECOND_LOOK) if self.found else BUSY
-        if any(state in busy for state in states) or self._reallocation.pending:
-            return ""
-        if self.found:
-            return "the following is over"
-        if all(state is State.LOST for state in states):
-            self._failed = True
-            return "all vehicles are lost"
-        if all(vehicle.blind or vehicle.state is State.LOST for vehicle in self.vehicles.values()):
-            self._failed = True
-            return "no camera works"
-        return "all paths are flown"
-
-    def _end(self, reason: str) -> None:
-        """Send all vehicles home."""
-        self.ending = True
-        self._ended = self.now
-        self._reason = reason
-        self._reallocation.pending.clear()
-        for vehicle in self.vehicles.values():
-            if vehicle.state in (*_DONE, State.RETURNING):
-                continue
-            if vehicle.following is not None:
-                self._following.end(vehicle, reason)
-            vehicle.look = None
-            if not self._cancel_takeoff(vehicle):
-                self.return_home(vehicle, reason)
-
-    def _finish(self) -> None:
-        self.finished = True
-        self.report(
-            "finished",
-            **outcome_report(self._finds[0] if self._finds else None, self._failed, self.coverage),
-            possible=possible_report(self.candidates, self.settings.candidate_hits),
-            lost=[name for name, vehicle in self.vehicles.items() if vehicle.state is State.LOST],
-            reason=self._reason,
-        )

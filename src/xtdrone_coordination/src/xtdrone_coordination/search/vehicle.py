@@ -37,6 +37,7 @@ class State(enum.Enum):
 
 
 BUSY = (State.WAITING, State.TAKING_OFF, State.SEARCHING, State.SECOND_LOOK, State.REJOINING, State.FOLLOWING)
+DONE = (State.LANDED, State.LOST)
 OFFBOARD_STATES = (State.SECOND_LOOK, State.REJOINING, State.FOLLOWING)
 
 
