@@ -351,7 +351,7 @@ class Stack:
                 self.graph.changed.wait(_SLICE)
 
     def pass_time(self, seconds: float) -> None:
-        """Let simulated time pass."""
+        """Advance simulated time."""
         until = self.time + seconds
         self.wait(lambda: self.time >= until, f"{seconds:g} s pass", sim=seconds + 5.0)
 

@@ -107,7 +107,7 @@ def step(stack: Stack, **goal: Any) -> Any:
 
 
 def passes(stack: Stack, seconds: float = 1.0) -> None:
-    """Let simulated time pass, as the simulator knows it."""
+    """Advance simulated time, as the simulator knows it."""
     until = now(stack) + seconds
     poll(lambda: now(stack) >= until, f"{seconds} s pass")
 

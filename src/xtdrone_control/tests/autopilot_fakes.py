@@ -54,7 +54,7 @@ class FakeAutopilot:
         self.motor_tests.pop(index, None)
 
     def place(self, index: int, x: float, y: float, z: float, yaw: float = 0.0) -> None:
-        """Put a vehicle somewhere (m, NED), in the air when it is above 0.1 m."""
+        """Set a vehicle's position (m, NED); it is in the air above 0.1 m."""
         self.estimator[index]["position"] = (x, y, z)
         self.estimator[index]["q"] = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
         self.control[index]["landing"]["landed"] = int(z > -0.1)
@@ -73,7 +73,7 @@ class Flight:
         self.commander.update()
 
     def run(self, seconds: float, each: Any = None) -> None:
-        """Let time pass with updates at 10 Hz, calling ``each`` before every one."""
+        """Advance time with updates at 10 Hz, calling ``each`` before every one."""
         for _ in range(round(seconds * 10)):
             self.autopilot.time_us += 100_000
             if each is not None:
@@ -94,7 +94,7 @@ class Flight:
         self.commander.offboard_trajectory((1.0, 2.0, -3.0), nan, nan, 0.0, math.nan)
 
     def texts(self) -> list[str]:
-        """Take the texts that wait, without the tab that says that there is an event, too."""
+        """Return the queued texts, without the tab that marks an additional event."""
         found = [text.rstrip("\t") for _, text in self.commander.texts]
         self.commander.texts.clear()
         return found

@@ -44,7 +44,7 @@ class Pair:
         return results[0]
 
     def turn(self) -> None:
-        """Let the autopilot read, pass 20 ms and send."""
+        """Run the autopilot for 20 ms: receive, advance, send."""
         for message in self.bench.received():
             self.served.ask(bytes(message.get_msgbuf()))
             self._deliver()

@@ -31,7 +31,7 @@ def do(command: int, *params: float) -> PlanItem:
 
 
 class MissionFlight(Flight):
-    """A vehicle that is at once where it is told to be."""
+    """A vehicle that reaches a commanded position at once."""
 
     def load(self, *items: PlanItem, kind: int = plan.MISSION) -> None:
         """Lay down a plan."""

@@ -106,7 +106,7 @@ class Served:
         return (acks[0].result if acks else None), [text.rstrip("\t") for _, text in self.commander.texts]
 
     def run(self, seconds: float, step_us: int = 4000) -> list[tuple[int, str, Any]]:
-        """Let time pass; return (time, name, message) of what the services send on the first link."""
+        """Advance time; return (time, name, message) of what the services send on the first link."""
         found = []
         for _ in range(round(seconds * 1e6 / step_us)):
             self.autopilot.time_us += step_us

@@ -1,4 +1,4 @@
-"""Where a camera on a gimbal looks, against directions by hand."""
+"""Pose of a camera on a gimbal, against directions computed by hand."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def test_mode_by_base_mode_alone(flight, base_mode, mode):
     ],
 )
 def test_modes_not_for_arming(flight, mode):
-    """What a real PX4 refused without a pilot, setpoints and mission; it told why by events alone."""
+    """Modes that a real PX4 rejected without pilot, setpoints and mission, with the reason in events only."""
     assert flight.commander.request(mode) is Result.ACCEPTED
     flight.run(0.1)
     flight.texts()

@@ -1,4 +1,4 @@
-"""How the communication node calls MAVROS's services."""
+"""Calls of MAVROS's services by the communication node."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def row(**blocks) -> np.ndarray:
 
 @pytest.mark.parametrize("angles", ATTITUDES)
 def test_magnetic_heading(angles):
-    """What is predicted is the angle of the local field; the innovation is the declination less it."""
+    """The prediction is the angle of the local field; the innovation is the declination minus the prediction."""
     e = estimate(angles)
     s = np.zeros(1, SENSORS)
     s["mag"][0] = np.array(rotate_inverse(e["q"][0], *FIELD)) + e["mag_bias"][0] + (0.01, 0.0, -0.01)

@@ -1,4 +1,4 @@
-"""Events: told to everybody, numbered, and told again to who asks."""
+"""Events: broadcast, numbered, and sent again on request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of a mission before it starts, with PX4's texts."""
+"""Feasibility checks of a mission before its start, with PX4's texts."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class Following(Flight):
         self.commander.navigator.follow_target.report(place, velocity)
 
     def step(self) -> np.ndarray:
-        """Let the flight task run once; return position, velocity and acceleration of its setpoint, (3, 3)."""
+        """Run the flight task once; return position, velocity and acceleration of its setpoint, (3, 3)."""
         for name in ("task_position", "task_velocity", "task_acceleration"):
             self.control[name] = NAN
         self.control["armed_time"] += DT

@@ -228,7 +228,7 @@ def sleeper(name: str) -> None:
 
 
 def mixer(name: str) -> None:
-    """Take part, and subscribe to the same node with a plain rospy subscriber too, as a tf listener would."""
+    """Join the lockstep, and subscribe to the same node with a plain rospy subscriber, as a tf listener does."""
     lockstep.init_node(name, rate=50.0)
     out = open(os.environ["TRANSCRIPT"], "w", buffering=1)  # noqa: SIM115 - ends with the process
     _plain = rospy.Subscriber("/from_a", String, lambda message: print("plain", file=out))

@@ -48,7 +48,7 @@ class Logged(World):
             self.server.receive(1.0)
 
     def hear(self, name, seconds=0.5):
-        """Let time pass, and return the messages of that name that were not lost."""
+        """Advance time, and return the messages of that name that were not lost."""
         self.send(heartbeat())
         found = named(self.run(seconds), name)
         return [m for m in found if self.lost.random() >= self.loss]

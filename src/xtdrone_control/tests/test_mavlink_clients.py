@@ -48,7 +48,7 @@ def clients(world):
 
 
 def listen(world, clients, seconds):
-    """Let time pass while ``clients`` send a heartbeat each second; return what each of them hears."""
+    """Advance time while ``clients`` send a heartbeat each second; return what each of them receives."""
     heard = [[] for _ in clients]
     for client in clients:
         client.receive()
@@ -328,7 +328,7 @@ class TestParticipants:
     """Clients whose datagrams the lockstep counts."""
 
     def exhaust(self, world, flooder):
-        """Let a flood use up all credit in the middle of a tick, until only participants wake the server."""
+        """Use up all credit by a flood in the middle of a tick, until only participants wake the server."""
         world.server.receive()
         world.server.hold_setpoints()
         world.server.keep_alive()
@@ -356,7 +356,7 @@ class TestParticipants:
         assert world.server.receive() == 300
         assert acted.count(participant) == 300
         world.server.release_setpoints()
-        assert select.select([world.server], [], [], 0.0)[0], "after the tick everybody is heard"
+        assert select.select([world.server], [], [], 0.0)[0], "after the tick all clients are served"
 
     def test_a_full_buffer_of_one_client_leaves_the_others_theirs(self, world, flooder, acted):
         participant = world.client.socket.getsockname()

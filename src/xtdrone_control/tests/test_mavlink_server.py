@@ -103,7 +103,7 @@ class World:
         self.server.reserve({self.fleet[0].offboard_remote_port: ["127.0.0.1"]})
 
     def run(self, seconds, step_us=4000):
-        """Let time pass and return what the client has received."""
+        """Advance time and return what the client has received."""
         end = self.autopilot.time_us + round(seconds * 1e6)
         found = []
         while self.autopilot.time_us < end:
@@ -115,7 +115,7 @@ class World:
         return found
 
     def listen(self, seconds, step_us=4000):
-        """Let time pass like ``run``, and speak often enough that the streams go on."""
+        """Advance time like ``run``, with heartbeats that keep the streams alive."""
         found = []
         while seconds > 0.0:
             self.hear()

@@ -14,7 +14,7 @@ from xtdrone_control.mavros.node import connections
 
 @pytest.fixture
 def resolver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Know two hosts, and no name server."""
+    """Resolve two hosts, without a name server."""
     known = {"localhost": "127.0.0.1", "127.0.0.1": "127.0.0.1", "0.0.0.0": "0.0.0.0", "elsewhere": "255.255.255.255"}
 
     def look_up(name: str) -> str:
@@ -36,7 +36,7 @@ class TestBindHost:
             bind_host_for("nowhere")
 
     def test_an_unreachable_host_is_reported_with_its_address(self):
-        # A plain socket may not send to everybody; that stands for every address to which there is no way.
+        # A plain socket may not broadcast; this address represents every unreachable one.
         with pytest.raises(
             connection.LinkError, match=r"fcu_host: 'elsewhere' \(255\.255\.255\.255\) cannot be reached"
         ):

@@ -1,4 +1,4 @@
-"""Which plugins are loaded, and what is told of topics and services that nothing here takes."""
+"""Loaded plugins, and reports of topics and services without a counterpart."""
 
 from __future__ import annotations
 

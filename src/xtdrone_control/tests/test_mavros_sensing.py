@@ -386,7 +386,7 @@ def test_any_bytes_make_a_message_that_can_be_sent(bench, caplog):
 
 
 class TestBothWays:
-    """What goes out and comes back is the same."""
+    """Sent and received messages are equal."""
 
     def back(self, bench, topic, ros, out):
         bench.take(out)

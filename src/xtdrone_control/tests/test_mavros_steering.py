@@ -87,7 +87,7 @@ def stamped(message, millis):
 
 
 def refused(bench, caplog, topic, message, field):
-    """Whether a message is kept back with a warning that names its topic and field."""
+    """Return whether a message is not forwarded, with a warning that names its topic and field."""
     bench.call(topic, message)
     return bench.received() == [] and f"{topic}: {field}" in caplog.text
 
@@ -185,7 +185,7 @@ class TestAttitude:
             )
 
     def test_there_and_back(self):
-        """What goes out and comes back as the autopilot's target is the same rotation."""
+        """The sent rotation equals the autopilot's target."""
         with opened(QUATERNION) as bench:
             bench.take("setpoint_raw/target_attitude")
 
@@ -403,7 +403,7 @@ class TestRawGlobal:
         assert math.isnan(target.yaw)
 
     def test_there_and_back(self, bench):
-        """What goes out comes back as the autopilot's target, as far as its fields carry."""
+        """The sent setpoint equals the autopilot's target in its fields."""
         bench.take("setpoint_raw/target_global")
 
         @settings(max_examples=50, deadline=None)

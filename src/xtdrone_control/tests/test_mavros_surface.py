@@ -1,4 +1,4 @@
-"""What MAVROS offers is offered here or left out by name, and docs/mavros.md says the same.
+"""Every feature of MAVROS is offered or listed as omitted, as in docs/mavros.md.
 
 ``./xtdrone shell python src/xtdrone_control/tests/test_mavros_surface.py`` writes the table of that page.
 """

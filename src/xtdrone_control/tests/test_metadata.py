@@ -1,4 +1,4 @@
-"""What ground stations are told of events and parameters: complete, in the clients' formats, served by FTP."""
+"""Metadata of events and parameters for ground stations: complete, in the clients' formats, served by FTP."""
 
 from __future__ import annotations
 

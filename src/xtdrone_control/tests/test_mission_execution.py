@@ -33,7 +33,7 @@ def fly(flight, *items):
 
 
 def ticks(flight, most=100):
-    """Let the vehicle go on; yield after each 0.1 s while the mission is flown."""
+    """Advance the vehicle; yield after each 0.1 s while the mission is flown."""
     for _ in range(most):
         flight.tick()
         yield

@@ -56,7 +56,7 @@ def texts(served):
 
 
 def run(served, seconds):
-    """Let time pass; return what the services send, events aside."""
+    """Advance time; return the messages that the services send, without events."""
     return [entry for entry in served.run(seconds) if entry[1] not in ("EVENT", "CURRENT_EVENT_SEQUENCE")]
 
 

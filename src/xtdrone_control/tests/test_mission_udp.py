@@ -16,7 +16,7 @@ _SYSTEM = FIRST_ID + 1
 
 
 class Field:
-    """A vehicle that is at once where it is told to be, its server, and two stations."""
+    """A vehicle that reaches a commanded position at once, its server, and two stations."""
 
     def __init__(self) -> None:
         self.flight = Flight(MAV_SYS_ID=_SYSTEM)
@@ -36,7 +36,7 @@ class Field:
         return [m for m in station.receive() if m.get_type().startswith("MISSION")]
 
     def run(self, seconds, station):
-        """Let time pass, and return what the station hears of the mission."""
+        """Advance time, and return the mission messages that the station receives."""
         found = []
         for _ in range(round(seconds * 10)):
             self.flight.autopilot.time_us += 100_000

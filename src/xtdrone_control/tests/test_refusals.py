@@ -1,4 +1,4 @@
-"""What PX4 tells by events alone, in words for a user at a terminal."""
+"""Reasons that PX4 reports by events alone, as text."""
 
 from __future__ import annotations
 

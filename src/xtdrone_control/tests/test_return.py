@@ -1,4 +1,4 @@
-"""Where a return goes to, geofence breaches, and landing on a target."""
+"""Destination of a return, geofence breaches, and landing on a target."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ def test_attitude_masks(mask, rates, thrust, body):
         assert same(found, yaw_rate)
         assert same(lift, -body[2] if mask & 32 else collective)
     elif mask & 3:
-        assert commander.taken == [], "it says nothing"
+        assert commander.taken == [], "no report"
     else:
         ((kind, found, lift),) = commander.taken
         assert kind == "rates"

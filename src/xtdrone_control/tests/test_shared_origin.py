@@ -20,7 +20,7 @@ SPAWN = (473977420, 85456338, 488120)  # 3 m east of it
 
 
 class Px4:
-    """What of PX4 matters here: an origin that its estimator moves after the answer has gone.
+    """Fake PX4: its estimator moves the origin after the answer.
 
     Attributes:
         bench: the MAVROS layer.
@@ -36,7 +36,7 @@ class Px4:
         self.in_air = False
 
     def pass_time(self) -> None:
-        """Let the MAVROS layer have a turn, and answer."""
+        """Run a turn of the MAVROS layer, and answer."""
         self.bench.ros.time_ns += round(PERIOD * 1e9)
         self.bench.uas.step(self.bench.ros.time_ns)
         for message in self.bench.received():

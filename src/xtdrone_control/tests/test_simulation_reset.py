@@ -1,4 +1,4 @@
-"""What a reset and slow time mean for MAVLink, the MAVROS layer, XTDrone's commands and the lockstep's server."""
+"""Effect of a reset and of slow time on MAVLink, the MAVROS layer, XTDrone's commands and the lockstep's server."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def attitude(time_ms):
 
 
 def fly(bench, seconds, begin=0.0):
-    """Let time pass with telemetry at 10 Hz; return the MAVLink that MAVROS has sent, as (time s, type)."""
+    """Advance time with telemetry at 10 Hz; return the MAVLink that MAVROS has sent, as (time s, type)."""
     sent = []
     for k in range(1, round(10 * seconds) + 1):
         now = begin + 0.1 * k

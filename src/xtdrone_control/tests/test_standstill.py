@@ -48,7 +48,7 @@ def station(world):
 
 
 def wait(world, clock, client, seconds, counted=()):
-    """Let wall time pass while simulated time stands; return what ``client`` hears, heartbeats aside."""
+    """Wait in wall time while simulated time is paused; return the client's messages, without heartbeats."""
     heard = []
     for _ in range(round(seconds / _PERIOD)):
         clock.now += _PERIOD
@@ -91,7 +91,7 @@ def test_time_that_is_slow_does_not_stand(world, clock, station):
 
 
 def test_counted_nodes_wait_for_simulated_time(world, clock, station):
-    """What a lockstep participant hears is the same in every run."""
+    """A lockstep participant receives the same in every run."""
     port = station.socket.getsockname()[1]
     station.send(mavlink.MAVLink_param_request_list_message(world.fleet[0].system_id, 1))
     assert len(wait(world, clock, station, 1.0, {port})) == 1

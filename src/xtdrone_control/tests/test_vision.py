@@ -156,7 +156,7 @@ def test_range_finder(world, orientation, signal, quality):
 
 
 def test_samples_wait_for_their_turn(world):
-    """What comes from topics acts after the commands of the same tick."""
+    """Messages from topics act after the commands of the same tick."""
     world.vehicle.participant = True
     world.vehicle.hold_setpoints()
     world.odometry(1, 12)

@@ -51,7 +51,7 @@ class Layer:
             self.server.receive(0.02)
 
     def stop_serving(self) -> None:
-        """Let the autopilot say nothing any more; then the test may step it."""
+        """Silence the autopilot; then the test may step it."""
         self.serving = False
         self.thread.join()
 
@@ -59,7 +59,7 @@ class Layer:
         return self.ros.services[f"{_PREFIX}/{name}"](request)
 
     def step(self, seconds=0.2):
-        """Let simulated time pass; for after ``stop_serving``."""
+        """Advance simulated time; for after ``stop_serving``."""
         for _ in range(round(seconds * 10)):
             self.ros.time_ns += 100_000_000
             self.flight.autopilot.time_us += 100_000

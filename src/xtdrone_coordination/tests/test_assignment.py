@@ -53,7 +53,7 @@ def test_nan_is_rejected() -> None:
 
 
 def reduced_costs(here: np.ndarray, there: np.ndarray, slots: np.ndarray) -> np.ndarray:
-    """What each follower would lose by each slot, at prices of slots; shape (M, M).
+    """Return the loss of each follower in each slot at the slots' prices, shape (M, M).
 
     The prices are the shortest ways in the graph in which a follower leaves its slot for another (Bellman and Ford).
     None less than zero proves that no other assignment is better: any other's cost is this one's plus the sum of those

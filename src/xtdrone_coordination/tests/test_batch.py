@@ -184,7 +184,7 @@ class Twins:
             self.plain.on_velocity(j, tuple(v))
 
     def avoidance(self, vectors: np.ndarray) -> None:
-        """Tell each follower its row; one that is not finite has not come."""
+        """Pass each follower its row; a non-finite row is a missing message."""
         for followers in (self.single, self.batched):
             for follower in followers:
                 follower.on_avoidance(tuple(vectors[follower.id].tolist()))
@@ -308,7 +308,7 @@ def test_a_long_flight_of_nine(mode: str) -> None:
 
 @pytest.mark.parametrize("box", [2.0, 12.0])
 def test_a_flight_of_two_hundred_and_fifty(box: float) -> None:
-    """In a heap, where everybody is near, and spread out, where the cells say who is."""
+    """All vehicles near each other, and spread out over the cells."""
     fly(Twins(250, [Follower], [FollowerOptions(pose_timeout=0.1)]), 2, 24, box=box, losses=0.1)
 
 

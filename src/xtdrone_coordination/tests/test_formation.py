@@ -20,7 +20,7 @@ DT = 1.0 / RATE
 
 
 class Swarm:
-    """Point vehicles that do exactly what they are told; vehicle 0 flies ``leader_velocity``."""
+    """Point vehicles that follow commands exactly; vehicle 0 flies ``leader_velocity``."""
 
     def __init__(self, count: int, cls: type[Follower] = Follower, **options: object) -> None:
         self.state = SwarmState(count)
@@ -494,7 +494,7 @@ def test_close_slots_are_warned_of() -> None:
 
 
 def state_of(thing: object) -> dict[str, object]:
-    """What an object remembers, as text where it is numpy's or another object's."""
+    """Return an object's attributes; arrays and other objects as text."""
     return {
         name: state_of(value) if isinstance(value, SwarmState) else repr(value) for name, value in vars(thing).items()
     }
@@ -502,10 +502,10 @@ def state_of(thing: object) -> dict[str, object]:
 
 def test_a_restart_brings_back_the_state_after_construction() -> None:
     swarm = Swarm(4, avoid="topic")
-    everybody = [swarm.leader, *swarm.followers]
-    for one in everybody:
+    members = [swarm.leader, *swarm.followers]
+    for one in members:
         one._warn = print  # the same text at both times
-    before = [state_of(one) for one in everybody]
+    before = [state_of(one) for one in members]
     positions = swarm.state.positions
     swarm.command("cube")
     swarm.leader.on_steering((1.0, 0.0, 0.0), 0.1)
@@ -514,11 +514,11 @@ def test_a_restart_brings_back_the_state_after_construction() -> None:
     swarm.fly(1.0)
     swarm.leader.update()
     swarm.state.on_position(1, (9.0, 9.0, 9.0))
-    changed = [state_of(one) for one in everybody]
+    changed = [state_of(one) for one in members]
     assert all(a != b for a, b in zip(before, changed, strict=True))
-    for one in everybody:
+    for one in members:
         one.restart()
-    assert [state_of(one) for one in everybody] == before
+    assert [state_of(one) for one in members] == before
     assert swarm.state.positions is positions  # who holds the list sees it
 
 

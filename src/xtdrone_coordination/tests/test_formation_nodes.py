@@ -1,4 +1,4 @@
-"""What leader and follower nodes do with pattern and topology when time is set back; topics are this test's."""
+"""Pattern and topology in leader and follower nodes after a time reset; topics are this test's."""
 
 from __future__ import annotations
 

@@ -293,7 +293,7 @@ def test_queries_in_any_order_or_none_give_the_same_result(options: NetworkOptio
 
 
 def test_the_numbering_of_vehicles_does_not_matter() -> None:
-    """Where nothing is random; draws belong to numbers."""
+    """Networks without random impairments; draws depend on vehicle numbers."""
     options = NetworkOptions(range=9.0, delay=0.08)
     track = walk(8, 50)
     order = np.random.default_rng(1).permutation(8)

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Becomes a program that belongs to no ROS package: ``run_file.py FILE [ARGUMENTS]``.
+"""Executes a program outside ROS packages: ``run_file.py FILE [ARGUMENTS]``.
 
-roslaunch finds programs in packages only; with this one a launch file can start a node by its path.
+roslaunch starts programs of packages only; with this node a launch file starts a program by its path.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""The ground station of a launch file: gives every vehicle its plan over MAVLink, then lets the paused time run.
+"""The ground station of a launch file: uploads each vehicle's plan over MAVLink, then resumes the simulation.
 
 Services called:
-    /gazebo/unpause_physics (std_srvs/Empty): when all plans have been taken.
+    /gazebo/unpause_physics (std_srvs/Empty): when all plans are uploaded.
 
 Parameters:
     /xtdrone/fleet (as ``typhoon_h480:6``): the vehicles.
     /xtdrone/instance (default 0): of the simulations on this machine.
-    ~plans: folder with VEHICLE.plan for each of them, as QGroundControl writes them.
+    ~plans: folder with VEHICLE.plan for each vehicle, in QGroundControl's format.
 
-Exit status: 0 when all have their plans, 1 when a vehicle has refused or not answered (time stays paused), 2 for bad
-parameters or files.
+Exit status: 0 when all plans are uploaded, 1 when a vehicle has rejected its plan or not responded (time stays paused),
+2 for invalid parameters or files.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from xtdrone_control.plans import qgc_plan
 from xtdrone_interaction.gcs import GcsError, upload_plans
 
 _RESUME = "/gazebo/unpause_physics"
-_PATIENCE = 60.0  # s of wall time that a vehicle may be silent: the simulator may still be loading
+_PATIENCE = 60.0  # s of wall time without a response: the simulator may still be loading
 
 
 def main() -> int:
     """Upload and return the exit status."""
-    rospy.init_node("upload_plans", disable_rostime=True)  # time stands still until it has done its work
+    rospy.init_node("upload_plans", disable_rostime=True)  # simulated time is paused until the upload is complete
     try:
         fleet = str(rospy.get_param("/xtdrone/fleet"))
         instance = check_instance(rospy.get_param("/xtdrone/instance", 0))
@@ -43,11 +43,11 @@ def main() -> int:
     except (FleetError, qgc_plan.PlanError, OSError) as error:
         rospy.logfatal("ground station: %s", error)
         return 2
-    rospy.wait_for_service(_RESUME)  # then the vehicles listen
+    rospy.wait_for_service(_RESUME)  # the vehicles accept connections from then on
     try:
         upload_plans(plans, fleet=fleet, patience=_PATIENCE, instance=instance)
     except GcsError as error:
-        rospy.logfatal("ground station: plans were not taken, time stays paused: %s", error)
+        rospy.logfatal("ground station: plans are not uploaded, time stays paused: %s", error)
         return 1
     rospy.loginfo("ground station: %d plans are uploaded, time runs", len(plans))
     rospy.ServiceProxy(_RESUME, Empty)()
@@ -60,5 +60,5 @@ if __name__ == "__main__":
     except rospy.ROSInitException as error:
         print(f"ground station: {error}", file=sys.stderr)
         sys.exit(1)
-    except rospy.ROSException:  # the launch ends meanwhile
+    except rospy.ROSException:  # the launch ends
         sys.exit(1)

@@ -115,7 +115,7 @@ class BagMaker:
         self.write(f"/xtdrone/{name}/ground_truth/odom", kind, message, time)
 
     def formation(self, time: float, offsets: NDArray[np.float64]) -> None:
-        """Write the assigned offsets, shape (8, 3), and a topology: everybody listens to the one before.
+        """Write the assigned offsets, shape (8, 3), and a topology: each vehicle listens to its predecessor.
 
         Without offsets, shape (0, 3), both are empty: the leader takes them back.
         """

@@ -1,4 +1,4 @@
-"""Nodes that end in flight: what is found in roslaunch's log, and how it is said."""
+"""Nodes that end in flight: entries of roslaunch's log and their texts."""
 
 from __future__ import annotations
 

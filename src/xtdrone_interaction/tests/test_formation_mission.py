@@ -1,4 +1,4 @@
-"""The mission against a fleet of points that do what they are told."""
+"""The mission with a fleet of points that follow commands."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def field():
 
 @pytest.fixture
 def as_named(field, monkeypatch):
-    """Let the field's vehicles be met under their names, whose ports would be others'."""
+    """Resolve the field's vehicles by name, at the field's ports."""
     known = {peer.name: peer for peer in field.peers()}
     monkeypatch.setattr(station, "peers_of", lambda names, *_: [known[name] for name in names])
     return field
@@ -252,7 +252,7 @@ def test_check_reports_px4s_result(tmp_path, capsys):
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """What is written to a terminal of 30 columns and 4 rows."""
+    """Return the output on a terminal of 30 columns and 4 rows."""
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "30")
     monkeypatch.setenv("LINES", "4")

@@ -1,4 +1,4 @@
-"""What the ground station tells vehicles in flight: to PX4 and ArduPilot, and to real doors while time stands."""
+"""Commands of the ground station in flight: to PX4 and ArduPilot, and to real ports while time stands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the ground station's status tells of vehicles, and the lines over which it hears them."""
+"""Status of vehicles in the ground station, and its links."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ class Cable:
                         self._socket.send(frame)
 
     def pull(self):
-        """Take the device away."""
+        """Remove the device."""
         self._ended.set()
         self._thread.join()
         os.close(self._device)

@@ -1,4 +1,4 @@
-"""What rviz shows of a swarm, and the configurations that show it."""
+"""Markers of a swarm in rviz, and the views' configurations."""
 
 import math
 
@@ -25,7 +25,7 @@ PLACES = [(0.0, 0.0, 5.0), (3.0, 0.0, 5.0), (0.0, 3.0, 5.5)]
 
 
 def shown(markers, time=0.0):
-    """What rviz has on its screen after the arrays so far: by namespace and number."""
+    """Return the markers on rviz's screen, by namespace and number."""
     screen = {}
     for array in [markers.array(time)] if isinstance(markers, SwarmMarkers) else markers:
         for marker in array.markers:

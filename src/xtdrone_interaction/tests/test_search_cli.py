@@ -1,4 +1,4 @@
-"""What ``demo search`` refuses, and what it writes before it flies."""
+"""Checks of ``demo search``, and its files written before the flight."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def test_options_unavailable_on_ros_are_reported(
 
 
 def test_ros_gets_the_window_and_the_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The launch file is told of them, with whole paths."""
+    """The launch file gets them, with absolute paths."""
     monkeypatch.setattr(options, "_taken", lambda number, kind: False)
     monkeypatch.setattr(supervised_launch.shutil, "which", lambda program: program)
     flown: list[DemoSettings] = []

@@ -1,4 +1,4 @@
-"""What counts as movement while a launch starts, and what is said of the usual causes that keep it from starting."""
+"""Progress of a starting launch, and messages on the usual causes of a failed start."""
 
 from __future__ import annotations
 

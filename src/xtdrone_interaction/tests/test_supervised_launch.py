@@ -1,4 +1,4 @@
-"""What ends the watching of a flight, without processes."""
+"""End of the supervision of a flight, without processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pybullet writes on the terminal is kept from it, and nothing else is."""
+"""Only pybullet's output is kept from the terminal."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ PATIENCE = 120.0  # s of wall time, for what should take a few
 
 
 def teller() -> None:
-    """Says where the cameras are, which turn downwards, so that the horizon moves up in the picture."""
+    """Publisher of the cameras' poses; they turn downwards, so the horizon moves up in the picture."""
     lockstep.init_node("teller", rate=50.0)
     publisher = lockstep.Publisher("/xtdrone/scene", SceneState)
     links = [f"{vehicle.name}::cgo3_camera_link" for vehicle in parse_fleet(FLEET)]

@@ -22,7 +22,7 @@ class Participant:
 
 @dataclass
 class Server:
-    """Says what participants have sent."""
+    """Fake server: reports the datagrams sent by participants."""
 
     away: bool = False
     datagrams_expected: dict[int, int] = field(default_factory=dict)
@@ -88,7 +88,7 @@ class Rig:
         self.mavlink.receive(0.0)
 
     def turn(self, sent: int, lost: int = 0, early: bool = False) -> float:
-        """Let a participant send some; return how long the simulator waited for them, s.
+        """Send datagrams as a participant; return the time the simulator waited for them, s.
 
         Args:
             sent: how many.
@@ -147,7 +147,7 @@ def test_late_replies_are_not_matched_to_later_requests(monkeypatch):
     rig.turn(sent=5, lost=2)
     rig.mavlink.received[PORT] += 1  # one of the two was only late
     rig.turn(sent=1)
-    assert rig.mavlink.under_way == 1  # the late one is taken for this one
+    assert rig.mavlink.under_way == 1  # the late one is counted as this one
     for _ in range(100):
         rig.turn(sent=1, early=True)
     rig.turn(sent=1)

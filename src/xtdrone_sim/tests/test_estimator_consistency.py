@@ -88,7 +88,7 @@ def fly(**parameters: float) -> dict[str, np.ndarray]:
 
 
 def _wander(simulation: Simulation) -> list[dict[str, float]]:
-    """Let everybody fly another velocity and yaw rate each second; return what is seen at each look."""
+    """Fly all vehicles with new velocity and yaw rate each second; return the samples."""
     rng = np.random.default_rng(100)
     looks = []
     for tick in range(round((LENGTH - TAKE_OFF) * 10.0)):
@@ -131,7 +131,7 @@ def test_average_nees_lies_in_its_bounds(block):
     ],
 )
 def test_wrong_noise_is_found_out(parameter, factor, block):
-    """A filter that is told four times the variance, or a quarter, is inconsistent."""
+    """A filter with four times the variance, or a quarter, is inconsistent."""
     simulation = Simulation(parse_fleet("iris:1"))
     told = simulation.commanders[0].parameters.get(parameter)
     simulation.close()

@@ -67,7 +67,7 @@ class Fleet:
 
 @functools.cache
 def minutes() -> dict[str, np.ndarray]:
-    """Let 24 vehicles stand, hover and turn for three minutes; return what is seen every second."""
+    """Run 24 vehicles on the ground, hovering and turning for three minutes; return samples at 1 Hz."""
     fleet = Fleet(VEHICLES, seed=11)
     seen: dict[str, list] = {"error": [], "refused": [], "deviation": []}
 

@@ -144,7 +144,7 @@ def test_the_pilot_returns_and_takes_over(sortie):
     flight.until_mode(modes.AUTO_RTL)
     flight.sticks()
     flight.run(0.5)
-    assert flight.commander.mode is modes.AUTO_RTL, "until he says so"
+    assert flight.commander.mode is modes.AUTO_RTL, "until the pilot requests it"
     flight.sticks(x=0.6)
     assert flight.until_mode(modes.POSCTL) == pytest.approx(0.1, abs=TOLERANCE)
     assert flight.commander.system_status == 4

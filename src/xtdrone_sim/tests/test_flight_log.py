@@ -58,7 +58,7 @@ SHOWN = {
 
 
 class Flight:
-    """Two vehicles on the ground, of which the first takes off and lands; records of it by the way."""
+    """Two vehicles on the ground, of which the first takes off and lands; records during the flight."""
 
     def __init__(self, folder: Path, **parameters: float) -> None:
         self.folder = folder
@@ -287,7 +287,7 @@ def test_logging_changes_nothing(flight):
 
 
 def test_tail_cut_anywhere(flight, tmp_path, capsys):
-    """What is left of a log whose last bytes are missing is read without a word."""
+    """A log without its last bytes is read silently."""
     whole = flight.log().read_bytes()
     cut = tmp_path / "cut.ulg"
     for missing in range(0, 400):

@@ -96,7 +96,7 @@ class Client:
 
     @property
     def told(self) -> int:
-        """How many messages the clients have been told since the last reboot."""
+        """Number of messages sent to the clients since the last reboot."""
         return sum(link.told for link in self.links)
 
     def reboot(self, simulation: Simulation) -> None:
@@ -299,7 +299,7 @@ class Flight:
         self.rng = random.Random(seed)
 
     def start(self) -> None:
-        """Let the calm vehicle take off and hold."""
+        """Take off with the undisturbed vehicle and hold."""
         self.run(2.0)
         commander = self.simulation.commanders[CALM]
         commander.parameters.set("MIS_TAKEOFF_ALT", HEIGHT)

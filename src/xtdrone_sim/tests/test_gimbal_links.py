@@ -29,7 +29,7 @@ CAMERA = "typhoon_h480_0::cgo3_camera_link"
 
 
 class Rig:
-    """A gimbal on a body whose attitude the test says."""
+    """A gimbal on a body with a given attitude."""
 
     def __init__(self) -> None:
         self.plant = np.zeros(1, PLANT)
@@ -41,7 +41,7 @@ class Rig:
         self.turn(0.0, 0.0, 0.0)
 
     def turn(self, roll: float, pitch: float, yaw: float) -> None:
-        """Put the body to an attitude: FLU in ENU, rad."""
+        """Set the body's attitude: FLU in ENU, rad."""
         self.plant["q"] = from_euler(roll, pitch, yaw)
 
     def run(self, seconds: float) -> None:
@@ -78,7 +78,7 @@ def test_the_camera_holds_the_commanded_direction_for_every_attitude(body, wante
 
 
 def test_the_reported_orientation_gives_the_cameras_pose():
-    """What MAVROS tells of the mount, and the vehicle's pose, say where the camera is."""
+    """MAVROS's mount orientation and the vehicle's pose give the camera's pose."""
     rig = Rig()
     rig.plant["position"] = (10.0, -4.0, 30.0)
     rig.turn(0.15, -0.1, 2.0)

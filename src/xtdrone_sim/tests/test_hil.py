@@ -110,7 +110,7 @@ def test_it_takes_off_and_hovers(flight):
     spawn = states[0]["position"]
     assert np.linalg.norm(late[:, :2] - spawn[:2], axis=1).max() < 0.3
     assert made.said("in lockstep") == logging.INFO
-    # a machine that is slow makes the world wait, which is told
+    # on a slow machine the simulation waits, which is logged
     assert all(level < logging.WARNING for level, text in made.log if "the world waits" not in text)
 
 

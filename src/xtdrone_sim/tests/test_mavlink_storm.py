@@ -1,4 +1,4 @@
-"""What comes in at the MAVLink door may be anything, in any amount: nothing raises, memory stays flat, it flies on.
+"""MAVLink input of any content and amount: nothing raises, memory stays flat, the flight continues on.
 
 The form with a million frames is marked ``long`` and runs only when asked for: ``pytest -m long``.
 """

@@ -42,7 +42,7 @@ class Fleet:
         return self.simulation.commanders
 
     def run(self, seconds: float, send: Any = None) -> list[Any]:
-        """Let time pass; ``send`` goes to the first vehicle's autopilot now. Return what the ground station hears."""
+        """Send ``send`` to the first vehicle and advance time; return the ground station's messages."""
         heard: list[Any] = []
         for _ in range(round(seconds / 0.02)):
             for message in (mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3), send):

@@ -13,7 +13,7 @@ FLEET = parse_fleet("iris:2")
 
 
 def fly(simulation: Simulation) -> list[bytes]:
-    """Take off and return everything that is known after each second of eight."""
+    """Take off and return the complete state after each second of eight."""
     begin = simulation.time_us
     frames = []
     for second in range(1, 9):

@@ -60,7 +60,7 @@ class Loop:
         self._pacing = False
 
     def run(self, seconds: float) -> None:
-        """Let wall time pass."""
+        """Wait in wall time."""
         until = self.wall + seconds
         while self.wall < until:
             if self._pacing:
@@ -97,7 +97,7 @@ class Loop:
         return answer
 
     def stuck(self, name: str, caller_waits: float = 0.0) -> None:
-        """Let the barrier wait for a participant for some seconds."""
+        """Make the barrier wait for a participant for some seconds."""
         participant = self.barrier.participants[name]
         participant.waiting, participant.asked = True, self.wall
         self.wall += caller_waits

@@ -1,4 +1,4 @@
-"""What all kinds of vehicles behind the simplified cut refuse, and in the same words."""
+"""Rejections of all kinds of vehicles, with the same texts."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def settings_of(rng: Rng) -> dict[str, Any]:
 
 
 def one_by_one(swarm: Swarm) -> None:
-    """Let each follower be computed by itself: what has an update of its own is."""
+    """Compute each follower separately, as those with an own update."""
     for follower in swarm.followers:
         follower.update = follower.update  # type: ignore[method-assign]
 

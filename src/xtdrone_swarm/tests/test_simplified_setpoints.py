@@ -1,4 +1,4 @@
-"""What MAVROS's setpoints ask of simplified vehicles."""
+"""MAVROS's setpoints for simplified vehicles."""
 
 from __future__ import annotations
 

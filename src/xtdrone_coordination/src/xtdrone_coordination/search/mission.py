@@ -6,8 +6,8 @@ returns and report their results to :meth:`SearchMission.on_result`.
 Each vehicle flies its own mission at its own height. Several pictures of a person make a candidate: a vehicle leaves
 its path, descends and circles it, and the pictures taken on the circle confirm or reject it. The vehicle then follows
 the person, or goes back to where it left its path. Paths of lost vehicles, or of vehicles with a failed camera, are
-reallocated to the others (``losses``). ``states`` has a vehicle's behaviour in each state, ``conclusion`` the end of the search,
-``reports`` the events.
+reallocated to the others (``losses``). ``states`` has the behaviour in each state, ``conclusion`` the end of the
+search, ``reports`` the events.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from xtdrone_interaction.recording.formation import formation_of
 from xtdrone_interaction.recording.model import RecordError, Recording
 from xtdrone_interaction.recording.open import open_recording
 from xtdrone_interaction.recording.ulog import FlightLog, LogError
-from xtdrone_interaction.report import tables
+from xtdrone_interaction.report import report_tables
 from xtdrone_interaction.report.page import ReportPage, output_folder, write_page
 
 
@@ -54,14 +54,14 @@ def analyse(files: Sequence[Path], folder: Path, console: Console, part: int | N
 def _recording_page(recording: Recording, metrics: dict[str, Any]) -> ReportPage:
     page = ReportPage(f"Flight in {recording.path.name}", _summary(recording, metrics), list(metrics["notes"]))
     if metrics["formation"]:
-        page.tables.append(tables.formation_table(metrics["formation"]["reconfigurations"]))
+        page.tables.append(report_tables.formation_table(metrics["formation"]["reconfigurations"]))
         page.notes += metrics["formation"]["shortcomings"]
     else:
         page.notes += recording.collisions
-    page.tables += [tables.vehicles_table(metrics["vehicles"]), tables.modes_table(metrics["vehicles"])]
-    texts = tables.texts_table(recording), tables.warnings_table(recording)
+    page.tables += [report_tables.vehicles_table(metrics["vehicles"]), report_tables.modes_table(metrics["vehicles"])]
+    texts = report_tables.texts_table(recording), report_tables.warnings_table(recording)
     page.tables += [table for table in texts if table.rows]
-    page.tables.append(tables.topics_table(recording))
+    page.tables.append(report_tables.topics_table(recording))
     return page
 
 
@@ -85,7 +85,7 @@ def _log_page(log: FlightLog, metrics: dict[str, Any]) -> ReportPage:
         text += f" It flew {metrics['way']:.1f} m, {metrics['highest']:.1f} m above where it began"
         text += "." if metrics["greatest_speed"] is None else f", at up to {metrics['greatest_speed']:.1f} m/s."
     text += _logged_by(metrics["vehicle"])
-    return ReportPage(f"Flight log {log.path.name}", text, list(log.notes), tables.log_tables(log, metrics))
+    return ReportPage(f"Flight log {log.path.name}", text, list(log.notes), report_tables.log_tables(log, metrics))
 
 
 def _logged_by(vehicle: dict[str, Any]) -> str:

@@ -34,7 +34,7 @@ from xtdrone_interaction.pictures.drawing import NamedFigure, line, name_lines, 
 from xtdrone_interaction.recording.model import RecordError
 from xtdrone_interaction.recording.ulog import LogError
 from xtdrone_interaction.report.page import ReportPage, output_folder, write_page
-from xtdrone_interaction.report.tables import ReportTable, number
+from xtdrone_interaction.report.report_tables import ReportTable, number
 
 _MOST_VEHICLES = 9  # with a picture each
 _MOST_RUNS = 12

@@ -14,7 +14,7 @@ from rich.markup import escape
 from xtdrone_interaction.metrics.formation import write_report
 from xtdrone_interaction.options import OptionError
 from xtdrone_interaction.pictures.drawing import NamedFigure, save_figures
-from xtdrone_interaction.report.tables import ReportTable, print_table
+from xtdrone_interaction.report.report_tables import ReportTable, print_table
 from xtdrone_interaction.report.terminal import print_paths
 
 _DPI = 110

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from xtdrone_interaction.report.tables import ReportTable, formation_table, print_table
+from xtdrone_interaction.report.report_tables import ReportTable, formation_table, print_table
 
 
 def print_paths(paths: Iterable[Path], console: Console) -> None:

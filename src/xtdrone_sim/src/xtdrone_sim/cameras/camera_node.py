@@ -97,7 +97,7 @@ class _Shot(NamedTuple):
 
 
 class CameraNode:
-    """Takes and publishes images, turn by turn.
+    """Renders and publishes images, turn by turn.
 
     Attributes:
         lost: number of images lost so far, because the drawing process has ended or (outside lockstep) the previous

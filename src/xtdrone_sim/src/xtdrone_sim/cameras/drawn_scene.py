@@ -73,15 +73,15 @@ class DrawnScene:
     def __init__(self, renderer: Renderer, world: SdfWorld, fleet: Sequence[Vehicle] = ()) -> None:
         """Add the world's models, the vehicles' links and the actors' postures.
 
-        Models stand where the world has them until ``draw`` is told otherwise; vehicles and actors are not seen before.
+        Models keep the world's poses until ``draw`` gets others; vehicles and actors are hidden until then.
 
         Args:
-            renderer: takes the bodies; stays the caller's.
-            world: what stands there; one without models gets a level ground.
+            renderer: receives the bodies; the caller closes it.
+            world: the world to draw; one without models gets level ground.
             fleet: vehicles, whose types are looked up by name.
 
         Raises:
-            ValueError: a mesh, texture, person or vehicle type cannot be used; the text names it.
+            ValueError: an invalid mesh, texture, person or vehicle type; the text names it.
         """
         self.actors: dict[str, tuple[int, ...]] = {}
         self.links: dict[str, int] = {}
