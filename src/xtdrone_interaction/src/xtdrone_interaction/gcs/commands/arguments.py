@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
+from argparse import _ArgumentGroup
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from xtdrone_control.fleet import FleetError, check_instance, parse_fleet
+from xtdrone_control.fleet import MAX_INSTANCE, FleetError, parse_fleet
+from xtdrone_control.settings import Settings, setting
 
 from .. import discovery, station
 from ..contact import AbortMessages, Job
@@ -16,6 +18,18 @@ from ..station import no_abort_messages
 
 T = TypeVar("T")
 Runner = Callable[[argparse.Namespace], int]
+
+
+@dataclass(frozen=True)
+class ConnectionSettings(Settings):
+    """Settings of the connection to the vehicles."""
+
+    instance: int = setting(
+        0, low=0, high=MAX_INSTANCE, metavar="N", text="number of the simulation there, which moves its ports"
+    )
+    patience: float = setting(
+        station.PATIENCE, low=0.1, high=3600.0, unit="s", metavar="S", text="silence after which a vehicle is given up"
+    )
 
 
 class UsageError(ValueError):
@@ -32,31 +46,11 @@ class Adder(Protocol):
         """Add a group and return the adder of its commands."""
 
 
-def seconds(text: str) -> float:
-    """Parse a duration in seconds.
-
-    Raises:
-        ArgumentTypeError: not a number from 0.1 to 3600.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.1 <= value <= 3600.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; a number of seconds from 0.1 to 3600")
-    return value
-
-
-def instance(text: str) -> int:
-    """Parse the number of a simulation on a machine.
-
-    Raises:
-        ArgumentTypeError: not a valid instance.
-    """
-    try:
-        return check_instance(text)
-    except FleetError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+def add_settings(parser: _ArgumentGroup | argparse.ArgumentParser, settings: type[Settings], *names: str) -> None:
+    """Add options of declared settings; without an option, the namespace has the default."""
+    defaults = settings()
+    for name, action in settings.add_arguments(parser, names).items():
+        action.default = getattr(defaults, name)
 
 
 def common() -> argparse.ArgumentParser:
@@ -69,13 +63,11 @@ def common() -> argparse.ArgumentParser:
                        help="the simulated fleet; required for names if it has several types, because ports and "
                        "system ids follow from it")  # fmt: skip
     group.add_argument("--host", default=LOOPBACK, help="machine of the autopilots (default: %(default)s)")
-    group.add_argument("--instance", type=instance, default=0, metavar="N",
-                       help="number of the simulation there, which moves its ports (default: %(default)s)")  # fmt: skip
+    add_settings(group, ConnectionSettings, "instance")
     group.add_argument("--connect", metavar="ADDRESS",
                        help="any autopilot: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD; "
                        "numbers of vehicles are then MAVLink system ids")  # fmt: skip
-    group.add_argument("--patience", type=seconds, default=station.PATIENCE, metavar="S",
-                       help="give a vehicle up after this silence (default: %(default)g s)")  # fmt: skip
+    add_settings(group, ConnectionSettings, "patience")
     return parser
 
 

@@ -8,14 +8,16 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
+
+from xtdrone_control.settings import Settings, setting
 
 from ..exchanges.protocol import request_state
 from ..peers import GcsError
 from ..station import GroundStation
 from ..vehicle_state import VehicleState
-from .arguments import Adder, seconds, select_vehicles
+from .arguments import Adder, add_settings, select_vehicles
 from .display import Screen, print_errors, redraws
 
 _REDRAW = 0.25  # s between two updates on a terminal
@@ -39,7 +41,16 @@ _DROPPED = (
 _USUAL_WIDTHS = {"ARMED": 6, "MODE": 12, "X Y Z": 17, "HEIGHT": 7, "SPEED": 8, "GPS": 5}  # so that columns rarely move
 
 
-def _told(value: Any, form: str) -> str:
+@dataclass(frozen=True)
+class StatusSettings(Settings):
+    """Settings of the live table."""
+
+    period: float = setting(
+        1.0, low=0.1, high=3600.0, unit="s", metavar="S", text="time between updates without a terminal"
+    )
+
+
+def _shown(value: Any, form: str) -> str:
     return "-" if value is None else form.format(value)
 
 
@@ -53,25 +64,25 @@ def row(state: VehicleState, now: float) -> Row:
     """Return the row of a vehicle; ``now``: s of the monotonic clock."""
     silent = now - state.heard
     if not math.isfinite(silent):
-        return (state.name, _told(state.system or None, "{}"), *["-"] * 9, "nothing heard yet")
+        return (state.name, _shown(state.system or None, "{}"), *["-"] * 9, "nothing heard yet")
     local = state.local
     place = "-" if local is None else " ".join(f"{value:.1f}" for value in local)
     if local is None and state.latitude is not None:
         place = f"{state.latitude:.6f} {state.longitude:.6f}"
-    gps = "-" if state.gps is None else f"{state.gps} {_told(state.satellites, '{}')}"
+    gps = "-" if state.gps is None else f"{state.gps} {_shown(state.satellites, '{}')}"
     text = state.texts[-1][1] if state.texts else ""
     return (
         state.name,
         str(state.system),
-        _told(state.kind, "{}"),
+        _shown(state.kind, "{}"),
         "silent" if silent >= _SILENT else _arming(state),
-        _told(state.mode, "{}"),
+        _shown(state.mode, "{}"),
         place,
-        _told(state.height, "{:.1f} m"),
-        _told(state.speed, "{:.1f} m/s"),
-        _told(state.battery, "{} %"),
+        _shown(state.height, "{:.1f} m"),
+        _shown(state.speed, "{:.1f} m/s"),
+        _shown(state.battery, "{} %"),
         gps,
-        _told(state.estimator, "{}"),
+        _shown(state.estimator, "{}"),
         f"(silent for {silent:.0f} s) {text}".rstrip() if silent >= _SILENT else text,
     )
 
@@ -159,7 +170,6 @@ def add_to(add: Adder) -> None:
     status = add("status", _status, "a live table of the vehicles' states (default: all that answer)")
     status.add_argument("--once", action="store_true", help="print it once, for a simulation that may be paused")
     status.add_argument("--json", action="store_true", help="print a JSON list of vehicles per update")
-    status.add_argument("--period", type=seconds, default=1.0, metavar="S",
-                        help="time between updates without a terminal (default: %(default)g s)")  # fmt: skip
+    add_settings(status, StatusSettings, "period")
     status.add_argument("--no-heartbeat", action="store_true",
                         help="do not count as a ground station for PX4's NAV_DLL_ACT")  # fmt: skip
