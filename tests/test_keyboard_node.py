@@ -170,7 +170,7 @@ ENDINGS: dict[str, tuple[Callable[[Seat], Any], int, str]] = {
     "SIGTERM": (lambda seat: seat.process.terminate(), 0, ""),
     "SIGHUP": (lambda seat: seat.process.send_signal(signal.SIGHUP), 0, ""),
     "Ctrl-\\": (lambda seat: seat.type("\x1c"), 0, ""),  # SIGQUIT
-    "rosnode kill": (shutdown_by_master, 0, "the node was told to end"),
+    "rosnode kill": (shutdown_by_master, 0, "the node was requested to end"),
     "an exception": (lambda seat: seat.type("t"), 1, "a fault of the keyboard's own"),
 }
 

@@ -436,7 +436,7 @@ def test_the_command_line(stack: Stack) -> None:
     sim(stack, "step", "--for", "0.5")
     assert now(stack) >= before + 0.5
     assert "speed 50 at" in sim(stack, "speed", "50").stdout
-    assert "time goes on" in sim(stack, "reset", "world").stdout
+    assert "time continues" in sim(stack, "reset", "world").stdout
     assert now(stack) > before
     assert "simulated time is 0" in sim(stack, "reset").stdout
     assert now(stack) == 0.0

@@ -114,7 +114,7 @@ def main() -> int:
     lockstep.start()
     try:
         lockstep.spin(recorder.turn)
-    except FilmError as error:  # a full disk: the flight goes on without
+    except FilmError as error:  # a full disk: the flight continues without a film
         rospy.logerr("views: %s", error)
     finally:
         recorder.close()

@@ -205,7 +205,7 @@ def test_a_file_that_is_called_after_no_vehicle(tmp_path, capsys):
     for words in (["upload"], ["fence", "upload"]):
         assert main([*words, str(tmp_path / "mine.plan")]) == 2
         assert "'mine' is not allowed" in (said := capsys.readouterr().err)
-        assert "or --vehicle says whose it is" in said
+        assert "or --vehicle selects the vehicle" in said
 
 
 def test_failures_set_the_exit_status(tmp_path, capsys):

@@ -138,7 +138,7 @@ def test_a_rejection_has_a_reason_and_completion_is_awaited():
     why = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, b"Arming denied: no GPS\t")
     busy, denied = mavlink.MAV_RESULT_IN_PROGRESS, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
     number = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-    text = r"arm: the vehicle says TEMPORARILY_REJECTED \(Arming denied: no GPS\)"
+    text = r"arm: the vehicle answers TEMPORARILY_REJECTED \(Arming denied: no GPS\)"
     with pytest.raises(RefusalError, match=text):
         talk(flight.arm(beat()), lambda _: [ack(number, busy), ack(512, 0), ack(number, denied), told(why)])
 
@@ -172,7 +172,7 @@ def test_one_of_three_rejects(field, capsys):
     assert [line.split(maxsplit=1) for line in caught.out.splitlines()] == [
         [f"vehicle_{FIRST + 1}", "armed"], [f"vehicle_{FIRST + 2}", "failed"]
     ]  # fmt: skip
-    assert f"xtdrone gcs: vehicle_{FIRST + 2}: arm: the vehicle says " in caught.err
+    assert f"xtdrone gcs: vehicle_{FIRST + 2}: arm: the vehicle answers " in caught.err
     assert main(["disarm", "--force", "--vehicle", *vehicles]) == 0
     assert [commander.armed for commander in field.commanders] == [False] * 3
 
@@ -195,7 +195,7 @@ def test_a_goto_on_the_ground_is_rejected(field):
     job = {peer: lambda beat: flight.go_to(beat, Target(place=(47.0, 8.0), altitude=500.0))}
     (result,) = station.run(job, on_abort=station.no_abort_messages).values()
     assert isinstance(result, GcsError)
-    assert "goto: the vehicle says TEMPORARILY_REJECTED" in str(result)
+    assert "goto: the vehicle answers TEMPORARILY_REJECTED" in str(result)
 
 
 @pytest.mark.parametrize(

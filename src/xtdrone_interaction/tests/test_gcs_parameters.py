@@ -95,14 +95,14 @@ def test_an_ardupilot_is_read_and_set():
 
 def test_rejected_values_are_reported():
     vehicle = Store({"A": (1, INT32), "B": (1, INT32)}, fixed="A")
-    with pytest.raises(RefusalError, match="A: 5 is not taken, 1 stays"):
+    with pytest.raises(RefusalError, match="A: 5 is rejected, 1 is kept"):
         talk(parameters.change(beat(ARDUPILOT), "A", 5), vehicle)
     with pytest.raises(RefusalError, match=r"A: 1\.5 is not allowed, a whole number"):
         talk(parameters.change(beat(ARDUPILOT), "A", 1.5), vehicle)
     with pytest.raises(RefusalError, match="the vehicle tells nothing of NO_SUCH"):
         talk(parameters.change(beat(ARDUPILOT), "NO_SUCH", 1), vehicle)
     content = ParameterFile(7, {"A": (2, INT32), "B": (2, INT32)})
-    with pytest.raises(RefusalError, match="1 of 2 parameters are set; A: 2 is not taken, 1 stays"):
+    with pytest.raises(RefusalError, match="1 of 2 parameters are set; A: 2 is rejected, 1 is kept"):
         talk(parameters.load(beat(ARDUPILOT), content, False), vehicle)
     assert vehicle.values["B"] == (2, INT32)
 

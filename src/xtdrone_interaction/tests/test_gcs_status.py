@@ -77,7 +77,7 @@ def test_a_silent_vehicle_is_reported_beside_the_others(field, capsys):
     assert main(["status", "--once", "--patience", "3", "--vehicle", str(FIRST), "240"]) == 1
     caught = capsys.readouterr()
     assert f"vehicle_{FIRST} " in caught.out
-    assert "nothing heard yet" in caught.out
+    assert "no message yet" in caught.out
     assert "vehicle_240: UDP 127.0.0.1:18810: no program listens there" in caught.err
 
 

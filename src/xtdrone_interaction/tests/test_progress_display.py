@@ -67,4 +67,4 @@ def test_lines_report_a_standstill_once() -> None:
     for text in ("", "waiting for /a (1 s)", "waiting for /a (2 s)", "paused", "", ""):
         display.standstill(text)
     lines = [line.strip() for line in console.file.getvalue().splitlines()]
-    assert lines == ["starting the nodes", "waiting for /a (1 s)", "paused", "goes on"]
+    assert lines == ["starting the nodes", "waiting for /a (1 s)", "paused", "continues"]

@@ -110,4 +110,4 @@ def test_ctrl_c_during_a_step_is_reported_and_the_step_continues(monkeypatch, ca
 
     monkeypatch.setattr(sim_cli, "call", interrupted)
     assert cli.main(["sim", "step", "--for", "100", "--master", "11311"]) == 130
-    assert "the step goes on; './xtdrone sim pause' ends it" in capsys.readouterr().err
+    assert "the step continues; './xtdrone sim pause' ends it" in capsys.readouterr().err

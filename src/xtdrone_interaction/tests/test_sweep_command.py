@@ -131,8 +131,8 @@ def test_main_process_killed_and_the_same_command_again(tmp_path: Path) -> None:
     again = start(file, out)
     text = again.communicate(timeout=PATIENCE)[0]
     assert again.returncode == 0, text
-    assert f"{kept} runs are there already, {80 - kept} are missing" in text
-    assert "80 of 80 runs are there, 0 of them failed" in text
+    assert f"{kept} runs exist already, {80 - kept} are missing" in text
+    assert "80 of 80 runs exist, 0 of them failed" in text
     write_study(tmp_path, seeds=40)  # without the pause; figures do not depend on it
     expected = serial(file)
     for row, mine in zip(rows(out), expected, strict=True):
@@ -195,13 +195,13 @@ def test_runs_that_raise_are_rows_and_more_runs_are_added(
     assert bad["way"] is bad["settled"] is bad["least_distance"] is None
     text = capsys.readouterr().out
     assert "A run has failed (seed 0): ArithmeticError: too much (mine.py:10)\n" in text
-    assert "2 of 2 runs are there, 1 of them failed" in text
+    assert "2 of 2 runs exist, 1 of them failed" in text
     assert "  1 failed: ArithmeticError: too much (mine.py:10)\n" in text
 
     assert main([str(write_study(tmp_path, shares="[0.5, 2.0, 1.0]", seeds=2)), *arguments]) == 1
     text = capsys.readouterr().out
     assert "The study has changed (parameters class.share: [0.5, 2.0] before, [0.5, 2.0, 1.0] now; seeds: [0]" in text
-    assert "2 runs are there already, 4 are missing" in text
+    assert "2 runs exist already, 4 are missing" in text
     assert [(row["class.share"], row["seed"]) for row in rows(out)] == [
         (0.5, 0), (2.0, 0), (1.0, 0), (0.5, 1), (2.0, 1), (1.0, 1)
     ]  # fmt: skip
@@ -242,7 +242,7 @@ def test_a_corrected_file_replaces_runs_that_all_failed(tmp_path: Path, capsys: 
     assert main([*arguments, "--retry-failed"]) == 0
     text = capsys.readouterr().out
     assert "mine.py has changed: 2 runs that failed with another version are dropped" in text
-    assert "2 of 2 runs are there, 0 of them failed" in text
+    assert "2 of 2 runs exist, 0 of them failed" in text
     assert [row["error"] for row in rows(out)] == [None, None]
     assert (out / "picture.png").is_file()
 

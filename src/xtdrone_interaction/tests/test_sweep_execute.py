@@ -40,7 +40,7 @@ def tasks(count: int) -> list[dict[str, Any]]:
 
 
 def without_wall(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Rows by key; fails if one is there twice."""
+    """Rows by key; fails if one is given twice."""
     found = {row["key"]: {k: v for k, v in row.items() if k != "wall_time"} for row in rows}
     assert len(found) == len(rows)
     return found

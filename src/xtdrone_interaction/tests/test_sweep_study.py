@@ -135,7 +135,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"parameters": ["n"]}, "parameters: .* a mapping"),
     ({"parameters": {"n": 4}}, "n: 4 is not allowed; a list"),
     ({"parameters": {"n": []}}, "n: the list of values is empty"),
-    ({"parameters": {"n": [4, 4]}}, "n: 4 is there twice"),
+    ({"parameters": {"n": [4, 4]}}, "n: 4 is given twice"),
     ({"parameters": {"n": [4, 5.5]}}, "n: 5.5 is not allowed; a whole number"),
     ({"parameters": {"n": [1]}}, "n: 1 is not allowed; 2 or more"),
     ({"parameters": {"n": [True]}}, "n: True is not allowed"),
@@ -150,14 +150,14 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"parameters": {"follower.Kp": {"from": 0, "to": 5, "steps": 3, "log": True}}}, "both must be above 0"),
     ({"parameters": {"follower.mode": {"from": 0, "to": 5, "steps": 3}}}, "a range is for numbers only"),
     ({"parameters": {"n": [4]}, "constants": {"n": 4}}, "'n' is both a constant and a varied"),
-    ({"parameters": {"pattern": ["cube"], "patterns": ["cube"]}}, "parameters: 'patterns' is there twice"),
+    ({"parameters": {"pattern": ["cube"], "patterns": ["cube"]}}, "parameters: 'patterns' is given twice"),
     ({"combine": "zip", "parameters": {"n": [4, 5], "follower.Kp": [1]}}, "zip needs .* n 2, follower.Kp 1"),
     ({"combine": "random"}, "random needs parameters"),
     ({"combine": "random", "parameters": {"n": [4]}}, "samples: None is not allowed"),
     ({"samples": 4}, "samples: is for combine: random or latin"),
     ({"seeds": 0}, "seeds: 0 is not allowed"),
     ({"seeds": []}, "seeds: the list is empty"),
-    ({"seeds": [1, 1]}, "seeds: 1 is there twice"),
+    ({"seeds": [1, 1]}, "seeds: 1 is given twice"),
     ({"seeds": [-1]}, "seeds: -1 is not allowed"),
     ({"follower": "missing.py:A"}, r"follower: .*missing\.py: No such file"),
     ({"follower": "class"}, r"follower: 'class' is not allowed; FILE\.py:NAME"),
@@ -183,7 +183,7 @@ def test_rejects_incompatible_options(tmp_path: Path) -> None:
         Plan(study(tmp_path, parameters={"n": [4]}, constants={"pattern": "sphinx"})).check()
     with pytest.raises(PatternError, match="altitude: 3 m is not allowed with pattern 'pyramid'"):
         Plan(study(tmp_path, constants={"altitude": 3})).check()
-    with pytest.raises(OptionError, match=r"n=\d+ is there twice.*combine: random"):
+    with pytest.raises(OptionError, match=r"n=\d+ is given twice.*combine: random"):
         Plan(study(tmp_path, parameters={"n": [4, 5]}, combine="random", samples=3)).check()
     with pytest.raises(OptionError, match="vehicle"):
         Plan(study(tmp_path, constants={"kind": "balloon"})).check()
@@ -193,7 +193,7 @@ def test_rejects_incompatible_options(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("name: [", "is not YAML"),
-        ("name: a\nname: b", "'name' is there twice, again in line 2"),
+        ("name: a\nname: b", "'name' is given twice, again in line 2"),
         ("3", "3 is no study"),
         ("# nothing yet\n", "study.yaml: it is empty"),
         ("? [1, 2]\n: 3", "is not YAML: while constructing a mapping"),

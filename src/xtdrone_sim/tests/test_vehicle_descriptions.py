@@ -81,7 +81,7 @@ def test_urdf_of_a_dumb_bell():
             "joint 'b', type: 'prismatic' is not allowed, fixed, revolute, continuous",
         ),
         ('<child link="right"/>', '<child link="wrong"/>', "joint 'b': link 'wrong' is not there"),
-        ('<child link="right"/>', '<child link="left"/>', "'left' is there 2 times"),
+        ('<child link="right"/>', '<child link="left"/>', "'left' is given 2 times"),
         ('<parent link="bar"/><child link="left"/>', '<parent link="left"/><child link="left"/>', "circle"),
         ('<limit lower="-1"', '<limit lower="1"', "lower 1, upper 2 is not allowed"),
         ('<material name="red"/>', '<material name="blue"/>', "material 'blue' has no colour"),

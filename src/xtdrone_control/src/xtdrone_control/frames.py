@@ -71,7 +71,7 @@ def from_upper_triangle(values: Sequence[float]) -> list[float]:
 
 
 def wrap_pi(angle: float) -> float:
-    """Wrap ``angle`` (rad, finite) to [-pi, pi)."""
+    """Wrap ``angle`` (rad, finite) to [-pi, pi); rounds differently from ``rotation.wrap_pi``, which kernels use."""
     wrapped = fmod(angle + pi, 2.0 * pi)
     return wrapped + pi if wrapped < 0.0 else wrapped - pi
 

@@ -244,7 +244,7 @@ def _step(master: str, arguments: argparse.Namespace) -> str:
     try:
         return _accepted(call(master, "/simulator/step", Step, request, limit=None))
     except KeyboardInterrupt:
-        print("\nxtdrone sim: the step goes on; './xtdrone sim pause' ends it", file=sys.stderr)
+        print("\nxtdrone sim: the step continues; './xtdrone sim pause' ends it", file=sys.stderr)
         raise
 
 
@@ -259,7 +259,7 @@ def _reset(master: str, arguments: argparse.Namespace) -> str:
 
     call(master, f"/gazebo/reset_{arguments.what}", Empty, EmptyRequest())
     if arguments.what == "world":
-        return "reset: vehicles are at their places, simulated time goes on"
+        return "reset: vehicles are at their places, simulated time continues"
     return "reset: vehicles are at their places, simulated time is 0"
 
 

@@ -269,7 +269,7 @@ class GroundStation:
         except Exception:
             if self._thread is None:
                 raise
-            _LOG.exception("%s: on_change of the ground station has failed; the station goes on", contact.peer.name)
+            _LOG.exception("%s: on_change of the ground station has failed; the station continues", contact.peer.name)
 
     def _remove(self, connection: Connection, error: GcsError) -> None:
         """Remove a connection that has ended, and its vehicles."""

@@ -275,7 +275,10 @@ class Keyboard:
                 finally:
                     self._stop_for_good()
         if rospy.core.is_shutdown_requested():
-            print("the node was told to end: by rosnode kill, or another node of its name has started", file=sys.stderr)
+            print(
+                "the node was requested to end: by rosnode kill, or another node of its name has started",
+                file=sys.stderr,
+            )
 
     def _cycle(self, selector: selectors.BaseSelector, signals: Signals) -> None:
         """Process keys and signals for a period, publish the setpoint and update the screen."""
@@ -372,7 +375,7 @@ class Keyboard:
             more = f" and {len(unheard) - 1} more" if len(unheard) > 1 else ""
             self._pilot.note += f"; {unheard[0]}{more} took nothing: no communication node"
             if message.target is Target.LEADER:
-                self._pilot.note = f"{message.text}: no leader is there, start leader.py"
+                self._pilot.note = f"{message.text}: no leader is running, start leader.py"
 
     def _send_setpoint(self, message: Setpoint) -> None:
         twist = Twist()

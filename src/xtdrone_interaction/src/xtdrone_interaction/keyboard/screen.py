@@ -127,7 +127,7 @@ def _title(view: ScreenContent, columns: int) -> Iterator[str]:
     if columns < _FULL:
         yield f"{view.fleet}, {view.mode}: {'no ' if absent else ''}{who}"
     else:
-        hint = ", but none is there: start leader.py" if absent else ""
+        hint = ", but none is running: start leader.py" if absent else ""
         yield f"XTDrone keyboard: {view.fleet}, steering {who}{hint}"
 
 

@@ -69,27 +69,27 @@ def tracking(name: str, wanted: Series, actual: Series, start: float, end: float
     grid = actual.time[(actual.time >= start) & (actual.time <= end)][0] + step * np.arange(len(values))
     # a setpoint holds until the next one; stamps are rounded
     last = np.searchsorted(wanted.time, grid + 0.05 * step, "right") - 1
-    told = np.where(last >= 0, wanted.value[np.maximum(last, 0), 0], np.nan)
+    setpoint = np.where(last >= 0, wanted.value[np.maximum(last, 0), 0], np.nan)
     did = values[:, 0]
-    error = did - told
+    error = did - setpoint
     if turn:
         error = (error + turn / 2) % turn - turn / 2
     good = np.isfinite(error)
     if good.sum() < 16:
         return None
-    delay = None if turn else _delay(told[good], did[good], step)
+    delay = None if turn else _delay(setpoint[good], did[good], step)
     return Tracking(name, float(np.sqrt(np.mean(error[good] ** 2))), float(np.abs(error[good]).max()), delay)
 
 
-def _delay(told: Array, did: Array, step: float) -> float | None:
-    """Return the delay of ``did`` behind ``told`` by their correlation, s; None if they do not correlate."""
-    told, did = told - told.mean(), did - did.mean()
-    if told.std() < 1e-9 or did.std() < 1e-9:
+def _delay(setpoint: Array, did: Array, step: float) -> float | None:
+    """Return the delay of ``did`` behind ``setpoint`` by their correlation, s; None if they do not correlate."""
+    setpoint, did = setpoint - setpoint.mean(), did - did.mean()
+    if setpoint.std() < 1e-9 or did.std() < 1e-9:
         return None
-    most = min(round(_MOST_DELAY / step), len(told) // 2)
-    likeness = signal.correlate(did, told, "full")[len(told) - 1 : len(told) + most]
+    most = min(round(_MOST_DELAY / step), len(setpoint) // 2)
+    likeness = signal.correlate(did, setpoint, "full")[len(setpoint) - 1 : len(setpoint) + most]
     best = int(likeness.argmax())
-    if likeness[best] < _LEAST_LIKENESS * np.linalg.norm(told) * np.linalg.norm(did) or best == most:
+    if likeness[best] < _LEAST_LIKENESS * np.linalg.norm(setpoint) * np.linalg.norm(did) or best == most:
         return None
     return float(step * best)
 
@@ -142,13 +142,16 @@ class SetpointPair(NamedTuple):
 def pairs(log: FlightLog) -> dict[str, list[SetpointPair]]:
     """Return all responses with their setpoints, by group."""
     found: dict[str, list[SetpointPair]] = {"Position": [], "Velocity": [], "Attitude": [], "Rates": []}
-    place, told = log.series("vehicle_local_position", *_AXES), log.series("vehicle_local_position_setpoint", *_AXES)
+    place, setpoint = (
+        log.series("vehicle_local_position", *_AXES),
+        log.series("vehicle_local_position_setpoint", *_AXES),
+    )
     moving = log.series("vehicle_local_position", "vx", "vy", "vz")
     told_moving = log.series("vehicle_local_position_setpoint", "vx", "vy", "vz")
     signs = (1.0, 1.0, -1.0)
     for i, (name, sign) in enumerate(zip(("north [m]", "east [m]", "up [m]"), signs, strict=True)):
         if place is not None and np.isfinite(place.value[:, i]).any():
-            found["Position"].append(SetpointPair(name, place.column(i, sign), _column_or_none(told, i, sign)))
+            found["Position"].append(SetpointPair(name, place.column(i, sign), _column_or_none(setpoint, i, sign)))
     for i, (name, sign) in enumerate(zip(("north [m/s]", "east [m/s]", "up [m/s]"), signs, strict=True)):
         if moving is not None and np.isfinite(moving.value[:, i]).any():
             found["Velocity"].append(SetpointPair(name, moving.column(i, sign), _column_or_none(told_moving, i, sign)))

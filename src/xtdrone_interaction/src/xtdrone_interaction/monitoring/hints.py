@@ -16,7 +16,7 @@ _HINTS = (
      "the ROS master has ended, or lacks memory or threads (ulimit -v unlimited, ulimit -u unlimited)"),
     (r"No space left on device", "the disk is full: free some of it, or write elsewhere with --out"),
     (r"a simulator is running on the ROS master|the node name \S+ is taken on the ROS master",
-     "leave out --use-master: the launch has a master of its own then"),
+     "leave out --use-master: the launch then has its own master"),
     (r"(?i)cannot launch node of type|cannot locate node of type",
      "a node's program is missing: build (./xtdrone setup), and source the workspace that has it"),
     (r"participants have not joined|of \d+ participants have joined",

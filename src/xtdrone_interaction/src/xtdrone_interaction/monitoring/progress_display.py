@@ -155,7 +155,7 @@ class LineDisplay:
         now, cause = time.monotonic(), _FIGURES.split(text)[0]
         if cause == self._standstill and (not text or now - self._reminded < _REMINDER):
             return
-        self.note(f"  {text or 'goes on'}")
+        self.note(f"  {text or 'continues'}")
         self._standstill, self._reminded = cause, now
 
     def close(self) -> None:

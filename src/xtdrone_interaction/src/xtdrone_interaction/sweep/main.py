@@ -157,7 +157,7 @@ def _sweep(plan: Plan, folder: Path, arguments: argparse.Namespace, console: Con
         missing = [number for number, key in enumerate(keys) if key not in done]
         _print_study(plan.study, console)
         if len(missing) < len(keys):
-            _print(console, f"{len(keys) - len(missing):,} runs are there already, {len(missing):,} are missing")
+            _print(console, f"{len(keys) - len(missing):,} runs exist already, {len(missing):,} are missing")
         status = _fly(plan, missing, store, arguments, stop, console) if missing and not arguments.draw else 0
         return _finish(store, keys, status, arguments, console)
 
@@ -322,7 +322,7 @@ def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.
     """Write the results, print a summary, draw the picture and return the exit status."""
     there = sum(key in store.rows for key in keys)
     failed = sum(not store.rows.get(key, True) for key in keys)
-    _print(console, f"{there:,} of {len(keys):,} runs are there, {failed:,} of them failed")
+    _print(console, f"{there:,} of {len(keys):,} runs exist, {failed:,} of them failed")
     results = store.finish(keys)
     if not there:
         again = "--draw flies nothing" if arguments.draw else "give the same command again to fly the runs"
@@ -337,7 +337,7 @@ def _finish(store: Store, keys: Sequence[str], status: int, arguments: argparse.
     elif not status:  # an interrupted sweep ends at once; --draw makes the picture
         _draw(results, arguments, console)
     if there < len(keys):
-        _print(console, "Give the same command again to fly the rest, or with --draw to see what is there")
+        _print(console, "Give the same command again to fly the rest, or with --draw to draw the existing ones")
         return status or 1
     if failed:
         _print(console, "The column 'error' says why each run has failed; --retry-failed flies them again")

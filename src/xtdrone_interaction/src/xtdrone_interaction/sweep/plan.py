@@ -100,7 +100,7 @@ class Plan(Sequence[Run]):
             values = tuple(varied.values())
             if values in keys:
                 raise OptionError(
-                    f"parameters: {_words(varied)} is there twice, as points {keys[values]} and {number} of "
+                    f"parameters: {_words(varied)} is given twice, as points {keys[values]} and {number} of "
                     f"{study.points} (combine: {study.combine})"
                 )
             keys[values] = number

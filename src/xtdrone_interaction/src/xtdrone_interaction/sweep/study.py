@@ -146,7 +146,7 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, Hashable):
                 continue  # rejected below
             if key in seen:
-                raise OptionError(f"{key!r} is there twice, again in line {key_node.start_mark.line + 1}")
+                raise OptionError(f"{key!r} is given twice, again in line {key_node.start_mark.line + 1}")
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -294,7 +294,7 @@ def _check_unique(name: str, values: Sequence[Value]) -> None:
     seen: set[Value] = set()
     for value in values:
         if value in seen:
-            raise OptionError(f"{name}: {value!r} is there twice")
+            raise OptionError(f"{name}: {value!r} is given twice")
         seen.add(value)
 
 
@@ -306,7 +306,7 @@ def _constants(
     for name, value in data.items():
         parameter = parameters.find_parameter(name, known)
         if parameter.name in found:
-            raise OptionError(f"constants: {parameter.name!r} is there twice, once by another name")
+            raise OptionError(f"constants: {parameter.name!r} is given twice, once by another name")
         if parameter.name in varied:
             raise OptionError(f"{parameter.name!r} is both a constant and a varied parameter")
         found[parameter.name] = parameter.check(value)

@@ -80,7 +80,7 @@ def read_cameras(cameras: Any, urdf: Description) -> tuple[CameraMount, ...]:
     names = [mount.name for mount in mounts]
     for name in names:
         if names.count(name) > 1:
-            raise MountError(f"cameras: name {name!r} is there {names.count(name)} times")
+            raise MountError(f"cameras: name {name!r} is given {names.count(name)} times")
     return mounts
 
 

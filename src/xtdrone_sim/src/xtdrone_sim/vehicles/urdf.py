@@ -475,7 +475,7 @@ class _Reader:
     def _only_once(self, what: str, names: list[str]) -> None:
         for name in names:
             if names.count(name) > 1:
-                raise self._fail(what, f"{name!r} is there {names.count(name)} times")
+                raise self._fail(what, f"{name!r} is given {names.count(name)} times")
 
 
 def _numbered(element: Element, tag: str, where: str) -> Iterator[tuple[Element, str]]:

@@ -112,7 +112,7 @@ def owners(plans: dict[str, Plan], arguments: argparse.Namespace) -> list[Peer]:
     try:
         return select_named(plans, arguments)
     except UsageError as error:
-        raise UsageError(f"{error}; a file has its vehicle's name, or --vehicle says whose it is") from error
+        raise UsageError(f"{error}; a file has its vehicle's name, or --vehicle selects the vehicle") from error
 
 
 def problems(content: Plan) -> tuple[list[str], bool]:

@@ -64,7 +64,7 @@ def row(state: VehicleState, now: float) -> Row:
     """Return the row of a vehicle; ``now``: s of the monotonic clock."""
     silent = now - state.heard
     if not math.isfinite(silent):
-        return (state.name, _shown(state.system or None, "{}"), *["-"] * 9, "nothing heard yet")
+        return (state.name, _shown(state.system or None, "{}"), *["-"] * 9, "no message yet")
     local = state.local
     place = "-" if local is None else " ".join(f"{value:.1f}" for value in local)
     if local is None and state.latitude is not None:

@@ -114,7 +114,7 @@ def _command_until_done(number: int, message: Any, what: str) -> Exchange[None]:
         answer = yield []
         _collect_text(answer, texts)
     said = f" ({'; '.join(texts)})" if texts else ""
-    raise RefusalError(f"{what}: the vehicle says {word}{said}", True)
+    raise RefusalError(f"{what}: the vehicle answers {word}{said}", True)
 
 
 def _collect_text(answer: Any, texts: dict[str, None]) -> None:

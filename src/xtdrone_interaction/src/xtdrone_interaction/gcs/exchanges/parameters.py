@@ -168,7 +168,7 @@ def store(
                     missing[name] += 1
                     if missing[name] < _OTHER_ANSWERS:
                         continue
-                    failed[name] = f"{shown(*values[name])} is not taken, {shown(*told)} stays"
+                    failed[name] = f"{shown(*values[name])} is rejected, {shown(*told)} is kept"
                 del missing[name]
                 unanswered = 0
                 progress("setting parameters", start + _BATCH - len(missing), len(names))
@@ -246,7 +246,7 @@ def check(
         raise RefusalError(f"the file is of {content.stack}, this is {stack}", True)
     if content.system != heartbeat.system and not of_another:
         raise RefusalError(f"the file is of vehicle {content.system}, this is system {heartbeat.system}; "
-                           "--of-another loads it without what says who a vehicle is", True)  # fmt: skip
+                           "--of-another loads it without the vehicle's identity", True)  # fmt: skip
     changes = differences(content, present)
     unknown = [name for name, (_, there) in changes.items() if there is None]
     if unknown:
