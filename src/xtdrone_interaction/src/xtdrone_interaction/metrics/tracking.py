@@ -147,14 +147,16 @@ def pairs(log: FlightLog) -> dict[str, list[SetpointPair]]:
         log.series("vehicle_local_position_setpoint", *_AXES),
     )
     moving = log.series("vehicle_local_position", "vx", "vy", "vz")
-    told_moving = log.series("vehicle_local_position_setpoint", "vx", "vy", "vz")
+    moving_setpoint = log.series("vehicle_local_position_setpoint", "vx", "vy", "vz")
     signs = (1.0, 1.0, -1.0)
     for i, (name, sign) in enumerate(zip(("north [m]", "east [m]", "up [m]"), signs, strict=True)):
         if place is not None and np.isfinite(place.value[:, i]).any():
             found["Position"].append(SetpointPair(name, place.column(i, sign), _column_or_none(setpoint, i, sign)))
     for i, (name, sign) in enumerate(zip(("north [m/s]", "east [m/s]", "up [m/s]"), signs, strict=True)):
         if moving is not None and np.isfinite(moving.value[:, i]).any():
-            found["Velocity"].append(SetpointPair(name, moving.column(i, sign), _column_or_none(told_moving, i, sign)))
+            found["Velocity"].append(
+                SetpointPair(name, moving.column(i, sign), _column_or_none(moving_setpoint, i, sign))
+            )
     attitude, wanted = _angles(log, "vehicle_attitude", "q"), _angles(log, "vehicle_attitude_setpoint", "q_d")
     for i, name in enumerate(("roll [°]", "pitch [°]", "yaw [°]")):
         if attitude is not None:
