@@ -1,9 +1,9 @@
 """Compiled codecs in place of the Python code that genpy generates for each message class.
 
-``compile_class`` replaces ``serialize`` and ``deserialize`` of a class and of the classes of its fields, so that rospy,
-rosbag and every other user of the class profits. Bytes and values are equal to genpy's. genpy's own method is called
-for an object of another class than the field's, for a value of the wrong type or range (so that the error is genpy's),
-and for data that are not ``bytes``.
+``compile_class`` replaces ``serialize``, ``deserialize`` and the construction of objects, of a class and of the classes
+of its fields, so that rospy, rosbag and every other user of the class profits. Bytes and values are equal to genpy's.
+genpy's own method is called for an object of another class than the field's, for a value of the wrong type or range (so
+that the error is genpy's), and for data that are not ``bytes``.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-#include "codec.hpp"
+#include "codec.h"
 
 #include <algorithm>
 #include <limits>
 #include <map>
 #include <utility>
 
-#include "held.hpp"
-#include "numbers.hpp"
-#include "times.hpp"
-#include "wire.hpp"
+#include "held.h"
+#include "numbers.h"
+#include "times.h"
+#include "wire.h"
 
 static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "messages of ROS are little-endian");
 

@@ -2,9 +2,9 @@
 
 #include <unordered_map>
 
-#include "codec.hpp"
-#include "held.hpp"
-#include "times.hpp"
+#include "codec.h"
+#include "held.h"
+#include "times.h"
 
 namespace xtdrone::ros_codec {
 namespace {

@@ -3,7 +3,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
-#include "codec.hpp"
+#include "codec.h"
 
 namespace nb = nanobind;
 
@@ -31,10 +31,11 @@ bool fill(const Codec& codec, nb::handle message, nb::handle data) {
   return result != 0;
 }
 
-void construct_like(Codec& codec, nb::handle message) {
-  if (!codec.construct_like(message.ptr())) {
+void construct_like(nb::handle_t<Codec> codec, nb::handle message) {
+  if (!nb::cast<Codec&>(codec).construct_like(message.ptr())) {
     throw nb::python_error();
   }
+  codec.inc_ref();  // the class, which lives on without this module, refers to it
 }
 }  // namespace
 

@@ -1,4 +1,4 @@
-#include "times.hpp"
+#include "times.h"
 
 #include <structmember.h>
 

@@ -9,7 +9,7 @@
 #include <limits>
 #include <type_traits>
 
-#include "codec.hpp"
+#include "codec.h"
 
 namespace xtdrone::ros_codec {
 
