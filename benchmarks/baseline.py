@@ -234,7 +234,8 @@ def comparison_table(part: str, rows: Sequence[Row]) -> Table:
     measurement = MEASUREMENTS[part]
     table = Table(title=measurement.title, title_justify="left", title_style="bold")
     for heading in ("case", "figure", BASELINE, "this tree", "ratio"):
-        table.add_column(heading, justify="left" if heading in ("case", "figure") else "right")
+        justify: Any = "left" if heading in ("case", "figure") else "right"
+        table.add_column(heading, justify=justify, overflow="fold")
     for group in grouped(measurement, rows):
         label = measurement.label(group[0])
         values = {name: _values([row for row in group if row["tree"] == name]) for name in (BASELINE, THIS)}
@@ -267,7 +268,7 @@ def _spread(values: Sequence[float]) -> str:
     if not values:
         return ""
     text = f"{statistics.median(values):.4g}"
-    return text if len(values) == 1 else f"{text} ({min(values):.4g} to {max(values):.4g})"
+    return text if len(values) == 1 else f"{text}\n{min(values):.4g} to {max(values):.4g}"
 
 
 def _ratio(baseline: Sequence[float], this: Sequence[float]) -> str:
