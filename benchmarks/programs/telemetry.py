@@ -2,7 +2,7 @@
 
 A fleet hovers, and clients listen on the offboard and the ground-station port of every vehicle. The program prints the
 processor time of ``MavlinkServer.send_streams`` per second of simulated time at the default rates, with one or more
-clients on the ground-station port, and that of ``MavlinkServer.receive`` for each setpoint of the offboard clients.
+clients on the ground-station port.
 """
 
 from __future__ import annotations
@@ -32,8 +32,6 @@ from xtdrone_control.mavlink.port import LOOPBACK
 from xtdrone_control.mavlink.server import MavlinkServer
 
 _SPAN = 2_000_000  # us of simulated time between two heartbeats of the clients
-_SETPOINTS = 20  # sent by each offboard client before the server reads them: they fit into a socket's buffer
-_POSITION_ONLY = 0b110111111000  # type mask of SET_POSITION_TARGET_LOCAL_NED
 _ARM = 0.2  # m, rotor arms along x and y
 
 
@@ -45,13 +43,11 @@ class Cost:
         share: processor seconds in ``send_streams`` a simulated second: the share of a core at real time.
         messages: messages sent a simulated second.
         microseconds: processor time a message.
-        received_microseconds: processor time of each received setpoint.
     """
 
     share: float
     messages: float
     microseconds: float
-    received_microseconds: float
 
 
 def _layout() -> RotorLayout:
@@ -99,21 +95,16 @@ class _Bench:
         self.server = MavlinkServer(fleet, self.autopilot, commanders)
         stack.callback(self.server.close)
         self._clients: list[tuple[socket.socket, int]] = []
-        self._setpoints: list[tuple[socket.socket, int, bytes]] = []
         for vehicle in fleet:
-            client = self._join(vehicle.offboard_remote_port, vehicle.offboard_local_port, stack)
-            self._setpoints.append((client, vehicle.offboard_local_port, _setpoint(vehicle.system_id)))
+            self._join(vehicle.offboard_remote_port, vehicle.offboard_local_port, stack)
             for _ in range(stations):
                 self._join(0, vehicle.gcs_local_port, stack)
 
-        self.server.reserve({vehicle.offboard_remote_port: [LOOPBACK] for vehicle in fleet})  # as in the lockstep
-
-    def _join(self, own: int, port: int, stack: ExitStack) -> socket.socket:
+    def _join(self, own: int, port: int, stack: ExitStack) -> None:
         client = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         client.bind((LOOPBACK, own))
         client.setblocking(False)
         self._clients.append((client, port))
-        return client
 
     def exchange(self) -> None:
         """Send a heartbeat from every client, and read the messages it has received."""
@@ -134,27 +125,8 @@ class _Bench:
             spent += time.process_time() - began
         return spent, self._sent() - before
 
-    def setpoints(self) -> tuple[float, int]:
-        """Receive setpoints of all offboard clients; return the processor time, s, and their number."""
-        for client, port, frame in self._setpoints:
-            for _ in range(_SETPOINTS):
-                client.sendto(frame, (LOOPBACK, port))
-        wanted, read = _SETPOINTS * len(self._setpoints), 0
-        began = time.process_time()
-        while read < wanted:
-            read += self.server.receive(1.0)
-        return time.process_time() - began, read
-
     def _sent(self) -> int:
         return sum(link.sent for port in self.server.ports for link in port.links)
-
-
-def _setpoint(system: int) -> bytes:
-    """Return the frame of a position setpoint for a vehicle."""
-    message = mavlink.MAVLink_set_position_target_local_ned_message(
-        0, system, 1, mavlink.MAV_FRAME_LOCAL_NED, _POSITION_ONLY, 1.0, 2.0, -3.0, *[0.0] * 6, 0.0, 0.0
-    )
-    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=255)))
 
 
 def _drain(client: socket.socket) -> None:
@@ -166,7 +138,7 @@ def _drain(client: socket.socket) -> None:
 
 
 def measure(vehicles: int, stations: int, seconds: float, profile: Any = None) -> Cost:
-    """Measure the processor time of ``send_streams`` and ``receive``.
+    """Measure the processor time of ``send_streams``.
 
     Args:
         vehicles: number of vehicles, each with one client on its offboard port.
@@ -177,7 +149,7 @@ def measure(vehicles: int, stations: int, seconds: float, profile: Any = None) -
     Raises:
         LinkError: a port is taken, as by a running simulation.
     """
-    spent, messages, reading, read = 0.0, 0, 0.0, 0
+    spent, messages = 0.0, 0
     spans = max(math.ceil(seconds * 1e6 / _SPAN), 1)
     with ExitStack() as stack:
         bench = _Bench(vehicles, stations, stack)
@@ -191,10 +163,8 @@ def measure(vehicles: int, stations: int, seconds: float, profile: Any = None) -
             if profile is not None:
                 profile.disable()
             spent, messages = spent + cpu, messages + sent
-            cpu, received = bench.setpoints()
-            reading, read = reading + cpu, read + received
     simulated = spans * _SPAN * 1e-6
-    return Cost(spent / simulated, messages / simulated, 1e6 * spent / messages, 1e6 * reading / read)
+    return Cost(spent / simulated, messages / simulated, 1e6 * spent / messages)
 
 
 COLUMNS = (
@@ -202,7 +172,6 @@ COLUMNS = (
     Column("stations each", "{stations}"),
     Column("messages/s", "{messages:.0f}"),
     Column("us/message", "{microseconds:.2f}"),
-    Column("us/received", "{received_microseconds:.2f}"),
     Column("share of a core", "{share:.3f}"),
 )
 
