@@ -93,6 +93,8 @@ class Node:
         self.datagrams: dict[int, int] = {}
         self.datagrams_missed: dict[int, int] = {}
         self._subscribers_of: dict[str, int] = {}  # number by topic
+        self._connected: list[Subscription] = []
+        self._subscribers_changed = False
 
     # ---- topics ----
 
@@ -111,6 +113,7 @@ class Node:
         """Add a subscriber."""
         name = subscriber.resolved_name
         self.subscribers[subscriber] = None
+        self._subscribers_changed = True
         count = self._subscribers_of[name] = self._subscribers_of.get(name, 0) + 1
         if count == 1 and subscriber.impl is not None:
             self.ends[name] = subscriber.impl
@@ -121,6 +124,7 @@ class Node:
         if subscriber not in self.subscribers:
             return False
         del self.subscribers[subscriber]
+        self._subscribers_changed = True
         name = subscriber.resolved_name
         self._subscribers_of[name] -= 1
         if not self._subscribers_of[name]:
@@ -174,9 +178,7 @@ class Node:
     def dispatch(self) -> None:
         """Run the callbacks by subscriber (in order of declaration), publisher's name, and order of sending."""
         ready: dict[int, list[Any]] = {}
-        # Most topics of a fleet have no publisher.
-        entries = [entry for entry in list(self.subscribers) if entry.pending or (entry.impl and entry.impl.inboxes)]
-        for entry in entries:
+        for entry in self._connected_subscribers():
             impl = entry.impl
             if impl is None:  # unregistered by an earlier callback
                 continue
@@ -188,6 +190,15 @@ class Node:
                 entry.pending = []
             for message in messages:
                 entry.invoke(message)
+
+    def _connected_subscribers(self) -> list[Subscription]:
+        """Return the subscribers that may have messages; in a fleet's node most have no publisher."""
+        if self.reader.new_inboxes or self._subscribers_changed:
+            self.reader.new_inboxes = self._subscribers_changed = False
+            self._connected = [
+                entry for entry in list(self.subscribers) if entry.pending or (entry.impl and entry.impl.inboxes)
+            ]
+        return self._connected
 
     def run_reset_hooks(self) -> None:
         """Run the reset hooks; exceptions are logged, as in callbacks."""

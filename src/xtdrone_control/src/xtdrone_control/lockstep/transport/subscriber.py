@@ -48,7 +48,11 @@ class BufferingSubscriber(SubscriberImpl):
             publisher: The publisher's name.
             port: Local TCP port of the connection.
         """
-        return self.inboxes.setdefault((publisher, port), Inbox(publisher))
+        inbox = self.inboxes.get((publisher, port))
+        if inbox is None:
+            inbox = self.inboxes.setdefault((publisher, port), Inbox(publisher))
+            self._reader.new_inboxes = True
+        return inbox
 
     def set_queue_size(self, queue_size: int | None) -> None:
         """Limit the messages kept from publishers that are not participants; those of participants are never dropped.
