@@ -138,7 +138,7 @@ class Uas:
         self._throttle = Throttle()
         self._topics: list[Topic] = []
         self._timers: list[_Timer] = []
-        self._connections_seen = -1  # Ros.connection_changes at the latest refresh
+        self._connections_seen = -1  # Ros.connection_changes at the latest refresh by the timer
         self._slots: dict[int, _Slot] = {RAW: _Slot(lambda frame: frame)}
         self._attitude_of: Any = None
         self._attitude: tuple[frames.Quaternion, frames.Vector] | None = None
@@ -150,7 +150,7 @@ class Uas:
         self.plugins = [kind(self) for kind in plugins if not kind.listed or lists.loads(kind.name)]
         for plugin in self.plugins:
             self._connect(plugin)
-        self.timer(_REFRESH_PERIOD, self._refresh_if_changed)
+        self.timer(_REFRESH_PERIOD, self._follow_demand)
         self.refresh()  # so that the first heartbeat is handled
 
     # Interface for plugins
@@ -333,11 +333,13 @@ class Uas:
             slot.frame = None
             self.warn("frame", "MAVLink frame dropped: %s", error)
 
-    def _refresh_if_changed(self) -> None:
-        """Refresh if a subscriber has come or gone, or if an unneeded message has arrived, since the latest refresh."""
-        if self._connections_seen != self.ros.connection_changes or self.link.seen:
-            self._connections_seen = self.ros.connection_changes
-            self.refresh()
+    def _follow_demand(self) -> None:
+        """Refresh if a subscriber has come or gone since the latest time; stop streams that nothing needs."""
+        if self._connections_seen == self.ros.connection_changes:
+            self._update_streams()
+            return
+        self._connections_seen = self.ros.connection_changes
+        self.refresh()
 
     def refresh(self) -> None:
         """Check which topics are needed, and request the messages for them from the autopilot."""
@@ -352,12 +354,18 @@ class Uas:
                 if any(feed.any_sender for feed in feeds):
                     from_any_sender.add(number)
         self.link.wanted, self.link.from_any_sender = frozenset(wanted), frozenset(from_any_sender)
+        self._update_streams()
+
+    def _update_streams(self) -> None:
+        """Request the streams of the needed messages, and the end of those that have arrived without need."""
         seen, self.link.seen = self.link.seen, {}
-        if self._manage_streams and self.connected:
-            if any(feed.wanted and feed.all_streams for feed in self._slots[RAW].feeds):
-                self.streams.update(wanted - {RAW} | self.streams.switched_off(), ())
-            else:
-                self.streams.update(wanted - {RAW}, seen)
+        if not (self._manage_streams and self.connected):
+            return
+        wanted = self.link.wanted - {RAW}
+        if any(feed.wanted and feed.all_streams for feed in self._slots[RAW].feeds):
+            self.streams.update(wanted | self.streams.switched_off(), ())
+        else:
+            self.streams.update(wanted, seen)
 
     def set_connected(self, connected: bool, why: str = "lost") -> None:
         """Handle the start or the loss (with the reason ``why``, for the log) of heartbeats."""
