@@ -2,7 +2,8 @@
 
 A fleet hovers, and clients listen on the offboard and the ground-station port of every vehicle. The program prints the
 processor time of ``MavlinkServer.send_streams`` per second of simulated time at the default rates, with one or more
-clients on the ground-station port.
+clients on the ground-station port; and the processor time of both ends for each received message: of the MAVROS layer
+for telemetry, of the simulator for setpoints.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -30,9 +31,20 @@ from xtdrone_control.fleet import parse_fleet
 from xtdrone_control.geodesy.datum import Datum
 from xtdrone_control.mavlink.port import LOOPBACK
 from xtdrone_control.mavlink.server import MavlinkServer
+from xtdrone_control.mavlink.wire.codec import decoder
+from xtdrone_control.mavros.link.connection import FcuUrl, Link
 
 _SPAN = 2_000_000  # us of simulated time between two heartbeats of the clients
 _ARM = 0.2  # m, rotor arms along x and y
+_ROUNDS = 500  # of received messages
+_VELOCITY_ONLY = 0b0000110111000111  # POSITION_TARGET_TYPEMASK
+_TELEMETRY = (
+    mavlink.MAVLink_attitude_message(1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
+    mavlink.MAVLink_attitude_quaternion_message(1, 1.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
+    mavlink.MAVLink_global_position_int_message(1, 2, 3, 4, 5, 6, 7, 8, 9),
+    mavlink.MAVLink_highres_imu_message(1, *[0.1] * 13, 63),
+    mavlink.MAVLink_local_position_ned_message(1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
+)
 
 
 @dataclass(frozen=True)
@@ -43,11 +55,15 @@ class Cost:
         share: processor seconds in ``send_streams`` a simulated second: the share of a core at real time.
         messages: messages sent a simulated second.
         microseconds: processor time a message.
+        read: processor time of the MAVROS layer for a received message, us, until it is decoded.
+        setpoint: processor time of the simulator for a received setpoint, us, until it is held for its tick.
     """
 
     share: float
     messages: float
     microseconds: float
+    read: float
+    setpoint: float
 
 
 def _layout() -> RotorLayout:
@@ -125,8 +141,60 @@ class _Bench:
             spent += time.process_time() - began
         return spent, self._sent() - before
 
+    def setpoint_time(self) -> float:
+        """Return the processor time, us, of a setpoint received from a lockstep participant."""
+        ports = [port for port in self.server.ports if port.name.endswith("offboard link")]
+        self.server.reserve({port.remote_port: [LOOPBACK] for port in ports})
+        clients = {port: client for client, port in self._clients}
+        spent = 0.0
+        for _ in range(_ROUNDS):
+            self.autopilot.time_us += STEP_US
+            self.server.hold_setpoints()
+            for port in ports:
+                clients[port.local_port].sendto(_setpoint(port.system_id), (LOOPBACK, port.local_port))
+            began = time.process_time()
+            self.server.receive()
+            spent += time.process_time() - began
+            self.server.release_setpoints()
+        return 1e6 * spent / (_ROUNDS * len(ports))
+
     def _sent(self) -> int:
         return sum(link.sent for port in self.server.ports for link in port.links)
+
+
+def _setpoint(system: int) -> bytes:
+    zeros = [0.0] * 8
+    message = mavlink.MAVLink_set_position_target_local_ned_message(
+        0, system, 1, 1, _VELOCITY_ONLY, 0.0, 0.0, 0.0, *zeros
+    )
+    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=255)))
+
+
+def read_time() -> float:
+    """Return the processor time, us, in which a link of the MAVROS layer reads and decodes a telemetry message.
+
+    Raises:
+        LinkError: the link's port is taken.
+    """
+    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    frames = [bytes(message.pack(packer)) for message in _TELEMETRY]
+    decoders = {message.id: decoder(message.msgname) for message in _TELEMETRY}
+    spent, count = 0.0, 0
+    with (
+        closing(Link("iris_0", FcuUrl(LOOPBACK, 24540, LOOPBACK, 34580))) as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
+    ):
+        link.wanted = frozenset(decoders)
+        for _ in range(_ROUNDS):
+            for frame in frames:
+                autopilot.sendto(frame, (LOOPBACK, link.port))
+            began = time.process_time()
+            link.read()
+            for number, frame in link.drain():
+                decoders[number](frame)
+                count += 1
+            spent += time.process_time() - began
+    return 1e6 * spent / count
 
 
 def _drain(client: socket.socket) -> None:
@@ -138,7 +206,7 @@ def _drain(client: socket.socket) -> None:
 
 
 def measure(vehicles: int, stations: int, seconds: float, profile: Any = None) -> Cost:
-    """Measure the processor time of ``send_streams``.
+    """Measure the processor time of ``send_streams`` and of received messages.
 
     Args:
         vehicles: number of vehicles, each with one client on its offboard port.
@@ -163,8 +231,9 @@ def measure(vehicles: int, stations: int, seconds: float, profile: Any = None) -
             if profile is not None:
                 profile.disable()
             spent, messages = spent + cpu, messages + sent
+        setpoint = bench.setpoint_time()
     simulated = spans * _SPAN * 1e-6
-    return Cost(spent / simulated, messages / simulated, 1e6 * spent / messages)
+    return Cost(spent / simulated, messages / simulated, 1e6 * spent / messages, read_time(), setpoint)
 
 
 COLUMNS = (
@@ -173,6 +242,8 @@ COLUMNS = (
     Column("messages/s", "{messages:.0f}"),
     Column("us/message", "{microseconds:.2f}"),
     Column("share of a core", "{share:.3f}"),
+    Column("us/received", "{read:.2f}"),
+    Column("us/setpoint", "{setpoint:.2f}"),
 )
 
 

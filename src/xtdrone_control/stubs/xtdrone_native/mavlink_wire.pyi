@@ -42,6 +42,9 @@ class Stream:
         pack: Callable[[Sequence[Any]], bytes],
         number: int,
     ) -> None: ...
+    def payloads(
+        self, shared: dict[int, bytes | list[bytes] | None], report: Callable[[str], None]
+    ) -> bytes | list[bytes] | None: ...
 
 class Schedule:
     def clear(self) -> None: ...

@@ -229,7 +229,11 @@ class Decoder {
  public:
   Decoder(const Format& format, std::string name, nb::type_object record, const std::vector<std::size_t>& lengths,
           nb::object error)
-      : format_(format), name_(std::move(name)), record_(std::move(record)), lengths_(lengths), error_(std::move(error)) {
+      : format_(format),
+        name_(std::move(name)),
+        record_(std::move(record)),
+        lengths_(lengths),
+        error_(std::move(error)) {
     std::size_t values = 0;
     for (const std::size_t length : lengths_) values += length;
     if (values != format_.count() || !PyType_IsSubtype(type(), &PyTuple_Type)) {

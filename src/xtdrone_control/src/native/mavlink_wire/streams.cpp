@@ -204,10 +204,13 @@ PyType_Slot schedule_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(travers
 }  // namespace
 
 void bind_streams(nb::module_& module) {
-  nb::class_<Stream>(module, "Stream", nb::type_slots(stream_slots), "One message: its format, and the function that returns its content.")
+  nb::class_<Stream>(module, "Stream", nb::type_slots(stream_slots),
+                     "One message: its format, and the function that returns its content.")
       .def(nb::init<std::string, const Format&, nb::object, nb::object, long>(), nb::arg("name"), nb::arg("format"),
-           nb::arg("source"), nb::arg("pack"), nb::arg("number"));
-  nb::class_<Schedule>(module, "Schedule", nb::type_slots(schedule_slots), "Streams of one link in groups of equal intervals.")
+           nb::arg("source"), nb::arg("pack"), nb::arg("number"))
+      .def("payloads", &Stream::payloads, nb::arg("shared"), nb::arg("report"));
+  nb::class_<Schedule>(module, "Schedule", nb::type_slots(schedule_slots),
+                       "Streams of one link in groups of equal intervals.")
       .def(nb::init<>())
       .def("clear", &Schedule::clear)
       .def("add", &Schedule::add, nb::arg("interval_us"), nb::arg("due_us"), nb::arg("streams"))

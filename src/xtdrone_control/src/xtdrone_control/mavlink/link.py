@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
-
-from xtdrone_control.mavlink.streams.streams import HEARTBEAT, Payloads, Streams
-from xtdrone_control.mavlink.streams.telemetry import Content, Telemetry, Values
-from xtdrone_control.mavlink.wire.packing import COMPONENT_ID, Format, PackingError, as_version_1
 from xtdrone_native import mavlink_wire
+
+from xtdrone_control.mavlink.streams.streams import HEARTBEAT, Payloads, Source, Streams
+from xtdrone_control.mavlink.streams.telemetry import Telemetry, Values
+from xtdrone_control.mavlink.wire.packing import COMPONENT_ID, Format, PackingError, as_version_1
 
 from .rate_limit import CLIENT_CREDIT, MAX_CLIENT_CREDIT, Credit
 
@@ -109,7 +109,11 @@ class Link:
         self._samples = mavlink_wire.Samples()
 
     def _new_streams(self) -> Streams:
-        own = {"PING": self._ping, "LINK_NODE_STATUS": self._node_status, "HIGHRES_IMU": self._highres_imu}
+        own: dict[str, Source] = {
+            "PING": self._ping,
+            "LINK_NODE_STATUS": self._node_status,
+            "HIGHRES_IMU": self._highres_imu,
+        }
         return Streams(self.telemetry, self._port.rates, own, self._port.streams_changed)
 
     @property
@@ -193,11 +197,10 @@ class Link:
         self._mav.seq = self._frames.sequence
         self._queue(bytes(message.pack(self._mav)))
 
-    def send_values(self, message: Format, values: Content | list[Values], now_us: int) -> None:
-        """Queue one message, or a list of them, given by values in wire order or payload; ``flush`` sends them."""
+    def send_values(self, message: Format, values: Values, now_us: int) -> None:
+        """Queue a message given by its values in wire order; ``flush`` sends it."""
         try:
-            for one in values if isinstance(values, list) else [values]:
-                self.send_payload(message, one if isinstance(one, bytes) else message.payload(one))
+            self.send_payload(message, message.payload(values))
         except PackingError as error:
             self.warn("packing", f"not sent: {error}", now_us)
 
@@ -285,9 +288,7 @@ class Link:
             return
         self._beat_wall = wall
         self.telemetry.refresh(now_us)
-        found = self.streams.values(HEARTBEAT.number, self._report)
-        if found is not None:
-            self.send_values(*found, now_us)
+        self.streams.send_once(HEARTBEAT.number, self.send_payload, self._report)
         self.flush(now_us)
 
     def flush(self, now_us: int) -> None:

@@ -19,11 +19,12 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from xtdrone_control.fleet import Vehicle
-from xtdrone_control.mavlink.streams.streams import Payloads
-from xtdrone_control.mavlink.streams.rare_telemetry import silent
-from xtdrone_control.mavlink.streams.telemetry import Telemetry
 from xtdrone_native.mavlink_wire import INTERRUPTED, Outbox, receive
+
+from xtdrone_control.fleet import Vehicle
+from xtdrone_control.mavlink.streams.rare_telemetry import silent
+from xtdrone_control.mavlink.streams.streams import Payloads
+from xtdrone_control.mavlink.streams.telemetry import Telemetry
 
 from .link import Address, Link
 
@@ -426,7 +427,8 @@ class Port:
     def flush(self, now_us: int) -> None:
         """Send queued frames."""
         for link in self._links.values():
-            link.flush(now_us)
+            if link.waiting:
+                link.flush(now_us)
 
     def flush_others(self, now_us: int, counted: Collection[int]) -> None:
         """Send queued frames to clients that are not at ``counted`` ports."""

@@ -7,12 +7,13 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from xtdrone_native.mavlink_wire import split
+
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.mavlink.streams.rare_telemetry import silent
-from xtdrone_control.mavlink.wire.codec import FrameError, decoder, frame_error, version
+from xtdrone_control.mavlink.wire.codec import decoder, frame_error, version
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.packing import COMPONENT_ID
-from xtdrone_native.mavlink_wire import split
 
 from .link import Address, Link
 from .port import Port

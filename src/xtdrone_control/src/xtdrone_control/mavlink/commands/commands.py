@@ -361,11 +361,8 @@ class CommandHandler:
             return Result.DENIED if reply(link) is False else Result.ACCEPTED
         now_us = self._vehicle.now_us
         link.telemetry.refresh(now_us)
-        found = link.streams.values(number, lambda text: link.warn("packing", text, now_us))
-        if found is None:
-            return Result.DENIED
-        link.send_values(*found, now_us)
-        return Result.ACCEPTED
+        sent = link.streams.send_once(number, link.send_payload, lambda text: link.warn("packing", text, now_us))
+        return Result.ACCEPTED if sent else Result.DENIED
 
     def _get_interval(self, command: Command, link: Link) -> Result:
         number = _rounded(command.params[0])

@@ -45,9 +45,11 @@ def _used(mask: int, bit: int, value: float) -> float:
 
 def _vector(mask: int, first_bit: int, x: float, y: float, z: float) -> Vector:
     ignored = mask >> first_bit & _ALL
-    if ignored in (0, _ALL):
-        return _UNSET if ignored else (x, y, z)
-    return _used(mask, first_bit, x), _used(mask, first_bit + 1, y), _used(mask, first_bit + 2, z)
+    if ignored == _ALL:
+        return _UNSET
+    if not ignored:
+        return x, y, z
+    return _used(ignored, 0, x), _used(ignored, 1, y), _used(ignored, 2, z)
 
 
 def _whole_vector(mask: int, first_bit: int, x: float, y: float, z: float) -> Vector:
@@ -63,7 +65,8 @@ def _to_ned(vector: Vector, yaw: float) -> Vector:
 
 
 def _is_set(vector: Vector) -> bool:
-    return not all(map(math.isnan, vector))
+    x, y, z = vector
+    return not (math.isnan(x) and math.isnan(y) and math.isnan(z))
 
 
 def _reject_force(mask: int, acceleration: Vector, name: str) -> None:

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from xtdrone_native import mavlink_wire
+
 from xtdrone_control.mavlink.streams.rare_telemetry import SILENT, silent, source
 from xtdrone_control.mavlink.streams.telemetry import Content, Telemetry, Values
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID
 from xtdrone_control.mavlink.wire.packing import Format
-from xtdrone_native import mavlink_wire
 
 _NEVER_US = 1 << 62
 _LEAST_INTERVAL_US = 4000  # the autopilot's step
@@ -146,11 +147,10 @@ def _allowed(interval_us: float) -> int:
 class _Stream:
     """One message of a link."""
 
-    __slots__ = ("format", "interval_us", "values", "wire")
+    __slots__ = ("format", "interval_us", "wire")
 
     def __init__(self, message: Format, values: Source, shared: bool) -> None:
         self.format = message
-        self.values = values
         number = message.number if shared else -1  # shared: the same for every client
         self.wire = mavlink_wire.Stream(message.name, message.wire, values, message.general_payload, number)
         self.interval_us = _NEVER_US
@@ -287,17 +287,18 @@ class Streams:
         """
         self._schedule.send_due(now_us, shared, outbox, convert, report)
 
-    def values(self, number: int, report: Callable[[str], None]) -> tuple[Format, Content | list[Values]] | None:
-        """Return the format and the present values or payload of message ``number``, None if it has none.
+    def send_once(self, number: int, send: Callable[[Format, bytes], None], report: Callable[[str], None]) -> bool:
+        """Send message ``number`` with its present content, and return whether it has any.
 
-        A list of values is a list of messages; ``report`` as in ``send_due``.
+        Args:
+            number: message id.
+            send: receives the format and the payload of each message, mostly one.
+            report: as in ``send_due``.
         """
         stream = self._streams.get(number)
-        if stream is None:
-            return None
-        try:
-            values = stream.values()
-        except (ValueError, ArithmeticError) as error:  # non-finite estimate, parameter 0
-            report(f"not sent: {stream.format.name}: {error}")
-            return None
-        return None if values is None else (stream.format, values)
+        payloads = None if stream is None else stream.wire.payloads({}, report)
+        if stream is None or payloads is None:
+            return False
+        for payload in payloads if isinstance(payloads, list) else [payloads]:
+            send(stream.format, payload)
+        return True

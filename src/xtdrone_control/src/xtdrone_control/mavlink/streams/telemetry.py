@@ -1,7 +1,8 @@
-"""Field values of one vehicle's telemetry messages, in wire order; payloads of those with high rates.
+"""Field values of one vehicle's telemetry messages in wire order, payloads of those with high rates.
 
-``xtdrone_native.mavlink_wire`` builds the payloads directly from the autopilot's records. Local NED and body FRD, quaternions (w, x, y, z), as in MAVLink. Times are simulated; SYSTEM_TIME counts from a fixed
-date, so that the same flight yields the same bytes.
+``xtdrone_native.mavlink_wire`` builds the payloads directly from the autopilot's records. Local NED and body FRD,
+quaternions (w, x, y, z), as in MAVLink. Times are simulated; SYSTEM_TIME counts from a fixed date, so that the same
+flight yields the same bytes.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from xtdrone_native import mavlink_wire
 
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.geodesy.geo import EARTH_RADIUS, GRAVITY
-from xtdrone_native import mavlink_wire
 
 if TYPE_CHECKING:
     from xtdrone_control.autopilot.autopilot import Autopilot

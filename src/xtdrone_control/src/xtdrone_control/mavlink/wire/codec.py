@@ -12,10 +12,10 @@ from functools import cache
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
+from xtdrone_native import mavlink_wire
 
 from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_control.mavlink.wire.packing import compiled
-from xtdrone_native import mavlink_wire
 
 Frame = tuple[int, int, int, bytes]
 """Message id, system id, component id and bytes of a frame."""

@@ -11,8 +11,9 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 from xtdrone_native import mavlink_wire
+
+from xtdrone_control.mavlink.wire.dialect import MESSAGE_ID, MESSAGES
 
 _HEADER = struct.Struct("<BBBBBBBHB")
 _HEADER_V1 = struct.Struct("<BBBBBB")

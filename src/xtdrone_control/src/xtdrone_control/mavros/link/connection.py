@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
+from xtdrone_native.mavlink_wire import receive, split
 
 from xtdrone_control.mavlink.wire.codec import frame_error
 from xtdrone_control.mavros.lib.throttle import Throttle
 from xtdrone_control.mavros.link.packing import pack
-from xtdrone_native.mavlink_wire import receive, split
 
 log = logging.getLogger("rosout.mavros")
 
