@@ -13,6 +13,7 @@ import cProfile
 import math
 import pstats
 import socket
+import statistics
 import sys
 import time
 from collections.abc import Iterator
@@ -146,7 +147,7 @@ class _Bench:
         ports = [port for port in self.server.ports if port.name.endswith("offboard link")]
         self.server.reserve({port.remote_port: [LOOPBACK] for port in ports})
         clients = {port: client for client, port in self._clients}
-        spent = 0.0
+        spent = []
         for _ in range(_ROUNDS):
             self.autopilot.time_us += STEP_US
             self.server.hold_setpoints()
@@ -154,9 +155,9 @@ class _Bench:
                 clients[port.local_port].sendto(_setpoint(port.system_id), (LOOPBACK, port.local_port))
             began = time.process_time()
             self.server.receive()
-            spent += time.process_time() - began
+            spent.append(time.process_time() - began)
             self.server.release_setpoints()
-        return 1e6 * spent / (_ROUNDS * len(ports))
+        return 1e6 * statistics.median(spent) / len(ports)
 
     def _sent(self) -> int:
         return sum(link.sent for port in self.server.ports for link in port.links)
@@ -179,7 +180,7 @@ def read_time() -> float:
     packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     frames = [bytes(message.pack(packer)) for message in _TELEMETRY]
     decoders = {message.id: decoder(message.msgname) for message in _TELEMETRY}
-    spent, count = 0.0, 0
+    spent = []
     with (
         closing(Link("iris_0", FcuUrl(LOOPBACK, 24540, LOOPBACK, 34580))) as link,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
@@ -192,9 +193,8 @@ def read_time() -> float:
             link.read()
             for number, frame in link.drain():
                 decoders[number](frame)
-                count += 1
-            spent += time.process_time() - began
-    return 1e6 * spent / count
+            spent.append(time.process_time() - began)
+    return 1e6 * statistics.median(spent) / len(frames)
 
 
 def _drain(client: socket.socket) -> None:
