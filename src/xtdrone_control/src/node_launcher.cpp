@@ -24,6 +24,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -42,6 +43,21 @@ struct Reply {
   char unused[3];
   int32_t value;
 };
+
+// Shows the launcher in lists of processes as `node_launcher __name:=NODE`, so that a search for the node's script
+// finds the node alone.
+void shortenTitle(char** words) {
+  char* begin = words[1];
+  char* end = begin;
+  std::string name;
+  for (char** word = words + 1; *word != nullptr; ++word) {
+    end = *word + strlen(*word);
+    if (strncmp(*word, "__name:=", 8) == 0) name = *word;
+  }
+  const auto size = static_cast<size_t>(end - begin);  // the kernel puts the words one behind the other
+  memset(begin, 0, size);
+  memcpy(begin, name.data(), std::min(name.size(), size));
+}
 
 // Replaces the launcher by the program, as if it had not been there.
 [[noreturn]] void runDirectly(char** command) {
@@ -63,7 +79,7 @@ std::string interpreterOf(const char* script) {
   for (char* word = strtok_r(line + 2, " \t\r\n", &rest); word != nullptr; word = strtok_r(nullptr, " \t\r\n", &rest))
     words.emplace_back(word);
   if (words.size() == 2 && words[0] == "/usr/bin/env") words.erase(words.begin());
-  const bool is_python = words.size() == 1 && words[0].substr(words[0].rfind('/') + 1).rfind("python3", 0) == 0;
+  const bool is_python = words.size() == 1 && words[0].substr(words[0].rfind('/') + 1).rfind("python", 0) == 0;
   return is_python ? words[0] : std::string();
 }
 
@@ -226,7 +242,11 @@ int main(int count, char** words) {
     fprintf(stderr, "usage: node_launcher PROGRAM ARGUMENT...\n");
     return 2;
   }
-  char** command = words + 1;
+  std::vector<std::string> copies(words + 1, words + count);
+  std::vector<char*> command_words;
+  for (std::string& word : copies) command_words.push_back(word.data());
+  command_words.push_back(nullptr);
+  char** command = command_words.data();
   const std::string interpreter = interpreterOf(command[0]);
   const int connection = interpreter.empty() ? -1 : connectToZygote(interpreter);
   if (connection < 0) runDirectly(command);
@@ -241,5 +261,6 @@ int main(int count, char** words) {
     sigprocmask(SIG_SETMASK, &previous, nullptr);
     runDirectly(command);
   }
+  shortenTitle(words);
   stand(connection, heard, command, previous);
 }

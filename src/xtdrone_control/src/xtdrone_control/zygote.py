@@ -17,6 +17,7 @@ import contextlib
 import ctypes
 import gc
 import importlib
+import io
 import os
 import select
 import signal
@@ -129,11 +130,9 @@ def imported_modules(script: Path) -> list[str]:
     are left out: another script may import others by the same names.
     """
     tree = ast.parse(script.read_bytes())
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
-            if any(isinstance(target, ast.Name) and target.id == "python_script" for target in node.targets):
-                tree = ast.parse(Path(node.value.value).read_bytes())
-                break
+    relayed = _relayed(tree)
+    if relayed:
+        tree = ast.parse(Path(relayed).read_bytes())
     names = []
     for node in tree.body:
         if isinstance(node, ast.Import):
@@ -141,6 +140,15 @@ def imported_modules(script: Path) -> list[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
     return [name for name in names if not _is_beside(script, name.split(".")[0])]
+
+
+def _relayed(tree: ast.Module) -> str:
+    """Return the path of the script that a relay of catkin executes, empty for another script."""
+    for node in tree.body:
+        match node:
+            case ast.Assign(targets=[ast.Name(id="python_script")], value=ast.Constant(value=str(path))):
+                return path
+    return ""
 
 
 def _is_beside(script: Path, name: str) -> bool:
@@ -333,15 +341,21 @@ def _set_title(title: tuple[int, int], words: list[bytes]) -> None:
 
 
 def _open_standard_streams() -> None:
-    """Open the standard streams anew: their buffering depends on what the descriptors are."""
+    """Open the standard streams anew, as the interpreter does: their buffering depends on what the descriptors are."""
+    buffered = not os.environ.get("PYTHONUNBUFFERED")
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         old = getattr(sys, name)
-        mode = "w" if number else "r"
-        terminal = os.isatty(number)
-        buffering = 1 if number == 2 or (number and terminal) else -1
-        new = open(number, mode, buffering, old.encoding, old.errors, closefd=False)  # noqa: SIM115
-        setattr(sys, name, new)
-        setattr(sys, f"__{name}__", new)
+        binary: Any = open(number, "wb" if number else "rb", -1 if buffered or not number else 0, closefd=False)  # noqa: SIM115
+        stream = io.TextIOWrapper(
+            binary,
+            encoding=old.encoding,
+            errors=old.errors,
+            newline="\n" if number else None,
+            line_buffering=buffered and (number == 2 or binary.isatty()),
+            write_through=not buffered,
+        )
+        setattr(sys, name, stream)
+        setattr(sys, f"__{name}__", stream)
 
 
 def _execute(script: Path) -> None:

@@ -110,7 +110,8 @@ class _Collector(RegistrationListener):  # type: ignore[misc]  # rospy has no ty
         for name, what, kind in registrations:
             getattr(calls, _CALLS[kind])(rospy.get_name(), name, what, self.manager.uri)
         try:
-            return [value if code == 1 else None for code, _, value in calls()]
+            answers: Any = calls()
+            return [value if code == 1 else None for code, _, value in answers]
         except Exception:  # of the network, of HTTP or of XML-RPC
             return [None] * len(registrations)
 
