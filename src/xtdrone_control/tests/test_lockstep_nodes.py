@@ -30,10 +30,12 @@ from xtdrone_control.lockstep.server import LockstepServer
 
 ROSMASTER = shutil.which("rosmaster")
 try:
+    import rosgraph
     import rospy
     from geometry_msgs.msg import PointStamped
     from rosgraph_msgs.msg import Clock
     from std_msgs.msg import String
+    from std_srvs.srv import Empty, EmptyResponse
 except ImportError:
     rospy = None
 
@@ -85,12 +87,22 @@ def alone(name: str) -> None:
     """Run three turns of wall time without a simulator."""
     lockstep.init_node(name, rate=50.0)
     main, seen = threading.get_ident(), []
-    publisher = lockstep.Publisher("/loop", String, latch=True)
 
     def take(message: String) -> None:
         seen.append((message.data, threading.get_ident()))
 
-    _subscriber = lockstep.Subscriber("/loop", String, take)
+    def registered() -> list[bool]:
+        return [
+            any(given == wanted for given, _ in part)
+            for part, wanted in zip(rosgraph.Master(name).getSystemState(), ("/loop", "/loop", "/help"), strict=True)
+        ]
+
+    with lockstep.registering_together():
+        publisher = lockstep.Publisher("/loop", String, latch=True)
+        _subscriber = lockstep.Subscriber("/loop", String, take)
+        _service = rospy.Service("/help", Empty, lambda _: EmptyResponse())
+        assert registered() == [False] * 3
+    assert registered() == [True] * 3
     lockstep.start()
     assert not lockstep.is_active()
     assert rospy.Time.now().to_sec() > 1e9

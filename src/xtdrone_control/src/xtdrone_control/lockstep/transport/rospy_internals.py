@@ -6,6 +6,7 @@ rospy offers no public way to replace the ends of a topic, to set the time or to
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 from xmlrpc.client import MultiCall
@@ -22,6 +23,8 @@ PublisherImpl: Any = rospy.topics._PublisherImpl
 """Base class of a topic's publishing end, shared by all ``rospy.Publisher`` objects of the topic in a process."""
 SubscriberImpl: Any = rospy.topics._SubscriberImpl
 """Base class of a topic's receiving end, shared by all ``rospy.Subscriber`` objects of the topic in a process."""
+
+_ASK_PERIOD = 1.0  # s of wall time
 
 
 def set_time_us(time_us: int) -> None:
@@ -53,12 +56,18 @@ def add_subscriber_impl(impl: Any) -> None:
 def watch_param(name: str) -> Callable[[], Any]:
     """Subscribe to a parameter, and return a function that returns its present value, None if it is not set.
 
-    Unlike this function, ``rospy.get_param_cached`` asks the master at every call for a parameter that is not set.
+    Unlike this function, ``rospy.get_param_cached`` asks the master at every call for a parameter that is not set. As
+    rospy loses a notification that comes before the answer to the subscription, the master is asked once a second.
     """
     rospy.get_param_cached(name, None)
     cache = rospy.impl.paramserver.get_param_server_cache()
+    asked = time.monotonic()
 
     def value() -> Any:
+        nonlocal asked
+        if time.monotonic() - asked > _ASK_PERIOD:
+            asked = time.monotonic()
+            return rospy.get_param(name, None)
         try:
             return cache.get(name)
         except KeyError:
