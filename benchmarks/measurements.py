@@ -394,7 +394,7 @@ _TABLE = (
         name="formation",
         title="Formation flight",
         command=Flight("formation.launch", formation_arguments, formation_figures, formation_probe, probe_figures),
-        numbers=(9, 30, 100),
+        numbers=(9, 30),
         limits=(2, MAX_VEHICLES),
         fields=(
             _SPEED,
