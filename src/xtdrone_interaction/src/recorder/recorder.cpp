@@ -1,6 +1,6 @@
 // Records topics of a flight into a bag, packed by LZ4: recorder FILE TOPIC...
 //
-// Writes what "rosbag record --lz4 -O FILE TOPIC..." does, for a third of its CPU time. rosbag hands each message from
+// Writes what "rosbag record --lz4 -O FILE TOPIC..." does, for half of its CPU time. rosbag hands each message from
 // roscpp's network thread to one of ten threads and from there to another one; thousands of times a second, that costs
 // more than all else that it does. Here the network is read every few milliseconds and one thread writes what has come.
 //
