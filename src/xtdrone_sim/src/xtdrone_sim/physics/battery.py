@@ -30,6 +30,7 @@ _RPM = 60.0 / (2.0 * math.pi)
 # open-circuit voltage of a lithium-polymer cell over its charge, V
 _CHARGES = np.array([0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 _CELL_VOLTAGES = np.array([3.3, 3.55, 3.65, 3.72, 3.79, 3.87, 4.0, 4.18])
+_NAMES = ("SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT", "BAT1_N_CELLS", "BAT1_V_EMPTY", "BAT1_V_CHARGED", "BAT1_V_LOAD_DROP")
 _TURNING = 10.0  # rad/s above which a motor counts as turning
 
 
@@ -51,6 +52,7 @@ class Batteries:
         self._autopilot = autopilot
         self._parameters = parameters
         self._cells = np.array([m.cells for m in models])
+        self._any_cells = bool(self._cells.any())
         self._capacity = np.array([m.capacity for m in models])
         self._resistance = np.array([m.resistance for m in models])
         self._motor_power = np.array([m.motor_power for m in models])[:, None]
@@ -59,6 +61,8 @@ class Batteries:
         self._charge = np.ones(len(models))  # 0..1
         self._voltage = np.zeros(len(models))
         self._last_us: int | None = None
+        self._changes = -1  # of all vehicles' parameters
+        self._values = np.empty((len(_NAMES), len(models)))
         self.update(autopilot.time_us)
 
     @property
@@ -70,24 +74,33 @@ class Batteries:
         """Advance to simulated time ``time_us`` (microseconds) and write the sensor values; called at 10 Hz."""
         elapsed = 0.0 if self._last_us is None else (time_us - self._last_us) * 1e-6
         self._last_us = time_us
-        names = ("SIM_BAT_DRAIN", "SIM_BAT_MIN_PCT", "BAT1_N_CELLS", "BAT1_V_EMPTY", "BAT1_V_CHARGED")
-        table = np.array([[p.get(name) for name in names] for p in self._parameters])
-        load_drop = np.array([p.get("BAT1_V_LOAD_DROP") for p in self._parameters])
-        drain, least, cells, empty, full = table.T
+        self._read_parameters()
+        drain, least, cells, empty, full, load_drop = self._values
         sensors = self._autopilot.sensors
         speed = self._world.plant["rotor_speed"]
         power = np.where(speed > _TURNING, self._motor_power * speed**3 + self._idle_power, 0.0)
         total = power.sum(axis=1) + self._avionics_power
-        drained, drained_volts = self._drain(elapsed, drain, least, cells * empty, cells * full)
-        used, cell_volts, current = self._discharge(elapsed, total, cells)
-        self._charge = np.where(self._cells, used, drained)
-        volts = np.where(self._cells, cell_volts, drained_volts)
+        charge, volts = self._drain(elapsed, drain, least, cells * empty, cells * full)
+        current: NDArray[np.float64] | float = -1.0
+        if self._any_cells:
+            used, cell_volts, drawn = self._discharge(elapsed, total, cells)
+            charge = np.where(self._cells, used, charge)
+            volts = np.where(self._cells, cell_volts, volts)
+            current = np.where(self._cells, drawn, -1.0)
+        self._charge = charge
         failed = self._autopilot.failures["battery"] == FAILURE_OFF
         self._voltage = np.where(failed, cells * (empty - load_drop), volts)
         sensors["battery_voltage"] = self._voltage
-        sensors["battery_current"] = np.where(self._cells, current, -1.0)
+        sensors["battery_current"] = current
         sensors["esc_rpm"] = speed * _RPM
         sensors["esc_current"] = power / np.maximum(self._voltage, 1.0)[:, None]
+
+    def _read_parameters(self) -> None:
+        """Read the parameters again after a change."""
+        changes = sum([p.changes for p in self._parameters])
+        if changes != self._changes:
+            self._changes = changes
+            self._values = np.array([[p.get(name) for name in _NAMES] for p in self._parameters]).T
 
     def _drain(
         self, elapsed: float, drain: np.ndarray, least: np.ndarray, empty: np.ndarray, full: np.ndarray

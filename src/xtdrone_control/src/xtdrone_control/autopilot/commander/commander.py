@@ -88,6 +88,7 @@ class Commander(FlightCommands):
         self.vehicle = vehicle
         self.parameters = parameters
         self.view = VehicleView(autopilot, index)
+        self._receiver_failure = self.view.cell("failures", "rc_signal")
         get = parameters.get
         self._announcements = Announcements(self.view)
         self.navigator = Navigator(self.view, parameters, self._announcements)
@@ -501,7 +502,7 @@ class Commander(FlightCommands):
 
     def _handle_pilot_requests(self) -> None:
         """Execute the pilot's requests by stick gesture or switch."""
-        self.manual.receiver_works = self.view.failures["rc_signal"] != FAILURE_OFF
+        self.manual.receiver_works = self._receiver_failure[0] != FAILURE_OFF
         for request in self.manual.update(self.view.time_us):
             self._handle_request(request)
 

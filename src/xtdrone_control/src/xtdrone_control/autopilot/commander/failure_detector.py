@@ -49,9 +49,10 @@ class FailureDetector:
         self._get = get
         # views of the record fields, cached because every update reads them
         self._q = view.estimator["q"]
-        self._failed_rotors = view.setpoint_fields["failed_rotors"]
+        self._failed_rotors = view.cell("setpoint", "failed_rotors")
         self._currents, self._commands = view.sensors["esc_current"], view.control["actuators"]
         self._roll, self._pitch = _Hysteresis(), _Hysteresis()
+        self._rotors = view.rotor_count
         self._low_current_us: dict[int, int] = {}  # motor index to the time since which its current has been too low
         self._measured: set[int] = set()
         self.roll = self.pitch = False
@@ -103,13 +104,17 @@ class FailureDetector:
         min_command, slope = get("FD_ACT_MOT_THR"), get("FD_ACT_MOT_C2T")
         timeout_us = get("FD_ACT_MOT_TOUT") * 1e3
         currents = self._currents.tolist()
-        for motor, command in enumerate(self._commands.tolist()):
-            current = currents[motor]
-            if current > 0.0:
-                self._measured.add(motor)
-            if motor not in self._measured or command <= min_command or current >= slope * command:
-                self._low_current_us.pop(motor, None)
-                continue
-            since_us = self._low_current_us.setdefault(motor, now_us)
+        if len(self._measured) < self._rotors:
+            self._measured.update([motor for motor, current in enumerate(currents) if current > 0.0])
+        low = [
+            motor
+            for motor, command in enumerate(self._commands.tolist())
+            if not (command <= min_command or currents[motor] >= slope * command)
+        ]
+        if not (low or self._low_current_us):
+            return
+        before = self._low_current_us
+        self._low_current_us = {motor: before.get(motor, now_us) for motor in low if motor in self._measured}
+        for motor, since_us in self._low_current_us.items():
             if now_us - since_us >= timeout_us and motor not in self.motors:
                 self.motors = (*self.motors, motor)

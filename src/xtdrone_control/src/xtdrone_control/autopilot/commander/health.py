@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from xtdrone_control.autopilot import modes
 from xtdrone_control.autopilot.commander.battery import BatteryEstimate
 from xtdrone_control.autopilot.commander.failsafe import Flags
 from xtdrone_control.autopilot.commander.failure_detector import FailureDetector
 from xtdrone_control.autopilot.commander.inputs import OffboardInput
 from xtdrone_control.autopilot.commander.manual_control import ManualControl
+from xtdrone_control.autopilot.estimator.fusion import POS
 from xtdrone_control.autopilot.events import events
 from xtdrone_control.autopilot.events.announcements import INFO, Announcements
 from xtdrone_control.autopilot.modes import Mode
@@ -63,7 +66,10 @@ class Health:
         self.battery = BatteryEstimate(get)
         self.detector = FailureDetector(view, get)
         self.breach = ""
-        self._covariance = view.estimator["P"]
+        # every update reads these
+        self._variances = np.diagonal(view.estimator["P"])[POS : POS + 2]
+        self._voltage, self._current = view.cell("sensors", "battery_voltage"), view.cell("sensors", "battery_current")
+        self._thrust = view.cell("control", "sp_thrust")
         self._position_us = self._relaxed_position_us = self._altitude_us = _NEVER_US  # time of the last valid estimate
         self._accurate = False
         self._gcs_us: int | None = None
@@ -93,8 +99,7 @@ class Health:
         """
         view = self._view
         now_us = view.time_us
-        sensors, thrust = view.sensors, float(view.control["sp_thrust"])
-        self.battery.update(now_us, float(sensors["battery_voltage"]), float(sensors["battery_current"]), thrust, armed)
+        self.battery.update(now_us, self._voltage[0], self._current[0], self._thrust[0], armed)
         warning = self.battery.warning if self.battery.connected else 0
         self._warning = max(warning, self._warning) if armed else warning  # in flight the level never improves
         self.detector.update(now_us, flown.attitude_control, armed)
@@ -142,8 +147,7 @@ class Health:
 
     def _positions(self, now_us: int, delay_us: float) -> tuple[bool, bool, bool]:
         """Return whether horizontal estimate, accurate position and altitude have been invalid for ``delay_us``."""
-        e = self._view.estimator
-        relaxed_good, altitude_good = bool(e["position_valid"]), bool(e["altitude_valid"])
+        relaxed_good, altitude_good = self._view.horizontal_valid, self._view.height_valid
         limit = self._get("COM_POS_FS_EPH")
         widest = limit * (_ERROR_HYSTERESIS if self._accurate else 1.0)
         self._accurate = relaxed_good and (limit <= 0.0 or self._horizontal_error() <= widest)
@@ -160,8 +164,8 @@ class Health:
         )
 
     def _horizontal_error(self) -> float:
-        covariance = self._covariance
-        return math.sqrt(max(float(covariance[6, 6] + covariance[7, 7]), 0.0))
+        north, east = self._variances.tolist()
+        return math.sqrt(max(north + east, 0.0))
 
     def _offboard_lost(self, limit: float, relaxed_position_invalid: bool) -> bool:
         """Return whether the OFFBOARD setpoint stream is missing or unusable.

@@ -143,7 +143,7 @@ class OffboardInput:
         fields = self._view.setpoint_fields
         for name, value in self._fields.items():
             fields[name][:] = value
-        if self._view.setpoint["task"] != self._task:
+        if self._view.task != self._task:
             self._view.start_task(self._task)
 
 

@@ -63,7 +63,7 @@ class ManualFlight:
             self._descend(blind, restart)
             return
         self._write(sticks or CENTRED, mode)
-        if restart or self._view.setpoint["task"] != task:
+        if restart or self._view.task != task:
             self._view.start_task(task)
 
     def _write(self, sticks: Sticks, mode: Mode) -> None:

@@ -112,12 +112,29 @@ def _checked(entry: Parameter, value: float) -> int | float:
     return float(value)
 
 
+class _Recent(dict[str, "int | float"]):
+    """The values that have been read since the last change: few of the parameters, so that they stay in the cache."""
+
+    def __init__(self, values: Mapping[str, int | float]) -> None:
+        super().__init__()
+        self._all = values
+
+    def __missing__(self, name: str) -> int | float:
+        value = self._all.get(name)
+        if value is None:
+            raise ParameterError(f"parameter {name!r} does not exist")
+        self[name] = value
+        return value
+
+
 class Parameters:
     """The parameters of one vehicle.
 
     A value out of its sensible range is stored, with a warning, as PX4 does.
 
     Attributes:
+        get: returns the value of a parameter by name, int or float by its type; raises ParameterError for an unknown
+            name.
         changes: number of value changes.
         on_change: callback of the logger for every value change, with name and new value; may be None.
     """
@@ -138,21 +155,12 @@ class Parameters:
         self.changes = 0
         self._defaults = {name: entry.default for name, entry in _TABLE.items()}
         self._values: dict[str, int | float] = dict(self._defaults)
+        self._recent = _Recent(self._values)
+        self.get: Callable[[str], int | float] = self._recent.__getitem__
         for name, value in (overrides or {}).items():
             self.set(name, value)
         self._defaults = dict(self._values)
         self.load()
-
-    def get(self, name: str) -> int | float:
-        """Return the value of a parameter, int or float by its type.
-
-        Raises:
-            ParameterError: there is no such parameter.
-        """
-        value = self._values.get(name)
-        if value is None:
-            raise ParameterError(f"parameter {name!r} does not exist")
-        return value
 
     def default(self, name: str) -> int | float:
         """Return the vehicle's default of a parameter: the airframe's if it has one, else PX4's.
@@ -184,6 +192,7 @@ class Parameters:
             _log.warning("%s: %s is outside %s..%s %s", name, stored, entry.minimum, entry.maximum, entry.unit)
         changed = stored != self._values[name]
         self._values[name] = stored
+        self._recent.pop(name, None)
         if self._record is not None and name in _FIELDS:
             self._record[_FIELDS[name]] = stored
         if changed:
