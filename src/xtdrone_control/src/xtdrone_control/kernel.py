@@ -149,10 +149,11 @@ def cache_words() -> str:
     return f"at every start, as {folder.parent} cannot be written"
 
 
-def compiler(*packages: Path) -> Callable[[Callable[..., Any]], Any]:
+def compiler(*packages: Path, nogil: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles kernels and caches them under the contents of ``packages``.
 
-    ``packages`` must contain every folder with functions that the kernels call. Division by zero gives inf or NaN as in
+    ``packages`` must contain every folder with functions that the kernels call. With ``nogil`` a call from Python lets
+    other threads run. Division by zero gives inf or NaN as in
     numpy. Floating-point operations are not reordered, so that results are the same in every run.
     """
     folder = str(cache_folder(*packages))
@@ -163,7 +164,7 @@ def compiler(*packages: Path) -> Callable[[Callable[..., Any]], Any]:
         previous = _config.CACHE_DIR
         _config.CACHE_DIR = folder
         try:
-            return njit(function, cache=cached, error_model="numpy", fastmath=False)
+            return njit(function, cache=cached, error_model="numpy", fastmath=False, nogil=nogil)
         finally:
             _config.CACHE_DIR = previous
 

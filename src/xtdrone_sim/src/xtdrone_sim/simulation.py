@@ -20,6 +20,7 @@ from xtdrone_sim.vehicles.landing_gear import LandingGears
 from xtdrone_sim.vehicles.vehicle_model import load_vehicle
 
 from .effects import Effect, Effects
+from .free_flight import FreeFlight
 
 
 class Simulation:
@@ -92,6 +93,9 @@ class Simulation:
         self.sensors = Sensors(self.world, self.autopilot, self._seed)
         self.gimbals = Gimbals(self.models)
         self.landing_gears = LandingGears(self.models)
+        self._free_flight = None
+        if self.effects is None and not self.gimbals.any and not self.landing_gears.any:
+            self._free_flight = FreeFlight(self.world, self.sensors, self.autopilot)
         self._steps = 0
 
     @property
@@ -140,7 +144,22 @@ class Simulation:
     def run_until(self, time_us: int) -> None:
         """Step until simulated time is at least ``time_us``."""
         while self.time_us < time_us:
-            self.step()
+            if not self._fly_free((time_us - self.time_us + STEP_US - 1) // STEP_US):
+                self.step()
+
+    def _fly_free(self, most: int) -> bool:
+        """Advance by 1 to ``most`` steps at once; return whether that was possible."""
+        steps = min(most, self.autopilots.kernel_steps()) if self._free_flight is not None else 0
+        if self._free_flight is None or steps < 1:
+            return False
+        steps = min(steps, self._free_flight.possible_steps())
+        if steps < 1:
+            return False
+        self._free_flight.advance(steps, self._steps, self.time_us)
+        self.time_us += steps * STEP_US
+        self._steps += steps
+        self.autopilots.count_steps(steps)
+        return True
 
     def close(self) -> None:
         """Release the resources of the autopilots and the physics engine."""

@@ -29,6 +29,9 @@ def main() -> None:
         links = Links([vehicle.name for vehicle in simulation.fleet], simulation.models)
         links.place(simulation.world.plant, simulation.gimbals.records, simulation.landing_gears.records)
         simulation.close()
+    simulation = Simulation(parse_fleet("iris:1"), places=[(0.0, 0.0, 10.0)])
+    simulation.run_until(simulation.step_us)  # free flight
+    simulation.close()
     print("effects", flush=True)
     simulation = Simulation(parse_fleet("iris:1"), effects=[_no_effect])
     simulation.step()

@@ -208,6 +208,16 @@ def _control_vehicle(sensors, e, s, c, p, mix, unmix, rotors, dt):
 
 
 @kernel
+def step_vehicle(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt, work):
+    """Advance one vehicle by one step; see ``step_all``."""
+    update_vibration(estimator, sensors, dt)
+    estimator.in_air = not control.landing.landed
+    update_estimator(estimator, sensors, params, dt, work)
+    if estimator.initialised:
+        _control_vehicle(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt)
+
+
+@kernel
 def step_all(sensors, estimator, setpoint, control, params, mix, unmix, rotors, dt, work):
     """Advance every vehicle by one step.
 
@@ -220,13 +230,9 @@ def step_all(sensors, estimator, setpoint, control, params, mix, unmix, rotors, 
         work: (2, N_STATES) scratch.
     """
     for i in range(sensors.shape[0]):
-        update_vibration(estimator[i], sensors[i], dt)
-        estimator[i].in_air = not control[i].landing.landed
-        update_estimator(estimator[i], sensors[i], params[i], dt, work)
-        if estimator[i].initialised:
-            _control_vehicle(
-                sensors[i], estimator[i], setpoint[i], control[i], params[i], mix[i], unmix[i], rotors[i], dt
-            )  # fmt: skip
+        step_vehicle(
+            sensors[i], estimator[i], setpoint[i], control[i], params[i], mix[i], unmix[i], rotors[i], dt, work
+        )  # fmt: skip
 
 
 class Autopilot:
@@ -236,6 +242,8 @@ class Autopilot:
         sensors, estimator, setpoint, control, failures, params: record arrays of ``state`` and ``parameters``, shape
             (count,).
         rotors: number of rotors of each vehicle, shape (count,).
+        mix, unmix: mixers and their pseudo-inverses, shape (count, 4, MAX_ROTORS), without the rotors of
+            ``failed_rotors``, shape (count,), bit i for rotor i.
         time_us: simulated time, microseconds, of the last step.
         logs: log folder of each vehicle; empty without logging.
     motor_tests: running motor tests by index of the vehicle.
@@ -261,9 +269,9 @@ class Autopilot:
         self._datum = datum
         self._initialise_records(slice(None))
         self._layouts = list(layouts)
-        self._failed_rotors = np.zeros(self.count, np.int32)
-        self._mix = np.zeros((self.count, 4, MAX_ROTORS))
-        self._unmix = np.zeros((self.count, 4, MAX_ROTORS))
+        self.failed_rotors = np.zeros(self.count, np.int32)
+        self.mix = np.zeros((self.count, 4, MAX_ROTORS))
+        self.unmix = np.zeros((self.count, 4, MAX_ROTORS))
         self.rotors = np.array([len(layout.positions) for layout in layouts], np.int64)
         for i in range(self.count):
             self._set_mixer(i)
@@ -303,15 +311,15 @@ class Autopilot:
     def _set_mixer(self, i: int) -> None:
         """Compute the mixer of vehicle ``i`` for its working rotors."""
         layout, rotors = self._layouts[i], self.rotors[i]
-        mix = mixing_matrix(layout.positions, layout.moment_ratios, int(self._failed_rotors[i]))
-        self._mix[i, :, :rotors] = mix.T
-        self._unmix[i, :, :rotors] = np.linalg.pinv(mix)
+        mix = mixing_matrix(layout.positions, layout.moment_ratios, int(self.failed_rotors[i]))
+        self.mix[i, :, :rotors] = mix.T
+        self.unmix[i, :, :rotors] = np.linalg.pinv(mix)
 
     def _update_mixers(self) -> None:
         """Recompute the mixers of vehicles whose set of failed rotors has changed."""
         failed = self.setpoint["failed_rotors"]
-        for i in np.flatnonzero(failed != self._failed_rotors):
-            self._failed_rotors[i] = failed[i]
+        for i in np.flatnonzero(failed != self.failed_rotors):
+            self.failed_rotors[i] = failed[i]
             self._set_mixer(i)
 
     def start_control(self, which: slice = slice(None)) -> None:
@@ -331,8 +339,8 @@ class Autopilot:
             self.setpoint,
             self.control,
             self.params,
-            self._mix,
-            self._unmix,
+            self.mix,
+            self.unmix,
             self.rotors,
             STEP_US * 1e-6,
             self._work,

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from xtdrone_control.autopilot.autopilot import Autopilot
+from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
 from xtdrone_control.autopilot.commander.commander import Commander
 from xtdrone_control.autopilot.logger.logger import Logger
 from xtdrone_control.autopilot.logger.stream import LogStream
@@ -48,6 +48,16 @@ class AutopilotBackend(Protocol):
 
     def step(self) -> None:
         """Advance by one step over the samples in ``autopilot.sensors``."""
+
+    def kernel_steps(self) -> int:
+        """Return how many of the next steps need nothing but ``autopilot.step_vehicle``; 0 if ``step`` is needed."""
+
+    def count_steps(self, steps: int) -> None:
+        """Count ``steps`` that other code has done by ``autopilot.step_vehicle``, and run what is due after them.
+
+        Args:
+            steps: 1 to ``kernel_steps()``.
+        """
 
     def missing(self) -> str:
         """Return which autopilots time must not start without yet; "" when all are present."""
@@ -160,6 +170,20 @@ class BuiltinAutopilot:
     def step(self) -> None:
         """Run the kernels, and the mode logic every ``COMMANDER_PERIOD_US``."""
         self.autopilot.step()
+        self._follow_step()
+
+    def kernel_steps(self) -> int:
+        """Return the number of steps to the next run of the mode logic; 0 with logs and motor tests."""
+        if self._logger is not None or self.autopilot.motor_tests:
+            return 0
+        return (COMMANDER_PERIOD_US - self.autopilot.time_us % COMMANDER_PERIOD_US) // STEP_US
+
+    def count_steps(self, steps: int) -> None:
+        """See ``AutopilotBackend``."""
+        self.autopilot.time_us += steps * STEP_US
+        self._follow_step()
+
+    def _follow_step(self) -> None:
         beat = self.autopilot.time_us % COMMANDER_PERIOD_US == 0
         if beat:
             self._batteries.update(self.autopilot.time_us)

@@ -122,6 +122,13 @@ class Hil:
         for link in self.links:
             link.controls = None
 
+    def kernel_steps(self) -> int:
+        """Return 0: every step exchanges messages with the autopilots."""
+        return 0
+
+    def count_steps(self, steps: int) -> None:
+        """Do nothing; see ``kernel_steps``."""
+
     def missing(self) -> str:
         """Return which vehicles have no PX4 yet; "" when all have."""
         waiting = [

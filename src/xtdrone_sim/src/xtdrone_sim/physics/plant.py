@@ -109,6 +109,19 @@ def integrate_free(v, m, gravity, dt):
 
 
 @kernel
+def step_vehicle(v, m, actuators, armed, gravity, dt):
+    """Advance one vehicle; return 1 if Bullet must integrate its motion, else 0. See ``step_all``."""
+    if v.contact == ASLEEP and not armed:
+        return 0
+    advance_rotors(v, m, actuators, armed, dt)
+    rotor_wrench(v, m)
+    if v.contact != FREE:
+        return 1
+    integrate_free(v, m, gravity, dt)
+    return 0
+
+
+@kernel
 def step_all(plant, models, actuators, armed, gravity, dt):
     """Advance rotors and wrench of every vehicle, and the motion of those in free flight.
 
@@ -125,13 +138,5 @@ def step_all(plant, models, actuators, armed, gravity, dt):
     """
     touching = 0
     for i in range(plant.shape[0]):
-        v, m = plant[i], models[i]
-        if v.contact == ASLEEP and not armed[i]:
-            continue
-        advance_rotors(v, m, actuators[i], armed[i], dt)
-        rotor_wrench(v, m)
-        if v.contact == FREE:
-            integrate_free(v, m, gravity, dt)
-        else:
-            touching += 1
+        touching += step_vehicle(plant[i], models[i], actuators[i], armed[i], gravity, dt)
     return touching

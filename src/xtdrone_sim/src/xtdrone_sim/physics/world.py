@@ -24,7 +24,7 @@ from xtdrone_sim.physics.plant import ASLEEP, FREE, PLANT, TOUCHING
 from xtdrone_sim.vehicles.vehicle_model import MODEL, VehicleModel
 from xtdrone_sim.worlds.sdf import SdfActor, SdfModel, load_world_file
 
-_CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
+CHECK_STEPS = 5  # steps between two updates of the contact states; margins cover the motion in between
 _NEAR = 0.25  # m of clearance below which Bullet integrates a body
 _FAR = 0.40  # m of clearance above which the free-flight kernel does again
 _REST_SPEED = 0.02  # m/s and rad/s below which a body with its motors off counts as at rest
@@ -195,6 +195,7 @@ class World:
         self.plant["contact"] = TOUCHING
         self._wanted = np.full(count, TOUCHING)
         self._steps = 0
+        self._checked = -1  # step before which the contact states have been updated
         self._obstacles = Obstacles(model.models)
         self._near_obstacles = 0
         self._limits = np.array([_NEAR, _FAR])
@@ -230,8 +231,7 @@ class World:
 
     def step(self, actuators: NDArray[np.float64], armed: NDArray[np.int32]) -> None:
         """Advance the world by one time step under motor commands (n, MAX_ROTORS), 0..1, and armed flags (n,)."""
-        if self._steps % _CHECK_STEPS == 0:
-            self._sort_contacts(armed)
+        self.check_contacts(armed)
         self._steps += 1
         gravity, dt = self.model.gravity, self.time_step
         if self._effects is None:
@@ -242,6 +242,25 @@ class World:
             touching = integrate_all(self.plant, self.models, armed, gravity, dt)
         if touching:
             self._step_bullet()
+
+    def check_contacts(self, armed: NDArray[np.int32]) -> int:
+        """Update the contact states if that is due before the next step, as ``step`` does.
+
+        Args:
+            armed: (n,) non-zero when motors run.
+
+        Returns:
+            The number of steps until the next update.
+        """
+        done = self._steps % CHECK_STEPS
+        if done == 0 and self._checked != self._steps:
+            self._checked = self._steps
+            self._sort_contacts(armed)
+        return CHECK_STEPS - done
+
+    def count_steps(self, steps: int) -> None:
+        """Count steps in which other code has advanced ``plant``, no further than the next contact check."""
+        self._steps += steps
 
     def _sort_contacts(self, armed: NDArray[np.int32]) -> None:
         if not self._changed_contacts(armed):
@@ -259,9 +278,9 @@ class World:
         """Fill ``_wanted`` with the contact state of each vehicle; return the number of changes."""
         plant, models, wanted = self.plant, self.models, self._wanted
         if not self._obstacles.count:
-            return int(sort_contacts(plant, models, armed, _CHECK_STEPS, self.time_step, wanted))
-        mark_near(plant, models, _CHECK_STEPS, self.time_step, wanted)
-        horizon = _CHECK_STEPS * self.time_step
+            return int(sort_contacts(plant, models, armed, CHECK_STEPS, self.time_step, wanted))
+        mark_near(plant, models, CHECK_STEPS, self.time_step, wanted)
+        horizon = CHECK_STEPS * self.time_step
         self._near_obstacles = self._obstacles.mark_near(plant, models, self._limits, horizon, wanted)
         return int(let_sleep(plant, models, armed, wanted))
 

@@ -207,7 +207,7 @@ class FullSimulation:
         simulation, mavlink = self._simulation, self._mavlink
         next_stream = mavlink.next_due_us
         while simulation.time_us < until_us:
-            simulation.step()
+            simulation.run_until(min(until_us, max(next_stream, simulation.time_us + self.step_us)))
             if simulation.time_us >= next_stream:
                 mavlink.send_streams(simulation.time_us)
                 next_stream = mavlink.next_due_us

@@ -169,6 +169,27 @@ def _look_down(s, v, m, noise):
 
 
 @kernel
+def sample_vehicle(s, v, m, b, fast, slow, down, step, time_us, field, place, gravity, dt):
+    """Fill the ``SENSORS`` record ``s`` of one vehicle; see ``sample_all``."""
+    k = step % STEPS
+    slot = k // MAG_EVERY
+    s.time_us = time_us
+    s.mag_fresh = 0
+    s.baro_fresh = 0
+    s.gps_fresh = 0
+    _imu(s, v, m, b, fast[k], gravity, dt)
+    if step % MAG_EVERY == 0:
+        _walk_imu_biases(m, b, slow[slot], dt * MAG_EVERY)
+        _magnetometer(s, v, m, b, slow[slot], field)
+    if step % BARO_EVERY == 0:
+        _barometer(s, v, m, b, slow[slot], place[2], dt * BARO_EVERY)
+    if step % GPS_EVERY == 0:
+        _gps(s, v, m, b, slow[slot], place[0], place[1], place[2], dt * GPS_EVERY)
+    if step % FLOW_EVERY == 0 and (m.range_fitted or m.flow_fitted):
+        _look_down(s, v, m, down[k // FLOW_EVERY])
+
+
+@kernel
 def sample_all(sensors, plant, models, bias, fast, slow, down, step, time_us, field, place, gravity, dt):
     """Fill every vehicle's ``SENSORS`` record for step number ``step``.
 
@@ -184,24 +205,11 @@ def sample_all(sensors, plant, models, bias, fast, slow, down, step, time_us, fi
         gravity: m/s^2.
         dt: s.
     """
-    k = step % STEPS
-    slot = k // MAG_EVERY
     for i in range(sensors.shape[0]):
-        s, v, m, b = sensors[i], plant[i], models[i], bias[i]
-        s.time_us = time_us
-        s.mag_fresh = 0
-        s.baro_fresh = 0
-        s.gps_fresh = 0
-        _imu(s, v, m, b, fast[i, k], gravity, dt)
-        if step % MAG_EVERY == 0:
-            _walk_imu_biases(m, b, slow[i, slot], dt * MAG_EVERY)
-            _magnetometer(s, v, m, b, slow[i, slot], field)
-        if step % BARO_EVERY == 0:
-            _barometer(s, v, m, b, slow[i, slot], place[2], dt * BARO_EVERY)
-        if step % GPS_EVERY == 0:
-            _gps(s, v, m, b, slow[i, slot], place[0], place[1], place[2], dt * GPS_EVERY)
-        if step % FLOW_EVERY == 0 and (m.range_fitted or m.flow_fitted):
-            _look_down(s, v, m, down[i, k // FLOW_EVERY])
+        sample_vehicle(
+            sensors[i], plant[i], models[i], bias[i], fast[i], slow[i], down[i],
+            step, time_us, field, place, gravity, dt,
+        )  # fmt: skip
 
 
 class Sensors:
@@ -209,6 +217,8 @@ class Sensors:
 
     Attributes:
         failing: failure injection for sensors and motors.
+        noise: arguments ``bias``, ``fast``, ``slow`` and ``down`` of ``sample_all``.
+        place: argument ``place`` of ``sample_all``.
     """
 
     def __init__(self, world: World, autopilot: Autopilot, seed: int) -> None:
@@ -240,31 +250,33 @@ class Sensors:
             for i in np.flatnonzero(fitted).tolist()
         ]
         self._down = np.zeros((count, STEPS // FLOW_EVERY, _DOWN), np.float32)
+        self.noise = self._bias, self._fast, self._slow, self._down
         self.failing = Failing(autopilot.failures, world.models, seed)
         datum = world.model.datum
-        self._place = np.array([datum.latitude, datum.longitude, datum.altitude])
+        self.place = np.array([datum.latitude, datum.longitude, datum.altitude])
 
-    def sample(self, step: int, time_us: int) -> None:
-        """Sample every sensor that is due at step number ``step``."""
+    def draw(self, step: int) -> None:
+        """Draw the noise of the next second if a block begins at step number ``step``."""
         if step % STEPS == 0:
             for i, stream in enumerate(self._streams):
                 stream.standard_normal(dtype=np.float32, out=self._fast[i])
                 stream.standard_normal(dtype=np.float32, out=self._slow[i])
             for i, stream in self._down_streams:
                 stream.standard_normal(dtype=np.float32, out=self._down[i])
+
+    def sample(self, step: int, time_us: int) -> None:
+        """Sample every sensor that is due at step number ``step``."""
+        self.draw(step)
         world = self._world
         sample_all(
             self._autopilot.sensors,
             world.plant,
             world.models,
-            self._bias,
-            self._fast,
-            self._slow,
-            self._down,
+            *self.noise,
             step,
             time_us,
             world.model.magnetic_field,
-            self._place,
+            self.place,
             world.model.gravity,
             world.time_step,
         )

@@ -30,6 +30,7 @@ class LandingGears:
 
     Attributes:
         records: (n,) ``GEAR``.
+        any: whether a vehicle has one.
     """
 
     def __init__(self, models: Sequence[VehicleModel]) -> None:
@@ -42,6 +43,7 @@ class LandingGears:
         for record, model in zip(self.records, models, strict=True):
             record["speed"] = min((joint.velocity / joint.upper for joint in model.landing_gear), default=0.0)
         self._fitted: list[int] = np.flatnonzero(self.records["speed"]).tolist()
+        self.any = bool(self._fitted)
 
     def step(self, steps: int, commanders: Sequence[Commander], dt: float) -> None:
         """Advance by one step.

@@ -1,0 +1,151 @@
+"""Steps of a fleet that touches nothing: several steps of all vehicles in one call, on several threads.
+
+While no vehicle is near the ground or another body, the vehicles are independent of each other between two checks of
+the contacts, and each can do several steps at once. The results are those of ``Simulation.step`` to the last bit, with
+any number of threads.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import weakref
+from itertools import pairwise
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from xtdrone_control.autopilot.autopilot import STEP_US, Autopilot
+from xtdrone_control.autopilot.autopilot import step_vehicle as control
+from xtdrone_control.autopilot.state import N_STATES
+from xtdrone_sim.kernel import kernel, kernel_for_threads
+from xtdrone_sim.physics.plant import ASLEEP, TOUCHING
+from xtdrone_sim.physics.plant import step_vehicle as move
+from xtdrone_sim.physics.world import World
+from xtdrone_sim.sensors.sensor_models import Sensors, sample_vehicle
+
+_VEHICLES_PER_THREAD = 12  # fewer are done sooner than another thread starts
+_MOST_THREADS = 8
+
+
+@kernel
+def _is_free(plant, armed, failures, failed, excluded):
+    """Return whether all vehicles fly free or sleep, no unit fails, and the mixers exclude the ``failed`` rotors."""
+    for i in range(plant.shape[0]):
+        contact = plant[i].contact
+        if contact == TOUCHING or (contact == ASLEEP and armed[i]) or failed[i] != excluded[i]:
+            return False
+    return not np.any(failures)
+
+
+@kernel_for_threads
+def _advance(
+    first, last, steps, step, time_us, plant, models, field, place, gravity, dt, bias, fast, slow, down,
+    sensors, estimator, setpoint, control_records, params, mix, unmix, rotors, work,
+):  # fmt: skip
+    """Advance the vehicles ``first`` to ``last`` (excluded) by ``steps``.
+
+    Args:
+        first, last, steps: integers.
+        step: number of the first step since the start.
+        time_us: simulated time before it, microseconds.
+        plant, models: see ``plant.step_all``.
+        field, place, gravity, dt, bias, fast, slow, down: see ``sensor_models.sample_all``.
+        sensors, estimator, setpoint, control_records, params, mix, unmix, rotors, work: see ``autopilot.step_all``.
+    """
+    for i in range(first, last):
+        v, m, s, c = plant[i], models[i], sensors[i], control_records[i]
+        for k in range(steps):
+            move(v, m, c.actuators, setpoint[i].armed, gravity, dt)
+            sample_vehicle(
+                s, v, m, bias[i], fast[i], slow[i], down[i],
+                step + k, time_us + (k + 1) * STEP_US, field, place, gravity, dt,
+            )  # fmt: skip
+            control(s, estimator[i], setpoint[i], c, params[i], mix[i], unmix[i], rotors[i], dt, work)
+
+
+class _Thread:
+    """A thread that calls ``_advance``; it ends with this object."""
+
+    def __init__(self, number: int) -> None:
+        """Start the thread."""
+        self._calls: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
+        self._ends: SimpleQueue[BaseException | None] = SimpleQueue()
+        arguments = self._calls, self._ends
+        threading.Thread(target=_serve, args=arguments, name=f"free_flight_{number}", daemon=True).start()
+        weakref.finalize(self, self._calls.put, None)
+
+    def begin(self, *arguments: Any) -> None:
+        """Begin a call."""
+        self._calls.put(arguments)
+
+    def wait(self) -> None:
+        """Wait for its end; raise what it has raised."""
+        error = self._ends.get()
+        if error is not None:
+            raise error
+
+
+def _serve(calls: SimpleQueue[tuple[Any, ...] | None], ends: SimpleQueue[BaseException | None]) -> None:
+    while (arguments := calls.get()) is not None:
+        try:
+            _advance(*arguments)
+            ends.put(None)
+        except BaseException as error:
+            ends.put(error)
+
+
+class FreeFlight:
+    """Compiled steps of a simulation's vehicles."""
+
+    def __init__(self, world: World, sensors: Sensors, autopilot: Autopilot, threads: int | None = None) -> None:
+        """Prepare the steps.
+
+        Args:
+            world: bodies, of which ``plant`` is advanced.
+            sensors: sensor models, which write to the autopilots.
+            autopilot: records of the autopilots.
+            threads: number of threads, 1 or more; None: by the size of the fleet and the processors.
+        """
+        count = len(world.plant)
+        if threads is None:
+            threads = min(len(os.sched_getaffinity(0)), count // _VEHICLES_PER_THREAD, _MOST_THREADS)
+        self._world, self._sensors, self._autopilot = world, sensors, autopilot
+        self._failures = autopilot.failures.view(np.int32)
+        self._armed, self._failed = autopilot.setpoint["armed"], autopilot.setpoint["failed_rotors"]
+        a, model = autopilot, world.model
+        records = (
+            world.plant, world.models, model.magnetic_field, sensors.place, model.gravity, world.time_step,
+            *sensors.noise, a.sensors, a.estimator, a.setpoint, a.control, a.params, a.mix, a.unmix, a.rotors,
+        )  # fmt: skip
+        limits = [count * i // max(threads, 1) for i in range(max(threads, 1) + 1)]
+        self._shares = [(first, last, (*records, np.zeros((2, N_STATES)))) for first, last in pairwise(limits)]
+        self._threads = [_Thread(i) for i in range(1, len(self._shares))]
+
+    def possible_steps(self) -> int:
+        """Return for how many steps the vehicles are free: those to the next check of the contacts, or 0."""
+        if self._sensors.failing.any:
+            return 0
+        steps = self._world.check_contacts(self._armed)
+        free = _is_free(self._world.plant, self._armed, self._failures, self._failed, self._autopilot.failed_rotors)
+        return steps if free else 0
+
+    def advance(self, steps: int, step: int, time_us: int) -> None:
+        """Advance plant, sensors and autopilots by 1 to ``possible_steps()`` steps.
+
+        Args:
+            steps: number of steps.
+            step: number of the first one since the start.
+            time_us: simulated time before it, microseconds.
+        """
+        self._sensors.draw(step)
+        (first, last, records), *others = self._shares
+        for thread, (begin, end, own) in zip(self._threads, others, strict=True):
+            thread.begin(begin, end, steps, step, time_us, *own)
+        try:
+            _advance(first, last, steps, step, time_us, *records)
+        finally:
+            for thread in self._threads:
+                thread.wait()
+        self._world.count_steps(steps)

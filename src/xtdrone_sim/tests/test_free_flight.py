@@ -1,0 +1,77 @@
+"""Several steps of all vehicles in one call against the steps of the simulation one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xtdrone_control.autopilot.state import TASK_RATES
+from xtdrone_control.fleet import parse_fleet
+from xtdrone_sim.free_flight import FreeFlight
+from xtdrone_sim.simulation import Simulation
+
+_PLACES = [(5.0 * i, 0.0, 60.0 + i) for i in range(5)]
+
+
+@pytest.fixture
+def simulate():
+    """Return a function that creates five vehicles in the air, with as many threads as asked for."""
+    made = []
+
+    def create(threads: int | None = None) -> Simulation:
+        simulation = Simulation(parse_fleet("iris:5"), places=_PLACES, seed=3)
+        made.append(simulation)
+        if threads is not None:
+            simulation._free_flight = FreeFlight(simulation.world, simulation.sensors, simulation.autopilot, threads)
+        return simulation
+
+    yield create
+    for simulation in made:
+        simulation.close()
+
+
+def _power(simulation: Simulation) -> None:
+    """Run the motors of all vehicles but the last, each with its own setpoint."""
+    setpoint = simulation.autopilot.setpoint
+    setpoint["armed"] = (1, 1, 1, 1, 0)
+    setpoint["task"], setpoint["task_changed"] = TASK_RATES, 1
+    setpoint["rates"] = np.linspace(-0.3, 0.3, 15).reshape(5, 3)
+    setpoint["thrust"] = 0.55
+
+
+def _bytes(simulation: Simulation) -> list[bytes]:
+    a = simulation.autopilot
+    records = (simulation.world.plant, a.sensors, a.estimator, a.setpoint, a.control)
+    return [record.tobytes() for record in records]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_results_are_those_of_single_steps(simulate, threads):
+    single, many = simulate(), simulate(threads)
+    for simulation in (single, many):
+        _power(simulation)
+    for until_us in (20_000, 812_000, 828_000, 2_100_000):  # also within the interval of the contact checks
+        while single.time_us < until_us:
+            single.step()
+        many.run_until(until_us)
+        assert many.time_us == until_us
+        assert many.autopilot.time_us == until_us
+        assert _bytes(many) == _bytes(single)
+    assert many.autopilot.estimator["initialised"].all()
+
+
+def test_vehicles_on_the_ground_and_failed_units_are_left_to_single_steps(simulate):
+    simulation = simulate()
+    free = simulation._free_flight
+    simulation.run_until(4_000)
+    assert free.possible_steps() == 4
+    simulation.autopilot.failures["gyro"][1] = 1
+    assert free.possible_steps() == 0
+    simulation.autopilot.failures["gyro"][1] = 0
+    simulation.autopilot.setpoint["failed_rotors"][2] = 1
+    assert free.possible_steps() == 0
+    simulation.run_until(40_000)
+    assert simulation.autopilot.failed_rotors.tolist() == [0, 0, 1, 0, 0]
+    simulation.world.plant["position"][4, 2] = 0.3
+    simulation.run_until(60_000)
+    assert free.possible_steps() == 0
