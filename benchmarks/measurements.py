@@ -372,6 +372,8 @@ _TABLE = (
             ("ns/datagram", median("microseconds", ".0f", 1e3)),
             ("datagrams a\nCPU s", lambda rows: f"{1e6 / statistics.median(r['microseconds'] for r in rows):.0f}"),
             ("share of a core\nat real time", spread("share")),
+            ("setpoint\nns", median("setpoint", ".0f", 1e3)),
+            ("MAVROS\nns", median("read", ".0f", 1e3)),
         ),
         summary=lambda row: f"{row['microseconds'] * 1e3:.0f} ns a datagram",
         cases=_links,

@@ -823,10 +823,12 @@ def test_table_of_the_telemetry() -> None:
         "messages": 6000.0,
         "microseconds": 8.0,
         "share": 0.048,
+        "setpoint": 4.0,
+        "read": 3.0,
     }
     text = _printed({"machine": {"load_before": [0.1, 0.1, 0.1]}, "telemetry": [row]})
     lines = [[cell.strip() for cell in line.strip("│").split("│")] for line in text.splitlines() if "│" in line]
-    assert ["9", "6000", "8000", "125000", "0.05"] in lines
+    assert ["9", "6000", "8000", "125000", "0.05", "4000", "3000"] in lines
     assert report.short_result("telemetry", row) == "8000 ns a datagram"
 
 
