@@ -110,7 +110,7 @@ class _Collector(RegistrationListener):  # type: ignore[misc]  # rospy has no ty
             for registration, publishers in zip(part, self._send(part), strict=True):
                 if publishers is None:
                     self.manager.reg_added(*registration)
-                elif registration[2] == Registration.SUB:
+                elif registration[2] == Registration.SUB and publishers:  # each update has rospy check all its topics
                     self.manager.publisher_update(registration[0], publishers)
 
     def _send(self, registrations: list[tuple[str, str, str]]) -> list[Any]:
