@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Iterator
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -148,20 +147,3 @@ def test_publishing_a_wrong_value_names_it(monkeypatch: pytest.MonkeyPatch) -> N
         published(PointStamped, PointStamped(point=Point(x="far")), monkeypatch)
     with pytest.raises(TypeError, match="expected"):
         published(PointStamped, Point(), monkeypatch)
-
-
-def test_all_subscribers_of_a_topic_receive_the_last_message_of_a_lost_connection(
-    subscriber: BufferingSubscriber,
-) -> None:
-    node = Node()
-    received: list[tuple[str, str]] = []
-    for name in ("first", "second"):
-        invoke = partial(lambda name, message: received.append((name, message)), name)
-        node.add_subscriber(Record(resolved_name="/x", type="T", impl=subscriber, pending=[], invoke=invoke))
-    inbox = subscriber.inbox("/publisher", 5)
-    inbox.messages.append("last")
-    inbox.received = inbox.target = 1
-    inbox.lost = True
-    node.dispatch()
-    node.dispatch()
-    assert received == [("first", "last"), ("second", "last")]

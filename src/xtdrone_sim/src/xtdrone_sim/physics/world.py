@@ -309,18 +309,21 @@ class World:
     def _step_bullet(self) -> None:
         client, plant, models = self._bullet, self.plant, self.models
         gravity, dt = self.model.gravity, self.time_step
+        # The client looks up each attribute with inspect, which takes longer than the call.
+        apply_force, apply_torque = client.applyExternalForce, client.applyExternalTorque
+        pose_of, velocity_of = client.getBasePositionAndOrientation, client.getBaseVelocity
         for i in self._touching:
             v, m = plant[i], models[i]
             fx, fy, fz = v["force"].tolist()
             weight = float(m["mass"]) * gravity
             position = v["position"].tolist()
-            client.applyExternalForce(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
-            client.applyExternalTorque(self._bodies[i], -1, self._world_torque(v), pybullet.WORLD_FRAME)
+            apply_force(self._bodies[i], -1, (fx, fy, fz - weight), position, pybullet.WORLD_FRAME)
+            apply_torque(self._bodies[i], -1, self._world_torque(v), pybullet.WORLD_FRAME)
         client.stepSimulation()
         for i in self._touching:
             v = plant[i]
-            position, (x, y, z, w) = client.getBasePositionAndOrientation(self._bodies[i])
-            velocity, spin = client.getBaseVelocity(self._bodies[i])
+            position, (x, y, z, w) = pose_of(self._bodies[i])
+            velocity, spin = velocity_of(self._bodies[i])
             v["acceleration"] = (np.array(velocity) - v["velocity"]) / dt
             v["position"] = position
             v["velocity"] = velocity
